@@ -47,8 +47,8 @@ quick-and-slow: $(VENV)/.dev
 	$(PYTEST) $(MORE) -rR $(COVERED)
 
 lint: $(VENV)/.dev
-	$(BIN)/ruff check src tests benchmarks docs blender .ci
-	$(BIN)/ruff format --check src tests benchmarks docs blender .ci
+	$(BIN)/ruff check src lab tests docs blender .ci conftest.py
+	$(BIN)/ruff format --check src lab tests docs blender .ci conftest.py
 	$(BIN)/mypy
 
 types: $(VENV)/.dev
@@ -68,15 +68,16 @@ fuzz: $(VENV)/.dev
 	DOUSA_FUZZ_SECONDS=300 $(BIN)/pytest -m fuzz
 
 bench: $(VENV)/.bench
-	for claim in benchmarks/[a-z]*.py; do echo "== $$claim"; $(BIN)/python $$claim || exit 1; done
+	for claim in $$(grep -l __main__ lab/benchmarks/*.py); do echo "== $$claim"; \
+	  $(BIN)/python -m lab.benchmarks.$$(basename $$claim .py) || exit 1; done
 
 # aeon needs an older NumPy and numba than our constraints: the comparison with it has an environment of its own.
 peers:
 	test -x $(VENV)-peers/bin/python || $(PYTHON) -m venv $(VENV)-peers
 	$(VENV)-peers/bin/python -m pip install --quiet --disable-pip-version-check -e '.[studio]' 'aeon>=1.6' 'nicegui>=3' \
 	  selenium pytest
-	$(VENV)-peers/bin/python benchmarks/recognition.py
-	$(VENV)-peers/bin/python benchmarks/studio_framework.py
+	$(VENV)-peers/bin/python -m lab.benchmarks.recognition
+	$(VENV)-peers/bin/python -m lab.benchmarks.studio_framework
 
 # The extension for Blender: tried in a Blender without windows (its package, 360 MB, wants Python 3.11), then packed.
 # `make blender BLENDER=5.0` tries it with another one.
@@ -89,7 +90,7 @@ blender: $(VENV)/.demo
 	cd blender && ../$(BIN)/python -m zipfile -c ../build/dousa_motion_search.zip dousa_motion_search
 
 figures: $(VENV)/.dev
-	$(BIN)/python docs/make_figures.py
+	$(BIN)/python -m lab.figures.make_figures
 
 # The documentation site, in build/site; the examples of its gallery are run, broken links fail.
 docs: $(VENV)/.docs

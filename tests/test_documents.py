@@ -13,7 +13,7 @@ PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 
 
 def load_figures():
-    spec = importlib.util.spec_from_file_location("make_figures", ROOT / "docs/make_figures.py")
+    spec = importlib.util.spec_from_file_location("make_figures", ROOT / "lab/figures/make_figures.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -50,7 +50,7 @@ def test_commands_and_options_exist(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_named_files_exist(page):
-    """Paths such as ``benchmarks/forest.py`` in the documents are real."""
-    for name in re.findall(r"`((?:benchmarks|docs|tests|src)/[\w/.]+\.\w+)`", page.read_text(encoding="utf-8")):
+    """Paths such as ``lab/benchmarks/forest.py`` in the documents are real."""
+    for name in re.findall(r"`((?:lab|docs|tests|src)/[\w/.]+\.\w+)`", page.read_text(encoding="utf-8")):
         if "NAME" not in name:
             assert (ROOT / name).exists(), f"{page.name} names {name}"

@@ -1,20 +1,18 @@
 """Evaluate a dance and see its worst moments.
 
-The pupil's dance is the teacher's with one error of each of the four classes put in, danced by another body that faces
-elsewhere. Five takes of the teacher say how much may differ.
+A pupil of another build makes one mistake of each of the four kinds. Five takes of the teacher say how much may differ.
 """
 
 import matplotlib.pyplot as plt
 
 from dousa.evaluation import assess
-from dousa.experiments import inject_many, simulate_performer
 from dousa.motion import canonicalise
-from dousa.motion.synthetic import Performer, make_dance
+from dousa.motion.synthetic import Performer, make_dance, make_mistakes
 
 teacher = Performer("teacher")
 takes = [canonicalise(make_dance(teacher, seed=take).motion) for take in range(5)]
-wrong = inject_many(takes[0], ("shift", "incomplete", "partial", "global"), rng=1)
-pupil = simulate_performer(wrong.motion, rng=1)
+performed, mistakes = make_mistakes(make_dance(Performer("pupil", seed=7), seed=9), seed=2)
+pupil = canonicalise(performed)
 
 judged = assess(takes, pupil)
 print(f"grade {judged.score:.0f} of 100; errors, worst first:")
@@ -29,7 +27,7 @@ for number, event in enumerate(judged.events):
     label = None if number else "found"
     axes.axvspan(event.start_s, event.end_s, color="#d55e00", alpha=0.25, label=label)
     axes.text((event.start_s + event.end_s) / 2, -0.1, event.kind, ha="center", va="center")
-for number, error in enumerate(wrong.errors):
+for number, error in enumerate(mistakes):
     axes.plot([error.start_s, error.end_s], [0, 0], color="#333333", lw=5, label=None if number else "put in")
 axes.set(xlabel="s", ylim=(-0.2, None), title=f"Grade {judged.score:.0f}: where the pupil differs")
 axes.legend(loc="upper right")

@@ -15,7 +15,6 @@ import pytest
 
 import dousa.evaluation
 from app.fake_assessment import make_assessment
-from dousa.evaluation import ErrorEvent
 from dousa.formats.registry import write_motion
 from dousa.motion import compute_trajectories
 from dousa.motion.synthetic.performers import draw_performer, make_motion
@@ -250,66 +249,6 @@ def test_each_amc_finds_its_own_skeleton(run, asked, shared_data):
     assert len(json.loads(out)["references"]) == 2
     first, last = asked.assess[0][0]
     assert first.height != last.height  # another person's skeleton
-
-
-# experiment-errors
-
-
-@pytest.fixture
-def blind(monkeypatch):
-    """A made-up `assess` that always finds a time shift from 0.5 to 1.5 s."""
-
-    def assess(references, performance, **_):
-        calls.append(len(references))
-        event = ErrorEvent("shift", 0.5, 1.5, ("trunk",), 100.0, None, None, 1.5, 1.0, 0.9, None, "late")
-        return SimpleNamespace(events=(event,))
-
-    calls: list[int] = []
-    monkeypatch.setitem(sys.modules, "dousa.evaluation.grade.assessment", SimpleNamespace(assess=assess))
-    return calls
-
-
-def test_the_experiment_tells_what_is_found(run, takes, blind):
-    code, out, _ = run("--jobs", 1, "experiment-errors", takes / "takes")
-    assert code == 0
-    for word in ("precision", "shift", "incomplete", "partial", "global", "mean", "a minute", "Recall by kind",
-                 "no error", "median onset error"):  # fmt: skip
-        assert word in out
-
-
-def test_the_experiment_as_json_and_second_takes(run, takes, blind, tmp_path):
-    shutil.copy(takes / "pupil.bvh", tmp_path / "alone_0.bvh")
-    (tmp_path / "bad.bvh").write_text("")
-    for path in (takes / "takes").iterdir():
-        shutil.copy(path, tmp_path)
-    words = ("--takes-from", "name:^(.*?)_?[0-9]", "--references", 2, "--json")
-    code, out, err = run("--jobs", 1, "experiment-errors", tmp_path, "--repeats", 2, *words)
-    assert code == 0 and "left out" in err
-    answer = json.loads(out)
-    assert answer["sets"]["all"]["n_motions"] == 4 and answer["repeats"] == 2
-    second = answer["second_takes"]
-    assert (second["n_takes"], second["n_groups"], second["n_alone"]) == (3, 1, 1)
-    assert second["per_minute"] == pytest.approx(3 / second["minutes"])
-    assert second["n_with_fewer_references"] == 0
-    assert Path(answer["skipped"][0]["path"]).name == "bad.bvh"
-    code, out, _ = run("experiment-errors", tmp_path, "--repeats", 0, *words[:-1])
-    assert code == 0 and "Other takes of the same, 2 references: 3 takes" in out and "precision" not in out
-    assert set(blind) == {1, 2}
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (("{dir}",), "no motion found below"),
-        (("{dir}/none",), "no motion found below"),
-        (("{takes}", "--repeats", "0"), "leaves nothing to do"),
-        (("{takes}", "--takes-from", "mood", "--repeats", "0"), "rule for the takes: expected folder"),
-        (("{takes}", "--takes-from", "name:(t.)", "--repeats", "0"), "expected two or more takes"),
-    ],
-)
-def test_mistakes_of_the_experiment(run, takes, blind, tmp_path, words, says):
-    code, out, err = run("experiment-errors", *(word.format(takes=takes / "takes", dir=tmp_path) for word in words))
-    assert code == 2 and out == "" and says in err and len(err.splitlines()) == 1
 
 
 # advice and progress

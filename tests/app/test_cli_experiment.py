@@ -1,4 +1,4 @@
-"""dousa experiment: rankings, takes, annotated takes and unknown motions, as tables and as JSON."""
+"""dousa experiment: takes and annotated takes, as tables and as JSON, and what it refuses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from oracles.short_actions import make_library
 from rich.console import Console
 
 from dousa.app.tables.lines import print_tables
-from dousa.experiments.ranking_systems import RANKING_SYSTEMS
 from dousa.experiments.takes import run_takes_experiment
 from dousa.formats import write_motion
 from dousa.formats.annotations.reading import read_label_file
@@ -39,74 +38,13 @@ def folder(tmp_path_factory):
 PERFORMERS = ("--split", "leave-performer-out", "--performer-from", r"name:(p\d)", "--trees", 10)
 
 
-def test_the_table_names_every_ranking_and_says_what_was_left_out(dousa, folder):
-    code, out, err = dousa("--jobs", 1, "experiment", folder, "--ranking", *PERFORMERS)
-    assert code == 0, err
-    for words in (
-        "4 categories, 9 queries",
-        "features extended",
-        "fused (default)",
-        "histogram (eq. 8)",
-        "DTW on poses",
-        "motion templates",
-        "2000 bootstrap resamples",
-        "fewer than 10 clips to find",
-        "a perfect ranking reaches 0.200",
-        "bow: queries left out, as no clip of this category is there to be found: 1",
-        "MAP beyond DTW: fused",
-        "whole performers resampled",
-    ):
-        assert words in out
-
-
-def test_json_and_systems_of_choice(dousa, folder):
-    code, out, err = dousa("--jobs", 1, "experiment", folder, "--ranking", *PERFORMERS, "--json", "--features", "paper")
-    assert code == 0, err
-    answer = json.loads(out)
-    assert list(answer["systems"]) == list(RANKING_SYSTEMS)
-    assert answer["features"] == "paper" and answer["skipped"] == []
-    words = ("--system", "dtw", "--system", "fused", "--json")
-    code, out, _ = dousa("--jobs", 1, "experiment", folder, "--ranking", *PERFORMERS, *words)
-    assert list(json.loads(out)["systems"]) == ["dtw", "fused"]
-
-
-def test_a_folder_of_queries(dousa, folder, tmp_path):
-    queries = tmp_path / "asked" / "walk"
-    queries.mkdir(parents=True)
-    write_motion(make_motion("walk", draw_performer(9), seed=9), queries / "p9.bvh")
-    words = ("--ranking", "--test", queries.parent, "--system", "fused", "--trees", 10, "--json")
-    code, out, err = dousa("--jobs", 1, "experiment", folder, *words)
-    assert code == 0, err
-    answer = json.loads(out)
-    assert (answer["split"], answer["n_queries"], answer["n_gallery"]) == ("given", 1, 10)
-
-
-@pytest.mark.parametrize(
-    ("words", "problem"),
-    [
-        (("--ranking", "--repeats", 2), "--repeats cannot be combined with --ranking"),
-        (("--ranking", "--figure", "a.png"), "--figure cannot be combined with --ranking"),
-        (("--ranking", "--system", "forest"), "omit --ranking?"),
-        (("--system", "dtw"), "add --ranking?"),
-        (("--ranking", "--split", "leave-performer-out"), "--performer-from"),
-        (("--ranking", "--system", "best"), "best"),
-    ],
-)
-def test_what_cannot_be_is_said(dousa, folder, words, problem):
-    code, _, err = dousa("--jobs", 1, "experiment", folder, *words)
-    assert code == 2 and problem in err
-
-
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
-        (("--ranking", "--takes"), "one kind of experiment, got --ranking and --takes"),
-        (("--takes", "--unknown"), "one kind of experiment, got --takes and --unknown"),
         (("--takes", "--split", "half"), "--split cannot be combined with --takes"),
-        (("--unknown", "--figure", "table.png"), "--figure cannot be combined with --unknown"),
-        (("--unknown", "--system", "dtw"), "--system cannot be combined with --unknown"),
+        (("--takes", "--figure", "a.png"), "--figure cannot be combined with --takes"),
+        (("--system", "dtw"), "dtw"),
         (("--takes",), "performer"),
-        (("--ranking", "--split", 0.3), "--split SHARE cannot be combined with --ranking"),
         (("--split", "thirds"), "expected half, leave-performer-out or a share"),
         (("--split", 1.5), "between 0 and 1"),
     ],
@@ -116,14 +54,6 @@ def test_options_that_would_be_ignored_are_refused(dousa, folder, options, probl
     assert code == 2
     assert problem in err
     assert not out
-
-
-def test_unknown_motions_answer_with_tables(dousa, shared_data):
-    options = ("--performer-from", r"name:HDM_(..)_", "--trees", 10)
-    code, out, err = dousa("--jobs", 1, "experiment", shared_data("hdm05"), "--unknown", *options)
-    assert code == 0, err
-    for words in ("AUROC", "189 clips of 11 categories", "grown", "retrained"):
-        assert words in out
 
 
 PARTS = ("squat", "jump", "squat", "clap")

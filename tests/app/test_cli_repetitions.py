@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dousa.experiments.exercises.sets import join_repetitions
 from dousa.formats.registry import write_motion
 from dousa.motion import canonicalise, compute_trajectories
 from dousa.motion.synthetic.performers import draw_performer, make_motion
+from lab.trials.exercise_sets import join_repetitions
 
 
 @pytest.fixture

@@ -13,8 +13,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from dousa.app.cli.options.shared import FeatureSetName
-from dousa.app.requests.library import Ranking
+from dousa.app.requests.library import FeatureSet, Ranking
 from dousa.formats.registry import read_motion, write_motion
 from dousa.library import Library
 from dousa.motion import CANONICAL_JOINTS, Trajectories, canonicalise, compute_trajectories
@@ -63,7 +62,7 @@ def library(trained, tmp_path) -> Path:
 
 
 def test_the_choices_of_the_commands_are_those_of_the_package():
-    assert [name.value for name in FeatureSetName] == list(FEATURE_SETS)
+    assert list(get_args(FeatureSet)) == list(FEATURE_SETS)
     assert sorted(get_args(Ranking)) == sorted(RANKINGS)
     assert get_args(Ranking)[0] == DEFAULT_RANKING
     assert DEFAULT_FEATURE_SET == "extended"  # so says dousa train --help

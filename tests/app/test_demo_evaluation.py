@@ -17,9 +17,9 @@ from app.fake_assessment import make_assessment
 from dousa.app.demo.evaluation import compare_with_truth, run_dance_demo, write_dance
 from dousa.errors import OptionError
 from dousa.evaluation import ErrorEvent
-from dousa.experiments.injection.injection import Error
 from dousa.formats.registry import read_motion
 from dousa.motion import canonicalise
+from lab.injection.injection import Error
 
 KINDS = ["global", "incomplete", "partial", "shift"]
 

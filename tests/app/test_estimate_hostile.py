@@ -14,10 +14,10 @@ from dousa.app.requests.estimation import EstimationRequest, Outputs
 from dousa.errors import SilhouetteError
 from dousa.estimation.silhouettes.mask_npz import read_true_joints
 from dousa.estimation.tracking.settings import TrackerSettings
-from dousa.experiments.pose_metrics import compare_with_truth
 from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import rotations as rot
 from dousa.motion.synthetic.performers import draw_performer, make_motion
+from lab.estimation.metrics import compare_with_truth
 
 QUICK = TrackerSettings(beam=1, passes=(1.0, 0.5), damping=(0.2,), lag=5)
 CALIBRATION = ("camera_matrix", "world_to_camera_rotation", "world_to_camera_translation")

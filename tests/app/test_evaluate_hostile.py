@@ -112,12 +112,3 @@ def _start(motion: Path, *words: str, closed: int) -> subprocess.CompletedProces
     words = ("evaluate", str(motion), "-p", str(motion), *words)
     command = ["sh", "-c", f'exec "$@" {closed}>&-', "sh", sys.executable, "-c", _COMMAND, *words]
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE)
-
-
-@pytest.mark.parametrize("words", [("--noise", "inf"), ("--noise", "1e9"), ("--timing", "inf"), ("--noise", "nan")])
-def test_a_performer_beyond_all_measure_is_refused(motion, monkeypatch, capsys, words):
-    monkeypatch.setattr(sys, "argv", ["dousa", "experiment-errors", str(motion), *words])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    assert stop.value.code == 2
-    assert words[0] in capsys.readouterr().err

@@ -18,10 +18,10 @@ from dousa.app.player import encode_repetitions
 from dousa.app.report import build_exercise_page, write_exercise_report
 from dousa.errors import OptionError
 from dousa.evaluation import RepetitionsAssessment, assess_repetitions
-from dousa.experiments.exercises.sets import join_repetitions
 from dousa.messages import Message
 from dousa.motion import CanonicalMotion, canonicalise, compute_trajectories, mirror_canonical
 from dousa.motion.synthetic import draw_performer, make_motion
+from lab.trials.exercise_sets import join_repetitions
 
 _VOID = {"meta", "img", "br", "link", "input", "hr"}
 

@@ -20,7 +20,7 @@ _PROGRAMS = ("dousa", "python", "python3", "make", "pip", "tracker")  # a block 
 _SHELLS = ("console", "sh", "bash", "shell")
 _BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _SPAN = re.compile(r"`([^`]+)`")
-_INLINE = re.compile(r"(?:dousa [a-z]|make [a-z]|pip [a-z]|python [\w/]+\.py|(?:benchmarks|docs)/[a-z]\w*\.py)")
+_INLINE = re.compile(r"(?:dousa [a-z]|make [a-z]|pip [a-z]|python [\w/]+\.py|python -m lab\.[\w.]+)")
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,10 +22,10 @@ from dousa.estimation.body.posing import fit_poses
 from dousa.estimation.body.skeleton_body import body_from_motion
 from dousa.estimation.raster.rendering import render
 from dousa.estimation.silhouettes.mask_npz import write_silhouettes
-from dousa.experiments.exercises.sets import join_repetitions
 from dousa.formats.registry import write_motion
 from dousa.motion import CANONICAL_JOINTS, Trajectories, canonicalise, compute_trajectories
 from dousa.motion.synthetic.performers import draw_performer, make_motion
+from lab.trials.exercise_sets import join_repetitions
 
 __all__ = ["DONE_BEFORE", "MATERIAL", "RECORDED", "make_material", "make_readme_libraries"]
 

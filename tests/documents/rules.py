@@ -43,11 +43,10 @@ _RULES = (
         How.DRY,
     ),
     _Rule(r"pip install .*", How.INSTALLED),
-    _Rule(r"(?:python )?benchmarks/(?:\w+\.py|studio_\w+\.py .*)", How.BENCHMARK),  # those of the studio take an hour
-    _Rule(r"benchmarks/partial_bodies\.py --library LIB", How.BENCHMARK),  # LIB is a reader's own
-    _Rule(r"(?:python )?benchmarks/\w+\.py .*", How.SMALL),
-    _Rule(r"python docs/measure_\w+\.py .*", How.SMALL),
-    _Rule(r"dousa experiment(?:-\w+)? .*\.\./shared/data/.*", How.SMALL),
+    _Rule(r"python -m lab\.(?:[\w.]+|\w+\.studio_\w+ .*)", How.BENCHMARK),  # those of the studio take an hour
+    _Rule(r"python -m lab\.trials\.partial_bodies --library LIB", How.BENCHMARK),  # LIB is a reader's own
+    _Rule(r"python -m lab\.[\w.]+ .*", How.SMALL),
+    _Rule(r"dousa experiment .*\.\./shared/data/.*", How.SMALL),
     _Rule(r"dousa studio(?: .*)?|dousa demo --studio", How.SERVED),
     # It needs the net; these need what that installs.
     _Rule(r"dousa (?:keypoints|sync|calibrate) ?.*", How.MENTIONED),
@@ -69,81 +68,90 @@ _PLACEHOLDERS = {
 
 # What a command of `How.SMALL` gets besides, by how it begins.
 _LESS = {
-    "dousa experiment-estimation ../shared/data/silhouette_bench --views 1,2,4": "--variant noisy",
-    "dousa experiment-estimation ../shared/data/silhouette_bench/cmu86": "--frames 40:42 --views 2",
+    "python -m lab.estimation ../shared/data/silhouette_bench --views 1,2,4": "--variant noisy",
+    "python -m lab.estimation ../shared/data/silhouette_bench/cmu86": "--frames 40:42 --views 2",
     r"dousa experiment .*": "--trees 10",
-    "dousa experiment-estimation FOLDER": "--variant noisy --views 2",
-    "python docs/measure_estimation.py kinect": "--quick --cache kept",
-    "python docs/measure_estimation.py retrieval": "--quick --subjects 1,3 --cache kept",
-    "python docs/measure_estimation.py video": "--views 1,2",
-    "python docs/measure_estimation.py films": "--models full --views 4",
-    "python docs/measure_estimation.py doubt": "--views 4 --variants clean",
-    "python docs/measure_evaluation.py furi": "--dances 1",
-    "python docs/measure_chain.py": "--wrong 1",
-    "python benchmarks/ranking_weights.py": "--repeats 1",
-    "benchmarks/label.py": "--minutes 1",
-    "python benchmarks/count_repetitions.py": "--only synthetic --repeats 1",
-    "python benchmarks/search.py --train": "--train 60 --categories 3",
-    "python benchmarks/label_corrections.py": "--quick",
-    "python benchmarks/likeness.py": "--trees 10 --queries 1 --report hdm05",
-    "python benchmarks/count_labelled.py": "--folds 0 --only Intelli --quick",
-    "python benchmarks/label_disturbed.py": "--only HDM05",
-    "python benchmarks/confidence.py": "--only hdm05 --folds 1 --find 2",
-    "python benchmarks/perhaps.py": "--only hdm05,utkinect --shares 0.98",
-    "python benchmarks/label_strangers.py": "--only hdm05,utkinect --takes 1",
-    "python benchmarks/segment_confidence.py": "--only hdm05",
-    "benchmarks/find.py": "--minutes 1",
-    "python benchmarks/find_many.py": "--minutes 1",
-    "benchmarks/correspondence.py --full 12000": "--frames 400 --full 200 --memory",
+    r"python -m lab\.(?:ranking|novelty) .*": "--trees 10",
+    "python -m lab.estimation FOLDER": "--variant noisy --views 2",
+    "python -m lab.figures.measure_estimation kinect": "--quick --cache kept",
+    "python -m lab.figures.measure_estimation retrieval": "--quick --subjects 1,3 --cache kept",
+    "python -m lab.figures.measure_estimation video": "--views 1,2",
+    "python -m lab.figures.measure_estimation films": "--models full --views 4",
+    "python -m lab.figures.measure_estimation doubt": "--views 4 --variants clean",
+    "python -m lab.figures.measure_evaluation furi": "--dances 1",
+    "python -m lab.figures.measure_chain": "--wrong 1",
+    "python -m lab.trials.ranking_weights": "--repeats 1",
+    "python -m lab.benchmarks.label": "--minutes 1",
+    "python -m lab.trials.count_repetitions": "--only synthetic --repeats 1",
+    "python -m lab.benchmarks.search --train": "--train 60 --categories 3",
+    "python -m lab.trials.label_corrections": "--quick",
+    "python -m lab.trials.likeness": "--trees 10 --queries 1 --report hdm05",
+    "python -m lab.training.train_counter": "--folds 0 --only Intelli --quick",
+    "python -m lab.trials.label_disturbed": "--only HDM05",
+    "python -m lab.trials.confidence": "--only hdm05 --folds 1 --find 2",
+    "python -m lab.trials.perhaps": "--only hdm05,utkinect --shares 0.98",
+    "python -m lab.trials.label_strangers": "--only hdm05,utkinect --takes 1",
+    "python -m lab.trials.segment_confidence": "--only hdm05",
+    "python -m lab.benchmarks.find": "--minutes 1",
+    "python -m lab.benchmarks.find_many": "--minutes 1",
+    "python -m lab.benchmarks.correspondence --full 12000": "--frames 400 --full 200 --memory",
 }
 
 # Injecting errors takes long: one category stands for a folder.
-_INJECTED = r"dousa experiment-errors|python docs/measure_evaluation.py sweep"
+_INJECTED = r"python -m lab.errors|python -m lab.figures.measure_evaluation sweep"
 _ONE_CATEGORY = {
     "/bandai": "/bandai/walk",
     "/hdm05": "/hdm05/squat1Reps",
     "/utd_mhad/skeleton": "/utd_mhad/skeleton/squat",
 }
 
-# The least that each benchmark can do, of those that no page runs. Those with --memory, --length or --first do a part
+PROGRAMS = tuple(
+    ".".join(path.relative_to(ROOT / "lab").with_suffix("").parts)
+    for room in ("benchmarks", "trials", "training", "reliability", "exams")
+    for path in sorted((ROOT / "lab" / room).glob("*.py"))
+    if '__name__ == "__main__"' in path.read_text(encoding="utf-8")
+)
+"""Programs of the lab, as ``python -m lab.NAME`` runs them."""
+
+# The least that each program can do, of those that no page runs. Those with --memory, --length or --first do a part
 # of themselves in a process of its own, which is run here; the whole compiles everything anew for half a minute.
 BENCHMARKS = {
-    "assess.py": "--memory --minutes 0.2 --rate 30",
-    "compare_versions.py": f"--before '{ROOT}' --only features",
-    "irds_grade.py": "--help",
-    "film_cameras.py": "--help",  # it needs the pose models
-    "keypoints.py": "--help",  # it needs the pose models
-    "made_people.py": "--help",  # likewise, and a mesh
-    "correlation_matrix.py": "--frames 200 --repeats 1",
-    "body_offsets.py": "--pairs 1",
-    "estimate.py": "--length 4 --threads 1",
-    "partial_bodies.py": "--set HDM05 --only legs --seeds 1",
-    "noisy_clips.py": "--set HDM05 --repeats 1 --calibrated 1",
-    "few_clips.py": "../shared/data/bandai --share 0.5",
-    "first_run.py": "--only keypoints",
-    "fragments.py": "--clips 300",
-    "forest.py": "--clips 60 --classes 3 --repeats 1",
-    "forest_query.py": "--clips 60 --classes 3",
-    "in_turns.py": f"--before '{ROOT}' --rounds 1 --command 'correlation_matrix.py --frames 200 --repeats 1'",
-    "library_flips.py": "--flips 4",
-    "library_kill.py": "--kills 2 --only tag",
-    "library_add.py": "../shared/data/bandai/run --jobs 1 --repeats 1 --peer-files 1",
-    "ranking.py": "../shared/data/utd_mhad/skeleton --performer-from name:_s(.)_ --queries 1",
-    "read_amc.py": "../shared/data",
-    "read_bvh.py": "../shared/data",
-    "recognition.py": "",
-    "retargeting.py": "--pairs 2",  # a page only draws
-    "many_writers.py": "--clips 60 --files 1 --trees 3",
-    "subsamples.py": "--clips 200 --drawn 50 --folds 1",
-    "scale.py": "60 --categories 3",
+    "benchmarks.assess": "--memory --minutes 0.2 --rate 30",
+    "reliability.compare_versions": f"--before '{ROOT}' --only features",
+    "trials.irds_grade": "--help",
+    "trials.film_cameras": "--help",  # it needs the pose models
+    "benchmarks.keypoints": "--help",  # it needs the pose models
+    "trials.made_people": "--help",  # likewise, and a mesh
+    "benchmarks.correlation_matrix": "--frames 200 --repeats 1",
+    "benchmarks.body_offsets": "--pairs 1",
+    "benchmarks.estimate": "--length 4 --threads 1",
+    "trials.partial_bodies": "--set HDM05 --only legs --seeds 1",
+    "trials.noisy_clips": "--set HDM05 --repeats 1 --calibrated 1",
+    "trials.few_clips": "../shared/data/bandai --share 0.5",
+    "benchmarks.first_run": "--only keypoints",
+    "benchmarks.fragments": "--clips 300",
+    "benchmarks.forest": "--clips 60 --classes 3 --repeats 1",
+    "benchmarks.forest_query": "--clips 60 --classes 3",
+    "benchmarks.in_turns": f"--before '{ROOT}' --rounds 1 --command 'correlation_matrix --frames 200 --repeats 1'",
+    "reliability.library_flips": "--flips 4",
+    "reliability.library_kill": "--kills 2 --only tag",
+    "benchmarks.library_add": "../shared/data/bandai/run --jobs 1 --repeats 1 --peer-files 1",
+    "benchmarks.ranking": "../shared/data/utd_mhad/skeleton --performer-from name:_s(.)_ --queries 1",
+    "benchmarks.read_amc": "../shared/data",
+    "benchmarks.read_bvh": "../shared/data",
+    "benchmarks.recognition": "",
+    "benchmarks.retargeting": "--pairs 2",  # a page only draws
+    "benchmarks.many_writers": "--clips 60 --files 1 --trees 3",
+    "trials.subsamples": "--clips 200 --drawn 50 --folds 1",
+    "benchmarks.scale": "60 --categories 3",
     # These start a server and ask it, as tests/app/studio does: only their options are read.
-    **{path.name: "--help" for path in sorted((ROOT / "benchmarks").glob("studio_*.py"))},
-    "search.py": "--clips 60 --categories 3 --cold 1",  # a page only trains
-    "silhouette_candidates.py": "--candidates 100 --limbs left_forearm",
-    "weigh_install.py": "--help",  # it needs the package index
+    **{name: "--help" for name in PROGRAMS if ".studio_" in name},
+    "benchmarks.search": "--clips 60 --categories 3 --cold 1",  # a page only trains
+    "benchmarks.silhouette_candidates": "--candidates 100 --limbs left_forearm",
+    "benchmarks.weigh_install": "--help",  # it needs the package index
     # These take minutes to an hour; two of them write what the package ships.
-    **dict.fromkeys(("calibrate_grade.py", "exam_evaluation.py", "exam_film.py", "train_judge.py"), "--help"),
-    "exam_retrieval.py": "--help",
+    **dict.fromkeys(("training.calibrate_grade", "exams.evaluation", "exams.film", "training.train_judge"), "--help"),
+    "exams.retrieval": "--help",
 }
 
 
@@ -234,7 +242,7 @@ def make_small(text: str) -> str:
         for whole, part in _ONE_CATEGORY.items():
             small = re.sub(rf"{whole}(?= |$)", part, small)
         small = small.replace("/*/", "/squat*/")  # of all categories by a wildcard
-    if text.startswith("python docs/measure_chain.py"):  # renders and estimates every skeleton: only those filmed
+    if text.startswith("python -m lab.figures.measure_chain"):  # estimates every skeleton: only those filmed
         small = small.replace("/data/utd_mhad", "/data/filmed/utd_mhad").replace("--people 1,3,5,7", "--people 1")
     added = [more for begin, more in _LESS.items() if re.match(begin, text)]
     assert len(added) <= 1, f"two rows for {text}"

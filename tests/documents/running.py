@@ -17,8 +17,6 @@ from typing import Any
 
 import joblib
 
-from documents.commands import ROOT
-
 __all__ = ["Outcome", "run_line", "run_program", "run_python"]
 
 _SHELL_SIGNS = ("|", ">")
@@ -49,14 +47,9 @@ def run_line(text: str, folder: Path) -> Outcome:
         from dousa.app.cli.main import main
 
         return _call(main, [program, *words], folder)
-    assert program == "python", f"no way to run {text}"
-    script = ROOT / words[0]
-    return _call(
-        lambda: runpy.run_path(str(script), run_name="__main__"),
-        [str(script), *words[1:]],
-        folder,
-        script.parent,
-    )
+    assert (program, words[0]) == ("python", "-m"), f"no way to run {text}"
+    module = words[1]
+    return _call(lambda: runpy.run_module(module, run_name="__main__", alter_sys=True), words[1:], folder)
 
 
 def run_python(code: str, folder: Path, names: dict[str, Any]) -> Outcome:
@@ -77,9 +70,9 @@ def _match(word: str, folder: Path) -> list[str]:
     return sorted(glob.glob(word, root_dir=folder)) or [word]
 
 
-def _call(act: Any, words: list[str], folder: Path, imports: Path | None = None) -> Outcome:
+def _call(act: Any, words: list[str], folder: Path) -> Outcome:
     code = 0
-    with _standing_in(folder, words, imports) as said:
+    with _standing_in(folder, words) as said:
         try:
             act()
         except SystemExit as stop:
@@ -88,13 +81,10 @@ def _call(act: Any, words: list[str], folder: Path, imports: Path | None = None)
 
 
 @contextlib.contextmanager
-def _standing_in(folder: Path, words: list[str], imports: Path | None) -> Iterator[io.StringIO]:
-    """The folder, arguments and imports of a program; on one core, since no worker pays for so little work."""
-    said, modules = io.StringIO(), set(sys.modules)
-    kept = sys.argv, list(sys.path)
+def _standing_in(folder: Path, words: list[str]) -> Iterator[io.StringIO]:
+    """The folder and arguments of a program; on one core, since no worker pays for so little work."""
+    said, kept = io.StringIO(), sys.argv
     sys.argv = words
-    if imports is not None:
-        sys.path.insert(0, str(imports))
     try:
         with (
             contextlib.chdir(folder),
@@ -104,8 +94,4 @@ def _standing_in(folder: Path, words: list[str], imports: Path | None) -> Iterat
         ):
             yield said
     finally:
-        sys.argv, sys.path[:] = kept
-        if imports is not None:  # modules beside a script have plain names: another script may have its own
-            for name in set(sys.modules) - modules:
-                if getattr(sys.modules[name], "__file__", None) and Path(sys.modules[name].__file__).parent == imports:
-                    del sys.modules[name]
+        sys.argv = kept

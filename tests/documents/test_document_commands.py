@@ -17,7 +17,7 @@ import pytest
 
 from documents.commands import PAGES, ROOT, Command, collect, read_page, unread_lines
 from documents.material import DONE_BEFORE, RECORDED, make_material, make_readme_libraries
-from documents.rules import BENCHMARKS, How, check_options, choose_rule, fill_in, is_mention, make_small
+from documents.rules import BENCHMARKS, PROGRAMS, How, check_options, choose_rule, fill_in, is_mention, make_small
 from documents.running import Outcome, run_line, run_program, run_python
 from documents.small_data import link_data, make_small_data
 
@@ -88,10 +88,10 @@ def test_every_command_has_a_rule(page: str):
     assert not lost, "write a row in tests/documents/rules.py, or a command that one fits"
 
 
-def test_every_benchmark_is_run():
-    from_pages = {Path(word).name for command in find_commands(How.SMALL) for word in command.text.split()[:2]}
-    from_pages = {name for name in from_pages if (ROOT / "benchmarks" / name).exists()}
-    assert {path.name for path in (ROOT / "benchmarks").glob("[a-z]*.py")} == set(BENCHMARKS) | from_pages
+def test_every_program_of_the_lab_is_run():
+    words = [command.text.split() for command in find_commands(How.SMALL)]
+    from_pages = {word[2].removeprefix("lab.") for word in words if word[:2] == ["python", "-m"]}
+    assert set(PROGRAMS) == set(BENCHMARKS) | (from_pages & set(PROGRAMS))
 
 
 # Pages that a reader follows
@@ -194,7 +194,7 @@ def test_measurements_run_on_little_data(command: Command, small: Path):
 @pytest.mark.filterwarnings("default")  # the peers are not ours
 @pytest.mark.parametrize("name", BENCHMARKS)
 def test_benchmarks_run_on_little_data(name: str, small: Path):
-    text = f"python benchmarks/{name} {BENCHMARKS[name]}"
+    text = f"python -m lab.{name} {BENCHMARKS[name]}"
     run_line(text, small).expect_success(text)
 
 
@@ -203,8 +203,8 @@ def test_benchmarks_run_on_little_data(name: str, small: Path):
 
 @pytest.mark.parametrize("text", sorted({command.text for command in find_commands(How.WRITES)}))
 def test_what_would_write_into_the_package_is_only_asked_for_its_options(text: str, tmp_path: Path):
-    words = shlex.split(text.removeprefix("python "))
-    asked = run_line(f"python {words[0]} --help", tmp_path)
+    words = shlex.split(text.removeprefix("python -m "))
+    asked = run_line(f"python -m {words[0]} --help", tmp_path)
     asked.expect_success(text)
     for option in (word.partition("=")[0] for word in words if word.startswith("--")):
         assert re.search(rf"{option}\b", asked.said), f"{words[0]} has no {option}"
@@ -215,7 +215,7 @@ def test_no_command_that_is_run_writes_into_the_package():
     run = [make_small(command.text) for command in find_commands(How.SMALL)]
     run += [command.text for how in (How.FOLLOWED, How.BENCHMARK) for command in find_commands(how)]
     assert not [text for text in (*run, *BENCHMARKS.values()) if "--write" in text]
-    for text in ("benchmarks/train_judge.py ../shared/data --write", "python benchmarks/calibrate_grade.py --write"):
+    for text in ("python -m lab.training.train_judge FOLDER --write", "python -m lab.training.calibrate_grade --write"):
         assert choose_rule(Command("any.md", 1, text, "block")) is How.WRITES
 
 
@@ -234,7 +234,7 @@ def test_targets_of_make_exist(text: str):
         check=False,
     )
     assert told.returncode == 0, told.stderr
-    for name in re.findall(r"\b(?:benchmarks|docs)/[a-z]\w*\.py", told.stdout):
+    for name in re.findall(r"\b(?:lab|docs)/[a-z]\w*\.py", told.stdout):
         assert (ROOT / name).exists(), f"{text} runs {name}"
     if text == "make demo":
         assert re.search(r"dousa demo$", told.stdout.strip())

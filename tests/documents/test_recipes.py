@@ -24,7 +24,7 @@ def list_spans(text: str) -> list[str]:
 
 @cache
 def read_everything() -> str:
-    folders = (ROOT / "src", ROOT / "tests", ROOT / "benchmarks")
+    folders = (ROOT / "src", ROOT / "tests", ROOT / "lab")
     files = [path for folder in folders for path in folder.rglob("*") if path.suffix[1:] in _SUFFIXES]
     own = Path(__file__).resolve()
     texts = [path.read_text(encoding="utf-8") for path in files if path.resolve() != own]

@@ -182,9 +182,9 @@ def test_what_is_only_linked_is_no_asset(tmp_path: Path):
 
 
 def test_the_japanese_tutorial_has_the_commands_of_the_english_one():
-    tool = load("docs/translated_tutorial.py")
+    tool = load("lab/figures/translated_tutorial.py")
     english, japanese = read_page("docs/tutorial.md"), read_page("docs/tutorial.ja.md")
-    assert tool.paste_blocks(english, japanese) == japanese, "run python docs/translated_tutorial.py"
+    assert tool.paste_blocks(english, japanese) == japanese, "run python -m lab.figures.translated_tutorial"
     assert "docs/tutorial.ja.md" not in PAGES
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dousa.errors import OptionError, TrainingError
-from dousa.experiments import leave_performer_out, split_half
+from dousa.experiments.runner import leave_performer_out, split_half
 
 
 @given(

@@ -242,7 +242,9 @@ def test_the_skeleton_is_found(tmp_path, motion, skeletons, wanted):
 def test_no_or_several_skeletons(take):
     path = take(skeleton="other.asf")
     (path.parent / "third.asf").write_text(ASF)
-    with pytest.raises(MotionFileError, match=r"several skeletons may fit: other\.asf, third\.asf .*--read skeleton=FILE"):
+    with pytest.raises(
+        MotionFileError, match=r"several skeletons may fit: other\.asf, third\.asf .*--read skeleton=FILE"
+    ):
         read_amc(path)
     assert read_amc(path, skeleton=path.parent / "third.asf").n_frames == 3
     deep = path.parent / "1" / "2" / "3" / "4"

@@ -80,7 +80,7 @@ def test_a_killed_program_leaves_a_whole_library(tmp_path, moves, write_move):
 @pytest.mark.sqlite  # these are files
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system cannot kill programs outright")
 def test_every_writing_command_can_be_killed_and_done_again():
-    program = Path(__file__).resolve().parents[2] / "benchmarks" / "library_kill.py"
+    program = Path(__file__).resolve().parents[2] / "lab" / "reliability" / "library_kill.py"
     words = [sys.executable, str(program), "--kills", str(count_tries(24)), "--seed", "5"]
     outcome = subprocess.run(words, capture_output=True, text=True, check=False)
     assert outcome.stdout.splitlines()[-1].endswith(": 0 faults"), outcome.stdout + outcome.stderr

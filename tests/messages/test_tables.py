@@ -17,6 +17,7 @@ from dousa.messages import LANGUAGES, Message
 from dousa.messages.tables import load_table
 
 SOURCE = Path(dousa.__file__).parent
+ROOT = SOURCE.parents[1]
 FILE_ERRORS = {
     name for name, kind in vars(errors).items() if isinstance(kind, type) and issubclass(kind, errors.MotionFileError)
 } | {"RefusedError"}  # of the studio: the status comes first
@@ -115,6 +116,11 @@ def walk_calls(
         yield from walk_calls(function, known)
 
 
+def list_sources() -> list[Path]:
+    """Files whose messages come from the tables: of the package, and of the lab."""
+    return sorted([*SOURCE.rglob("*.py"), *(ROOT / "lab").rglob("*.py")])
+
+
 def list_calls(path: Path) -> Iterator[Call]:
     tree = ast.parse(path.read_text(encoding="utf-8"))
     for node, constants in walk_calls(tree, {}):
@@ -124,7 +130,7 @@ def list_calls(path: Path) -> Iterator[Call]:
             continue
         names = [keyword.arg for keyword in node.keywords]
         values = None if None in names else frozenset(name for name in names if name)
-        place = f"{path.relative_to(SOURCE)}:{node.lineno}"
+        place = f"{path.relative_to(ROOT)}:{node.lineno}"
         codes = tuple(dict.fromkeys(list_literals(node.args[position], constants)))
         if codes:
             yield Call(place, codes, values)
@@ -133,7 +139,7 @@ def list_calls(path: Path) -> Iterator[Call]:
 @cache
 def all_calls() -> list[Call]:
     """Every message in the program. Read when a test asks: whoever collects the tests need not wait for it."""
-    return [call for path in sorted(SOURCE.rglob("*.py")) for call in list_calls(path)]
+    return [call for path in list_sources() for call in list_calls(path)]
 
 
 def coded_calls() -> list[Call]:
@@ -142,7 +148,7 @@ def coded_calls() -> list[Call]:
 
 @cache
 def all_texts() -> str:
-    return "\n".join(path.read_text(encoding="utf-8") for path in sorted(SOURCE.rglob("*.py")))
+    return "\n".join(path.read_text(encoding="utf-8") for path in list_sources())
 
 
 def test_no_sentence_stands_in_the_program():

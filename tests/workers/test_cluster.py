@@ -138,7 +138,7 @@ def test_a_client_that_was_killed_goes_on(files, tmp_path, alone, workers):
 @pytest.mark.slow
 def test_experiments_give_the_same_numbers(files, monkeypatch, workers):
     from dousa.app.pipelines.experiment_clips import read_labelled_clips
-    from dousa.experiments import run_experiment
+    from dousa.experiments.recognition import run_experiment
     from dousa.experiments.runner import run_tasks
     from dousa.formats.motion_files import ReadOptions
     from dousa.messages import Message

@@ -17,10 +17,10 @@ from app.studio.evaluation_cases import upload
 @pytest.fixture(scope="module")
 def exercise(tmp_path_factory) -> tuple[Path, Path]:
     """A kick, and four more of which the second is broken off."""
-    from dousa.experiments.exercises.sets import join_repetitions
     from dousa.formats.registry import write_motion
     from dousa.motion import canonicalise, compute_trajectories
     from dousa.motion.synthetic import draw_performer, make_motion
+    from lab.trials.exercise_sets import join_repetitions
 
     folder, performer = tmp_path_factory.mktemp("exercise"), draw_performer(303)
     takes = [canonicalise(compute_trajectories(make_motion("kick_left", performer, take))) for take in range(14)]

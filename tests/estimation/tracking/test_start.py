@@ -18,7 +18,7 @@ from dousa.estimation.tracking.search_setup import SearchSetup
 from dousa.estimation.tracking.settings import TrackerSettings
 from dousa.estimation.tracking.start import find_start
 from dousa.estimation.tracking.templates import find_limbs, is_person, list_templates, mirror_twins
-from dousa.experiments.pose_clips import read_clip
+from lab.estimation.clips import read_clip
 
 BODY = make_human(1.7)
 WIDTH, HEIGHT = 160, 120

@@ -222,8 +222,8 @@ def test_a_robot_is_tracked_as_a_person_is(tmp_path):
 
 def test_a_real_motion_in_another_body_is_followed(shared_data):
     from dousa.estimation.body.posing import fit_pose
-    from dousa.experiments.pose_clips import first_frame_body, read_clip, take_part
-    from dousa.experiments.pose_metrics import compare_with_truth
+    from lab.estimation.clips import first_frame_body, read_clip, take_part
+    from lab.estimation.metrics import compare_with_truth
 
     clip = read_clip(shared_data("silhouette_bench/bd_jog_clean.npz"))
     body = first_frame_body(clip, "start")

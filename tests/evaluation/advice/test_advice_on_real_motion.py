@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from dousa.evaluation import SEGMENTS
 from dousa.evaluation.advice.directions import PairedDancers, find_corrections
 from dousa.evaluation.posture.posture import compute_postures
-from dousa.experiments.injection.injection import simulate_performer
 from dousa.formats.registry import read_motion
 from dousa.motion import JOINT_INDEX as J
 from dousa.motion import CanonicalMotion, canonicalise, compute_trajectories
+from lab.injection.injection import simulate_performer
 
 DANCE = "bandai_dance/dataset-1_dance-short_normal_001.bvh"
 ARM, LEG = ("shoulder", "elbow", "wrist", "hand"), ("hip", "knee", "ankle", "toe")

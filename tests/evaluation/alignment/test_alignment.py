@@ -10,8 +10,8 @@ from oracles.wandering import make_wandering_motion
 
 from dousa.evaluation.alignment.lines import align
 from dousa.evaluation.posture.posture import Working, compute_postures, thin_postures
-from dousa.experiments.injection.injection import simulate_performer
 from dousa.motion import CanonicalMotion
+from lab.injection.injection import simulate_performer
 
 EVEN = np.ones(9)
 TEMPOS = ("same", "free")

@@ -10,7 +10,7 @@ from dousa.evaluation.errors.judge import BoostedTrees
 
 def test_exported_trees_answer_as_scikit_learn_does() -> None:
     ensemble = pytest.importorskip("sklearn.ensemble")
-    from dousa.experiments.judging.training import export_trees
+    from lab.training.judge_trees import export_trees
 
     rng = np.random.default_rng(0)
     features = rng.standard_normal((600, 6)).astype(np.float32)

@@ -22,8 +22,8 @@ from dousa.evaluation.errors.evidence import (
     runs_of,
 )
 from dousa.evaluation.posture.posture import compute_postures, thin_postures
-from dousa.experiments.injection.injection import simulate_performer
 from dousa.motion import CanonicalMotion
+from lab.injection.injection import simulate_performer
 
 TOLERANCE = np.full(9, np.radians(10.0))
 EVEN = np.ones(9)

@@ -13,9 +13,9 @@ from oracles.wandering import make_wandering_motion
 from dousa.evaluation import Lapse
 from dousa.evaluation.alignment.lines import align, find_lapses
 from dousa.evaluation.posture.posture import compute_postures, thin_postures
-from dousa.experiments.injection.injection import KINDS, inject, simulate_performer
 from dousa.formats.registry import read_motion
 from dousa.motion import CanonicalMotion, canonicalise
+from lab.injection.injection import KINDS, inject, simulate_performer
 
 EVEN = np.ones(9)
 TEMPOS = ("same", "free")

@@ -13,8 +13,8 @@ from dousa.evaluation import assess
 from dousa.evaluation.errors.evidence import SLACK_S, Tolerance, compute_deviations, measure_unsteadiness, merge_takes
 from dousa.evaluation.grade.references import choose_tolerance, prepare_references
 from dousa.evaluation.posture.posture import compute_postures, thin_postures
-from dousa.experiments.injection.injection import simulate_performer
 from dousa.motion import CanonicalMotion
+from lab.injection.injection import simulate_performer
 
 EVEN = np.ones(9)
 MOTION = get_dance()

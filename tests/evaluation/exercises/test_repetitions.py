@@ -14,11 +14,11 @@ import pytest
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation import assess, assess_repetitions, find_repetitions
 from dousa.evaluation.exercises.split import Repetition, find_reference_repetitions
-from dousa.experiments.exercises.sets import ExerciseSet, join_repetitions
 from dousa.formats.motion_files import ReadOptions, read_canonical
 from dousa.motion import CanonicalMotion, canonicalise, compute_trajectories, mirror_canonical
 from dousa.motion.synthetic import draw_performer, make_motion
 from dousa.motion.synthetic.scores import SCORES
+from lab.trials.exercise_sets import ExerciseSet, join_repetitions
 
 PERFORMER = draw_performer(302)
 

@@ -19,10 +19,10 @@ from dousa.evaluation.figures.eigenspace import Eigenspace
 from dousa.evaluation.figures.furi import Furi, find_furi, fit_furi_eigenspaces
 from dousa.evaluation.posture.posture import SEGMENTS, compute_postures, interpolate_segments
 from dousa.evaluation.posture.yaw import rotate_yaw
-from dousa.experiments.injection.injection import simulate_performer
 from dousa.motion import canonicalise
 from dousa.motion.synthetic.dance import make_dance
 from dousa.motion.synthetic.performers import Performer
+from lab.injection.injection import simulate_performer
 
 RATE = 30.0
 FURI = (Furi(0, 90, "A"), Furi(90, 200, "B"), Furi(200, 240, "A"))

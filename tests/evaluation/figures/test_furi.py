@@ -22,10 +22,10 @@ from dousa.evaluation import (
     rotate_yaw,
 )
 from dousa.evaluation.figures.furi import fit_furi_eigenspaces, name_label
-from dousa.experiments import is_held_out
 from dousa.formats.registry import read_motion
 from dousa.motion import canonicalise
 from dousa.motion.synthetic.performers import draw_performer, make_motion
+from lab.errors.experiment import is_held_out
 
 BLEND_S = 0.4
 

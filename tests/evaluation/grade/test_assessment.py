@@ -26,9 +26,9 @@ from dousa.errors import OptionError
 from dousa.evaluation import Assessment, Furi, assess
 from dousa.evaluation.errors.evidence import measure_ranges
 from dousa.evaluation.posture.posture import SEGMENTS
-from dousa.experiments.injection.injection import simulate_performer
 from dousa.messages import LANGUAGES
 from dousa.motion import CanonicalMotion
+from lab.injection.injection import simulate_performer
 
 LEFT_ARM = [f"left_{joint}" for joint in ARM]
 LEFT_LEG = ["left_hip", "left_knee", "left_ankle", "left_toe"]

@@ -13,10 +13,10 @@ from oracles.wandering import make_wandering_motion
 
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation import Assessment, ErrorEvent, FrameState, IncrementalAssessor, advise, assess
-from dousa.experiments.injection.injection import inject_many, simulate_performer
 from dousa.formats.registry import read_motion
 from dousa.motion import CanonicalMotion, canonicalise
 from dousa.motion.canonical.joints import JOINT_INDEX, MIRRORED_JOINTS
+from lab.injection.injection import inject_many, simulate_performer
 
 KINDS = ("shift", "incomplete", "partial", "global")
 DANCE = "bandai_dance/dataset-1_dance-short_normal_001.bvh"

@@ -1,4 +1,4 @@
-"""Commands that evaluate motion: evaluate, progress and experiment-errors."""
+"""Commands that evaluate motion: evaluate and progress."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from dousa.app import tables
-from dousa.app.cli.options.evaluation import InjectionOptions, TakesOptions
 from dousa.app.cli.usage import Json
-from dousa.app.output import console, print_json, progress_bar, say, warn, warn_skipped
+from dousa.app.output import console, print_json, progress_bar, say, warn
 from dousa.app.requests.evaluation import EvaluationRequest
 from dousa.app.requests.reading import Reading
 from dousa.app.targets import REPETITIONS, REPORT, check_targets
@@ -22,14 +21,10 @@ from dousa.messages import Message, get_language
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from dousa.app.output import ProgressCallback
     from dousa.app.pipelines.evaluate import Evaluation
     from dousa.evaluation import Assessment, RepetitionsAssessment
-    from dousa.experiments.error_results import ErrorExperimentResult, SecondTakes
-    from dousa.experiments.errors import NamedMotion
     from dousa.formats.motion_files import ReadOptions
 
-_SHOWN_PROBLEMS = 3
 _REPORT_FILES, _EXERCISE_FILES = ("report.html", "curves.csv", "events.csv"), ("report.html", "repetitions.csv")
 
 
@@ -37,7 +32,6 @@ def register(app: typer.Typer) -> None:
     """Register this module's commands with the application."""
     app.command(rich_help_panel="Evaluation")(evaluate)
     app.command(rich_help_panel="Evaluation")(progress)
-    app.command("experiment-errors", rich_help_panel="Evaluation")(experiment_errors)
 
 
 def evaluate(
@@ -266,93 +260,3 @@ def _warn(done: Evaluation[Assessment]) -> None:
         warn(Message("evaluation_cli.performance_is_reference", path=done.performance))
     for warning in done.assessment.warnings:
         warn(warning)
-
-
-def experiment_errors(
-    context: typer.Context,
-    path: Annotated[list[Path], typer.Argument(metavar="PATH...", help="Correct motions: files, or folders of them.")],
-    *,
-    injection_options: InjectionOptions,
-    takes_options: TakesOptions,
-    reading: Reading,
-    json: Json = False,
-) -> None:
-    """Measure error detection: inject errors of known class, time and size into motions and detect them.
-
-    A made-up performer of another build dances each motion with errors in it;
-    the evaluation gets the motion and the performance and nothing else.
-
-    Example: dousa experiment-errors recordings/ --repeats 3 --which held-out
-
-    Example: dousa experiment-errors hdm05/ --repeats 0 --takes-from 'name:HDM_(.+)_[0-9]+_120'
-    """
-    from dousa.app.pipelines.experiment_clips import read_takes
-    from dousa.library import parse_label_rule
-
-    if injection_options.repeats == 0 and takes_options.takes_from is None:
-        raise OptionError("evaluation_cli.nothing_to_do")
-    rule = parse_label_rule(takes_options.takes_from, "takes")
-    options = reading.load()
-    trials = second_takes = None
-    with progress_bar() as progress:
-        takes, skipped = read_takes(path, rule, options=options, n_jobs=context.obj, progress=progress)
-        if injection_options.repeats:
-            trials = _inject_errors([motion for motion, _ in takes], injection_options, context.obj, progress)
-        if takes_options.takes_from is not None:
-            n, seed = takes_options.references, injection_options.seed
-            second_takes = _compare_takes(takes, injection_options.which, n, seed, context.obj, progress)
-    if json:
-        seconds = {"second_takes": second_takes} if second_takes else {}
-        print_json({**(trials.to_json() if trials else {}), **seconds, "skipped": skipped})
-    else:
-        for result in (trials, second_takes):
-            tables.print_tables(console(), result.to_tables() if result else ())
-        problems = trials.problems if trials else ()
-        for problem in problems[:_SHOWN_PROBLEMS]:
-            warn(problem)
-        if len(problems) > _SHOWN_PROBLEMS:
-            warn(Message("answers.more_trials_failed", n=len(problems) - _SHOWN_PROBLEMS))
-    warn_skipped(skipped)
-
-
-def _inject_errors(
-    motions: Sequence[NamedMotion], options: InjectionOptions, jobs: int | None, progress: ProgressCallback
-) -> ErrorExperimentResult:
-    from dousa.experiments import run_error_experiment
-
-    return run_error_experiment(
-        motions,
-        repeats=options.repeats,
-        seed=options.seed,
-        noise_deg=options.noise,
-        timing_ms=options.timing,
-        which=options.which,
-        n_jobs=jobs or -1,
-        progress=lambda done, total, _: progress(done, total, Message("evaluation_cli.trials")),
-    )
-
-
-def _compare_takes(
-    takes: Sequence[tuple[NamedMotion, str | None]],
-    which: str,
-    n_references: int,
-    seed: int,
-    jobs: int | None,
-    progress: ProgressCallback,
-) -> SecondTakes:
-    """False alarms between takes of one group, group by group."""
-    from dousa.experiments import is_held_out, measure_second_takes
-
-    groups: dict[str, list[NamedMotion]] = {}
-    for motion, group in takes:
-        if group is not None and (which == "all" or is_held_out(motion.name) == (which == "held-out")):
-            groups.setdefault(group, []).append(motion)
-    if not any(len(motions) > 1 for motions in groups.values()):
-        raise OptionError("evaluation_cli.no_groups", n=len(groups))
-    return measure_second_takes(
-        groups,
-        n_references=n_references,
-        seed=seed,
-        n_jobs=jobs or -1,
-        progress=lambda done, total, _: progress(done, total, Message("evaluation_cli.second_takes")),
-    )

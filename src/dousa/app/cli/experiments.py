@@ -1,19 +1,16 @@
-"""Commands for experiments: experiment, experiment-estimation and demo."""
+"""Commands for trials: experiment and demo."""
 
 from __future__ import annotations
 
 import enum
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dousa.app import tables
-from dousa.app.cli.options.experiments import PaperOptions, TrialOptions, VariantName
 from dousa.app.cli.usage import Json
-from dousa.app.output import ProgressCallback, console, print_json, progress_bar, warn, warn_skipped
+from dousa.app.output import console, print_json, progress_bar, warn_skipped
 from dousa.app.requests.experiments import ExperimentRequest, SystemName
 from dousa.app.requests.library import FeatureSet, LabelRules, TakeLabels
 from dousa.app.requests.reading import Reading
@@ -23,7 +20,6 @@ from dousa.extras import require
 from dousa.messages import Message
 
 if TYPE_CHECKING:
-    from dousa.estimation.tracking.settings import TrackerSettings
     from dousa.experiments.table import Result
     from dousa.retrieval import LabelledClip
 
@@ -32,7 +28,6 @@ def register(app: typer.Typer) -> None:
     """Register this module's commands with the application."""
     app.command(rich_help_panel="Trials")(experiment)
     app.command(rich_help_panel="Trials")(demo)
-    app.command("experiment-estimation", rich_help_panel="Estimation")(experiment_estimation)
 
 
 def experiment(
@@ -49,9 +44,7 @@ def experiment(
     """Measure recognition on held-out clips: single trees, the forest and motion templates.
 
     The paper's figures 4 and 5 as a table. Without --split half of every category trains and half is tested. With
-    --ranking: how good is the order in which clips are found, by our rankings, Euclidean distance, DTW and motion
-    templates. With --takes: how well are long takes of people left out labelled and searched; with --labels these are
-    real takes. With --unknown: are motions of no known category detected, and how good are categories added later.
+    --takes: how well are long takes of people left out labelled and searched; with --labels these are real takes.
 
     Example: dousa experiment hdm05/ --split leave-performer-out --performer-from 'name:HDM_(..)_'
 
@@ -62,7 +55,7 @@ def experiment(
     kind = _choose_kind(request, take_labels)
     _check_options(kind, request, rules, figure)
     check_targets({"--figure": figure}, reading.files)
-    systems = _choose_systems(request.system, kind)
+    systems = [str(name) for name in dict.fromkeys(request.system or SystemName)]
     shared: dict[str, Any] = {
         "feature_set": request.features or kind.usual_features,
         "n_trees": request.trees,
@@ -108,10 +101,8 @@ class _Kind(enum.Enum):
     """What an experiment asks, and the options that have nothing to do with it."""
 
     RECOGNITION = ("", ())
-    RANKING = ("--ranking", ("--repeats", "--figure", "--split SHARE"))
     TAKES = ("--takes", ("--repeats", "--figure", "--split", "--test", "--system"))
     ANNOTATED = ("--takes --labels", ("--repeats", "--figure", "--test", "--system", "--category-from"))
-    UNKNOWN = ("--unknown", ("--figure", "--split", "--test", "--system"))
 
     @property
     def usual_features(self) -> FeatureSet:
@@ -120,17 +111,13 @@ class _Kind(enum.Enum):
 
 
 def _choose_kind(request: ExperimentRequest, takes: TakeLabels) -> _Kind:
-    asked = {_Kind.RANKING: request.ranking, _Kind.TAKES: request.takes, _Kind.UNKNOWN: request.unknown}
-    kinds = [kind for kind, wanted in asked.items() if wanted]
-    if len(kinds) > 1:
-        raise OptionError("experiments_cli.one_kind", found=[kind.value[0] for kind in kinds])
     if takes != TakeLabels() and not request.takes:
         raise OptionError("annotations.of_clips")
     if takes.tier is not None and takes.labels is None:
         raise OptionError("annotations.tier_alone")
     if takes.labels is not None:
         return _Kind.ANNOTATED
-    return kinds[0] if kinds else _Kind.RECOGNITION
+    return _Kind.TAKES if request.takes else _Kind.RECOGNITION
 
 
 def _check_options(kind: _Kind, request: ExperimentRequest, labels: LabelRules, figure: Path | None) -> None:
@@ -160,20 +147,6 @@ def _check_options(kind: _Kind, request: ExperimentRequest, labels: LabelRules, 
         require("matplotlib", "pictures")
 
 
-def _choose_systems(asked: list[SystemName] | None, kind: _Kind) -> list[str]:
-    """The systems asked for, or all that this kind of experiment has."""
-    from dousa.experiments.ranking_systems import RANKING_SYSTEMS
-    from dousa.experiments.recognition import SYSTEMS
-
-    able = RANKING_SYSTEMS if kind is _Kind.RANKING else SYSTEMS
-    names = [str(name) for name in dict.fromkeys(asked or able)]
-    wrong = [name for name in names if name not in able]
-    if wrong:
-        code = "experiments_cli.not_a_ranking" if kind is _Kind.RANKING else "experiments_cli.not_a_classifier"
-        raise OptionError(code, expected=able, found=wrong)
-    return names
-
-
 def _run_trial(
     kind: _Kind,
     clips: list[LabelledClip],
@@ -182,7 +155,7 @@ def _run_trial(
     systems: list[str],
     shared: dict[str, Any],
 ) -> Result:
-    """Classify clips, rank them, label takes, or detect what is unknown.
+    """Classify clips, or label takes.
 
     ``shared`` are the arguments that all kinds of experiments have.
     """
@@ -190,135 +163,15 @@ def _run_trial(
 
     if kind is _Kind.TAKES:
         return experiments.run_takes_experiment(clips, **shared)
-    if kind is _Kind.UNKNOWN:
-        return experiments.run_novelty_experiment(clips, repeats=request.repeats, **shared)
     share = request.train_share
-    parts = None if tested else "half" if share is not None else request.split or "half"
-    if kind is _Kind.RANKING:
-        return experiments.run_ranking_experiment(clips, test_clips=tested, split=parts, systems=systems, **shared)
     return experiments.run_experiment(
         clips,
         test_clips=tested,
-        split=parts,
+        split=None if tested else "half" if share is not None else request.split or "half",
         train_share=0.5 if share is None else share,
         repeats=request.repeats,
         systems=systems,
         **shared,
-    )
-
-
-def experiment_estimation(
-    context: typer.Context,
-    path: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="PATH...",
-            help="Sequences (.npz) with masks, cameras, stature and true joints, or folders of them.",
-        ),
-    ],
-    *,
-    trial_options: TrialOptions,
-    paper_options: PaperOptions,
-    json: Json = False,
-) -> None:
-    """Measure the accuracy of estimated poses, with static-pose and constant-velocity baselines.
-
-    The tracker is given the first frame's joints and the stature, nothing else.
-    Errors in space are in mm: raw, with the hips moved onto the true ones, and
-    after the best rotation and translation of each frame (posture).
-
-    Example: dousa experiment-estimation silhouette_bench/ --variant clean
-
-    Example: dousa experiment-estimation silhouette_bench/cmu86_walk_clean.npz --paper
-    """
-    counts = _parse_views(trial_options.views)
-    if paper_options.frames is not None and not paper_options.paper:
-        raise OptionError("experiments_cli.frames_without_paper")
-    result: Result
-    problems: Sequence[Message] = ()
-    with progress_bar() as progress:
-        if paper_options.paper:
-            _check_paper(path, trial_options)
-            result = _run_paper(path[0], counts, trial_options, paper_options.frames, context.obj, progress)
-        else:
-            from dousa.experiments import run_bench
-
-            result = bench = run_bench(
-                path,
-                views=counts,
-                choice=trial_options.choice,
-                variants=[name.value for name in trial_options.variant or VariantName],
-                settings=_choose_settings(trial_options),
-                start=trial_options.start,
-                body=trial_options.body,
-                n_jobs=context.obj or -1,
-                progress=progress,
-            )
-            problems = bench.problems
-    if json:
-        print_json(result)
-        return
-    tables.print_tables(console(), result.to_tables())
-    for problem in problems:
-        warn(problem)
-
-
-def _parse_views(text: str) -> list[int]:
-    try:
-        counts = [int(word) for word in text.split(",")]
-    except ValueError:
-        counts = []
-    if not counts or min(counts) < 1:
-        raise OptionError("experiments_cli.views", found=text)
-    return list(dict.fromkeys(counts))
-
-
-def _parse_frames(text: str) -> tuple[int, int]:
-    first, colon, stop = text.partition(":")
-    if not (colon and first.isdecimal() and stop.isdecimal() and int(first) + 1 < int(stop)):
-        raise OptionError("experiments_cli.frames", found=text)
-    return int(first), int(stop)
-
-
-def _choose_settings(options: TrialOptions) -> TrackerSettings:
-    from dousa.estimation.tracking.settings import TrackerSettings
-
-    settings = TrackerSettings()
-    for name, values in (("reading", options.readings), ("evidence", options.evidences)):
-        if len(values) > 1:
-            raise OptionError("experiments_cli.several_without_paper", option=f"--{name}")
-        if values:
-            settings = replace(settings, **{name: values[0]})  # type: ignore[arg-type]
-    return settings
-
-
-def _check_paper(path: Sequence[Path], options: TrialOptions) -> None:
-    if len(path) != 1 or not path[0].is_file():
-        raise OptionError("experiments_cli.paper_sequence")
-    kept = ("truth", "stature", "first")
-    if (options.start, options.body, options.choice) != kept or options.variant:
-        raise OptionError("experiments_cli.paper_options")
-
-
-def _run_paper(
-    path: Path,
-    views: Sequence[int],
-    options: TrialOptions,
-    frames: str | None,
-    jobs: int | None,
-    progress: ProgressCallback,
-) -> Result:
-    from dousa.estimation.tracking.settings import EVIDENCES, READINGS
-    from dousa.experiments.readings import WALKING, run_reading_table
-
-    return run_reading_table(
-        path,
-        frames=WALKING if frames is None else _parse_frames(frames),
-        views=views,
-        readings=options.readings or READINGS,  # type: ignore[arg-type]  # checked by the option
-        evidences=options.evidences or EVIDENCES,  # type: ignore[arg-type]
-        n_jobs=jobs or -1,
-        progress=progress,
     )
 
 

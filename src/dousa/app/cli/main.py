@@ -32,7 +32,7 @@ from dousa.workers.current import use_cluster
 FAILED, INTERRUPTED = 2, 130
 
 
-class _Application(typer.Typer):
+class Application(typer.Typer):
     """Commands may take request classes, and their usage errors are messages."""
 
     def command(self, name: str | None = None, **settings: Any) -> Callable[..., Any]:
@@ -40,7 +40,7 @@ class _Application(typer.Typer):
         return lambda command: add(to_typer_command(command))
 
 
-app = _Application(
+app = Application(
     name="dousa",
     cls=Group,
     help="Capture, retrieve and evaluate human motion (動作).",
@@ -96,14 +96,19 @@ def _root(
 
 
 def main() -> None:
-    """Run the command line; the exit code is 0, 2 after an error that can be put right, 130 after Ctrl-C."""
+    """Run the command line of dousa."""
+    run_application(app)
+
+
+def run_application(application: typer.Typer) -> None:
+    """Run an application; the exit code is 0, 2 after an error that can be put right, 130 after Ctrl-C."""
     # Loading numba and SQLAlchemy makes very many objects that all stay; to look through them for cycles again
     # and again would take a tenth of the time of a search.
     gc.set_threshold(100_000)
     survive_narrow_encodings()
     try:
         choose_language(sys.argv[1:])
-        code = app(standalone_mode=False)
+        code = application(standalone_mode=False)
     except UsageError as error:
         described = describe_usage(error)
         if described is not None:

@@ -1,4 +1,4 @@
-"""The demonstration's second act: a dance, a pupil who makes one error of each class, and what is found of them."""
+"""The demonstration's second act: a dance, a pupil who makes one mistake of each kind, and what is found of them."""
 
 from __future__ import annotations
 
@@ -8,86 +8,51 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dousa.app.demo.takes import say
-from dousa.errors import OptionError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from dousa.evaluation import ErrorEvent
-    from dousa.experiments.injection.injection import Error, Injection
-    from dousa.motion import CanonicalMotion
-    from dousa.motion.synthetic.performers import Performer
+    from dousa.motion.synthetic import Mistake
 
 REFERENCE, PUPIL, REPORT = "dance_reference.bvh", "dance_pupil.bvh", "report"
 
-_KINDS = ("shift", "incomplete", "partial", "global")
-_APART_S = 3.0  # between two errors
-_N_DRAWS = 20  # of places for them, until all four have one
 _PUPIL = 41  # number of the performer who plays the pupil
-_TOUCH = 0.1  # intersection over union from which an event has to do with an error
+_TOUCH = 0.1  # intersection over union from which an event has to do with a mistake
 
 
-def write_dance(output: Path, seed: int = 0) -> tuple[Path, Path, tuple[Error, ...]]:
+def write_dance(output: Path, seed: int = 0) -> tuple[Path, Path, tuple[Mistake, ...]]:
     """Write the reference dance and the pupil's as BVH files.
 
     Parameters
     ----------
     output : folder, must exist.
-    seed : of the dancers, their takes and the errors.
+    seed : of the dancers, their takes and the mistakes.
 
     Returns
     -------
     reference, pupil : the files.
-    errors : what was done wrong on purpose, in order of time.
+    mistakes : what was done wrong on purpose, in order of time.
 
     Raises
     ------
     MotionWriteError : the files cannot be written.
     OptionError : a negative seed.
     """
-    from dousa.experiments import simulate_performer
-    from dousa.formats.registry import write_motion
-    from dousa.motion import canonicalise, fit_motion
-    from dousa.motion.synthetic.dance import make_dance
-    from dousa.motion.synthetic.performers import Performer
-
-    reference = make_dance(Performer(name="teacher", seed=1000 * seed), seed)
-    pupil = canonicalise(make_dance(_draw_pupil(seed), seed + 1).motion)
-    injection = _inject_all_kinds(pupil, seed)
-    performed = simulate_performer(injection.motion, seed, noise_deg=1.5, bias_deg=1.0)
-    paths = output / REFERENCE, output / PUPIL
-    write_motion(reference.motion, paths[0])
-    write_motion(fit_motion(performed), paths[1])
-    return *paths, injection.errors
-
-
-def _draw_pupil(seed: int) -> Performer:
-    """Draw a performer of another body and posture who knows the dance: the errors are injected afterwards."""
     import dataclasses
 
-    from dousa.motion.synthetic.performers import draw_performer
+    from dousa.formats.registry import write_motion
+    from dousa.motion.synthetic import Performer, draw_performer, make_dance, make_mistakes
 
+    reference = make_dance(Performer(name="teacher", seed=1000 * seed), seed)
+    # Another body and posture, but someone who has learned the dance: the mistakes are put in afterwards.
     drawn = draw_performer(1000 * seed + _PUPIL, "pupil")
-    return dataclasses.replace(drawn, amplitude=1.0, noise=1.0, left_handed=False)
-
-
-def _inject_all_kinds(motion: CanonicalMotion, seed: int) -> Injection:
-    """Inject one error of each class; places are drawn again only until each class has one."""
-    import numpy as np
-
-    from dousa.experiments import inject_many
-
-    best: Injection | None = None
-    for draw in range(_N_DRAWS):
-        rng = np.random.default_rng([seed, draw])
-        injection = inject_many(motion, _KINDS, rng, gap_s=_APART_S)
-        if injection is not None and (best is None or len(injection.errors) > len(best.errors)):
-            best = injection
-        if best is not None and len(best.errors) == len(_KINDS):
-            return best
-    if best is None:
-        raise OptionError("demo.no_place_for_an_error", seed=seed)
-    return best
+    pupil = dataclasses.replace(drawn, amplitude=1.0, noise=1.0, left_handed=False)
+    performed, mistakes = make_mistakes(make_dance(pupil, seed + 1), seed)
+    paths = output / REFERENCE, output / PUPIL
+    write_motion(reference.motion, paths[0])
+    write_motion(performed, paths[1])
+    return *paths, mistakes
 
 
 def run_dance_demo(console: Console, output: Path, *, seed: int = 0) -> None:
@@ -103,10 +68,10 @@ def run_dance_demo(console: Console, output: Path, *, seed: int = 0) -> None:
 
     make_folder(output)
     started = time.perf_counter()
-    reference, pupil, errors = write_dance(output, seed)
+    reference, pupil, mistakes = write_dance(output, seed)
     say(
         console,
-        f"\nA dance of six figures: {reference}, and a pupil of another build who makes {len(errors)} errors on "
+        f"\nA dance of six figures: {reference}, and a pupil of another build who makes {len(mistakes)} mistakes on "
         f"purpose: {pupil}",
     )
     folder = output / REPORT
@@ -116,67 +81,56 @@ def run_dance_demo(console: Console, output: Path, *, seed: int = 0) -> None:
     print_assessment(console, done.assessment)
     for text in done.assessment.warnings:
         warn(str(text))
-    _print_comparison(console, errors, done.assessment.events)
+    _print_comparison(console, mistakes, done.assessment.events)
     console.print(f"Evaluated in {time.perf_counter() - started:.0f} s. The same again:")
     say(console, f"  dousa evaluate {reference} --performance {pupil} -o {folder}")
     say(console, f"Open the report in a browser: {page}")
 
 
-def compare_with_truth(
-    errors: Sequence[Error], events: Sequence[ErrorEvent]
-) -> tuple[list[tuple[Error, ErrorEvent | None, bool]], list[ErrorEvent]]:
-    """Which event belongs to which injected error.
+def match_mistakes(mistakes: Sequence[Mistake], events: Sequence[ErrorEvent]) -> list[ErrorEvent | None]:
+    """Return for each mistake the event that overlaps it most, of its kind if there is one, else None."""
 
-    Parameters
-    ----------
-    errors : the truth.
-    events : what was found.
+    def overlap(mistake: Mistake, event: ErrorEvent) -> tuple[bool, float]:
+        shared = min(mistake.end_s, event.end_s) - max(mistake.start_s, event.start_s)
+        parts = not mistake.segments or bool(set(mistake.segments) & set(event.segments))
+        share = shared / (max(mistake.end_s, event.end_s) - min(mistake.start_s, event.start_s)) if parts else 0.0
+        return event.kind == mistake.kind and share >= _TOUCH, share
 
-    Returns
-    -------
-    pairs : each error; the event that belongs to it or None; and whether that one is of the error's class and
-        overlaps it by half (intersection over union), as in the experiment.
-    others : events that belong to no error: false alarms, or what the pupil really does differently.
-    """
-    from dousa.experiments.error_results import compute_overlap, match_events
-
-    matched = dict(match_events(errors, events))
-    left = [event for j, event in enumerate(events) if j not in matched.values()]
-    pairs: list[tuple[Error, ErrorEvent | None, bool]] = []
-    for i, error in enumerate(errors):
-        best = max(((compute_overlap(error, event), -j) for j, event in enumerate(left)), default=(0.0, 0))
-        near = left[-best[1]] if best[0] >= _TOUCH else None
-        pairs.append((error, events[matched[i]] if i in matched else near, i in matched))
-    used = [event for _, event, _ in pairs]
-    return pairs, [event for event in events if not any(event is other for other in used)]
+    best = [max(events, key=lambda event: overlap(mistake, event), default=None) for mistake in mistakes]
+    return [
+        event if event is not None and overlap(mistake, event)[1] >= _TOUCH else None
+        for mistake, event in zip(mistakes, best, strict=True)
+    ]
 
 
-def _print_comparison(console: Console, errors: Sequence[Error], events: Sequence[ErrorEvent]) -> None:
+def _print_comparison(console: Console, mistakes: Sequence[Mistake], events: Sequence[ErrorEvent]) -> None:
     from rich.table import Table
 
     from dousa.evaluation.words import KINDS, describe_segments, format_time
 
-    pairs, others = compare_with_truth(errors, events)
+    found = match_mistakes(mistakes, events)
     table = Table(box=None, title="What was done wrong on purpose, and what of it was found", title_justify="left")
     for name in ("time", "injected", "where and how much", "found", "start off by"):
         table.add_column(name)
-    for error, event, right in pairs:
-        when = f"{format_time(error.start_s)}-{format_time(error.end_s)}"
-        where = describe_segments(error.segments) + _describe_size(error)
+    for mistake, event in zip(mistakes, found, strict=True):
+        when = f"{format_time(mistake.start_s)}-{format_time(mistake.end_s)}"
+        where = (describe_segments(mistake.segments) if mistake.segments else "whole body") + _describe_size(mistake)
         verdict, onset = "[red]no[/]", ""
         if event is not None:
-            kind = "in part" if event.kind == error.kind else f"as {KINDS[event.kind]}"
-            verdict = "[green]yes[/]" if right else f"[yellow]{kind}[/]"
+            verdict = "[green]yes[/]" if event.kind == mistake.kind else f"[yellow]as {KINDS[event.kind]}[/]"
             verdict += _describe_size(event)
-            onset = f"{1000 * (event.start_s - error.start_s):+.0f} ms"
-        table.add_row(when, str(KINDS[error.kind]), where, verdict, onset)
+            onset = f"{1000 * (event.start_s - mistake.start_s):+.0f} ms"
+        table.add_row(when, str(KINDS[mistake.kind]), where, verdict, onset)
     console.print(table)
-    found = sum(right for _, _, right in pairs)
-    plural = "event" if len(others) == 1 else "events"
-    console.print(f"{found} of {len(pairs)} found and named right; {len(others)} other {plural} reported.")
+    right = sum(
+        event is not None and event.kind == mistake.kind for mistake, event in zip(mistakes, found, strict=True)
+    )
+    others = sum(not any(event is other for other in found) for event in events)
+    plural = "event" if others == 1 else "events"
+    console.print(f"{right} of {len(mistakes)} found and named right; {others} other {plural} reported.")
 
 
-def _describe_size(what: Error | ErrorEvent) -> str:
+def _describe_size(what: Mistake | ErrorEvent) -> str:
     if what.lag_ms is not None:
         return f", {abs(what.lag_ms):.0f} ms {'late' if what.lag_ms > 0 else 'early'}"
     if what.shortfall_deg is not None:

@@ -21,8 +21,6 @@ from dousa.workers.current import current_cluster
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
-    from dousa.experiments.errors import NamedMotion
-    from dousa.library.labels import LabelRule
     from dousa.motion import CanonicalMotion
     from dousa.retrieval.features.posed_motion import AnnotatedTake, LabelledClip
 
@@ -67,7 +65,7 @@ def read_labelled_clips(
     files, skipped = find_motion_files(paths)
     tasks = [(file, options, *(rule(file.root, file.path) for rule in rules)) for file in files]
     clips: list[LabelledClip] = []
-    for answer in _read_each(_read_clip, tasks, n_jobs, progress):
+    for answer in read_each(_read_clip, tasks, n_jobs, progress):
         if isinstance(answer, Skipped):
             skipped.append(answer)
         else:
@@ -77,50 +75,8 @@ def read_labelled_clips(
     if not clips and not skipped:
         raise TrainingError("experiments_cli.nothing_found", paths=paths)
     if not clips:
-        raise TrainingError("experiments_cli.nothing_readable", paths=paths, **_show_first(skipped))
+        raise TrainingError("experiments_cli.nothing_readable", paths=paths, **show_first(skipped))
     return clips, skipped
-
-
-def read_takes(
-    paths: Sequence[str | os.PathLike[str]],
-    group_of: LabelRule,
-    *,
-    options: ReadOptions,
-    n_jobs: int | None = None,
-    progress: ProgressCallback | None = None,
-) -> tuple[list[tuple[NamedMotion, str | None]], list[Skipped]]:
-    """Read all motion files below some paths for an experiment.
-
-    Parameters
-    ----------
-    paths : files and folders.
-    group_of : tells which files are takes of one thing.
-    options : how the files are read.
-    n_jobs : files at a time; None for every core.
-    progress : called with (done, total, "reading").
-
-    Returns
-    -------
-    takes : motions and their groups, in the order of the files.
-    skipped : the other files, and why.
-
-    Raises
-    ------
-    OptionError : no motion could be read.
-    """
-    files, skipped = find_motion_files(paths)
-    takes: list[tuple[NamedMotion, str | None]] = []
-    answers = _read_each(_read_take, [(file, options) for file in files], n_jobs, progress)
-    for file, answer in zip(files, answers, strict=True):
-        if isinstance(answer, Skipped):
-            skipped.append(answer)
-        else:
-            takes.append((answer, group_of(file.root, file.path)))
-    if not takes and not skipped:
-        raise OptionError("evaluate.nothing_found", paths=paths)
-    if not takes:
-        raise OptionError("evaluate.nothing_readable", paths=paths, **_show_first(skipped))
-    return takes, skipped
 
 
 def read_annotated_takes(
@@ -171,7 +127,7 @@ def read_annotated_takes(
     ]
     files = [file for file in files if str(file.path) in labels]
     takes = []
-    answers = _read_each(_read_file, [(file, options) for file in files], n_jobs, progress)
+    answers = read_each(read_file, [(file, options) for file in files], n_jobs, progress)
     for file, motion in zip(files, answers, strict=True):
         if isinstance(motion, Skipped):
             skipped.append(motion)
@@ -191,7 +147,7 @@ def read_annotated_takes(
     if not takes and not skipped:
         raise TrainingError("experiments_cli.nothing_found", paths=paths)
     if not takes:
-        raise TrainingError("experiments_cli.nothing_readable", paths=paths, **_show_first(skipped))
+        raise TrainingError("experiments_cli.nothing_readable", paths=paths, **show_first(skipped))
     return takes, skipped
 
 
@@ -202,7 +158,7 @@ def refuse_clips_in_both(clips: Sequence[LabelledClip], tested: Sequence[Labelle
         raise OptionError("experiments_cli.train_and_test", n=len(both), total=len(tested), first=both[0])
 
 
-def _read_each(
+def read_each(
     read: Callable[..., _Read | Skipped],
     tasks: Sequence[tuple[Any, ...]],
     n_jobs: int | None,
@@ -232,21 +188,14 @@ def _read_clip(
 
     if category is None:
         return Skipped(str(file.path), Message("motion_files.no_category"))
-    motion = _read_file(file, options)
+    motion = read_file(file, options)
     if isinstance(motion, Skipped):
         return motion
     clip = LabelledClip(str(file.path), category, performer, motion.positions, motion.frame_rate, motion.height)
     return clip, motion.warnings
 
 
-def _read_take(file: FoundFile, options: ReadOptions) -> NamedMotion | Skipped:
-    from dousa.experiments.errors import NamedMotion
-
-    motion = _read_file(file, options)
-    return motion if isinstance(motion, Skipped) else NamedMotion(str(file.path), motion)
-
-
-def _read_file(file: FoundFile, options: ReadOptions) -> CanonicalMotion | Skipped:
+def read_file(file: FoundFile, options: ReadOptions) -> CanonicalMotion | Skipped:
     path = str(file.path)
     try:
         return read_canonical(path, options)[0]
@@ -260,6 +209,6 @@ def _note(note: FileNote | None, path: str, doubts: Iterable[Message]) -> None:
             note(path, doubt)
 
 
-def _show_first(skipped: Sequence[Skipped]) -> dict[str, Any]:
+def show_first(skipped: Sequence[Skipped]) -> dict[str, Any]:
     """Values of a message that says how many files were skipped, and why the first was."""
     return {"n": len(skipped), "first": skipped[0].path, "reason": skipped[0].reason}

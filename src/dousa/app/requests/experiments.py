@@ -1,4 +1,4 @@
-"""What an experiment on recognition and retrieval can be asked."""
+"""The request of an experiment on recognition or on takes."""
 
 from __future__ import annotations
 
@@ -14,18 +14,12 @@ from dousa.errors import OptionError
 
 
 class SystemName(enum.StrEnum):
-    """What is compared: the first four tell categories apart, the last seven rank."""
+    """Classifiers that are compared."""
 
     FULL_TREE = "full_tree"
     RANDOM_TREE = "random_tree"
     FOREST = "forest"
     MOTION_TEMPLATES = "motion_templates"
-    FUSED = "fused"
-    HISTOGRAM = "histogram"
-    LEAVES = "leaves"
-    POSE = "pose"
-    EUCLIDEAN = "euclidean"
-    DTW = "dtw"
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,24 +40,16 @@ class ExperimentRequest:
         ),
     ] = None
     repeats: Annotated[int, typer.Option("--repeats", min=1, help="Number of repeats, with different seeds.")] = 1
-    ranking: Annotated[
-        bool,
-        typer.Option("--ranking", help="Evaluate the ranking of retrieved clips instead of their categories."),
-    ] = False
     takes: Annotated[
         bool,
         typer.Option("--takes", help="Evaluate labelling and search of takes concatenated from clips, or annotated."),
-    ] = False
-    unknown: Annotated[
-        bool,
-        typer.Option("--unknown", help="Evaluate detection of unknown motions and learning of new categories."),
     ] = False
     features: Annotated[
         FeatureSet | None,
         typer.Option(
             "--features",
             help="paper: the 56 pose features; extended: also speeds, spreads, trends.",
-            show_default="paper; extended with --ranking, --takes and --unknown",
+            show_default="paper; extended with --takes",
         ),
     ] = None
     system: Annotated[
@@ -71,7 +57,7 @@ class ExperimentRequest:
         typer.Option(
             "--system",
             help="Only this system; can be repeated.",
-            show_default="all four; with --ranking the last seven",
+            show_default="all four",
         ),
     ] = None
     trees: Annotated[int, typer.Option("--trees", min=1, help="Trees of the forest.")] = 100

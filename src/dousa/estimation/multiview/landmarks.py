@@ -1,7 +1,7 @@
 """Where keypoints lie on the body: the part that each hangs on, its place there, and how well networks find it.
 
 Places are in statures in the axes of the part (see ``anthropometry.toml``). They were measured on made-up films of
-made-up people, whose joints are known (``benchmarks/made_people.py``: BlazePose's heavy model, meshes of MakeHuman in
+made-up people, whose joints are known (``lab/trials/made_people.py``: BlazePose's heavy model, meshes of MakeHuman in
 poses of HDM05 and Bandai Namco): such as that the point of a shoulder lies above the joint and goes with the trunk, and
 that of an ankle above the ankle. Nothing was fitted to a film of a real person; how far off the points of a group are
 in a film is found anew (`body_fit`).

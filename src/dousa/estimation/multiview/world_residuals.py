@@ -3,7 +3,7 @@
 A network's errors add up from bone to bone: who is seen leaning too far has the head too near as well. So it is asked
 for the way from joint to joint, in statures, as the network knows the size of nobody. How far off it is across the
 view and in depth, and how much nearer it has knees and elbows than they are, was measured on made-up films
-(``benchmarks/made_people.py``); such errors last, so that films of some seconds say little more than one picture.
+(``lab/trials/made_people.py``); such errors last, so that films of some seconds say little more than one picture.
 """
 
 from __future__ import annotations

@@ -183,7 +183,7 @@ def find_path(
 
     Memory is one byte a cell of the band, about 4 * radius * T: it grows linearly. Without any price, open ends would
     shrink the path to one pair of poses. The band misses the path of the full search where a whole passage goes
-    elsewhere at almost the same price; benchmarks/correspondence.py compares.
+    elsewhere at almost the same price; lab/benchmarks/correspondence.py compares.
     """
     first, second = _check_frames(a, "a"), _check_frames(b, "b")
     shares = check_segment_weights(weights)

@@ -1,7 +1,7 @@
 """The learned judge: boosted trees give the probability of each error at each moment, decoding makes errors of them.
 
-Trees and prices are data of the package, written by ``benchmarks/train_judge.py``, which puts errors into the motion of
-many people.
+Trees and prices are data of the package, written by ``lab/training/train_judge.py``, which puts errors into the motion
+of many people.
 """
 
 from __future__ import annotations

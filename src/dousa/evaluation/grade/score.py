@@ -2,7 +2,7 @@
 
 Each part of `PARTS` is held against what is usual between takes: of the reference where there are some, of people
 where there are none. The weighted sum of the logarithms falls on a curve from 100 to 0; what is left out takes its
-share off. The few numbers are fitted by benchmarks/calibrate_grade.py and lie in grade.toml.
+share off. The few numbers are fitted by lab/training/calibrate_grade.py and lie in grade.toml.
 """
 
 from __future__ import annotations

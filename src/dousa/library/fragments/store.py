@@ -1,9 +1,9 @@
 """Fragments: files of blocks of bytes, one after the other, that only grow; in a folder, or in object storage.
 
-Plain blocks were the fastest of what was measured (``benchmarks/fragments.py``), and need no package. A block has no
-header: the database has its place and its checksum. New blocks go to the end of the newest fragment, or begin another;
-in object storage, where nothing can be appended, those that are written together are a fragment of their own. Nothing
-is ever written over: what a killed program wrote and no row names is left out when the library is compacted.
+Plain blocks were the fastest layout measured (``lab/benchmarks/fragments.py``), and need no package. A block has no
+header: the database has its place and its checksum. New blocks go to the end of the newest fragment, or begin another
+one; in object storage, where nothing can be appended, those that are written together are a fragment of their own.
+Nothing is overwritten: what a killed program wrote and no row names is left out when the library is compacted.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from dousa.retrieval.forest.evidence import EVIDENCE
 from dousa.workers.threads import map_together
 
 # What a category's share by who found a stretch, and by the trees, weigh in the log odds of the categories. Fitted as
-# those of `label` are (benchmarks/segment_confidence.py).
+# those of `label` are (lab/trials/segment_confidence.py).
 _BY_FINDER, _BY_VOTES = 1.06, 2.74
 _LEAST_SHARE = 0.02
 _MOST_ODDS = 7.0

@@ -378,7 +378,7 @@ def describe_run(
 # others, of how typical its poses are for that, and of how unsteady the bones are, as a noisy sensor makes all less
 # typical. Fitted to segments in takes of people who did not train, as recorded and disturbed, with and without unknown
 # actions: HDM05's, UTD-MHAD's and Bandai's joined clips, each set counting the same, and UTKinect's own takes, which
-# count less (benchmarks/segment_confidence.py, docs/takes.md).
+# count less (lab/trials/segment_confidence.py, docs/takes.md).
 _OFFSET, _BY_LEAD, _BY_TYPICAL, _BY_UNSTEADINESS = -0.91, 0.76, 3.42, 8.38
 _EVEN = 0.5
 

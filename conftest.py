@@ -1,0 +1,60 @@
+"""Shared fixtures: real recordings are read in place and tests skip with a message where they are absent."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+from one_compiler import compile_in_turns
+from processor_times import ProcessorTimes
+
+os.environ["DOUSA_LANG"] = "en"  # whatever the locale of the machine is; commands in processes of their own inherit it
+# A loaded machine is slow, not wrong; CI tries the same examples each time, whoever works at it tries new ones.
+settings.register_profile(
+    "dousa", deadline=None, derandomize="CI" in os.environ, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("dousa")
+
+ROOT = Path(__file__).resolve().parent
+SHARED_DATA = ROOT.parent / "shared" / "data"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Workers compile in turns, by files in the folder where their temporary ones are; what tests cost can be told."""
+    if hasattr(config, "workerinput"):
+        compile_in_turns(Path(config.option.basetemp).parent / "kernels")
+    if count := int(os.environ.get("DOUSA_TEST_TIMES", "0")):
+        config.pluginmanager.register(ProcessorTimes(count), "processor times")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests of pages and of documents are known by their fixture and their folder; `make test` leaves them out."""
+    for item in items:
+        if "browser" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.browser)
+            item.add_marker(pytest.mark.flaky(reruns=1))  # what passes only then is printed by its name
+        if item.path.is_relative_to(ROOT / "tests" / "documents"):
+            item.add_marker(pytest.mark.documents)
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Callable[[str], Path]:
+    """Path of a recording below ../shared/data; skips the test where it is absent."""
+
+    def find(relative: str) -> Path:
+        path = SHARED_DATA / relative
+        if not path.exists():
+            pytest.skip(f"no recordings at ../shared/data/{relative}")
+        return path
+
+    return find
+
+
+@pytest.fixture(scope="session")
+def foreign(shared_data: Callable[[str], Path]) -> Callable[[str], Path]:
+    """Path of a file by another producer, below ../shared/data/foreign; skips the test where it is absent."""
+    return lambda relative: shared_data(f"foreign/{relative}")

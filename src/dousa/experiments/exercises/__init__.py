@@ -1,1 +1,0 @@
-"""Recordings of several repetitions, their bounds known."""

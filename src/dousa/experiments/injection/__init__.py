@@ -1,1 +1,0 @@
-"""Errors of known class, time and size put into real motion."""

@@ -1,1 +1,0 @@
-"""Material, labels, training and trials of the learned judge of `dousa.evaluation`."""
