@@ -1,6 +1,6 @@
 """The plainest thing that could be done instead of dousa: BlazePose frame by frame and linear triangulation.
 
-Nothing here comes from dousa, except that the model files are those that `dousa keypoints --install` puts into the cache.
+Nothing here comes from dousa but the model files, which `dousa keypoints --install` puts into the cache.
 Lengths in metres, world Y up as in the reference TRC, pixels of the calibration (1088 x 1920).
 """
 

@@ -27,14 +27,14 @@ def draw_readings(path: Path) -> None:
     true = _TURN
     formulas = ("(S xor P) outside F", "(S minus F) xor P", "(S or F) xor P", "S xor P", "(S and F) xor P")
     wide, high = 40 * _PIXEL + 14, 46 * _PIXEL
-    parts = [_say(8, 20, "Five readings of eq. 2: a forearm partly before the trunk", "title")]
+    parts = [_place_text(8, 20, "Five readings of eq. 2: a forearm partly before the trunk", "title")]
     key = "grey: silhouette S;  dashed: part already placed F;  blue line: candidate P;  squares: pixels that count"
-    parts.append(_say(8, 40, key, "note"))
+    parts.append(_place_text(8, 40, key, "note"))
     for column, reading in enumerate(READINGS):
         left = 8 + column * wide
         counts = [count_mismatch(reading, silhouette, placed, draw_limb(turn)).sum() for turn in turns]
         best = int(turns[int(np.argmin(counts))])
-        parts += [_say(left, 68, reading, "name"), _say(left, 85, formulas[column], "note")]
+        parts += [_place_text(left, 68, reading, "name"), _place_text(left, 85, formulas[column], "note")]
         for row, turn in enumerate((true, best)):
             wrong = count_mismatch(reading, silhouette, placed, draw_limb(turn))
             body = _draw_cell(silhouette, placed, draw_limb(turn), wrong)
@@ -43,13 +43,13 @@ def draw_readings(path: Path) -> None:
             if row:
                 off = abs(turn - true)
                 says = f"liked best: {wrong.sum()} pixels, " + (f"{off} deg off" if off else "the true angle")
-            parts.append(_say(left, top - 8, says, "small"))
+            parts.append(_place_text(left, top - 8, says, "small"))
             parts.append(f'<g transform="translate({left:g} {top:g})">{body}</g>')
         slid, held = (
             int(count_mismatch(reading, silhouette, placed, draw_limb(true, out)).sum()) for out in (_SLIDE, 0)
         )
         text = f"true angle, slid {_SLIDE} pixels outward: {slid - held:+d}"
-        parts.append(_say(left, 112 + 2 * high + 62, text, "small"))
+        parts.append(_place_text(left, 112 + 2 * high + 62, text, "small"))
     style = (
         "text { font-family: sans-serif; fill: #222; } .title { font-size: 16px; font-weight: 600; }"
         ".name { font-size: 14px; font-weight: 600; } .note { font-size: 12px; fill: #555; }"
@@ -123,5 +123,5 @@ def _runs(row: Mask) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def _say(x: float, y: float, text: str, css_class: str) -> str:
+def _place_text(x: float, y: float, text: str, css_class: str) -> str:
     return f'<text x="{x:g}" y="{y:g}" class="{css_class}">{text}</text>'

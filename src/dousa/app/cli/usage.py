@@ -188,8 +188,9 @@ def describe_usage(error: Any) -> Message | None:
 
 def _describe(error: Any) -> Message:
     if isinstance(error, _exceptions.NoSuchOption):
-        but = "_but" if error.possibilities else ""
-        code = "usage.before_command" if error.option_name in ROOT_OPTIONS else f"usage.no_such_option{but}"
+        if error.option_name in ROOT_OPTIONS:
+            return Message("usage.before_command", name=error.option_name)
+        code = "usage.no_such_option_but" if error.possibilities else "usage.no_such_option"
         return Message(code, name=error.option_name, similar=error.possibilities)
     if isinstance(error, _exceptions.BadOptionUsage):
         return Message("usage.option_without_value", name=error.option_name)

@@ -41,8 +41,8 @@ def find_keypoints(
 
     Every person is followed in a crop that the last frame's landmarks place; the detector runs when somebody is lost
     and twice a second or so. Who is who is settled over the whole film (`identities.find_identities`). The models are
-    those of `dousa keypoints --install`; nothing is fetched here. What was found is kept in the user's cache, so that the
-    same film is looked at once, and an interrupted search goes on where it stopped.
+    those of `dousa keypoints --install`; nothing is fetched here. The results are kept in the user's cache, so that a
+    film is searched once, and an interrupted search goes on where it stopped.
 
     Parameters
     ----------

@@ -5,7 +5,8 @@ axis-angle rotations in rad, ``trans`` (T, 3) m, Z up, ``mocap_framerate``, ``be
 choreographer, ICCV 2021): ``smpl_poses`` (T, 72), ``smpl_trans`` (T, 3), ``smpl_scaling``: metres are trans / scaling,
 Y up, 60 Hz.
 
-The joints are those of the mean body, or of the body model that the user names (`--read skeleton=FILE`), which knows ``betas``.
+The joints are those of the mean body, or of the body model that the user names (`--read skeleton=FILE`), which knows
+``betas``.
 """
 
 from __future__ import annotations
