@@ -348,7 +348,6 @@ _FORM_CODES = {
 }
 
 _PATIENCE = 10.0  # s for the first line and the headers of a request; uvicorn itself waits for ever
-_LEAST_BYTES = 1000  # of a body, in every such time
 
 
 class PatientProtocol(H11Protocol):
@@ -387,7 +386,8 @@ class PatientProtocol(H11Protocol):
 
     def _give_up(self, state: Any) -> None:
         self._deadline = None
-        went_on = self.conn.their_state is not state or self._n_bytes >= _LEAST_BYTES or self.flow.read_paused
+        # of a body, in every such time
+        went_on = self.conn.their_state is not state or self._n_bytes >= 1000 or self.flow.read_paused
         if state is h11.SEND_BODY and went_on:  # read_paused: it is we who do not read
             self._watch()
         elif self.conn.their_state is state:

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 
 LINK = "share_link"
-"""Where the link by which somebody came stands in the state of a request."""
+"""Name of the link in the state of a request."""
 
 
 class SharedGuard(RequestGuard):
@@ -66,7 +66,7 @@ class SharedGuard(RequestGuard):
     def __init__(self, app: ASGIApp, host: str, links: ShareLinks) -> None:
         super().__init__(app)
         self._host, self._links = host, links
-        self._cookie = f"__Host-dousa_share_{host.rpartition(':')[2]}"  # sent over https alone, set by nobody else
+        self._cookie = f"__Host-dousa_share_{host.rpartition(':')[2]}"  # over https only
 
     async def judge(self, scope: Scope, headers: Headers, receive: Receive) -> Answer | Receive:
         """Check host, method and link."""
@@ -126,7 +126,7 @@ def _check_all(link: _LinkNow) -> None:
 
 
 def _check_clip(asked: Annotated[motions.ShownMotion, Query()]) -> motions.ShownMotion:
-    if asked.address.clip is None:  # uploads, and what was estimated, are nobody else's
+    if asked.address.clip is None:  # uploads and estimates are private
         raise RefusedError(403, "studio_share.only_clips")
     return asked
 
@@ -249,7 +249,7 @@ def find_share_address(asked: str | None = None) -> IPv4Address:
 def _find_address() -> str:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            probe.connect(("10.255.255.255", 9))  # sends nothing: the system only says which way it would go
+            probe.connect(("10.255.255.255", 9))  # sends nothing, but selects a route
             found: str = probe.getsockname()[0]
         except OSError:
             raise OptionError("studio_share.no_network") from None
@@ -322,7 +322,7 @@ def _serve(app: Any, listener: LimitedListener, certificate: str, http: Any) -> 
 
     def make_loop() -> asyncio.AbstractEventLoop:
         loop = asyncio.new_event_loop()
-        # uvicorn has no option for it, and waits a minute for who connects and says nothing.
+        # uvicorn has no option for this, and waits a minute for silent connections.
         hasty = partial(loop.create_server, ssl_handshake_timeout=_HANDSHAKE_S, ssl_shutdown_timeout=_FAREWELL_S)
         loop.create_server = hasty  # type: ignore[method-assign]
         loop.set_exception_handler(lambda *_: None)  # strangers who are no browsers are nothing for the terminal

@@ -82,7 +82,9 @@ def _read_asked(
     saved: Annotated[
         str | None, Query(max_length=200, description="name of a search or selection that is kept")
     ] = None,
-    wide: Annotated[bool, Query(description="also what does what the text says where others are called so")] = False,
+    wide: Annotated[
+        bool, Query(description="include clips that do what the text says even if others are called so")
+    ] = False,
 ) -> ClipQuery:
     labels: dict[str, Sequence[str]] = {"category": category or (), "performer": performer or (), "tag": tag or ()}
     labels["kind"] = () if kind is None else (kind,)
@@ -176,7 +178,7 @@ def get_thumbnails(studio: StudioNow, wanted: Pictured) -> Response:
 
 @router.get("/clips/{clip_id}", summary="One clip or take")
 def get_clip(studio: StudioNow, clip_id: int) -> Answer:
-    """What the list says of it."""
+    """As in the list."""
     snapshot = studio.listing.now()
     _check_there(snapshot, [clip_id])
     return Answer(snapshot.describe(snapshot.row_of(clip_id)))

@@ -79,12 +79,12 @@ def collect_report(studio: Studio, job_id: str, language: Language) -> dict[str,
 
 
 class NotesRequest(StrictModel):
-    """What somebody has to say of a performance."""
+    """Notes on a performance."""
 
     notes: str = Field(max_length=20_000)
 
 
-@router.put("/evaluations/{job_id}/notes", summary="Say something of the performance")
+@router.put("/evaluations/{job_id}/notes", summary="Write notes on the performance")
 def put_notes(studio: StudioNow, job_id: str, wanted: NotesRequest) -> Answer:
     """Kept with the evaluation; stands in its report."""
     studio.evaluations.write_notes(job_id, wanted.notes)
@@ -335,7 +335,7 @@ def get_companion_file(studio: StudioNow, job_id: str, kind: Kind) -> FileRespon
 
 @companions_router.get("/beats", summary="The beats of the music, and the accents of the dance against them")
 def get_beats(studio: StudioNow, job_id: str, language: _CompanionLanguage = "en") -> Answer:
-    """``times_s`` of the music; ``timing`` as `dousa evaluate --music` says; all null without music."""
+    """``times_s`` of the music; ``timing`` as of `dousa evaluate --music`; all null without music."""
     from dousa.app.report import build_beats
 
     job = studio.evaluations.find_job(job_id)

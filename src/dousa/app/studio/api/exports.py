@@ -49,7 +49,7 @@ def get_formats() -> Answer:
 
 @router.get("/export/character", summary="Whether motions can be put onto a character")
 def get_character(studio: StudioNow, motion: Annotated[_Character, Query()]) -> Answer:
-    """Its name and body; refused if it has no skeleton, or nobody's. An upload is kept from now on."""
+    """Its name and body; refused if it has no skeleton of a person. An upload is kept from now on."""
     from dousa.motion import canonicalise
 
     path = _find_character(studio, motion)
@@ -80,7 +80,7 @@ def export(studio: StudioNow, wanted: ExportRequest) -> Answer:
         address = Address.parse(wanted.onto)
         if address.batch:
             studio.workspace.keep(address.batch)
-    ExportFormat(wanted.to, character, wanted.keep_reach, wanted.frame_rate)  # mistakes are told at once
+    ExportFormat(wanted.to, character, wanted.keep_reach, wanted.frame_rate)  # refuses mistakes at once
     count, to = len(wanted.clips), wanted.to.upper()
     title = Message("studio_export.clips", count=count, to=to)
     if character is not None:

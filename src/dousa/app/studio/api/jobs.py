@@ -53,7 +53,7 @@ class TrainRequest(derive_model(library.TrainRequest)):  # type: ignore[misc]
 
 @router.post("/jobs/add", status_code=202, summary="Add uploaded files to the library")
 def add(studio: StudioNow, wanted: AddRequest) -> Answer:
-    """A job; its result says what was added and what was refused, and why."""
+    """A job; its result lists what was added, and what was refused and why."""
     files = studio.workspace.files(wanted.batch)
     studio.workspace.keep(wanted.batch, by_library=True)
     job = studio.jobs.submit("add", wanted.model_dump(), Message("studio_jobs.files", count=len(files)))
@@ -117,7 +117,7 @@ def free(
         int | None, Query(ge=1, le=36_500, description="also uploads of forgotten jobs, unused for so many days")
     ] = None,
 ) -> Answer:
-    """Uploads that nothing uses and nobody has touched for an hour; exports that are over, with their files."""
+    """Deletes uploads that nothing uses and that are older than an hour, and finished exports with their files."""
     return Answer(free_space(studio, older_days))
 
 

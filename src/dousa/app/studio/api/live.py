@@ -27,7 +27,7 @@ class LiveRequest(StrictModel):
 
 @router.get("/live", summary="Whether people can be found in pictures here")
 def describe_live(studio: StudioNow) -> Answer:
-    """``problem`` says what to install; null where all is there. ``trained``: whether there are labels."""
+    """``problem`` names what to install; null if nothing is missing. ``trained``: whether there are labels."""
     problem = live.find_problem(studio.workspace.root)
     trained = studio.library.stats().trained_at is not None
     return Answer({"problem": None if problem is None else say(problem), "trained": trained, "bones": list_bones()})
@@ -55,7 +55,7 @@ async def see(
     session_id: _SessionId,
     seconds: Annotated[float, Query(ge=0, le=1e7, allow_inf_nan=False, description="s, by the camera's clock")],
 ) -> Answer:
-    """``person`` (null: nobody) with ``points`` in shares of the picture, ``label``, ``grade`` and ``ms``. The picture
+    """``person`` (or null) with ``points`` in shares of the picture, ``label``, ``grade`` and ``ms``. The picture
     is not kept."""
     from starlette.concurrency import run_in_threadpool
 
@@ -96,7 +96,7 @@ def _decode(content: bytes) -> Any:
 
 
 def _read_size(content: bytes) -> tuple[int, int] | None:
-    """Height and width of a JPEG by its head, before memory is given to what it says; None of anything else."""
+    """Read height and width of a JPEG before memory is allocated for it; None for other content."""
     at = 2
     while content[:2] == b"\xff\xd8" and at + 9 <= len(content) and content[at] == 0xFF:
         kind, length = content[at + 1], int.from_bytes(content[at + 2 : at + 4], "big")

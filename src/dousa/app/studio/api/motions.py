@@ -56,7 +56,7 @@ def get_info(studio: StudioNow, asked: Annotated[MotionPart, Query()]) -> Answer
 
 
 def _describe_clip(studio: Studio, clip: int | None) -> dict[str, Any]:
-    """What the library says of a clip; nothing of other motions."""
+    """Describe a clip of the library; other motions have null in all fields."""
     if clip is None:
         return {"clip_id": None, "kind": None, "performer": None, "path": None}
     info = studio.library.clips([clip])[0]

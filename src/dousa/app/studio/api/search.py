@@ -21,8 +21,6 @@ router = APIRouter(tags=["search"])
 
 _PATIENCE = 20.0  # s that a search waits for its turn
 
-_MOST_PLACES = 20
-_MOST_MOTIONS = 100
 
 
 class SearchRequest(derive_model(library.SearchRequest)):  # type: ignore[misc]
@@ -47,7 +45,7 @@ class TextRequest(StrictModel):
 class ClassifyRequest(derive_model(library.ClassifyRequest)):  # type: ignore[misc]
     """Motions to name."""
 
-    motions: list[MotionRef] = Field(min_length=1, max_length=_MOST_MOTIONS)
+    motions: list[MotionRef] = Field(min_length=1, max_length=100)
 
 
 @router.post("/search", summary="The clips most like a motion")
@@ -104,7 +102,7 @@ def _find_places(studio: Studio, wanted: SearchRequest) -> list[dict[str, Any]]:
     if not stored.stats().n_takes:
         return []
     try:
-        found = stored.find(studio.motions.query(wanted.query), k=_MOST_PLACES, mirror=wanted.mirror)
+        found = stored.find(studio.motions.query(wanted.query), k=20, mirror=wanted.mirror)
     except InvalidMotionError:
         return []
     return [{**place.to_json(), "motion": str(Address(clip=place.clip_id))} for place in found.results]

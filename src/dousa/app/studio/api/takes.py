@@ -30,12 +30,10 @@ _Motion = Annotated[MotionName, Query()]
 
 
 class LabelRequest(StrictModel):
-    """Which take, and from when on something is said."""
+    """A take, and the confidence that its labels need."""
 
     take: MotionRef
-    threshold: _Share | None = Field(
-        default=None, description="confidence from which a category is said; learned if left out"
-    )
+    threshold: _Share | None = Field(default=None, description="least confidence of a category; learned if left out")
 
 
 class CorrectRequest(StrictModel):
@@ -68,14 +66,14 @@ def label(studio: StudioNow, wanted: LabelRequest) -> Answer:
 def get_labels(studio: StudioNow, motion: _Motion) -> Answer:
     """``labels`` is null before the take was labelled; ``is_current``: the library has not changed since.
 
-    ``given`` is what a table of labels says, null for a take without one.
+    ``given`` are the labels of a table, null for a take without one.
     """
     return Answer(_describe(studio, MotionRef(motion=motion)))
 
 
 @router.get("/takes/strips", summary="The labels of several takes in short")
 def get_strips(studio: StudioNow, motion: Annotated[list[MotionName], Query(min_length=1, max_length=100)]) -> Answer:
-    """For each take: ``given``, whether a table of labels says so, and ``segments``, null before it was labelled."""
+    """For each take: ``given``, whether they come from a table, and ``segments``, null before it was labelled."""
     return Answer({"takes": {name: _summarise(studio, MotionRef(motion=name)) for name in motion}})
 
 
@@ -124,7 +122,7 @@ def _describe_given(studio: Studio, ref: MotionRef) -> dict[str, Any] | None:
         return None
     stretches = [
         {"start_s": round(one.start, 3), "end_s": round(one.stop, 3), "category": one.category, "counted": one.counted}
-        for one in known[0].rows  # two labels at one time are both told
+        for one in known[0].rows  # both of two labels at one time
     ]
     return {"source": PurePath(known[0].source).name, "tier": known[0].tier, "segments": stretches}
 
@@ -188,7 +186,7 @@ def export(
     studio: StudioNow,
     motion: _Motion,
     format: _LabelFormat = "csv",
-    given: Annotated[bool, Query(description="what a table of labels said, instead of what was recognised")] = False,
+    given: Annotated[bool, Query(description="the labels of a table instead of the recognised ones")] = False,
 ) -> Response:
     """Labels with corrections: a table with a row for each stretch, JSON, or a document of ELAN.
 
@@ -216,7 +214,7 @@ def export(
 def _format_csv(segments: Sequence[dict[str, Any]]) -> str:
     """Given labels as they are read again; recognised ones with how sure they are, and what was corrected.
 
-    What somebody calls doubtful is no label: it stands in a column of its own.
+    A doubtful guess is no label and has its own column.
     """
     if any("counted" in one for one in segments):
         from dousa.formats.annotations.writing import format_labels_csv

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 _WORD = re.compile(r"[^\W_]+")
 _MOST_EDITS = {4: 1, 8: 2}  # letters from which a word may be misspelt, and how often
-_MOST_TAKEN_FOR = 3  # words that a misspelt one may have been
 _PATIENCE = 0.15  # s that a list waits for the words of the library to be read
 
 
@@ -100,7 +99,8 @@ class ClipWords:
         if self._known is None:
             found = {known for text in self._texts for known in _WORD.findall(text)}
             self._known = sorted(known for known in found if not known.isdigit())
-        near = process.extract(word, self._known, scorer=OSA.distance, score_cutoff=edits, limit=_MOST_TAKEN_FOR)
+        # words that a misspelt one may have been
+        near = process.extract(word, self._known, scorer=OSA.distance, score_cutoff=edits, limit=3)
         best = min((distance for _, distance, _ in near), default=0)
         return [known for known, distance, _ in near if distance == best]
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from dousa.library.selection import KnownClips
 
 Match = Callable[[str], "TextMatches | None"]
-"""Gives the clips that do what a text says, None if that is not known yet."""
+"""Finds the clips that do what a text describes; None if that is not known yet."""
 
 NO_LABEL = ""
 """Stands for clips without a label; no label is empty."""
@@ -296,7 +296,7 @@ def _shorten(paths: Sequence[str], uploads: str) -> tuple[list[str | None], list
     share."""
     matches = [_BATCH.fullmatch(path.removeprefix(uploads)) if path.startswith(uploads) else None for path in paths]
     others = list({os.path.dirname(path) for path, match in zip(paths, matches, strict=True) if match is None})
-    # The last folder that they share stays: it may be the only one that says something.
+    # The last shared folder stays: it may be the only one with a meaning.
     shared = os.path.dirname(_shared_folder(others)).rstrip(os.sep)
     shorts = [
         (match[2] if match else path.removeprefix(shared).lstrip(os.sep)).replace(os.sep, "/")
@@ -313,7 +313,6 @@ def _shared_folder(folders: Sequence[str]) -> str:
 
 
 _FORM = 1  # another one empties the file; count it up when encode_miniature draws otherwise
-_WAIT = 5.0  # s for another program that writes
 _AT_ONCE = 250  # figures made between two writes
 _SPARE = 2_000  # figures of clips that are gone may stay so many
 
@@ -366,7 +365,7 @@ class Thumbnails:
             self._insert(rows, library)
         except sqlite3.DatabaseError as error:
             if isinstance(error, sqlite3.OperationalError):
-                return  # somebody else writes for long, or the disk is full
+                return  # another program writes for long, or the disk is full
             for name in ("", "-wal", "-shm"):  # damaged
                 with suppress(OSError):
                     Path(f"{self._path}{name}").unlink()
@@ -389,7 +388,7 @@ class Thumbnails:
 
     @contextmanager
     def _open(self) -> Iterator[sqlite3.Connection]:
-        with closing(sqlite3.connect(self._path, timeout=_WAIT)) as connection:
+        with closing(sqlite3.connect(self._path, timeout=5.0)) as connection:  # s for another program that writes
             if connection.execute("PRAGMA user_version").fetchone()[0] != _FORM:
                 _start(connection)
             yield connection

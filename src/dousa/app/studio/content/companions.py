@@ -27,7 +27,6 @@ Kind = Literal["film", "music"]
 _SUFFIXES = {"film": VIDEOS, "music": SOUNDS}
 _OTHER_KIND = {"film": "studio_evaluation.no_film", "music": "studio_evaluation.no_music"}
 _FILE, _BEATS = "companions.json", "beats.json"
-_WAIT = 60.0  # s for others whose beats are looked for
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +96,7 @@ class Companions:
             stored = json.loads(kept.read_bytes())
             if stored["of"] == [music.batch, music.name]:
                 return Beats(stored["times_s"])
-        with self._gate.enter(_WAIT):
+        with self._gate.enter(60.0):  # s for others whose beats are looked for
             beats = find_beats(self.path(job, "music"))
         write_file(kept, json.dumps({"of": [music.batch, music.name], "times_s": beats.times.tolist()}).encode())
         return beats

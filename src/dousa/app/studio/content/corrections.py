@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
 _FILE = "corrections.json"
 _LOCK = threading.Lock()  # one for all studios of a process: they seldom write
-_LEAST = 0.02  # s of a stretch that is worth telling
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,10 +135,10 @@ def _around(stretch: dict[str, Any], start: float, end: float) -> list[dict[str,
     stretch = {name: value for name, value in stretch.items() if name != "repetitions"}
     left = {**stretch, "end_s": min(stretch["end_s"], start)}
     right = {**stretch, "start_s": max(stretch["start_s"], end)}
-    return [one for one in (left, right) if one["end_s"] - one["start_s"] > _LEAST]
+    # s of a stretch that is worth telling
+    return [one for one in (left, right) if one["end_s"] - one["start_s"] > 0.02]
 
 
-_SAME = 0.5  # intersection over union of two corrections that mean the same part
 _SHORTEST = 0.3  # s
 _LABELS = "labels.csv"
 
@@ -332,7 +331,7 @@ def _check_category(category: str) -> str:
     name = unicodedata.normalize("NFC", category).strip()
     if not name or any(unicodedata.category(character) in ("Cc", "Cs") for character in name):
         raise RefusedError(422, "studio_takes.no_category")
-    if is_unknown(name):  # a table of labels that says so names nothing either
+    if is_unknown(name):  # as in tables of labels
         raise RefusedError(422, "studio_takes.unknown_category", category=name)
     return name
 
@@ -358,7 +357,8 @@ def _is_same(part: MotionRef, first: float, last: float) -> bool:
     """Whether a label covers mostly this part, so that a new correction replaces it."""
     start, end = part.start_s or 0.0, part.end_s if part.end_s is not None else float("inf")
     shared = min(end, last) - max(start, first)
-    return shared > 0 and shared >= _SAME * (max(end, last) - min(start, first))
+    # intersection over union of two corrections that mean the same part
+    return shared > 0 and shared >= 0.5 * (max(end, last) - min(start, first))
 
 
 def forget_correction(studio: Studio, number: str) -> tuple[Correction, int | None]:

@@ -67,7 +67,7 @@ def free_space(studio: Studio, older_days: int | None = None) -> dict[str, Any]:
         shutil.rmtree(folder, ignore_errors=True)
     Corrections(studio.workspace.root).forget_missing({clip.id for clip in studio.listing.now().clips})
     for job in _list_exports(studio):
-        with suppress(RefusedError):  # somebody else forgot it
+        with suppress(RefusedError):  # removed meanwhile
             studio.jobs.remove(job)
     after = describe_space(studio)
     left = after["can_be_freed_bytes"] + sum(measure(folder) for folder in old)

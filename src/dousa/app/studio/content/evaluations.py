@@ -32,12 +32,7 @@ _Name = Annotated[str, Field(max_length=40)]
 
 _MOST_READY, _MOST_BYTES = 6, 300_000_000  # evaluations in memory
 _LONGEST_S = 600.0  # s of a motion
-_MOST_WORK = 1.5e6  # s^2 of all pairs, since every take is compared with every other one: half a minute
-_WAIT = 120.0  # s for others whose evaluation is made again
-_SLACK_S = 0.1  # s that the last figure may end after the dance: people round
 _ADJUSTED, _NOTES, _PROGRESS, _COMPARISON = "adjusted.json", "notes.txt", "progress", "comparison"
-_MOST_ATTEMPTS = 30  # that are drawn
-_OTHER = 0.6  # of the performance
 
 
 class Cut(StrictModel):
@@ -55,7 +50,7 @@ class Adjustment(StrictModel):
         default_factory=dict, description="of segments or limbs; 1 for those not named"
     )
     importance: Literal["learned", "equal"] = Field(
-        "learned", description="learned: segments count as they matter in the reference; equal: all alike"
+        "learned", description="learned: segments count as they matter in the reference; equal: all count the same"
     )
     furi: Annotated[list[Cut], Field(min_length=1, max_length=400)] | None = Field(
         None, description="figures; those that are found if null"
@@ -134,7 +129,7 @@ class Ready:
         for number, cut in enumerate(sorted(cuts, key=lambda one: one.start_s), start=1):
             where = {"number": number, "start": cut.start_s, "end": cut.end_s}
             start, end = round(cut.start_s * rate), min(round(cut.end_s * rate), n_frames)
-            if cut.end_s > end_s + _SLACK_S:
+            if cut.end_s > end_s + 0.1:  # s that the last figure may end after the dance: people round
                 raise RefusedError(422, "studio_evaluation.cut_beyond", **where, length=end_s)
             if start >= end:
                 raise RefusedError(422, "studio_evaluation.cut_empty", **where)
@@ -185,7 +180,7 @@ class Evaluations:
         return ready
 
     def _make_again(self, job: Job) -> Ready:
-        with self._gate.enter(_WAIT):
+        with self._gate.enter(120.0):  # s for others whose evaluation is made again
             with self._lock:
                 making = self._making.setdefault(job.id, threading.Lock())
             with making:
@@ -234,7 +229,7 @@ class Evaluations:
             for one in self._board.all()
             if one.kind == job.kind and one.state == "done" and one.result and _describe_model(one) == model
         ]
-        until = [one for one in earlier if one.created_s <= job.created_s][:_MOST_ATTEMPTS]
+        until = [one for one in earlier if one.created_s <= job.created_s][:30]  # that are drawn
         if len(until) < 2:
             return None
         results = [one.result or {} for one in reversed(until)]
@@ -448,7 +443,8 @@ def _check(named: Named) -> Named:
 def _check_work(durations: Sequence[float]) -> None:
     """Limit the work, as a comparison cannot be stopped."""
     total, squares = sum(durations), sum(one * one for one in durations)
-    if (total * total - squares) / 2 > _MOST_WORK:
+    # s^2 of all pairs, since every take is compared with every other one: half a minute
+    if (total * total - squares) / 2 > 1.5e6:
         raise RefusedError(422, "studio_evaluation.too_much", count=len(durations), minutes=total / 60)
 
 
@@ -481,7 +477,7 @@ def _add_page_warnings(assessment: Assessment) -> Assessment:
     warnings = [reword(warning) for warning in assessment.warnings]
     other_s = sum(event.end_s - event.start_s for event in assessment.events if event.kind == "global")
     share = other_s / max(assessment.performance.duration, 1e-9)
-    if share > _OTHER:
+    if share > 0.6:  # of the performance
         warnings.insert(0, Message("studio_evaluation.other_figure", share=min(share, 1.0)))
     return replace(assessment, warnings=tuple(warnings))
 

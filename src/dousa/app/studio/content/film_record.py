@@ -45,10 +45,7 @@ LONGEST = 720
 """px, of a picture's longer side."""
 
 SHOWN = np.dtype([("frame", "<i4"), ("size", "<i4"), ("offset", "<i8")])
-_QUALITY = 74
-_USUAL_BYTES = 45_000  # of a picture
 _MOST_BYTES = 1_500_000_000  # of all films of a batch; of longer ones not every frame is kept
-_REPORT_EVERY = 10  # frames
 
 Progress = Callable[[int, int, Message], None]
 
@@ -61,7 +58,7 @@ def name_pictures(film: Path) -> Path:
 
 def choose_stride(n_frames: int) -> int:
     """Choose every how many frames a picture is stored, for the number of frames of all films of a batch."""
-    return max(1, -(-n_frames * _USUAL_BYTES // _MOST_BYTES))
+    return max(1, -(-n_frames * 45_000 // _MOST_BYTES))  # of a picture
 
 
 def write_pictures(film: Path, stride: int, report: Progress) -> None:
@@ -88,12 +85,12 @@ def write_pictures(film: Path, stride: int, report: Progress) -> None:
         index.truncate(len(known) * SHOWN.itemsize)
         for frame, _, picture in frames.read(skip=n_done):
             if frame % stride == 0:
-                content = encode_jpeg(shrink(picture, LONGEST)[..., ::-1], _QUALITY)
+                content = encode_jpeg(shrink(picture, LONGEST)[..., ::-1], 74)
                 pictures.write(content)
                 pictures.flush()  # first: what the index names is there
                 index.write(np.array([(frame, len(content), n_bytes)], SHOWN).tobytes())
                 n_bytes += len(content)
-            if frame % _REPORT_EVERY == 0:
+            if frame % 10 == 0:  # frames
                 index.flush()
                 report(frame + 1, max(frames.n_stated, frame + 1), what)
     end.touch()
@@ -167,13 +164,11 @@ def to_picture_address(canvas: Image, longest: int) -> str:
 UNSEEN = -32768
 STAGES = ("films", "found", "placed", "matched", "fitted")
 _SCALE = 16384
-_MOST_FRAMES = 2000  # in one answer
-_UNSURE = 0.07  # m, mean uncertainty of the joints of a frame that is marked
 _SIGHT = 0.9  # m, how far the pyramid of a camera is drawn
 _HEAD = ("nose", "left_ear", "right_ear")
 
 Track = tuple[int, int]
-"""A view, and the number of somebody in it."""
+"""A view, and the number of a person in it."""
 
 
 def choose_names(names: Sequence[str]) -> tuple[list[str], list[list[int]]]:
@@ -289,7 +284,8 @@ class FilmRecordWriter:
             STAGES[4],
             total=estimate.n_frames,
             lost=np.flatnonzero(estimate.lost).tolist(),
-            unsure=np.flatnonzero((doubt > _UNSURE) & ~estimate.lost).tolist(),
+            # m, mean uncertainty of the joints of a frame that is marked
+            unsure=np.flatnonzero((doubt > 0.07) & ~estimate.lost).tolist(),
             doubt_mm=(1000 * doubt).round(1).tolist(),
             parents=list(CANONICAL_PARENTS),
         )
@@ -399,7 +395,7 @@ class FilmRecord:
             )
         except FileNotFoundError as error:
             raise RefusedError(404, "studio_films.nobody_yet") from error
-        part = slice(first, first + min(count, _MOST_FRAMES))
+        part = slice(first, first + min(count, 2000))  # in one answer
         return {
             "first": first,
             "people": points.shape[0],

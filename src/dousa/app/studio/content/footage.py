@@ -51,9 +51,7 @@ STAGES = ("found", "settled", "smoothed")
 MASK, PICTURE = 0, 1
 SEEN = np.dtype([("frame", "<i4"), ("view", "<i2"), ("kind", "<i2"), ("offset", "<i8"), ("size", "<i4")])
 _LONGEST = 480  # px, of what is kept
-_PLAIN = 246  # grey behind keypoints without a film
 _MOST_BYTES = 1_000_000_000  # of all pictures of one estimation
-_KEPT_JPEG = 80
 
 
 def pose_record(n_numbers: int, n_views: int, n_parts: int) -> np.dtype[Any]:
@@ -163,7 +161,7 @@ class FootageWriter:
                     frame, view, MASK, encode_mask(shrink(mask.view(np.uint8) * np.uint8(255), _LONGEST) > 127)
                 )
             if picture is not None:
-                self._seen.write(frame, view, PICTURE, encode_jpeg(shrink(picture, _LONGEST), _KEPT_JPEG))
+                self._seen.write(frame, view, PICTURE, encode_jpeg(shrink(picture, _LONGEST), 80))
 
     def follow(self, tracked: TrackedFrame) -> None:
         """Write a pose."""
@@ -221,9 +219,6 @@ class FootageWriter:
             np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
-_MOST_OVERLAYS = 240  # kept, some 25 KB each
-_MOST_OPEN = 4  # estimations
-_MOST_RECORDS = 20_000  # in one answer
 _JPEG = 88
 
 
@@ -232,7 +227,7 @@ class Footages:
 
     def __init__(self, board: JobBoard) -> None:
         self._board = board
-        self._opened = OpenedJobs(board, _open_footage, _MOST_OPEN)
+        self._opened = OpenedJobs(board, _open_footage, 4)  # estimations
 
     def get(self, job_id: str) -> Footage:
         """Return the footage of an estimation, which may still be empty; RefusedError for other jobs."""
@@ -345,7 +340,7 @@ class Footage:
         """
         with self._lock:
             count = min(count, len(self._order))
-            until = min(len(self._order), count + _MOST_RECORDS)
+            until = min(len(self._order), count + 20_000)  # in one answer
             frames = sorted(set(self._order[count:until]))
             rows = self._rows[frames] if frames else np.zeros(0, pose_record(0, len(self.names), 0))
             answer = {
@@ -381,7 +376,7 @@ class Footage:
                 raise RefusedError(409, "studio_estimation.no_person")
             motion = Trajectories(CANONICAL_JOINTS, positions, self.frame_rate)
             data = encode_motion(motion, language=language, like=self._facing)
-            if n_frames >= self.frame_rate / 2:  # where somebody faces takes a moment to tell
+            if n_frames >= self.frame_rate / 2:  # the facing is known only after a moment
                 self._facing = {"facing": data["facing"], "floor": data["floor"]}
             return {**data, "n_tracked": n_frames, "next": len(self._order)}
 
@@ -397,7 +392,7 @@ class Footage:
                 self._overlays.move_to_end(key)
                 return self._overlays[key]
             image = self._overlays[key] = self._paint(view, frame)
-            while len(self._overlays) > _MOST_OVERLAYS:
+            while len(self._overlays) > 240:  # kept, some 25 KB each
                 self._overlays.popitem(last=False)
             return image
 
@@ -406,7 +401,8 @@ class Footage:
         mask, picture = (_decode(self._seen.read(frame, view, kind)) for kind in (MASK, PICTURE))
         if self.film.version and picture is None:
             picture = _decode(self.film.find_picture(view, frame))
-            picture = np.full((4, 4, 3), _PLAIN, np.uint8) if picture is None else picture
+            # grey behind keypoints without a film
+            picture = np.full((4, 4, 3), 246, np.uint8) if picture is None else picture
         drawn = self._painter(view).paint(
             row["pose"].astype(np.float64),
             None if mask is None else mask[..., 0] > 127,

@@ -33,11 +33,7 @@ if TYPE_CHECKING:
 RATE = 15.0
 """Hz, at which a performance is compared with its reference, whatever the rate of the pictures."""
 
-_IDLE = 60.0  # s after which a session that is asked nothing is over
 _GRADE_EVERY = 3.0  # s
-_MOST_GRADED = 600.0  # s; older frames are not graded any more
-_LONGEST_GAP = 1.5  # s without somebody, after which label and grade begin anew
-_LEAST_SURE = 0.3
 _MODELS: tuple[LandmarkModel, ...] = ("full", "lite", "heavy")  # those that keep up first
 
 
@@ -77,7 +73,7 @@ def choose_model() -> LandmarkModel:
         with suppress(KeypointError):
             find_pose_model(name)
             return name
-    find_pose_model(_MODELS[0])  # says what to do
+    find_pose_model(_MODELS[0])  # raises, with the remedy
     raise AssertionError
 
 
@@ -201,13 +197,14 @@ class LiveSession:
             }
 
     def _take(self, seen: Seen, seconds: float) -> None:
-        if not np.isfinite(seen.world).all() or float(np.median(seen.visibility)) < _LEAST_SURE:
+        if not np.isfinite(seen.world).all() or float(np.median(seen.visibility)) < 0.3:
             return
         try:
             points = to_canonical(seen.world)
-        except DousaError:  # such as somebody of whom half is outside the picture
+        except DousaError:  # such as a person half outside of the picture
             return
-        if self._last is not None and not 0 < seconds - self._last[0] <= _LONGEST_GAP:
+        # s without a person, after which label and grade start again
+        if self._last is not None and not 0 < seconds - self._last[0] <= 1.5:
             self._begin_anew()
         self._push_label(points, seconds)
         self._push_grade(points, seconds)
@@ -287,7 +284,7 @@ def _grade(graded: _Graded, rows: list[FloatArray]) -> None:
     from dousa.evaluation import assess
     from dousa.motion import CANONICAL_JOINTS, Trajectories, canonicalise
 
-    latest = np.stack(rows[-round(_MOST_GRADED * RATE) :])
+    latest = np.stack(rows[-round(600.0 * RATE) :])  # s; older frames are not graded any more
     try:
         performance = canonicalise(Trajectories(CANONICAL_JOINTS, latest, RATE))
         graded.score = float(assess(list(graded.references), performance).score)
@@ -315,7 +312,8 @@ class Live:
     def get(self, session_id: str) -> LiveSession:
         """Return a session by number; RefusedError if it has ended."""
         with self._lock:
-            if self._now is not None and time.monotonic() - self._now.used > _IDLE:
+            # s without a question after which a session ends
+            if self._now is not None and time.monotonic() - self._now.used > 60.0:
                 self._now = None
             if self._now is None or self._now.id != session_id:
                 raise RefusedError(404, "studio_live.over")

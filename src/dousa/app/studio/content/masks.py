@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 SCENE, CAMERAS, MEASURES, EXPORTED = "masks.json", "cameras.toml", "measures.npy", "masks.npz"
 _REPAIRS = "repairs.json"
 _MOST_REPAIRS = 20_000
-_MOST_OPEN = 3  # jobs
 
 
 class StoredMasks(Silhouettes):
@@ -122,7 +121,7 @@ class MaskDesks:
 
     def __init__(self, board: JobBoard) -> None:
         self._board = board
-        self._opened = OpenedJobs(board, MaskDesk, _MOST_OPEN)
+        self._opened = OpenedJobs(board, MaskDesk, 3)  # jobs
 
     def get(self, job_id: str) -> MaskDesk:
         """Return the silhouettes of a finished job; RefusedError for other jobs."""

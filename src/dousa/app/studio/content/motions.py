@@ -189,7 +189,7 @@ class Motions:
         if kept is not None:
             return kept
         with self._reading.enter(_WAIT):
-            kept = self._look(key)  # somebody else asked for the same file
+            kept = self._look(key)  # read for another request meanwhile
             if kept is None:
                 kept = _read(path, ref)
                 self._keep(key, kept)
@@ -272,7 +272,6 @@ def _cut(whole: Named, ref: MotionRef) -> Named:
 EXPORTED = "export.zip"
 """What an export of clips writes into the folder of its job."""
 
-_SAME = 1e-3  # m: joints of the library are rounded
 _gate = Gate(2, 6, Message("studio_motions.busy_writing"))  # an hour takes half a minute
 
 
@@ -346,7 +345,7 @@ def _is_same(motion: Motion, named: Named, ref: MotionRef) -> bool:
     if motion.n_frames != named.motion.n_frames or motion.frame_rate != named.motion.frame_rate:
         return False
     positions = canonicalise(motion, ref.joint_map, whole=True).positions
-    return bool(np.abs(positions - named.motion.positions).max() <= _SAME)
+    return bool(np.abs(positions - named.motion.positions).max() <= 1e-3)  # m: joints of the library are rounded
 
 
 def _fit(named: Named) -> Motion:

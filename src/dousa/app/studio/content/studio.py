@@ -79,9 +79,9 @@ class Studio:
         self._opening = threading.Lock()
         self._library: Library | None = None
         self._file: tuple[int, int] | None = None
-        self.get_library()  # first: what is no library gets no folder beside it
+        self.get_library()  # first: a file that is no library gets no folder beside it
         self.workspace = Workspace(settings.folder)
-        self.held = self.workspace.hold()  # before the jobs are read: those of another studio are not interrupted ones
+        self.held = self.workspace.hold()  # before the jobs are read, as those of another studio are not interrupted
         self.jobs = JobBoard(self.workspace, make_lanes(self))
         self.motions = Motions(self.get_library, self.workspace, self.jobs)
         self.evaluations = Evaluations(self.motions, self.jobs)
@@ -96,7 +96,7 @@ class Studio:
         self.searching = Gate(4, 12, Message("studio_motions.busy_searching"))
         self.mentioned = MentionedBatches(self.workspace.root)
         self.thumbnails = Thumbnails.of(self.workspace.root)
-        self.sharing: Sharing | None = None  # who starts the studio says whether the network may see it
+        self.sharing: Sharing | None = None  # set by `serve` if the studio is shared
 
     def get_library(self) -> Library:
         """Return the library, opened once and made if missing when the studio starts.
@@ -110,7 +110,7 @@ class Studio:
             if self._library is None:
                 self._library = Library.open(self.settings.library, create=True, timeout=20.0)
                 self._file = _identify(self.settings.library)
-                if found is None:  # made here: for nobody else on this machine
+                if found is None:  # made here: readable by this user alone
                     _make_private(self.settings.library)
             elif found is None:
                 raise LibraryError("studio.library_gone", library=self.settings.library)

@@ -34,9 +34,7 @@ if TYPE_CHECKING:
 UPLOAD_PATH = "/api/uploads"
 """The one address whose requests may be large."""
 
-_LONGEST_FORM = 2_000  # bytes
 _ENTER = "/enter"  # takes the token from a field
-_MOST_BODY = 2_000_000  # bytes; weights, cuts, labels and selections are small
 
 # Scripts come from us and nothing is evaluated. Styles may stand in elements: the bars of the report have widths.
 _POLICY = (
@@ -139,7 +137,8 @@ class Guard(RequestGuard):
         return hmac.compare_digest(text.encode("utf-8", "replace"), self._settings.token.encode())
 
     def _limit(self, path: str) -> int:
-        return self._settings.most_bytes if path.startswith(UPLOAD_PATH) else _MOST_BODY
+        # bytes; weights, cuts, labels and selections are small
+        return self._settings.most_bytes if path.startswith(UPLOAD_PATH) else 2_000_000
 
     def _welcome(self, path: str, asked: list[tuple[str, str]], headers: Headers) -> Answer:
         """Move token or code from the address into a cookie.
@@ -170,7 +169,7 @@ class Guard(RequestGuard):
     async def _enter(self, receive: Receive, place: str) -> Answer:
         """Check the token of the form, and lead to the page that was asked for."""
         content = b""
-        counting, more = _Counting(receive, _LONGEST_FORM), True
+        counting, more = _Counting(receive, 2_000), True  # bytes
         while more:
             message = await counting()
             content += message.get("body", b"")
@@ -297,7 +296,7 @@ async def refuse(
     error: RefusedError, scope: Scope, receive: Receive, send: Send, *, form_at: str | None = None
 ) -> None:
     """Refuse a request: a page for browsers, with a form that leads to ``form_at``, and JSON for others."""
-    # What a stranger goes on to send is not waited for.
+    # Further data of strangers is not read.
     headers = {"connection": "close"} if error.status in (401, 403, 421) else None
     is_page = scope["method"] == "GET" and not scope["path"].startswith(("/api/", "/static/"))
     if not is_page and scope["path"] != form_at:
@@ -305,7 +304,7 @@ async def refuse(
         return
     from starlette.responses import HTMLResponse
 
-    # The form says where it comes from; with no referrer its origin would be "null".
+    # The form needs a referrer, else its origin would be "null".
     headers = {**(headers or {}), "referrer-policy": "same-origin"}
     form = _FORM.format(
         action=html.escape(f"{form_at}?{urlencode({'to': _wanted_place(scope)})}"),
@@ -329,14 +328,11 @@ _CLOSED = """<!doctype html><html lang="{language}"><meta charset="utf-8"><title
 <h1 style="font-size:1.4rem">dousa studio <small>({status})</small></h1><p>{problem}</p>{form}</body></html>"""
 
 
-_MOST_CODES = 20  # codes that wait; older ones are dropped
-
-
 class Codes:
     """Codes that let a browser in once; safe to be used from any thread."""
 
     def __init__(self) -> None:
-        self._waiting: deque[str] = deque(maxlen=_MOST_CODES)
+        self._waiting: deque[str] = deque(maxlen=20)  # codes that wait; older ones are dropped
         self._lock = threading.Lock()
 
     def issue(self) -> str:

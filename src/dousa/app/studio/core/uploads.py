@@ -33,7 +33,6 @@ _BOXES = frozenset({b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot
 _TIMES_LARGER, _SMALL = 200, 20_000_000  # an honest archive of motions shrinks them ten times at most
 _CHUNK = 1 << 20
 _MOST_AT_ONCE = 25_000_000  # bytes; 20,000 files with the longest names that are taken
-_LONGEST_NAME = 1_000  # letters, of a name that is told
 _DAMAGE = (
     zipfile.BadZipFile, zlib.error, lzma.LZMAError, NotImplementedError, RuntimeError, EOFError, OSError, ValueError,
 )  # fmt: skip
@@ -201,7 +200,7 @@ def _unpack(archive: Path, _name: str, workspace: Workspace, room: _Room) -> Rec
                 except RefusedError as error:
                     if error.status == 413:  # no more room: what lies about its size is not searched on
                         raise
-                    refused.append((member.filename[:_LONGEST_NAME], error.message))
+                    refused.append((member.filename[:1_000], error.message))  # letters, of a name that is told
     except BaseException as error:
         for name, size in kept:
             room.give_back(size)

@@ -31,7 +31,6 @@ from dousa.formats.asf_amc.reading import TOP
 LOCK, RUNNING = "studio.lock", "studio.json"
 TAKEN = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
 """What the system answers where another process has the lock."""
-_ANSWER_S = 5.0  # s for the running studio to answer
 
 
 class HomeTakenError(OptionError):
@@ -116,7 +115,7 @@ def ask_running(home: Path) -> str | None:
     asked = request.Request(f"{address}/code", b"", {"authorization": f"Bearer {token}"})
     with suppress(OSError, ValueError, KeyError):
         opener = request.build_opener(request.ProxyHandler({}))
-        with opener.open(asked, timeout=_ANSWER_S) as answer:
+        with opener.open(asked, timeout=5.0) as answer:  # s for the running studio to answer
             return f"{address}/?code={json.load(answer)['code']}"
     return None
 
@@ -185,8 +184,6 @@ _NOWHERE = frozenset(':*?"<>|\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2
 _DEVICES = frozenset({"con", "prn", "aux", "nul", *(f"{name}{n}" for name in ("com", "lpt") for n in range(1, 10))})
 _KEPT = ".kept"  # marks a batch that a library or a job lives from
 _OF_LIBRARY = "library"  # in that file: kept as long as clips come from it
-_MOST_COUNTED = 1_000  # batches whose size is remembered
-_REST = 3600.0  # s after which a batch may be cleared away by hand
 _STALE = 7 * 86_400.0  # s after which other batches are cleared away when a studio starts
 
 
@@ -329,7 +326,7 @@ class Workspace:
             files, size = self._sizes[batch]
             files, size = files + n_files, size + n_bytes
             self._sizes.move_to_end(batch)
-            while len(self._sizes) > _MOST_COUNTED:
+            while len(self._sizes) > 1_000:  # batches whose size is remembered
                 self._sizes.popitem(last=False)
             fits = n_files <= 0 or (files <= most[0] and size <= most[1])
             if fits:
@@ -372,7 +369,8 @@ class Workspace:
         return [
             folder
             for folder, age, used in self._list_batches(mentioned)
-            if age > _REST and (used is None or used == _OF_LIBRARY)
+            # s after which a batch may be cleared away by hand
+            if age > 3600.0 and (used is None or used == _OF_LIBRARY)
         ]
 
     def list_outlived(self, mentioned: str) -> dict[Path, float]:

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 ACTIVE = frozenset({"queued", "running", "stopping"})
 _MOST_WAITING, _MOST_KEPT = 50, 200
-_SAVE_EVERY = 2.0  # s between writes of the progress of a running job
 
 
 class JobStopped(Exception):  # noqa: N818 - not an error
@@ -230,7 +229,8 @@ class JobBoard:
             for name in sorted(values, key="state".__eq__):
                 setattr(job, name, values[name])
             job.version += 1
-            if settled or time.monotonic() - self._saved.get(job.id, 0) > _SAVE_EVERY:
+            # s between writes of the progress of a running job
+            if settled or time.monotonic() - self._saved.get(job.id, 0) > 2.0:
                 self._save(job)
 
     def close(self) -> None:
@@ -270,7 +270,7 @@ class JobBoard:
             self._run(job, stop)
 
     def _run(self, job: Job, stop: threading.Event) -> None:
-        use_language(job.language)  # of what the result says
+        use_language(job.language)  # of the result
         try:
             result = self._kinds[job.kind].run(job, self, stop)
             self.change(job, state="done", result=pack(result), finished_s=time.time())
@@ -341,7 +341,7 @@ class OpenedJobs(Generic[Opened]):
 
 
 LOOK_EVERY = 3.0
-"""s between looks; files that somebody is still writing change from look to look."""
+"""s between looks; files that are still being written change in between."""
 
 _Seen = frozenset[tuple[str, int, int]]  # path, bytes, time of the last change
 

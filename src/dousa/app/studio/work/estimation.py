@@ -234,7 +234,6 @@ _DOUBTFUL = frozenset(
 )
 GOOD, DOUBTFUL, WRONG = "good", "unsure", "bad"
 _LEVELS = (GOOD, DOUBTFUL, WRONG)
-_MOST_LOST = 0.5  # share of frames beyond which there is hardly a motion
 
 
 def rank_warnings(warnings: Sequence[Message], lost_share: float) -> tuple[str, list[Message], list[str]]:
@@ -251,7 +250,8 @@ def rank_warnings(warnings: Sequence[Message], lost_share: float) -> tuple[str, 
     """
     weighed = [(max(map(_weigh, _codes(one)), default=0), one) for one in warnings]
     weighed.sort(key=lambda pair: -pair[0])
-    worst = max([weight for weight, _ in weighed] + [2 if lost_share > _MOST_LOST else 0])
+    # share of frames beyond which there is hardly a motion
+    worst = max([weight for weight, _ in weighed] + [2 if lost_share > 0.5 else 0])
     return _LEVELS[worst], [one for _, one in weighed], [_LEVELS[weight] for weight, _ in weighed]
 
 
@@ -268,10 +268,6 @@ def _codes(value: Any) -> Iterator[str]:
     elif isinstance(value, tuple | list):
         for one in value:
             yield from _codes(one)
-
-
-_QUALITY = 78
-_MOST_PICTURE_BYTES = 1_000_000_000
 
 
 def prepare_masks(request: dict[str, Any], context: Context) -> dict[str, Any]:
@@ -328,13 +324,13 @@ def _write_frames(views: Silhouettes, context: Context) -> Any:
     with closing(SeenWriter(context.folder)) as seen:
         for frame in range(views.n_frames):
             masks = views.read(frame)
-            pictures = views.look(frame) if seen.n_bytes < _MOST_PICTURE_BYTES else (None,) * views.n_views
+            pictures = views.look(frame) if seen.n_bytes < 1_000_000_000 else (None,) * views.n_views
             for view, (mask, picture) in enumerate(zip(masks, pictures, strict=True)):
                 measured = measure_mask(mask)
                 measures[:, view, frame] = measured.area, measured.second
                 if mask is not None:
                     seen.write(frame, view, MASK, encode_mask(mask))
                 if picture is not None:
-                    seen.write(frame, view, PICTURE, encode_jpeg(shrink(picture, LONGEST), _QUALITY))
+                    seen.write(frame, view, PICTURE, encode_jpeg(shrink(picture, LONGEST), 78))
             context.progress(frame + 1, views.n_frames, Message("studio_masks.preparing"))
     return measures

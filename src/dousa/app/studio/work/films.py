@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 CAMERAS = "cameras.toml"
 MOST_FILMS = 8
-_LONGEST = 320  # px of a picture before the work
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,7 +304,7 @@ def _middle_picture(film: Path, n_frames: int) -> str | None:
         image = file.read(min(n_frames, file.n_frames) // 2)
     finally:
         file.close()
-    return None if image is None else to_picture_address(image, _LONGEST)
+    return None if image is None else to_picture_address(image, 320)  # px of a picture before the work
 
 
 def _match_cameras(asked: EstimationRequest, views: Sequence[FilmSource], answer: dict[str, Any]) -> None:

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 _MOST_DRAWN = 2_000  # clips whose figures are made ahead; a longer list gets its own when it is looked at
 
-_DEMO_PEOPLE = 6
-
 
 def add(request: dict[str, Any], context: Context) -> dict[str, Any]:
     """Add a batch; ``request``: batch, kind, category_from, performer_from, labels, tier, unit, up, joint_map."""
@@ -139,7 +137,7 @@ def demo(request: dict[str, Any], context: Context) -> dict[str, Any]:
 
     folder = context.home / "files" / str(request["batch"])
     context.progress(0, 1, Message("studio_jobs.making_motions"))
-    write_library(folder, n_performers=_DEMO_PEOPLE)
+    write_library(folder, n_performers=6)
     report = _take_in([folder], {"category_from": "folder", "performer_from": r"name:^(performer\d+)_"}, context)
     with context.open_library() as library:
         library.train(progress=context.progress)
@@ -155,7 +153,7 @@ def export(request: dict[str, Any], context: Context) -> dict[str, Any]:
         onto = request.get("onto")
         report = library.export(
             context.folder / EXPORTED,
-            wanted or request["clips"],  # if all are gone, that is said
+            wanted or request["clips"],  # if all are gone, the export tells so
             to=request["to"],
             onto=None if onto is None else _find_character(library, onto, context.home),
             keep_reach=bool(request.get("keep_reach")),
@@ -212,9 +210,6 @@ def evaluate(studio: Studio, request: dict[str, Any], context: Context) -> dict[
     return describe(ready, assessment, wanted, wanted.language)
 
 
-_MOST_TOLD = 30  # lines; the result has all
-
-
 def check(request: dict[str, Any], context: Context) -> dict[str, Any]:
     """Check the library, as `dousa check`; ``request``: repair.
 
@@ -226,7 +221,7 @@ def check(request: dict[str, Any], context: Context) -> dict[str, Any]:
         if repair and any(one.what.code == "library_damage.structure" for one in report.damage):
             context.tell(Message("studio_jobs.repair_closed", library=library.name))
     lines = list(report.to_messages())
-    for line in (*islice(lines[:-1], _MOST_TOLD), lines[-1]):
+    for line in (*islice(lines[:-1], 30), lines[-1]):  # lines; the result has all
         context.tell(line)
     return report.to_json()
 

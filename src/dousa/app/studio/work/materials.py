@@ -18,8 +18,6 @@ _PLATE = re.compile(r"background|backdrop|plate|empty|(^|[/_ -])bg([/_ .-]|$)|èƒ
 _PERSON = re.compile(rb"^\s*(stature\s*=|\[\[part\]\]|\[measures\])", re.MULTILINE)
 _MOST_MEMBERS = 1000  # names of an npz looked at
 _KEYPOINTS = re.compile(rb'"(\w*keypoints\w*|\w*landmarks\w*)"')
-_HEAD_BYTES = 20_000  # of a JSON file, looked at
-_MOST_VIEWS = 8  # files of keypoints in a folder; of more, each is a frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +79,7 @@ def _describes_person(path: Path) -> bool:
 
 def _holds_keypoints_json(path: Path) -> bool:
     with open(path, "rb") as file:
-        return _KEYPOINTS.search(file.read(_HEAD_BYTES)) is not None
+        return _KEYPOINTS.search(file.read(20_000)) is not None  # of a JSON file, looked at
 
 
 def holds_keypoints(path: Path) -> bool:
@@ -100,7 +98,8 @@ def _gather_frames(found: list[Material]) -> list[Material]:
     for item in found:
         if item.kind == "keypoints" and item.name.lower().endswith(".json"):
             places.setdefault(Path(item.name).parent.as_posix(), []).append(item)
-    many = {place: items for place, items in places.items() if len(items) > _MOST_VIEWS}
+    # files of keypoints in a folder; of more, each is a frame
+    many = {place: items for place, items in places.items() if len(items) > 8}
     frames = {item.name for items in many.values() for item in items}
     whole = [Material(place, "source", "keypoints", len(items)) for place, items in many.items()]
     return [item for item in found if item.name not in frames] + whole

@@ -72,10 +72,8 @@ def make_lanes(studio: Studio) -> Mapping[str, Lane]:
     }
 
 
-_TELL_EVERY = 0.1  # s
 _LOCK = "work.lock"  # in the folder of a job
 _PATIENCE = 15.0  # s to end after the studio has ended
-_MOST_PIXELS = 200_000_000  # of a picture; small files can say that they are larger
 
 
 def main() -> None:
@@ -85,7 +83,8 @@ def main() -> None:
     # What libraries print must not come between our lines: they get standard error.
     out = os.fdopen(os.dup(1), "w", encoding="utf-8", errors="replace", buffering=1)
     os.dup2(2, 1)
-    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(_MOST_PIXELS))  # read when OpenCV is loaded
+    # of a picture; small files can say that they are larger
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(200_000_000))  # read when OpenCV is loaded
     _stand_back()
     out.write(READY)  # from here on Ctrl-C is heard
     line = sys.stdin.readline()
@@ -133,7 +132,7 @@ def _do(task: dict[str, Any], out: Any) -> dict[str, Any]:
     def progress(done: int, total: int, what: Message | str) -> None:
         nonlocal told
         now = time.monotonic()
-        if done == total or now - told > _TELL_EVERY:
+        if done == total or now - told > 0.1:  # s
             told = now
             _say(out, {"progress": [int(done), int(total), to_message(what).to_json()]})
 
