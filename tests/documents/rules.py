@@ -24,7 +24,7 @@ class How(enum.Enum):
     DRY = "not run: make -n says what it would do, and what it names must be there"
     INSTALLED = "not run, it needs the net: what it installs must be this project and its extras"
     SERVED = "not run here: tests/app/studio starts the server; its options must exist"
-    ASKED = "run by tests/app/studio/test_studio_curl.py, which asks a running studio"
+    ASKED = "run by tests/app/studio/test_studio_serving.py, which asks a running studio"
     MENTIONED = "spoken of in prose without what it needs to run: its name and its options must exist"
 
 

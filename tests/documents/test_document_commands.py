@@ -252,7 +252,7 @@ def test_what_is_installed_is_this_project(command: Command):
 
 def test_what_is_asked_of_a_studio_is_of_one_page():
     assert {command.page for command in find_commands(How.ASKED)} <= {"docs/studio.md"}
-    assert '"studio.md"' in (ROOT / "tests/app/studio/test_studio_curl.py").read_text(encoding="utf-8")
+    assert '"studio.md"' in (ROOT / "tests/app/studio/test_studio_serving.py").read_text(encoding="utf-8")
 
 
 def test_a_mention_lacks_what_a_command_needs():

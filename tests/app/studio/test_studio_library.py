@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import sqlite3
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +15,10 @@ import pytest
 from app.studio.test_studio_search import add_take
 from dousa.app.player.figures import MINIATURE_BYTES, encode_miniature
 from dousa.app.studio.content.clips import LENGTHS, Thumbnails
+from dousa.app.studio.jobs.board import FolderWatch
+from dousa.formats.registry import write_motion
 from dousa.library import Library
+from dousa.motion.synthetic.performers import draw_performer, make_motion
 
 N = 24
 
@@ -346,3 +353,163 @@ def test_a_table_of_labels_must_come_with_the_files(studio, bvh, wait_job, tmp_p
     job = wait_job(studio, studio.post("/api/jobs/add", json=asked).json()["id"])
     assert job["state"] == "done", job
     assert studio.get("/api/clips", params={"category": "secret"}).json()["total"] == 1
+
+
+def damage(path, statement):
+    with closing(sqlite3.connect(path)) as connection, connection:
+        assert connection.execute(statement).rowcount
+
+
+def run(studio, wait_job, kind, **request):
+    return wait_job(studio, studio.post(f"/api/jobs/{kind}", json=request).json()["id"])
+
+
+def test_damage_is_found_and_repaired(studio, wait_job, library_copy):
+    whole = run(studio, wait_job, "check")
+    assert whole["result"]["sound"] and whole["codes"]["notes"][-1]["code"] == "library_check.sound"
+    damage(library_copy, "UPDATE clip_poses SET poses = zeroblob(length(poses)) WHERE clip_id IN (2, 5)")
+    found = run(studio, wait_job, "check")
+    assert [one["clip_id"] for one in found["result"]["damage"]] == [2, 5]
+    codes = [note["code"] for note in found["codes"]["notes"]]
+    assert codes == ["library_check.of_clip", "library_check.of_clip", "library_check.damaged"]
+    mended = run(studio, wait_job, "check", repair=True)
+    assert mended["result"]["sound"] and all(one["repaired"] for one in mended["result"]["damage"])
+    with Library.open(library_copy) as library:
+        assert library.check().damage == ()
+
+
+@pytest.mark.plain_workers
+def test_a_structure_is_not_repaired_under_an_open_studio(studio, wait_job, library_copy):
+    damage(library_copy, "DELETE FROM clips WHERE id = 3")  # foreign keys are not looked at
+    before = library_copy.stat().st_ino
+    done = run(studio, wait_job, "check", repair=True)
+    assert done["codes"]["notes"][0]["code"] == "studio_jobs.repair_closed"
+    assert not done["result"]["sound"] and library_copy.stat().st_ino == before
+
+
+def test_a_repair_looks_once_where_nothing_is_damaged(studio, wait_job, library_copy, monkeypatch):
+    from types import SimpleNamespace
+
+    from dousa.app.studio.work.library import check
+    from dousa.library.upkeep import repair
+
+    looks, find = [], repair.find_damage
+    monkeypatch.setattr(repair, "find_damage", lambda *words: looks.append(1) or find(*words))
+    context = SimpleNamespace(
+        open_library=lambda: Library.open(library_copy), progress=lambda *words: None, tell=lambda message: None
+    )
+    assert check({"repair": True}, context)["sound"] and len(looks) == 1
+
+
+def test_files_of_jobs_are_read_once(tmp_path, monkeypatch):
+    from dousa.app.studio.content.disk_space import MentionedBatches
+
+    batches = [f"{k:016x}" for k in range(3)]
+    for name in batches:
+        (tmp_path / "files" / name).mkdir(parents=True)
+    job = tmp_path / "jobs" / "one" / "job.json"
+    job.parent.mkdir(parents=True)
+    job.write_text(f'{{"motion": "file:{batches[1]}/a.bvh", "value": 0.1234567890123456789}}')
+    mentioned, reads, read = MentionedBatches(tmp_path), [], Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda path: reads.append(path) or read(path))
+    assert mentioned.list() == mentioned.list() == {batches[1]} and len(reads) == 1
+    job.write_text(f'{{"motion": "file:{batches[2]}/a.bvh", "other": "{batches[0]}"}}')
+    assert mentioned.list() == {batches[0], batches[2]} and len(reads) == 2
+    job.unlink()
+    assert mentioned.list() == set()
+
+
+@pytest.mark.plain_workers
+def test_arrays_are_moved_to_fragments(studio, wait_job, library_copy):
+    asked = {"query": {"motion": "clip:1"}}
+    before = studio.post("/api/search", json=asked).json()["results"]
+    assert not studio.get("/api/space").json()["has_fragments"]
+    moved = run(studio, wait_job, "compact", fragments=True)
+    assert moved["result"]["moved"] > 0 and len(moved["notes"]) >= 2
+    assert studio.get("/api/space").json()["has_fragments"]
+    assert studio.post("/api/search", json=asked).json()["results"] == before
+    for kind, request in (("check", {"repair": "maybe"}), ("compact", {"fragments": "s3://x"})):
+        assert studio.post(f"/api/jobs/{kind}", json=request).status_code == 422
+
+
+@pytest.mark.parametrize("language", ["en", "ja"])
+def test_the_tray_says_what_was_found_and_repairs(show, running, library_copy, language):
+    damage(library_copy, "UPDATE clip_poses SET poses = zeroblob(length(poses)) WHERE clip_id = 2")
+    page = show("/library", language=language)
+    page.find("#jobs-button").click()
+    page.wait("return document.querySelector('#space-check')")
+    assert not page.run("return document.querySelector('#space-fragments')")  # it is small
+    page.run("document.querySelector('#space-check').click()")
+    job = "document.querySelector('.job[data-state=done]')"
+    page.wait(f"return {job}")
+    said = {"en": ("poses: ", "1 thing is damaged"), "ja": ("姿勢", "1か所が壊れています")}[language]
+    assert all(part in page.run(f"return {job}.textContent") for part in said)
+    page.run(f"{job}.querySelector('.actions button').click()")
+    page.wait("return document.querySelectorAll('.job[data-state=done]').length === 2")
+    sound = {"en": "the library is sound", "ja": "異常はありません"}[language]
+    assert sound in page.run(f"return {job}.textContent")
+    assert page.messages() == []
+
+
+@pytest.fixture(scope="module")
+def squat(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("watched") / "one.bvh"
+    write_motion(make_motion("squat", draw_performer(77), 3), path)
+    return path
+
+
+def test_what_is_new_is_taken_once_when_it_rests(tmp_path, squat):
+    taken, busy = [], [False]
+    watch = FolderWatch(tmp_path, taken.append, lambda: busy[0])
+    assert not watch.look() and not watch.look(), "nothing is there"
+    place = tmp_path / "squat" / "one.bvh"
+    place.parent.mkdir()
+    place.write_bytes(squat.read_bytes()[:1000])
+    assert not watch.look(), "somebody may still be writing it"
+    shutil.copy(squat, place)
+    os.utime(place, (1, 1))
+    assert not watch.look(), "it has changed since"
+    busy[0] = True
+    assert not watch.look(), "one after the other"
+    busy[0] = False
+    assert watch.look()
+    assert taken == [[str(place)]]
+    assert not watch.look()
+    shutil.copy(squat, tmp_path / "two.bvh")
+    (tmp_path / "notes.txt").write_text("no motion")
+    assert not watch.look()
+    assert watch.look()
+    assert taken[1:] == [[str(tmp_path / "two.bvh")]], "what was taken before is left alone"
+    place.unlink()
+    assert not watch.look() and not watch.look(), "what has gone stays in the library"
+
+
+@pytest.mark.plain_workers
+def test_what_appears_goes_into_the_library_with_its_folder_as_category(studio, tmp_path, squat, wait_job):
+    from dousa.app.studio.server import _watch
+
+    before = studio.get("/api/info").json()["library"]["categories"]
+    watch = _watch(tmp_path, studio.app.state.studio)
+    (tmp_path / "jumping").mkdir()
+    shutil.copy(squat, tmp_path / "jumping" / "one.bvh")
+    assert not watch.look()
+    assert watch.look()
+    job = next(one for one in studio.get("/api/jobs").json()["jobs"] if one["kind"] == "watch")
+    done = wait_job(studio, job["id"])
+    assert done["state"] == "done", done
+
+    after = studio.get("/api/info").json()["library"]["categories"]
+    assert after == {**before, "jumping": 1}
+
+
+def test_the_watch_begins_and_ends(tmp_path):
+    watch = FolderWatch(tmp_path, lambda files: None, lambda: False)
+    watch.start()
+    watch.end()
+
+
+def test_a_folder_that_is_not_there_is_said_before_anything_is_made(dousa, tmp_path):
+    code, out, err = dousa("studio", tmp_path / "new.dousa", "--no-browser", "--watch", tmp_path / "none")
+    assert (code, out) == (2, "")
+    assert "none" in err and "no such folder" in err
+    assert not (tmp_path / "new.dousa").exists()

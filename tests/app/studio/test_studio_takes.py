@@ -73,37 +73,33 @@ def said_at(segments, spans):
     return found
 
 
-def test_a_dropped_take_is_labelled_without_being_added(studio, recording, wait_job):
-    motion = upload(studio, recording)
-    segments = label(studio, motion, wait_job)
-    assert segments[0]["start_s"] == 0
-    assert all(one["corrected"] is None for one in segments)
-    assert studio.get("/api/info").json()["library"]["n_takes"] == 0
-
-
-def test_a_correction_is_learned_for_the_similar_stretch(studio, recording, strange, wait_job):
+def test_a_correction_is_learned_for_the_similar_stretch_exported_and_taken_back(studio, recording, strange, wait_job):
     """One of two unknown motions is named; the other one, of another person, then has that name too."""
     motion = upload(studio, recording)
+    assert studio.get("/api/takes/export", params={"motion": motion}).status_code == 409
     before = label(studio, motion, wait_job)
+    assert before[0]["start_s"] == 0 and all(one["corrected"] is None for one in before)
+    assert studio.get("/api/info").json()["library"]["n_takes"] == 0
     assert STRANGE not in [category for category, _ in said_at(before, strange)]
     start, end = strange[0]
     asked = {"motion": motion, "start_s": start, "end_s": end, "category": STRANGE}
     learned = studio.post("/api/takes/correct", json=asked)
     assert learned.status_code == 201, learned.text
-    assert learned.json()["is_learned"]
-    assert learned.json()["is_new_category"]
+    assert learned.json()["is_learned"] and learned.json()["is_new_category"]
     assert studio.get("/api/info").json()["library"]["categories"][STRANGE] == 1
     after = label(studio, motion, wait_job)
     assert said_at(after, strange) == [(STRANGE, True), (STRANGE, False)]
     known = [span for span in recording[1] if span not in strange]
     assert [one for one, _ in said_at(after, known)] == [one for one, _ in said_at(before, known)]
 
+    table = studio.get("/api/takes/export", params={"motion": motion})
+    assert "session.labels.csv" in table.headers["content-disposition"]
+    rows = list(csv.DictReader(io.StringIO(table.text)))
+    assert len(rows) == len(after) and [row["category"] for row in rows if row["corrected"]] == [STRANGE]
+    whole = studio.get("/api/takes/export", params={"motion": motion, "format": "json"}).json()
+    assert whole["segments"] == after
 
-def test_a_correction_is_taken_back(studio, recording, strange, wait_job):
-    motion = upload(studio, recording)
-    start, end = strange[0]
-    asked = {"motion": motion, "start_s": start, "end_s": end, "category": STRANGE}
-    number = studio.post("/api/takes/correct", json=asked).json()["correction"]["id"]
+    number = learned.json()["correction"]["id"]
     assert studio.delete(f"/api/takes/corrections/{number}").status_code == 200
     assert studio.delete(f"/api/takes/corrections/{number}").status_code == 404
     assert STRANGE not in studio.get("/api/info").json()["library"]["categories"]
@@ -226,21 +222,6 @@ def test_names_with_slashes_and_quotes_stay_names(studio, recording, strange):
     asked = {"motion": motion, "start_s": strange[0][0], "end_s": strange[0][1], "category": name}
     assert studio.post("/api/takes/correct", json=asked).status_code == 201
     assert name in studio.get("/api/info").json()["library"]["categories"]
-
-
-def test_labels_are_exported_with_corrections(studio, recording, strange, wait_job):
-    motion = upload(studio, recording)
-    assert studio.get("/api/takes/export", params={"motion": motion}).status_code == 409
-    asked = {"motion": motion, "start_s": strange[0][0], "end_s": strange[0][1], "category": STRANGE}
-    studio.post("/api/takes/correct", json=asked)
-    segments = label(studio, motion, wait_job)
-    table = studio.get("/api/takes/export", params={"motion": motion})
-    assert "session.labels.csv" in table.headers["content-disposition"]
-    rows = list(csv.DictReader(io.StringIO(table.text)))
-    assert len(rows) == len(segments)
-    assert [row["category"] for row in rows if row["corrected"]] == [STRANGE]
-    whole = studio.get("/api/takes/export", params={"motion": motion, "format": "json"}).json()
-    assert whole["segments"] == segments
 
 
 def test_a_part_of_a_take_is_not_labelled_alone(studio, recording):
@@ -642,37 +623,34 @@ def get_given(client, motion):
     return client.get("/api/takes/labels", params={"motion": motion}).json()["given"]
 
 
-def test_takes_are_added_with_the_tables_beside_them(studio, recording, table, wait_job):
+def test_takes_are_added_with_tables_that_are_downloaded_as_they_are_read(studio, recording, table, wait_job, tmp_path):
+    from dousa.formats.motion_files import FoundFile
+    from dousa.library.annotations.places import find_labels
+
     motion, result = add_take(studio, recording, wait_job, table)
     assert (len(result["labelled"]), result["n_segments"]) == (1, len(ORDER) - 1)
     given = get_given(studio, motion)
     assert given["source"] == "session.labels.csv"
     assert [one["category"] for one in given["segments"]] == [*ORDER[:-1], None]
-
-
-@pytest.mark.parametrize("format", ["csv", "eaf"])
-def test_given_labels_are_downloaded_as_they_are_read(studio, recording, table, wait_job, tmp_path, format):
-    from dousa.formats.motion_files import FoundFile
-    from dousa.library.annotations.places import find_labels
-
-    motion, _ = add_take(studio, recording, wait_job, table)
-    before = get_given(studio, motion)["segments"]
-    answer = studio.get("/api/takes/export", params={"motion": motion, "format": format, "given": True})
-    assert answer.status_code == 200
-    name = {"csv": "session.labels.csv", "eaf": "session.eaf"}[format]
-    assert f'filename="{name}"' in answer.headers["content-disposition"]
-    (tmp_path / name).write_bytes(answer.content)
-    take = Path(shutil.copy(recording[0], tmp_path))
-    (found,) = find_labels([FoundFile(tmp_path, take)], "beside", None).values()  # without another name
-    assert [one.category for one in found.tiers[0].spans if one.category] == list(ORDER[:-1])
-    came = studio.post(f"/api/uploads?name=other.{format}", content=answer.content).json()
-    asked = {"motion": motion, "batch": came["batch"], "name": f"other.{format}"}
-    again = studio.post("/api/takes/annotate", json=asked)
-    assert again.status_code == 201 and again.json()["notes"] == []
-    assert get_given(studio, motion)["segments"] == before
+    for format, name in (("csv", "session.labels.csv"), ("eaf", "session.eaf")):
+        answer = studio.get("/api/takes/export", params={"motion": motion, "format": format, "given": True})
+        assert answer.status_code == 200
+        assert f'filename="{name}"' in answer.headers["content-disposition"]
+        folder = tmp_path / format
+        folder.mkdir()
+        (folder / name).write_bytes(answer.content)
+        take = Path(shutil.copy(recording[0], folder))
+        (found,) = find_labels([FoundFile(folder, take)], "beside", None).values()  # without another name
+        assert [one.category for one in found.tiers[0].spans if one.category] == list(ORDER[:-1])
+        came = studio.post(f"/api/uploads?name=other.{format}", content=answer.content).json()
+        asked = {"motion": motion, "batch": came["batch"], "name": f"other.{format}"}
+        again = studio.post("/api/takes/annotate", json=asked)
+        assert again.status_code == 201 and again.json()["notes"] == []
+        assert get_given(studio, motion)["segments"] == given["segments"]
     segments = label(studio, motion, wait_job)
-    recognised = studio.get("/api/takes/export", params={"motion": motion, "format": format})
-    assert recognised.status_code == 200 and segments
+    for format in ("csv", "eaf"):
+        recognised = studio.get("/api/takes/export", params={"motion": motion, "format": format})
+        assert recognised.status_code == 200 and segments
 
 
 def test_what_is_wrong_with_a_dropped_table_is_said(studio, recording, wait_job):
@@ -694,7 +672,7 @@ def drop_table(client, motion, content):
     return client.post("/api/takes/annotate", json={"motion": motion, "batch": came["batch"], "name": "a.labels.csv"})
 
 
-def test_a_dropped_table_that_does_not_fit_is_refused(studio, recording, table, wait_job):
+def test_tables_of_labels_are_dropped_onto_a_take(studio, recording, table, wait_job):
     motion, _ = add_take(studio, recording, wait_job, table)
     before = get_given(studio, motion)
     for rows, said in (("2067,6667,hop\n", "milliseconds"), ("900.5,901.5,hop\n", "none lies within the take")):
@@ -703,9 +681,6 @@ def test_a_dropped_table_that_does_not_fit_is_refused(studio, recording, table, 
         assert str(studio.app.state.studio.workspace.root) not in answer.text
     assert get_given(studio, motion) == before
 
-
-def test_labels_at_the_same_time_are_dropped_and_an_empty_table_takes_all_away(studio, recording, table, wait_job):
-    motion, _ = add_take(studio, recording, wait_job, table)
     answer = drop_table(studio, motion, "0,2,hop\n0,2,clap\n0,2,hop\n3,4,unknown\n")
     assert answer.status_code == 201 and answer.json()["n_segments"] == 2
     said = " ".join(answer.json()["notes"])
@@ -716,9 +691,14 @@ def test_labels_at_the_same_time_are_dropped_and_an_empty_table_takes_all_away(s
     assert "a.labels.csv has no labels" in said and "2 earlier segments removed" in said
     assert not [clip for clip in studio.app.state.studio.library.clips() if clip.take_id is not None]
 
+    # two labels at one time are both kept, and one of them can be corrected
+    drop_table(studio, motion, "0,2,hop\n0,2,clap\n2.5,4,walk\n")
+    for category, meant in (("wave", "clap"), ("bow", "wave")):
+        asked = {"motion": motion, "start_s": 0.1, "end_s": 2.0, "category": category, "instead_of": meant}
+        assert studio.post("/api/takes/correct", json=asked).status_code == 201
+        named = [one["category"] for one in get_given(studio, motion)["segments"] if one["category"]]
+        assert sorted(named) == sorted(["hop", category, "walk"])
 
-def test_both_labels_at_one_time_are_told_and_downloaded(studio, recording, table, wait_job):
-    motion, _ = add_take(studio, recording, wait_job, table)
     drop_table(studio, motion, "0,2,hop\n0,2,clap\n2.5,4,walk\n3,3.5,nod\n")
     told = [(one["start_s"], one["end_s"], one["category"]) for one in get_given(studio, motion)["segments"]]
     named = [(0.0, 2.0, "hop"), (0.0, 2.0, "clap"), (2.5, 4.0, "walk"), (3.0, 3.5, "nod")]
@@ -773,16 +753,6 @@ def test_both_labels_at_one_time_are_seen_and_chosen(show, running, recording, t
     )
     assert {one.category for one in library.annotations.read()[0].segments} == {"hop", "stamp", "walk", "nod"}
     assert page.messages() == []
-
-
-def test_of_two_labels_at_one_time_one_is_corrected(studio, recording, table, wait_job):
-    motion, _ = add_take(studio, recording, wait_job, table)
-    drop_table(studio, motion, "0,2,hop\n0,2,clap\n2.5,4,walk\n")
-    for category, meant in (("wave", "clap"), ("bow", "wave")):
-        asked = {"motion": motion, "start_s": 0.1, "end_s": 2.0, "category": category, "instead_of": meant}
-        assert studio.post("/api/takes/correct", json=asked).status_code == 201
-        named = [one["category"] for one in get_given(studio, motion)["segments"] if one["category"]]
-        assert sorted(named) == sorted(["hop", category, "walk"])
 
 
 def test_a_correction_of_a_take_of_the_library_is_a_segment_of_it(studio, recording, strange, wait_job):

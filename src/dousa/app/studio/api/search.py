@@ -22,7 +22,6 @@ router = APIRouter(tags=["search"])
 _PATIENCE = 20.0  # s that a search waits for its turn
 
 
-
 class SearchRequest(derive_model(library.SearchRequest)):  # type: ignore[misc]
     """What is searched for, and how."""
 
