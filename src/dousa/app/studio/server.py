@@ -42,7 +42,6 @@ from dousa.errors import DousaError, OptionError
 from dousa.extras import require
 from dousa.messages import Message
 
-_ARENA_MAX, _MMAP_THRESHOLD = -8, -3  # names of malloc.h
 _TRIES = 20  # ports after the one asked for
 
 
@@ -156,8 +155,8 @@ def _tame_memory() -> None:
 
     with suppress(OSError, AttributeError):  # another C library
         libc = ctypes.CDLL("libc.so.6")
-        libc.mallopt(_ARENA_MAX, 2)
-        libc.mallopt(_MMAP_THRESHOLD, 256 * 1024)
+        libc.mallopt(-8, 2)  # M_ARENA_MAX of malloc.h
+        libc.mallopt(-3, 256 * 1024)  # M_MMAP_THRESHOLD
 
 
 def _listen(settings: Settings) -> tuple[socket.socket, int]:
@@ -274,7 +273,7 @@ def answer_problems(app: FastAPI, show_missing: Callable[[Request], Response | N
 
     @app.exception_handler(RequestValidationError)
     async def answer_invalid(request: Request, error: RequestValidationError) -> Answer:
-        fields = tuple(_describe_field(item) for item in error.errors()[:_MOST_FIELDS])
+        fields = tuple(_describe_field(item) for item in error.errors()[:20])
         return Answer(to_answer(Message("studio.invalid", fields=fields)), 422)
 
     @app.exception_handler(HTTPException)
@@ -286,9 +285,6 @@ def answer_problems(app: FastAPI, show_missing: Callable[[Request], Response | N
         code = known.get(error.status_code)
         problem = Message("text.verbatim", text=error.detail) if code is None else Message(code)
         return Answer(to_answer(problem), error.status_code, error.headers)
-
-
-_MOST_FIELDS, _LONGEST_VALUE = 20, 80
 
 
 def _describe_field(item: Mapping[str, Any]) -> Message:

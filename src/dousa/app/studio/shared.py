@@ -101,7 +101,7 @@ class SharedGuard(RequestGuard):
 
 FIRST_PORT, _TRIES = 8865, 20
 _MOST_CONNECTIONS, _MOST_OF_ONE = 100, 24  # of all, and of one address; a browser opens about six
-_HANDSHAKE_S, _FAREWELL_S = 10.0, 1.0
+_HANDSHAKE_S = 10.0
 
 # --- what there is to see
 
@@ -323,7 +323,7 @@ def _serve(app: Any, listener: LimitedListener, certificate: str, http: Any) -> 
     def make_loop() -> asyncio.AbstractEventLoop:
         loop = asyncio.new_event_loop()
         # uvicorn has no option for this, and waits a minute for silent connections.
-        hasty = partial(loop.create_server, ssl_handshake_timeout=_HANDSHAKE_S, ssl_shutdown_timeout=_FAREWELL_S)
+        hasty = partial(loop.create_server, ssl_handshake_timeout=_HANDSHAKE_S, ssl_shutdown_timeout=1.0)
         loop.create_server = hasty  # type: ignore[method-assign]
         loop.set_exception_handler(lambda *_: None)  # strangers who are no browsers are nothing for the terminal
         return loop

@@ -32,7 +32,7 @@ FILES = {
 FRAMES_FORM = r"^-?\d{0,9}:-?\d{0,9}$"
 """The form of a range of frames."""
 
-_PREVIEW_S, _EXAMPLE_S = 180.0, 180.0  # s; backgrounds of long films take a while, kernels compile at first
+_PATIENCE = 180.0  # s; backgrounds of long films take a while, kernels compile at first
 _Name = Annotated[str, Field(min_length=1, max_length=1000, description="name in the batch")]
 JobId = Annotated[str, Path(pattern="^[0-9a-f]{16}$")]
 _Track = Annotated[
@@ -149,7 +149,7 @@ def estimate(studio: StudioNow, wanted: EstimateRequest) -> Answer:
 def preview(studio: StudioNow, wanted: EstimateRequest) -> Answer:
     """What each file is for, the views with their cameras and first silhouettes, and what is missing."""
     folder = studio.workspace.batch_folder(wanted.batch)
-    return Answer(ask_process(studio.settings, "preview", wanted.model_dump(), folder.parent, _PREVIEW_S))
+    return Answer(ask_process(studio.settings, "preview", wanted.model_dump(), folder.parent, _PATIENCE))
 
 
 @router.post("/estimations/example", status_code=201, summary="Make a short example to estimate")
@@ -158,7 +158,7 @@ def make_example(studio: StudioNow) -> Answer:
     batch = studio.workspace.new_batch()
     folder = studio.workspace.root / "files"
     try:
-        made = ask_process(studio.settings, "example", {"batch": batch}, folder, _EXAMPLE_S)
+        made = ask_process(studio.settings, "example", {"batch": batch}, folder, _PATIENCE)
     except BaseException:
         studio.workspace.discard(batch)
         raise

@@ -32,7 +32,7 @@ _Name = Annotated[str, Field(max_length=40)]
 
 _MOST_READY, _MOST_BYTES = 6, 300_000_000  # evaluations in memory
 _LONGEST_S = 600.0  # s of a motion
-_ADJUSTED, _NOTES, _PROGRESS, _COMPARISON = "adjusted.json", "notes.txt", "progress", "comparison"
+_ADJUSTED, _NOTES = "adjusted.json", "notes.txt"
 
 
 class Cut(StrictModel):
@@ -220,8 +220,6 @@ class Evaluations:
 
     def compare_with_earlier(self, job_id: str) -> Progress | None:
         """Compare an evaluation with earlier ones of the same reference, as they were requested; None for the first."""
-        from dousa.evaluation import compare_attempts, read_attempt
-
         job = self._done(job_id)
         model = _describe_model(job)
         earlier = [
@@ -232,32 +230,28 @@ class Evaluations:
         until = [one for one in earlier if one.created_s <= job.created_s][:30]  # that are drawn
         if len(until) < 2:
             return None
-        results = [one.result or {} for one in reversed(until)]
-        return compare_attempts([read_attempt(one, one["names"]["performance"]) for one in results])
+        return _compare(until[::-1])
 
     def compare(self, job_ids: Sequence[str]) -> Progress:
         """Compare evaluations of one reference in the given order, as they were requested.
 
         Raises RefusedError for fewer than two, for exercises, and for several references.
         """
-        from dousa.evaluation import compare_attempts, read_attempt
-
         jobs = [self._done(job_id) for job_id in job_ids]
         if len(jobs) < 2 or len(set(job_ids)) < len(jobs):
             raise RefusedError(422, "studio_evaluation.too_few")
         if any(_describe_model(job) != _describe_model(jobs[0]) for job in jobs):
             raise RefusedError(422, "studio_evaluation.other_references")
-        results = [job.result or {} for job in jobs]
-        return compare_attempts([read_attempt(one, one["names"]["performance"]) for one in results])
+        return _compare(jobs)
 
     def draw_progress(self, job_id: str) -> bytes | None:
         """Draw `compare_with_earlier` as SVG in the current language."""
         found = self.compare_with_earlier(job_id)
-        return None if found is None else self._draw(found, job_id, _PROGRESS)
+        return None if found is None else self._draw(found, job_id, "progress")
 
     def draw_comparison(self, job_ids: Sequence[str]) -> bytes:
         """Draw `compare` as SVG in the current language."""
-        return self._draw(self.compare(job_ids), job_ids[-1], _COMPARISON)
+        return self._draw(self.compare(job_ids), job_ids[-1], "comparison")
 
     def _draw(self, found: Progress, job_id: str, name: str) -> bytes:
         from dousa.app.pictures.progress import draw_progress
@@ -317,6 +311,13 @@ class Evaluations:
         if job.state != "done":
             raise RefusedError(409, "studio_evaluation.not_done")
         return job
+
+
+def _compare(jobs: Sequence[Job]) -> Progress:
+    from dousa.evaluation import compare_attempts, read_attempt
+
+    results = [job.result or {} for job in jobs]
+    return compare_attempts([read_attempt(one, one["names"]["performance"]) for one in results])
 
 
 def _describe_model(job: Job) -> Any:

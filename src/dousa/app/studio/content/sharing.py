@@ -181,7 +181,6 @@ def check_address(text: str) -> IPv4Address:
 
 
 _CERTIFICATE = "share.pem"
-_DAYS, _SPARE_DAYS = 365, 7  # phones take none that hold longer than 398 days
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +213,7 @@ def _read_certificate(path: Path, address: IPv4Address) -> _Signed | None:
         content = path.read_bytes()
         signed = x509.load_pem_x509_certificate(content)
         names = signed.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-        holds = signed.not_valid_after_utc - datetime.now(UTC) > timedelta(days=_SPARE_DAYS)
+        holds = signed.not_valid_after_utc - datetime.now(UTC) > timedelta(days=7)
         key = load_pem_private_key(content, None)
         if holds and key.public_key() == signed.public_key() and address in names.get_values_for_type(x509.IPAddress):
             os.chmod(path, 0o600)
@@ -233,7 +232,8 @@ def _make_certificate(path: Path, address: IPv4Address) -> _Signed:
     now = datetime.now(UTC)
     plan: Any = x509.CertificateBuilder().subject_name(name).issuer_name(name).public_key(key.public_key())
     plan = plan.serial_number(x509.random_serial_number())
-    plan = plan.not_valid_before(now - timedelta(days=1)).not_valid_after(now + timedelta(days=_DAYS))
+    # phones accept none that are valid for more than 398 days
+    plan = plan.not_valid_before(now - timedelta(days=1)).not_valid_after(now + timedelta(days=365))
     plan = plan.add_extension(x509.SubjectAlternativeName([x509.IPAddress(address)]), critical=False)
     plan = plan.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
     plan = plan.add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH]), critical=False)

@@ -30,7 +30,6 @@ LABELS = frozenset({".eaf", ".textgrid"})
 _ARCHIVE = ".zip"
 
 _BOXES = frozenset({b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot"})  # the first one of MP4 and MOV
-_TIMES_LARGER, _SMALL = 200, 20_000_000  # an honest archive of motions shrinks them ten times at most
 _CHUNK = 1 << 20
 _MOST_AT_ONCE = 25_000_000  # bytes; 20,000 files with the longest names that are taken
 _DAMAGE = (
@@ -225,7 +224,8 @@ def _check_archive(members: list[zipfile.ZipInfo], packed_bytes: int, room: _Roo
     if len(members) > room.most[0]:
         raise RefusedError(413, "studio_files.archive_files", most=room.most[0], found=len(members))
     total = sum(member.file_size for member in members)
-    if total > max(_TIMES_LARGER * packed_bytes, _SMALL):
+    # an honest archive of motions shrinks them ten times at most
+    if total > max(200 * packed_bytes, 20_000_000):
         raise RefusedError(413, "studio_files.archive_large", total=total / 1e6, packed=packed_bytes / 1e6)
 
 
