@@ -28,7 +28,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 import dousa
 from dousa.app.studio.api.clips import ONE_LINE
 from dousa.app.studio.api.estimation import FRAMES_FORM
-from dousa.app.studio.api.exports import CHARACTER_FORM
+from dousa.app.studio.api.motions import CHARACTER_FORM
 from dousa.app.studio.content.motions import MOTION_FORM
 from dousa.app.studio.content.sharing import print_code
 from dousa.app.studio.content.studio import Studio

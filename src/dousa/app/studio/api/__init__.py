@@ -6,10 +6,8 @@ from dousa.app.studio.api import (
     clips,
     estimation,
     evaluation,
-    exports,
     jobs,
     live,
-    masks,
     motions,
     search,
     share,
@@ -21,6 +19,6 @@ __all__ = ["ROUTERS"]
 
 ROUTERS = (
     *(uploads.general, uploads.router, clips.router, clips.journal_router, search.router, motions.router, takes.router),
-    *(evaluation.router, evaluation.companions_router, estimation.router, masks.router, live.router),
-    *(exports.router, share.router, jobs.router),
+    *(evaluation.router, evaluation.companions_router, estimation.router, estimation.masks_router, live.router),
+    *(motions.export_router, share.router, jobs.router),
 )

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query
 from pydantic import Field
-from starlette.responses import Response
+from starlette.responses import FileResponse, Response
 
-from dousa.app.studio.content.motions import MotionName, MotionPart, MotionRef, Seconds, name_file
+from dousa.app.studio.content.motions import EXPORTED, Address, MotionName, MotionPart, MotionRef, Seconds, name_file
 from dousa.app.studio.content.studio import Studio, StudioNow
-from dousa.app.studio.core.answers import BYTES, Answer, attachment, say
+from dousa.app.studio.core.answers import BYTES, Answer, RefusedError, StrictModel, attachment, say
+from dousa.library.export.clip_export import ORIGINAL, ExportFormat, list_formats
 from dousa.messages import Message
 
 router = APIRouter(tags=["motions"])
@@ -121,3 +123,123 @@ def get_bvh(studio: StudioNow, asked: Annotated[_Download, Query()]) -> Response
     content = make_file(named, studio.motions.path(ref), ref, ".bvh", character)
     headers = {"content-disposition": attachment(name_file(named, ref, ".bvh"))}
     return Response(content, media_type="application/octet-stream", headers=headers)
+
+
+export_router = APIRouter(tags=["export"])
+
+CHARACTER_FORM = r"^(clip:[0-9]{1,15}|file:[0-9a-f]{16}/.{1,1000})$"
+"""The form of the name of a character."""
+
+_Number = Annotated[int, Field(ge=1, le=2**31 - 1)]
+_Character = Annotated[
+    str,
+    Field(
+        pattern=CHARACTER_FORM,
+        description="file:BATCH/NAME of an upload, or clip:NUMBER: a file over the skeleton that motions are put onto",
+    ),
+]
+_Format = Annotated[str, Field(max_length=20, description="of GET /api/export/formats")]
+
+
+class ExportRequest(StrictModel):
+    """Which clips, and what they are written as."""
+
+    clips: Annotated[list[_Number], Field(min_length=1, max_length=20_000)]
+    to: _Format = "bvh"
+    onto: _Character | None = None
+    keep_reach: bool = Field(default=False, description="hands reach the same places, instead of arm directions")
+    frame_rate: Annotated[float | None, Field(gt=0, le=1000, description="Hz to resample to")] = None
+
+
+@export_router.get("/export/formats", summary="What motions can be written as")
+def get_formats() -> Answer:
+    """Names of formats with their suffixes; ``original`` are the files as they were added."""
+    return Answer({"formats": list_formats(), "original": ORIGINAL})
+
+
+@export_router.get("/export/character", summary="Whether motions can be put onto a character")
+def get_character(studio: StudioNow, motion: Annotated[_Character, Query()]) -> Answer:
+    """Its name and body; refused if it has no skeleton of a person. An upload is kept from now on."""
+    from dousa.motion import canonicalise
+
+    path = _find_character(studio, motion)
+    character = _read_character(path)
+    body = canonicalise(character, any_skeleton=True, whole=True)
+    address = Address.parse(motion)
+    if address.batch:
+        studio.workspace.keep(address.batch)
+    return Answer(
+        {
+            "motion": motion,
+            "name": path.name,
+            "suffix": path.suffix.lower(),
+            "n_joints": len(character.skeleton.names),
+            "height_m": body.height,
+            "notes": [say(note) for note in body.warnings],
+        }
+    )
+
+
+@export_router.post("/jobs/export", status_code=202, summary="Export clips as a ZIP file")
+def export(studio: StudioNow, wanted: ExportRequest) -> Answer:
+    """A job; when it is done GET /api/exports/ID gives the file: a folder per category, and manifest.csv."""
+    request: dict[str, Any] = wanted.model_dump()
+    character = None
+    if wanted.onto is not None:
+        character = _find_character(studio, wanted.onto)
+        address = Address.parse(wanted.onto)
+        if address.batch:
+            studio.workspace.keep(address.batch)
+    ExportFormat(wanted.to, character, wanted.keep_reach, wanted.frame_rate)  # refuses mistakes at once
+    count, to = len(wanted.clips), wanted.to.upper()
+    title = Message("studio_export.clips", count=count, to=to)
+    if character is not None:
+        title = Message("studio_export.clips_onto", count=count, to=to, name=character.name)
+    return Answer(studio.jobs.submit("export", request, title).to_json(), 202)
+
+
+@export_router.get(
+    "/exports/{job_id}", summary="The ZIP file of an export", response_class=FileResponse, responses=BYTES
+)
+def get_export(studio: StudioNow, job_id: str) -> Response:
+    """``export.zip``."""
+    job = studio.jobs.get(job_id)
+    path = studio.jobs.folder(job) / EXPORTED
+    if job.kind != "export" or job.state != "done" or not path.is_file():
+        raise RefusedError(404, "studio_export.nothing")
+    stem = Path(studio.settings.library.name).stem
+    return FileResponse(path, media_type="application/zip", filename=f"{stem}_{job.id[:6]}.zip")
+
+
+class _FormatDownload(MotionPart):
+    to: _Format = "bvh"
+    onto: _Character | None = None
+    keep_reach: bool = Field(default=False, description="hands reach the same places, instead of arm directions")
+
+
+@export_router.get("/motions/file", summary="Download in any format", response_class=Response, responses=BYTES)
+def get_motion_file(studio: StudioNow, asked: Annotated[_FormatDownload, Query()]) -> Response:
+    """As GET /api/motions/bvh, in any format that is written, with the mesh of a GLB character in a GLB."""
+    from dousa.app.studio.content.motions import make_file
+
+    ref = asked.ref()
+    named = studio.motions.get(ref)
+    path = None if asked.onto is None else _find_character(studio, asked.onto)
+    form = ExportFormat(asked.to, path, asked.keep_reach)
+    if form.to == ORIGINAL:
+        raise RefusedError(422, "export.format", found=form.to, known=tuple(list_formats()))
+    suffix = list_formats()[form.to]
+    character = None if path is None else _read_character(path)
+    content = make_file(named, studio.motions.path(ref), ref, suffix, character, form.keep_reach)
+    headers = {"content-disposition": attachment(name_file(named, ref, suffix))}
+    return Response(content, media_type="application/octet-stream", headers=headers)
+
+
+def _find_character(studio: Studio, motion: str) -> Path:
+    return studio.motions.path(MotionRef(motion=motion))
+
+
+def _read_character(path: Path) -> Any:
+    from dousa.formats.characters import read_character
+
+    return read_character(path)
