@@ -402,7 +402,7 @@ def test_a_repair_looks_once_where_nothing_is_damaged(studio, wait_job, library_
 
 
 def test_files_of_jobs_are_read_once(tmp_path, monkeypatch):
-    from dousa.app.studio.content.disk_space import MentionedBatches
+    from dousa.app.studio.core.workspace import MentionedBatches
 
     batches = [f"{k:016x}" for k in range(3)]
     for name in batches:
