@@ -17,6 +17,7 @@ from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation.alignment.dynamic_programming import Matrix, correlate_rows, pack, trace_back, warp
 from dousa.evaluation.posture.posture import SEGMENTS, check_segments, check_weights
 
+_WORTH_THREADS = 1_000_000  # pairs of poses; below, starting threads takes longer than the work
 _MOST_PAIRS = 2**34  # 64 GiB
 
 
@@ -126,13 +127,12 @@ def _flatten(segments: FloatArray) -> FloatArray:
     return np.asarray(segments * np.array([1.0, 0.0, 1.0]))
 
 
-def _correlate(a: Matrix, b: Matrix, *, tile: int = 64, worth_threads: int = 1_000_000) -> Matrix:
-    # tile: rows that a thread takes at a time; worth_threads: pairs of poses; below, starting threads takes longer
-    # than the work
+def _correlate(a: Matrix, b: Matrix, *, tile: int = 64) -> Matrix:
+    # tile: rows that a thread takes at a time
     from joblib import cpu_count
 
     matrix = np.empty((len(a), b.shape[1]), np.float32)
-    if matrix.size < worth_threads:
+    if matrix.size < _WORTH_THREADS:
         correlate_rows(a, b, matrix, 0, len(a))
         return matrix
     with ThreadPoolExecutor(cpu_count()) as pool:

@@ -22,7 +22,7 @@ from dousa.arrays import FloatArray, IndexArray
 
 Matrix = NDArray[np.float32]
 _DIAGONAL, _ROW_BEFORE, _COLUMN_BEFORE, _HERE = 0, 1, 2, 3
-_FAR = 1e300
+_FAR = 1e300  # infinite, by definition: above any price
 
 
 def pack(segments: FloatArray, shares: FloatArray) -> np.ndarray:
@@ -240,13 +240,13 @@ def warp(
     origin : (cells,) uint8.
     """
     n_rows, n_columns = len(a), b.shape[1]
-    alike = np.empty(n_columns, np.float32)
+    similar = np.empty(n_columns, np.float32)
     before = np.full(n_columns + 1, _FAR)  # one to the right: index u + 1, so that u - 1 exists for u = 0
     now = np.full(n_columns + 1, _FAR)
     price, last_row, last_column = _FAR, 0, 0
     for t in range(n_rows):
         start, stop = low[t], high[t]
-        correlate_row(a[t], b, start, stop, alike)
+        correlate_row(a[t], b, start, stop, similar)
         now[start] = _FAR
         left = _FAR
         place = first[t]
@@ -258,7 +258,7 @@ def warp(
                 best, source = (t + u) * skip, _HERE
             if left < best:
                 best, source = left, _COLUMN_BEFORE
-            left = best + (1.0 - alike[u])
+            left = best + (1.0 - similar[u])
             now[u + 1] = left
             origin[place] = source
             place += 1
@@ -321,7 +321,7 @@ def compute_gains(similarity: Matrix, radius: int, noise: float, hopeless: float
 
     Returns
     -------
-    (n, n) above the diagonal: logarithm of the contrast to the side that is more alike. A ridge stands out from
+    (n, n) above the diagonal: logarithm of the contrast to the more similar side. A ridge stands out from
     both sides; the edge of a block, which two rests make, only from one.
     """
     n = len(similarity)

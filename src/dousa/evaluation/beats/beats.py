@@ -338,13 +338,15 @@ def _count_beats(times: FloatArray, beats: Beats) -> FloatArray:
     return counted
 
 
-def _estimate_start(accents: Sequence[Accent], beats: Beats, *, step_s: float = 0.01, alike: float = 0.98) -> float:
+def _estimate_start(
+    accents: Sequence[Accent], beats: Beats, *, step_s: float = 0.01, good_share: float = 0.98
+) -> float:
     """Where the music begins for the accents to agree with its beats.
 
     Accents on the beats count 1, half way between them -1; half as much is said by their half beats, so that a
     dance on both finds its place too.
     """
-    # step_s: between the places where the music is tried; alike: of the best agreement: as good
+    # step_s: between the places where the music is tried; good_share: of the best agreement: as good
     times = np.array([one.time_s for one in accents])
     weights = np.array([0.25 + one.strength for one in accents])
     slack = beats.period_s
@@ -358,7 +360,7 @@ def _estimate_start(accents: Sequence[Accent], beats: Beats, *, step_s: float = 
         scores[first : first + 256] = (np.cos(angles) + 0.5 * np.cos(2.0 * angles)) @ weights
     best = float(scores.max())
     inner = np.r_[True, scores[1:] >= scores[:-1]] & np.r_[scores[:-1] >= scores[1:], True]
-    good = starts[inner & (scores >= (alike * best if best > 0.0 else best))]
+    good = starts[inner & (scores >= (good_share * best if best > 0.0 else best))]
     return float(good[np.argmin(np.abs(good))])
 
 

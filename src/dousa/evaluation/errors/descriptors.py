@@ -55,7 +55,7 @@ _PER_WINDOW = (
 _LAG = _PER_WINDOW.index("lag")
 _SLIGHT = 0.03  # rad
 _KERNEL = np.ones(9) / 9.0
-_FLIP = np.array([-1.0, 1.0, 1.0])
+_FLIP = np.array([-1.0, 1.0, 1.0])  # mirror image by definition: x negated
 _SORTED = ("own", "best", "at_body", "path", "left_by_gain", "gain", "lag_beside_body")
 
 

@@ -130,7 +130,7 @@ def take_nearest(mine: FloatArray, its: FloatArray) -> FloatArray:
 
 
 _YAW_ROUNDS = 4
-_SMALLEST_SEEN = 1e-30  # of what is seen, far below rounding: 0 says that it is not seen
+_SMALLEST_SEEN = 1e-30  # by definition 0 means not seen; this is far below rounding
 
 
 @njit(cache=True, nogil=True)

@@ -102,7 +102,7 @@ _LARGER, _LEAST_EXCESS = 1.2, np.radians(10.0)
 _SURELY_LATE = 1.15  # in multiples of what is forgiven
 _BY_TIME = ("shift", "stops short")
 _SHORTEST_S = 0.25
-BODY = np.arange(9)
+BODY = np.arange(9)  # all segments, by definition
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,7 +22,7 @@ from dousa.evaluation.posture.yaw import (
     rotate_yaw,
 )
 
-_WIDTH = 3 * len(SEGMENTS)
+_WIDTH = 3 * len(SEGMENTS)  # of a posture, by definition
 _CHUNK = 500_000  # pairs of poses compared at a time: they stay in the cache
 
 

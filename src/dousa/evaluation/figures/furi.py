@@ -105,14 +105,14 @@ def name_label(number: int) -> str:
     return letters
 
 
-def _label(cuts: Sequence[int], coarse: Coarse, *, alike: float = 0.45, length_slack: float = 1.6) -> list[str]:
+def _label(cuts: Sequence[int], coarse: Coarse, *, nearer_than: float = 0.45, length_slack: float = 1.6) -> list[str]:
     """One label a figure; figures are joined, nearest first, as long as a group's figures are similar on average."""
-    # alike: figures are one if they are nearer to each other than this share of the motion within them; length_slack:
-    # figures whose lengths differ by a larger factor are two
+    # nearer_than: figures are one if they are nearer to each other than this share of the motion within them;
+    # length_slack: figures whose lengths differ by a larger factor are two
     from dousa.evaluation.alignment.dynamic_programming import compare_stretches
 
     apart, within = compare_stretches(coarse.similarity, np.array(cuts, np.int64), length_slack)
-    tolerated = alike * np.minimum(within, within.T) + _SAME
+    tolerated = nearer_than * np.minimum(within, within.T) + _SAME
     distance = (apart / tolerated).astype(np.float64)
     np.fill_diagonal(distance, np.inf)
     group = np.arange(len(distance))

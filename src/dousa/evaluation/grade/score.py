@@ -23,7 +23,7 @@ from dousa.evaluation.grade.references import Comparison, ReferenceTakes
 from dousa.messages import Message
 
 _FEWEST = 2  # takes beside the first that tell what is usual
-_MOSTLY = 1.28  # standard deviations around which four of five lie
+_MOSTLY = 1.28  # standard deviations around which four of five lie, by definition of the normal distribution
 _SAME_LENGTH = 0.02  # of the reference that may be missing
 
 

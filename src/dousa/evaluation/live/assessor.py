@@ -56,7 +56,7 @@ _REPLAYED_S = 0.5
 _MOST_MOMENTS = 600  # that tell the performer's body
 _MARGIN_S = 1.0
 _MOVED = 0.25  # frames by which the line must move for the lag to be followed from the beginning again
-_FLIP = np.array([-1.0, 1.0, 1.0])
+_FLIP = np.array([-1.0, 1.0, 1.0])  # mirror image by definition: x negated
 _N_JOINTS = len(CANONICAL_JOINTS)
 
 

@@ -57,7 +57,7 @@ SEGMENTS: tuple[str, ...] = (
 )
 
 MIRRORED_SEGMENTS: tuple[int, ...] = (0, 3, 4, 1, 2, 7, 8, 5, 6)
-"""Index of each segment's mirror image."""
+"""Index of each segment's mirror image, by definition of `SEGMENTS`."""
 
 LIMBS: dict[str, tuple[int, ...]] = {
     "trunk": (0,),
@@ -66,7 +66,7 @@ LIMBS: dict[str, tuple[int, ...]] = {
     "left_leg": (5, 6),
     "right_leg": (7, 8),
 }
-"""Segments of each limb."""
+"""Segments of each limb, by definition of `SEGMENTS`."""
 
 _SHORTEST = 1e-6  # m: a segment shorter than this has no direction
 _STARTS = [J[start] for start, _ in SEGMENT_JOINTS]
@@ -76,7 +76,7 @@ _JOINTS_OF[range(len(SEGMENTS)), _STARTS] = True
 _JOINTS_OF[range(len(SEGMENTS)), _ENDS] = True
 _JOINTS_OF[0] = [name in ("left_hip", "right_hip", "neck") for name in CANONICAL_JOINTS]
 
-# What a segment that is never seen is drawn as: hanging, the trunk upright.
+# A segment that is never seen is by definition drawn hanging, the trunk upright.
 _REST = np.tile([0.0, -1.0, 0.0], (len(SEGMENTS), 1))
 _REST[0, 1] = 1.0
 

@@ -27,7 +27,7 @@ ComplexArray = NDArray[np.complex128]
 WRONG_CHORD = 0.35
 """Chord between unit vectors (20 degrees) from which a segment loses its say in a common yaw."""
 
-# Columns: all segments, and all but one limb. One wrong limb leaves one of them untouched.
+# By definition all segments, and all but one limb: one wrong limb leaves one of these columns untouched.
 _WITHOUT_LIMB = np.ones((len(SEGMENTS), 1 + len(LIMBS)))
 
 for _column, _limb in enumerate(LIMBS.values(), start=1):
