@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dousa.app.drawing.body import THREE_QUARTER, extent, to_figurine
 from dousa.app.pictures.canvas import (
     BLUE,
     FAINT,
@@ -29,7 +30,7 @@ from dousa.app.pictures.canvas import (
 )
 from dousa.app.pictures.overlay_sheet import draw_overlay_sheet
 from dousa.app.pictures.overlay_view import ViewPainter, to_rgb
-from dousa.app.pictures.stick_figures import THREE_QUARTER, draw_poses, extent, to_figurine
+from dousa.app.pictures.sheets import draw_poses
 from dousa.app.pipelines.render import ring_around
 from dousa.estimation import (
     PAPER,

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dousa.app.drawing.body import THREE_QUARTER, Figurine, extent, to_figurine
 from dousa.app.pictures.canvas import BLUE, FAINT, GREY, INK, new_figure, save_figure, write
-from dousa.app.pictures.stick_figures import THREE_QUARTER, Figurine, draw_poses, extent, to_figurine
+from dousa.app.pictures.sheets import draw_poses
 from dousa.motion import canonicalise
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 from dousa.retrieval.features.feature_sets import FEATURE_SETS, compute_track

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from dousa.app.drawing import body as _poses
 from dousa.app.pictures import canvas as _canvas
-from dousa.app.pictures import stick_figures as _poses
-from dousa.app.pictures.sheets import Strip, draw_contact_sheet, draw_experiment_figure, draw_search_sheet
+from dousa.app.pictures.charts import draw_experiment_figure
+from dousa.app.pictures.sheets import Strip, draw_contact_sheet, draw_search_sheet
 from dousa.errors import InvalidMotionError, MotionWriteError, OptionError
 from dousa.motion import CANONICAL_JOINTS, JOINT_INDEX, Trajectories, canonicalise, compute_trajectories
 from dousa.motion.synthetic.performers import draw_performer, make_motion
@@ -151,9 +152,9 @@ def test_the_viewer_sees_the_front_and_then_the_right_side(walk):
     figurine = _poses.to_figurine(walk)
     names = ["left_shoulder", "right_shoulder", "left_ankle", "left_toe"]
     left, right, ankle, toe = (figurine.positions[0, JOINT_INDEX[name]] for name in names)
-    front = [_poses._project(point, _poses.FRONT)[0] for point in (left, right)]
+    front = [_poses.project(point, _poses.FRONT)[0] for point in (left, right)]
     assert front[0] > front[1]  # a person who faces us has the left on our right
-    side = [_poses._project(point, _poses.SIDE)[0] for point in (ankle, toe)]
+    side = [_poses.project(point, _poses.SIDE)[0] for point in (ankle, toe)]
     assert side[0] < side[1]  # and walks to our right, seen from the right side
 
 
@@ -161,7 +162,7 @@ def test_a_person_facing_anywhere_is_turned_to_face_the_viewer(walk):
     moved = compute_trajectories(walk).select(CANONICAL_JOINTS)
     c, s = np.cos(2.1), np.sin(2.1)
     turned = moved @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
-    np.testing.assert_allclose(_poses._face_viewer(turned), _poses._face_viewer(moved), atol=1e-9)
+    np.testing.assert_allclose(_poses.face_viewer(turned), _poses.face_viewer(moved), atol=1e-9)
 
 
 def test_search_sheet_says_match_and_differs(walk, tmp_path, written):

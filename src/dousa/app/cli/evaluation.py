@@ -170,7 +170,7 @@ def _evaluate_exercise(
         with atomic_write(csv) as file:
             file.write(to_repetitions_csv(assessment))
     if picture is not None:
-        from dousa.app.pictures.repetitions_sheet import draw_repetitions
+        from dousa.app.pictures.charts import draw_repetitions
         from dousa.evaluation.exercises.repetitions import choose_angles
 
         draw_repetitions(assessment, done.motion, picture, choose_angles(assessment))
@@ -230,7 +230,7 @@ def progress(
     else:
         tables.print_progress(console(), found)
     if picture is not None:
-        from dousa.app.pictures.progress import draw_progress
+        from dousa.app.pictures.charts import draw_progress
 
         draw_progress(found, picture)
 

@@ -92,7 +92,7 @@ def experiment(
         tables.warn_of_files(notes)
         tables.print_tables(console(), result.to_tables())
     if figure:  # last, so that an answer that took long is not lost where the picture cannot be written
-        from dousa.app.pictures.sheets import draw_experiment_figure
+        from dousa.app.pictures.charts import draw_experiment_figure
 
         draw_experiment_figure(answer, figure)
 

@@ -21,7 +21,7 @@ from dousa.files.disk import atomic_write
 from dousa.messages import Message
 
 if TYPE_CHECKING:
-    from dousa.app.pictures.stick_figures import Drawable
+    from dousa.app.drawing.body import Drawable
     from dousa.formats.motion_files import ReadOptions
     from dousa.library import ClipInfo, ClipMap
     from dousa.motion import Motion, Trajectories
@@ -348,7 +348,7 @@ def _describe_place(clip: ClipInfo, x: float, y: float) -> dict[str, Any]:
 
 def _write_map(output: Path, found: ClipMap, rows: list[dict[str, Any]], clips: list[ClipInfo]) -> None:
     if output.suffix.lower() in _PICTURES:
-        from dousa.app.pictures.clip_map import draw_clip_map
+        from dousa.app.pictures.charts import draw_clip_map
 
         draw_clip_map(found, [clip.category for clip in clips], output)
         return

@@ -198,7 +198,7 @@ def _print_result(console: Console, example: Path, truth: str, result: SearchRes
 
 def _measure(console: Console, output: Path, seed: int, n_jobs: int | None) -> None:
     """Run the paper's experiment on the library's motions."""
-    from dousa.app.pictures.sheets import draw_experiment_figure
+    from dousa.app.pictures.charts import draw_experiment_figure
     from dousa.app.pipelines.experiment_clips import read_labelled_clips
     from dousa.app.tables.lines import print_tables
     from dousa.experiments import run_experiment

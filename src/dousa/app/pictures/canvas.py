@@ -15,7 +15,7 @@ from dousa.files.disk import atomic_write
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Okabe and Ito (2008): told apart with every kind of colour vision, and of different lightness.
+# Okabe and Ito (2008): distinct for every kind of colour vision, and of different lightness.
 BLUE = "#0072B2"
 VERMILLION = "#D55E00"
 GREEN = "#009E73"
@@ -66,7 +66,7 @@ def _fonts() -> tuple[tuple[str, ...], tuple[Any, ...]]:
     require("matplotlib", "pictures")
     from matplotlib import font_manager
 
-    # The Japanese font has no bold: that its plain letters stand for them is nobody's concern.
+    # The Japanese font has no bold; the warning that plain letters stand for it is of no use.
     logging.getLogger("matplotlib.font_manager").setLevel(logging.ERROR)
     japanese = find_font()
     if japanese is not None:

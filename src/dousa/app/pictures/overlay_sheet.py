@@ -371,7 +371,7 @@ class _Sheet:
         seconds = frame / self._estimate.frame_rate
         text = f"{frame + 1}  ({seconds:.2f} s)"
         lost = bool(self._estimate.lost[frame])
-        marks = [word for word, told in (("LOST", lost), ("WORST", frame == self._worst)) if told]
+        marks = [word for word, shown in (("LOST", lost), ("WORST", frame == self._worst)) if shown]
         write(self._figure, *self._at(left, top + 0.34), text, 9)
         if marks:
             colour = _ALARM if lost else INK

@@ -38,7 +38,7 @@ def _bgr(code: str) -> Colour:
 LEFT, RIGHT, CENTRE = _bgr(BLUE), _bgr(VERMILLION), _bgr(GREEN)
 DARK, HALF_DARK, PALE, WHITE, ALARM = _bgr(INK), _bgr(GREY), _bgr(FAINT), (255, 255, 255), _bgr("#B22222")
 
-_FRACTION_BITS = 4  # OpenCV draws at whole pixels unless told how many bits are fraction
+_FRACTION_BITS = 4  # bits after the binary point of coordinates for OpenCV
 _FAR = 20_000.0  # px, outside any picture; with the fraction it fits 32 bits
 _LONGEST = 10_000.0  # px of a broken line: what leaves the picture so far is drawn whole
 _DASH, _GAP = 8, 7  # px

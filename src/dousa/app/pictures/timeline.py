@@ -14,12 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dousa.app.drawing.body import THREE_QUARTER, Figurine, extent, to_figurine
+from dousa.app.drawing.charts import time_ticks
 from dousa.app.pictures.canvas import BLUE, FAINT, GREY, INK, drawable, new_figure, save_figure, write
-from dousa.app.pictures.stick_figures import LIMBS, THREE_QUARTER, Figurine, draw_poses, extent, to_figurine
+from dousa.app.pictures.sheets import draw_key, draw_poses
 from dousa.errors import OptionError
 
 if TYPE_CHECKING:
-    from dousa.app.pictures.stick_figures import Drawable
+    from dousa.app.drawing.body import Drawable
 
 
 _UNKNOWN = "unknown"
@@ -32,7 +34,6 @@ _LEAST_BAR = 0.03  # inches: a segment of a fraction of a second in a long take 
 _SHORT_NAME = 20  # characters that fit in large letters
 _PERCENT = 0.36  # inches that "100%" needs inside a bar
 _MINUTES_FROM = 180.0  # s; longer takes are read in minutes
-_STEPS = (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 21600, 86400)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,14 +115,14 @@ def _read_segment(item: Any) -> _Segment:
 
 def _read_duration(timeline: Any, segments: Sequence[_Segment], motion: Drawable | None) -> float:
     """Seconds on the axis: never less than the segments need, never 0."""
-    told = _get(timeline, "duration")
-    seconds = 0.0 if told is None else float(told)
+    given = _get(timeline, "duration")
+    seconds = 0.0 if given is None else float(given)
     if motion is not None:
         frames = motion.translations if hasattr(motion, "translations") else motion.positions
         seconds = len(frames) / motion.frame_rate  # the poses stand above their times
     seconds = max([seconds, *(segment.end for segment in segments)])
     if not 0.0 < seconds < np.inf:
-        raise OptionError("pictures.no_duration", found=told)
+        raise OptionError("pictures.no_duration", found=given)
     return seconds
 
 
@@ -150,7 +151,7 @@ def _draw_thumbnails(figure: Any, figurine: Figurine, bottom: float) -> None:
     axes.set_ylim(0.0, _TALLEST_POSE / per_metre)
     axes.set_axis_off()
     if figurine.canonical:
-        _draw_key(figure)
+        draw_key(figure, 10)
     draw_poses(axes, figurine, frames, THREE_QUARTER, spacing)
     for artist in axes.get_children():
         artist.set_clip_on(False)
@@ -209,9 +210,9 @@ def _draw_segment(axes: Any, segment: _Segment, row: int, per_inch: float) -> No
 
 
 def _draw_time_axis(axes: Any, seconds: float) -> None:
-    step = next((step for step in _STEPS if seconds / step <= 12.5), seconds)
-    ticks = np.arange(0.0, seconds + 1e-9 * step, step)
-    axes.set_xticks(ticks, [_say_tick(float(tick), step, seconds) for tick in ticks], fontsize=10)
+    ticks = time_ticks(seconds, 12.5)
+    step = ticks[1] if len(ticks) > 1 else seconds
+    axes.set_xticks(ticks, [_say_tick(tick, step, seconds) for tick in ticks], fontsize=10)
     axes.set_xlabel("minutes:seconds" if seconds >= _MINUTES_FROM else "seconds", fontsize=10, color=GREY)
     axes.set_yticks([])
     axes.grid(axis="x", color=FAINT, lw=0.6)
@@ -249,26 +250,6 @@ def _draw_head(figure: Any, title: str, segments: Sequence[_Segment], seconds: f
     shown = title if len(title) <= 90 else f"{title[:70]} ... {title[-15:]}"
     write(figure, _MARGIN / width, 1 - 0.36 / height, shown, 15, weight="bold")
     write(figure, _MARGIN / width, 1 - 0.63 / height, facts, 10.5, color=GREY)
-
-
-def _draw_key(figure: Any) -> None:
-    """Which limbs are left and which are right."""
-    from matplotlib.lines import Line2D
-
-    width, height = figure.get_size_inches()
-    handles = [
-        Line2D([], [], color=limb.colour, ls=limb.line, lw=2.0, marker=limb.marker, ms=5, label=limb.label)
-        for limb in LIMBS
-    ]
-    corner = (1 - _MARGIN / width, 1 - 0.08 / height)
-    figure.legend(
-        handles=handles,
-        loc="upper right",
-        bbox_to_anchor=corner,
-        frameon=False,
-        fontsize=10,
-        handlelength=3.4,
-    )
 
 
 def _count(number: int, noun: str) -> str:

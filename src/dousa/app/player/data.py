@@ -206,7 +206,7 @@ def encode_pair(
     language: str = "en",
     max_rate: float = 30.0,
 ) -> dict[str, Any]:
-    """Two motions that play in step, as the player wants them; nobody is judged.
+    """Encode two motions that play in step for the player; neither is judged.
 
     Parameters
     ----------

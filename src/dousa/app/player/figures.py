@@ -26,7 +26,7 @@ _LOWEST_RATE = 10.0
 MILLIMETRES = 1000.0
 HIPS = [J["left_hip"], J["right_hip"]]
 FEET = [J[f"{side}_{end}"] for side in ("left", "right") for end in ("ankle", "toe")]
-_LOWEST_SHARE = 0.5  # percent of frames whose feet may lie below the floor: single bad frames lift nobody
+_LOWEST_SHARE = 0.5  # percent of frames whose feet may lie below the floor: single bad frames do not lift the body
 
 
 class Posed(Protocol):

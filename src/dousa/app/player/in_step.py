@@ -67,7 +67,7 @@ def put_in_step(reference: Figure, performance: Figure, rate: float) -> tuple[Fl
 
 
 def _match_turned(ours: FloatArray, theirs: FloatArray, starts: tuple[float, float]) -> tuple[float, FloatArray]:
-    """The turn and the path that make the two most alike."""
+    """Find the turn and the path of the greatest similarity."""
     near = _apart(*starts) < _SAME
     found = [_settle(ours, theirs, start) for start in starts[: 1 if near else 2]]
     _, turn, path = max(found, key=lambda each: each[0])

@@ -1,7 +1,6 @@
 from .beats import build_beats
 from .curves import to_curves_csv, to_events_csv
-from .exercise_page import build_exercise, build_exercise_page, write_exercise_report
-from .exercise_tables import to_repetitions_csv
+from .exercise import build_exercise, build_exercise_page, to_repetitions_csv, write_exercise_report
 from .page import (
     QUICK_PARTS,
     build_frame,

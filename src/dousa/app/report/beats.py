@@ -6,10 +6,9 @@ import math
 
 import numpy as np
 
+from dousa.app.drawing.charts import Plot, choose_ticks, time_ticks, x_labels
+from dousa.app.drawing.markup import element, format_number
 from dousa.app.report.curves import build_details, build_table, format_optional
-from dousa.app.report.markup import element, format_number
-from dousa.app.report.plot import Plot
-from dousa.app.report.timeline import choose_ticks, time_ticks, x_labels
 from dousa.evaluation.beats.accents import ACCENTS
 from dousa.evaluation.beats.beats import BeatTiming, TimedAccent
 from dousa.evaluation.words import format_time

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dousa.app.report.markup import element, format_number
+from dousa.app.drawing.markup import element, format_number
 from dousa.arrays import FloatArray
 from dousa.evaluation.grade.result import Assessment
 from dousa.evaluation.posture.posture import SEGMENTS
@@ -19,34 +19,6 @@ from dousa.evaluation.words import KINDS, LAPSE_KINDS, SEGMENT_NAMES, describe_s
 _COLUMNS = (
     "time_s reference_s matched_s furi lag_ms facing_deg d_space d_space_limit d_within d_within_limit d_path"
 ).split()
-
-
-def thin_curve(times: FloatArray, values: FloatArray, n_points: int = 2000) -> tuple[FloatArray, FloatArray]:
-    """At most so many points of a curve, with the least and greatest value of every stretch among them.
-
-    Parameters
-    ----------
-    times : (T,) s.
-    values : (T,); nan where there is none.
-    n_points : at most so many points come back, 2 or more.
-
-    Returns
-    -------
-    Times and values (N,); a stretch without any value is one nan.
-    """
-    if len(values) <= n_points:
-        return times, values
-    size = -(-len(values) // (n_points // 2))
-    n_bins = -(-len(values) // size)
-    padded = np.full(n_bins * size, np.nan)
-    padded[: len(values)] = values
-    table = padded.reshape(n_bins, size)
-    known = np.isfinite(table)
-    first = np.where(known, table, np.inf).argmin(axis=1)
-    last = np.where(known, table, -np.inf).argmax(axis=1)
-    picks = np.sort(np.stack([first, last], axis=1), axis=1) + size * np.arange(n_bins)[:, None]
-    keep = np.minimum(picks, len(values) - 1).ravel()
-    return times[keep], np.where(np.repeat(known.any(axis=1), 2), values[keep], np.nan)
 
 
 def furi_numbers(assessment: Assessment) -> np.ndarray:

@@ -1,180 +1,30 @@
-"""Figures of people: canonical joints turned towards the viewer and drawn as limbs, trunk and head; and the worst
-moments, reference and performance side by side, the wrong limb marked twice."""
+"""Figures of the report: the axes of a furi, and the worst moments, reference and performance side by side."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from dousa.app.report.markup import Svg
+from dousa.app.drawing.body import (
+    Placement,
+    compute_heading,
+    draw_body,
+    draw_limb,
+    hang_segments,
+    measure_body,
+    place,
+    turn,
+)
+from dousa.app.drawing.markup import Svg
 from dousa.arrays import FloatArray
 from dousa.evaluation.grade.result import Assessment, ErrorEvent, FuriAssessment
 from dousa.evaluation.posture.posture import LIMBS, SEGMENT_JOINTS, SEGMENTS
 from dousa.evaluation.posture.yaw import estimate_robust_yaw, estimate_yaw
 from dousa.evaluation.words import describe_segments, format_time
 from dousa.motion import JOINT_INDEX as J
-
-_LIMBS = (
-    ("left_shoulder", "left_elbow", "left_wrist", "left_hand"),
-    ("right_shoulder", "right_elbow", "right_wrist", "right_hand"),
-    ("left_hip", "left_knee", "left_ankle", "left_toe"),
-    ("right_hip", "right_knee", "right_ankle", "right_toe"),
-)
-_TRUNK = ("left_shoulder", "right_shoulder", "right_hip", "left_hip")
-_HEAD_RADIUS = 0.075  # of the length that `measure_body` returns
-
-# Shares of the stature: segment lengths and half widths of a grown person (after Winter 2009, table 4.1).
-_LENGTHS = {"trunk": 0.288, "upper_arm": 0.186, "forearm": 0.146, "thigh": 0.245, "shank": 0.246}
-_SHOULDER, _HIP, _NECK_TO_HEAD = 0.11, 0.055, 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class Placement:
-    """How metres become places on the drawing: ``x = left + scale * metres``, ``y = bottom - scale * metres``.
-
-    Parameters
-    ----------
-    scale : units of the drawing per metre.
-    left, bottom : where the origin lies.
-    """
-
-    scale: float
-    left: float
-    bottom: float
-
-    def to_drawing(self, points: FloatArray) -> FloatArray:
-        """(..., 2) places of (..., 3) m, seen along the depth axis."""
-        out = np.empty((*points.shape[:-1], 2))
-        out[..., 0] = self.left + self.scale * points[..., 0]
-        out[..., 1] = self.bottom - self.scale * points[..., 1]
-        return out
-
-
-def compute_heading(points: FloatArray) -> float:
-    """Heading of one pose (20, 3): rad from +Z towards the body's left; 0 if it cannot be told."""
-    across = points[J["left_hip"]] - points[J["right_hip"]]
-    across = across + points[J["left_shoulder"]] - points[J["right_shoulder"]]
-    if not np.isfinite(across).all() or math.hypot(across[0], across[2]) < 1e-6:
-        return 0.0
-    return math.atan2(-across[2], across[0])
-
-
-def turn(points: FloatArray, angle: float) -> FloatArray:
-    """Points (..., 3) turned about the vertical by so many rad, to the left of a person who stands there."""
-    cosine, sine = math.cos(angle), math.sin(angle)
-    matrix = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
-    turned: FloatArray = points @ matrix.T
-    return turned
-
-
-def measure_body(positions: FloatArray) -> float:
-    """Length of trunk, thigh and shank together over a motion (T, 20, 3), m: what figures are scaled by."""
-    sample = positions[np.linspace(0, len(positions) - 1, min(len(positions), 32)).round().astype(int)]
-    total = 0.0
-    for start, end in (("pelvis", "neck"), ("left_hip", "left_knee"), ("left_knee", "left_ankle")):
-        total += float(np.median(np.linalg.norm(sample[:, J[end]] - sample[:, J[start]], axis=1)))
-    return total if math.isfinite(total) and total > 1e-6 else 1.0
-
-
-def place(poses: Iterable[FloatArray], width: float, height: float, margin: float = 14.0) -> Placement:
-    """One placement that shows all poses (K, 3) whole, standing on the lowest point of any of them."""
-    points = np.concatenate([np.reshape(pose, (-1, 3)) for pose in poses])
-    points = points[np.isfinite(points).all(axis=1)]
-    if not len(points):
-        return Placement(1.0, width / 2, height - margin)
-    low, high = points.min(axis=0), points.max(axis=0)
-    across, up = max(high[0] - low[0], 1e-6), max(high[1] - low[1] + 0.15, 1e-6)
-    scale = min((width - 2 * margin) / across, (height - 2 * margin) / up)
-    return Placement(scale, width / 2 - scale * (low[0] + high[0]) / 2, height - margin + scale * float(low[1]))
-
-
-def _path(svg: Svg, places: FloatArray, names: Sequence[str], css_class: str) -> None:
-    svg.line([(float(x), float(y)) for x, y in places[[J[name] for name in names]]], css_class)
-
-
-def draw_body(svg: Svg, pose: FloatArray, placement: Placement, css_class: str, sides: str = "") -> None:
-    """Draw one pose.
-
-    Parameters
-    ----------
-    svg : to draw on.
-    pose : (20, 3) m, turned already so that +Z is towards the viewer.
-    placement : from `place`.
-    css_class : ``"reference"``, ``"performance"`` ...: colour and width of the lines.
-    sides : two letters, for left and right, that are written at the hands; empty for none.
-    """
-    places = placement.to_drawing(pose)
-    if not np.isfinite(places).all():
-        return
-    trunk = places[[J[name] for name in _TRUNK]]
-    svg.add("polygon", {"points": " ".join(f"{x:.1f},{y:.1f}" for x, y in trunk), "class": f"trunk {css_class}"})
-    far_first = sorted(_LIMBS, key=lambda names: float(pose[[J[name] for name in names], 2].mean()))
-    for names in far_first:
-        _path(svg, places, names, f"limb {css_class}")
-    _path(svg, places, ("neck", "head"), f"limb {css_class}")
-    stature = float(np.linalg.norm(pose[J["neck"]] - pose[J["pelvis"]])) * 2.6
-    radius = max(_HEAD_RADIUS * stature * placement.scale, 2.0)
-    head = places[J["head"]]
-    svg.add(
-        "circle",
-        {"cx": float(head[0]), "cy": float(head[1]), "r": float(radius), "class": f"head {css_class}"},
-    )
-    if sides:
-        middle = float(places[J["neck"], 0])
-        for letter, name in zip(sides, ("left_hand", "right_hand"), strict=True):
-            x, y = (float(v) for v in places[J[name]])
-            outward = 9.0 if x >= middle else -9.0
-            svg.add("text", {"x": x + outward, "y": y + 4.0, "class": "side"}, letter)
-
-
-def draw_limb(svg: Svg, pose: FloatArray, placement: Placement, segments: Iterable[str], css_class: str) -> None:
-    """Draw some segments thick over a pose: an edge below, the class above it; ``"wrong"`` gets stripes too."""
-    places = placement.to_drawing(pose)
-    lines = [_ends(places, name) for name in segments]
-    for layer in ("edge", css_class, *(("stripes",) if css_class == "wrong" else ())):
-        for line in lines:
-            svg.line(line, layer)
-
-
-def _ends(places: FloatArray, segment: str) -> tuple[tuple[float, float], tuple[float, float]]:
-    start, end = (places[J[name]] for name in SEGMENT_JOINTS[SEGMENTS.index(segment)])
-    return (float(start[0]), float(start[1])), (float(end[0]), float(end[1]))
-
-
-def hang_segments(segments: FloatArray) -> FloatArray:
-    """A pose (20, 3) m of a typical person 1.7 m tall out of nine unit segments (9, 3) that face +Z.
-
-    Hands and toes lie on wrists and ankles: the nine segments do not tell where they are.
-    """
-    size = np.linalg.norm(segments, axis=1, keepdims=True)
-    unit = segments / np.where(size > 1e-9, size, 1.0)
-    part = {name: unit[k] * _LENGTHS.get(name, 0.0) for k, name in enumerate(SEGMENTS)}
-    for name in SEGMENTS[1:]:
-        part[name] = unit[SEGMENTS.index(name)] * _LENGTHS[name.split("_", 1)[1]]
-    left = np.array([1.0, 0.0, 0.0])
-    pose = np.zeros((20, 3))
-    pose[J["neck"]] = part["trunk"]
-    pose[J["spine"]] = part["trunk"] / 2
-    pose[J["head"]] = part["trunk"] + _NECK_TO_HEAD * unit[0]
-    for sign, side in ((1.0, "left"), (-1.0, "right")):
-        shoulder = pose[J["neck"]] + sign * _SHOULDER * left - 0.02 * unit[0]
-        chain = (("shoulder", shoulder), ("hip", sign * _HIP * left))
-        for root, start in chain:
-            upper, lower, middle, end, tip = (
-                ("upper_arm", "forearm", "elbow", "wrist", "hand")
-                if root == "shoulder"
-                else ("thigh", "shank", "knee", "ankle", "toe")
-            )
-            pose[J[f"{side}_{root}"]] = start
-            pose[J[f"{side}_{middle}"]] = start + part[f"{side}_{upper}"]
-            pose[J[f"{side}_{end}"]] = pose[J[f"{side}_{middle}"]] + part[f"{side}_{lower}"]
-            pose[J[f"{side}_{tip}"]] = pose[J[f"{side}_{end}"]]
-    hung: FloatArray = 1.7 * pose
-    return hung
-
 
 _SHOWN_AXES = 3
 _DEVIATIONS = 2.0  # standard deviations to both sides, as far as the reference goes in 19 frames of 20
@@ -320,7 +170,7 @@ class MomentView:
 
     Parameters
     ----------
-    turn_reference, turn_performance : rad about the vertical, so that both face alike.
+    turn_reference, turn_performance : rad about the vertical, so that both face the same way.
     azimuth : where the viewer stands, degrees from the front towards the dancer's right.
     """
 
@@ -341,7 +191,7 @@ def _pose(positions: FloatArray, frame: int, size: float, angle: float) -> Float
     feet = positions[:, [J["left_ankle"], J["right_ankle"], J["left_toe"], J["right_toe"]], 1].min(axis=1)
     floor = float(np.percentile(feet[:: max(len(feet) // 500, 1)], 2)) / size
     lowest = float(pose[:, 1].min())
-    # Recordings drift: somebody far above or below the floor is put on it.
+    # Recordings drift: a body far above or below the floor is put on it.
     pose = pose - [0.0, floor if abs(lowest - floor) < 0.5 else lowest, 0.0]
     return turn(pose, angle)
 

@@ -2,37 +2,42 @@
 
 from __future__ import annotations
 
+import base64
 import html
+import io
 import math
 import os
 import re
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
 from importlib import resources
+from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from dousa.app.report.advice import build_advice
+from dousa.app.drawing.markup import element, escape
 from dousa.app.report.beats import build_beats
 from dousa.app.report.curves import build_tables, furi_numbers, to_curves_csv, to_events_csv
-from dousa.app.report.fonts import embed_font, font_rule
-from dousa.app.report.markup import element, escape
 from dousa.app.report.sections import (
+    build_advice,
     build_events,
     build_facts,
     build_furi,
     build_header,
     build_moments,
     build_reading,
+    build_segments,
     make_title,
 )
-from dousa.app.report.segments import build_segments
 from dousa.app.report.timeline import draw_matrix, draw_timeline
 from dousa.arrays import FloatArray
 from dousa.errors import MotionWriteError, OptionError
 from dousa.evaluation.beats.beats import BeatTiming
 from dousa.evaluation.grade.result import Assessment
 from dousa.evaluation.words import SEGMENT_NAMES, check_language, name_all
+from dousa.extras import FONT_PACKAGE, find_font
 from dousa.files.disk import atomic_write
 from dousa.messages import load_section
 
@@ -55,7 +60,7 @@ PARTS: Mapping[str, Callable[[Assessment, Mapping[str, str], str], str]] = Mappi
 """What builds each part, besides the header."""
 
 QUICK_PARTS = ("header", "advice", "events", "facts", "segments", "timeline", "tables")
-"""Parts with few figures of people: what follows while somebody is still changing something."""
+"""Parts that are quick to build, for pages that follow every change."""
 
 
 def build_parts(assessment: Assessment, language: str, names: Collection[str] | None = None) -> dict[str, str]:
@@ -170,7 +175,7 @@ def build_page(
     language : ``"en"`` or ``"ja"``.
     title : its title; None for who against whom.
     timing : of its accents against the beats of music, if there is any.
-    notes : what somebody says of the performance, in lines.
+    notes : remarks on the performance, in lines.
 
     Returns
     -------
@@ -214,7 +219,7 @@ def build_page(
 
 
 def _build_notes(notes: str, words: Mapping[str, str]) -> str:
-    """What somebody says of the performance, as a section; nothing where nothing is said."""
+    """Build the section of remarks on the performance; empty without remarks."""
     said = notes.strip()
     if not said:
         return ""
@@ -258,7 +263,7 @@ def write_report(
     language : ``"en"`` or ``"ja"``, of the page and its sentences.
     title : of the page; None for who against whom.
     timing : accents against the beats of music, of `dousa.evaluation.assess_timing`; None for no section on it.
-    notes : what somebody, a teacher say, has to say of the performance; stands in the page as it is.
+    notes : remarks on the performance, of a teacher for instance; shown as they are.
 
     Returns
     -------
@@ -285,3 +290,77 @@ def write_report(
     except (OSError, ValueError, MotionWriteError) as error:
         raise OptionError("report_file.unwritable", folder=folder, reason=error) from error
     return home / _PAGE_NAME
+
+
+# Chinese characters and kana begin here; fonts of every machine have the signs that come before.
+_FIRST_WIDE = 0x2E80
+_WIDE_SPACE = "\u3000"
+
+
+@dataclass(frozen=True, slots=True)
+class EmbeddedFont:
+    """A font for one page.
+
+    Parameters
+    ----------
+    data_url : ``data:`` address of a WOFF; empty if there is nothing to embed.
+    characters : what it can show.
+    problem : why there is none although the page needs one; empty if all is well.
+    """
+
+    data_url: str
+    characters: frozenset[str]
+    problem: str = ""
+
+
+def embed_font(text: str) -> EmbeddedFont:
+    """The font with the Chinese characters, kana and wide signs of a text.
+
+    Parameters
+    ----------
+    text : everything that the page shows.
+    """
+    wanted = frozenset(c for c in text if ord(c) >= _FIRST_WIDE and (c.isprintable() or c == _WIDE_SPACE))
+    if not wanted:
+        return EmbeddedFont("", frozenset())
+    path = find_font()
+    if path is None or find_spec("fontTools") is None:
+        return EmbeddedFont("", frozenset(), f"{FONT_PACKAGE}: pip install 'dousa[pictures]'")
+    return _cut(str(path), wanted)
+
+
+@lru_cache(maxsize=4)
+def _cut(path: str, wanted: frozenset[str]) -> EmbeddedFont:
+    from fontTools import subset
+    from fontTools.ttLib import TTFont, TTLibError
+
+    options = subset.Options()
+    options.layout_features = []
+    options.hinting = False
+    options.notdef_outline = True
+    options.name_IDs = [0, 1, 2, 13]  # copyright, name, style, licence
+    options.flavor = "woff"
+    try:
+        with TTFont(path, lazy=True) as font:
+            for table in ("GSUB", "GPOS", "vhea", "vmtx", "VORG"):
+                if table in font:
+                    del font[table]
+            known = font.getBestCmap()
+            present = frozenset(c for c in wanted if ord(c) in known)
+            cutter = subset.Subsetter(options)
+            cutter.populate(unicodes=[ord(c) for c in present])
+            cutter.subset(font)
+            buffer = io.BytesIO()
+            font.flavor = "woff"
+            font.save(buffer, reorderTables=False)
+    except (OSError, TTLibError) as error:
+        return EmbeddedFont("", frozenset(), f"{path}: {error}")
+    return EmbeddedFont("data:font/woff;base64," + base64.b64encode(buffer.getvalue()).decode("ascii"), present)
+
+
+def font_rule(font: EmbeddedFont) -> str:
+    """The style rule that brings the font; it comes first in the list of fonts, but for its own characters only."""
+    if not font.data_url:
+        return ""
+    source = f'url({font.data_url}) format("woff")'
+    return f'@font-face{{font-family:"dousa-ja";src:{source};unicode-range:U+{_FIRST_WIDE:X}-3FFFF}}'

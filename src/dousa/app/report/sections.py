@@ -1,12 +1,15 @@
-"""Sections below the timeline: furi with their eigenspaces, worst moments in pictures, how to read the page."""
+"""Sections of the report: advice, segments, furi with their eigenspaces, worst moments, how to read the page."""
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from dousa.app.drawing.markup import draw_mark, element, format_grade, format_number
 from dousa.app.report.curves import build_details, build_table
 from dousa.app.report.figures import (
     compute_residuals,
@@ -19,10 +22,10 @@ from dousa.app.report.figures import (
     pick_worst,
     view_moment,
 )
-from dousa.app.report.markup import draw_mark, element, format_grade, format_number
-from dousa.app.report.segments import build_counts_row
+from dousa.arrays import FloatArray
+from dousa.evaluation.advice.advice import Advice, advise, praise
 from dousa.evaluation.grade.result import Assessment, ErrorEvent, FuriAssessment
-from dousa.evaluation.posture.posture import SEGMENTS
+from dousa.evaluation.posture.posture import LIMBS, SEGMENTS
 from dousa.evaluation.words import (
     KINDS,
     LAPSE_KINDS,
@@ -364,3 +367,123 @@ def build_reading(assessment: Assessment, words: Mapping[str, str], language: st
     return element("dl", {"class": "reading"}, inner=items) + element(
         "p", {"class": "note"}, words["read_sides" if assessment.side == "same" else "read_sides_mirrored"]
     )
+
+
+_TIP_SIZE = (330.0, 210.0)
+
+
+def build_advice(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
+    """The most important things to do differently, as buttons, and what went well."""
+    tips = advise(assessment, "brief")
+    placed = [tip for tip in tips if tip.event is not None or tip.lapse is not None]
+    parts = [element("p", {"class": "good"}, tip.message.render(language)) for tip in tips if tip not in placed]
+    if placed:
+        items = "".join(element("li", None, inner=_tip(assessment, tip, words, language)) for tip in placed)
+        parts.append(element("ol", {"class": "advice-list", "id": "advice"}, inner=items))
+        parts.append(element("p", {"class": "note"}, words["advice_help"]))
+    good = praise(assessment)
+    if good is not None and good.message not in [tip.message for tip in tips]:
+        parts.append(element("p", {"class": "good"}, good.message.render(language)))
+    return "".join(parts)
+
+
+def _tip(assessment: Assessment, advice: Advice, words: Mapping[str, str], language: str) -> str:
+    """One sentence as a button that plays its moment."""
+    if advice.event is None:
+        kind, name = "lapse", LAPSE_KINDS[advice.about]
+        tag = {"data-lapse": str(advice.lapse)}
+    else:
+        kind, name = advice.about, KINDS[advice.about]
+        tag = {"data-event": str(advice.event)}
+    label = draw_mark(kind, words) + element("span", None, name.render(language))
+    inner = element("span", {"class": "tip-kind"}, inner=label)
+    inner += element("span", {"class": "says"}, advice.message.render(language))
+    text = element("span", {"class": "tip-words"}, inner=inner)
+    picture = _draw_tip(assessment, advice, words, language)
+    if picture:
+        picture = element("span", {"class": "tip-picture"}, inner=picture)
+    return element("button", {"type": "button", "class": f"tip {kind}", **tag}, inner=picture + text)
+
+
+def _draw_tip(assessment: Assessment, advice: Advice, words: Mapping[str, str], language: str) -> str:
+    """Both dancers at the moment of a sentence; empty where there is nothing to show beside each other."""
+    if advice.event is None or not (math.isfinite(advice.time_s) and math.isfinite(advice.reference_s)):
+        return ""
+    event = assessment.events[advice.event]
+    wrong = [name for one in advice.corrections for name in one.segments]
+    shown = replace(
+        event,
+        worst_s=advice.time_s,
+        reference_s=advice.reference_s,
+        segments=tuple(name for name in SEGMENTS if name in wrong) or event.segments,
+    )
+    view = view_moment(assessment, shown)
+    return draw_moment(assessment, shown, view, words, language, size=_TIP_SIZE, arrows=_split_limbs(wrong))
+
+
+def _split_limbs(segments: Sequence[str]) -> list[list[str]]:
+    """The same segments, limb by limb."""
+    limbs = [[SEGMENTS[index] for index in limb if SEGMENTS[index] in segments] for limb in LIMBS.values()]
+    return [limb for limb in limbs if limb]
+
+
+_BAR_EM = 5.0  # the longest bar
+_COLUMNS = ("counts", "off", "over", "limit", "body")
+
+
+def build_segments(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
+    """A row for each of the nine segments.
+
+    Parameters
+    ----------
+    assessment : what is shown.
+    words : texts of the page.
+    language : of the names of segments.
+    """
+    head = element("th", {"scope": "col"}, words["col_segment"])
+    head += "".join(element("th", {"scope": "col"}, words[f"segments_{name}"]) for name in _COLUMNS)
+    off, over = _measure_segments(assessment.residual, assessment.residual_limit)
+    most = max(float(np.max(assessment.weights)), 1e-9)
+    rows = "".join(_segment_row(assessment, k, (off[k], over[k]), most, language) for k in range(len(SEGMENTS)))
+    inner = element("caption", {"class": "sr"}, words["segments_title"])
+    inner += element("thead", None, inner=element("tr", None, inner=head)) + element("tbody", None, inner=rows)
+    table = element("table", {"class": "segment-table"}, inner=inner)
+    equal = bool(np.ptp(assessment.weights) < 0.005)  # the table shows two decimals
+    lead = element("p", {"class": "lead"}, words["segments_alike" if equal else "segments_text"])
+    return lead + element("div", {"class": "table-wrap", "tabindex": "0"}, inner=table)
+
+
+def _measure_segments(residual: FloatArray, limit: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(9,) deg, the median angle of each segment; and (9,) percent of the time over its limit; nan where unseen."""
+    with warnings.catch_warnings(), np.errstate(invalid="ignore"):
+        warnings.simplefilter("ignore", RuntimeWarning)  # a segment that was never seen
+        off = np.degrees(np.nanmedian(residual, axis=0))
+        known = np.isfinite(residual)
+        over = 100.0 * np.nanmean(np.where(known, residual > limit, np.nan), axis=0)
+    return off, over
+
+
+def _segment_row(assessment: Assessment, k: int, measured: tuple[float, float], most: float, language: str) -> str:
+    weight = float(assessment.weights[k])
+    bar = element("i", {"style": f"width:{_BAR_EM * weight / most:.2f}em", "aria-hidden": "true"})
+    counts = element("td", {"class": "counts"}, inner=element("span", None, f"× {weight:.2f}") + bar)
+    limit = math.degrees(float(assessment.residual_limit[k]))
+    texts = (
+        _show_number(measured[0], "°"),
+        _show_number(measured[1], " %"),
+        _show_number(limit, "°"),
+        _show_number(float(assessment.offset_deg[k]), "°", 1),
+    )
+    name = element("th", {"scope": "row"}, SEGMENT_NAMES[SEGMENTS[k]].render(language))
+    return element("tr", None, inner=name + counts + "".join(element("td", None, text) for text in texts))
+
+
+def _show_number(value: float, unit: str, decimals: int = 0) -> str:
+    return f"{format_number(value, decimals)}{unit}" if math.isfinite(value) else "–"
+
+
+def build_counts_row(assessment: Assessment, span: int, words: Mapping[str, str]) -> str:
+    """A row for a table that has a column for each segment, after so many others: what each counts."""
+    name = element("th", {"scope": "row", "colspan": str(span)}, words["segments_counts"])
+    cells = "".join(element("td", None, f"× {float(weight):.2f}") for weight in assessment.weights)
+    return element("tr", {"class": "counts-row"}, inner=name + cells)

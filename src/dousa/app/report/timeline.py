@@ -1,4 +1,4 @@
-"""The timeline and the correlation matrix, and what both share: places in percent, round ticks, colours.
+"""The timeline and the correlation matrix of an assessment.
 
 The timeline has furi, errors, distances with their limits, lag and the heat of nine segments on one time axis. Drawings
 are stretched to the width at hand; all that is text lies over them and keeps its size.
@@ -6,131 +6,30 @@ are stretched to the width at hand; all that is text lies over them and keeps it
 
 from __future__ import annotations
 
-import base64
 import math
-import struct
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dousa.app.report.curves import thin_curve
-from dousa.app.report.markup import Svg, draw_mark, element, escape, format_grade, format_number, trace
+from dousa.app.drawing.charts import (
+    choose_ticks,
+    encode_map,
+    format_clock,
+    percent,
+    robust_top,
+    thin_curve,
+    time_ticks,
+    viridis_gradient,
+    x_labels,
+    y_labels,
+)
+from dousa.app.drawing.markup import Svg, draw_mark, element, escape, format_grade, format_number, trace
 from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.correspondence import compute_correlation_matrix
 from dousa.evaluation.grade.result import Assessment
 from dousa.evaluation.posture.posture import SEGMENTS
 from dousa.evaluation.words import KINDS, LAPSE_KINDS, SEGMENT_NAMES, format_time, name_all
-
-_CLOCK_STEPS = (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1800, 3600)
-
-
-def percent(value: float, low: float, high: float) -> str:
-    """Where a value lies between two others, as a CSS length."""
-    share = (value - low) / (high - low) if high > low else 0.0
-    return f"{format_number(100.0 * min(max(share, 0.0), 1.0), 3)}%"
-
-
-def choose_ticks(low: float, high: float, count: int = 4) -> tuple[float, ...]:
-    """Round numbers from low to high, about so many."""
-    span = high - low
-    if not math.isfinite(span) or span <= 0:
-        return (low,) if math.isfinite(low) else ()
-    raw = span / count
-    power = 10.0 ** math.floor(math.log10(raw))
-    step = next(k * power for k in (1, 2, 2.5, 5, 10) if k * power >= raw * 0.999)
-    first = math.ceil(low / step - 1e-9)
-    last = math.floor(high / step + 1e-9)
-    return tuple(k * step for k in range(first, last + 1))
-
-
-def time_ticks(duration: float, count: int = 10) -> tuple[float, ...]:
-    """Round moments from 0 to the duration, s, about so many."""
-    step = next((s for s in _CLOCK_STEPS if duration / s <= count), math.ceil(duration / count))
-    return tuple(step * k for k in range(math.floor(duration / step + 1e-9) + 1))
-
-
-def format_clock(seconds: float) -> str:
-    """A tick of time: whole seconds without their tenth."""
-    text = format_time(seconds)
-    return text.removesuffix(".0")
-
-
-def x_labels(ticks: tuple[float, ...], high: float) -> str:
-    """Times below a plot."""
-    spans = [element("span", {"style": f"left:{percent(tick, 0.0, high)}"}, format_clock(tick)) for tick in ticks]
-    return element("div", {"class": "x-labels", "aria-hidden": "true"}, inner="".join(spans))
-
-
-def y_labels(labels: tuple[tuple[float, str], ...], low: float, high: float) -> str:
-    """Labels beside a plot, low at the bottom."""
-    spans = [element("span", {"style": f"bottom:{percent(value, low, high)}"}, text) for value, text in labels]
-    return element("div", {"class": "y-labels", "aria-hidden": "true"}, inner="".join(spans))
-
-
-def robust_top(*curves: FloatArray, least: float = 0.0) -> float:
-    """A top of the axis that shows all finite values."""
-    tops = [float(np.max(curve[np.isfinite(curve)])) for curve in curves if np.isfinite(curve).any()]
-    return max([least, *(1.08 * top for top in tops)])
-
-
-# viridis (Smith and van der Walt, CC0) at 17 even places; between them it is straight enough.
-_ANCHORS = (
-    "440154 48186a 472d7b 424086 3b528b 33638d 2c728e 26828e 21918c 1fa088 28ae80 3fbc73 5ec962 84d44b addc30 d8e219 "
-    "fde725"
-).split()
-_UNKNOWN = 255  # the colour index of what is not known: transparent
-
-
-@lru_cache(maxsize=1)
-def viridis_table() -> NDArray[np.uint8]:
-    """(255, 3) uint8, dark to light."""
-    anchors = np.array([[int(text[i : i + 2], 16) for i in (0, 2, 4)] for text in _ANCHORS], float)
-    places = np.linspace(0, len(anchors) - 1, _UNKNOWN)
-    columns = [np.interp(places, np.arange(len(anchors)), anchors[:, k]) for k in range(3)]
-    return np.asarray(np.rint(np.stack(columns, axis=1)), np.uint8)
-
-
-def viridis_gradient() -> str:
-    """The stops of a CSS gradient, dark to light."""
-    return ", ".join(f"#{text}" for text in _ANCHORS)
-
-
-def encode_map(values: FloatArray, low: float, high: float) -> str:
-    """A matrix as a ``data:`` address of a PNG in viridis.
-
-    Parameters
-    ----------
-    values : (H, W), first row on top; what is not finite becomes transparent.
-    low, high : values of the darkest and the lightest colour.
-    """
-    known = np.isfinite(values)
-    share = np.clip((np.where(known, values, low) - low) / max(high - low, 1e-12), 0.0, 1.0)
-    indices = np.where(known, np.rint(share * (_UNKNOWN - 1)), _UNKNOWN).astype(np.uint8)
-    return "data:image/png;base64," + base64.b64encode(_encode_png(indices)).decode("ascii")
-
-
-def _encode_png(indices: np.ndarray) -> bytes:
-    """PNG (W3C, third edition) of colour indices (H, W)."""
-    height, width = indices.shape
-    lines = np.zeros((height, width + 1), np.uint8)  # the first byte of a line names its filter: none
-    lines[:, 1:] = indices
-    palette = np.vstack([viridis_table(), [[0, 0, 0]]]).astype(np.uint8)
-    alpha = bytes([255] * _UNKNOWN + [0])
-    chunks = (
-        (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0)),
-        (b"PLTE", palette.tobytes()),
-        (b"tRNS", alpha),
-        (b"IDAT", zlib.compress(lines.tobytes(), 6)),
-        (b"IEND", b""),
-    )
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
-    )
-
 
 _MOST_PIXELS = 560
 _MANY_FURI = 30

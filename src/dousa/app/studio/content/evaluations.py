@@ -254,7 +254,7 @@ class Evaluations:
         return self._draw(self.compare(job_ids), job_ids[-1], "comparison")
 
     def _draw(self, found: Progress, job_id: str, name: str) -> bytes:
-        from dousa.app.pictures.progress import draw_progress
+        from dousa.app.pictures.charts import draw_progress
 
         path = self._board.folder(self._done(job_id)) / f"{name}-{get_language()}.svg"
         draw_progress(found, path)

@@ -11,7 +11,7 @@ from dousa.evaluation.grade.score import round_grade
 
 
 def escape(text: object) -> str:
-    """Text that means itself between tags and inside quotes."""
+    """Escape a text for use between tags and inside quotes."""
     return html.escape(str(text), quote=True)
 
 
@@ -26,7 +26,7 @@ def format_number(value: float, decimals: int = 2) -> str:
 
 
 def format_grade(score: float) -> str:
-    """A grade as it is told everywhere; a dash if there is none."""
+    """Format a grade as all outputs show it; a dash if there is none."""
     return format_number(round_grade(score), 0)
 
 

@@ -1,0 +1,1 @@
+"""What pictures and pages draw with the same code: bodies, axes and marks."""

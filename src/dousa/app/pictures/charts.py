@@ -1,0 +1,333 @@
+"""Charts: a map of clips, the repetitions of an exercise, the progress of a pupil, the scores of an experiment."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dousa.app.pictures.canvas import BLUE, FAINT, GREEN, GREY, INK, PURPLE, VERMILLION, new_figure, save_figure, write
+from dousa.errors import OptionError
+from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES, compute_joint_angles
+from dousa.messages import Message
+from dousa.motion.canonical.canonicalise import mirror_canonical
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from dousa.evaluation import Attempt, Progress, RepetitionsAssessment
+    from dousa.library import ClipMap
+    from dousa.motion import CanonicalMotion
+
+
+# Tol's "muted" colours and shapes besides: ten categories are distinct, also without colours.
+_MAP_COLOURS = "#332288 #117733 #CC6677 #88CCEE #999933 #882255 #44AA99 #AA4499 #DDCC77 #0072B2".split()
+_MAP_SHAPES = "os^DvPX<>p"
+_MAP_WIDTH, _MAP_HEIGHT, _MAP_LEGEND = 10.0, 8.0, 2.4  # inches
+_LEGEND_TOP, _LEGEND_STEP = 0.93, 0.032  # of the height: first line of the legend, and from line to line
+_NEAR_FULL = 1.04
+
+
+def draw_clip_map(found: ClipMap, categories: Sequence[str | None], path: str | os.PathLike[str]) -> None:
+    """Draw a map; the categories of the most clips have colours and shapes of their own.
+
+    Parameters
+    ----------
+    found : the map.
+    categories : of its clips, None where there is none.
+    path : .png, .svg or .pdf.
+
+    Raises
+    ------
+    OptionError : another suffix.
+    MotionWriteError : the picture cannot be written.
+    """
+    figure = new_figure(_MAP_WIDTH, _MAP_HEIGHT)
+    axes = figure.add_axes((0.01, 0.01, 1 - _MAP_LEGEND / _MAP_WIDTH - 0.02, 0.98))
+    axes.set(xlim=(-_NEAR_FULL, _NEAR_FULL), ylim=(-_NEAR_FULL, _NEAR_FULL), aspect="equal")
+    axes.axis("off")
+    size = float(np.clip(9000 / max(len(categories), 1), 3, 36))
+    left = 1 - _MAP_LEGEND / _MAP_WIDTH
+    write(figure, left, _LEGEND_TOP + 0.02, str(Message("library_map.title", n=len(categories))), 11, weight="bold")
+    named = Counter(name for name in categories if name is not None).most_common()
+    rows = np.array(["" if name is None else name for name in categories], dtype=np.str_)
+    legend: list[tuple[str, dict[str, Any], np.ndarray]] = []
+    for (name, _), colour, shape in zip(named, _MAP_COLOURS, _MAP_SHAPES, strict=False):
+        legend.append((name, {"color": colour, "marker": shape}, rows == name))
+    rest = [name for name, _ in named[len(_MAP_COLOURS) :]]
+    legend.append((str(Message("library_map.others")), {"color": GREY, "marker": "."}, np.isin(rows, rest)))
+    legend.append((str(Message("library_map.no_label")), {"color": FAINT, "marker": "."}, rows == ""))
+    for line, (name, style, chosen) in enumerate(entry for entry in legend if entry[2].any()):
+        above = 2 if style["marker"] == "." else 3
+        x, y = found.points[chosen].T
+        axes.scatter(x, y, s=size, linewidths=0, alpha=0.85, zorder=above, **style)
+        height = _LEGEND_TOP - _LEGEND_STEP * (line + 1)
+        _draw_mark(figure, left + 0.01, height + 0.008, style)
+        write(figure, left + 0.03, height, f"{_shorten_category(name)} ({int(chosen.sum())})", 9, color=INK)
+    save_figure(figure, path)
+
+
+def _draw_mark(figure: Any, x: float, y: float, style: dict[str, Any]) -> None:
+    from matplotlib.lines import Line2D
+
+    figure.add_artist(Line2D([x], [y], linestyle="none", markersize=7, markeredgewidth=0, **style))
+
+
+def _shorten_category(name: str) -> str:
+    return name if len(name) <= 26 else f"{name[:12]}…{name[-13:]}"
+
+
+_WIDTH, _HEIGHT = 11.0, 6.6  # inches
+_STYLES = ((BLUE, "-"), (VERMILLION, "--"), (GREEN, ":"), (PURPLE, "-."))
+
+
+def draw_repetitions(
+    assessment: RepetitionsAssessment,
+    performance: CanonicalMotion,
+    path: str | os.PathLike[str],
+    angles: Sequence[str],
+) -> None:
+    """Draw what `dousa.evaluation.assess_repetitions` found.
+
+    Parameters
+    ----------
+    assessment : what is shown.
+    performance : the motion that was assessed.
+    path : .png, .svg or .pdf.
+    angles : joint angles of `dousa.evaluation.ANGLES`, four at most.
+
+    Raises
+    ------
+    OptionError : another suffix.
+    MotionWriteError : the picture cannot be written.
+    """
+    if assessment.side == "mirrored":
+        performance = mirror_canonical(performance)  # as it was measured: left and right are the reference's
+    figure = new_figure(_WIDTH, _HEIGHT)
+    incomplete = len(assessment.repetitions) - assessment.count
+    title = Message("exercise_table.picture_title", n=assessment.count, incomplete=incomplete)
+    write(figure, 0.06, 0.955, str(title), 13)
+    _draw_angles(figure.add_axes((0.06, 0.5, 0.92, 0.4)), assessment, performance, angles[: len(_STYLES)])
+    texts = ("exercise_table.duration", "exercise_table.grade", "exercise_table.degrees_axis")
+    main = max(angles, key=lambda name: assessment.reference_ranges[name])
+    columns = (
+        ([one.repetition.duration_s for one in assessment.repetitions], assessment.reference_s),
+        ([one.score for one in assessment.repetitions], math.nan),
+        ([one.get_range(main).range_deg for one in assessment.repetitions], assessment.reference_ranges[main]),
+    )
+    for place, (code, (values, reference)) in enumerate(zip(texts, columns, strict=True)):
+        axes = figure.add_axes((0.06 + 0.32 * place, 0.09, 0.26, 0.28))
+        heading = str(ANGLE_NAMES[main]) if place == len(texts) - 1 else str(Message(code))
+        _draw_bars(axes, assessment, values, reference, heading)
+    save_figure(figure, path)
+
+
+def _draw_angles(
+    axes: Any, assessment: RepetitionsAssessment, performance: CanonicalMotion, angles: Sequence[str]
+) -> None:
+    curves = compute_joint_angles(performance)
+    times = np.arange(performance.n_frames) / performance.frame_rate
+    _clean(axes)
+    for name, (colour, style) in zip(angles, _STYLES, strict=False):
+        axes.plot(times, curves[name], style, color=colour, linewidth=1.4)
+    low, high = axes.get_ylim()
+    for number, one in enumerate(assessment.repetitions, 1):
+        found = one.repetition
+        hatch = None if found.complete else "///"
+        axes.axvspan(found.start_s, found.end_s, facecolor=FAINT, alpha=0.45, hatch=hatch, edgecolor=GREY, linewidth=0)
+        label = str(number) if found.complete else f"({number})"
+        write(axes, 0.5 * (found.start_s + found.end_s), high, label, 9, ha="center")
+    axes.set_ylim(low, high)
+    axes.set_xlim(0.0, max(performance.duration, 1e-3))
+    for place, (name, (colour, style)) in enumerate(zip(angles, _STYLES, strict=False)):
+        axes.plot(
+            [0.005 + 0.24 * place, 0.035 + 0.24 * place],
+            [-0.14] * 2,
+            style,
+            color=colour,
+            transform=axes.transAxes,
+            clip_on=False,
+        )
+        write(axes, 0.04 + 0.24 * place, -0.16, str(ANGLE_NAMES[name]), 9, transform=axes.transAxes)
+    write(axes, 0.0, 1.04, str(Message("exercise_table.degrees_axis")), 9, transform=axes.transAxes)
+    write(axes, 1.0, -0.16, str(Message("exercise_table.seconds_axis")), 9, transform=axes.transAxes, ha="right")
+
+
+def _draw_bars(
+    axes: Any, assessment: RepetitionsAssessment, values: Sequence[float], reference: float, heading: str
+) -> None:
+    _clean(axes)
+    numbers = np.arange(1, len(values) + 1)
+    for number, value, one in zip(numbers, values, assessment.repetitions, strict=True):
+        if math.isfinite(value):
+            complete = one.repetition.complete
+            axes.bar(
+                number,
+                value,
+                0.7,
+                color=BLUE if complete else "white",
+                edgecolor=BLUE,
+                hatch=None if complete else "///",
+            )
+    if math.isfinite(reference):
+        axes.axhline(reference, color=INK, linewidth=1.0, linestyle="--")
+        write(axes, 1.0, 1.03, f"- - {Message('exercise_table.reference')}", 8, transform=axes.transAxes, ha="right")
+    axes.set_xlim(0.4, len(values) + 0.6)
+    axes.set_xticks(numbers[:: max(1, len(values) // 12)])
+    write(axes, 0.0, 1.03, heading, 9, transform=axes.transAxes)
+
+
+def _clean(axes: Any) -> None:
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    axes.tick_params(labelsize=8, colors=INK)
+
+
+_LEFT, _RIGHT, _HEAD, _BOTTOM = 0.7, 0.5, 0.5, 0.6  # inches
+_GRADE, _ROW, _BETWEEN = 1.7, 0.75, 0.5
+_ATTEMPT, _LEAST = 1.5, 5.0  # inches between two attempts, and of the axes
+_MOST = 24  # names that are written below
+_LETTERS = 18
+_LOOK = {"global": (PURPLE, "s"), "partial": (BLUE, "o"), "incomplete": (GREEN, "^"), "shift": (VERMILLION, "D")}
+
+
+def draw_progress(progress: Progress, path: str | os.PathLike[str]) -> None:
+    """Draw the attempts in the language in use.
+
+    Parameters
+    ----------
+    progress : of `dousa.evaluation.compare_attempts`.
+    path : .png, .svg or .pdf.
+
+    Raises
+    ------
+    OptionError : another suffix.
+    MotionWriteError : the picture cannot be written.
+    """
+    attempts = progress.attempts
+    inner = max(_ATTEMPT * (len(attempts) - 1), _LEAST)
+    width = _LEFT + inner + _RIGHT
+    height = _HEAD + _GRADE + len(_LOOK) * (_BETWEEN + _ROW) + _BOTTOM
+    figure = new_figure(width, height)
+
+    def add_axes(top: float, tall: float) -> Axes:
+        return figure.add_axes((_LEFT / width, 1.0 - (top + tall) / height, inner / width, tall / height))
+
+    axes = add_axes(_HEAD, _GRADE)
+    _draw_grades(axes, attempts)
+    for number, kind in enumerate(_LOOK):
+        axes = add_axes(_HEAD + _GRADE + _BETWEEN + number * (_ROW + _BETWEEN), _ROW)
+        _draw_kind(axes, attempts, kind)
+    for place in range(len(attempts)) if len(attempts) <= _MOST else ():
+        name = attempts[place].name
+        short = name if len(name) <= _LETTERS else f"{name[: _LETTERS - 1]}…"
+        write(axes, place, -0.2, short, 8.0, ha="center", va="top", transform=axes.get_xaxis_transform())
+    save_figure(figure, path)
+
+
+def _draw_grades(axes: Axes, attempts: tuple[Attempt, ...]) -> None:
+    from dousa.evaluation.grade.score import round_grade
+
+    scores = [math.nan if one.score is None else one.score for one in attempts]
+    axes.plot(range(len(attempts)), scores, color=INK, marker="o", linewidth=2.0)
+    for place, score in enumerate(scores):
+        if math.isfinite(score):
+            write(axes, place, score + 6.0, f"{round_grade(score):.0f}", 10.0, ha="center")
+    _dress(axes, len(attempts), 115.0, str(Message("progress.grade")), INK)
+
+
+def _draw_kind(axes: Axes, attempts: tuple[Attempt, ...], kind: str) -> None:
+    """How many errors of a kind, and beside each number their mean size."""
+    from dousa.evaluation.advice.progress import describe_errors
+    from dousa.evaluation.words import KINDS
+
+    colour, mark = _LOOK[kind]
+    counts = [one.counts[kind] for one in attempts]
+    most = max(1, *counts)
+    axes.plot(range(len(counts)), counts, color=colour, marker=mark, linewidth=1.8, clip_on=False)
+    for place, one in enumerate(attempts):
+        text = str(describe_errors(kind, one))
+        write(axes, place, counts[place] + 0.2 * most, text, 8.0, ha="center", color=GREY)
+    _dress(axes, len(counts), 1.45 * most, str(KINDS[kind]), colour)
+
+
+def _dress(axes: Axes, count: int, top: float, title: str, colour: str) -> None:
+    axes.set_xlim(-0.4, count - 0.6)
+    axes.set_ylim(0.0, top)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    write(axes, 0.0, 1.06, title, 10.0, color=colour, transform=axes.transAxes)
+    axes.spines["bottom"].set_color(FAINT)
+    for side in ("top", "right", "left"):
+        axes.spines[side].set_visible(False)
+
+
+_SYSTEMS = (
+    ("full_tree", "single tree, every test", "#56B4E9", "//"),
+    ("random_tree", "single random tree", PURPLE, ".."),
+    ("forest", "random forest", BLUE, ""),
+    ("motion_templates", "motion templates", "#E69F00", "\\\\"),
+)
+_MEASURES = (("recall", "recall"), ("precision", "precision"), ("f_measure", "F-measure"))
+
+
+def draw_experiment_figure(
+    result: Mapping[str, Any], path: str | os.PathLike[str], title: str = "Recall, precision and F-measure"
+) -> None:
+    """Draw figures 4 and 5 of Hamada, Kuriyama and Mukai: macro scores of the systems as grouped bars.
+
+    Parameters
+    ----------
+    result : what ``dousa experiment --json`` prints: ``systems`` -> name -> measure; measures whose name ends
+        in ``_std`` (standard deviation over the repeats) become error bars.
+    path : .png, .svg or .pdf.
+    title : of the figure.
+
+    Raises
+    ------
+    OptionError : none of the four systems in the result, or another suffix.
+    MotionWriteError : the picture cannot be written.
+    """
+    systems = [entry for entry in _SYSTEMS if entry[0] in result.get("systems", {})]
+    if not systems:
+        raise OptionError("pictures.no_systems", expected=[name for name, *_ in _SYSTEMS])
+    width, height = 9.0, 4.6
+    figure = new_figure(width, height)
+    axes = figure.add_axes((0.075, 0.08, 0.9, 0.65))
+    bar = 0.8 / len(systems)
+    for number, (key, label, colour, hatch) in enumerate(systems):
+        numbers = result["systems"][key]
+        values = [float(numbers[measure]) for measure, _ in _MEASURES]
+        spread = [float(numbers.get(f"{measure}_std") or 0.0) for measure, _ in _MEASURES]
+        x = np.arange(len(_MEASURES)) + (number - 0.5 * (len(systems) - 1)) * bar
+        axes.bar(x, values, 0.92 * bar, color=colour, hatch=hatch, edgecolor="white", lw=0.6, label=label)
+        if any(spread):
+            axes.errorbar(x, values, spread, fmt="none", ecolor=INK, elinewidth=1.0, capsize=3)
+        for position, value, error in zip(x, values, spread, strict=True):
+            plate = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
+            write(axes, position, value + error + 0.014, f"{value:.3f}", 8, ha="center", bbox=plate)
+    axes.set_xticks(range(len(_MEASURES)), [label for _, label in _MEASURES], fontsize=10)
+    axes.set_ylim(0.0, 1.09)
+    axes.set_yticks(np.linspace(0, 1, 6))
+    axes.grid(axis="y", color=FAINT, lw=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right", "left"]].set_visible(False)
+    axes.tick_params(length=0, labelsize=9)
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.02), ncols=4, frameon=False, fontsize=9, columnspacing=1.4)
+    write(figure, 0.03, 1 - 0.36 / height, title, 13, weight="bold")
+    write(figure, 0.03, 1 - 0.6 / height, _experiment_facts(result), 9, color=GREY)
+    save_figure(figure, path)
+
+
+def _experiment_facts(result: Mapping[str, Any]) -> str:
+    categories = result.get("categories", ())
+    facts = f"{len(categories)} categories, {result.get('n_train', '?')} clips train, "
+    facts += f"{result.get('n_test', '?')} are tested"
+    if result.get("split"):
+        facts += f" ({result['split']}, {result.get('repeats', 1)} x)"
+    spread = any(system.get("f_measure_std") for system in result["systems"].values())
+    return f"{facts}; whiskers: standard deviation over the repeats" if spread else facts

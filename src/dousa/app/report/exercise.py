@@ -1,0 +1,580 @@
+"""The report of an exercise: one page with its repetitions in words, in motion, as pictures and tables; and a CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dousa.app.drawing.charts import Plot, choose_ticks, number_labels, time_ticks, x_labels
+from dousa.app.drawing.markup import Svg, element, escape, format_grade, format_number
+from dousa.app.report.curves import build_details, build_table
+from dousa.app.report.figures import Placement, compute_heading, draw_body, measure_body, place, turn
+from dousa.app.report.page import collect_text, embed_font, fill_slots, font_rule, read_file
+from dousa.arrays import FloatArray
+from dousa.errors import MotionWriteError, OptionError
+from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES, ANGLES, MOVING_DEG, compute_joint_angles
+from dousa.evaluation.exercises.repetitions import (
+    PAIR_NAMES,
+    SHORT,
+    AssessedRepetition,
+    RepetitionsAssessment,
+    choose_angles,
+    choose_pair,
+    compute_median,
+    describe_exercise,
+    describe_trends,
+)
+from dousa.evaluation.words import check_language, format_time
+from dousa.files.disk import atomic_write
+from dousa.messages import load_section
+from dousa.motion import CanonicalMotion
+from dousa.motion.canonical.canonicalise import mirror_canonical
+from dousa.motion.canonical.joints import JOINT_INDEX as J
+
+REPETITIONS_NAME, _PAGE_NAME = "repetitions.csv", "report.html"
+
+
+def write_exercise_report(
+    done: RepetitionsAssessment,
+    performance: CanonicalMotion,
+    folder: str | os.PathLike[str],
+    *,
+    language: str = "en",
+    name: str = "",
+) -> Path:
+    """Write ``report.html`` and ``repetitions.csv``.
+
+    Parameters
+    ----------
+    done : of `dousa.evaluation.assess_repetitions`.
+    performance : the motion that was assessed, as it was recorded.
+    folder : made if it is missing; files of these names in it are replaced.
+    language : ``"en"`` or ``"ja"``, of the page.
+    name : of the performance, in the title.
+
+    Returns
+    -------
+    The path of the page; it needs no other file and no network.
+
+    Raises
+    ------
+    OptionError : a language that there is not, or a folder that cannot be made or written.
+    """
+    check_language(language)
+    page = build_exercise_page(done, performance, language, name)
+    home = Path(folder)
+    contents = {REPETITIONS_NAME: to_repetitions_csv(done), _PAGE_NAME: page.encode("utf-8", "replace")}
+    try:
+        home.mkdir(parents=True, exist_ok=True)
+        for file_name, data in contents.items():
+            with atomic_write(home / file_name) as file:
+                file.write(data)
+    except (OSError, ValueError, MotionWriteError) as error:
+        raise OptionError("report_file.unwritable", folder=folder, reason=error) from error
+    return home / _PAGE_NAME
+
+
+def build_exercise_page(
+    done: RepetitionsAssessment, performance: CanonicalMotion, language: str, name: str = ""
+) -> str:
+    """The page.
+
+    Parameters
+    ----------
+    done, performance : as of `write_exercise_report`.
+    language : ``"en"`` or ``"ja"``.
+    name : of the performance, in the title.
+
+    Returns
+    -------
+    HTML that needs no other file.
+    """
+    from dousa.app.player.data import encode_repetitions, format_player_data, read_player_script, read_player_style
+
+    words = load_section("report_exercise", language)
+    title = words["title"].format(name=name or words["unnamed"])
+    played = _mirror(done, performance)
+    slots = _fill(done, played, title, language)
+    player_data = format_player_data(encode_repetitions(done, played, name, language=language))
+    font = embed_font(collect_text(*slots.values(), player_data))
+    if font.problem:
+        problem = load_section("report", language)["font_missing"].format(reason=font.problem)
+        slots["header"] = _build_header(done, title, (problem,), words, language)
+    frame = {
+        "language": language,
+        "title": escape(title),
+        "font": font_rule(font),
+        "report": fill_slots(read_file("exercise.html"), slots),
+        "data": format_player_data(_collect(done)),
+        "player_data": player_data,
+        "player_style": read_player_style(),
+        "player_script": read_player_script(),
+        "style": "".join(read_file(file) for file in ("colours.css", "page.css", "report.css", "exercise.css")),
+        "script": read_file("exercise.js") + read_file("exercise_page.js"),
+        "text_made_by": escape(words["made_by"]),
+    }
+    return fill_slots(read_file("page.html"), frame)
+
+
+def build_exercise(
+    done: RepetitionsAssessment, performance: CanonicalMotion, language: str, name: str = ""
+) -> dict[str, Any]:
+    """The report for a page that shows other things as well.
+
+    Parameters
+    ----------
+    done, performance, language, name : as of `build_exercise_page`.
+
+    Returns
+    -------
+    ``markup`` of the report; ``data`` for ``dousa.bindExercise``; ``player`` for ``dousa.createPlayer``.
+    """
+    from dousa.app.player.data import encode_repetitions
+
+    words = load_section("report_exercise", language)
+    played = _mirror(done, performance)
+    slots = _fill(done, played, words["title"].format(name=name or words["unnamed"]), language)
+    return {
+        "markup": fill_slots(read_file("exercise.html"), slots),
+        "data": _collect(done),
+        "player": encode_repetitions(done, played, name, language=language),
+    }
+
+
+def _mirror(done: RepetitionsAssessment, performance: CanonicalMotion) -> CanonicalMotion:
+    """The performance as it was measured."""
+    return mirror_canonical(performance) if done.side == "mirrored" else performance
+
+
+def _fill(done: RepetitionsAssessment, played: CanonicalMotion, title: str, language: str) -> dict[str, str]:
+    """What stands in the slots of exercise.html."""
+    words = load_section("report_exercise", language)
+    slots = {f"text_{key}": escape(text) for key, text in words.items()}
+    return slots | {
+        "summary": _list_sentences(done, language),
+        "list": _list_repetitions(done, words, language),
+        "angles": draw_angles(done, played, words, language),
+        "measures": draw_measures(done, words, language),
+        "poses": draw_poses(done, played, words, language),
+        "table": build_repetitions_table(done, words, language),
+        "joints": build_joints_table(done, words, language),
+        "reading": _explain(done, words),
+        "files": escape(words["files"]).format(csv=element("a", {"href": REPETITIONS_NAME}, REPETITIONS_NAME)),
+        "header": _build_header(done, title, (), words, language),
+    }
+
+
+def _collect(done: RepetitionsAssessment) -> dict[str, Any]:
+    """What exercise.js needs: spans to play."""
+    spans = [[round(one.repetition.start_s, 3), round(one.repetition.end_s, 3)] for one in done.repetitions]
+    return {"duration": round(done.duration_s, 4), "repetitions": spans}
+
+
+def _build_header(
+    done: RepetitionsAssessment, title: str, problems: tuple[str, ...], words: Mapping[str, str], language: str
+) -> str:
+    head = element("p", {"class": "overline"}, words["overline"]) + element("h1", None, title)
+    notes = (*(message.render(language) for message in done.warnings), *problems)
+    aside = ""
+    if notes:
+        items = "".join(element("li", None, text) for text in notes)
+        inner = element("h2", None, words["warnings"]) + element("ul", None, inner=items)
+        aside = element("aside", {"class": "warnings"}, inner=inner)
+    parts = element("div", {"class": "heading"}, inner=head) + _build_figures(done, words) + aside
+    return element("header", {"class": "top"}, inner=parts)
+
+
+def _build_figures(done: RepetitionsAssessment, words: Mapping[str, str]) -> str:
+    """How many, how well, how long: the numbers that are looked for first."""
+    score = compute_median([one.score for one in done.complete])
+    tempo = compute_median([one.tempo for one in done.complete])
+    graded = [one.assessment for one in done.complete if one.assessment is not None]
+    calibrated = bool(graded) and graded[0].calibrated
+    incomplete = len(done.repetitions) - done.count
+    figures = [
+        (str(done.count), words["figure_count"], words["figure_incomplete"].format(n=incomplete) if incomplete else ""),
+        (
+            format_grade(score),
+            words["figure_grade"],
+            words["calibrated" if calibrated else "uncalibrated"].format(n=done.n_references),
+        ),
+        (
+            f"{compute_median([one.repetition.duration_s for one in done.complete]):.1f}",
+            words["figure_seconds"],
+            words["figure_tempo"].format(tempo=f"{tempo:.2f}", seconds=f"{done.reference_s:.1f}"),
+        ),
+    ]
+    cells = []
+    for number, text, note in figures:
+        inner = element("span", {"class": "number"}, number) + element("span", {"class": "of"}, text)
+        cells.append(element("div", {"class": "figure-cell"}, inner=inner + element("p", {"class": "note"}, note)))
+    return element("section", {"class": "card exercise-figures"}, inner="".join(cells))
+
+
+def _list_sentences(done: RepetitionsAssessment, language: str) -> str:
+    trends = describe_trends(done)
+    found = trends[0].code != "exercise_table.no_trend"
+    items = "".join(element("li", None, message.render(language)) for message in describe_exercise(done))
+    items += "".join(
+        element("li", {"class": "trend-says" if found else None}, message.render(language)) for message in trends
+    )
+    return element("ul", {"class": "card says-list"}, inner=items)
+
+
+def _list_repetitions(done: RepetitionsAssessment, words: Mapping[str, str], language: str) -> str:
+    """A button for each, which plays it."""
+    main = max(choose_angles(done), key=lambda name: done.reference_ranges[name])
+    items = []
+    for number, one in enumerate(done.repetitions):
+        when = f"{format_time(one.repetition.start_s)}–{format_time(one.repetition.end_s)}"
+        inner = (
+            element("span", {"class": "rep-number", "aria-hidden": "true"}, str(number + 1))
+            + element("span", {"class": "when"}, when)
+            + element("span", {"class": "kind"}, _say_range(one, main, words, language))
+            + element("span", {"class": "says"}, _say_grade(one, words))
+        )
+        tag = {"type": "button", "class": "event repetition", "data-repetition": str(number)}
+        items.append(element("li", None, inner=element("button", tag, inner=inner)))
+    return element("ol", {"class": "event-list"}, inner="".join(items))
+
+
+def _say_grade(one: AssessedRepetition, words: Mapping[str, str]) -> str:
+    if not one.repetition.complete:
+        return words["incomplete"].format(percent=format_number(100.0 * one.repetition.extent, 0))
+    if not math.isfinite(one.score):
+        return words["not_graded"]
+    return words["graded"].format(score=format_grade(one.score))
+
+
+def _say_range(one: AssessedRepetition, angle: str, words: Mapping[str, str], language: str) -> str:
+    ranged = one.get_range(angle)
+    return words["item_range"].format(
+        angle=ANGLE_NAMES[angle].render(language),
+        degrees=format_number(ranged.range_deg, 0),
+        seconds=f"{one.repetition.duration_s:.1f}",
+    )
+
+
+def _explain(done: RepetitionsAssessment, words: Mapping[str, str]) -> str:
+    names = ("grade", "tempo", "range", "sides", "incomplete", "trend")
+    items = "".join(
+        element(
+            "div",
+            None,
+            inner=element("dt", None, inner=element("b", None, words[f"read_{name}_term"]))
+            + element("dd", None, words[f"read_{name}"]),
+        )
+        for name in names
+    )
+    note = words["read_mirrored"] if done.side == "mirrored" else words["read_own_sides"]
+    note += " " + words["read_tempo_same" if done.tempo == "same" else "read_tempo_free"]
+    return element("dl", {"class": "reading"}, inner=items) + element("p", {"class": "note"}, note)
+
+
+def build_repetitions_table(done: RepetitionsAssessment, words: Mapping[str, str], language: str) -> str:
+    """A row for each repetition: when, how long, grade, the joints that move most, both sides.
+
+    Parameters
+    ----------
+    done : the repetitions.
+    words : texts of the page.
+    language : of the names of joints.
+    """
+    angles = choose_angles(done)
+    pairs = tuple(done.repetitions[0].symmetry) if done.repetitions else ()
+    heads = [words[f"col_{name}"] for name in ("number", "time", "duration", "tempo", "pause", "grade")]
+    heads += [
+        words["col_range"].format(
+            angle=ANGLE_NAMES[name].render(language), degrees=format_number(done.reference_ranges[name], 0)
+        )
+        for name in angles
+    ]
+    heads += [words["col_sides"].format(angle=PAIR_NAMES[name].render(language)) for name in pairs]
+    top = "".join(element("th", {"scope": "col"}, text) for text in heads)
+    rows = "".join(_row(number, one, angles, words) for number, one in enumerate(done.repetitions, 1))
+    inner = element("caption", {"class": "sr"}, words["table_title"])
+    inner += element("thead", None, inner=element("tr", None, inner=top)) + element("tbody", None, inner=rows)
+    table = element("table", {"class": "repetition-table"}, inner=inner)
+    return element("div", {"class": "table-wrap", "tabindex": "0"}, inner=table)
+
+
+def _row(number: int, one: AssessedRepetition, angles: tuple[str, ...], words: Mapping[str, str]) -> str:
+    found = one.repetition
+    grade = format_grade(one.score)
+    if not found.complete:
+        grade = words["incomplete"].format(percent=format_number(100.0 * found.extent, 0))
+    texts = [
+        f"{format_time(found.start_s)}–{format_time(found.end_s)}",
+        f"{found.duration_s:.2f}",
+        f"× {one.tempo:.2f}" if math.isfinite(one.tempo) else "–",
+        f"{one.pause_s:.1f}" if math.isfinite(one.pause_s) else "–",
+        grade,
+    ]
+    cells = element("th", {"scope": "row"}, str(number)) + "".join(element("td", None, text) for text in texts)
+    for name in angles:
+        ranged = one.get_range(name)
+        text = f"{ranged.range_deg:.0f}°" if math.isfinite(ranged.range_deg) else "–"
+        if math.isfinite(ranged.percent):
+            text += f" ({ranged.percent:.0f} %)"
+        short = found.complete and ranged.percent < SHORT
+        cells += element("td", {"class": "short-range" if short else None}, inner=element("span", None, text))
+    for value in one.symmetry.values():
+        cells += element("td", None, f"{value:+.0f} %" if math.isfinite(value) else "–")
+    return element("tr", {"class": None if found.complete else "incomplete-row"}, inner=cells)
+
+
+def build_joints_table(done: RepetitionsAssessment, words: Mapping[str, str], language: str) -> str:
+    """Every joint angle in every repetition, opened when asked for: its range, and from where to where."""
+    heads = [words["col_joint"], words["reference"]]
+    heads += [str(number) for number in range(1, len(done.repetitions) + 1)]
+    rows = []
+    for name in ANGLES:
+        reference = done.reference_ranges[name]
+        cells = [ANGLE_NAMES[name].render(language), f"{format_number(reference, 0)}°"]
+        for one in done.repetitions:
+            ranged = one.get_range(name)
+            if math.isfinite(ranged.range_deg):
+                cells.append(f"{ranged.range_deg:.0f}° ({ranged.least_deg:.0f} – {ranged.most_deg:.0f})")
+            else:
+                cells.append("–")
+        rows.append(cells)
+    note = element("p", {"class": "note"}, words["joints_note"].format(degrees=format_number(MOVING_DEG, 0)))
+    return build_details(words["joints_title"], build_table(heads, rows, words["joints_title"]) + note, len(ANGLES))
+
+
+def to_repetitions_csv(assessment: RepetitionsAssessment) -> bytes:
+    """A row for each repetition, the incomplete ones too: all angles in degrees, nothing where there is no value."""
+    pairs = tuple(assessment.repetitions[0].symmetry) if assessment.repetitions else ()
+    names = ["number", "complete", "start_s", "end_s", "duration_s", "pause_s", "extent", "tempo", "score"]
+    names += [f"{angle}_{what}" for angle in ANGLES for what in ("least_deg", "most_deg", "range_deg", "reference_deg")]
+    names += [f"{pair}_symmetry_percent" for pair in pairs]
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    for number, one in enumerate(assessment.repetitions, 1):
+        found = one.repetition
+        row: list[object] = [number, int(found.complete)]
+        row += [_cell(value, 3) for value in (found.start_s, found.end_s, found.duration_s, one.pause_s, found.extent)]
+        row += [_cell(one.tempo, 3), _cell(one.score, 1)]
+        for ranged in one.ranges:
+            values = (ranged.least_deg, ranged.most_deg, ranged.range_deg, ranged.reference_deg)
+            row += [_cell(value, 1) for value in values]
+        writer.writerow(row + [_cell(one.symmetry[pair], 1) for pair in pairs])
+    return text.getvalue().encode()
+
+
+def _cell(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else ""
+
+
+_MOST_POINTS = 3000
+_VIEWS = (0.0, 45.0, -45.0, 90.0, -90.0)  # degrees towards the performer's right
+_CELL = (150.0, 190.0)
+_MOST_POSES = 24
+
+
+def draw_angles(
+    done: RepetitionsAssessment, performance: CanonicalMotion, words: Mapping[str, str], language: str
+) -> str:
+    """The joint angles that move most, over time, with the repetitions as bands to press.
+
+    Parameters
+    ----------
+    done : the repetitions.
+    performance : as it was measured: mirrored if they were.
+    words : texts of the page.
+    language : of the names of joints.
+    """
+    names = choose_angles(done)
+    curves = compute_joint_angles(performance)
+    step = max(-(-performance.n_frames // _MOST_POINTS), 1)
+    times = np.arange(performance.n_frames)[::step] / performance.frame_rate
+    shown = {name: curves[name][::step] for name in names}
+    known = np.concatenate([values[np.isfinite(values)] for values in shown.values()])
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    low, high = min(low - 3.0, 0.0), high + 0.12 * (high - low) + 3.0
+    plot = Plot((0.0, max(done.duration_s, 1e-6)), (low, high), words["angles_label"], "angle-plot")
+    for number, one in enumerate(done.repetitions, 1):
+        found = one.repetition
+        css = "repetition" if found.complete else "repetition incomplete"
+        plot.span(found.start_s, found.end_s, css, str(number), data_repetition=str(number - 1))
+    key = []
+    for number, name in enumerate(names, 1):
+        plot.curve(times, shown[name], f"angle angle-{number}")
+        key.append((f"angle-{number}", ANGLE_NAMES[name].render(language)))
+    plot.cursor()
+    ticks = [(value, f"{value:.0f}°") for value in choose_ticks(low, high, 5)]
+    labels = x_labels(time_ticks(done.duration_s), max(done.duration_s, 1e-6))
+    return plot.to_markup(ticks, labels, key=key)
+
+
+def draw_measures(done: RepetitionsAssessment, words: Mapping[str, str], language: str) -> str:
+    """Grade, duration, ranges and sides from repetition to repetition, a column each; the reference as a line."""
+    ones = done.repetitions
+    plots = [
+        _columns(done, [one.score for one in ones], words["grade"], "", digits=0, top=100.0, trend="score"),
+        _columns(
+            done,
+            [one.repetition.duration_s for one in ones],
+            words["duration"],
+            " s",
+            digits=1,
+            reference=done.reference_s,
+            trend="duration_s",
+        ),
+    ]
+    for name in choose_angles(done):
+        values = [one.get_range(name).range_deg for one in ones]
+        title = words["range_of"].format(angle=ANGLE_NAMES[name].render(language))
+        reference = done.reference_ranges[name]
+        plots.append(_columns(done, values, title, "°", digits=0, reference=reference, trend=name))
+    pair = choose_pair(done)
+    if pair is not None:
+        title = words["sides_of"].format(angle=PAIR_NAMES[pair].render(language))
+        plots.append(_columns(done, [one.symmetry[pair] for one in ones], title, " %", digits=0, both=True))
+    key = [("bar-of", words["key_complete"]), ("bar-of incomplete", words["key_incomplete"])]
+    key += [("reference", words["reference"]), ("trend", words["key_trend"])]
+    keys = "".join(
+        element("span", None, inner=element("i", {"class": f"key-mark {css}"}) + element("span", None, text))
+        for css, text in key
+    )
+    grid = element("div", {"class": "measures"}, inner="".join(plots))
+    return grid + element("div", {"class": "plot-key"}, inner=keys)
+
+
+def _columns(
+    done: RepetitionsAssessment,
+    values: Sequence[float],
+    title: str,
+    unit: str,
+    *,
+    digits: int,
+    reference: float = math.nan,
+    top: float = 0.0,
+    trend: str = "",
+    both: bool = False,
+) -> str:
+    known = [abs(value) for value in (*values, reference) if math.isfinite(value)]
+    high = top or 1.25 * max([*known, 20.0 if both else 1e-6])
+    low = -high if both else 0.0
+    count = len(values)
+    plot = Plot((0.5, count + 0.5), (low, high), title, "columns")
+    if both:
+        plot.level(0.0, "zero")
+    plot.level(reference, "reference")
+    for number, (value, one) in enumerate(zip(values, done.repetitions, strict=True), 1):
+        css = "" if one.repetition.complete else "incomplete"
+        text = f"{value:+.{digits}f}" if both else format_number(value, digits)
+        plot.bar(number - 0.36, number + 0.36, value, css, text if count <= _MOST_POSES else "")
+    _add_trend(plot, done, values, trend)
+    ticks = [(value, f"{format_number(value, 1)}{unit}") for value in choose_ticks(low, high, 3)]
+    labels = number_labels([str(number) for number in range(1, count + 1)], 12)
+    return element("div", {"class": "card measure"}, inner=plot.to_markup(ticks, labels, name=title))
+
+
+def _add_trend(plot: Plot, done: RepetitionsAssessment, values: Sequence[float], name: str) -> None:
+    """Add the line of a significant trend, through the middle of the complete repetitions."""
+    found = done.trends.get(name)
+    if found is None or not found.distinguishable:
+        return
+    complete = [
+        (number, value)
+        for number, (value, one) in enumerate(zip(values, done.repetitions, strict=True), 1)
+        if one.repetition.complete and math.isfinite(value)
+    ]
+    order = np.arange(len(complete), dtype=np.float64)
+    middle = compute_median([value - found.slope * place for place, (_, value) in enumerate(complete)])
+    plot.curve(np.array([number for number, _ in complete], np.float64), middle + found.slope * order, "trend")
+
+
+def draw_poses(
+    done: RepetitionsAssessment, performance: CanonicalMotion, words: Mapping[str, str], language: str
+) -> str:
+    """The pose in which each repetition goes furthest, beside the reference's; seen from where it shows most.
+
+    Parameters
+    ----------
+    done, performance : as of `draw_angles`.
+    words : texts of the page.
+    language : of the names of joints.
+    """
+    name = max(choose_angles(done), key=lambda angle: done.reference_ranges[angle])
+    angle = compute_joint_angles(performance)[name]
+    cells: list[tuple[FloatArray, str, str, str | None]] = []
+    graded = next((one.assessment for one in done.repetitions if one.assessment is not None), None)
+    ways: list[tuple[FloatArray, FloatArray]] = []
+    if graded is not None:
+        model = replace(
+            performance,
+            positions=np.asarray(graded.reference.positions, np.float64),
+            frame_rate=graded.reference.frame_rate,
+            missing=None,
+        )
+        theirs = compute_joint_angles(model)[name]
+        first, pose = _find_furthest(model, theirs, 0, model.n_frames)
+        ways.append((_face(model, first), _face(model, pose)))
+        text = words["pose"].format(name=words["reference"], degrees=format_number(float(theirs[pose]), 0))
+        cells.append((ways[0][1], text, "reference", None))
+    for number, one in enumerate(done.repetitions[:_MOST_POSES], 1):
+        found = one.repetition
+        first, pose = _find_furthest(performance, angle, found.start, found.end)
+        ways.append((_face(performance, first), _face(performance, pose)))
+        text = words["pose"].format(name=_name(number, one, words), degrees=format_number(float(angle[pose]), 0))
+        cells.append((ways[-1][1], text, "performance" if found.complete else "performance faint", str(number - 1)))
+    azimuth = math.radians(_choose_view(ways))
+    turned = [turn(pose, azimuth) for pose, *_ in cells]
+    common = place(turned, *_CELL, 10.0)
+    figures = [
+        _draw_cell(pose, text, css, repetition, common)
+        for pose, (_, text, css, repetition) in zip(turned, cells, strict=True)
+    ]
+    lead = words["poses_text"].format(angle=ANGLE_NAMES[name].render(language))
+    return element("p", {"class": "lead"}, lead) + element("div", {"class": "poses"}, inner="".join(figures))
+
+
+def _name(number: int, one: AssessedRepetition, words: Mapping[str, str]) -> str:
+    return words["number_at"].format(number=number, time=format_time(one.repetition.start_s))
+
+
+def _find_furthest(motion: CanonicalMotion, angle: FloatArray, start: int, end: int) -> tuple[int, int]:
+    """Frames at which a repetition begins, and at which an angle is furthest from what it is then."""
+    last = min(end, motion.n_frames)
+    begin = min(start, last - 1)
+    away = np.abs(angle[begin:last] - angle[begin])
+    return begin, begin + (int(np.nanargmax(away)) if np.isfinite(away).any() else 0)
+
+
+def _face(motion: CanonicalMotion, frame: int) -> FloatArray:
+    """One pose (20, 3) over its own pelvis, in body lengths, facing the viewer, its lower foot on the floor."""
+    pose = np.asarray(motion.positions[frame], np.float64) / measure_body(np.asarray(motion.positions, np.float64))
+    pose = pose - pose[J["pelvis"]] * [1.0, 0.0, 1.0]
+    return turn(pose - [0.0, float(np.nanmin(pose[:, 1])), 0.0], -compute_heading(pose))
+
+
+def _choose_view(ways: Sequence[tuple[FloatArray, FloatArray]]) -> float:
+    """Degrees from which the way from the first pose to the furthest one is longest in the picture."""
+    shown = []
+    for view in _VIEWS:
+        gaps = [turn(pose - first, math.radians(view))[:, :2] for first, pose in ways]
+        shown.append(float(np.nansum([np.linalg.norm(gap, axis=1).sum() for gap in gaps])))
+    shown[0] *= 1.1  # the front wins ties
+    return _VIEWS[int(np.argmax(shown))]
+
+
+def _draw_cell(pose: FloatArray, text: str, css: str, repetition: str | None, common: Placement) -> str:
+    svg = Svg(*_CELL, text, "figure pose")
+    svg.line([(6.0, common.bottom), (_CELL[0] - 6.0, common.bottom)], "floor")
+    draw_body(svg, pose, common, css)
+    caption = element("span", {"class": "caption-text"}, text)
+    if repetition is None:
+        return element("div", {"class": "pose-cell"}, inner=svg.to_markup() + caption)
+    tag = {"type": "button", "class": "pose-cell", "data-repetition": repetition}
+    return element("button", tag, inner=svg.to_markup() + caption)
