@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from dousa.motion import CanonicalMotion
 
 
-_LIMBS = (
+LIMB_JOINTS = (
     ("left_shoulder", "left_elbow", "left_wrist", "left_hand"),
     ("right_shoulder", "right_elbow", "right_wrist", "right_hand"),
     ("left_hip", "left_knee", "left_ankle", "left_toe"),
@@ -116,7 +116,7 @@ def draw_body(svg: Svg, pose: FloatArray, placement: Placement, css_class: str, 
         return
     trunk = places[[J[name] for name in _TRUNK]]
     svg.add("polygon", {"points": " ".join(f"{x:.1f},{y:.1f}" for x, y in trunk), "class": f"trunk {css_class}"})
-    far_first = sorted(_LIMBS, key=lambda names: float(pose[[J[name] for name in names], 2].mean()))
+    far_first = sorted(LIMB_JOINTS, key=lambda names: float(pose[[J[name] for name in names], 2].mean()))
     for names in far_first:
         _path(svg, places, names, f"limb {css_class}")
     _path(svg, places, ("neck", "head"), f"limb {css_class}")

@@ -1,7 +1,7 @@
-"""Pictures: the contact sheet of a motion, the answer to a search, the figures of the experiment.
+"""Sheets of stick figures: the contact sheet of a motion, the answer to a search.
 
-Left and right, match and mismatch and the systems of the experiment differ by colour and by line, marker,
-hatching or word, so that every picture can be read without colour.
+Left and right, match and mismatch differ by colour and by line, marker or word, so that every picture can be read
+without colour.
 """
 
 from __future__ import annotations
@@ -13,7 +13,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dousa.app.drawing.body import FRONT, HEAD_RADIUS, SIDE, THREE_QUARTER, Figurine, extent, place_poses, to_figurine
+from dousa.app.drawing.body import (
+    FRONT,
+    HEAD_RADIUS,
+    LIMB_JOINTS,
+    SIDE,
+    THREE_QUARTER,
+    Figurine,
+    extent,
+    place_poses,
+    to_figurine,
+)
 from dousa.app.pictures.canvas import (
     BLUE,
     FAINT,
@@ -356,10 +366,7 @@ def _draw_people(axes: Any, poses: FloatArray, height: float, view: float) -> No
     for limb in LIMBS:
         # From the side the right limbs are nearer to the viewer than the left ones.
         depth = 2.0 if view > 0 and limb.side == "left_" else 4.0
-        arm, leg = (
-            indices(*(limb.side + joint for joint in chain))
-            for chain in (("shoulder", "elbow", "wrist", "hand"), ("hip", "knee", "ankle", "toe"))
-        )
+        arm, leg = (indices(*chain) for chain in LIMB_JOINTS if chain[0].startswith(limb.side))
         girdles = [[*indices("neck"), arm[0]], [*indices("pelvis"), leg[0]]]
         _lines(axes, poses, girdles, color=INK, lw=1.4, zorder=3)
         _lines(axes, poses, [arm, leg], color=limb.colour, ls=limb.line, lw=1.7, zorder=depth)

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from dousa.app.drawing.body import Placement, compute_heading, draw_body, measure_body, place, turn
 from dousa.app.drawing.charts import Plot, choose_ticks, number_labels, time_ticks, x_labels
 from dousa.app.drawing.markup import Svg, element, escape, format_grade, format_number
 from dousa.app.report.curves import build_details, build_table
-from dousa.app.report.figures import Placement, compute_heading, draw_body, measure_body, place, turn
 from dousa.app.report.page import collect_text, embed_font, fill_slots, font_rule, read_file
 from dousa.arrays import FloatArray
 from dousa.errors import MotionWriteError, OptionError
