@@ -79,7 +79,8 @@ def written(monkeypatch):
         found.append([text.get_text() for part in (figure, *figure.axes) for text in part.texts])
         _canvas.save_figure(figure, path)
 
-    monkeypatch.setattr("dousa.app.pictures.sheets.save_figure", keep)
+    for module in ("sheets", "charts"):
+        monkeypatch.setattr(f"dousa.app.pictures.{module}.save_figure", keep)
     return found
 
 
