@@ -39,7 +39,7 @@ def test_commands_and_options_exist(page):
 
     commands = get_command(app).commands
     text = re.sub(r"\\\n\s*", " ", page.read_text(encoding="utf-8"))
-    for line in re.findall(r"(?:^|`|\$ )dousa (?:-[\w-]+ \S+ )*([a-z]+[^`\n]*)", text, re.MULTILINE):
+    for line in re.findall(r"(?:^|`|\$ )dousa (?:-[\w-]+ [^\s`]+ )*([a-z]+[^`\n]*)", text, re.MULTILINE):
         name, *words = line.split()
         assert name in commands, f"{page.name}: no command '{name}'"
         known = {option for parameter in commands[name].params for option in parameter.opts}
