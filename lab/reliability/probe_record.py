@@ -13,6 +13,7 @@ import io
 import json
 import os
 import re
+import runpy
 import sqlite3
 import sys
 import time
@@ -107,7 +108,7 @@ class Record:
         Parameters
         ----------
         place : where its leaves stand.
-        words : of the command, without ``dousa``.
+        words : of the command, without ``dousa``; or a program of the lab, such as ``lab.errors``, and its words.
         keep : as in `put`.
         stdin : what it reads.
         prose : the answer is a table for people; else JSON, or JSON lines.
@@ -121,7 +122,9 @@ class Record:
 
         out, err = (io.TextIOWrapper(io.BytesIO(), "utf-8", write_through=True) for _ in range(2))
         given = io.TextIOWrapper(io.BytesIO(stdin.encode()), "utf-8")
-        arguments = ["dousa", *map(str, words)]
+        arguments = list(map(str, words))
+        if not arguments[0].startswith("lab."):
+            arguments.insert(0, "dousa")
         code: object = 0
         with (
             redirect_stdout(out),
@@ -129,7 +132,10 @@ class Record:
             mock.patch.multiple(sys, argv=arguments, stdin=given),
         ):
             try:
-                main()
+                if str(words[0]).startswith("lab."):
+                    runpy.run_module(str(words[0]), run_name="__main__", alter_sys=True)
+                else:
+                    main()
             except SystemExit as ended:
                 code = ended.code or 0
         answer, notes = (stream.buffer.getvalue().decode() for stream in (out, err))  # type: ignore[attr-defined]

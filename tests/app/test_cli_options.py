@@ -10,8 +10,7 @@ from typing import Annotated, Any
 import pytest
 import typer
 
-from dousa.app.cli.main import app
-from dousa.app.cli.usage import count_options, mark_tags, split_tags, to_typer_command
+from dousa.app.cli.usage import mark_tags, split_tags, to_typer_command
 from dousa.app.requests.estimation import EstimationRequest, Outputs
 from dousa.app.requests.reading import Reading, UnitReading
 from dousa.errors import OptionError
@@ -52,13 +51,6 @@ def test_an_option_that_is_there_twice_is_refused():
 
     with pytest.raises(ValueError, match="duplicate"):
         to_typer_command(draw)
-
-
-def test_there_are_not_too_many_commands_and_options():
-    counts = count_options(app)
-    assert set(counts) >= {"", "add", "search", "estimate", "evaluate"}
-    assert len(counts) - 1 <= 28
-    assert sum(counts.values()) <= 202  # two of them install the completion of words
 
 
 def test_options_of_a_file_become_those_that_it_is_read_with(tmp_path):

@@ -1,4 +1,4 @@
-"""The demonstration's second act: the dance and its pupil, and an honest comparison with what was injected."""
+"""The demonstration's second act: the dance, its pupil, and an honest comparison with the mistakes put in."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from rich.console import Console
 
 import dousa.evaluation
 from app.fake_assessment import make_assessment
-from dousa.app.demo.evaluation import compare_with_truth, run_dance_demo, write_dance
+from dousa.app.demo.evaluation import match_mistakes, run_dance_demo, write_dance
 from dousa.errors import OptionError
 from dousa.evaluation import ErrorEvent
 from dousa.formats.registry import read_motion
 from dousa.motion import canonicalise
-from lab.injection.injection import Error
+from dousa.motion.synthetic import Mistake
 
 KINDS = ["global", "incomplete", "partial", "shift"]
 
 
-def make_error(kind, start, end, **sizes):
-    return Error(kind, "any", start, end, ("left_upper_arm", "left_forearm"), **sizes)
+def make_mistake(kind, start, end):
+    return Mistake(kind, start, end, ("left_upper_arm", "left_forearm"))
 
 
 def make_event(kind, start, end, lag=None, short=None):
@@ -39,12 +39,12 @@ def written(tmp_path_factory):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_there_is_one_error_of_each_class_whatever_the_seed(tmp_path, seed):
-    _, _, errors = write_dance(tmp_path, seed)
-    assert sorted(error.kind for error in errors) == KINDS
-    starts = [error.start_s for error in errors]
+def test_there_is_one_mistake_of_each_kind_whatever_the_seed(tmp_path, seed):
+    _, _, mistakes = write_dance(tmp_path, seed)
+    assert sorted(mistake.kind for mistake in mistakes) == KINDS
+    starts = [mistake.start_s for mistake in mistakes]
     assert starts == sorted(starts)
-    for before, after in itertools.pairwise(errors):
+    for before, after in itertools.pairwise(mistakes):
         assert after.start_s - before.end_s > 2
 
 
@@ -55,7 +55,7 @@ def test_the_same_seed_writes_the_same_files(written, tmp_path):
     assert written[2] == again[2]
 
 
-def test_the_pupil_is_somebody_else_but_dances_this_dance(written):
+def test_the_pupil_has_another_body_but_dances_this_dance(written):
     reference, pupil = (canonicalise(read_motion(path)) for path in written[:2])
     assert reference.n_frames == pupil.n_frames
     assert abs(reference.height / pupil.height - 1) > 0.01
@@ -63,26 +63,19 @@ def test_the_pupil_is_somebody_else_but_dances_this_dance(written):
     assert np.corrcoef(*bones)[0, 1] > 0.8  # how the left upper arm rises and falls
 
 
-def test_errors_and_events_are_paired():
-    errors = [make_error("shift", 1, 3), make_error("global", 5, 7), make_error("partial", 9, 10)]
-    errors.append(make_error("incomplete", 14, 16))
+def test_mistakes_and_events_are_paired():
+    mistakes = [make_mistake("shift", 1, 3), make_mistake("global", 5, 7), make_mistake("partial", 9, 10)]
+    mistakes.append(make_mistake("incomplete", 14, 16))
     events = [
         make_event("shift", 1.1, 3.0),
-        make_event("shift", 1.0, 2.2),  # covers the same error less well
+        make_event("shift", 1.0, 2.2),  # covers the same mistake less well
         make_event("partial", 5.5, 7.5),
-        make_event("partial", 9.7, 11),  # of the right class, but hardly there
+        make_event("partial", 9.7, 11),  # of the right kind, but overlaps little
         make_event("incomplete", 19, 21),
     ]
-    pairs, others = compare_with_truth(errors, events)
-    assert pairs == [
-        (errors[0], events[0], True),
-        (errors[1], events[2], False),
-        (errors[2], events[3], False),
-        (errors[3], None, False),
-    ]
-    assert others == [events[1], events[4]]
-    assert compare_with_truth([], events) == ([], events)
-    assert compare_with_truth(errors, []) == ([(error, None, False) for error in errors], [])
+    assert match_mistakes(mistakes, events) == [events[0], events[2], events[3], None]
+    assert match_mistakes([], events) == []
+    assert match_mistakes(mistakes, []) == [None] * 4
 
 
 @pytest.fixture

@@ -119,16 +119,6 @@ def _list_options(group: Any) -> list[inspect.Parameter]:
     ]
 
 
-def count_options(application: typer.Typer) -> dict[str, int]:
-    """Count the options of each command, without ``--help``; those before the command under an empty name."""
-    group: Any = typer.main.get_command(application)
-    commands = {"": group, **group.commands}
-    return {
-        name: sum(parameter.param_type_name == "option" for parameter in command.params)
-        for name, command in commands.items()
-    }
-
-
 # Typer brings its own copy of click in newer versions: the classes are had from where its errors are made.
 _exceptions: Any = sys.modules[typer.BadParameter.__module__]
 
