@@ -8,10 +8,10 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.correspondence import find_path
-from dousa.evaluation.errors.evidence import runs_of
 from dousa.evaluation.posture.posture import LIMBS, compute_postures
 from dousa.evaluation.posture.yaw import estimate_yaw, rotate_yaw
 from dousa.motion import CanonicalMotion
+from dousa.motion.runs import find_runs
 from lab.training.judge_metrics import Report
 
 _RATE, _WINDOW_S = 15.0, 1.0
@@ -77,7 +77,7 @@ def _list(
     missing: FloatArray | None = None,
 ) -> list[Report]:
     found = []
-    for start, end in runs_of(np.asarray(mask, np.bool_)):
+    for start, end in find_runs(np.asarray(mask, np.bool_)).tolist():
         if end - start >= _SHORTEST_S * _RATE:
             lag_ms = None if lag is None else 1000.0 * float(np.median(lag[start:end]))
             short = None if missing is None else float(np.degrees(missing[start:end].max()))

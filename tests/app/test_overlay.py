@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -17,7 +16,6 @@ from dousa.app.pictures.overlay_sheet import (
     Timeline,
     choose_frames,
     draw_overlay_sheet,
-    find_spans,
     mean_overlap,
 )
 from dousa.app.pictures.overlay_view import ALARM, LEFT, RIGHT, ViewPainter, draw_dashed, draw_line
@@ -29,6 +27,7 @@ from dousa.estimation.raster.rendering import render
 from dousa.estimation.silhouettes.silhouettes import PackedSilhouettes, Silhouettes
 from dousa.estimation.tracking.settings import Estimate
 from dousa.messages import Message
+from dousa.motion.runs import find_runs
 
 N_FRAMES = 6
 
@@ -224,7 +223,7 @@ def test_a_dashed_line_has_gaps_of_a_few_pixels():
         draw(canvas, line, RIGHT, 2)
         drawn.append((canvas[10] < 250).any(axis=1)[5:95])
     assert drawn[0].all()
-    gaps = find_spans(~drawn[1])
+    gaps = find_runs(~drawn[1]).tolist()
     assert len(gaps) >= 5 and all(2 <= stop - start <= 7 for start, stop in gaps)
 
 
@@ -357,18 +356,6 @@ def test_the_worst_frame_is_among_those_chosen(n_frames, count, seed, gone):
 
 
 BODY = make_human()
-
-
-@settings(max_examples=50, deadline=None)
-@given(st.lists(st.booleans(), max_size=30))
-def test_spans_are_the_runs_of_true_flags(flags):
-    spans = find_spans(np.array(flags, bool))
-    back = np.zeros(len(flags), bool)
-    for start, stop in spans:
-        assert not back[start:stop].any() and start < stop
-        back[start:stop] = True
-    assert back.tolist() == flags
-    assert all(a[1] < b[0] for a, b in pairwise(spans))
 
 
 def test_no_short_failure_vanishes_from_a_long_curve(body):

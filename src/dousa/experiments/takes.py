@@ -36,6 +36,7 @@ from dousa.experiments.runner import (
 )
 from dousa.experiments.table import Cell, Result, ResultTable, show
 from dousa.messages import Message
+from dousa.motion.runs import find_equal_runs
 from dousa.retrieval.features.feature_sets import DEFAULT_FEATURE_SET, FeatureSet, get_feature_set
 from dousa.retrieval.features.posed_motion import LabelledClip
 from dousa.retrieval.forest.forest import MotionForest
@@ -316,10 +317,9 @@ def _label_frames(forest: MotionForest, take: TakeWindows) -> list[Segment]:
     np.add.at(sums, take.starts, votes)
     np.subtract.at(sums, take.stops, votes)
     best = np.cumsum(sums, axis=0)[:-1].argmax(axis=1)
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(best)) + 1, [len(best)]])
     return [
         Segment(start / TAKE_RATE, stop / TAKE_RATE, str(forest.classes_[best[start]]), 1.0)
-        for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
+        for start, stop in find_equal_runs(best).tolist()
     ]
 
 

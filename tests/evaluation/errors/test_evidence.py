@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from oracles.wrong_dances import ARM, be_late, choose, get_dance, lose, place, shrink_arm, turn_limb
 
 from dousa.evaluation.errors.evidence import (
@@ -19,7 +16,6 @@ from dousa.evaluation.errors.evidence import (
     find_stretches,
     gather_evidence,
     refine_lag,
-    runs_of,
 )
 from dousa.evaluation.posture.posture import compute_postures, thin_postures
 from dousa.motion import CanonicalMotion
@@ -35,18 +31,6 @@ def gather(performance: CanonicalMotion, reference: CanonicalMotion = MOTION, we
     theirs, ours = (thin_postures(compute_postures(motion)) for motion in (reference, performance))
     deviations = compute_deviations(theirs, ours, np.arange(float(ours.n_frames)), weights)
     return gather_evidence(deviations, TOLERANCE, 0.07, weights)
-
-
-@given(st.lists(st.booleans(), max_size=30))
-def test_stretches_of_a_mask_are_its_true_frames(values: list[bool]) -> None:
-    runs = runs_of(np.array(values, bool))
-    rebuilt = np.zeros(len(values), bool)
-    for start, end in runs:
-        assert start < end
-        rebuilt[start:end] = True
-    assert rebuilt.tolist() == values
-    # No two touch.
-    assert all(earlier[1] < later[0] for earlier, later in pairwise(runs))
 
 
 def test_values_at_a_lag_are_those_of_the_column() -> None:

@@ -13,11 +13,11 @@ from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import Motion, Skeleton, Trajectories, canonicalise, compute_trajectories, retarget
 from dousa.motion.kinematics import forward_kinematics
 from dousa.motion.retargeting import find_contacts, measure_directions, measure_skating
-from dousa.motion.retargeting.contacts import list_stretches
 from dousa.motion.retargeting.feet import Foot, plan_foot
 from dousa.motion.retargeting.planting import bend, lower_pelvis, share_moves
 from dousa.motion.retargeting.rig import build_rig
 from dousa.motion.rotations import conjugate, multiply, rotate
+from dousa.motion.runs import find_runs
 from dousa.motion.synthetic import draw_performer, make_motion
 
 CHARACTERS = {
@@ -260,4 +260,4 @@ def test_contacts_of_a_walk():
     toes = motion.positions[:, [motion.to_trajectories().names.index(f"{s}_toe") for s in ("left", "right")]]
     assert measure_skating(toes, contacts) < 0.1
     for side in range(2):
-        assert all(end - start >= 2 for start, end in list_stretches(contacts[:, side]))
+        assert all(end - start >= 2 for start, end in find_runs(contacts[:, side]))

@@ -39,6 +39,7 @@ from dousa.app.pictures.overlay_view import (
 )
 from dousa.arrays import FloatArray, Image
 from dousa.errors import OptionError
+from dousa.motion.runs import find_runs
 
 if TYPE_CHECKING:
     from dousa.estimation.cameras.camera import Camera
@@ -55,12 +56,6 @@ def mean_overlap(iou: FloatArray) -> FloatArray:
     counts = known.sum(axis=1)
     sums = np.where(known, iou, 0.0).sum(axis=1)
     return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
-
-
-def find_spans(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First frame and the one after the last of every run of true flags."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 class Timeline:
@@ -96,7 +91,7 @@ class Timeline:
         return np.asarray(_EDGE + (self._height - 2 * _EDGE) * (1.0 - overlap))
 
     def _draw_lost(self, lost: NDArray[np.bool_]) -> None:
-        for start, stop in find_spans(lost):
+        for start, stop in find_runs(lost).tolist():
             left, right = self._column(start - 0.5), self._column(stop - 0.5)
             more = max(0.0, _LEAST_BAND - (right - left)) / 2.0
             left = max(int(left - more), _LEFT_MARGIN)
@@ -416,7 +411,7 @@ class _Sheet:
     def _mark_lost(self, axes: Any, overlap: FloatArray) -> None:
         """Hatched spans, with the word where it finds room beside the curve."""
         estimate = self._estimate
-        spans = find_spans(estimate.lost)
+        spans = find_runs(estimate.lost).tolist()
         for start, stop in spans:
             edges = ((start - 0.5) / estimate.frame_rate, (stop - 0.5) / estimate.frame_rate)
             axes.axvspan(*edges, facecolor="#fbeaea", edgecolor="#e3a5a5", hatch="//", linewidth=0.6)

@@ -30,6 +30,7 @@ from dousa.evaluation.alignment.correspondence import compute_correlation_matrix
 from dousa.evaluation.grade.result import Assessment
 from dousa.evaluation.posture.posture import SEGMENTS
 from dousa.evaluation.words import KINDS, LAPSE_KINDS, SEGMENT_NAMES, format_time, name_all
+from dousa.motion.runs import find_runs
 
 _MOST_PIXELS = 560
 _MANY_FURI = 30
@@ -296,10 +297,8 @@ def _distance_row(assessment: Assessment, duration: float, words: Mapping[str, s
 
 def _area(times: FloatArray, over: FloatArray, base: FloatArray, duration: float, top: float) -> str:
     """Path data of the stretches between a curve and its limit."""
-    known = np.isfinite(over)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
     parts = []
-    for start, end in zip(edges[::2], edges[1::2], strict=True):
+    for start, end in find_runs(np.isfinite(over)):
         share = max(2, min(end - start, 400))
         picks = np.unique(np.linspace(start, end - 1, share).round().astype(int))
         x = _WIDTH * np.concatenate([times[picks], times[picks][::-1]]) / duration

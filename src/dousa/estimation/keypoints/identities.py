@@ -8,7 +8,6 @@ the person would be, how much the size differs. Who is two pieces at a time is n
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IntArray
 from dousa.estimation.keypoints.people import CORE, measure_middle
+from dousa.motion.runs import find_equal_runs
 
 _TOUCH = 0.2  # of the crop's size between the middles of two people
 _JUMP = 0.2  # of the crop's size, off the place where the person was expected
@@ -122,15 +122,14 @@ def cut_stretches(sightings: NDArray[np.void]) -> list[Piece]:
     """The pieces of all stretches, in the order in which they begin."""
     middles, sizes = measure_middle(sightings["points"]), sightings["crop"][:, 2]
     touching = np.zeros(len(sightings), bool)
-    borders = np.flatnonzero(np.diff(sightings["frame"], prepend=-1, append=np.iinfo(np.int32).max))
-    for start, stop in itertools.pairwise(borders):
+    for start, stop in find_equal_runs(sightings["frame"]):
         apart = np.linalg.norm(middles[start:stop, None] - middles[None, start:stop], axis=2)
         near = apart < _TOUCH * np.minimum(sizes[start:stop, None], sizes[None, start:stop])
         touching[start:stop] = near.sum(axis=1) > 1
     pieces = []
     for stretch in np.unique(sightings["stretch"]):
         rows = np.flatnonzero(sightings["stretch"] == stretch)
-        cuts = np.flatnonzero(np.diff(touching[rows])) + 1
+        cuts = find_equal_runs(touching[rows])[1:, 0]
         moves = np.diff(middles[rows], axis=0, prepend=middles[rows[:1]])
         off = np.linalg.norm(np.diff(moves, axis=0, prepend=moves[:1]), axis=1) / sizes[rows]
         cuts = np.union1d(cuts, np.flatnonzero(off > _JUMP)).astype(int)

@@ -14,7 +14,6 @@ from dousa.errors import OptionError
 from dousa.evaluation.advice.directions import Correction, PairedDancers, PosePairs, find_corrections
 from dousa.evaluation.alignment.correspondence import compute_correlation_matrix
 from dousa.evaluation.alignment.lines import Lapse
-from dousa.evaluation.errors.evidence import runs_of
 from dousa.evaluation.figures.furi import Furi
 from dousa.evaluation.grade.result import Assessment, ErrorEvent, FuriAssessment
 from dousa.evaluation.posture.posture import SEGMENTS, PostureSequence
@@ -27,6 +26,7 @@ from dousa.evaluation.words import (
 )
 from dousa.files.json_values import round_number
 from dousa.messages import Message
+from dousa.motion.runs import find_runs
 
 _RATE = 10.0  # Hz, at which is searched
 _AROUND_S = 1.0  # the place where it belongs, which is not looked at
@@ -375,7 +375,7 @@ def _say_facing(assessment: Assessment, labels: Sequence[str]) -> tuple[Advice, 
     """Where the dancer faces another way for a second and more; that is no error, and comes after those."""
     rate = assessment.frame_rate
     said = []
-    for start, end in runs_of(np.nan_to_num(np.abs(assessment.facing)) > _TURNED):
+    for start, end in find_runs(np.nan_to_num(np.abs(assessment.facing)) > _TURNED).tolist():
         if end - start < _TURNED_S * rate:
             continue
         turned = float(np.median(assessment.facing[start:end]))

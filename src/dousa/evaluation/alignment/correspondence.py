@@ -16,6 +16,7 @@ from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation.alignment.dynamic_programming import Matrix, correlate_rows, pack, trace_back, warp
 from dousa.evaluation.posture.posture import SEGMENTS, check_segments, check_weights
+from dousa.motion.runs import find_runs
 
 _WORTH_THREADS = 1_000_000  # pairs of poses; below, starting threads takes longer than the work
 _MOST_PAIRS = 2**34  # 64 GiB
@@ -334,9 +335,7 @@ def _find_runs(matrix: NDArray[np.float32], window: int, shortest: int, level: f
         sums = np.concatenate([[0.0], np.cumsum(diagonal)])
         centre = np.arange(len(diagonal))
         low, high = np.maximum(centre - window // 2, 0), np.minimum(centre + (window + 1) // 2, len(diagonal))
-        above = (sums[high] > sums[low]).astype(np.int8)
-        edges = np.flatnonzero(np.diff(above, prepend=0, append=0))
-        for start, end in zip(edges[::2], edges[1::2], strict=True):
+        for start, end in find_runs(sums[high] > sums[low]):
             if end - start >= shortest:
                 row = max(0, -offset)
                 found.append((offset, row + start, row + end, sums[end] - sums[start]))

@@ -18,6 +18,7 @@ from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.dynamic_programming import follow_lag, switch_on
 from dousa.evaluation.posture.posture import LIMBS, SEGMENTS, Working, interpolate_segments
 from dousa.evaluation.posture.yaw import rotate_yaw
+from dousa.motion.runs import find_runs
 
 MAX_LAG_S = 1.2
 YAW_WINDOW_S = 0.6
@@ -536,12 +537,6 @@ def refine_lag(evidence: Evidence, course: NDArray[np.intp], first: int = 0) -> 
     return -columns * evidence.deviations.step_s
 
 
-def runs_of(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """List the half-open stretches where a mask is true."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.view(np.int8), [0]])))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
-
-
 def find_stretches(evidence: Evidence) -> list[tuple[int, int]]:
     """Find half-open stretches of frames with a wrong limb, body, time or size."""
     per_frame = 30.0 / evidence.rate
@@ -558,7 +553,7 @@ def find_stretches(evidence: Evidence) -> list[tuple[int, int]]:
         if apart[start:end].mean() < 0.3:
             wrong[start:end] = True
     stretches: list[tuple[int, int]] = []
-    for start, end in runs_of(wrong):
+    for start, end in find_runs(wrong).tolist():
         if stretches and start - stretches[-1][1] <= _BRIDGE_S * evidence.rate:
             stretches[-1] = (stretches[-1][0], end)
         else:
@@ -574,7 +569,7 @@ def _find_lags(evidence: Evidence, *, lag_evidence: float = 40.0, shortest_lag_s
     late = np.abs(refine_lag(evidence, evidence.course)) > evidence.slack_s
     late &= evidence.deviations.judged.any(axis=1)
     found = np.zeros(len(late), np.bool_)
-    for start, end in runs_of(late):
+    for start, end in find_runs(late).tolist():
         enough = explained[start:end].sum() * (30.0 / evidence.rate) > lag_evidence
         found[start:end] = enough and end - start >= shortest_lag_s * evidence.rate
     return found

@@ -26,8 +26,8 @@ from dousa.evaluation.errors.evidence import (
     measure_missing_range,
     measure_ranges,
     refine_lag,
-    runs_of,
 )
+from dousa.motion.runs import find_runs
 
 _CHANGE = 0.3  # price of one column of lag: nearly free, since any time of the reference may be met
 _OUTSIDE = 1e3
@@ -439,7 +439,7 @@ def _explain_rest(evidence: Evidence, shift: Finding, start: int, end: int, pad:
         if len(late) < 2:
             break
         score = (late[:, limb].max(axis=1) - 1.5) * _per_frame(evidence)
-        for begin, stop in runs_of(switch_on(score, 2.0 * _PRICE)):
+        for begin, stop in find_runs(switch_on(score, 2.0 * _PRICE)).tolist():
             if stop - begin >= 2.0 * _SHORTEST_S * evidence.rate:
                 a, b = shift.start + begin, shift.start + stop
                 severity = float(np.sqrt(late[begin:stop, limb].max(axis=1).mean()))

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass
 from functools import lru_cache
 from importlib import resources
-from itertools import pairwise
 
 import numpy as np
 from numba import njit
@@ -19,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from dousa.arrays import FloatArray
 from dousa.evaluation.errors.descriptors import N_LIMBS, Descriptors
 from dousa.evaluation.posture.posture import LIMBS
+from dousa.motion.runs import find_equal_runs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,15 +201,14 @@ def _find_runs(
     scores = logs.copy()
     scores[:, 1:] += [how.shift, how.incomplete, how.partial if "partial" in names else how.whole]
     classes = follow_classes(np.ascontiguousarray(scores * (15.0 / rate)), how.change)
-    edges = [0, *(np.flatnonzero(np.diff(classes)) + 1), len(classes)]
     found = []
-    for start, end in pairwise(edges):
-        name = names[classes[start]] if end > start else "ok"
+    for start, end in find_equal_runs(classes).tolist():
+        name = names[classes[start]]
         if name == "ok" or end - start < how.shortest_s * rate:
             continue
         odds = scores[start:end, classes[start]] - scores[start:end, 0]
         if odds.mean() >= how.surest:
-            found.append(Suspect(name, int(start), int(end), limbs, float(odds.mean())))
+            found.append(Suspect(name, start, end, limbs, float(odds.mean())))
     return found
 
 

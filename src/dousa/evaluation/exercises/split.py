@@ -19,11 +19,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, FloatArray, IntArray
-from dousa.evaluation.errors.evidence import runs_of
 from dousa.evaluation.posture.posture import PostureSequence, Working, compute_postures, thin_postures
 from dousa.evaluation.posture.yaw import rotate_yaw
 from dousa.motion import CanonicalMotion
 from dousa.motion.resampling import smooth_gaussian
+from dousa.motion.runs import find_runs
 
 STAY, SKIP = 0.2, 0.2
 """Price of a frame during which the template waits, and of every frame of the template that is left out."""
@@ -447,7 +447,7 @@ def _cut_excursions(
 def _list_spans(mask: BoolArray, gap: int = 0) -> list[tuple[int, int]]:
     """Runs of True, half-open; those at most ``gap`` apart are one."""
     spans: list[tuple[int, int]] = []
-    for start, end in runs_of(mask):
+    for start, end in find_runs(mask).tolist():
         if spans and start - spans[-1][1] <= gap:
             spans[-1] = spans[-1][0], end
         else:

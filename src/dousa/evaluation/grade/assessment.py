@@ -22,7 +22,6 @@ from dousa.evaluation.errors.evidence import (
     at_lag,
     gather_evidence,
     refine_lag,
-    runs_of,
 )
 from dousa.evaluation.errors.explain import Finding
 from dousa.evaluation.figures.curves import Curves, compute_curves
@@ -58,6 +57,7 @@ from dousa.evaluation.posture.posture import (
 )
 from dousa.evaluation.posture.yaw import take_out_of_postures
 from dousa.motion import CanonicalMotion
+from dousa.motion.runs import find_runs
 
 _UNLIKE, _FAILING_S = 2.0, 0.3  # mean squared multiple of what is tolerated, and for how long
 
@@ -374,7 +374,7 @@ def _assess_furi(
     thinned = curves.furi_index[:: working.stride][: working.n_frames]
     result = []
     for number, one in enumerate(furi):
-        spans = runs_of(curves.furi_index == number)
+        spans = find_runs(curves.furi_index == number).tolist()
         longest = max(spans, key=lambda span: span[1] - span[0], default=None)
         score = grade_performance(references, comparison, weights, thinned == number).score
         result.append(

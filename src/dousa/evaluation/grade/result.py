@@ -11,7 +11,7 @@ import numpy as np
 
 from dousa.arrays import FloatArray, IndexArray
 from dousa.evaluation.alignment.lines import Lapse, align
-from dousa.evaluation.errors.evidence import measure_ranges, runs_of
+from dousa.evaluation.errors.evidence import measure_ranges
 from dousa.evaluation.errors.explain import Finding
 from dousa.evaluation.figures.curves import Curves
 from dousa.evaluation.figures.eigenspace import Eigenspace
@@ -30,6 +30,7 @@ from dousa.evaluation.posture.yaw import Offset, rotate_yaw
 from dousa.evaluation.words import date, describe_event, describe_heading, format_time, group_segments
 from dousa.files.json_values import round_number, to_json_value
 from dousa.messages import Message
+from dousa.motion.runs import find_runs
 
 # Digits after the point: a millisecond, a tenth of a degree; finer than anything that was measured.
 _SECONDS, _DEGREES, _SHARES = 3, 1, 4
@@ -417,7 +418,7 @@ def describe_gaps(performance: PostureSequence) -> tuple[tuple[float, float, str
         (start / performance.frame_rate, end / performance.frame_rate, name)
         for index, name in enumerate(SEGMENTS)
         if performance.seen[:, index].any()
-        for start, end in runs_of(~performance.seen[:, index])
+        for start, end in find_runs(~performance.seen[:, index]).tolist()
     ]
     return tuple(sorted(gaps))
 
@@ -493,7 +494,7 @@ def _describe_turns(curves: Curves, rate: float) -> list[Message]:
             time=format_time(start / rate),
             facing=describe_heading(float(np.median(curves.facing[start:end]))),
         )
-        for start, end in runs_of(np.nan_to_num(np.abs(curves.facing)) > _TURNED)
+        for start, end in find_runs(np.nan_to_num(np.abs(curves.facing)) > _TURNED).tolist()
         if end - start >= _TURNED_S * rate
     ]
 

@@ -19,6 +19,7 @@ from dousa.arrays import BoolArray, IndexArray, IntArray
 from dousa.library.windows.kernels import scan_sketches
 from dousa.library.windows.portions import Portion, PortionGoneError
 from dousa.library.windows.sketches import N_MARKS, cost_marks
+from dousa.motion.runs import find_runs
 from dousa.retrieval.takes.find import POSE_WEIGHT, WINDOW_NUMBERS, CutStretch, Stretch, TakeSearch, cost_windows
 from dousa.retrieval.takes.window_kernels import compare_leaves
 
@@ -231,17 +232,11 @@ def _scan(
         ends = portion.ends[length]
         own = data[int(portion.places[length]) - begin : int(portion.places[length + 1]) - begin]
         sketches, marks = portion.sketches(own, length)
-        for start, stop in _runs(chosen):
+        for start, stop in find_runs(chosen).tolist():
             for (_, sieve), (query, rests, leaves) in zip(searches, asked, strict=True):
                 span = sketches, marks, ends[start], ends[stop]
                 count = scan_sketches(*span, query, rests, leaves, added, weight, sieve.most, rows, costs)
                 sieve.add(number, length, rows[:count], costs[:count])
-
-
-def _runs(chosen: BoolArray) -> Iterator[tuple[int, int]]:
-    """First and one past the last of those that follow one another."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(np.int8)))
-    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
 
 def _read_leaves(file: IO[bytes], portion: Portion, search: TakeSearch, windows: NDArray[Any]) -> NDArray[Any]:

@@ -7,6 +7,7 @@ import numpy as np
 from dousa.arrays import BoolArray, FloatArray
 from dousa.motion.canonical.canonicalise import CanonicalMotion
 from dousa.motion.canonical.joints import JOINT_INDEX as J
+from dousa.motion.runs import find_runs
 
 _SLOW = 0.25  # m/s, for a body of _HEIGHT
 _LOW = 0.05  # m above the lowest of the second around
@@ -69,13 +70,7 @@ def measure_speed(points: FloatArray, rate: float) -> FloatArray:
 def drop_short(states: BoolArray, which: bool, shortest: int) -> BoolArray:
     """The states with stretches of one kind that are shorter than so many frames turned into the other."""
     result = states.copy()
-    for start, end in list_stretches(states == which):
+    for start, end in find_runs(states == which):
         if end - start < shortest and (which or (start > 0 and end < len(states))):
             result[start:end] = not which
     return result
-
-
-def list_stretches(states: BoolArray) -> list[tuple[int, int]]:
-    """First frame and the one after the last of every stretch of true."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], states, [False])).astype(np.int8)))
-    return [(int(start), int(end)) for start, end in zip(edges[::2], edges[1::2], strict=True)]

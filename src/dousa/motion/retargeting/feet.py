@@ -13,10 +13,10 @@ from itertools import pairwise
 import numpy as np
 
 from dousa.arrays import BoolArray, FloatArray
-from dousa.motion.retargeting.contacts import list_stretches
 from dousa.motion.retargeting.rig import Rig
 from dousa.motion.retargeting.stances import Stances, find_stances, ramp, smooth
 from dousa.motion.rotations import between, conjugate, from_axis_angle, identity, multiply, rotate, to_axis_angle
+from dousa.motion.runs import find_runs
 
 _EASE = 0.05  # m/s: of two points slower than this each carries half the foot
 _STANDS, _FEWEST = 0.8, 5  # how firmly ankle and toe are held in frames that show a flat foot, and how many it takes
@@ -87,7 +87,7 @@ def plan_foot(source: Foot, made: Foot, scale: float, floor: float, frame_rate: 
         over = [points[:, 1] - low for points, low in zip((source.ankle, source.toe), source.heights, strict=True)]
         heights = np.where(over[1] <= over[0], toes, heights)
     moves = np.zeros_like(made.ankle)
-    stretches = list_stretches(near)
+    stretches = find_runs(near).tolist()
     for start, end in stretches:
         moves[start + 1 : end] = np.cumsum(steps[start : end - 1], axis=0)
         own = weight[start:end]
@@ -158,7 +158,7 @@ def _still_direction(directions: FloatArray, held: FloatArray) -> FloatArray:
     """Turns (T, 4) that keep a foot's direction (T, 3) where it hardly changes while ankle and toe are held."""
     unit = directions / np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9)
     wanted = unit.copy()
-    for start, end in list_stretches(held > 0):
+    for start, end in find_runs(held > 0).tolist():
         mean = np.average(unit[start:end], axis=0, weights=held[start:end] ** 2)
         mean /= max(float(np.linalg.norm(mean)), 1e-9)
         away = np.linalg.norm(unit[start:end] - mean, axis=1)

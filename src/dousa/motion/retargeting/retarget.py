@@ -21,12 +21,13 @@ from dousa.motion.canonical.fitting import fit_motion
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.recipes import JointMap
 from dousa.motion.kinematics import forward_kinematics
-from dousa.motion.retargeting.contacts import body_size, find_contacts, list_stretches
+from dousa.motion.retargeting.contacts import body_size, find_contacts
 from dousa.motion.retargeting.feet import Foot, FootPlan, level_foot, plan_foot
 from dousa.motion.retargeting.planting import bend, lower_pelvis, share_moves
 from dousa.motion.retargeting.rig import LIMBS, SIDES, Rig, body_axes, build_rig
 from dousa.motion.retargeting.transfer import Poses, Transfer, find_floor
 from dousa.motion.rotations import conjugate, multiply, normalise, rotate
+from dousa.motion.runs import find_runs
 from dousa.motion.types import Motion, Trajectories, freeze
 
 _MOST = 95  # percent of the frames of contact
@@ -126,7 +127,7 @@ def measure_skating(points: FloatArray, contacts: BoolArray) -> float:
     away = [
         np.linalg.norm(points[start:end, side] - np.median(points[start:end, side], axis=0), axis=1)
         for side in range(2)
-        for start, end in list_stretches(contacts[:, side])
+        for start, end in find_runs(contacts[:, side]).tolist()
     ]
     return float(np.percentile(np.concatenate(away), _MOST)) if away else 0.0
 

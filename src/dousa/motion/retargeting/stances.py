@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dousa.arrays import BoolArray, FloatArray
-from dousa.motion.retargeting.contacts import SLOWEST_RATE, drop_short, list_stretches, measure_lowest, measure_speed
+from dousa.motion.retargeting.contacts import SLOWEST_RATE, drop_short, measure_lowest, measure_speed
+from dousa.motion.runs import find_runs
 
 _LOW, _SLOW = 0.14, 1.2  # m above the lowest of the second around, m/s
 _AROUND, _SHORTEST = 1.0, 0.04  # s
@@ -57,7 +58,7 @@ def find_stances(points: FloatArray, frame_rate: float, size: float) -> Stances:
     near = (height < _LOW * size) & (speed < _SLOW * size)
     near = drop_short(near, True, max(2, round(_SHORTEST * frame_rate)))
     free = ramp(speed / size, _HELD, _FREE)
-    for start, end in list_stretches(near):
+    for start, end in find_runs(near).tolist():
         weights = 1.0 / (1.0 + np.square(speed[start:end] / (size * _WEIGHT))) ** 2
         away = points[start:end] - np.average(points[start:end], axis=0, weights=weights)
         free[start:end] = np.maximum(free[start:end], ramp(np.linalg.norm(away, axis=1) / size, _NEAR, _FAR))

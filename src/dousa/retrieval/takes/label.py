@@ -24,6 +24,7 @@ from dousa.arrays import FloatArray
 from dousa.errors import OptionError
 from dousa.files.disk import atomic_write
 from dousa.messages import Message
+from dousa.motion.runs import find_equal_runs
 from dousa.retrieval.counting.tallies import TALLIES
 from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
 from dousa.retrieval.forest.forest_file import check, check_version, pack_arrays, unpack_arrays
@@ -463,7 +464,7 @@ def _gather(seen: StretchOpinions, whole: NDArray[np.intp]) -> StretchOpinions:
         possible.append(bool((seen.possible[parts] & same).mean() >= _EVEN))
     count = np.bincount(whole)
     typical, unsteady = (np.bincount(whole, values) / count for values in (seen.typical, seen.unsteady))
-    firsts = np.flatnonzero(np.diff(whole, prepend=-1))
+    firsts = find_equal_runs(whole)[:, 0]
     told = np.array(sure), np.array(possible)
     return StretchOpinions(seen.judged[firsts], tuple(names), np.array(leads), typical, unsteady, *told)
 

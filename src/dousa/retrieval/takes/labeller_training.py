@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IntArray
 from dousa.errors import TrainingError
+from dousa.motion.runs import find_equal_runs
 from dousa.retrieval.counting.counter import find_usual
 from dousa.retrieval.counting.tallies import measure_tallies
 from dousa.retrieval.features.posed_motion import AnnotatedTake, LabelledClip, check_motion
@@ -418,9 +419,8 @@ def _weigh(states: IntArray, n_states: int) -> FloatArray:
 
 def _forgive(states: IntArray, nothing: int) -> IntArray:
     """Short gaps between two actions are shared out, so nothing there counts neither way."""
-    edges = np.flatnonzero(np.diff(states)) + 1
     forgiven = states.copy()
-    for start, stop in zip(np.concatenate([[0], edges]), np.concatenate([edges, [len(states)]]), strict=True):
+    for start, stop in find_equal_runs(states):
         if states[start] == nothing and (stop - start) * HOP <= SHORT_GAP + HOP:
             forgiven[start:stop] = UNCOUNTED
     return forgiven

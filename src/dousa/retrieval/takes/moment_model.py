@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IntArray
 from dousa.messages import Message
+from dousa.motion.runs import find_equal_runs
 from dousa.retrieval.forest.forest_file import check
 
 Codes = NDArray[np.uint8]
@@ -271,6 +272,6 @@ def sum_moments(scale: Scale, codes: Codes, rows: IntArray, states: IntArray, we
         scores *= roots
         np.add(sums.squares, scores.T @ scores, out=sums.squares)
         scores *= roots
-        begins = np.flatnonzero(np.diff(of, prepend=-1))
+        begins = find_equal_runs(of)[:, 0]
         sums.shown[:, of[begins]] += np.add.reduceat(scores, begins, axis=0).T
     return sums
