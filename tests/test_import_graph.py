@@ -129,6 +129,11 @@ def test_every_folder_with_rooms_inside_has_a_diagram():
     assert {path.relative_to(SOURCE).as_posix() for path in with_rooms} == set(DIAGRAMS)
 
 
+def test_the_package_does_not_know_the_lab():
+    for name, path in MODULES.items():
+        assert not [there for there in list_imports(path) if there.split(".")[0] == "lab"], f"{name} imports the lab"
+
+
 def test_no_circle_between_files():
     """Files are taken away whose imports are all gone; those of a circle are left."""
     left = {name: set(there) for name, there in all_imports().items()}

@@ -15,23 +15,24 @@ _TAKES = 3
 _MOST = 20
 
 
-class _Asked:
-    """What a function is asked: the same where its bytes are."""
+class _Call:
+    """The arguments of a call; two are equal where their bytes are."""
 
-    def __init__(self, words: tuple[Any, ...]) -> None:
-        self.words, self.digest = words, hashlib.sha256(pickle.dumps(words)).digest()
+    def __init__(self, words: tuple[Any, ...], named: dict[str, Any]) -> None:
+        self.words, self.named = words, named
+        self.digest = hashlib.sha256(pickle.dumps((words, named))).digest()
 
     def __hash__(self) -> int:
         return hash(self.digest)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Asked) and self.digest == other.digest
+        return isinstance(other, _Call) and self.digest == other.digest
 
 
 def keep(work: Callable[..., Any]) -> Callable[..., Any]:
-    """The same function, which gives the answer again that it gave lately: tests of pages judge the same dances."""
-    answer = functools.lru_cache(_MOST)(lambda asked: work(*asked.words))
-    return lambda *words: answer(_Asked(words))
+    """Return the function with its last answers kept: tests of pages judge the same dances."""
+    answer = functools.lru_cache(_MOST)(lambda call: work(*call.words, **call.named))
+    return lambda *words, **named: answer(_Call(words, named))
 
 
 def write_dances(folder: Path) -> tuple[list[Path], Path]:
