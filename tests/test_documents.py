@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "lab/notes").glob("*.md")])
 
 
 def load_figures():
@@ -23,14 +23,14 @@ def test_the_table_of_features_is_the_real_one():
     assert (ROOT / "docs/features.md").read_text(encoding="utf-8") == load_figures().describe_features()
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: f"{page.parent.name}/{page.name}")
 def test_links_and_pictures_are_there(page):
     for target in re.findall(r"\]\(([^)#]+)\)", page.read_text(encoding="utf-8")):
         if "://" not in target:
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: f"{page.parent.name}/{page.name}")
 def test_commands_and_options_exist(page):
     """Every ``dousa COMMAND --option`` of the documents is one that the command line knows."""
     from typer.main import get_command
@@ -48,7 +48,7 @@ def test_commands_and_options_exist(page):
                 assert word.split("=")[0] in known, f"{page.name}: dousa {name} has no {word}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: f"{page.parent.name}/{page.name}")
 def test_named_files_exist(page):
     """Paths such as ``lab/benchmarks/forest.py`` in the documents are real."""
     for name in re.findall(r"`((?:lab|docs|tests|src)/[\w/.]+\.\w+)`", page.read_text(encoding="utf-8")):

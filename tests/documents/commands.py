@@ -12,7 +12,7 @@ __all__ = ["PAGES", "ROOT", "Command", "collect", "read_page", "unread_lines"]
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = tuple(  # a translation (tutorial.ja.md) has the commands of its original: test_site.py
     path.relative_to(ROOT).as_posix()
-    for path in sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+    for path in sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "lab/notes").glob("*.md")])
     if path.suffixes == [".md"]
 )
 

@@ -92,7 +92,7 @@ _LESS = {
     "python -m lab.trials.perhaps": "--only hdm05,utkinect --shares 0.98",
     "python -m lab.trials.label_strangers": "--only hdm05,utkinect --takes 1",
     "python -m lab.trials.segment_confidence": "--only hdm05",
-    "python -m lab.benchmarks.find": "--minutes 1",
+    r"python -m lab\.benchmarks\.find ": "--minutes 1",
     "python -m lab.benchmarks.find_many": "--minutes 1",
     "python -m lab.benchmarks.correspondence --full 12000": "--frames 400 --full 200 --memory",
 }
@@ -118,6 +118,7 @@ PROGRAMS = tuple(
 BENCHMARKS = {
     "benchmarks.assess": "--memory --minutes 0.2 --rate 30",
     "reliability.compare_versions": f"--before '{ROOT}' --only features",
+    "reliability.version_probe": "--help",  # compare_versions runs it
     "trials.irds_grade": "--help",
     "trials.film_cameras": "--help",  # it needs the pose models
     "benchmarks.keypoints": "--help",  # it needs the pose models

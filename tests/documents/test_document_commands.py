@@ -256,6 +256,6 @@ def test_what_is_asked_of_a_studio_is_of_one_page():
 
 
 def test_a_mention_lacks_what_a_command_needs():
-    assert is_mention("dousa train") and is_mention("dousa experiment-errors ... --which tuning")
+    assert is_mention("dousa train") and is_mention("dousa experiment ... --takes")
     assert is_mention("dousa estimate --body FILE")
     assert not is_mention("dousa train moves.dousa") and not is_mention("make test")
