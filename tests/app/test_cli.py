@@ -85,7 +85,7 @@ def test_help_says_all_of_it_in_whole_lines(dousa, monkeypatch):
     _, text, _ = dousa("label", "--help")
     said = " ".join(text.split())
     assert '{"time": s, "joints": {"left_hand": [x, y, z], ...}} in m with Y up, and answers go as JSON lines' in said
-    assert "Below 50 % they are no longer alike. The score is" in " ".join(dousa("find", "--help")[1].split())
+    assert "Below 50 % they no longer do. The score is" in " ".join(dousa("find", "--help")[1].split())
     assert "and answers go as JSON lines" in text
     assert "more likely right than wrong if there is an action" in re.sub(r"[\s│]+", " ", text)
 

@@ -100,7 +100,7 @@ def test_a_table_of_labels_is_written_over_another_one_where_that_is_said(dousa,
         ("estimate", "take.trc", "-o", "note.bvh"),
         ("keypoints", "other.mp4", "-o", "."),
         ("sync", "other.mp4", "other2.mp4", "-o", "note.toml"),
-        ("calibrate", "other.mp4", "other2.mp4", "--picture", "note.png"),
+        ("calibrate", "other.mp4", "other2.mp4", "-o", "note.png"),
     ],
     ids=" ".join,
 )
