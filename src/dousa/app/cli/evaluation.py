@@ -113,7 +113,6 @@ def _evaluate_dance(
     notes: str,
     json: bool,
 ) -> None:
-    """Assess a dance as a whole; print a table or JSON, write the report."""
     from dousa.app.pipelines.evaluate import evaluate_files, load_beats, time_accents
 
     beats, judging = load_beats(request.music), request.choose_judging()
@@ -150,7 +149,6 @@ def _evaluate_exercise(
     output: Path | None,
     json: bool,
 ) -> None:
-    """Assess the repetitions in a file; print a table or JSON, write CSV and picture."""
     from dousa.app.pipelines.evaluate import evaluate_repetitions
     from dousa.app.report import to_repetitions_csv, write_exercise_report
 
@@ -200,7 +198,6 @@ def _evaluate_exercise(
 
 
 def _describe_exercise(assessment: RepetitionsAssessment) -> dict[str, Any]:
-    """What to know first, as sentences and codes."""
     from dousa.evaluation import describe_exercise, describe_trends
 
     messages = (*describe_exercise(assessment), *describe_trends(assessment))
@@ -248,7 +245,6 @@ def _describe(done: Evaluation[Assessment], page: Path | None, detail: str) -> d
 
 
 def _warn(done: Evaluation[Assessment]) -> None:
-    """What a person should know, on standard error."""
     import os
 
     for note, count in Counter(note for _, note in done.notes).items():

@@ -121,7 +121,6 @@ def _choose_kind(request: ExperimentRequest, takes: TakeLabels) -> _Kind:
 
 
 def _check_options(kind: _Kind, request: ExperimentRequest, labels: LabelRules, figure: Path | None) -> None:
-    """Refuse what does not go together, or would be ignored, before the long work."""
     if request.test and request.split is not None:
         raise OptionError("experiments_cli.split_and_test")
     if request.split == "leave-performer-out" and labels.performer_from is None:

@@ -196,7 +196,6 @@ def convert(
 def _put_onto(
     motion: Motion | Trajectories, onto: Path, target: Path, options: ReadOptions, keep_reach: bool
 ) -> tuple[Motion, dict[str, Any]]:
-    """The motion on the skeleton of another file, and how well it fits."""
     import math
 
     from dousa.formats.characters import read_character
@@ -341,7 +340,6 @@ def _plot_library(library: str, output: Path | None, *, json: bool) -> None:
 
 
 def _describe_place(clip: ClipInfo, x: float, y: float) -> dict[str, Any]:
-    """A clip on the map, as plain values."""
     labels = {"category": clip.category, "performer": clip.performer}
     return {"clip_id": clip.id, "path": clip.path, **labels, "x": round(x, 4), "y": round(y, 4)}
 

@@ -143,7 +143,6 @@ def calibrate(
 def _describe(
     found: Calibration, times: Synchronisation | None, notes: tuple[Message, ...], output: Path | None
 ) -> dict[str, object]:
-    """The answer of ``dousa calibrate --json``."""
     rows = [
         {
             "name": camera.name,
@@ -225,7 +224,6 @@ def keypoints(
 
 
 def _manage_models(source: Path | None, *, install: bool, clear_cache: bool, json: bool) -> None:
-    """Install models or clear the cache where that is wanted, and list both."""
     from dousa.estimation.keypoints import keypoint_cache, model_archives, pose_models
 
     cache = pose_models.user_cache() / "keypoints"

@@ -216,7 +216,6 @@ def _show_given(library: str, take: str, path: Path | None, *, json: bool) -> No
 
 
 def _draw(library: Library, answer: LabelledTake, picture: Path, options: ReadOptions) -> None:
-    """The picture of a timeline, with the poses of the take."""
     from dousa.app.pictures.timeline import draw_timeline
     from dousa.formats.motion_files import read_canonical
 
@@ -264,7 +263,6 @@ def _push(labeller: LiveLabeller, frame: LiveFrame, line: int) -> LiveAnswer | N
 
 
 def _finish(labeller: LiveLabeller) -> bool:
-    """Answer what was not settled yet; whether there was a frame at all."""
     last = labeller.finish()
     if last is not None:
         _say(last)
@@ -272,7 +270,6 @@ def _finish(labeller: LiveLabeller) -> bool:
 
 
 def _read_lines() -> Iterator[str]:
-    """The lines of standard input as they come; none where it is closed."""
     if isinstance(sys.stdin, io.TextIOWrapper):
         sys.stdin.reconfigure(encoding="utf-8", errors="backslashreplace")
     yield from sys.stdin or ()

@@ -135,7 +135,6 @@ def _write_motions(
 
 
 def _build(console: Console, path: Path, motions: Path, seed: int, n_jobs: int | None) -> None:
-    """Add the motions and train; clips of an earlier run with other motions are removed."""
     from dousa.library import Library
 
     with Library.open(path, create=True) as library, progress_bar() as progress:
@@ -160,7 +159,6 @@ def _build(console: Console, path: Path, motions: Path, seed: int, n_jobs: int |
 
 
 def _search(console: Console, path: Path, queries: dict[Path, str], example: Path, picture: Path) -> None:
-    """Show one query's answer in full, then how many of all queries are named right."""
     from dousa.app.pictures.sheets import draw_search_result
     from dousa.library import Library
 
@@ -197,7 +195,6 @@ def _print_result(console: Console, example: Path, truth: str, result: SearchRes
 
 
 def _measure(console: Console, output: Path, seed: int, n_jobs: int | None) -> None:
-    """Run the paper's experiment on the library's motions."""
     from dousa.app.pictures.charts import draw_experiment_figure
     from dousa.app.pipelines.experiment_clips import read_labelled_clips
     from dousa.app.tables.lines import print_tables

@@ -144,7 +144,6 @@ def _search(console: Console, library_path: Path, estimated: Path) -> None:
 
 
 def _evaluate(console: Console, performed: Path, estimated: Path, output: Path, seed: int) -> None:
-    """Grade the estimate, and the motion as it really was, against a teacher's takes."""
     from dousa.app.pipelines.evaluate import evaluate_files
     from dousa.app.report import write_report
     from dousa.evaluation.grade.score import round_grade

@@ -169,7 +169,6 @@ def read_clips(paths: Sequence[Path], categories: Mapping[Path, str]) -> list[La
 
 
 def _label(console: Console, library: Library, take: Take, picture: Path, n_jobs: int | None) -> None:
-    """Label the take, print how much is right, and draw it."""
     from dousa.app.pictures.timeline import draw_timeline
     from dousa.experiments.metrics import compare_timeline
 
@@ -201,7 +200,6 @@ def _describe_unknown(answer: LabelledTake, piece: TrueSegment) -> str:
 
 
 def _find(console: Console, library: Library, take: Take, category: str) -> None:
-    """Find where in the take another performer's motion occurs."""
     models = [clip.path for clip in library.clips() if clip.category == category]
     if models:
         answer = library.find(models[0], take.path, k=5)

@@ -241,7 +241,6 @@ def _draw_grades(axes: Axes, attempts: tuple[Attempt, ...]) -> None:
 
 
 def _draw_kind(axes: Axes, attempts: tuple[Attempt, ...], kind: str) -> None:
-    """How many errors of a kind, and beside each number their mean size."""
     from dousa.evaluation.advice.progress import describe_errors
     from dousa.evaluation.words import KINDS
 

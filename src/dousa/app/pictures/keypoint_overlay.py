@@ -95,7 +95,6 @@ def _draw_person(
 
 
 def _paint(keypoints: ViewKeypoints, longest: int, frames: set[int] | None = None) -> Iterator[tuple[int, Image]]:
-    """Number and picture of the frames of the film, with the people drawn."""
     from dousa.estimation.keypoints.films import FilmFrames
     from dousa.extras import cv2
 

@@ -268,7 +268,6 @@ def _box_of(mask: NDArray[np.bool_]) -> Box | None:
 
 
 def _corner(box: Box | None, wide: int, high: int, camera: Camera) -> tuple[int, int]:
-    """Left and top of a cut-out round a box, inside the image."""
     if box is None:
         box = (0, 0, camera.width, camera.height)
     left = (box[0] + box[2] - wide) // 2
@@ -352,7 +351,6 @@ class _Sheet:
             write(self._figure, *self._at(_WIDTH - 7.4, 0.52), text, 8.5, color=GREY)
 
     def _write_key(self, entries: Sequence[tuple[str, Any, str]], left: float, top: float) -> None:
-        """What lines mean, side by side."""
         from matplotlib.lines import Line2D
 
         for colour, style, text in entries:
@@ -409,7 +407,6 @@ class _Sheet:
             axes.spines[side].set_visible(False)
 
     def _mark_lost(self, axes: Any, overlap: FloatArray) -> None:
-        """Hatched spans, with the word where it finds room beside the curve."""
         estimate = self._estimate
         spans = find_runs(estimate.lost).tolist()
         for start, stop in spans:

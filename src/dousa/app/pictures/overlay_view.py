@@ -250,7 +250,6 @@ class ViewPainter:
         return canvas
 
     def _fit(self, mask: Mask) -> Mask:
-        """The silhouette at the picture's size, its edge smooth."""
         from dousa.extras import cv2
 
         size = (self._camera.width, self._camera.height)
@@ -313,7 +312,6 @@ class ViewPainter:
 
 
 def _box_of(mask: Mask) -> tuple[slice, slice] | None:
-    """Rows and columns of what is set; None if nothing is."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not len(rows):
         return None
@@ -321,7 +319,6 @@ def _box_of(mask: Mask) -> tuple[slice, slice] | None:
 
 
 def _mark_joint(canvas: Image, point: FloatArray, side: str) -> None:
-    """A round mark on the left and in the middle, a square one on the right."""
     square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float64)
     turns = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     shape = square if side == "right" else np.stack((np.cos(turns), np.sin(turns)), axis=1) * 1.2

@@ -170,7 +170,6 @@ def _strip(
 
 
 def _head(figure: Any, height: float, title: str, facts: str, legend: bool) -> None:
-    """Title, one line of facts and the key to left and right."""
     write(figure, _MARGIN / _WIDTH, 1 - 0.36 / height, _shorten(title, 90), 14, weight="bold")
     write(figure, _MARGIN / _WIDTH, 1 - 0.62 / height, _shorten(facts, 150), 9.5, color=GREY)
     if legend:
@@ -195,7 +194,6 @@ def draw_key(figure: Any, size: float = 9) -> None:
 
 
 def _short_path(path: str) -> str:
-    """File and folder, enough for a person to know which."""
     return "/".join(os.path.normpath(path).split(os.sep)[-2:])
 
 
@@ -300,7 +298,6 @@ def draw_search_sheet(
 
 
 def _caption(figure: Any, strip: Strip, middle: float, *, is_query: bool) -> None:
-    """What stands at the left of a row of the search sheet."""
     width, height = figure.get_size_inches()
     x = _MARGIN / width
     name = f"query: {strip.category}" if is_query else strip.category

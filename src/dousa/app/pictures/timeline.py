@@ -134,7 +134,6 @@ def _list_rows(segments: Sequence[_Segment]) -> list[str]:
 
 
 def _draw_thumbnails(figure: Any, figurine: Figurine, bottom: float) -> None:
-    """Stick figures, each in the middle of its part of the take, on the scale of the time axis."""
     width, height = figure.get_size_inches()
     room = _WIDTH - 2 * _MARGIN - _NAMES - _TOTALS
     n_frames = len(figurine.positions)
@@ -234,7 +233,6 @@ def _say_time(seconds: float, least: float) -> str:
 
 
 def _draw_head(figure: Any, title: str, segments: Sequence[_Segment], seconds: float) -> None:
-    """Title, and how to read the picture, with the totals."""
     width, height = figure.get_size_inches()
     known = [segment for segment in segments if segment.category != _UNKNOWN and not segment.perhaps]
     doubtful = any(segment.perhaps for segment in segments)

@@ -162,7 +162,6 @@ def estimate_files(
 def _choose_start(
     given: StartPose | None, body: BodyModel, views: Silhouettes, cameras: Sequence[Camera]
 ) -> tuple[FloatArray | None, Message, list[Message]]:
-    """The pose of ``--start`` for this body; None where it is to be found."""
     if given is None:
         return None, Message("estimate.start_found"), []
     from dousa.estimation.body.posing import fit_pose
@@ -179,7 +178,6 @@ def _choose_start(
 def _fingerprint(
     request: EstimationRequest, cameras: Sequence[Camera], body: BodyModel, start: FloatArray | None
 ) -> str:
-    """What tells whether a partial track is of this very work."""
     import dousa
 
     return fingerprint(
@@ -226,7 +224,6 @@ def _track(
     report: ProgressCallback,
     watcher: Watcher | None,
 ) -> Estimate:
-    """Track, keeping now and then what is done."""
     from dousa.estimation.tracking.tracker import estimate
 
     answer = estimate(

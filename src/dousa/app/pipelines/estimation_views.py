@@ -122,7 +122,6 @@ def read_view_cameras(
 
 
 def _read_own_cameras(sources: Sequence[Path], n_views: int) -> tuple[Camera, ...]:
-    """The cameras in the npz files of the silhouettes."""
     from dousa.estimation.cameras.camera_files import read_cameras
 
     try:

@@ -168,7 +168,6 @@ def _compare(
     takes: Sequence[CanonicalMotion],
     progress: ProgressCallback | None,
 ) -> Iterator[None]:
-    """Report the comparison, and name the file in an error about one of the takes."""
     from dousa.evaluation import ABOUT_REFERENCES
 
     if progress is not None:

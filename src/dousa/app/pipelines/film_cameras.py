@@ -154,7 +154,6 @@ def draw_cameras(found: Calibration, path: str | os.PathLike[str]) -> None:
 
 
 def _draw_camera(axes: Any, camera: Any, across: list[int], along: FloatArray) -> None:
-    """A camera, the sides of its picture as lines of sight, and its name."""
     corners = np.array(((0.0, (camera.height - 1) / 2), (camera.width - 1.0, (camera.height - 1) / 2)))
     if across[1] == 1:
         corners = np.array((((camera.width - 1) / 2, 0.0), ((camera.width - 1) / 2, camera.height - 1.0)))

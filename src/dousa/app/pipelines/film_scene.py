@@ -123,7 +123,6 @@ def _find_all(
 
 
 def _find_failed(jobs: Sequence[Future[ViewKeypoints]]) -> list[Future[ViewKeypoints]]:
-    """List the jobs that failed, and were not only given up."""
     ended = [job for job in jobs if job.done() and not job.cancelled() and job.exception() is not None]
     return [job for job in ended if not isinstance(job.exception(), _GivenUpError)]
 
@@ -305,7 +304,6 @@ def _put_together(
     offsets: FloatArray,
     notes: list[Message],
 ) -> FilmScene:
-    """Put films whose cameras and clocks are known on one clock."""
     rates = [view.frame_rate for view in found]
     rate = request.rate or min(rates)
     if max(rates) > min(rates) * 1.002:

@@ -101,7 +101,6 @@ def _check_output(request: RenderRequest) -> None:
 
 
 def _read_motion(request: RenderRequest) -> CanonicalMotion:
-    """The frames that are wanted, at the rate that is wanted."""
     from dousa.formats.registry import read_motion
     from dousa.motion import canonicalise, resample
 

@@ -141,7 +141,6 @@ class PartialFile:
 
 
 def _unpack(array: np.ndarray) -> Any:
-    """Arrays as they were; texts and numbers as themselves."""
     if array.ndim == 0:
         return array.item()
     if array.dtype.kind == "U":

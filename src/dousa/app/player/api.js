@@ -1,62 +1,34 @@
 // What a page sees: window.dousa, and handles that hide everything else.
 
+// A frozen handle: `methods`, and the `calls` and `values` of `inner` by their names.
+function makeHandle(inner, { calls, values, methods }) {
+  for (const name of calls) methods[name] = (...given) => inner[name](...given);
+  for (const name of values) Object.defineProperty(methods, name, { get: () => inner[name], enumerable: true });
+  return Object.freeze(methods);
+}
+
 function createPlayer(element, data, options = {}) {
   const inner = new Player(element, data, options);
-  return Object.freeze({
-    seek: (seconds) => inner.seek(seconds),
-    play: () => inner.play(),
-    pause: () => inner.pause(),
-    loop: (start, end) => inner.loop(start, end),
-    setSpeed: (speed) => inner.setSpeed(speed),
-    setView: (view) => inner.setView(view),
-    replace: (data, how = {}) => inner.replace(data, how),
+  const methods = {
     onTime(callback) {
       inner.listeners.add(callback);
       return () => inner.listeners.delete(callback);
     },
-    reveal: () => inner.reveal(),
-    destroy: () => inner.destroy(),
     element: inner.root,
-    get time() {
-      return inner.time;
-    },
-    get duration() {
-      return inner.duration;
-    },
-    get playing() {
-      return inner.playing;
-    },
-    get speed() {
-      return inner.speed;
-    },
     get view() {
       return { ...inner.view };
     },
     get looped() {
       return inner.looped ? [...inner.looped] : null;
     },
-  });
+  };
+  const calls = ["seek", "play", "pause", "loop", "setSpeed", "setView", "replace", "reveal", "destroy"];
+  return makeHandle(inner, { calls, values: ["time", "duration", "playing", "speed"], methods });
 }
 
 function createClock(options = {}) {
-  const inner = new Clock(options);
-  return Object.freeze({
-    play: () => inner.play(),
-    pause: () => inner.pause(),
-    seek: (share) => inner.seek(share),
-    follow: (player) => inner.follow(player),
-    onChange: (callback) => inner.onChange(callback),
-    destroy: () => inner.destroy(),
-    get share() {
-      return inner.share;
-    },
-    get playing() {
-      return inner.playing;
-    },
-    get duration() {
-      return inner.duration;
-    },
-  });
+  const calls = ["play", "pause", "seek", "follow", "onChange", "destroy"];
+  return makeHandle(new Clock(options), { calls, values: ["share", "playing", "duration"], methods: {} });
 }
 
 function createMiniature(canvas, bytes, options = {}) {
@@ -66,7 +38,7 @@ function createMiniature(canvas, bytes, options = {}) {
     else inner.wanted = running;
     inner.settle();
   };
-  return Object.freeze({
+  const methods = {
     play: () => want(true),
     pause: () => want(false),
     seek(share) {
@@ -82,24 +54,12 @@ function createMiniature(canvas, bytes, options = {}) {
       inner.settle();
       inner.touch();
     },
-    destroy: () => inner.destroy(),
     element: canvas,
     get calm() {
       return lessMotion.matches;
     },
-    get share() {
-      return inner.share;
-    },
-    get playing() {
-      return inner.playing;
-    },
-    get visible() {
-      return inner.visible;
-    },
-    get duration() {
-      return inner.duration;
-    },
-  });
+  };
+  return makeHandle(inner, { calls: ["destroy"], values: ["share", "playing", "visible", "duration"], methods });
 }
 
 const miniatures = Object.freeze({

@@ -138,8 +138,6 @@ class Player {
     this.follow = this.travel > 1.6;
   }
 
-  // --- time
-
   seek(seconds) {
     if (!Number.isFinite(seconds)) return;
     this.time = Math.min(Math.max(seconds, 0), this.duration);
@@ -195,8 +193,6 @@ class Player {
     this.seek((Math.round(this.time * this.data.rate) + count) / this.data.rate);
   }
 
-  // --- events
-
   currentEvents() {
     const now = this.time;
     const found = [];
@@ -236,8 +232,6 @@ class Player {
     if (best >= 0) this.goToEvent(best);
   }
 
-  // --- view
-
   setView(view) {
     const allowed = { mode: ["side", "over"], sync: ["step", "time"], mirror: [true, false], inPlace: [true, false] };
     for (const [name, values] of Object.entries(allowed)) {
@@ -251,8 +245,6 @@ class Player {
     else this.stage.camera.reset();
     this.request();
   }
-
-  // --- keys
 
   takes(event) {
     if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey) return false;
@@ -300,8 +292,6 @@ class Player {
     const sorted = direction > 0 ? SPEEDS : [...SPEEDS].reverse();
     this.setSpeed(sorted.find((speed) => direction * (speed - this.speed) > 1e-9) ?? this.speed);
   }
-
-  // --- frames
 
   tell() {
     for (const callback of [...this.listeners]) callback(this.time);

@@ -155,7 +155,6 @@ def _mirror(done: RepetitionsAssessment, performance: CanonicalMotion) -> Canoni
 
 
 def _fill(done: RepetitionsAssessment, played: CanonicalMotion, title: str, language: str) -> dict[str, str]:
-    """What stands in the slots of exercise.html."""
     words = load_section("report_exercise", language)
     slots = {f"text_{key}": escape(text) for key, text in words.items()}
     return slots | {
@@ -173,7 +172,6 @@ def _fill(done: RepetitionsAssessment, played: CanonicalMotion, title: str, lang
 
 
 def _collect(done: RepetitionsAssessment) -> dict[str, Any]:
-    """What exercise.js needs: spans to play."""
     spans = [[round(one.repetition.start_s, 3), round(one.repetition.end_s, 3)] for one in done.repetitions]
     return {"duration": round(done.duration_s, 4), "repetitions": spans}
 
@@ -230,7 +228,6 @@ def _list_sentences(done: RepetitionsAssessment, language: str) -> str:
 
 
 def _list_repetitions(done: RepetitionsAssessment, words: Mapping[str, str], language: str) -> str:
-    """A button for each, which plays it."""
     main = max(choose_angles(done), key=lambda name: done.reference_ranges[name])
     items = []
     for number, one in enumerate(done.repetitions):

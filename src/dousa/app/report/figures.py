@@ -247,7 +247,6 @@ def _draw_pair(
     segments: tuple[str, ...],
     sides: str,
 ) -> None:
-    """Reference and performance; few wrong segments are marked, and dashed as they should be."""
     draw_body(svg, poses[0], placements[0], "reference", sides)
     whole = not 0 < len(segments) < len(SEGMENTS)
     if whole:

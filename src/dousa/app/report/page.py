@@ -219,7 +219,6 @@ def build_page(
 
 
 def _build_notes(notes: str, words: Mapping[str, str]) -> str:
-    """Build the section of remarks on the performance; empty without remarks."""
     said = notes.strip()
     if not said:
         return ""

@@ -422,7 +422,6 @@ def _draw_tip(assessment: Assessment, advice: Advice, words: Mapping[str, str], 
 
 
 def _split_limbs(segments: Sequence[str]) -> list[list[str]]:
-    """The same segments, limb by limb."""
     limbs = [[SEGMENTS[index] for index in limb if SEGMENTS[index] in segments] for limb in LIMBS.values()]
     return [limb for limb in limbs if limb]
 

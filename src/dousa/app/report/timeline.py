@@ -296,7 +296,6 @@ def _distance_row(assessment: Assessment, duration: float, words: Mapping[str, s
 
 
 def _area(times: FloatArray, over: FloatArray, base: FloatArray, duration: float, top: float) -> str:
-    """Path data of the stretches between a curve and its limit."""
     parts = []
     for start, end in find_runs(np.isfinite(over)):
         share = max(2, min(end - start, 400))

@@ -120,7 +120,6 @@ def _make_page(page: str) -> Any:
 
 
 def _is_shared(request: Request) -> bool:
-    """Whether something is shared now."""
     sharing = request.app.state.studio.sharing
     return sharing is not None and sharing.server is not None
 

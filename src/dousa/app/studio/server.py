@@ -109,7 +109,6 @@ def serve(
 
 
 def _begin_sharing(studio: Studio, address: IPv4Address) -> None:
-    """Share on the network, and print the address with a code for a phone."""
     studio.sharing = make_sharing(studio, address, answer_problems, PatientProtocol)
     try:
         server = studio.sharing.begin()
@@ -141,7 +140,6 @@ def _say_serving(settings: Settings, code: str) -> None:
 
 
 def _show_running(settings: Settings, address: str, opens_browser: bool) -> None:
-    """Show the studio that uses the folder already."""
     sys.stderr.write(f"{Message('studio.runs_already', library=settings.library, address=address)}\n")
     if opens_browser:
         webbrowser.open(address)
@@ -160,7 +158,6 @@ def _tame_memory() -> None:
 
 
 def _listen(settings: Settings) -> tuple[socket.socket, int]:
-    """Open a listening socket and return it with its port."""
     for port in range(settings.port, min(settings.port + _TRIES, 65536)):
         # The protocol is named, else asyncio does not switch Nagle off, and small answers wait 40 ms.
         listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
@@ -288,7 +285,6 @@ def answer_problems(app: FastAPI, show_missing: Callable[[Request], Response | N
 
 
 def _describe_field(item: Mapping[str, Any]) -> Message:
-    """Describe what is wrong with a field of a request: where, what was expected, what came."""
     where = ".".join(str(step) for step in item["loc"][1:]) or str(item["loc"][0])
     context = item.get("ctx", {})
     cause = context.get("error")

@@ -309,7 +309,6 @@ def listen(address: str) -> LimitedListener:
 
 
 def _serve(app: Any, listener: LimitedListener, certificate: str, http: Any) -> Callable[[], None]:
-    """Answer requests in a thread; returns a function that stops it."""
     uvicorn = require("uvicorn", "studio")
     config = uvicorn.Config(
         app, http=http, ws="none", lifespan="off", loop="asyncio", proxy_headers=False, server_header=False,

@@ -81,7 +81,6 @@ def _print_errors(out: Console, assessment: Assessment) -> None:
 
 
 def _describe_grade(assessment: Assessment) -> Message:
-    """The grade with its interval."""
     from dousa.evaluation.grade.score import round_grade
 
     low, high = (f"{round_grade(value):.0f}" for value in assessment.score_interval)

@@ -58,7 +58,6 @@ def get_info(studio: StudioNow, asked: Annotated[MotionPart, Query()]) -> Answer
 
 
 def _describe_clip(studio: Studio, clip: int | None) -> dict[str, Any]:
-    """Describe a clip of the library; other motions have null in all fields."""
     if clip is None:
         return {"clip_id": None, "kind": None, "performer": None, "path": None}
     info = studio.library.clips([clip])[0]

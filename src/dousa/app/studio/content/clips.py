@@ -409,7 +409,6 @@ def _start(connection: sqlite3.Connection) -> None:
 
 
 def _make(library: Library, clip_ids: Sequence[int]) -> dict[int, bytes]:
-    """Make the figures of those clips that can be drawn, by number."""
     from dousa.errors import InvalidMotionError, LibraryDamagedError
 
     made: dict[int, bytes] = {}
@@ -489,7 +488,6 @@ class KeptMap:
             return 0
 
     def _read(self) -> _KeptPoints | None:
-        """Read the file; None if it is missing or no map."""
         with suppress(OSError, DousaError), open_npz(self._path, LibraryError) as arrays:
             ids, marks, left_out = (arrays.read(name, "i", 1).astype(np.int64) for name in ("ids", "marks", "left_out"))
             points = arrays.read("points", "f", 2).astype(np.float32)

@@ -115,7 +115,6 @@ class Companions:
         return assess_timing(self._motions.get(performance).motion, beats, music_start_s=start_s)
 
     def _find_film(self, performance: dict[str, Any]) -> Companion | None:
-        """Find the first film of a performance that was estimated from films."""
         motion = str(performance.get("motion", ""))
         if not motion.startswith("job:"):
             return None

@@ -185,7 +185,6 @@ def find_take(studio: Studio, ref: MotionRef) -> int | None:
 
 
 def _list_segments(studio: Studio, takes: Sequence[int] | None = None) -> list[Correction]:
-    """List segments named by hand as corrections."""
     found = []
     for take in studio.library.annotations.read(takes):
         name = str(Address(clip=take.take_id))
@@ -280,7 +279,6 @@ def _part_at(ref: MotionRef, split_s: float | None) -> list[MotionRef]:
 
 
 def _add_clip(studio: Studio, named: Named, ref: MotionRef, name: str) -> dict[str, Any]:
-    """Add a part of an uploaded take as a clip."""
     batch = studio.workspace.new_batch()
     studio.workspace.keep(batch, by_library=True)
     path = _write_clip(studio, named, ref, batch, name)
@@ -309,7 +307,6 @@ def _add_clip(studio: Studio, named: Named, ref: MotionRef, name: str) -> dict[s
 def _name_segment(
     studio: Studio, take: int, named: Named, ref: MotionRef, category: str, instead_of: str | None
 ) -> dict[str, Any]:
-    """Name a part of a take of the library as a segment of it."""
     start = ref.start_s or 0.0
     end = ref.end_s if ref.end_s is not None else start + named.motion.duration
     trained = studio.library.stats().trained_at is not None
@@ -337,7 +334,6 @@ def _check_category(category: str) -> str:
 
 
 def _write_clip(studio: Studio, named: Named, ref: MotionRef, batch: str, category: str) -> Path:
-    """Write the part as a file, with a table of its category beside it."""
     from dousa.app.studio.content.motions import make_file
 
     stem = "".join(character if character.isalnum() or character in "_-" else "_" for character in _stem(named))

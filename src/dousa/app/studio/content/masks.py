@@ -107,7 +107,6 @@ def export_masks(folder: Path, path: Path, progress: Any = None) -> None:
 
 
 def _load_repairs(folder: Path) -> tuple[list[MaskRepair], list[MaskRepair]]:
-    """Load the repairs, and the undone ones, the last undone first."""
     try:
         stored = json.loads((folder / _REPAIRS).read_bytes())
     except FileNotFoundError:

@@ -205,7 +205,6 @@ def provide_certificate(home: Path, address: IPv4Address) -> Certificate:
 
 
 def _read_certificate(path: Path, address: IPv4Address) -> _Signed | None:
-    """Read the stored certificate if it is valid for this address."""
     from cryptography import x509
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
 

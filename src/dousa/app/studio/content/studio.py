@@ -144,7 +144,6 @@ def _make_private(library: Path) -> None:
 
 
 def _identify(path: Path) -> tuple[int, int] | None:
-    """Return what identifies the file of this name; None if it is missing."""
     try:
         status = os.stat(path)
     except OSError:

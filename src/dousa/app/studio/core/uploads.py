@@ -121,7 +121,6 @@ def _check_suffix(name: str) -> str:
 
 
 def _check_content(path: Path, name: str) -> None:
-    """Check that a file can be what its suffix says; its reader checks the rest."""
     with open(path, "rb") as file:
         head = file.read(512)
     if not head:
@@ -218,7 +217,6 @@ def _is_disk(error: BaseException) -> bool:
 
 
 def _check_archive(members: list[zipfile.ZipInfo], packed_bytes: int, room: _Room) -> None:
-    """Check what the archive states; whether it is true is found while it is unpacked."""
     if not members:
         raise RefusedError(415, "studio_files.archive_empty")
     if len(members) > room.most[0]:

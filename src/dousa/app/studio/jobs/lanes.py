@@ -148,7 +148,6 @@ def _listen(
 
 
 def _read_lines(stdout: IO[bytes], job: Job, board: JobBoard) -> dict[str, Any]:
-    """Pass on progress and notes; returns the last message of the process."""
     last: dict[str, Any] = {}
     for line in stdout:
         with suppress(ValueError):

@@ -203,7 +203,6 @@ def _find_start(request: dict[str, Any], context: Context) -> str | None:
 
 
 def _write_clip(clip: int, context: Context) -> Path:
-    """Write the joints of a clip as the library has them, as its source may be gone."""
     from dousa.formats.registry import write_motion
 
     path = context.folder / "start.trc"
@@ -260,7 +259,6 @@ def _weigh(code: str) -> int:
 
 
 def _codes(value: Any) -> Iterator[str]:
-    """Yield the codes of a message and of those among its values."""
     if isinstance(value, Message):
         yield value.code
         for one in value.values.values():
@@ -317,7 +315,6 @@ def _write_cameras(asked: EstimationRequest, views: Silhouettes, context: Contex
 
 
 def _write_frames(views: Silhouettes, context: Context) -> Any:
-    """Write every frame; returns the measures of the masks (2, V, T)."""
     from dousa.estimation.silhouettes.mask_doubts import measure_mask
 
     measures = np.full((2, views.n_views, views.n_frames), np.nan)

@@ -154,7 +154,6 @@ def estimate_from_films(
 
 
 def _show_films(views: Sequence[FilmSource], record: FilmRecordWriter, context: Context) -> None:
-    """Write pictures of all films, to be looked at while people are searched for."""
     from dousa.app.studio.content.film_record import choose_stride, write_pictures
     from dousa.estimation.keypoints.films import FilmFrames
 

@@ -132,7 +132,6 @@ def _sort_pictures(place: str, names: list[str], has_videos: bool) -> list[Mater
 
 
 def _settle(found: list[Material]) -> list[Material]:
-    """Keep only the first calibration, body and start."""
     taken: set[str] = set()
     settled = []
     for item in found:

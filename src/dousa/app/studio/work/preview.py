@@ -113,7 +113,6 @@ def _match(asked: EstimationRequest, views: Silhouettes, answer: dict[str, Any])
 
 
 def _show_first(views: Silhouettes, first: int, last: int, answer: dict[str, Any]) -> None:
-    """Add pictures of the first frame with a person."""
     from dousa.app.pipelines.doubts import WatchedSilhouettes
     from dousa.estimation.tracking.start import find_first
 
@@ -132,7 +131,6 @@ def _show_first(views: Silhouettes, first: int, last: int, answer: dict[str, Any
 
 
 def _draw(mask: Mask, image: NDArray[np.uint8] | None) -> str:
-    """Draw a silhouette in grey, or outlined in its picture, as a data URL."""
     from dousa.app.pictures.overlay_view import LEFT, WHITE, draw_outlines, find_outlines
     from dousa.extras import cv2
 
@@ -153,7 +151,6 @@ def _draw(mask: Mask, image: NDArray[np.uint8] | None) -> str:
 
 
 def _check_person(asked: EstimationRequest, context: Context, answer: dict[str, Any]) -> None:
-    """Check body and start before the work."""
     from dousa.app.pipelines.estimation_body import load_body, read_start
     from dousa.app.pipelines.estimation_views import read_known_stature
 

@@ -6,7 +6,6 @@ import { h, language, t, wholeGrade } from "../core/dom.js";
 import { attempt } from "../core/notices.js";
 
 // What a comparison says, as a table: a row for the grade, each figure, each kind of error, each part of the body.
-
 const LEAST_POINTS = 1; // of a grade, that count
 
 /** Rows {title} or {name, values: [number or null], texts, up: whether more is better} of the answer of /comparisons. */
@@ -52,7 +51,6 @@ function change(first, value, at, up) {
   return by > 0 ? "better" : "worse";
 }
 
-/** The best of the row, where they differ. */
 function best(values, value, up) {
   const known = values.filter((one) => one !== null);
   const [low, high] = [Math.min(...known), Math.max(...known)];
@@ -75,7 +73,6 @@ export class Comparison {
     this.root.replaceChildren();
   }
 
-  /** ids: evaluations that are chosen at first. */
   async show(ids) {
     this.clear();
     const mine = (this.turn = Symbol("comparison"));
@@ -95,14 +92,12 @@ export class Comparison {
     await this.compare();
   }
 
-  /** The model with most evaluations. */
   largest() {
     const count = new Map();
     for (const { model } of this.all) count.set(model, (count.get(model) ?? 0) + 1);
     return [...count].sort((a, b) => b[1] - a[1])[0]?.[0];
   }
 
-  /** Those chosen, the oldest first. */
   shown() {
     return this.all.filter((one) => this.chosen.includes(one.id)).sort((a, b) => a.created_s - b.created_s);
   }

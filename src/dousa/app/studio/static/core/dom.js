@@ -77,13 +77,11 @@ export function formatSeconds(seconds) {
   return hours ? `${hours}:${two(minutes)}:${two(rest)}` : `${minutes}:${two(rest)}`;
 }
 
-/** A share as a whole number of percent. */
 export const percent = (share) => Math.round(100 * share);
 
 /** A grade of an answer, as reports and tables say it: half a point up. */
 export const wholeGrade = (score) => String(Math.floor(score + 0.5));
 
-/** The last part of a path. */
 export const baseName = (path) => path.split(/[\\/]/).pop();
 
 /** Calls after `wait` ms without another call. */

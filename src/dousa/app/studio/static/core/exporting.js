@@ -9,7 +9,6 @@ import { attempt } from "./notices.js";
 
 // The user's character: a file over whose skeleton motions are put. It is uploaded once, and remembered by the browser
 // and in the folder of the studio until another one is chosen.
-
 const KEY = "dousa-character";
 const FILES = ".bvh,.glb,.gltf,.vrm,.fbx,.amc,.asf,.npz,.mvnx,.zip";
 
@@ -83,7 +82,6 @@ export function openExport(ids, hits = null) {
   });
 }
 
-/** Download one motion, or a part of one {motion, start_s, end_s}, in a format of choice, onto a character. */
 export function openDownload(part, title = t("onto_title")) {
   const body = h("div", { class: "stack exporting" });
   const { close } = openDialog(title, body);
@@ -99,7 +97,6 @@ export function openDownload(part, title = t("onto_title")) {
   });
 }
 
-/** Hits with a box each; all are chosen at first. */
 function tickList(hits) {
   const boxes = hits.map((hit) => h("input", { type: "checkbox", checked: true, value: String(hit.id) }));
   const note = h("p", { class: "note", role: "status" }, many(hits.length));
@@ -166,7 +163,6 @@ async function ask(body, { about, original, close, go }) {
   format.focus();
 }
 
-/** The job as it goes on, and the file when it is there. */
 function show(body, job, close) {
   if (isActive(job)) {
     const bar = $("progress", body);
@@ -194,7 +190,6 @@ function show(body, job, close) {
   }
 }
 
-/** A download without leaving the page. */
 function fetchFile(href) {
   const link = h("a", { href, download: "", class: "sr" });
   document.body.append(link);

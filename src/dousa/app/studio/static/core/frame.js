@@ -9,7 +9,6 @@ import { attempt, notify } from "./notices.js";
 import { listenForPalette } from "./palette.js";
 
 // How long a job takes, and word of its end for who looks at something else meanwhile.
-
 const SOON = 3; // s before which nothing can be foretold
 
 /** "12.0 s, about 1:30 to go"; after its end how long it took. */
@@ -51,7 +50,6 @@ export function tellSwitch() {
 
 const before = new Map(); // job id -> whether it was under way
 
-/** Tell of jobs that have ended since the last call. */
 export function tellEnds(jobs) {
   for (const job of jobs) {
     const ended = before.get(job.id) && !isActive(job);
@@ -69,8 +67,6 @@ if (tab) {
   const [box, nav] = [tab.getBoundingClientRect(), tab.parentElement.getBoundingClientRect()];
   if (box.right > nav.right) tab.parentElement.scrollLeft += box.right - nav.right;
 }
-
-// --- the tray
 
 const tray = $("#jobs-tray");
 const trayButton = $("#jobs-button");
@@ -160,8 +156,6 @@ watchJobs((jobs) => {
 });
 
 listenForPalette((job) => (Object.hasOwn(PLACES, job.kind) && job.state !== "failed" ? placeOf(job) : null));
-
-// --- the disk
 
 const size = (bytes) => (bytes < 999.5e6 ? t("megabytes", { value: Math.round(bytes / 1e6) }) : t("gigabytes", { value: (bytes / 1e9).toFixed(1) }));
 

@@ -25,7 +25,6 @@ export function followJob(id, onChange) {
   return () => followers.get(id)?.delete(onChange);
 }
 
-/** The job when it is over. */
 export function finished(id) {
   return new Promise((resolve) => {
     const end = followJob(id, (job) => {

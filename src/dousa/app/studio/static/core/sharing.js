@@ -7,7 +7,6 @@ import { attempt, notify } from "./notices.js";
 
 const act = (word, action, kind = "") => h("button", { type: "button", class: `small ${kind}`, dataset: { act: word }, onclick: () => attempt(action) }, t(word));
 
-/** Show the link to one report (its job), or to everything. */
 export async function openSharing(report = null) {
   const place = h("div", { class: "stack sharing", id: "sharing" });
   await fill(place, report);

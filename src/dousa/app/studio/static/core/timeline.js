@@ -17,7 +17,6 @@ import { formatSeconds, h, t } from "./dom.js";
 import { describeSegment, drawStrip, findLanes, makeSegment, makeTicks, place, Tones } from "./timeline_parts.js";
 
 // The whole of a timeline in little, while only a part of it is seen; click or drag to see another part.
-
 export class Overview {
   /** scroll: the element that scrolls; onGo(share): the middle of what is to be seen. */
   constructor(scroll, onGo) {
@@ -120,8 +119,6 @@ class Timeline {
     return end;
   }
 
-  // --- drawing
-
   draw() {
     this.inner.style.width = `${100 * this.zoom}%`;
     this.measure();
@@ -131,7 +128,6 @@ class Timeline {
     this.drawCursor();
   }
 
-  /** What depends on the width. */
   measure() {
     this.overview.place();
     const width = this.inner.clientWidth;
@@ -196,8 +192,6 @@ class Timeline {
     const text = span || (this.selectable ? this.word("timeline_hint") : "");
     if (this.says.textContent !== text) this.says.textContent = text;
   }
-
-  // --- what people do
 
   seconds({ clientX }) {
     const { left, width } = this.inner.getBoundingClientRect();
@@ -296,8 +290,6 @@ class Timeline {
     this.setZoom(this.zoom * (event.deltaY < 0 ? 1.25 : 0.8), this.seconds(event));
   }
 
-  // --- keys
-
   pressCursor(event) {
     const page = this.duration / this.zoom / 10;
     const moves = { ArrowLeft: -STEP, ArrowRight: STEP, ArrowDown: -STEP, ArrowUp: STEP, PageDown: -page, PageUp: page, Home: -Infinity, End: Infinity };
@@ -336,8 +328,6 @@ class Timeline {
     event.stopPropagation();
   }
 
-  // --- cuts
-
   moveCut(number, seconds, done) {
     const [low, high] = [(this.cuts[number - 1] ?? 0) + LEAST, (this.cuts[number + 1] ?? this.duration) - LEAST];
     this.cuts[number] = clamp(seconds, low, high);
@@ -360,8 +350,6 @@ class Timeline {
     if (!this.cuts.length) this.hand.focus({ preventScroll: true });
     this.tell("cuts", [...this.cuts], true);
   }
-
-  // --- setters
 
   setCursor(seconds) {
     this.cursor = clamp(seconds, 0, this.duration);

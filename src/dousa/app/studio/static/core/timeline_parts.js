@@ -27,7 +27,6 @@ export class Tones {
 
 const percent = (part, whole) => `${(100 * part) / Math.max(whole, 1e-9)}%`;
 
-/** Where something from start to end lies: a style. */
 export const place = (start, end, duration) => ({ left: percent(start, duration), width: percent(end - start, duration) });
 
 const TOUCHING = 0.005; // s that neighbours may overlap by: times are rounded
@@ -51,7 +50,6 @@ export function findLanes(segments) {
   return found;
 }
 
-/** Where a lane lies, from top to bottom: a style. */
 const placeLane = ({ lane, lanes }) => (lanes === 1 ? {} : { top: percent(lane, lanes), bottom: percent(lanes - lane - 1, lanes) });
 
 /** What a stretch of the API is for a timeline: how it is drawn, and under which name. */
@@ -72,7 +70,6 @@ export function sayShares(stretches, duration) {
   return t("unknown_share", { percent: unknown }) + (doubtful ? `, ${t("doubtful_share", { percent: doubtful })}` : "");
 }
 
-/** The name as it is said: "kick", "perhaps kick", "unknown". */
 export function sayName(kind, label) {
   if (kind === "unknown") return t("unknown");
   return kind === "perhaps" ? t("perhaps", { category: label }) : label;
@@ -98,7 +95,6 @@ export function makeSwatch(kind, label, tones, options = {}) {
   return swatch;
 }
 
-/** lane: of findLanes */
 export function makeSegment(segment, duration, tones, lane) {
   const unknown = segment.kind === "unknown";
   const tone = unknown ? null : tones.of(segment.label);
@@ -114,7 +110,6 @@ export function makeSegment(segment, duration, tones, lane) {
   return element;
 }
 
-/** Stretches in little, without words. */
 export function drawStrip(element, segments, duration, tones) {
   const lanes = findLanes(segments);
   const piece = (one, number) => {
@@ -145,7 +140,6 @@ function formatTick(seconds, step) {
   return `${minutes}:${String(rest).padStart(2, "0")}`;
 }
 
-/** Ticks of a ruler that is so many pixels wide. */
 export function makeTicks(duration, width) {
   const step = STEPS.find((one) => (one / duration) * width >= ROOM) ?? STEPS.at(-1);
   const ticks = [];

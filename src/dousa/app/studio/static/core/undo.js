@@ -7,7 +7,6 @@ import { attempt, notify } from "./notices.js";
 
 let acting = false;
 
-/** Undo a change by its number, or the last one. */
 export const undo = (changed, number = null) => step("undo", "redo", number, changed);
 export const redo = (changed, number = null) => step("redo", "undo", number, changed);
 

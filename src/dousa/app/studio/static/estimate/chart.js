@@ -93,7 +93,6 @@ export class Chart {
     });
   }
 
-  /** Rectangles over frames that are "lost" or "unsure". */
   marked(known, frames, mark) {
     const spans = [];
     for (const frame of known.filter((number) => frames.get(number)[mark])) {

@@ -6,7 +6,6 @@ import { dropZone, refusedList } from "../core/drop.js";
 import { attempt } from "../core/notices.js";
 
 // Who moves, and how it is searched: fields, and what they say to the interface.
-
 const SEEN = new Set(["frames", "rate", "kind", "background_method", "mirrored", "cues", "model"]); // what a look would show
 const SEEN_OF_FILMS = new Set(["stature"]);
 
@@ -76,7 +75,6 @@ export function readOptions(form) {
 }
 
 // What would be estimated: silhouettes, cameras, body, and what is missing.
-
 export function showEmpty() {
   $("#start").disabled = true;
   $("#repair").hidden = true;
@@ -89,7 +87,6 @@ export function showLooking(what = t("preview_looking")) {
   $("#preview").prepend(h("p", { class: "looking" }, h("i", { "aria-hidden": "true" }), what));
 }
 
-/** found: the answer of POST /estimations/preview */
 export function showPreview(found) {
   const ready = !found.missing && found.views.length > 0;
   $("#start").disabled = !ready;
@@ -129,7 +126,6 @@ function facts(found) {
 }
 
 // The table of uploaded files and what each is used as.
-
 const ROLES = ["source", "cameras", "background", "body", "start", "unused"];
 
 /** files: [{name, role, kind, n_files}]; on: {change(name, role), again()} */
@@ -163,8 +159,6 @@ function row(file, change) {
 }
 
 // Addresses of this page: what is shown stands in them, so that a reload shows it again.
-
-/** The page with other parameters, in the language that was asked for. */
 export function addressOf(params) {
   const query = new URLSearchParams(params);
   const language = new URLSearchParams(location.search).get("lang");
@@ -265,7 +259,6 @@ function buildRoleOptions() {
   $("#options").dataset.start = namesOf("start").length ? "file" : "";
 }
 
-/** What is asked of the interface; before the files have parts, the studio finds them. */
 function request() {
   const said = { batch: state.batch, ...readOptions($("#options")) };
   const { start_frame: frame, ...rest } = said;

@@ -9,9 +9,7 @@ import { Chart } from "./chart.js";
 import { Figure } from "./figure.js";
 
 // Silhouette and model of every view at one frame; a picture stays until the next one is there.
-
 export class Views {
-  /** views: [{name, width, height}] */
   constructor(place, job, views) {
     this.job = job;
     this.wanted = null;
@@ -77,8 +75,6 @@ class Cell {
 }
 
 // What came out, how far to trust it, and where to go with it.
-
-/** job: a finished estimation with its result. */
 export function showOutcome(job) {
   const result = job.result;
   const motion = encodeURIComponent(`job:${job.id}`);
@@ -154,7 +150,6 @@ async function add(job, name, category) {
 const LOOK_EVERY = 350; // ms
 const UNSURE = 0.7; // mean overlap of silhouette and model, below which a frame is marked
 
-/** What a job is doing. */
 function describeStep(job) {
   if (job.state === "queued") return t("what_waiting");
   return job.what && job.total > 1 ? t("what_step", { what: job.what, done: job.done, total: job.total }) : job.what;
@@ -209,8 +204,6 @@ class Watching {
     this.desk?.destroy();
   }
 
-  // --- the job
-
   showJob(job) {
     if (this.ended) return;
     const before = this.job;
@@ -258,7 +251,6 @@ class Watching {
     if (had) buttons[0]?.focus();
   }
 
-  /** The silhouettes that were fitted, to be repaired and fitted again. */
   async repairMasks() {
     const { request } = await get(`/jobs/${this.id}`);
     const id = request.masks ?? (await post("/jobs/masks", request)).id;
@@ -274,8 +266,6 @@ class Watching {
     await this.look();
     if (!this.desk) this.showFigure(false);
   }
-
-  // --- the frames
 
   async look() {
     clearTimeout(this.timer);
@@ -344,8 +334,6 @@ class Watching {
       this.figure.playOnce();
     } else if (!this.figure.playing) this.figure.seek(Math.max(this.frame, 0) / this.rate);
   }
-
-  // --- the moment
 
   setFollowing(following) {
     this.following = following;

@@ -4,7 +4,6 @@ import { h, icon, t } from "../core/dom.js";
 import { Cuts, isSameFigures } from "./cuts.js";
 
 // What each limb counts: sliders from 0 to 3 for trunk, arms and legs, and for each of the nine segments.
-
 export const SEGMENTS = ["trunk", "left_upper_arm", "left_forearm", "right_upper_arm", "right_forearm", "left_thigh", "left_shank", "right_thigh", "right_shank"];
 const LIMBS = { trunk: [0], arms: [1, 2, 3, 4], legs: [5, 6, 7, 8] };
 const NAMED = { left_arm: [1, 2], right_arm: [3, 4], left_leg: [5, 6], right_leg: [7, 8] };
@@ -17,7 +16,6 @@ export function spread(weights = {}) {
   return SEGMENTS.map((name, k) => weights[name] ?? all[k]);
 }
 
-/** What is sent: segments that do not weigh 1. */
 export const gather = (values) => Object.fromEntries(SEGMENTS.map((name, k) => [name, values[k]]).filter(([, value]) => value !== 1));
 
 const short = (value) => String(Number(value.toFixed(2)));
@@ -34,7 +32,6 @@ export function describeWeights(values, names) {
   return said.join(", ");
 }
 
-/** onChange(values of the nine segments, done) */
 export class Weights {
   constructor(element, { names, onChange }) {
     Object.assign(this, { values: SEGMENTS.map(() => 1), counts: null, onChange, sliders: [] });
@@ -76,7 +73,6 @@ export class Weights {
     this.onChange(values, done);
   }
 
-  /** Show other weights; nobody is told. */
   show(values, importance) {
     this.values = [...values];
     this.learned.checked = importance !== "equal";
@@ -110,7 +106,6 @@ export class Weights {
 }
 
 // Changes of figures and weights that are taken back and done again, as long as the evaluation is shown.
-
 const MOST = 200;
 
 export class Steps {
@@ -131,7 +126,6 @@ export class Steps {
     this.kept = [this.hooks.read()];
   }
 
-  /** Something may have changed. */
   note() {
     if (this.going || !this.kept.length) return;
     const now = this.hooks.read();
@@ -185,7 +179,6 @@ export class Adjust {
     this.steps.begin();
   }
 
-  /** Buttons that take a change back, and do it again; the keys do the same. */
   makeSteps() {
     const button = (name, by) => h("button", { type: "button", class: "quiet small icon", id: `adjust-${name}`, "aria-label": t(name), title: t(name), disabled: true, onclick: () => this.steps.go(by) }, icon("undo"));
     const buttons = { undo: button("undo", -1), redo: button("redo", 1) };
@@ -216,7 +209,6 @@ export class Adjust {
     this.onChange(this.values(), done);
   }
 
-  /** What the studio answered. */
   take({ assessment, exact, kept }) {
     this.problem.hidden = true;
     const score = assessment.score;

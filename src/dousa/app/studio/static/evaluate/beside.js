@@ -6,7 +6,6 @@ import { attempt } from "../core/notices.js";
 
 // Keeps a film or a piece of music in step with the player: the player leads, and its moments are seconds of the
 // performance. start() says when the medium begins.
-
 const DRIFT = 0.12; // s that it may be off while it plays
 const STILL = 0.02;
 
@@ -19,7 +18,6 @@ export class InStep {
     this.follow();
   }
 
-  /** Not held: it goes where the player is. */
   follow() {
     const { media, player } = this;
     if (this.held || !media.readyState) return;
@@ -54,7 +52,6 @@ export class InStep {
 }
 
 // The loudness of a piece of music and its beats, below the timeline of the player and as long as that.
-
 const RATE = 8000; // Hz it is looked at
 const MOST_BYTES = 60e6; // of a file: decoded it is many times that
 
@@ -75,7 +72,6 @@ async function measure(address, parts) {
 }
 
 export class Waveform {
-  /** name of the file, start() when it begins; onSeek(s of the performance) */
   constructor(player, name, start, onSeek) {
     Object.assign(this, { player, start, sound: null, beats: [] });
     this.canvas = h("canvas", { class: "waveform-canvas" });
@@ -309,7 +305,6 @@ export class Beside {
     }
   }
 
-  /** The beats in the waveform, and the accents of the dance against them as a section of the report. */
   async showBeats() {
     const { wave } = this;
     try {

@@ -4,12 +4,10 @@ import { h, icon, t } from "../core/dom.js";
 import { createTimeline } from "../core/timeline.js";
 
 // Figures of the dance as a list that can be changed: {start_s, end_s, label} in order, side by side.
-
 export const LEAST = 0.1; // s
 
 const round = (seconds) => Math.round(seconds * 1000) / 1000;
 
-/** Places where one figure ends and the next begins. */
 export const cutsOf = (figures) => figures.slice(1).map((one) => one.start_s);
 
 export const isSameFigures = (a, b) =>
@@ -37,7 +35,6 @@ export function recut(figures, cuts) {
   return labels.map((label, k) => ({ start_s: edges[k], end_s: edges[k + 1], label }));
 }
 
-/** onChange(figures, done), onSeek(s of the reference) */
 export class Cuts {
   constructor(element, { duration, onChange, onSeek, onReset }) {
     Object.assign(this, { duration, onChange, onSeek, figures: [] });
@@ -58,7 +55,6 @@ export class Cuts {
     this.onChange(figures, done);
   }
 
-  /** Show other figures; nobody is told. */
   show(figures) {
     this.figures = figures.map((one) => ({ ...one }));
     this.draw(true);

@@ -3,7 +3,6 @@
 import { $, h } from "../core/dom.js";
 
 // What of a report lies open: advice, player and worst moments for everybody, what they rest on for who opens it.
-
 const FOLD = "dousa_analysis"; // whether somebody opened it last time
 
 export function foldAnalysis(root) {

@@ -8,10 +8,8 @@ import { Beside } from "./beside.js";
 import { foldAnalysis, foldForPhones, putParts } from "./parts.js";
 
 // What the teacher says of a performance: kept as it is typed, printed, and in the report that is downloaded.
-
 const SETTLE = 600; // ms without a key before it is kept
 
-/** Fills a section; -> function that keeps at once what was typed last. */
 export function putNotes(section, job, notes) {
   let kept = notes;
   let waiting = null;
@@ -52,10 +50,8 @@ export function putNotes(section, job, notes) {
 }
 
 // Asking for what was changed: quickly while it changes, exactly when it rests; never two questions at once.
-
 const REST = 450; // ms without a change before the exact answer is asked for
 
-/** onAnswer(answer), onProblem(error), onBusy(bool) */
 export class Asking {
   constructor(path, { onAnswer, onProblem, onBusy }) {
     Object.assign(this, { path, onAnswer, onProblem, onBusy, wanted: null, busy: false, timer: 0, ended: false });
@@ -104,7 +100,6 @@ const FILES = { "report.html": "report", "curves.csv": "curves", "events.csv": "
 
 const EXERCISE_FILES = { "exercise.html": "report", "repetitions.csv": "repetitions" };
 
-/** Links to the files of an evaluation, as somebody has adjusted it. */
 export function downloadLinks({ id, request }) {
   const files = request.repetitions ? EXERCISE_FILES : FILES;
   return Object.entries(files).map(([file, word]) => h("a", { class: "button small", href: `/api/evaluations/${id}/${file}?language=${language}`, download: "", dataset: { file } }, icon("download"), t(`download_${word}`)));
@@ -150,7 +145,6 @@ export class Result {
     return true;
   }
 
-  /** The report of an exercise: nothing in it can be adjusted. */
   async showExercise(wanted, mine, onArrival) {
     const answer = await get(`/evaluations/${wanted.id}/exercise`, { language });
     if (mine !== this.turn) return false;
@@ -162,7 +156,6 @@ export class Result {
     return true;
   }
 
-  /** Below the worst moments, where there are earlier evaluations against the same reference. */
   async showProgress(job, mine) {
     const { progress } = await get(`/evaluations/${job}/progress`, { language });
     if (!progress || mine !== this.turn) return;

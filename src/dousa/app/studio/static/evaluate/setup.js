@@ -9,7 +9,6 @@ import { pickClips } from "../core/pick.js";
 // What is held against what, as it stands in the address; shapes that the modules of this page share.
 //
 // A motion here is {motion, start_s, end_s, unit, up} as the interface wants it, null where nothing is said.
-
 const ASIDE = ["start_s", "end_s", "unit", "up", "joint_map"];
 
 const toNumber = (text) => (text === null || text === "" || !Number.isFinite(Number(text)) ? null : Number(text));
@@ -19,7 +18,6 @@ const splitNames = (text) => (text ? text.split(/,(?=(?:clip|file|job):)/) : [])
 
 export const whole = (motion) => ({ motion });
 
-/** The same motion without what is not said. */
 export function plain(ref) {
   const asked = { motion: ref.motion };
   for (const name of ASIDE) if (ref[name] !== null && ref[name] !== undefined) asked[name] = ref[name];
@@ -40,7 +38,6 @@ export function readAddress() {
   };
 }
 
-/** The choice of motions in the address: reload shows it again. Parts of references are kept by the job only. */
 export function keepChoice({ performance, references, side, tempo, repetitions }) {
   const asked = new URLSearchParams();
   if (performance) {
@@ -57,10 +54,8 @@ export function keepChoice({ performance, references, side, tempo, repetitions }
 export const showJob = (id) => history.pushState(null, "", `/evaluate?job=${id}`);
 
 // A chosen motion as a row: a small moving figure, its name and length, a part of it, buttons.
-
 const known = new Map(); // motion -> promise of what it is
 
-/** Name, length and more of a motion. */
 export function describeMotion(ref) {
   const asked = plain({ ...ref, start_s: null, end_s: null });
   const key = JSON.stringify(asked);
@@ -123,7 +118,6 @@ const isSame = (a, b) => JSON.stringify(plain(a)) === JSON.stringify(plain(b));
 
 const upload = async (entries) => (await takeMotions(entries)).map(whole);
 
-/** onGrade(request) when somebody wants the grade. */
 export class Setup {
   constructor(onGrade) {
     this.form = $("#setup");
@@ -144,7 +138,6 @@ export class Setup {
     return { performance: plain(performance), references: references.map(plain), side, tempo, repetitions };
   }
 
-  /** Show a choice; it is kept in the address only when somebody changes it. */
   show(choice) {
     this.choice = { ...this.choice, ...choice };
     this.draw();

@@ -46,8 +46,6 @@ export class FilmDesk {
     if (this.film) this.drawPeople();
   }
 
-  // --- what is known
-
   async refresh(version) {
     if (version === this.version) return;
     const film = await get(`/estimations/${this.id}/film`);
@@ -126,14 +124,11 @@ export class FilmDesk {
     this.figure.seek(this.frame / this.film.frame_rate);
   }
 
-  // --- people
-
   drawPeople() {
     const on = { ...this.choosing(), fit: () => attempt(() => this.fitAgain()), undo: this.then((choice) => choice.reset()) };
     showPeople($("#film-people"), this.choice, Boolean(this.active), on);
   }
 
-  /** What is shown of the choice follows what was done to it. */
   then(change) {
     return (...values) => {
       change(this.choice, ...values);
@@ -164,8 +159,6 @@ export class FilmDesk {
     const job = await post("/jobs/estimate", { ...request, ...this.choice.request() });
     this.onJob(job.id);
   }
-
-  // --- the moment
 
   toggle(what) {
     this[what] = !this[what];

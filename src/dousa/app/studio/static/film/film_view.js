@@ -5,7 +5,6 @@ import { h, icon, t } from "../core/dom.js";
 import { colourOf } from "./people.js";
 
 // The keypoints of everybody in a film, in pieces that are fetched when they are looked at.
-
 const PIECE = 400; // frames
 const SCALE = 16384;
 const UNSEEN = -32768;
@@ -16,7 +15,6 @@ function bytes(text) {
 }
 
 export class Tracks {
-  /** onLoad() when a piece has come. */
   constructor(job, view, nNames, onLoad) {
     Object.assign(this, { job, view, nNames, onLoad, pieces: new Map() });
   }
@@ -81,7 +79,6 @@ export class FilmView {
     this.observer.observe(this.picture);
   }
 
-  /** The film as it is known now. */
   update(film) {
     const view = film.views[this.index];
     this.name.textContent = view.name;
@@ -147,8 +144,6 @@ export class FilmView {
     this.draw();
   }
 
-  // --- the people
-
   draw() {
     const { canvas, desk } = this;
     const box = this.picture.getBoundingClientRect();
@@ -211,8 +206,6 @@ export class FilmView {
     context.fillStyle = "#ffffff";
     context.fillText(text, x + 5 * ratio, y + 13.5 * ratio);
   }
-
-  // --- a click
 
   click(event) {
     const box = this.canvas.getBoundingClientRect();

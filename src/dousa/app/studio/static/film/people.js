@@ -10,13 +10,11 @@ export const keyOf = (view, track) => `${view}:${track}`;
 const readKey = (key) => key.split(":").map(Number);
 const percent = (share) => `${Math.round(100 * share)} %`;
 
-/** What was found, and what somebody wants instead. */
 export class Choice {
   constructor() {
     Object.assign(this, { film: null, person: null, leftOut: new Set(), added: new Set(), owner: new Map() });
   }
 
-  /** Take in what is new; what somebody has changed stays. */
   update(film) {
     const first = this.film === null;
     const had = this.wants();
@@ -27,7 +25,6 @@ export class Choice {
     if (!had) this.added.clear();
   }
 
-  /** Whether something is to be fitted again. */
   wants() {
     if (!this.film) return false;
     const before = new Set(this.film.left_out.map(([view, track]) => keyOf(view, track)));
@@ -65,7 +62,6 @@ export class Choice {
     this.pick(this.film.chosen);
   }
 
-  /** For POST /jobs/estimate. */
   request() {
     const members = this.person === null ? [] : [...this.film.people[this.person].members, ...[...this.added].map(readKey)];
     const person = members.filter(([view, track]) => !this.leftOut.has(keyOf(view, track)));
@@ -115,13 +111,11 @@ function trackItem(choice, view, track, who, on) {
   );
 }
 
-/** Somebody whom the other films show as the chosen person. */
 function sameButton(choice, view, track, who, on) {
   const label = t("menu_same", { number: choice.person + 1 });
   return h("button", { type: "button", class: "small quiet", "aria-label": t("track_of", { action: label, who, view: choice.film.views[view].name }), dataset: { key: `same-${view}-${track}` }, onclick: () => on.same(view, track) }, label);
 }
 
-/** People were found, but nobody has said yet who is who. */
 function unmatched(choice, on) {
   const tracks = choice.film.views.flatMap((view, index) => view.people.map((_, track) => [index, track]));
   if (!tracks.length) return h("p", { class: "note" }, t("people_waiting"));
@@ -129,7 +123,6 @@ function unmatched(choice, on) {
   return h("div", { class: "person" }, h("p", { class: "note" }, t("people_unmatched")), h("ul", { class: "tracks" }, ...items));
 }
 
-/** Tracks that belong to nobody: left out before. */
 function lost(choice, on) {
   if (!choice.film.people.length) return "";
   const tracks = choice.film.views.flatMap((view, index) => view.people.map((_, track) => [index, track]));

@@ -4,7 +4,6 @@
 import { h, t } from "../core/dom.js";
 
 // A picture on a plane in space: in cells of two triangles each, which together follow the perspective.
-
 const CELLS = 4; // on each side
 const OVER = 0.6; // px by which triangles reach over their edges, so that no seams show
 
@@ -147,7 +146,6 @@ export class Space {
     this.draw();
   }
 
-  /** Right, up and near, as it is looked at. */
   turned([x, y, z]) {
     const [dx, dy, dz] = [x - this.centre[0], y - 0.8, z - this.centre[2]];
     const [c, s] = [Math.cos(this.turn), Math.sin(this.turn)];
@@ -187,7 +185,6 @@ export class Space {
     this.person(context, soft);
   }
 
-  /** Everything is seen, from wherever it is looked at. */
   fit(width, height) {
     const zoom = this.zoom;
     Object.assign(this, { size: 1, zoom: 1 });
@@ -215,7 +212,6 @@ export class Space {
     }
   }
 
-  /** The pictures of the films where they were taken from, the farthest first. */
   pictures(context) {
     const away = ({ corners }) => Math.min(...corners.map((corner) => this.depth(corner)));
     const shown = this.cameras.map((camera, index) => ({ camera, image: this.pictureOf(index) })).filter(({ image }) => image);

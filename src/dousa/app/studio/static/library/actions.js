@@ -9,8 +9,6 @@ import { openKeep, openTags, toggleStars } from "./tags.js";
 
 // Dialogs of this page: new labels, removal.
 
-// --- labels
-
 /** facets: {category: {name: n}, performer: {name: n}} for suggestions; done() after the change */
 export async function openRelabel(ids, facets, done) {
   const fields = ["category", "performer"].map((name) => labelField(name, Object.keys(facets[name] ?? {}).filter(Boolean)));
@@ -53,8 +51,6 @@ function labelField(name, known) {
   };
 }
 
-// --- removal
-
 export function openRemove(ids, names, done) {
   const go = h("button", { type: "button", class: "danger", id: "remove-go" }, icon("trash"), t("remove_go", { count: count.format(ids.length) }));
   go.addEventListener("click", () => {
@@ -79,7 +75,6 @@ export function openRemove(ids, names, done) {
 
 const MOST_REFERENCES = 20;
 
-/** Addresses of other pages that take these clips. */
 export function placesFor(clips) {
   const [clip] = clips;
   const places = [];
@@ -92,7 +87,6 @@ export function placesFor(clips) {
 
 export const link = ([word, href, shape]) => h("a", { class: "button", href }, icon(shape), t(word));
 
-/** hooks: facets(), open(clip), changed(), kept() */
 export class Actions {
   constructor(selection, hooks) {
     Object.assign(this, { selection, hooks, element: $("#actions"), shown: "" });

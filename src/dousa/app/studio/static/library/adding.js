@@ -11,7 +11,6 @@ import { undo } from "../core/undo.js";
 import { inAddress } from "./places.js";
 
 // What became of the files: added, known already, not taken and why.
-
 const FEW_LINES = 8; // categories that are named in a line
 
 /** -> elements for the dialog; refused: [{name, reason}] of the upload; back() shows the questions again, if there are any */
@@ -46,7 +45,6 @@ export function report(job, refused, { close, hooks, back: change }) {
   ].filter(Boolean);
 }
 
-/** A few in a line, many in a list that is opened. */
 function newCategories(names) {
   if (!names.length) return null;
   if (names.length <= FEW_LINES) return h("p", { class: "note" }, t("new_categories", { names: names.join(t("tally_comma")) }));
@@ -73,7 +71,6 @@ function table(title, rows, kind) {
 }
 
 // How the files are added: as what, and where their labels come from, with a look at what comes of it.
-
 const SHOWN = 5;
 const DEEPEST = 6; // levels of folders that are offered
 const RULES = { folder: "folder", last_folder: "path:([^/]+)/[^/]+$", none: "none", ...levels(DEEPEST) };
@@ -160,7 +157,6 @@ function rule(name, kinds, chosen, pattern) {
 
 const wordOf = (kind) => (kind.startsWith("level_") && kind !== "level_1" ? t("from_level", { level: kind.slice(6) }) : t(`from_${kind === "level_1" ? "first_folder" : kind}`));
 
-/** What comes out of a rule: how many labels, and which are the most frequent. */
 function tally(names, from, word) {
   const counts = new Map();
   try {
@@ -236,7 +232,6 @@ export function openAdding({ entries, jobId, hooks }) {
   else body.replaceChildren(zone((more) => open.take(more)));
 }
 
-/** What was uploaded and not added is of no use to anybody. */
 async function leave(state) {
   window.removeEventListener("pagehide", gone);
   await state.uploading?.catch(() => {}); // stopped; the last file may just have arrived
@@ -248,8 +243,6 @@ function gone() {
 }
 
 export const zone = (onEntries, id = "add-files") => dropZone(onEntries, { accept: `${MOTION_FILES},${LABEL_FILES}`, folders: true, hint: t("add_hint"), id });
-
-// --- upload
 
 /** A folder that only holds the folders of the categories says nothing: files come as from inside of it. */
 function withoutOutermost(entries) {
@@ -285,8 +278,6 @@ async function receive(state, entries) {
     if (!state.stop.signal.aborted) question(state);
   }
 }
-
-// --- questions
 
 function question(state) {
   const motions = state.files.filter((file) => file.motion);
@@ -352,8 +343,6 @@ function refusedOf(id) {
     return [];
   }
 }
-
-// --- the job
 
 function show(body, job, { close, hooks }) {
   if (!isActive(job)) {

@@ -9,7 +9,6 @@ import { nameTag } from "./tags.js";
 
 const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
 
-/** One clip: its figure in the player and what is known of it. act(name, clip) for what its buttons do. */
 export class Look {
   constructor(act) {
     Object.assign(this, { act, clip: null, player: null, round: 0 });

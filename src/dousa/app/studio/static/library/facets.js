@@ -6,7 +6,6 @@ import { nameTag } from "./tags.js";
 
 // Categories as a tree: kick/right lies below kick. A level stands for all below it, is opened and closed, and counts
 // what lies in it; a field above finds levels and categories by parts of their names.
-
 const MOST_ROWS = 400;
 const WITH_FIELD = 10; // categories from which there is a field to search in them
 const { compare } = new Intl.Collator(language, { numeric: true });
@@ -36,8 +35,6 @@ function searchField(redraw) {
   return field;
 }
 
-// --- the levels
-
 /** A node: {name, value ("" for none; with a slash for a level), own, total, below: Map} */
 function grow(names, counts) {
   const root = { value: "", total: 0, below: new Map() };
@@ -59,7 +56,6 @@ const valueOf = (node) => (node.below.size ? `${node.path}/` : node.path);
 const inOrder = (nodes) => [...nodes].sort((a, b) => (b.path === "") - (a.path === "") || compare(a.name, b.name));
 const isBelow = (value, level) => level.endsWith("/") && value !== level && `${value}/`.startsWith(level);
 
-/** What makes each row: of thousands only those that are shown are made. */
 function walk(node, chosen, tell, redraw, depth = 0) {
   const rows = [];
   const levels = depth > 0 || [...node.below.values()].some((other) => other.below.size);
@@ -110,7 +106,6 @@ function toggle(filter, chosen, node) {
 }
 
 // What the list is filtered by; it stands in the address, so that a reload or a link shows the same.
-
 const SINGLE = ["text", "wide", "kind", "min_s", "max_s", "batch", "saved", "sort"];
 const SEVERAL = ["category", "performer", "tag"];
 
@@ -151,14 +146,12 @@ export class Filter {
     this.tell();
   }
 
-  /** Values of something that several may be chosen of. */
   setAll(name, values) {
     this.query.delete(name);
     for (const value of values) this.query.append(name, value);
     this.tell();
   }
 
-  /** Another filter as a whole, such as one that was kept. */
   replace(values) {
     const sort = this.get("sort");
     this.query = new URLSearchParams(sort ? { sort } : {});
@@ -201,8 +194,6 @@ function group(name, ...inner) {
   return h("fieldset", { hidden: !inner.flat().length }, h("legend", {}, t(`facet_${name}`)), ...inner);
 }
 
-// --- one of a few
-
 function kinds(counts, filter) {
   const chosen = filter.get("kind");
   return ["clip", "take"]
@@ -226,8 +217,6 @@ function chips(name, options) {
   );
   return group(name, buttons.length ? [h("div", { class: "chips" }, ...buttons)] : []);
 }
-
-// --- any of many
 
 function categories(counts, filter, redraw) {
   const chosen = filter.query.getAll("category");

@@ -6,7 +6,6 @@ import { formatSeconds, h, icon, t } from "../core/dom.js";
 import { FAVOURITE } from "./tags.js";
 
 // One clip in the grid: its figure, its label, its name. Cells are used again for other clips as the page scrolls.
-
 const META_TAIL = 3; // characters of a performer that stay: the number
 
 export class Cell {
@@ -143,7 +142,6 @@ export class Grid {
     if (top > 0) this.reveal(top);
   }
 
-  /** The first clip that is seen. */
   index() {
     return this.columns ? this.seen()[0] * this.columns : 0;
   }
@@ -194,7 +192,6 @@ export class Grid {
     this.request({ renew: true });
   }
 
-  /** Rows that can be seen, first and behind the last. */
   seen() {
     const [from, to] = this.scroll.view();
     const own = this.element.getBoundingClientRect().top;
@@ -311,7 +308,6 @@ export class Grid {
     if (this.hooks.key(event, this.active)) event.preventDefault();
   }
 
-  /** Bring a cell into sight and give it the focus. */
   focus(index) {
     if (!this.total) return;
     this.activate(index);

@@ -67,8 +67,6 @@ async function idsOf(part = {}) {
   return (await get(`/clips/ids?${query}`)).ids;
 }
 
-// --- what is shown
-
 function show({ total, facets, library, reading, revision }) {
   const empty = library.n_clips + library.n_takes === 0;
   $("#browse").hidden = empty;
@@ -94,7 +92,6 @@ function show({ total, facets, library, reading, revision }) {
   showLook();
 }
 
-/** What is chosen stays when the list shows other clips; how many of it are not in the list is said. */
 async function countHidden() {
   const { ids } = selection;
   if (!ids.length) return;
@@ -161,8 +158,6 @@ function reload() {
   });
 }
 
-// --- choosing
-
 function choose(index, event) {
   if (event.shiftKey) attempt(() => selection.extend(index));
   else if (event.ctrlKey || event.metaKey || event.pointerType === "touch" || event.target.closest?.(".tick")) selection.toggle(index);
@@ -206,11 +201,8 @@ async function look(clip) {
   });
 }
 
-// --- the pane of one clip
-
 let shown = null; // in the pane
 
-/** The clip that was chosen last, if the pane is open. */
 const showLook = later(async () => {
   const clip = selection.single ?? source.item(grid.active);
   if (!panes.isOpen || !clip) return;
@@ -223,8 +215,6 @@ const showLook = later(async () => {
   shown.title.title = clip.name;
   shown.show(clip);
 }, 120);
-
-// --- the map of all clips
 
 let map = null; // made when it is looked at first
 let mapOf = null; // revision of the library that it shows
@@ -260,8 +250,6 @@ const panes = new Panes({
   },
 });
 
-// --- adding and training
-
 const addHooks = {
   changed: reload,
   showBatch: (batch) => {
@@ -283,8 +271,6 @@ async function openJob(id) {
   if (job?.kind === "review") review(id);
   if (job?.kind === "map") panes.showMap(true);
 }
-
-// --- wiring
 
 $("#text").value = filter.get("text");
 $("#sort").value = filter.get("sort") || "path";

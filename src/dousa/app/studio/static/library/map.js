@@ -62,8 +62,6 @@ export class ClipMap {
     ];
   }
 
-  // --- what is on it
-
   show() {
     this.isOpen = true;
     this.element.hidden = false;
@@ -76,7 +74,6 @@ export class ClipMap {
     this.hover(null);
   }
 
-  /** Read it again; where there is none yet, have it made. */
   async load({ makes = false } = {}) {
     const found = await get("/map");
     if (!this.isOpen) return;
@@ -155,8 +152,6 @@ export class ClipMap {
     this.state.replaceChildren(...[h("span", { class: "note" }, notes.join(" · ")), problem, progress, running ? stop : found.n_new ? renew("map_renew") : null].filter(Boolean));
   }
 
-  // --- colours
-
   recolour() {
     this.showLegend();
     this.request();
@@ -175,8 +170,6 @@ export class ClipMap {
     } }, h("i", { class: `mp-swatch${name === "" || place >= COLOURS.light.length ? " mp-plain" : ""}`, style: { background: this.colourOf(place) } }), h("span", { class: "name" }, name || t("no_label")), h("span", { class: "n" }, count.format(size)));
     this.legend.replaceChildren(...this.groups.slice(0, MOST_LISTED).map(row));
   }
-
-  // --- drawing
 
   resize() {
     const { clientWidth: width, clientHeight: height } = this.stage;
@@ -216,7 +209,6 @@ export class ClipMap {
     this.drawOver();
   }
 
-  /** Of a dot, px of the canvas: smaller where there are many, larger near by. */
   radius() {
     const few = Math.min(Math.max(110 / Math.sqrt(this.ids.length), 1.5), 6);
     return Math.round(2 * this.ratio * few * Math.min(this.view.zoom ** 0.35, 3)) / 2;
@@ -247,8 +239,6 @@ export class ClipMap {
     context.setLineDash([]);
   }
 
-  // --- pointing and choosing
-
   hover(x, y) {
     const found = x === null ? -1 : MapView.nearest(this.places ?? [], this.ids.length, x, y);
     if (found === this.hovered) return;
@@ -268,7 +258,6 @@ export class ClipMap {
     return this.known.get(id);
   }
 
-  /** What the clip under the pointer is, and how it moves. */
   async tell(id) {
     const { clip, bytes } = await this.clip(id);
     const at = this.hovered;

@@ -88,7 +88,6 @@ export class MapView {
     this.hooks.draw();
   }
 
-  /** px of one unit of the map. */
   get unit() {
     return 0.47 * Math.min(this.width, this.height) * this.zoom;
   }
@@ -108,7 +107,6 @@ export class MapView {
     this.hooks.draw();
   }
 
-  /** Larger by a factor; what is at a place stays there. */
   scale(factor, [x, y] = [this.width / 2, this.height / 2]) {
     const before = this.unit;
     this.zoom = Math.min(Math.max(this.zoom * factor, LEAST), MOST);

@@ -4,7 +4,6 @@ import { $, h, t } from "../core/dom.js";
 import { fromAddress, inAddress } from "./places.js";
 
 // What the list of clips scrolls in: a pane of its own where the window is large, the page where it is small.
-
 const LARGE = window.matchMedia("(min-width: 861px) and (min-height: 560px)"); // as in library.css
 const [BELOW_HEAD, ABOVE_FOOT] = [132, 84]; // px of the page's head, and of the bar of actions
 
@@ -101,7 +100,6 @@ export class Panes {
     this.draw();
   }
 
-  /** The map instead of the list, or the list. */
   showMap(open, values = {}) {
     this.map = open;
     inAddress({ view: open ? "map" : null });
@@ -152,5 +150,4 @@ export class Panes {
   }
 }
 
-/** What the pane says as long as no clip is chosen. */
 export const nothingChosen = () => h("p", { class: "empty" }, t("look_empty"));

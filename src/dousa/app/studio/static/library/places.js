@@ -14,8 +14,6 @@ export function inAddress(values) {
 
 export const fromAddress = (name) => new URLSearchParams(location.search).get(name);
 
-// --- where the page was left
-
 const KEY = "dousa-library-place";
 const MOST_KEPT = 20_000;
 const FEW = 20; // clips of which the bar of actions wants to know more
@@ -47,7 +45,6 @@ export async function findPlace({ selection, grid, scroll }) {
   }
 }
 
-/** [number, clip or null] of those that are still there. */
 export async function findAgain(numbers) {
   const there = new Set((await get("/clips/ids")).ids);
   const left = numbers.filter((number) => there.has(number));

@@ -59,8 +59,6 @@ class Queue {
     this.show();
   }
 
-  // --- one clip after the other
-
   async show() {
     for (const one of this.figures) one.destroy();
     this.figures = [];
@@ -101,7 +99,6 @@ class Queue {
     return h("canvas", { class: kind, dataset: { clip: String(id) } });
   }
 
-  /** Draw all canvases that are there and have no figure yet. */
   async draw(root = this.stage) {
     const open = [...root.querySelectorAll("canvas[data-clip]:not([data-drawn])")];
     if (!open.length) return;
@@ -145,8 +142,6 @@ class Queue {
     if (last.change !== null) await post("/journal/undo", { number: last.change });
     this.at = last.at;
   }
-
-  // --- clips that are nearly the same
 
   groups() {
     const { duplicates } = this;

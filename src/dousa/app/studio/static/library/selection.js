@@ -22,7 +22,6 @@ export class Selection {
     return this.clips.has(id);
   }
 
-  /** The clip if it is the only one. */
   get single() {
     return this.size === 1 ? [...this.clips.values()][0] : null;
   }
@@ -44,7 +43,6 @@ export class Selection {
     this.hooks.changed();
   }
 
-  /** Everything from the last one chosen to this one. */
   async extend(index) {
     const [first, last] = [Math.min(this.anchor, index), Math.max(this.anchor, index)];
     const known = Array.from({ length: last - first + 1 }, (_, step) => this.hooks.known(first + step));
@@ -66,7 +64,6 @@ export class Selection {
     this.hooks.changed();
   }
 
-  /** Those that were chosen before the page was left. */
   restore(pairs) {
     this.clips = new Map(pairs);
     this.hooks.changed();

@@ -43,7 +43,6 @@ export class Source {
     }
   }
 
-  /** Look whether somebody has changed the library. */
   async refresh() {
     const round = this.round;
     const { revision } = await get("/clips", { limit: 0 });
@@ -82,7 +81,6 @@ export class Source {
     if (range !== this.range) this.need(...this.range);
   }
 
-  /** Numbers of the pages that hold the clips from first to last, not including it. */
   pagesOf([first, last]) {
     const numbers = [];
     for (let page = Math.floor(first / PAGE); page * PAGE < Math.min(last, this.total); page += 1) numbers.push(page);

@@ -11,7 +11,6 @@ const FEW = 2000; // clips whose own tags are looked at
 
 export const nameTag = (tag) => (tag === FAVOURITE ? `★ ${t("favourite")}` : tag);
 
-/** Give and take tags; tells it with a way back. -> number of clips that changed */
 export async function changeTags(ids, add, remove, done) {
   const { changed, change } = await post("/clips/tag", { clips: ids, add, remove });
   notify(t("tagged", { count: count.format(changed) }), "note", undoButton(change, done));
@@ -19,7 +18,6 @@ export async function changeTags(ids, add, remove, done) {
   return changed;
 }
 
-/** A star for all, unless all have one. */
 export function toggleStars(ids, clips, done) {
   const have = clips.length === ids.length && clips.every((clip) => clip?.tags.includes(FAVOURITE));
   return attempt(() => changeTags(ids, have ? [] : [FAVOURITE], have ? [FAVOURITE] : [], done));
@@ -77,11 +75,8 @@ export function openTags(ids, clips, known, done) {
   field.focus();
 }
 
-// --- what is kept under a name
-
 const FILTERS = { text: 0, kind: 0, min_s: 0, max_s: 0, category: 1, performer: 1, tag: 1 };
 
-/** The filter of the page as a search that is kept. */
 export function readAsked(query) {
   const asked = {};
   for (const [name, several] of Object.entries(FILTERS)) if (query.has(name)) asked[name] = several ? query.getAll(name) : query.get(name);

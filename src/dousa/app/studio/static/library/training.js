@@ -13,7 +13,6 @@ export async function readForest() {
   return (await get("/info")).library;
 }
 
-/** -> [class of the badge, sentence] */
 function stateOf(library) {
   if (!library.trained_at) return ["unsure", t("forest_none")];
   if (!library.forest_is_current) return ["unsure", t("forest_old")];

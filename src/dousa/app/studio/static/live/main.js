@@ -5,7 +5,6 @@ import { $, baseName, formatSeconds, h, language, t, wholeGrade } from "../core/
 import { pickClips } from "../core/pick.js";
 
 // The skeleton over the picture of the camera.
-
 const SURE = 0.5;
 const LIMB = { left: "#4ab8ff", right: "#ffa24a", middle: "#35e0a8" };
 const FIRST_OF_BODY = 11; // before it the face, whose points are odd at the left; behind it odd numbers are left too
@@ -42,7 +41,6 @@ export function drawPerson(canvas, person, bones) {
 }
 
 // The camera of this machine: pictures of it go to the studio one after the other, over one connection.
-
 const [LONGEST, QUALITY] = [640, 0.8]; // px of what is looked at; more tells the networks nothing
 
 export class Camera {
@@ -63,7 +61,6 @@ export class Camera {
     return [this.canvas.width, this.canvas.height];
   }
 
-  /** The picture of now as JPEG. */
   take() {
     this.canvas.getContext("2d").drawImage(this.video, 0, 0, this.canvas.width, this.canvas.height);
     return new Promise((resolve) => this.canvas.toBlob(resolve, "image/jpeg", QUALITY));
@@ -76,7 +73,6 @@ export class Camera {
   }
 }
 
-/** Send a picture; -> what was found in it. */
 export async function sendPicture(session, picture, seconds, signal) {
   const response = await fetch(`/api/live/${session}/picture?seconds=${seconds.toFixed(3)}`, {
     method: "POST",
@@ -110,8 +106,6 @@ async function begin() {
   showLabel(null);
 }
 
-// --- the reference
-
 function setReference(reference) {
   state.reference = reference;
   const query = new URLSearchParams(location.search);
@@ -132,8 +126,6 @@ async function pick() {
   const [clip] = await pickClips({ title: t("pick_reference") });
   if (clip) setReference({ motion: `clip:${clip.id}`, name: baseName(clip.path) });
 }
-
-// --- what is said
 
 function showLabel(label) {
   const [large, note] = [$("#live-label"), $("#live-label-note")];
@@ -185,8 +177,6 @@ function showSpeed(taken, ms) {
   $("#live-parts").textContent = t("latency_parts", { keypoints: Math.round(ms.keypoints), judging: Math.round(ms.judging) });
   if (state.gap) $("#live-rate").textContent = t("rate_value", { rate: (1000 / state.gap).toFixed(1) });
 }
-
-// --- the camera
 
 async function start() {
   problem(null);

@@ -111,7 +111,6 @@ class Editor {
     this.take(this.state);
   }
 
-  /** What is known now: after every repair. */
   take(state) {
     this.state = state;
     this.undoButton.disabled = !state.done;
@@ -144,8 +143,6 @@ class Editor {
     const next = way > 0 ? (all.find((one) => place(one) > here) ?? all[0]) : (all.findLast((one) => place(one) < here) ?? all.at(-1));
     this.goTo(next.frame, next.view);
   }
-
-  // --- the moment
 
   goTo(frame, view = this.view) {
     this.frame = Math.min(Math.max(frame, 0), this.state.n_frames - 1);
@@ -185,8 +182,6 @@ class Editor {
     this.busy = false;
   }
 
-  // --- repairing
-
   setTool(tool) {
     this.tool = tool;
     for (const one of this.tools) one.setAttribute("aria-pressed", String(one.dataset.tool === tool));
@@ -211,7 +206,6 @@ class Editor {
     this.send(name, {});
   }
 
-  /** One after the other, in the order in which they were done. */
   send(what, value) {
     this.pending += 1;
     this.saving = this.saving.then(async () => {

@@ -4,11 +4,9 @@
 import { h } from "../core/dom.js";
 
 // All frames of the silhouettes, a line for each view: which look doubtful, which were repaired, where we are.
-
 const HIGH = 12; // px of a line
 
 export class Strip {
-  /** onSeek(view, frame) */
   constructor(onSeek) {
     this.probe = h("span", { class: "masks-colours", hidden: true, "aria-hidden": "true" }, ...["doubt", "repaired", "ink", "line"].map((name) => h("i", { class: name })));
     this.canvas = h("canvas", { class: "masks-strip", "aria-hidden": "true" });
@@ -88,7 +86,6 @@ export class Sheet {
     canvas.addEventListener("pointerleave", () => (this.ring.hidden = true));
   }
 
-  /** A picture of this width and height, px. */
   setSize(width, height) {
     this.size = [width, height];
     for (const one of [this.canvas, this.bits]) Object.assign(one, { width, height });
@@ -142,8 +139,6 @@ export class Sheet {
     }
     context.putImageData(drawn, 0, 0);
   }
-
-  // --- the brush
 
   place(event) {
     const box = this.canvas.getBoundingClientRect();

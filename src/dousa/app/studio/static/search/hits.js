@@ -4,17 +4,14 @@ import { postForBytes } from "../core/api.js";
 import { baseName, formatSeconds, h, t } from "../core/dom.js";
 
 // Where in takes something like the query happens.
-
 const CLEAR = 0.3; // score below which a place is shown only to who asks, where the library has not learned what is alike
 const isClear = (place) => place.alike ?? place.score >= CLEAR;
 
-/** "1:04.2" */
 export function formatMoment(seconds) {
   const tenths = Math.round(10 * seconds);
   return `${Math.floor(tenths / 600)}:${String(Math.floor(tenths / 10) % 60).padStart(2, "0")}.${tenths % 10}`;
 }
 
-/** onChoose(place) shows it beside the query. */
 export function drawPlaces(element, places, onChoose) {
   element.hidden = false;
   const clear = places.filter(isClear);
@@ -34,8 +31,6 @@ export function drawPlaces(element, places, onChoose) {
 }
 
 // Reasons in words.
-
-/** A list of reasons; a click on one goes to its moment: onGo(start, end). */
 export function listReasons(reasons, onGo) {
   if (!reasons?.length) return h("p", { class: "note" }, t("why_nothing"));
   const item = (reason) =>

@@ -17,7 +17,6 @@ export class Stage {
     this.match = $("#match");
   }
 
-  /** Show the query of a state, its match if it has one; info: of the query. */
   async show(state, hit, info) {
     const run = ++this.run;
     const fresh = !this.shown || !isSameMotion(this.shown, state);
@@ -94,7 +93,6 @@ export class Stage {
     this.clock.seek((time - start) / Math.max(end - start, 1e-3));
   }
 
-  /** Bring the player into the window if it is not there: on a phone it is far above the hits. */
   reveal() {
     const { top, bottom, height } = $("#player").getBoundingClientRect();
     const seen = Math.min(bottom, window.innerHeight) - Math.max(top, BAR);
@@ -102,7 +100,6 @@ export class Stage {
     $(".stage").scrollIntoView({ block: "start", behavior: calm.matches ? "auto" : "smooth" });
   }
 
-  /** Nothing is looked at any more. */
   leave() {
     this.run += 1;
     this.player?.pause();
@@ -117,7 +114,6 @@ export class Stage {
     this.player.play();
   }
 
-  /** What can be done with the match; hit: what the search said of it, if it did. */
   describeMatch(state, hit, actions) {
     this.match.hidden = !state.hit;
     $("#stage-kind").textContent = state.hit ? t("pair") : t("query");

@@ -3,7 +3,6 @@
 import { h, t } from "../core/dom.js";
 
 // How is searched: a folded form that writes into the state.
-
 const RANKINGS = ["fused", "pose", "leaves", "histogram"];
 
 export function drawOptions(form, state, onChange) {
@@ -61,24 +60,20 @@ export function keepState(state, { replace = false } = {}) {
   else history.pushState(null, "", address);
 }
 
-/** Whether both stand for the same search, whatever is shown of it. */
 export function isSameSearch(a, b) {
   return ["motion", "start_s", "end_s", "unit", "up", "ranking", "k", "same_category", "mirror", "threshold"].every((name) => a[name] === b[name]);
 }
 
 export const isSameMotion = (a, b) => ["motion", "unit", "up"].every((name) => a[name] === b[name]);
 
-/** The whole motion, as the interface names it. */
 export const wholeOf = ({ motion, unit, up }) => ({ motion, unit, up });
 
-/** The query as the interface wants it. */
 export function queryOf({ motion, start_s, end_s, unit, up }) {
   const query = { motion };
   for (const [name, value] of Object.entries({ start_s, end_s, unit, up })) if (value !== null) query[name] = value;
   return query;
 }
 
-/** Body of POST /search. */
 export function askOf(state) {
   const asked = { query: queryOf(state), k: state.k ?? 12, mirror: state.mirror, same_category: state.same_category };
   if (state.ranking) asked.ranking = state.ranking;

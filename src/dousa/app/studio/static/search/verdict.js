@@ -28,13 +28,11 @@ function bars(histogram) {
   return h("div", { class: "bars" }, ...shares.slice(0, MOST_BARS).map(([name, share]) => row(name, share)), ...others);
 }
 
-/** Instead of the answer: why there is none. */
 export function drawNoVerdict(element, sentence) {
   element.classList.remove("is-unknown", "is-doubtful");
   element.replaceChildren(h("p", { class: "problem-box" }, sentence));
 }
 
-/** Instead of the answer: a take as a whole is no query; a part of it is. */
 export function drawAskPart(element, motion) {
   element.classList.remove("is-unknown", "is-doubtful");
   const link = h("a", { class: "button", href: `/takes?${new URLSearchParams({ motion })}` }, t("open_take"));

@@ -17,7 +17,6 @@ export class Words {
     });
   }
 
-  /** Show what a text finds; null shows nothing. */
   async show(text) {
     if (text === this.asked) return;
     this.asked = text;
@@ -32,7 +31,6 @@ export class Words {
     if (left?.text === text && this.asked === text) this.returnTo(left);
   }
 
-  /** The list at the place where it was left, with the hit that was chosen. */
   returnTo({ top, place }) {
     const list = this.place.querySelector(".word-hits");
     if (!list) return;

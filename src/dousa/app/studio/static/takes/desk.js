@@ -4,12 +4,10 @@ import { formatSeconds, h, icon, t } from "../core/dom.js";
 import { kindOf, makeSwatch, nameOf, sayName } from "../core/timeline_parts.js";
 
 // Going through the stretches of a take: the least sure first; right, split here, join with the next. Buttons and keys.
-
 const KEYS = { u: "next_unsure", y: "right", x: "split", j: "join" };
 
 const middle = (one) => 0.5 * (one.start_s + one.end_s);
 
-/** Only what was recognised is open to doubt: not what people said. */
 const isOpen = (one) => !one.corrected && one.confidence != null;
 
 export class Review {
@@ -24,7 +22,6 @@ export class Review {
     document.addEventListener("keydown", (event) => this.press(event));
   }
 
-  /** The stretch under the cursor, and the one after it. */
   now() {
     const [segments, time] = [this.tools.segments(), this.tools.time()];
     const place = segments.findIndex((one) => one.start_s <= time && time < one.end_s);
@@ -98,7 +95,6 @@ export class Review {
 }
 
 // The stretches of a take as a table.
-
 function sayWhat(one) {
   const [kind, said] = [kindOf(one), sayName(kindOf(one), nameOf(one))];
   return kind === "unknown" || kind === "perhaps" ? h("i", {}, said) : said;
@@ -111,7 +107,6 @@ function confidence(one) {
   return h("span", { class: "sure" }, h("span", { class: "track", "aria-hidden": "true" }, h("i", { style: { width: `${percent}%` } })), `${percent} %`);
 }
 
-/** How often it is done, where that is more than once. */
 export function often(one) {
   return nameOf(one) && one.repetitions > 1 ? h("span", { class: "often" }, `× ${one.repetitions}`) : "";
 }
@@ -136,7 +131,6 @@ export function drawSegments(element, segments, { motion, tones, onGo, onChoose,
   if (segments.length) element.querySelector(".scroll").scrollTop = scrolled;
 }
 
-/** Which stretches are under the cursor: their places in the table. */
 export function markSegments(element, places) {
   const rows = element.querySelectorAll("tbody tr");
   const now = places.map((place) => rows[place]).filter(Boolean);
