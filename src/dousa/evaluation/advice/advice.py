@@ -28,12 +28,7 @@ from dousa.files.json_values import round_number
 from dousa.messages import Message
 from dousa.motion.runs import find_runs
 
-_RATE = 10.0  # Hz, at which is searched
-_AROUND_S = 1.0  # the place where it belongs, which is not looked at
-_SHORTEST_S = 0.6
-_FADE_S = 0.4  # at both ends of the stretch, where one figure becomes the other
 _ALIKE = 1.0 - float(np.cos(np.radians(25.0)))  # mean over segments and moments
-_BETTER = 0.4  # of the difference from what is expected
 
 
 def find_other_figure(
@@ -42,6 +37,12 @@ def find_other_figure(
     frame_rate: float,
     expected_s: float,
     furi: Sequence[FuriAssessment],
+    *,
+    rate: float = 10.0,
+    around_s: float = 1.0,
+    shortest_s: float = 0.6,
+    fade_s: float = 0.4,
+    better: float = 0.4,
 ) -> int | None:
     """Find the number of the figure, from 0, that a stretch resembles instead of the expected one.
 
@@ -52,16 +53,21 @@ def find_other_figure(
     frame_rate : Hz of the stretch.
     expected_s : reference time that belongs to its first frame.
     furi : figures in order of the reference.
+    rate : Hz of the search.
+    around_s : s around the expected place that are not searched.
+    shortest_s : s of the shortest stretch that is searched for.
+    fade_s : s at both ends of the stretch, where one figure becomes the other.
+    better : largest difference, as a share of that from the expected figure.
 
     Returns
     -------
     None if nothing elsewhere is similar, or only the same figure again.
     """
-    if len(performance) < _SHORTEST_S * frame_rate or not np.isfinite(expected_s):
+    if len(performance) < shortest_s * frame_rate or not np.isfinite(expected_s):
         return None
-    fade = int(min(_FADE_S, 0.2 * len(performance) / frame_rate) * frame_rate)
+    fade = int(min(fade_s, 0.2 * len(performance) / frame_rate) * frame_rate)
     performance, expected_s = performance[fade : len(performance) - fade], expected_s + fade / frame_rate
-    count = max(round(len(performance) / frame_rate * _RATE), 2)
+    count = max(round(len(performance) / frame_rate * rate), 2)
     places = np.linspace(0, len(performance) - 1, count).round().astype(np.intp)
     step = places[-1] / frame_rate / (count - 1)  # s
     total = int(reference.n_frames / reference.frame_rate / step)
@@ -74,11 +80,11 @@ def find_other_figure(
     rows = np.arange(count)
     mean = np.array([unlike[rows, start + rows].mean() for start in starts])
     here = int(np.clip(round(expected_s / step), 0, len(mean) - 1))
-    away = np.abs(starts * step - expected_s) > _AROUND_S
+    away = np.abs(starts * step - expected_s) > around_s
     if not away.any():
         return None
     best = int(starts[away][mean[away].argmin()])
-    if mean[best] > _ALIKE or mean[best] > _BETTER * mean[here]:
+    if mean[best] > _ALIKE or mean[best] > better * mean[here]:
         return None
     spans = [
         (min(one.reference_end_s, start + count * step) - max(one.reference_start_s, start)) / (count * step)
@@ -101,11 +107,8 @@ def _choose_figure(
 DETAILS = ("brief", "full")
 """How much advice: one to three sentences, or one for every error."""
 
-_MOST_BRIEF = 3
 _MOST_SEVERITY, _MOST_S, _LAPSE_SEVERITY = 10.0, 4.0, 5.0
 _TURNED, _TURNED_S = math.radians(40.0), 1.0
-_MOST_PRAISED = 3
-_PRAISED_SCORE = 70.0
 _UNSAID_LAPSES = ("lead-in", "lead-out")
 
 
@@ -164,7 +167,7 @@ class _Found:
     importance: float
 
 
-def advise(assessment: Assessment, detail: str = "brief") -> tuple[Advice, ...]:
+def advise(assessment: Assessment, detail: str = "brief", *, most_brief: int = 3) -> tuple[Advice, ...]:
     """Choose the advice for the learner, the most important first.
 
     Parameters
@@ -199,7 +202,7 @@ def advise(assessment: Assessment, detail: str = "brief") -> tuple[Advice, ...]:
     groups = _group_alike(found) if detail == "brief" else [[one] for one in found]
     said = sorted([*(_say(group, labels) for group in groups), *lapses], key=lambda one: -one.importance)
     if detail == "brief":
-        return tuple(said[:_MOST_BRIEF]) or (Advice(Message("advice.nothing"), "praise"),)
+        return tuple(said[:most_brief]) or (Advice(Message("advice.nothing"), "praise"),)
     good = praise(assessment)
     return (*said, *_say_facing(assessment, labels), *((good,) if good else ()))
 
@@ -403,7 +406,7 @@ def _say_facing(assessment: Assessment, labels: Sequence[str]) -> tuple[Advice, 
     return tuple(said)
 
 
-def praise(assessment: Assessment) -> Advice | None:
+def praise(assessment: Assessment, *, most_praised: int = 3, praised_score: float = 70.0) -> Advice | None:
     """Praise figures without errors, those with most movement first; None without such figures, or for another dance.
 
     Parameters
@@ -418,14 +421,14 @@ def praise(assessment: Assessment) -> Advice | None:
         number
         for number, one in enumerate(assessment.furi)
         if math.isfinite(one.start_s)
-        and one.score >= _PRAISED_SCORE
+        and one.score >= praised_score
         and not any(start < one.end_s and end > one.start_s for start, end in spoilt)
     ]
     if not assessment.events and not assessment.lapses:
         return Advice(Message("advice.nothing"), "praise")
     if not right:
         return None
-    liveliest = sorted(right, key=lambda number: -_measure_movement(assessment, number))[:_MOST_PRAISED]
+    liveliest = sorted(right, key=lambda number: -_measure_movement(assessment, number))[:most_praised]
     chosen = sorted(liveliest)
     return Advice(
         Message("advice.praise", n=len(chosen), numbers=tuple(number + 1 for number in chosen)),

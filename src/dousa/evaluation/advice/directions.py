@@ -21,10 +21,6 @@ from dousa.evaluation.words import say_correction
 from dousa.messages import Message
 from dousa.motion import JOINT_INDEX as J
 
-_MARGIN_S = 0.5
-_YAW_S = 0.5  # the yaw is that of half a second
-_SUSTAINED_S = 0.4
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosePairs:
@@ -60,9 +56,9 @@ class PosePairs:
         end = int(np.clip(np.searchsorted(self.times, end_s, "right"), first + 1, last + 1))
         return self._slice(slice(first, end))
 
-    def find_worst(self, segments: list[int]) -> PosePairs:
+    def find_worst(self, segments: list[int], *, sustained_s: float = 0.4) -> PosePairs:
         """Find the moments around the one where these segments are farthest off for some time (0.4 s)."""
-        half = max(0, round(0.5 * _SUSTAINED_S * self.frame_rate))
+        half = max(0, round(0.5 * sustained_s * self.frame_rate))
         off = (self.angles[:, segments] ** 2).sum(axis=1)
         total = np.cumsum(np.pad(off, (half + 1, half)))
         middle = int(np.argmax(total[2 * half + 1 :] - total[: len(off)]))
@@ -95,17 +91,18 @@ class PairedDancers:
         self._reference, self._performance = reference, performance
         self._same_time, self._first_s = same_time, first_s
 
-    def pair(self, start_s: float, end_s: float) -> PosePairs | None:
+    def pair(self, start_s: float, end_s: float, *, margin_s: float = 0.5) -> PosePairs | None:
         """Pair the poses of a span of the performance; None if nothing of it is judged."""
         rate, count = self._performance.frame_rate, self._performance.n_frames
         if not (np.isfinite(start_s) and np.isfinite(end_s)) or count == 0:
             return None
-        first = int(np.clip(np.floor((start_s - self._first_s - _MARGIN_S) * rate), 0, count - 1))
-        last = int(np.clip(np.ceil((end_s - self._first_s + _MARGIN_S) * rate) + 1, first + 1, count))
+        first = int(np.clip(np.floor((start_s - self._first_s - margin_s) * rate), 0, count - 1))
+        last = int(np.clip(np.ceil((end_s - self._first_s + margin_s) * rate) + 1, first + 1, count))
         found = self._pair(slice(first, last)).cut(start_s, end_s)
         return found if found.judged.any() else None
 
-    def _pair(self, span: slice) -> PosePairs:
+    def _pair(self, span: slice, *, yaw_s: float = 0.5) -> PosePairs:
+        # yaw_s: s that the yaw is averaged over
         rate, reference = self._performance.frame_rate, self._reference
         there = np.asarray(self._same_time[span], np.float64)
         inside = np.isfinite(there)
@@ -115,7 +112,7 @@ class PairedDancers:
         theirs, ours = interpolate_segments(reference.segments, frames), self._performance.segments[span]
         lines = _find_lines(reference.positions[np.rint(frames).astype(np.intp)])
         own = _find_lines(self._performance.positions[span])
-        half = max(0, round(0.5 * _YAW_S * rate))
+        half = max(0, round(0.5 * yaw_s * rate))
         yaw = _estimate_yaw(ours, theirs, own, lines, judged, half)
         # A line from right to left points a quarter turn to the left of where the body faces.
         front = np.angle(smooth_turn(lines.sum(axis=1) * inside, half)) - 0.5 * np.pi
@@ -160,12 +157,9 @@ def _estimate_yaw(
 LEAST_DEG = 8.0
 """Degrees; a smaller correction is not said."""
 
-_LEAST_TOGETHER = 0.4  # of the difference of all wrong limbs
 _ACROSS = 0.35  # sine between limb and axis of the body, below which it cannot go further that way
 _LEVEL = 0.1  # horizontal part below which a limb hangs
 _ALIKE_DEG, _ALIKE_SHARE = 10.0, 0.35  # amounts of left and right that are said as one
-_MINOR = 0.4  # of the largest correction: below, it is left out
-_MOST = 2  # corrections in one sentence
 _UP, _FRONT, _LEFT = np.eye(3)[1], np.eye(3)[2], np.eye(3)[0]
 
 OPPOSITES: dict[str, str] = {
@@ -212,13 +206,18 @@ class _Fit:
     gain: float
 
 
-def find_corrections(pairs: PosePairs, segments: Iterable[str]) -> tuple[Correction, ...]:
+def find_corrections(
+    pairs: PosePairs, segments: Iterable[str], *, least_together: float = 0.4, minor: float = 0.4, most: int = 2
+) -> tuple[Correction, ...]:
     """Find the corrections at some moments, the largest first; none where no direction dominates.
 
     Parameters
     ----------
     pairs : the moments, such as those around the worst one.
     segments : the wrong ones, of `SEGMENTS`.
+    least_together : share of the difference of all wrong limbs that the corrections remove together.
+    minor : share of the largest correction below which one is left out.
+    most : corrections in one sentence.
 
     Returns
     -------
@@ -242,14 +241,14 @@ def find_corrections(pairs: PosePairs, segments: Iterable[str]) -> tuple[Correct
         fit = _fit_trunk(ours, theirs) if name == "trunk" else _fit_limb(ours, theirs, limb, members, name, whole)
         if fit is not None:
             found.append(fit)
-    found = [fit for fit in found if fit.gain >= _MINOR * max(one.gain for one in found)]
-    if sum(fit.gain for fit in found) < _LEAST_TOGETHER * total:
+    found = [fit for fit in found if fit.gain >= minor * max(one.gain for one in found)]
+    if sum(fit.gain for fit in found) < least_together * total:
         return ()
     made = [
         Correction(tuple(SEGMENTS[k] for k in one.members), one.direction, float(np.degrees(one.angle)), one.gain)
         for one in found
     ]
-    return tuple(sorted(_join_sides(made), key=lambda one: -one.gain)[:_MOST])
+    return tuple(sorted(_join_sides(made), key=lambda one: -one.gain)[:most])
 
 
 def _measure_gap(ours: FloatArray, theirs: FloatArray, members: Iterable[int]) -> float:

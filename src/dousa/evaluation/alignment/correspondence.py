@@ -147,16 +147,18 @@ def _correlate(a: Matrix, b: Matrix, *, tile: int = 64) -> Matrix:
 
 
 _COARSEST = 3000  # frames of the longer motion on the level where every path is tried
-_STEP = 4  # a level has about so many times the frames of the coarser one
 _MOST_CELLS = 2**32  # one byte each
-_CORNERS = 1e30  # a price that no path can pay
-_LEFT_OUT = 0.1  # price of a frame left out at an open end; two of them against one pair of poses
-_LINE_RATE = 10.0  # Hz of the matrix that lines are looked for in
-_LINE_FRAMES = 9000  # frames of the longer side of that matrix: 324 MB
 
 
 def find_path(
-    a: ArrayLike, b: ArrayLike, weights: ArrayLike | None = None, radius: int = 192, ends: str = "fixed"
+    a: ArrayLike,
+    b: ArrayLike,
+    weights: ArrayLike | None = None,
+    radius: int = 192,
+    ends: str = "fixed",
+    *,
+    step: int = 4,
+    left_out: float = 0.1,
 ) -> IndexArray:
     """Find the curve of best correspondence: dynamic time warping on 1 - S, coarse to fine.
 
@@ -172,6 +174,8 @@ def find_path(
     ends : ``"fixed"``: from the first frames to the last frames of both. ``"open"``: frames of one motion may be
         left out before the path begins and after it ends, at a price of 0.1 each, so that poses less similar than
         S = 0.8 are rather left out than paired.
+    step : ratio of the frames of neighbouring levels, about.
+    left_out : price of a frame left out at an open end; two of them stand against one pair of poses.
 
     Returns
     -------
@@ -192,7 +196,7 @@ def find_path(
         raise OptionError("correlation.radius", radius=radius)
     if ends not in {"fixed", "open"}:
         raise OptionError("correlation.ends", ends=ends)
-    skip = _CORNERS if ends == "fixed" else _LEFT_OUT
+    skip = 1e30 if ends == "fixed" else left_out
     size = -(-max(len(first), len(second)) // _COARSEST)
     band = None
     while True:
@@ -200,7 +204,7 @@ def find_path(
         path = _warp(level_a, level_b, shares / shares.sum(), band, skip)
         if size == 1:
             return path
-        finer = max(1, size // _STEP)
+        finer = max(1, size // step)
         counts = -(-len(first) // finer), -(-len(second) // finer)
         band = _band(path, size / finer, counts, radius)
         size = finer
@@ -281,6 +285,9 @@ def find_lines(
     window: float = 2.0,
     shortest: float = 2.0,
     threshold: float | None = None,
+    *,
+    line_rate: float = 10.0,
+    line_frames: int = 9000,
 ) -> tuple[Line, ...]:
     """Find straight lines of high correlation: stretches where two motions are similar at the same tempo.
 
@@ -297,6 +304,8 @@ def find_lines(
     window : s that S is averaged over.
     shortest : s, of a line.
     threshold : mean S that makes a line; None puts it halfway between the median of the matrix and 1.
+    line_rate : Hz of the matrix that is searched.
+    line_frames : frames of the longer side of that matrix, at most: 324 MB.
 
     Returns
     -------
@@ -315,7 +324,7 @@ def find_lines(
         if not (np.isfinite(value) and value > 0):
             raise OptionError("correlation.not_above_0", what=what, value=value)
     longest = max(len(first), len(second))
-    step = max(1, int(np.ceil(frame_rate / _LINE_RATE)), -(-longest // _LINE_FRAMES))
+    step = max(1, int(np.ceil(frame_rate / line_rate)), -(-longest // line_frames))
     rate = frame_rate / step
     matrix = compute_correlation_matrix(first[::step], second[::step], shares)
     level = float(0.5 + 0.5 * np.median(matrix)) if threshold is None else threshold

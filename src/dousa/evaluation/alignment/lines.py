@@ -25,11 +25,8 @@ PAUSE = {"same": 1e9, "free": 0.35}  # of a frame's full cost
 OUTSIDE = 0.75
 _ENOUGH = 0.5  # of the shorter motion
 _SAME_LINE_S = 1.0  # s; lines nearer than this are one line and a lag
-_SHORTEST_RUN_S = 1.5
-_PAUSE_S = 1.0  # s for which the reference rests before this is a stop and not a slow passage
 _SLOPES = (0.4, 2.5)  # reference per performance time
 _SHORT_S, _SHORT_RATIO, _SHORT_SHARE = 8.0, 2.0, 0.65
-_SMOOTH_S = 6.0  # s over which a free tempo is averaged
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,9 +155,10 @@ def _measure_slope(course: np.ndarray, *, fewest_for_tempo: int = 12) -> float:
     return float(np.clip(np.median(slopes), *_SLOPES)) if len(slopes) else 1.0
 
 
-def find_pauses(course: np.ndarray, rate: float) -> NDArray[np.bool_]:
+def find_pauses(course: np.ndarray, rate: float, *, pause_s: float = 1.0) -> NDArray[np.bool_]:
     """Find rows in which the course rests in the reference for a second and more: the performer waits."""
-    length = max(2, round(_PAUSE_S * rate))
+    # pause_s: s of rest in the reference that make a stop; a shorter one is a slow passage
+    length = max(2, round(pause_s * rate))
     paused = np.zeros(len(course), bool)
     if len(course) > length:
         resting = (course[length:] >= 0) & (course[:-length] >= 0)
@@ -193,7 +191,7 @@ def _measure_mismatch(frames: FloatArray, cost: FloatArray) -> float:
     return float(costs[inside].mean() if enough else costs.mean())
 
 
-def find_runs(course: np.ndarray, rate: float) -> list[Run]:
+def find_runs(course: np.ndarray, rate: float, *, shortest_run_s: float = 1.5) -> list[Run]:
     """Find the lines of a course; a departure that returns to the same line does not break it (it is an error)."""
     on = np.flatnonzero(course >= 0)
     if len(on) == 0:
@@ -204,7 +202,7 @@ def find_runs(course: np.ndarray, rate: float) -> list[Run]:
     edges = [0, *breaks, len(on)]
     found = [Run(int(on[a]), int(on[b - 1]) + 1, float(course[on[a]] - on[a])) for a, b in pairwise(edges)]
     longest = max(found, key=lambda run: run.end - run.start)
-    kept = [run for run in found if run is longest or run.end - run.start >= _SHORTEST_RUN_S * rate]
+    kept = [run for run in found if run is longest or run.end - run.start >= shortest_run_s * rate]
     merged: list[Run] = []
     for run in kept:
         same = [i for i, other in enumerate(merged) if _is_same_line(other, run, course, rate)]
@@ -287,8 +285,9 @@ def pair_similarity(a: FloatArray, b: FloatArray, weights: FloatArray) -> FloatA
     return np.asarray(total / np.maximum(weights.sum(axis=-1), 1e-9))
 
 
-def smooth_course(course: np.ndarray, run: Run, rate: float) -> FloatArray:
+def smooth_course(course: np.ndarray, run: Run, rate: float, *, smooth_s: float = 6.0) -> FloatArray:
     """Smooth the reference frames of a run over seconds about a robust straight line."""
+    # smooth_s: s over which a free tempo is averaged
     frames = np.arange(run.start, run.end, dtype=np.float64)
     on = course[run.start : run.end] >= 0
     x, y = frames[on], course[run.start : run.end][on].astype(np.float64)
@@ -304,7 +303,7 @@ def smooth_course(course: np.ndarray, run: Run, rate: float) -> FloatArray:
         off = np.abs(y - slope * x - middle)
         weights = 1.0 / np.maximum(off, 0.1 * rate)
     line = slope * frames + middle
-    half = round(0.5 * _SMOOTH_S * rate)
+    half = round(0.5 * smooth_s * rate)
     if len(x) > 4 * half:
         rest = np.interp(frames, x, y - slope * x - middle)
         padded = np.pad(rest, half, mode="edge")

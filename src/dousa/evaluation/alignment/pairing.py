@@ -15,10 +15,6 @@ from dousa.arrays import FloatArray
 from dousa.evaluation.posture.posture import PostureSequence, interpolate_segments
 from dousa.evaluation.posture.yaw import WRONG_CHORD, estimate_robust_yaw, get_horizontal, rotate_yaw
 
-_YAW_WINDOW_S = 0.5
-_YAW_ROUNDS = 3
-
-
 TurnedTake = tuple[FloatArray, NDArray[np.bool_]]
 """A further take turned onto the first (U, 9, 3), and (U,) where both are seen."""
 
@@ -84,7 +80,13 @@ def turn_takes(first: PostureSequence, takes: Sequence[PostureSequence]) -> tupl
 
 
 def compare_poses(
-    reference: FloatArray, performance: FloatArray, judged: NDArray[np.bool_], frame_rate: float
+    reference: FloatArray,
+    performance: FloatArray,
+    judged: NDArray[np.bool_],
+    frame_rate: float,
+    *,
+    yaw_window_s: float = 0.5,
+    yaw_rounds: int = 3,
 ) -> tuple[FloatArray, FloatArray]:
     """Compute the angles between segments after a common yaw that changes slowly.
 
@@ -108,10 +110,10 @@ def compare_poses(
     trust = estimate_robust_yaw(performance, reference, np.where(some[:, None], judged, 1.0), n_rounds=0)[1]
     trust = trust * judged
     products = get_horizontal(performance) * get_horizontal(reference).conj()
-    half = max(0, round(0.5 * _YAW_WINDOW_S * frame_rate))
+    half = max(0, round(0.5 * yaw_window_s * frame_rate))
     turn = smooth_turn((products * trust).sum(axis=1), half)
     fixed = 2.0 - 2.0 * performance[..., 1] * reference[..., 1]
-    for _ in range(_YAW_ROUNDS):
+    for _ in range(yaw_rounds):
         squared = np.maximum(fixed - 2.0 * (products * turn.conj()[:, None]).real, 0.0)
         trust = judged / (1.0 + squared / WRONG_CHORD**2) ** 2
         turn = smooth_turn((products * trust).sum(axis=1), half)

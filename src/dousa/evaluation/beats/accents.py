@@ -31,12 +31,10 @@ ACCENTS: tuple[str, ...] = ("clap", "step", "stop", "turn")
 """Kinds of accents, the most certain first: of several in one moment the first is reported."""
 
 _SMOOTH_S = 0.025  # deviation of the Gaussian over positions: what trembles in a tracked joint
-_SLOWEST = 0.25  # body heights per second: a slower movement marks nothing
 _USUAL = 0.35  # of the limb's fast movements (their 90th percentile): a smaller one is no accent beside them
 _HIGH, _LOW = 0.5, 0.1  # of the fall: between these the descent is a line
 _APART_S = 0.1  # accents of one limb
 _ASIDE_S = 0.08  # a direction is looked at so far before and after
-_SHARP = np.cos(np.radians(60.0))  # a turn by more is an accent
 _MEET, _OPEN = 0.16, 0.08  # body heights between the hands at a clap, and by how much more they were apart before
 
 _LIMBS = ("left_hand", "right_hand", "left_foot", "right_foot")
@@ -60,12 +58,13 @@ class Accent:
     strength: float
 
 
-def find_accents(motion: CanonicalMotion) -> tuple[Accent, ...]:
+def find_accents(motion: CanonicalMotion, *, slowest: float = 0.25) -> tuple[Accent, ...]:
     """Find the accents of a motion in order of time.
 
     Parameters
     ----------
     motion : of any frame rate from about 20 Hz; hands are taken relative to the pelvis, feet in the room.
+    slowest : body heights per second: a slower movement marks nothing.
 
     Returns
     -------
@@ -74,7 +73,7 @@ def find_accents(motion: CanonicalMotion) -> tuple[Accent, ...]:
     if motion.n_frames < 4:
         return ()
     points = _place_limbs(motion)
-    limit = _SLOWEST * motion.height
+    limit = slowest * motion.height
     found: list[Accent] = []
     for name in _LIMBS:
         found += [one for one in _find_in_limb(points[name], name, motion, limit) if _is_seen(motion, one)]
@@ -225,12 +224,15 @@ def _find_lowest(speed: FloatArray, valley: int) -> float:
     return valley + (float(np.clip(0.5 * (before - after) / curve, -0.5, 0.5)) if curve > 0.0 else 0.0)
 
 
-def _turns(velocity: FloatArray, frame: int, rate: float, limit: float) -> bool:
+def _turns(
+    velocity: FloatArray, frame: int, rate: float, limit: float, *, sharp: float = np.cos(np.radians(60.0))
+) -> bool:
     """Whether a limb leaves in another direction than it came from."""
+    # sharp: cosine of the turn that is an accent
     aside = max(round(_ASIDE_S * rate), 1)
     before, after = velocity[max(frame - aside, 0)], velocity[min(frame + aside, len(velocity) - 1)]
     sizes = np.linalg.norm(before), np.linalg.norm(after)
-    return bool(min(sizes) > 0.5 * limit and before @ after < _SHARP * sizes[0] * sizes[1])
+    return bool(min(sizes) > 0.5 * limit and before @ after < sharp * sizes[0] * sizes[1])
 
 
 def _find_corners(

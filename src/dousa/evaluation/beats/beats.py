@@ -36,7 +36,6 @@ from dousa.motion import CanonicalMotion
 
 _FEWEST_BEATS = 4  # beats: fewer give no tempo
 _CLOSEST_S = 0.1  # apart: 600 a minute
-_SHOWN = 40  # letters of a wrong line in a message
 _SEPARATOR = re.compile(r"[\s,;]+")
 
 
@@ -92,12 +91,13 @@ def to_beats(beats: Beats | ArrayLike) -> Beats:
     return Beats(times)
 
 
-def read_beats(path: str | os.PathLike[str]) -> Beats:
+def read_beats(path: str | os.PathLike[str], *, shown: int = 40) -> Beats:
     """Read the beats of a text file.
 
     Parameters
     ----------
     path : text as the module's docstring says.
+    shown : letters of a wrong line that a message quotes.
 
     Raises
     ------
@@ -113,11 +113,11 @@ def read_beats(path: str | os.PathLike[str]) -> Beats:
             time = float(_SEPARATOR.split(content, maxsplit=1)[0].strip("\"'"))
         except ValueError:
             if times or heading:
-                raise MotionFileError(path, "beats.no_time", line=number, found=repr(content[:_SHOWN])) from None
+                raise MotionFileError(path, "beats.no_time", line=number, found=repr(content[:shown])) from None
             heading = True
             continue
         if not np.isfinite(time):
-            raise MotionFileError(path, "beats.no_time", line=number, found=repr(content[:_SHOWN]))
+            raise MotionFileError(path, "beats.no_time", line=number, found=repr(content[:shown]))
         times.append(time)
     try:
         return Beats(np.array(times))
@@ -126,16 +126,16 @@ def read_beats(path: str | os.PathLike[str]) -> Beats:
 
 
 _RATE = 22_050  # Hz
-_HOP = 256  # samples from one value of the onset curve to the next
-_SILENT = 1e-4  # of full scale: nothing louder is silence
 
 
-def find_beats(path: str | os.PathLike[str]) -> Beats:
+def find_beats(path: str | os.PathLike[str], *, hop: int = 256, silent: float = 1e-4) -> Beats:
     """Find the beats of a sound file.
 
     Parameters
     ----------
     path : WAV, FLAC, OGG, MP3 and what else libsndfile reads; up to an hour.
+    hop : samples from one value of the onset curve to the next.
+    silent : share of full scale that silence stays below.
 
     Raises
     ------
@@ -144,14 +144,14 @@ def find_beats(path: str | os.PathLike[str]) -> Beats:
     """
     librosa, soundfile = require("librosa", "music"), require("soundfile", "music")
     samples, rate = _read(soundfile, path)
-    if not len(samples) or float(np.abs(samples).max()) < _SILENT:
+    if not len(samples) or float(np.abs(samples).max()) < silent:
         raise MotionFileError(path, "beats.silent", seconds=len(samples) / rate)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of very short pieces: an error of ours follows
         samples = librosa.resample(samples, orig_sr=rate, target_sr=_RATE)
-        onsets = librosa.onset.onset_strength(y=samples, sr=_RATE, hop_length=_HOP, aggregate=np.median)
-        _, frames = librosa.beat.beat_track(onset_envelope=onsets, sr=_RATE, hop_length=_HOP, trim=False)
-    times = np.asarray(frames, np.float64) * _HOP / _RATE
+        onsets = librosa.onset.onset_strength(y=samples, sr=_RATE, hop_length=hop, aggregate=np.median)
+        _, frames = librosa.beat.beat_track(onset_envelope=onsets, sr=_RATE, hop_length=hop, trim=False)
+    times = np.asarray(frames, np.float64) * hop / _RATE
     try:
         return Beats(times)
     except OptionError:

@@ -27,7 +27,6 @@ LIMB_OF = np.array([next(i for i, limb in enumerate(LIMBS.values()) if s in limb
 RATE = 15.0
 """Moments a second that are described, about."""
 
-_WINDOWS_S = (0.5, 1.0, 2.0)
 
 _PER_WINDOW = (
     "own",
@@ -81,10 +80,9 @@ def choose_stride(rate: float) -> int:
 
 
 _KINDS = ("shift", "incomplete", "partial", "global")
-_MOST_SEVERE = 10.0
 
 
-def mark_findings(findings: Sequence[Finding], n_frames: int) -> FloatArray:
+def mark_findings(findings: Sequence[Finding], n_frames: int, *, most_severe: float = 10.0) -> FloatArray:
     """Mark the findings of the rules at each frame of each limb and, last, of the body: (T, 6, 7).
 
     Severity by class, lag in s, share of the range that is missing, and how many frames the error lasts.
@@ -93,7 +91,7 @@ def mark_findings(findings: Sequence[Finding], n_frames: int) -> FloatArray:
     for finding in findings:
         limbs = {int(LIMB_OF[segment]) for segment in finding.segments}
         row = np.zeros(len(_KINDS) + 3)
-        row[_KINDS.index(finding.kind)] = min(finding.severity, _MOST_SEVERE)
+        row[_KINDS.index(finding.kind)] = min(finding.severity, most_severe)
         row[-3:] = finding.lag_s or 0.0, finding.shortfall_share or 0.0, finding.end - finding.start
         for limb in (*limbs, *((N_LIMBS,) if len(limbs) >= N_LIMBS - 1 else ())):
             marks[max(finding.start, 0) : finding.end, limb] = row
@@ -145,6 +143,7 @@ def _measure_windows(
     sharp_s: float = 0.1,
     lag_price: float = 2e-3,
     farthest: float = 4.0,
+    windows_s: tuple[float, float, float] = (0.5, 1.0, 2.0),
 ) -> tuple[FloatArray, FloatArray]:
     """(N, 5, W, 21) and (N, W, 15), see `_describe`."""
     # reach_s: lags that are looked at; lag_price: rad^2 a second: of lags as good as each other the nearest; farthest:
@@ -169,7 +168,7 @@ def _measure_windows(
         np.repeat(time_spread[:, None], N_LIMBS + 1, axis=1),
     ]
     rows = np.concatenate(blocks, axis=1)
-    halves = np.array([max(1, round(0.5 * seconds * rate)) for seconds in _WINDOWS_S])
+    halves = np.array([max(1, round(0.5 * seconds * rate)) for seconds in windows_s])
     sharp = max(1, round(sharp_s * rate))
     totals, together, sums = _accumulate(squared), _accumulate(common), _accumulate(rows)
     return _describe(totals, together, ours, theirs, rows, sums, LIMB_OF, frames, halves, sharp, lag_price / rate, rate)
@@ -191,7 +190,7 @@ def _compare_lags(limb_table: FloatArray, body_table: FloatArray) -> FloatArray:
     return np.concatenate([limbs, body[:, None]], axis=1)
 
 
-def _follow_lags(evidence: Evidence) -> FloatArray:
+def _follow_lags(evidence: Evidence, *, beside_s: tuple[float, float] = (1.0, 2.0)) -> FloatArray:
     """(T, 6, 8) of limbs and, last, the body along the cheapest course of lag.
 
     Its size; its size beside the clip's usual lag, beside the lag a while before and after (twice), beside the clip's
@@ -216,13 +215,10 @@ def _follow_lags(evidence: Evidence) -> FloatArray:
         edges = np.concatenate([[True], np.sign(lag[1:]) != np.sign(lag[:-1])])
         run = np.cumsum(edges) - 1
         lasts = np.bincount(run)[run] * step_s
-        around = [_look_beside(lag, round(seconds * evidence.rate)) for seconds in _BESIDE_S]
+        around = [_look_beside(lag, round(seconds * evidence.rate)) for seconds in beside_s]
         beside = np.stack([np.full(count, np.median(lag)), *around, trend, together])
         result[:, limb] = np.stack([np.abs(lag), *np.abs(lag - beside), explained, lasts], axis=1)
     return result
-
-
-_BESIDE_S = (1.0, 2.0)
 
 
 def _look_beside(values: FloatArray, reach: int) -> FloatArray:

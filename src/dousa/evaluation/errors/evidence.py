@@ -22,7 +22,6 @@ from dousa.motion.runs import find_runs
 
 MAX_LAG_S = 1.2
 YAW_WINDOW_S = 0.6
-_SPREAD_S = 0.3
 YAW_SCALE = np.radians(12.0)  # chord from which a segment loses its say in the heading
 
 
@@ -87,7 +86,7 @@ def compute_deviations(reference: Working, performance: Working, frames: FloatAr
     return Deviations(squared, yaw, judged, ours, theirs, reach, 1.0 / performance.frame_rate, np.zeros(judged.shape))
 
 
-def merge_takes(takes: Sequence[Deviations]) -> Deviations:
+def merge_takes(takes: Sequence[Deviations], *, spread_s: float = 0.3) -> Deviations:
     """Merge deviations from several takes to those from the nearest one, and measure the spread of the takes.
 
     Parameters
@@ -112,7 +111,7 @@ def merge_takes(takes: Sequence[Deviations]) -> Deviations:
     middle = _take_median(poses, known[..., None])
     middle /= np.maximum(np.linalg.norm(middle, axis=2, keepdims=True), 1e-9)
     far = _take_median(np.linalg.norm(poses - middle, axis=3), known)
-    half = max(1, round(0.5 * _SPREAD_S / first.step_s))
+    half = max(1, round(0.5 * spread_s / first.step_s))
     total = np.cumsum(np.pad(far, ((half + 1, half), (0, 0)), mode="edge"), axis=0)
     spread = (total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1)
     return replace(first, squared=squared, reference=middle, spread=spread)
@@ -206,8 +205,6 @@ GROUPS: dict[str, NDArray[np.intp]] = {"body": np.arange(len(SEGMENTS))} | {
 }
 """What shrinks as one: the body, or a limb."""
 
-_WINDOWS_S = (0.7, 1.2, 2.0)
-_SHORT = np.radians(10.0)  # range that is missing
 _SMALLER = 0.84  # gain
 
 
@@ -314,7 +311,13 @@ def _to_tangent(pole: FloatArray, vectors: FloatArray) -> FloatArray:
     return tangent
 
 
-def find_shrunk(deviations: Deviations, tolerance: FloatArray, rate: float) -> list[tuple[int, int]]:
+def find_shrunk(
+    deviations: Deviations,
+    tolerance: FloatArray,
+    rate: float,
+    *,
+    windows_s: tuple[float, float, float] = (0.7, 1.2, 2.0),
+) -> list[tuple[int, int]]:
     """Find windows over which a limb or the body moves less than the reference: half-open, the clearest first.
 
     A window adds up what no single frame shows: a range that is smaller by a few degrees everywhere.
@@ -326,7 +329,7 @@ def find_shrunk(deviations: Deviations, tolerance: FloatArray, rate: float) -> l
         for values in (theirs, ours, (theirs**2).sum(2), (theirs * ours).sum(2), (ours**2).sum(2), gaps)
     ]
     found: list[tuple[float, int, int]] = []
-    for seconds in _WINDOWS_S:
+    for seconds in windows_s:
         width = round(seconds * rate)
         if not 2 <= width < len(ours):
             continue
@@ -357,8 +360,10 @@ def _weigh(
     *,
     evidence: float = 8.0,
     unexplained_share: float = 0.45,
+    short: float = np.radians(10.0),
 ) -> FloatArray:
     """(N,) how clearly a gain below one explains windows of (N, S) sums of squares about their means; 0 if not."""
+    # short: rad of range that are missing
     # evidence: by how much shrinking explains a window better than a constant difference; unexplained_share: share
     # that is left
     inverse = 1.0 / tolerance**2
@@ -370,7 +375,7 @@ def _weigh(
     missing = (1.0 - gain) * 2.0 * np.sqrt(2.0 * np.maximum(xx.max(axis=1), 0.0) / width)
     shrunk = (
         (same_size - smaller > evidence)
-        & (missing > _SHORT)
+        & (missing > short)
         & (gain > 0.0)
         & (gain < _SMALLER)
         & (smaller < unexplained_share * same_size)
@@ -379,20 +384,21 @@ def _weigh(
     return np.where(shrunk, same_size - 2.0 * smaller, 0.0).clip(min=0.0)
 
 
-_MOST_FRAMES = 90
-_MODEL_SHARE = 0.25
-
-
-def measure_ranges(segments: FloatArray) -> FloatArray:
+def measure_ranges(segments: FloatArray, *, most_frames: int = 90) -> FloatArray:
     """(S,) rad, the largest angle between any two directions of each segment of (T, S, 3)."""
-    thinned = segments[:: max(1, -(-len(segments) // _MOST_FRAMES))].transpose(1, 0, 2)
+    thinned = segments[:: max(1, -(-len(segments) // most_frames))].transpose(1, 0, 2)
     cosines = (thinned @ thinned.transpose(0, 2, 1)).reshape(len(thinned), -1).min(axis=1)
     ranges: FloatArray = np.arccos(np.clip(cosines, -1.0, 1.0))
     return ranges
 
 
 def measure_missing_range(
-    reference: FloatArray, performance: FloatArray, model: FloatArray, segments: NDArray[np.intp]
+    reference: FloatArray,
+    performance: FloatArray,
+    model: FloatArray,
+    segments: NDArray[np.intp],
+    *,
+    model_share: float = 0.25,
 ) -> tuple[float, float]:
     """Measure the range that the most affected segment lacks.
 
@@ -410,7 +416,7 @@ def measure_missing_range(
     whole = measure_ranges(reference[:, segments])
     # Seen and explained err to different sides: unsteadiness widens the one, a blunt model narrows the other.
     seen, explained = measure_ranges(performance[:, segments]), measure_ranges(model[:, segments])
-    missing = whole - (1.0 - _MODEL_SHARE) * seen - _MODEL_SHARE * explained
+    missing = whole - (1.0 - model_share) * seen - model_share * explained
     worst = int(np.argmax(missing))
     amount = float(max(missing[worst], 0.0))
     return amount, amount / max(float(whole[worst]), 1e-6)
@@ -427,11 +433,7 @@ LIMB_SEGMENTS: tuple[NDArray[np.intp], ...] = tuple(np.array(indices) for indice
 # All in units of one frame at 30 Hz with one segment at its tolerance.
 LAG_CHANGE = 2.0  # price of one column of lag more or less
 LAG_PRICE = 0.15  # and of being late at all, a frame and column: of two explanations the nearer one
-_CHANGE = 8.0  # price of starting or ending a stretch
 _BODY = 0.45  # mean over all segments from which the body as a whole is off
-_BRIDGE_S = 0.25
-_TIE = 1e-3
-_APART_S = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -481,7 +483,9 @@ def at_lag(ratio: FloatArray, course: NDArray[np.intp]) -> FloatArray:
     return np.take_along_axis(ratio, course[:, None, None], axis=1)[:, 0]
 
 
-def gather_evidence(deviations: Deviations, tolerance: FloatArray, slack_s: float, weights: FloatArray) -> Evidence:
+def gather_evidence(
+    deviations: Deviations, tolerance: FloatArray, slack_s: float, weights: FloatArray, *, tie: float = 1e-3
+) -> Evidence:
     """Weigh the deviations.
 
     Parameters
@@ -501,7 +505,7 @@ def gather_evidence(deviations: Deviations, tolerance: FloatArray, slack_s: floa
     prices = LAG_PRICE * np.abs(np.arange(cost.shape[1]) - center) * (30.0 / rate)
     # Where all lags are as good there is none.
     forgiven = slice(center - slack, center + slack + 1)
-    near = follow_lag(cost[:, forgiven] + _TIE * prices[forgiven], change)
+    near = follow_lag(cost[:, forgiven] + tie * prices[forgiven], change)
     near = near.astype(np.intp) + center - slack
     course = follow_lag(cost + prices, change).astype(np.intp)
     ordinary = at_lag(ratio, near) * deviations.judged
@@ -537,24 +541,27 @@ def refine_lag(evidence: Evidence, course: NDArray[np.intp], first: int = 0) -> 
     return -columns * evidence.deviations.step_s
 
 
-def find_stretches(evidence: Evidence) -> list[tuple[int, int]]:
+def find_stretches(
+    evidence: Evidence, *, change: float = 8.0, bridge_s: float = 0.25, apart_s: float = 0.3
+) -> list[tuple[int, int]]:
     """Find half-open stretches of frames with a wrong limb, body, time or size."""
+    # change: price of starting or ending a stretch
     per_frame = 30.0 / evidence.rate
     wrong = np.zeros(len(evidence.ordinary), np.bool_)
     for limb in LIMB_SEGMENTS:
-        wrong |= switch_on((evidence.ordinary[:, limb].max(axis=1) - 1.0) * per_frame, _CHANGE)
+        wrong |= switch_on((evidence.ordinary[:, limb].max(axis=1) - 1.0) * per_frame, change)
     body = evidence.ordinary.mean(axis=1) - _BODY
-    wrong |= switch_on(3.0 * body * per_frame, _CHANGE)
+    wrong |= switch_on(3.0 * body * per_frame, change)
     wrong |= _find_lags(evidence)
     shrunk = find_shrunk(evidence.deviations, evidence.tolerance, evidence.rate)
-    apart = _widen(wrong, round(_APART_S * evidence.rate))
+    apart = _widen(wrong, round(apart_s * evidence.rate))
     for start, end in shrunk:
         # Where something else is wrong the windows that look for shrinking see that.
         if apart[start:end].mean() < 0.3:
             wrong[start:end] = True
     stretches: list[tuple[int, int]] = []
     for start, end in find_runs(wrong).tolist():
-        if stretches and start - stretches[-1][1] <= _BRIDGE_S * evidence.rate:
+        if stretches and start - stretches[-1][1] <= bridge_s * evidence.rate:
             stretches[-1] = (stretches[-1][0], end)
         else:
             stretches.append((start, end))
@@ -583,9 +590,6 @@ def _widen(mask: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
 
 
 _STEADIEST, _UNSTEADIEST = np.radians(3.0), np.radians(9.0)
-_MULTIPLE = 2.4
-_LEAST_TOLERANCE = np.radians(10.0)
-_NEAR_S = 0.14
 _WOBBLE_S, _WOBBLE_PERCENTILE, _WOBBLE_MULTIPLE, _MOST_SLACK_S = 0.5, 20.0, 3.0, 0.3
 
 
@@ -603,9 +607,11 @@ class Tolerance:
     lag_s: float = SLACK_S
 
 
-def measure_unsteadiness(deviations: Deviations) -> Tolerance:
+def measure_unsteadiness(
+    deviations: Deviations, *, multiple: float = 2.4, least_tolerance: float = np.radians(10.0), near_s: float = 0.14
+) -> Tolerance:
     """Measure the tolerance of a performance: multiples of its usual distance from the reference in angle and time."""
-    reach = max(1, round(_NEAR_S / deviations.step_s))
+    reach = max(1, round(near_s / deviations.step_s))
     center = deviations.center
     near = slice(max(center - reach, 0), center + reach + 1)
     nearest = deviations.squared[:, near].sum(axis=2).argmin(axis=1)
@@ -613,7 +619,7 @@ def measure_unsteadiness(deviations: Deviations) -> Tolerance:
     # The root mean square of a wavering direction is 1.2 times its median; errors hardly move the median.
     typical = 1.2 * np.sqrt(np.median(left, axis=0))
     steadiness = np.clip(typical, _STEADIEST, _UNSTEADIEST)
-    return Tolerance(np.maximum(_MULTIPLE * steadiness, _LEAST_TOLERANCE), _measure_wobble(deviations))
+    return Tolerance(np.maximum(multiple * steadiness, least_tolerance), _measure_wobble(deviations))
 
 
 def _measure_wobble(deviations: Deviations) -> float:

@@ -29,11 +29,10 @@ from dousa.evaluation.errors.evidence import (
 )
 from dousa.motion.runs import find_runs
 
-_CHANGE = 0.3  # price of one column of lag: nearly free, since any time of the reference may be met
-_OUTSIDE = 1e3
 
-
-def follow_path(evidence: Evidence, start: int, end: int) -> tuple[NDArray[np.intp], FloatArray]:
+def follow_path(
+    evidence: Evidence, start: int, end: int, *, change: float = 0.3, outside: float = 1e3
+) -> tuple[NDArray[np.intp], FloatArray]:
     """Follow the performance on the reference's path between the same two moments.
 
     Returns
@@ -41,10 +40,11 @@ def follow_path(evidence: Evidence, start: int, end: int) -> tuple[NDArray[np.in
     course : (n,) columns of lag.
     cost : (n,) sum over the segments of the capped ratio left on the way.
     """
+    # change: price of one column of lag: nearly free, since any time of the reference may be met
     columns = np.arange(evidence.ratio.shape[1])
     there = np.arange(start, end)[:, None] + columns - evidence.center
-    cost = np.where((there >= start) & (there < end), evidence.ratio[start:end].sum(axis=2), _OUTSIDE)
-    course = follow_lag(cost, _CHANGE).astype(np.intp)
+    cost = np.where((there >= start) & (there < end), evidence.ratio[start:end].sum(axis=2), outside)
+    course = follow_lag(cost, change).astype(np.intp)
     return course, at_lag(evidence.ratio[start:end], course).sum(axis=1)
 
 
@@ -82,13 +82,11 @@ def compute_unreached(evidence: Evidence, start: int, end: int, first: int, last
     return averaged
 
 
-_PAD_S = 0.25
 _PRICE = 10.0  # of an explanation with a number in it: a lag, a gain
 _SURPRISE = 2.0  # of a segment that does something else, a frame
 _DOUBT = 0.15  # what a frame must be explained better to belong to the error
 _UNREACHED = 5.0  # squared ratio from which an extreme was not reached
 _ON_PATH, _ON_PATH_SHARE, _OFF_PATH = 4.5, 0.55, 9.0
-_GAINS = (0.28, 0.86)  # below, a limb does nothing of the motion; above, it does it all
 _OFF_CENTER, _UNEXPLAINED = 1.5, 0.6
 _OFF_CENTER_CLEAR, _CLEAR = 3.0, 0.2  # what shrinks to its first pose, if shrinking explains nearly all
 _STEADY_S, _STEADY_SHARE, _IN_STEP = 0.07, 0.7, 2.5  # of a leap in time
@@ -96,10 +94,8 @@ _LEAP_S, _LEAP_LASTS_S = 0.15, 0.5  # a smaller or shorter one may be a turn tha
 
 # Of the stretch's length, and s: a moment from further away is another figure.
 _LONGEST_LAG, _LONGEST_LAG_S = 0.5, 0.6
-_GLOBAL_SHARE = 5 / 9  # of the segments that weigh anything
 _GLOBAL_LIMBS, _GLOBAL_SEGMENTS = 3, 4  # or so many, spread over the body
 _LARGER, _LEAST_EXCESS = 1.2, np.radians(10.0)
-_SURELY_LATE = 1.15  # in multiples of what is forgiven
 _BY_TIME = ("shift", "stops short")
 _SHORTEST_S = 0.25
 BODY = np.arange(9)  # all segments, by definition
@@ -156,9 +152,12 @@ def explain_all(evidence: Evidence) -> list[Finding]:
     return [found for start, end in find_stretches(evidence) for found in explain(evidence, start, end)]
 
 
-def explain(evidence: Evidence, start: int, end: int) -> list[Finding]:
+def explain(
+    evidence: Evidence, start: int, end: int, *, pad_s: float = 0.25, surely_late: float = 1.15
+) -> list[Finding]:
     """Find the errors of one stretch [start, end), in order."""
-    pad = round(_PAD_S * evidence.rate)
+    # surely_late: multiple of the lag that is forgiven
+    pad = round(pad_s * evidence.rate)
     first, last = max(start - pad, 0), min(end + pad, len(evidence.ordinary))
     if end - start < 2:
         return []
@@ -172,7 +171,7 @@ def explain(evidence: Evidence, start: int, end: int) -> list[Finding]:
         return []
     finding = _REPORTS[best.name](evidence, best, start, end, first)
     lasting = finding.end - finding.start >= _SHORTEST_S * evidence.rate
-    forgiven = finding.kind == "shift" and finding.severity <= _SURELY_LATE
+    forgiven = finding.kind == "shift" and finding.severity <= surely_late
     found = [finding] if lasting and not forgiven else []
     if best.name == "shift":
         found += _explain_rest(evidence, finding, start, end, pad)
@@ -266,8 +265,11 @@ def _keeps_its_lag(evidence: Evidence, start: int, end: int) -> bool:
     return bool(leap and lasts and (steady & (left < _IN_STEP)).mean() > _STEADY_SHARE)
 
 
-def _explain_by_size(evidence: Evidence, start: int, end: int, first: int, last: int) -> list[_Hypothesis]:
+def _explain_by_size(
+    evidence: Evidence, start: int, end: int, first: int, last: int, *, gains: tuple[float, float] = (0.28, 0.86)
+) -> list[_Hypothesis]:
     """A limb, or the body, moves less."""
+    # gains: below, a limb does nothing of the motion; above, it does it all
     ours, theirs = evidence.deviations.performance, evidence.deviations.reference
     ordinary = evidence.ordinary[first:last]
     inside = slice(start - first, end - first)
@@ -276,7 +278,7 @@ def _explain_by_size(evidence: Evidence, start: int, end: int, first: int, last:
         tolerance = evidence.tolerance[group]
         fit = fit_gain(ours[start:end, group], theirs[start:end, group], tolerance)
         off_center = _OFF_CENTER_CLEAR if fit.unexplained < _CLEAR else _OFF_CENTER
-        plausible = _GAINS[0] < fit.gain < _GAINS[1] and fit.off_center < off_center
+        plausible = gains[0] < fit.gain < gains[1] and fit.off_center < off_center
         if not plausible or fit.unexplained > _UNEXPLAINED:
             continue
         rest = fit.compute_rest(ours[first:last, group], theirs[first:last, group], tolerance)
@@ -389,8 +391,16 @@ def fade_gain(reference: FloatArray, performance: FloatArray, fit: GainFit, tole
 
 
 def _report_limbs(
-    evidence: Evidence, best: _Hypothesis, start: int, end: int, first: int, *, wrong_share: float = 0.6
+    evidence: Evidence,
+    best: _Hypothesis,
+    start: int,
+    end: int,
+    first: int,
+    *,
+    wrong_share: float = 0.6,
+    global_share: float = 5 / 9,
 ) -> Finding:
+    # global_share: share of the segments with a weight above 0
     # wrong_share: of the surprise's price, in the mean: the segment belongs to the error
     inside = evidence.ordinary[start:end]
     wrong = np.flatnonzero(inside.mean(axis=0) > wrong_share * _SURPRISE)
@@ -398,7 +408,7 @@ def _report_limbs(
         wrong = np.array([int(inside.mean(axis=0).argmax())])
     limbs = [limb for limb in LIMB_SEGMENTS if np.isin(limb, wrong).any()]
     weighing = np.flatnonzero(evidence.ratio.any(axis=(0, 1)))
-    most = len(wrong) >= _GLOBAL_SHARE * len(weighing) and len(limbs) >= 2
+    most = len(wrong) >= global_share * len(weighing) and len(limbs) >= 2
     whole = most or (len(limbs) >= _GLOBAL_LIMBS and len(wrong) >= _GLOBAL_SEGMENTS)
     kind = "global" if whole else "partial"
     if kind == "global":

@@ -19,10 +19,8 @@ from dousa.evaluation.errors.explain import (
 )
 from dousa.evaluation.errors.judge import Suspect
 
-_PLATEAU = 0.75  # of the largest lag: the rest is fading in and out
 _EDGE, _LEAST_KEPT = 0.3, 0.5  # of the lag; of the span
 _EDGE_BETWEEN, _MOSTLY = 0.5, 0.8  # of the lag between two shifts that are one; of the moments there
-_SMOOTH_S = 0.3
 _REACH_S, _MOST = 0.8, 0.5  # lags that are looked at; squared chord, further away says no more
 
 
@@ -86,7 +84,9 @@ def _measure_shift(evidence: Evidence, start: int, end: int, segments: NDArray[n
     return Finding("shift", start, end, _name(segments), max(abs(lag) / evidence.slack_s, 1.0), worst, lag)
 
 
-def follow_limb(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> FloatArray:
+def follow_limb(
+    evidence: Evidence, start: int, end: int, segments: NDArray[np.intp], *, smooth_s: float = 0.3
+) -> FloatArray:
     """(end - start,) s, lag of some segments over time; positive is late.
 
     The course of the lag that leaves least, smoothed, to a fraction of a frame by a parabola.
@@ -98,7 +98,7 @@ def follow_limb(evidence: Evidence, start: int, end: int, segments: NDArray[np.i
     # What is not seen speaks for no lag.
     seen = np.where(seen > 0.0, seen, seen[:, reach : reach + 1])
     squared = np.minimum(seen, _MOST).mean(axis=2)
-    half = min(max(1, round(0.5 * _SMOOTH_S * evidence.rate)), max((end - start) // 2, 1))
+    half = min(max(1, round(0.5 * smooth_s * evidence.rate)), max((end - start) // 2, 1))
     total = np.cumsum(np.pad(squared, ((half + 1, half), (0, 0)), mode="edge"), axis=0)
     squared = (total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1)
     scale = float(np.mean(evidence.tolerance[segments] ** 2))
@@ -112,11 +112,12 @@ def follow_limb(evidence: Evidence, start: int, end: int, segments: NDArray[np.i
     return np.asarray(-(inner - reach + np.clip(part, -1.0, 1.0)) * deviations.step_s)
 
 
-def choose_lasting(lag: FloatArray) -> float:
+def choose_lasting(lag: FloatArray, *, plateau: float = 0.75) -> float:
     """Choose the largest lasting lag of a course in s."""
+    # plateau: share of the largest lag: the rest is fading in and out
     most = float(np.abs(lag).max())
     late = lag.sum() >= 0.0
-    lasting = lag[(np.abs(lag) >= _PLATEAU * most) & ((lag >= 0.0) == late)]
+    lasting = lag[(np.abs(lag) >= plateau * most) & ((lag >= 0.0) == late)]
     return float(np.median(lasting)) if len(lasting) else float(np.median(lag))
 
 

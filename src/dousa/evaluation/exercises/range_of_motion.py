@@ -72,8 +72,6 @@ ANGLE_NAMES: Mapping[str, Message] = {
 MOVING_DEG = 20.0
 """A joint whose angle ranges over less is not what the exercise is about."""
 
-_SMOOTH_S = 0.05
-
 
 @dataclass(frozen=True, slots=True)
 class RangeOfMotion:
@@ -144,7 +142,13 @@ def compute_trunk_axes(positions: FloatArray) -> tuple[FloatArray, FloatArray, F
 
 
 def measure_ranges(
-    angles: Mapping[str, FloatArray], start: int, end: int, frame_rate: float, reference: Mapping[str, float] = {}
+    angles: Mapping[str, FloatArray],
+    start: int,
+    end: int,
+    frame_rate: float,
+    reference: Mapping[str, float] = {},
+    *,
+    smooth_s: float = 0.05,
 ) -> tuple[RangeOfMotion, ...]:
     """Measure the ranges of all angles in the frames from ``start`` up to ``end``, single outliers smoothed away.
 
@@ -160,7 +164,7 @@ def measure_ranges(
         values = angles[name][start:end]
         values = values[np.isfinite(values)]
         if len(values):
-            values = smooth_gaussian(_drop_spikes(values), max(_SMOOTH_S * frame_rate, 0.3))
+            values = smooth_gaussian(_drop_spikes(values), max(smooth_s * frame_rate, 0.3))
         least, most = (float(values.min()), float(values.max())) if len(values) else (float("nan"),) * 2
         ranges.append(RangeOfMotion(name, least, most, reference.get(name, float("nan"))))
     return tuple(ranges)

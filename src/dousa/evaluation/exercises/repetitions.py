@@ -471,7 +471,6 @@ SHORT, FAR = 85.0, 120.0
 """Percent of the reference's range: a joint that goes less far, or further, is reported."""
 _SLOWER, _FASTER = 1.2, 1 / 1.2  # of the reference's duration
 _UNEVEN = 15.0  # percent, symmetry index that is reported
-_UNEVEN_CHANGE = 0.5  # percent a repetition: a slower change of the sides is of no use
 _MOST_ANGLES = 4  # that a table has room for
 
 
@@ -516,18 +515,19 @@ def describe_exercise(assessment: RepetitionsAssessment) -> tuple[Message, ...]:
     return (*said, *_say_tempo(assessment), *_say_sides(assessment))
 
 
-def describe_trends(assessment: RepetitionsAssessment) -> tuple[Message, ...]:
+def describe_trends(assessment: RepetitionsAssessment, *, uneven_change: float = 0.5) -> tuple[Message, ...]:
     """Describe the trends that are distinguishable from chance, or say that there are none.
 
     Of the joints those of `choose_angles` and `choose_pair`; all others are in ``assessment.trends``.
     """
+    # uneven_change: percent a repetition: a slower change of the sides is of no use
     reported = {"duration_s", "score", "pause_s", "extent", *choose_angles(assessment)}
     pair = choose_pair(assessment)
     uneven = f"symmetry_{pair}"
     found = [
         _say_trend(name, trend)
         for name, trend in assessment.trends.items()
-        if trend.distinguishable and (name in reported or (name == uneven and abs(trend.slope) >= _UNEVEN_CHANGE))
+        if trend.distinguishable and (name in reported or (name == uneven and abs(trend.slope) >= uneven_change))
     ]
     return tuple(found) or (Message("exercise_table.no_trend"),)
 

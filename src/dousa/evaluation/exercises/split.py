@@ -110,11 +110,7 @@ def _trace(origin, from_pass, in_pass):  # type: ignore[no-untyped-def]  # pragm
     return bounds[:count][::-1].copy()
 
 
-_SMOOTH_S = 0.06
 _RATE = 15.0  # Hz at which repetitions are looked for; their bounds are found at the full rate
-_STILL = 0.6  # chord a second below which a body is at rest
-_ONE_REST = 0.35  # chord within which two postures are of one rest
-_MOST_RESTS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,12 +138,12 @@ class PostureCurve:
         return self.fine_rate / self.stride
 
 
-def compute_curve(postures: PostureSequence) -> PostureCurve:
+def compute_curve(postures: PostureSequence, *, smooth_s: float = 0.06) -> PostureCurve:
     """Take the heading off, which turns slowly, and smooth what a sensor adds."""
     rate = postures.frame_rate
     heading = _follow_heading(thin_postures(postures), postures.n_frames)
     turned = rotate_yaw(postures.segments, -heading).reshape(postures.n_frames, -1)
-    fine = smooth_gaussian(turned, max(_SMOOTH_S * rate, 0.3))
+    fine = smooth_gaussian(turned, max(smooth_s * rate, 0.3))
     stride = max(1, round(rate / _RATE))
     return PostureCurve(
         fine, rate, np.ascontiguousarray(fine[::stride]), stride, postures.positions[::stride, 0][:, [0, 2]]
@@ -161,28 +157,29 @@ def _follow_heading(working: Working, n_frames: int, *, heading_s: float = 0.5) 
     return np.interp(np.arange(n_frames), places, smooth)
 
 
-def find_rests(curve: PostureCurve) -> FloatArray:
+def find_rests(curve: PostureCurve, *, still: float = 0.6, one_rest: float = 0.35, most_rests: int = 6) -> FloatArray:
     """Find postures in which the body often is and hardly moves, the most frequent one first.
 
     Returns
     -------
     (K, 27), K from 2 to 8: where the recording begins and ends are among them.
     """
+    # still: chord a second below which a body is at rest; one_rest: chord within which two postures are of one rest
     points = curve.coarse
     speed = np.linalg.norm(np.gradient(points, axis=0), axis=1) * curve.rate if len(points) > 1 else np.zeros(1)
-    calm = 1.0 / (1.0 + (speed / _STILL) ** 2)
+    calm = 1.0 / (1.0 + (speed / still) ** 2)
     some = points[:: max(1, len(points) // 400)]
-    near = np.exp(-0.5 * _squared(some, points) / _ONE_REST**2) * calm
+    near = np.exp(-0.5 * _squared(some, points) / one_rest**2) * calm
     rests: list[FloatArray] = [points[0], points[-1]]  # who starts at once, or stops at once, is nowhere long
     left = np.ones(len(points))
-    while len(rests) < _MOST_RESTS + 2:
+    while len(rests) < most_rests + 2:
         weight = near @ left
         best = int(weight.argmax())
         if weight[best] < 0.3 * curve.rate:
             break
         share = near[best] * left
         rests.append((share @ points) / max(share.sum(), 1e-9))
-        left = left * (1.0 - np.exp(-0.5 * _squared(rests[-1][None], points)[0] / (2 * _ONE_REST) ** 2))
+        left = left * (1.0 - np.exp(-0.5 * _squared(rests[-1][None], points)[0] / (2 * one_rest) ** 2))
     return np.array(rests)
 
 
@@ -199,7 +196,6 @@ COMPLETE = 0.65
 _BESIDE = 0.5  # share of its displacement by which a broken-off repetition may be beside the exercise's path
 _OTHER = 2.0  # mean squared residual, as a share of the template's mean squared displacement, of other motion
 _ONSET = 0.12  # share of the displacement at which a repetition has begun
-_LEVELS = (0.15, 0.3, 0.5)  # shares of the largest displacements at which excursions are cut
 _SHORTEST_S, _LONGEST_S = 0.4, 20.0
 _ALIKE, _ALIKE_ALONE = 1.0, 2.5  # misfit, a share of the template's power, from which on a pass is another motion
 _RETURNS = 0.55  # share of its reach within which a repetition begins and ends at rest
@@ -424,13 +420,23 @@ def _middle_power(candidates: Sequence[_Candidate]) -> float:
 
 
 def _cut_excursions(
-    curve: PostureCurve, rest: FloatArray, *, on_the_spot_m: float = 0.4, moment_s: float = 0.3
+    curve: PostureCurve,
+    rest: FloatArray,
+    *,
+    on_the_spot_m: float = 0.4,
+    moment_s: float = 0.3,
+    levels: tuple[float, float, float] = (
+        0.15,
+        0.3,
+        0.5,
+    ),
 ) -> list[_Candidate]:
     """The spans between two rests, cut at several levels, those with a moment between them taken together as well."""
+    # levels: shares of the largest displacements at which excursions are cut
     away = np.linalg.norm(curve.coarse - rest, axis=1)
     top = float(np.quantile(away, 0.95)) if len(away) else 0.0
     found = set()
-    for share in _LEVELS:
+    for share in levels:
         for gap in (0, round(moment_s * curve.rate)):
             found |= {_widen(away, start, end) for start, end in _list_spans(away > share * top, gap)}
     candidates = []

@@ -25,11 +25,7 @@ from dousa.evaluation.figures.furi import Furi
 from dousa.evaluation.posture.posture import SEGMENTS, PostureSequence
 from dousa.evaluation.posture.yaw import rotate_yaw
 
-_MARGIN_S = 1.0  # who is late shows the end of the figure before: not a wrong pose
 _TURN_RATE = 30.0  # Hz, of the poses whose angle is measured
-
-# Of its median: longer than a near-vertical pose that faces anywhere, shorter than a spin.
-_TURN_WINDOW_S = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +54,9 @@ class Turned:
         return np.interp(frames, self.first + np.arange(len(self.turn)), self.turn)
 
 
-def turn_reference(reference: PostureSequence, figure: Furi, space: Eigenspace) -> Turned:
+def turn_reference(
+    reference: PostureSequence, figure: Furi, space: Eigenspace, *, margin_s: float = 1.0, turn_window_s: float = 0.3
+) -> Turned:
     """Turn the poses of a figure, and a second around it, onto its mean.
 
     Parameters
@@ -66,16 +64,18 @@ def turn_reference(reference: PostureSequence, figure: Furi, space: Eigenspace) 
     reference : the dance.
     figure : of it.
     space : of its label.
+    margin_s : s around the figure: a late performer shows the end of the figure before, which is not a wrong pose.
+    turn_window_s : s of the median: longer than a near-vertical pose that faces anywhere, shorter than a spin.
 
     Not in the paper, which turns each pose by itself: a pose that is nearly vertical in all segments may then be
     turned any way, and another way than its neighbours.
     """
-    margin = round(_MARGIN_S * reference.frame_rate)
+    margin = round(margin_s * reference.frame_rate)
     part = slice(max(figure.start - margin, 0), min(figure.end + margin, reference.n_frames))
     segments, seen = reference.segments[part], np.all(reference.seen[part], axis=1)
     step = max(1, int(reference.frame_rate // _TURN_RATE))
     sample = np.arange(0, len(segments), step)
-    half = round(0.5 * _TURN_WINDOW_S * reference.frame_rate / step)
+    half = round(0.5 * turn_window_s * reference.frame_rate / step)
     angle = _smooth_turn(np.unwrap(space.find_turn(segments[sample])), half)
     turn = np.interp(np.arange(len(segments)), sample, angle)
     return Turned(rotate_yaw(segments, turn), turn, seen, part.start)
@@ -87,7 +87,6 @@ def _smooth_turn(angle: FloatArray, half: int) -> FloatArray:
     return np.median(windows, axis=1)
 
 
-_SMALLEST_RANGE = np.radians(15.0)
 _N_DIRECTIONS = 32  # along which the extreme poses of a segment are looked for: 64 candidates
 
 
@@ -262,6 +261,7 @@ def _measure_gains(
     *,
     range_window_s: float = 0.1,
     range_rate: float = 30.0,
+    smallest_range: float = np.radians(15.0),
 ) -> FloatArray:
     """(n_furi, 9) ranges of the performance over the reference's; nan where the reference hardly moves."""
     # range_rate: Hz, after that smoothing
@@ -284,7 +284,7 @@ def _measure_gains(
         space = spaces[figure.label]
         whole = _measure_range(space.align(smooth_theirs[theirs]), reference.seen[theirs])
         part = _measure_range(space.align(smooth_ours[ours]), performance.seen[ours])
-        moving = whole >= _SMALLEST_RANGE
+        moving = whole >= smallest_range
         gain[number, moving] = part[moving] / whole[moving]
     return gain
 

@@ -12,15 +12,8 @@ from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.correspondence import compute_correlation_matrix
 
 _RATE = 10.0  # Hz, the coarse rate at most
-_MOST_POSES = 4000  # coarse poses of a very long take: 64 MB a matrix
 
-# Tuned on synthetic dances and on the recordings that are not held out.
-_BACKGROUND_S = 1.0  # a repetition has to stand out from what is so near
-_NOISE = 0.005  # 1 - S between two takes of the same pose by one person: 6 degrees a segment
 _MOVING = 0.2  # rad/s over all segments: from here on a person is not at rest
-_TOLL = 0.45
-_TOLERATED = 0.05  # 18 degrees a segment
-_DROP_S = 1.5
 _LEAST_GAIN = 0.45  # of a repetition, mean over its pairs
 _NEAR_S = 0.4  # repetitions whose lags differ by less are one
 
@@ -60,15 +53,16 @@ class Repeat:
     score: float
 
 
-def coarsen(segments: FloatArray, frame_rate: float) -> Coarse:
+def coarsen(segments: FloatArray, frame_rate: float, *, most_poses: int = 4000) -> Coarse:
     """Reduce a motion to a coarse rate and compute its self-correlation matrix.
 
     Parameters
     ----------
     segments : (T, 9, 3), at least one frame.
     frame_rate : Hz.
+    most_poses : coarse poses of a very long take: 64 MB a matrix.
     """
-    block = max(1, int(np.ceil(frame_rate / _RATE - 1e-9)), -(-len(segments) // _MOST_POSES))
+    block = max(1, int(np.ceil(frame_rate / _RATE - 1e-9)), -(-len(segments) // most_poses))
     starts = np.arange(0, len(segments), block)
     means = np.add.reduceat(segments, starts, axis=0)
     lengths = np.linalg.norm(means, axis=2, keepdims=True)
@@ -82,13 +76,28 @@ def coarsen(segments: FloatArray, frame_rate: float) -> Coarse:
     return Coarse(means, block, rate, similarity, speed)
 
 
-def find_repeats(coarse: Coarse, min_s: float) -> tuple[Repeat, ...]:
+def find_repeats(
+    coarse: Coarse,
+    min_s: float,
+    *,
+    background_s: float = 1.0,
+    noise: float = 0.005,
+    toll: float = 0.45,
+    tolerated: float = 0.05,
+    drop_s: float = 1.5,
+) -> tuple[Repeat, ...]:
     """Find all stretches that are repeated, the clearest first.
 
     Parameters
     ----------
     coarse : the motion.
     min_s : s, the shortest stretch and the shortest lag.
+    background_s : s around a pair of frames that a repetition has to stand out from. This and the following
+        thresholds were tuned on synthetic dances and on the recordings that are not held out.
+    noise : 1 - S between two takes of the same pose by one person: 6 degrees a segment.
+    toll : taken off the gain of every pair of frames.
+    tolerated : 1 - S beyond which a pair costs extra: 18 degrees a segment.
+    drop_s : s of tolls by which the score may fall before a repetition ends.
     """
     from dousa.evaluation.alignment.dynamic_programming import (
         accumulate_likeness,
@@ -101,12 +110,10 @@ def find_repeats(coarse: Coarse, min_s: float) -> tuple[Repeat, ...]:
     shortest = max(2, round(0.8 * min_s * rate))
     if n < 2 * shortest:
         return ()
-    radius, width = max(1, round(_BACKGROUND_S * rate)), max(1, round(_NEAR_S * rate))
+    radius, width = max(1, round(background_s * rate)), max(1, round(_NEAR_S * rate))
     moving = np.clip(coarse.speed / _MOVING, 0.0, 1.0)
-    gains = compute_gains(coarse.similarity, radius, _NOISE, 4.0 * _TOLERATED)
-    score, step = accumulate_likeness(
-        coarse.similarity, gains, moving, shortest, _TOLL, _TOLERATED, _DROP_S * rate * _TOLL
-    )
+    gains = compute_gains(coarse.similarity, radius, noise, 4.0 * tolerated)
+    score, step = accumulate_likeness(coarse.similarity, gains, moving, shortest, toll, tolerated, drop_s * rate * toll)
     least = _LEAST_GAIN * min_s * rate
     ends = find_ends(score, least)
     ends = ends[np.argsort(-score[ends[:, 0], ends[:, 1]], kind="stable")]
@@ -117,12 +124,7 @@ def find_repeats(coarse: Coarse, min_s: float) -> tuple[Repeat, ...]:
     )
 
 
-# Tuned on synthetic dances and on the recordings that are not held out. Where a repetition begins is worth 1.
-_CUT_COST = 0.5  # what a cut has to be worth; a rest or a change of motion alone is not
 _NOVELTY_WORTH, _REST_WORTH = 0.2, 0.25
-_COMFORT = 0.6  # share of the longest furi from which on its length costs something
-_SHORT_COST = 0.15  # of the shortest furi, nothing from twice its length on: steps of a walk go in pairs
-_SMOOTH_S = 0.25  # motion speed is averaged over so long
 
 
 def rate_cuts(coarse: Coarse, repeats: Sequence[Repeat], speed: FloatArray) -> FloatArray:
@@ -226,7 +228,16 @@ def _find_long_rests(coarse: Coarse, *, long_rest_s: float = 3.0, at_rest: float
     return [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= least]
 
 
-def choose_cuts(worth: FloatArray, rate: float, min_s: float, max_s: float) -> list[int]:
+def choose_cuts(
+    worth: FloatArray,
+    rate: float,
+    min_s: float,
+    max_s: float,
+    *,
+    cut_cost: float = 0.5,
+    comfort: float = 0.6,
+    short_cost: float = 0.15,
+) -> list[int]:
     """Choose the cuts with the largest sum of ratings, by dynamic programming.
 
     Parameters
@@ -234,6 +245,10 @@ def choose_cuts(worth: FloatArray, rate: float, min_s: float, max_s: float) -> l
     worth : (n,) of a cut before each coarse frame.
     rate : Hz, coarse.
     min_s, max_s : s, shortest and longest piece.
+    cut_cost : least rating of a cut; a rest or a change of motion alone is below it, the start of a repetition rates 1.
+        This and the following costs were tuned on synthetic dances and on the recordings that are not held out.
+    comfort : share of the longest furi from which on its length costs something.
+    short_cost : of the shortest furi, nothing from twice its length on: steps of a walk go in pairs.
 
     Returns
     -------
@@ -242,9 +257,9 @@ def choose_cuts(worth: FloatArray, rate: float, min_s: float, max_s: float) -> l
     n = len(worth)
     shortest, longest = max(1, int(np.ceil(min_s * rate - 1e-9))), max(2, int(max_s * rate))
     lengths = np.arange(shortest, longest + 1)
-    over = (lengths / rate - _COMFORT * max_s) / ((1.0 - _COMFORT) * max_s)
+    over = (lengths / rate - comfort * max_s) / ((1.0 - comfort) * max_s)
     under = 2.0 - lengths / (rate * min_s)
-    costs = np.maximum(over, 0.0) ** 2 + _SHORT_COST * np.maximum(under, 0.0) ** 2
+    costs = np.maximum(over, 0.0) ** 2 + short_cost * np.maximum(under, 0.0) ** 2
     best, before = np.full(n + 1, -np.inf), np.zeros(n + 1, np.intp)
     best[0] = 0.0
     for end in range(shortest, n + 1):
@@ -252,7 +267,7 @@ def choose_cuts(worth: FloatArray, rate: float, min_s: float, max_s: float) -> l
         totals = best[end - some[some <= end]] - costs[: (some <= end).sum()]
         choice = int(totals.argmax())
         before[end] = end - lengths[choice]
-        best[end] = totals[choice] + (worth[end] - _CUT_COST if end < n else 0.0)
+        best[end] = totals[choice] + (worth[end] - cut_cost if end < n else 0.0)
     if not np.isfinite(best[n]):
         return [0, n]
     cuts = [n]
@@ -261,13 +276,14 @@ def choose_cuts(worth: FloatArray, rate: float, min_s: float, max_s: float) -> l
     return cuts[::-1]
 
 
-def compute_speed(segments: FloatArray, rate: float) -> FloatArray:
+def compute_speed(segments: FloatArray, rate: float, *, smooth_s: float = 0.25) -> FloatArray:
     """Compute the speed of a person, averaged over a moment.
 
     Parameters
     ----------
     segments : (T, 9, 3).
     rate : Hz.
+    smooth_s : s that the speed is averaged over.
 
     Returns
     -------
@@ -278,7 +294,7 @@ def compute_speed(segments: FloatArray, rate: float) -> FloatArray:
     steps = np.diff(segments, axis=0)
     speed = rate * np.sqrt(np.einsum("tsk,tsk->t", steps, steps) / segments.shape[1])
     speed = np.concatenate([speed[:1], speed])
-    half = round(0.5 * _SMOOTH_S * rate)
+    half = round(0.5 * smooth_s * rate)
     sums = np.concatenate([[0.0], np.cumsum(speed)])
     frames = np.arange(len(speed))
     low, high = np.maximum(frames - half, 0), np.minimum(frames + half + 1, len(speed))

@@ -32,10 +32,6 @@ from dousa.evaluation.posture.posture import PostureSequence, check_segments
 from dousa.files.disk import atomic_write, read_small_text
 from dousa.motion import CanonicalMotion
 
-# Tuned on synthetic dances and on the recordings that are not held out.
-_SAME = 0.01  # and so much, of 1 - S, that even two rests are apart
-_MOST_LEARNT = 1500  # postures that make an eigenspace where there are more
-
 
 @dataclass(frozen=True, slots=True)
 class Furi:
@@ -105,14 +101,17 @@ def name_label(number: int) -> str:
     return letters
 
 
-def _label(cuts: Sequence[int], coarse: Coarse, *, nearer_than: float = 0.45, length_slack: float = 1.6) -> list[str]:
+def _label(
+    cuts: Sequence[int], coarse: Coarse, *, nearer_than: float = 0.45, length_slack: float = 1.6, same: float = 0.01
+) -> list[str]:
     """One label a figure; figures are joined, nearest first, as long as a group's figures are similar on average."""
+    # same: 1 - S that even two rests are apart; tuned on synthetic dances and on recordings that are not held out
     # nearer_than: figures are one if they are nearer to each other than this share of the motion within them;
     # length_slack: figures whose lengths differ by a larger factor are two
     from dousa.evaluation.alignment.dynamic_programming import compare_stretches
 
     apart, within = compare_stretches(coarse.similarity, np.array(cuts, np.int64), length_slack)
-    tolerated = nearer_than * np.minimum(within, within.T) + _SAME
+    tolerated = nearer_than * np.minimum(within, within.T) + same
     distance = (apart / tolerated).astype(np.float64)
     np.fill_diagonal(distance, np.inf)
     group = np.arange(len(distance))
@@ -137,6 +136,8 @@ def fit_furi_eigenspaces(
     contribution: float = 0.99,
     more: Mapping[str, ArrayLike] | None = None,
     yaw: str = "robust",
+    *,
+    most_learnt: int = 1500,
 ) -> dict[str, Eigenspace]:
     """Fit one eigenspace for each label: equal figures share it.
 
@@ -147,6 +148,7 @@ def fit_furi_eigenspaces(
     contribution : share of the variance that the axes hold.
     more : postures (N, 9, 3) of further takes by label.
     yaw : ``"robust"`` or ``"plain"``.
+    most_learnt : largest number of postures that an eigenspace is made from.
 
     Returns
     -------
@@ -180,7 +182,7 @@ def fit_furi_eigenspaces(
         postures = reference.segments[seen if len(seen) else chosen]
         if more is not None and label in more:
             postures = np.concatenate([postures, check_segments(more[label], f"more[{label!r}]")])
-        step = -(-len(postures) // _MOST_LEARNT)
+        step = -(-len(postures) // most_learnt)
         spaces[label] = fit_eigenspace(postures[::step], contribution, yaw=yaw)
     return spaces
 

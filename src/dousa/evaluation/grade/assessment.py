@@ -436,8 +436,6 @@ def check_seen(postures: PostureSequence, *, is_reference: bool) -> None:
         )
 
 
-_MOST_WEIGHTS = 3  # sets of weights whose comparison is kept: those found first, and the last ones tried
-_MOST_SPACES = 60
 _Frames = tuple[tuple[int, int], ...]
 
 
@@ -458,7 +456,7 @@ class _Prepared:
     performance: PostureSequence
     spaces: OrderedDict[_Frames, Eigenspace] = field(default_factory=OrderedDict)
 
-    def fit_spaces(self, figures: Sequence[Furi]) -> dict[str, Eigenspace]:
+    def fit_spaces(self, figures: Sequence[Furi], *, most_spaces: int = 60) -> dict[str, Eigenspace]:
         """Fit eigenspaces by label; those of figures at the same frames as before are reused."""
         frames: dict[str, _Frames] = {}
         for one in figures:
@@ -471,7 +469,7 @@ class _Prepared:
         found = {label: self.spaces[key] for label, key in frames.items()}
         for key in frames.values():
             self.spaces.move_to_end(key)
-        while len(self.spaces) > max(_MOST_SPACES, len(frames)):
+        while len(self.spaces) > max(most_spaces, len(frames)):
             self.spaces.popitem(last=False)
         return found
 
@@ -584,14 +582,15 @@ class AdjustableAssessment:
         weighed = reweigh(prepared.weighed, references, prepared.performance, shares)
         return self._look(prepared, references, weighed, furi), False
 
-    def _prepare(self, shares: FloatArray) -> _Prepared:
+    def _prepare(self, shares: FloatArray, *, most_weights: int = 3) -> _Prepared:
+        # most_weights: sets of weights whose comparison is kept: those found first, and the last ones tried
         key = shares.tobytes()
         if key not in self._prepared:
             references = prepare_references(self._postures, self._tempo, shares)
             compared, performance = compare_bodies(references, self._performance, self._tempo, shares)
             weighed = weigh(references, performance, compared, shares)
             self._prepared[key] = _Prepared(references, weighed, performance)
-            while len(self._prepared) > _MOST_WEIGHTS:
+            while len(self._prepared) > most_weights:
                 self._prepared.popitem(last=False)
         self._prepared.move_to_end(key)
         return self._prepared[key]

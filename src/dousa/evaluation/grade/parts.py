@@ -25,12 +25,8 @@ time, at the best time nearby (deg); lag of the limbs (s); range of motion that 
 length of the way that the segments go (logarithm of the ratio)."""
 
 _RATE = 10.0  # Hz, of the moments that are measured
-_NEAR = np.radians(12.0) ** 2  # squared chord from which a moment is hardly the same
 _CHANGE, _LATE = 0.4, 0.02  # prices of 0.1 s more or less of lag, and of being late, against log(1 + chord^2 / near)
-_RESEMBLED = np.radians(25.0) ** 2  # squared chord of all segments of a pose that was danced, at whatever time
-_WORST = 90.0  # percent of the time
 _FLOOR_DEG, _FLOOR_SPEED = 20.0, 5.0  # deg, deg/s: what hardly moves is measured against this
-_FLOOR_STILL = 1.0  # deg/s, of a reference that stands still
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,18 +57,22 @@ class Measured:
     covered: NDArray[np.bool_]
     weights_of: FloatArray
 
-    def find_coverage(self, weights: FloatArray) -> float:
+    def find_coverage(self, weights: FloatArray, *, floor_still: float = 1.0) -> float:
         """Find the share of the reference's motion that was danced, 0 to 1; weights (9,) of the segments."""
-        motion = (self.weights_of + _FLOOR_STILL) @ weights
+        # floor_still: deg/s, of a reference that stands still
+        motion = (self.weights_of + floor_still) @ weights
         return float((motion * self.covered).sum() / max(float(motion.sum()), 1e-9))
 
-    def find_parts(self, weights: FloatArray, frames: NDArray[np.bool_] | None = None) -> FloatArray:
+    def find_parts(
+        self, weights: FloatArray, frames: NDArray[np.bool_] | None = None, *, worst: float = 90.0
+    ) -> FloatArray:
         """(7,) values of `PARTS`; nan if nothing is compared.
 
         Parameters
         ----------
         weights : (9,) of the segments.
         frames : (T,) of the working frames, those to look at: range and way are not measured then.
+        worst : percentile over time of the largest angles.
         """
         here = slice(None) if frames is None else np.flatnonzero(frames[np.minimum(self.rows, len(frames) - 1)])
         shares = np.where(np.isnan(self.same[here]), 0.0, weights)
@@ -82,7 +82,7 @@ class Measured:
         values = np.zeros(len(PARTS))
         values[0], values[1] = (_average(angles[here], shares) for angles in (self.same, self.shape))
         largest = (np.nan_to_num(self.shape[here]) * np.sqrt(shares)).max(axis=1)
-        values[2] = float(np.percentile(largest[shares.any(axis=1)], _WORST))
+        values[2] = float(np.percentile(largest[shares.any(axis=1)], worst))
         values[3] = float((self.lag[here] * moving).sum() / moving.sum())
         if frames is None:
             judged = np.isfinite(self.same).any(axis=0) * weights
@@ -151,15 +151,18 @@ def measure_parts(
     )
 
 
-def _follow_limbs(squared: FloatArray, center: int, rate: float) -> tuple[NDArray[np.intp], FloatArray]:
+def _follow_limbs(
+    squared: FloatArray, center: int, rate: float, *, near: float = np.radians(12.0) ** 2
+) -> tuple[NDArray[np.intp], FloatArray]:
     """(N, 9) columns of lag of each segment's limb, and (N, 9) squared chords there."""
+    # near: squared chord from which a moment is hardly the same
     lags = np.abs(np.arange(squared.shape[1]) - center) / rate
     rows = np.arange(len(squared))
     columns, best = np.zeros((len(squared), 9), np.intp), np.zeros((len(squared), 9))
     change = _CHANGE * _RATE / rate
     for segments in LIMBS.values():
         part = squared[:, :, list(segments)]
-        cost = np.log1p(part / _NEAR).mean(axis=2)
+        cost = np.log1p(part / near).mean(axis=2)
         course = follow_lag(cost + _LATE * _RATE * lags, change)
         for segment in segments:
             columns[:, segment] = course - center
@@ -186,8 +189,10 @@ def _find_covered(
     rate: float,
     *,
     step_s: float = 0.5,
+    resembled: float = np.radians(25.0) ** 2,
 ) -> NDArray[np.bool_]:
     """(U,) moments of the reference that the performance passes, or whose pose it shows at about that time."""
+    # resembled: squared chord of all segments of a pose that was danced, at whatever time
     # step_s: a performance that goes on by no more than this in the reference leaves nothing out
     covered = np.zeros(count, np.bool_)
     there = np.rint(frames[rows]).astype(np.intp) + lag
@@ -198,7 +203,7 @@ def _find_covered(
     part = squared[:, center + steps]
     # The limb that is off most: in an exercise of one arm all others always resemble.
     unlike = np.where((part > 0.0).any(axis=2), part.max(axis=2), np.inf)
-    shown = (np.rint(frames[rows]).astype(np.intp)[:, None] + steps)[unlike < _RESEMBLED]
+    shown = (np.rint(frames[rows]).astype(np.intp)[:, None] + steps)[unlike < resembled]
     for shift in range(-(step // 2), step - step // 2):
         covered[(shown + shift)[(shown + shift >= 0) & (shown + shift < count)]] = True
     return covered
@@ -260,13 +265,17 @@ def compute_deviation(residual: ArrayLike, weights: ArrayLike | None = None) -> 
     return float(np.degrees(np.sqrt(squares).mean()))
 
 
-_LITTLE_DEG = 15.0  # of motion: what moves less is still looked at
-_ALIKE_DEG = 5.0  # what takes of one person differ by anyway
 _ALONE, _TOGETHER = 0.35, 0.5  # how much is made of it, with one take and with several
-_MOST = 2.5
 
 
-def learn_importance(takes: Sequence[Working], measured: Sequence[Measured]) -> FloatArray:
+def learn_importance(
+    takes: Sequence[Working],
+    measured: Sequence[Measured],
+    *,
+    little_deg: float = 15.0,
+    alike_deg: float = 5.0,
+    most: float = 2.5,
+) -> FloatArray:
     """(9,) weights of the segments, of mean 1.
 
     Parameters
@@ -274,16 +283,19 @@ def learn_importance(takes: Sequence[Working], measured: Sequence[Measured]) -> 
     takes : of the reference, at the working rate.
     measured : of the further ones against the others; of one take there are none, and its amount of motion alone
         tells, mildly.
+    little_deg : deg added to the motion: what moves little is still looked at.
+    alike_deg : deg that takes of one person differ by anyway.
+    most : largest weight, and the inverse of the smallest.
     """
-    motion = np.mean([_measure_spread(take) for take in takes], axis=0) + _LITTLE_DEG
+    motion = np.mean([_measure_spread(take) for take in takes], axis=0) + little_deg
     seen = takes[0].seen.any(axis=0)
     if measured:
         apart = np.mean([_average_over_time(one.shape) for one in measured], axis=0)
-        shares = (motion / (apart + _ALIKE_DEG)) ** _TOGETHER
+        shares = (motion / (apart + alike_deg)) ** _TOGETHER
     else:
         shares = motion**_ALONE
     shares /= shares[seen].mean() if seen.any() else 1.0
-    shares = np.clip(shares, 1.0 / _MOST, _MOST)
+    shares = np.clip(shares, 1.0 / most, most)
     return np.asarray(shares / shares[seen].mean() if seen.any() else np.ones(9))
 
 

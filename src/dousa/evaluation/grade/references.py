@@ -257,9 +257,6 @@ def _pair_poses(
     return known
 
 
-_WIDER_BY_SPREAD = 2.0
-
-
 def _compare_takes(
     working: Sequence[Working], takes: Sequence[Working], tempo: str, weights: FloatArray, between: FloatArray | None
 ) -> list[Comparison]:
@@ -271,12 +268,12 @@ def _compare_takes(
     return comparisons
 
 
-def choose_tolerance(deviations: Deviations) -> Tolerance:
+def choose_tolerance(deviations: Deviations, *, wider_by_spread: float = 2.0) -> Tolerance:
     """Choose the tolerance from the performer's steadiness and the spread of the takes."""
     own = measure_unsteadiness(deviations)
     if not deviations.spread.any():
         return own
-    return Tolerance(np.maximum(own.angle, _WIDER_BY_SPREAD * np.median(deviations.spread, axis=0)), own.lag_s)
+    return Tolerance(np.maximum(own.angle, wider_by_spread * np.median(deviations.spread, axis=0)), own.lag_s)
 
 
 def describe(references: ReferenceTakes, frames: FloatArray, evidence: Evidence) -> Descriptors:

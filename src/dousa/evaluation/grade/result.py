@@ -316,12 +316,9 @@ def _summarise_facing(facing: FloatArray) -> dict[str, float | None]:
     return {"median": round_number(np.median(sizes), _DEGREES), "max": round_number(sizes.max(), _DEGREES)}
 
 
-_JOIN_S = 0.35
 _ALIKE = 0.3  # mismatch along the lines
-_MIRROR_BETTER = 0.6
 _TEMPO_OFF, _TEMPO_BETTER = 0.04, 0.8
 _TURNED, _TURNED_S = np.radians(40.0), 1.0
-_STILL = np.radians(12.0)  # range of the segment that moves most
 
 
 def describe_findings(
@@ -333,6 +330,7 @@ def describe_findings(
     residual: FloatArray,
     facing: FloatArray,
     furi_index: IndexArray,
+    join_s: float = 0.35,
 ) -> tuple[ErrorEvent, ...]:
     """Describe findings as events, without those that a lapse explains.
 
@@ -346,7 +344,7 @@ def describe_findings(
     """
     rate, stride = working.frame_rate, working.stride
     events = []
-    for finding in _join(findings, _JOIN_S * rate):
+    for finding in _join(findings, join_s * rate):
         start, end = finding.start / rate, finding.end / rate
         if any(_overlap(start, end, lapse) > 0.5 * (end - start) for lapse in lapses):
             continue
@@ -433,6 +431,8 @@ def describe_warnings(
     tempo: str,
     weights: FloatArray,
     side: str,
+    *,
+    mirror_better: float = 0.6,
 ) -> tuple[Message, ...]:
     """Describe the reservations about the grade."""
     first, mismatch = references.working[0], comparison.alignment.mismatch
@@ -443,7 +443,7 @@ def describe_warnings(
         found.append(Message("assessment.unlike", mismatch=mismatch))
     if mismatch > _ALIKE:
         mirrored = align(first, thin_postures(mirror_postures(performance)), tempo, weights)
-        if mirrored.mismatch < _MIRROR_BETTER * mismatch:
+        if mirrored.mismatch < mirror_better * mismatch:
             found.append(Message("assessment.unmirrored" if side == "mirrored" else "assessment.mirrored"))
     if tempo == "same" and mismatch > 0.5 * _ALIKE:
         free = align(first, working, "free", weights)
@@ -499,16 +499,16 @@ def _describe_turns(curves: Curves, rate: float) -> list[Message]:
     ]
 
 
-def _stands_still(postures: PostureSequence) -> bool:
+def _stands_still(postures: PostureSequence, *, still: float = np.radians(12.0)) -> bool:
     """Whether what is seen hardly moves; what was never seen is drawn as standing."""
-    return bool(postures.seen.any() and measure_ranges(postures.segments).max() < _STILL)
+    # still: rad, range of the segment that moves most
+    return bool(postures.seen.any() and measure_ranges(postures.segments).max() < still)
 
 
-_LEAST_DEG = 5.0
 _SIDES = {"left_arm": "right_arm", "left_leg": "right_leg"}
 
 
-def describe_offset(offset: Offset, reference: Working) -> tuple[Message, ...]:
+def describe_offset(offset: Offset, reference: Working, *, least_deg: float = 5.0) -> tuple[Message, ...]:
     """Describe the offset of another body: "both arms are 8 deg further from the body throughout".
 
     Parameters
@@ -521,7 +521,7 @@ def describe_offset(offset: Offset, reference: Working) -> tuple[Message, ...]:
     found = {}
     for limb, segments in LIMBS.items():
         way, degrees = _find_way(limb, moved[list(segments)].mean(axis=0))
-        if degrees > _LEAST_DEG:
+        if degrees > least_deg:
             found[limb] = (way, degrees)
     said = []
     for limb, (way, degrees) in found.items():

@@ -24,7 +24,6 @@ from dousa.messages import Message
 
 _FEWEST = 2  # takes beside the first that tell what is usual
 _MOSTLY = 1.28  # standard deviations around which four of five lie, by definition of the normal distribution
-_SAME_LENGTH = 0.02  # of the reference that may be missing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,7 +119,13 @@ def round_grade(score: float) -> float:
 
 
 def compute_grade(
-    parts: FloatArray, coverage: float, takes: FloatArray, n_references: int, *, unlike: bool = False
+    parts: FloatArray,
+    coverage: float,
+    takes: FloatArray,
+    n_references: int,
+    *,
+    unlike: bool = False,
+    same_length: float = 0.02,
 ) -> Grade:
     """Compute the grade of a performance.
 
@@ -131,6 +136,7 @@ def compute_grade(
     takes : (n, 7) parts of the further takes of the reference, each against the others.
     n_references : takes of the reference.
     unlike : it is not the same dance: no grade.
+    same_length : share of the reference that may be missing.
     """
     calibrated = len(takes) >= _FEWEST
     nothing = float("nan")
@@ -139,7 +145,7 @@ def compute_grade(
         return Grade(nothing, (nothing, nothing), coverage, why, calibrated)
     model = load_model()
     total = model.find_sum(parts, takes, n_references)
-    danced = min(1.0, coverage + _SAME_LENGTH)
+    danced = min(1.0, coverage + same_length)
     doubt = _MOSTLY * float(_interpolate(n_references, model.n_references, model.doubt))
     quality = model.find_grade(total)
     # Rounded, so that rounding errors in angles do not keep the same motion from 100.
@@ -169,17 +175,15 @@ def share_weights(references: ReferenceTakes, weights: FloatArray) -> FloatArray
     return np.asarray(shares / shares[shares > 0.0].mean())
 
 
-_HARDLY_SHOWN = 0.3  # of the reference
-
-
-def is_unlike(comparison: Comparison, weights: FloatArray) -> bool:
+def is_unlike(comparison: Comparison, weights: FloatArray, *, hardly_shown: float = 0.3) -> bool:
     """Whether it is not the same dance.
 
     Even at the best times hardly any pose is like the reference's, or no line can be followed and next to nothing of
     the reference is shown.
     """
+    # hardly_shown: share of the reference
     model = load_model()
-    lost = comparison.alignment.mismatch > NO_LIKENESS and comparison.measured.find_coverage(weights) < _HARDLY_SHOWN
+    lost = comparison.alignment.mismatch > NO_LIKENESS and comparison.measured.find_coverage(weights) < hardly_shown
     shape = comparison.measured.find_parts(weights)[PARTS.index("shape")]
     return bool(lost or comparison.alignment.mismatch > model.unlike_mismatch or shape > model.unlike)
 

@@ -50,12 +50,7 @@ from dousa.evaluation.posture.yaw import (
 from dousa.motion import CanonicalMotion
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
 
-_HOP_S = 1.0
 _LOOK_AHEAD_S = 2.0
-_REPLAYED_S = 0.5
-_MOST_MOMENTS = 600  # that tell the performer's body
-_MARGIN_S = 1.0
-_MOVED = 0.25  # frames by which the line must move for the lag to be followed from the beginning again
 _FLIP = np.array([-1.0, 1.0, 1.0])  # mirror image by definition: x negated
 _N_JOINTS = len(CANONICAL_JOINTS)
 
@@ -242,14 +237,14 @@ class IncrementalAssessor:
             weights=self._weights,
         )
 
-    def _take_working_frame(self) -> None:
+    def _take_working_frame(self, *, hop_s: float = 1.0) -> None:
         mean = self._poses.mean(axis=0)
         mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-9)
         self._group.add(mean)
         self._seen.add(np.all(self._poses_seen, axis=0, keepdims=True)[0])
         self._heading.add(np.asarray(self._faces))
         count = self._group.count
-        if count % max(1, round(_HOP_S * self._working_rate)) == 0:
+        if count % max(1, round(hop_s * self._working_rate)) == 0:
             self._look_back()
         self._watch(count - 1)
 
@@ -262,8 +257,9 @@ class IncrementalAssessor:
             self._yaw.add(np.asarray(self._watcher.yaw))
             self._matched.add(np.asarray(there - self._watcher.lag_s * self._working_rate))
 
-    def _look_back(self) -> None:
+    def _look_back(self, *, replayed_s: float = 0.5, moved: float = 0.25) -> None:
         """Once a second: the line, the deviations along it, and the errors that are over."""
+        # moved: frames by which the line must move for the lag to be followed from the beginning again
         count = self._group.count
         performance = Working(
             self._group.values, self._seen.values, self._heading.values, self._working_rate, self._stride
@@ -271,9 +267,9 @@ class IncrementalAssessor:
         self._line.update(performance.segments)
         self._estimate_body(performance)
         performance = take_out(performance, self._offset)
-        if self._window.update(performance) > _MOVED:
+        if self._window.update(performance) > moved:
             self._watcher.forget()
-            for frame in range(max(count - 1 - round(_REPLAYED_S * self._working_rate), 0), count - 1):
+            for frame in range(max(count - 1 - round(replayed_s * self._working_rate), 0), count - 1):
                 self._watch(frame)
         if not self._line.known:
             return
@@ -282,22 +278,23 @@ class IncrementalAssessor:
         if found:
             self._settled += self._tell(found, performance)
 
-    def _estimate_body(self, performance: Working) -> None:
+    def _estimate_body(self, performance: Working, *, most_moments: int = 600) -> None:
         """How the performer's body differs from the reference's, as far as it has been seen."""
+        # most_moments: number that the performer's body is estimated from
         if not self._line.known:
             return
         matched = self._matched.values
         known = np.flatnonzero((matched >= 0.0) & (matched <= self._references.working[0].n_frames - 1.0))
         if len(known):
-            known = known[:: max(1, len(known) // _MOST_MOMENTS)]
+            known = known[:: max(1, len(known) // most_moments)]
             pairs = np.column_stack([np.rint(matched[known]).astype(np.intp), known])
             reference, between = self._references.working[0], self._references.between
             self._offset = estimate_offset(reference, performance, pairs, between)
             self._turns = find_turns(self._offset)
 
-    def _tell(self, found: Sequence[Finding], performance: Working) -> tuple[ErrorEvent, ...]:
+    def _tell(self, found: Sequence[Finding], performance: Working, *, margin_s: float = 1.0) -> tuple[ErrorEvent, ...]:
         """Events in words, from the curves of the last seconds."""
-        first = min(finding.start for finding in found) - round(_MARGIN_S * self._working_rate)
+        first = min(finding.start for finding in found) - round(margin_s * self._working_rate)
         first = max(first, self._window.first) * self._stride
         there = self._place_frames(first)
         part = self._read_postures(first)

@@ -25,8 +25,6 @@ from dousa.evaluation.figures.furi import Furi
 from dousa.evaluation.posture.posture import PostureSequence, Working, compute_segments
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 
-_SMOOTH = 5  # poses whose costs give the lag to a fraction of a frame
-
 
 class PoseReader:
     """Postures of frames as they come; what is not seen stays as it was."""
@@ -75,14 +73,15 @@ class LagWatcher:
         self._length = max(1, round(0.5 * YAW_WINDOW_S * self._rate))
         self.forget()
 
-    def forget(self) -> None:
+    def forget(self, *, smooth: int = 5) -> None:
         """Forget all lags, after the line has moved."""
+        # smooth: poses whose costs give the lag to a fraction of a frame
         n_lags = 2 * self.center + 1
         shape = (len(self._takes), self._length, n_lags, 2)
         self._past, self._turns = np.zeros(shape), np.zeros((len(self._takes), n_lags, 2))
         self._slot = 0
         self._best = np.zeros(n_lags)
-        self._costs = np.zeros((_SMOOTH, n_lags))
+        self._costs = np.zeros((smooth, n_lags))
         self.lag_s, self.yaw = np.nan, np.nan
         self.forgiven = np.full(9, np.nan)
 

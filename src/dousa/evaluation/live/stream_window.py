@@ -47,11 +47,6 @@ from dousa.evaluation.grade.references import ReferenceTakes, choose_tolerance, 
 from dousa.evaluation.posture.posture import Working
 
 _KEPT_S = 30.0  # for which the past may still be seen otherwise
-_CLEAR = 5.0  # coarse frames of complete mismatch by which a line must beat every other to be known
-_OTHER_S = 1.0  # lines nearer than this are not another
-_LATEST_S = 15.0  # after which the best line is believed
-_TREND_S = 40.0
-_ZERO_GAIN = 0.01  # as in `align`: recordings of equal length begin together unless something speaks against it
 
 
 @dataclass(slots=True)
@@ -74,15 +69,16 @@ class _Diagonals:
         self.costs += np.where(inside, cost, OUTSIDE).sum(axis=0)
         self.counted = end
 
-    def settle(self, middle: int, reach: int, *, prefer_zero: bool) -> float:
+    def settle(self, middle: int, reach: int, *, prefer_zero: bool, zero_gain: float = 0.01) -> float:
         """Find the shift with the least mean cost, to a fraction of a frame."""
+        # zero_gain: as in `align`: recordings of equal length begin together without evidence against it
         near = np.abs(self.shifts - middle) <= reach
         shifts, costs = self.shifts[near], self.costs[near] / max(self.counted - self.start, 1)
         best = int(np.argmin(costs))
         zero = np.flatnonzero(self.shifts == 0)
         if prefer_zero and len(zero):
             at_zero = self.costs[zero[0]] / max(self.counted - self.start, 1)
-            if at_zero <= costs[best] + _ZERO_GAIN:
+            if at_zero <= costs[best] + zero_gain:
                 return 0.0
         shift = float(shifts[best])
         if 0 < best < len(costs) - 1:
@@ -191,18 +187,22 @@ class LineFollower:
         self._course[first:] = trace_lines(self._best, self._outside, self._origin, self._ended)
         return self._course.copy()
 
-    def _choose_runs(self, course: NDArray[np.int32], count: int) -> list[Run]:
+    def _choose_runs(
+        self, course: NDArray[np.int32], count: int, *, clear: float = 5.0, other_s: float = 1.0, latest_s: float = 15.0
+    ) -> list[Run]:
         """The lines of the course; while no line is clear the one from the beginning, if it is as good."""
+        # clear: coarse frames of complete mismatch by which a line must beat every other to be known
+        # other_s: s; nearer lines are the same line; latest_s: s after which the best line is accepted
         place = int(self._best.argmin())
         if not self.known:
-            others = np.abs(np.arange(len(self._best)) - place) > _OTHER_S * self._rate
+            others = np.abs(np.arange(len(self._best)) - place) > other_s * self._rate
             margin = (self._best[others].min() if others.any() else np.inf) - self._best[place]
-            late = len(course) >= _LATEST_S * self._rate
-            self.known = bool(margin >= _CLEAR and len(course) >= 2.0 * self._rate) or late
+            late = len(course) >= latest_s * self._rate
+            self.known = bool(margin >= clear and len(course) >= 2.0 * self._rate) or late
         if not self.known:
             zero = min(len(course), len(self._best)) - 1
             around = self._best[max(zero - 3, 0) : zero + 4]
-            if around.min() <= self._best[place] + _CLEAR:
+            if around.min() <= self._best[place] + clear:
                 return [Run(0, len(course), 0.0)]
         return find_runs(course, self._rate)
 
@@ -223,8 +223,8 @@ class LineFollower:
         equal = len(segments) <= 1.02 * self._reference.n_frames + 1
         return known.settle(middle, reach, prefer_zero=equal and end - start > 0.6 * len(segments))
 
-    def _follow_tempo(self, run: Run, frames: FloatArray) -> FloatArray:
-        begin = max(run.start, run.end - round(_TREND_S * self._rate))
+    def _follow_tempo(self, run: Run, frames: FloatArray, *, trend_s: float = 40.0) -> FloatArray:
+        begin = max(run.start, run.end - round(trend_s * self._rate))
         on = np.flatnonzero(self._shown[begin : run.end] >= 0)
         offset = float(self._shown[begin + on[0]] - begin - on[0]) if len(on) else run.offset
         trend = smooth_course(self._shown, Run(begin, run.end, offset), self._rate)
@@ -233,14 +233,9 @@ class LineFollower:
 
 _SHORT_S, _LONG_S = 12.0, 30.0
 _CONTEXT_S = 2.5  # before a stretch that is still open
-_JOIN_S = 0.35  # errors nearer than this may become one
-_LEAST_LEFT_S = 0.5
 _AGAIN_S = 0.5  # judged once more before the look-ahead
-_LATE_NEWS_S = 1.0  # an error that ended longer ago is not reported any more
 _MOVED = 0.25  # frames by which a line must have moved for its deviations to be measured again
 _HISTORY_S, _NEAR_S = 180.0, 0.6
-_GROWTH = 1.1
-_FEW_S = 1.0
 _ORDER = ("stop", "skip", "repeat")
 
 
@@ -314,15 +309,16 @@ class Window:
         self._learn()
         return float(moved.max()) if len(moved) else 0.0
 
-    def settle(self, performance: Working, until: int) -> list[Finding]:
+    def settle(self, performance: Working, until: int, *, join_s: float = 0.35) -> list[Finding]:
         """Find new errors that end before the working frame ``until``, in frames of the whole."""
+        # join_s: s; nearer errors may become one
         assert self._parts is not None
         self._find_lapses(performance, until)
         tolerance = self.tolerance
         evidence = gather_evidence(self._parts, tolerance.angle, tolerance.lag_s, self._weights)
         found = [_move(one, self._first) for one in self._judge(evidence, until)]
         self._open, settled = None, list[Finding]()
-        for group in _group(found, _JOIN_S * self._rate):
+        for group in _group(found, join_s * self._rate):
             if max(one.end for one in group) <= until:
                 settled += group
                 continue
@@ -351,16 +347,17 @@ class Window:
         suspects = decode(limbs, body, self._rate / stride, judge.decoding)
         return measure_suspects(evidence, suspects, descriptors.frames)
 
-    def _cut_off(self, finding: Finding) -> Finding | None:
+    def _cut_off(self, finding: Finding, *, least_left_s: float = 0.5, late_news_s: float = 1.0) -> Finding | None:
         """What of an error was not reported yet; None if it was, or too little is left."""
+        # late_news_s: s; an error that ended longer ago is not reported
         start = finding.start
         for earlier in self._reported:
             same = earlier.kind == finding.kind and set(earlier.segments) & set(finding.segments)
             if same and earlier.start < finding.end and start < earlier.end:
                 start = earlier.end
-        if start > finding.start and finding.end - start < _LEAST_LEFT_S * self._rate:
+        if start > finding.start and finding.end - start < least_left_s * self._rate:
             return None
-        recent = finding.end > self._settled_to - _LATE_NEWS_S * self._rate
+        recent = finding.end > self._settled_to - late_news_s * self._rate
         return replace(finding, start=start, worst=max(finding.worst, start)) if recent else None
 
     def _choose_first(self, count: int) -> int:
@@ -379,7 +376,7 @@ class Window:
         takes = [compute_deviations(take, part, frames, self._weights) for take in self._references.working]
         return merge_takes(takes)
 
-    def _learn(self) -> None:
+    def _learn(self, *, growth: float = 1.1, few_s: float = 1.0) -> None:
         """The tolerance, from what has been seen so far, whenever a tenth more has been."""
         assert self._parts is not None
         last = self._first + len(self._frames) - self._context
@@ -394,7 +391,7 @@ class Window:
             while sum(len(part[0]) for part in self._history[1:]) > _HISTORY_S * self._rate:
                 self._measured -= len(self._history.pop(0)[0])
         seen = sum(len(part[0]) for part in self._history)
-        if seen < max(_FEW_S * self._rate, _GROWTH * self._measured):
+        if seen < max(few_s * self._rate, growth * self._measured):
             return
         self._measured = seen
         parts = [np.concatenate(values) for values in zip(*self._history, strict=True)]

@@ -68,7 +68,6 @@ LIMBS: dict[str, tuple[int, ...]] = {
 }
 """Segments of each limb, by definition of `SEGMENTS`."""
 
-_SHORTEST = 1e-6  # m: a segment shorter than this has no direction
 _STARTS = [J[start] for start, _ in SEGMENT_JOINTS]
 _ENDS = [J[end] for _, end in SEGMENT_JOINTS]
 _JOINTS_OF = np.zeros((len(SEGMENTS), len(CANONICAL_JOINTS)), bool)  # what each segment is measured from
@@ -153,12 +152,13 @@ def check_weights(weights: ArrayLike | None) -> FloatArray:
     return array
 
 
-def compute_segments(positions: ArrayLike) -> FloatArray:
+def compute_segments(positions: ArrayLike, *, shortest: float = 1e-6) -> FloatArray:
     """Compute the directions of the nine segments of a pose.
 
     Parameters
     ----------
     positions : (..., 20, 3) m, canonical joints, Y up.
+    shortest : m: a segment shorter than this has no direction.
 
     Returns
     -------
@@ -177,7 +177,7 @@ def compute_segments(positions: ArrayLike) -> FloatArray:
     vectors = points[..., _ENDS, :] - points[..., _STARTS, :]
     vectors[..., 0, :] = points[..., J["neck"], :] - hips
     lengths = np.sqrt(np.einsum("...k,...k->...", vectors, vectors))
-    lengths[~(lengths > _SHORTEST)] = np.nan
+    lengths[~(lengths > shortest)] = np.nan
     return cast(FloatArray, vectors / lengths[..., None])
 
 
@@ -272,7 +272,6 @@ def mirror_postures(postures: PostureSequence) -> PostureSequence:
 
 WORKING_RATE = 30.0
 """Hz; errors of a dance last half a second and more, so more frames only cost time."""
-_HEADING_S = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -304,7 +303,7 @@ class Working:
         return (frame + 0.5 * (self.stride - 1) / self.stride) / self.frame_rate
 
 
-def thin_postures(postures: PostureSequence) -> Working:
+def thin_postures(postures: PostureSequence, *, heading_s: float = 0.3) -> Working:
     """Average groups of frames to about `WORKING_RATE` a second; the frames of an incomplete group are dropped."""
     stride = max(1, round(postures.frame_rate / WORKING_RATE))
     stride = min(stride, postures.n_frames)
@@ -314,7 +313,7 @@ def thin_postures(postures: PostureSequence) -> Working:
     groups = groups / np.maximum(length, 1e-9)
     seen: NDArray[np.bool_] = np.all(postures.seen[: count * stride].reshape(count, stride, 9), axis=1)
     rate = postures.frame_rate / stride
-    heading = _measure_heading(postures.positions[: count * stride : stride], round(0.5 * _HEADING_S * rate))
+    heading = _measure_heading(postures.positions[: count * stride : stride], round(0.5 * heading_s * rate))
     return Working(groups, seen, heading, rate, stride)
 
 

@@ -200,17 +200,10 @@ WITHIN_S = 2.5
 TILT_DEG = 5.0
 """deg, of a sensor against the vertical."""
 
-_PRIOR_TAKES = 4.0  # what is known of people counts as so many takes of the reference
 
-_YAW_WINDOW_S = 0.6
 _SCALES = np.radians([3.0, 10.0]) ** 2  # squared deviation from which a moment loses its say, at least and at most
 _N_YAWS, _N_ROUNDS = 2, 5
 _MOST_MOMENTS = 1500
-
-_SEEN = 0.1  # of the time: less says nothing of a part
-_STILL = np.radians(0.1)  # no person holds a limb so still: a joint that is not tracked
-_MOVES = np.radians(15.0)
-_HIGHER = 0.5  # vertical part of both thighs, mostly: who sits does not stand badly
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -288,33 +281,45 @@ def _limit(vectors: FloatArray, spread: FloatArray, *, limit: float = 1.6, soft:
     return np.asarray(vectors / (1.0 + size**soft)[:, None] ** (1.0 / soft))
 
 
-def learn_between(measured: Sequence[Offset]) -> FloatArray:
+def learn_between(measured: Sequence[Offset], *, prior_takes: float = 4.0) -> FloatArray:
     """(9,) rad, root mean square of what bodies differ by, from the offsets of further takes of the reference.
 
     Takes of several people show more than those of one; what is known of people counts as some takes more.
     """
+    # prior_takes: what is known of people counts as so many takes of the reference
     known = np.radians(BETWEEN_DEG) ** 2
     squares = [
         np.maximum((one.measured**2).sum(axis=1) - np.radians(WITHIN_DEG) ** 2, 0.0) * ~one.missing for one in measured
     ]
-    total = _PRIOR_TAKES * known + np.sum(squares, axis=0)
-    return np.asarray(np.sqrt(total / (_PRIOR_TAKES + len(squares))))
+    total = prior_takes * known + np.sum(squares, axis=0)
+    return np.asarray(np.sqrt(total / (prior_takes + len(squares))))
 
 
-def find_missing(reference: Working, performance: Working) -> NDArray[np.bool_]:
+def find_missing(
+    reference: Working,
+    performance: Working,
+    *,
+    seen: float = 0.1,
+    still: float = np.radians(0.1),
+    moves: float = np.radians(15.0),
+    higher: float = 0.5,
+) -> NDArray[np.bool_]:
     """(9,) what cannot be judged: not seen, not tracked in one of the two, or sitting against standing."""
+    # seen: of the time: less says nothing of a part
+    # still: no person holds a limb so still: a joint that is not tracked
+    # higher: vertical part of both thighs, mostly: who sits does not stand badly
     both = (reference, performance)
-    missing: NDArray[np.bool_] = np.min([one.seen.mean(axis=0) for one in both], axis=0) < _SEEN
+    missing: NDArray[np.bool_] = np.min([one.seen.mean(axis=0) for one in both], axis=0) < seen
     reach = np.array([_measure_reach(one, 99.0) for one in both])
-    missing |= (reach.min(axis=0) < _STILL) & (reach.max(axis=0) > _MOVES)
+    missing |= (reach.min(axis=0) < still) & (reach.max(axis=0) > moves)
     legs, thighs = [*LIMBS["left_leg"], *LIMBS["right_leg"]], [LIMBS["left_leg"][0], LIMBS["right_leg"][0]]
     if missing[thighs].any():
         return missing
     height = np.array([[np.median(one.segments[one.seen[:, k], k, 1]) for k in thighs] for one in both])
-    rests = np.array([_measure_reach(one, 80.0)[thighs].max() for one in both]) < _MOVES
+    rests = np.array([_measure_reach(one, 80.0)[thighs].max() for one in both]) < moves
     # Of the two that one sits whose thighs are higher; who squats moves.
     sitting = int(height.mean(axis=1).argmax())
-    if (height[sitting] - height[1 - sitting] > _HIGHER).all() and rests[sitting]:
+    if (height[sitting] - height[1 - sitting] > higher).all() and rests[sitting]:
         missing[legs] = True
     return missing
 
@@ -371,7 +376,13 @@ def _take_out(segments: FloatArray, heading: FloatArray, offset: Offset) -> Floa
 
 
 def measure_offset(
-    reference: FloatArray, performance: FloatArray, judged: NDArray[np.bool_], heading: FloatArray, rate: float
+    reference: FloatArray,
+    performance: FloatArray,
+    judged: NDArray[np.bool_],
+    heading: FloatArray,
+    rate: float,
+    *,
+    yaw_window_s: float = 0.6,
 ) -> tuple[FloatArray, FloatArray]:
     """Measure the angle by which each segment is off at every moment.
 
@@ -391,7 +402,7 @@ def measure_offset(
     common heading and the offsets are estimated in turns.
     """
     vectors, trust = np.zeros((9, 3)), judged.astype(np.float64)
-    half = max(1, round(0.5 * _YAW_WINDOW_S * rate))
+    half = max(1, round(0.5 * yaw_window_s * rate))
     body = rotate_yaw(performance, -heading)
     for number in range(_N_YAWS):
         bare = turn_segments(body, -vectors)
