@@ -24,24 +24,14 @@ from dousa.motion import JOINT_INDEX as J
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosePairs:
-    """Poses of the same moments in the reference's body frame: x to its left, y up, z to its front.
+    """Poses of the same moments in the reference's body frame: x to its left, y up, z to its front."""
 
-    Parameters
-    ----------
-    ours : (N, 9, 3) unit vectors of the performance, turned onto the reference.
-    theirs : (N, 9, 3) of the reference.
-    judged : (N, 9) whether both are seen, and the moment has a place in the reference.
-    times : (N,) s of the performance.
-    reference_times : (N,) s of the reference; nan where it has none.
-    frame_rate : Hz.
-    """
-
-    ours: FloatArray
-    theirs: FloatArray
-    judged: NDArray[np.bool_]
-    times: FloatArray
-    reference_times: FloatArray
-    frame_rate: float
+    ours: FloatArray  # (N, 9, 3) unit vectors of the performance, turned onto the reference
+    theirs: FloatArray  # (N, 9, 3) of the reference
+    judged: NDArray[np.bool_]  # (N, 9) whether both are seen, and the moment has a place in the reference
+    times: FloatArray  # (N,) s of the performance
+    reference_times: FloatArray  # (N,) s of the reference; nan where it has none
+    frame_rate: float  # Hz
 
     @property
     def angles(self) -> FloatArray:

@@ -31,36 +31,23 @@ _SHORT_S, _SHORT_RATIO, _SHORT_SHARE = 8.0, 2.0, 0.65
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A stretch of the performance on one line.
+    """A stretch of the performance on one line."""
 
-    Parameters
-    ----------
-    start, end : performance frames at the working rate, half-open.
-    offset : reference frame minus performance frame at ``start``.
-    """
-
-    start: int
-    end: int
-    offset: float
+    start: int  # performance frame at the working rate
+    end: int  # the frame after the last
+    offset: float  # reference frame minus performance frame at ``start``
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """The lines.
+    """The lines."""
 
-    Parameters
-    ----------
-    frames : (T,) reference frame (fractional, working rate) of each performance frame; goes on beyond both ends of
-        the reference.
-    runs : lines in order.
-    mismatch : mean cost along the lines, 0 (equal) to 1 (nothing in common).
-    tempo : performance seconds per reference second.
-    """
-
+    # (T,) reference frame (fractional, working rate) of each performance frame; goes on beyond both ends of the
+    # reference
     frames: FloatArray
-    runs: tuple[Run, ...]
-    mismatch: float
-    tempo: float
+    runs: tuple[Run, ...]  # lines in order
+    mismatch: float  # mean cost along the lines, 0 (equal) to 1 (nothing in common)
+    tempo: float  # performance seconds per reference second
 
 
 def align(reference: Working, performance: Working, tempo: str, weights: FloatArray) -> Alignment:

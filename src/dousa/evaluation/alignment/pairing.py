@@ -21,30 +21,17 @@ TurnedTake = tuple[FloatArray, NDArray[np.bool_]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pairing:
-    """Both motions at the same moments.
+    """Both motions at the same moments."""
 
-    Parameters
-    ----------
-    frames : (T,) fractional frames of the reference; 0 where it has none.
-    inside : (T,) whether it has one.
-    there : (T, 9, 3) poses of the reference.
-    residual : (T, 9) rad, angle between the segments, nan where not judged.
-    yaw : (T,) rad that turns the reference onto the performance, nan where nothing is judged.
-    whole : (T,) where all segments are judged.
-    late_frames : (T,) fractional frames of the reference that are resembled.
-    late_yaw : (T,) rad that turns those onto the performance.
-    takes : further takes, turned onto the first.
-    """
-
-    frames: FloatArray
-    inside: NDArray[np.bool_]
-    there: FloatArray
-    residual: FloatArray
-    yaw: FloatArray
-    whole: NDArray[np.bool_]
-    late_frames: FloatArray
-    late_yaw: FloatArray
-    takes: tuple[TurnedTake, ...]
+    frames: FloatArray  # (T,) fractional frames of the reference; 0 where it has none
+    inside: NDArray[np.bool_]  # (T,) whether it has one
+    there: FloatArray  # (T, 9, 3) poses of the reference
+    residual: FloatArray  # (T, 9) rad, angle between the segments, nan where not judged
+    yaw: FloatArray  # (T,) rad that turns the reference onto the performance, nan where nothing is judged
+    whole: NDArray[np.bool_]  # (T,) where all segments are judged
+    late_frames: FloatArray  # (T,) fractional frames of the reference that are resembled
+    late_yaw: FloatArray  # (T,) rad that turns those onto the performance
+    takes: tuple[TurnedTake, ...]  # further takes, turned onto the first
 
 
 def pair_motions(

@@ -60,18 +60,11 @@ _SORTED = ("own", "best", "at_body", "path", "left_by_gain", "gain", "lag_beside
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Descriptors:
-    """Features of moments.
+    """Features of moments."""
 
-    Parameters
-    ----------
-    frames : (N,) working frames.
-    limbs : (N, 5, F) float32, of each limb.
-    body : (N, G) float32, of all limbs in common.
-    """
-
-    frames: NDArray[np.intp]
-    limbs: NDArray[np.float32]
-    body: NDArray[np.float32]
+    frames: NDArray[np.intp]  # (N,) working frames
+    limbs: NDArray[np.float32]  # (N, 5, F) float32, of each limb
+    body: NDArray[np.float32]  # (N, G) float32, of all limbs in common
 
 
 def choose_stride(rate: float) -> int:

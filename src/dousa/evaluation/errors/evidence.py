@@ -27,29 +27,20 @@ YAW_SCALE = np.radians(12.0)  # chord from which a segment loses its say in the 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Deviations:
-    """Squared deviations.
+    """Squared deviations."""
 
-    Parameters
-    ----------
-    squared : (T, K, 9) squared chord between the segments of the performance at t and of the reference at the same
-        time + lag column, turned by the common yaw; 0 where either is not seen, and only there.
-    yaw : (T, K) rad that turn the reference onto the performance.
-    judged : (T, 9) both seen, and inside the reference.
-    performance, reference : (T, 9, 3) unit vectors at the same time, the reference turned onto the performance, and
-        both turned so that the reference's body always faces the same way: what is left is the motion of the limbs.
-    center : column of no lag.
-    step_s : s from column to column.
-    spread : (T, 9) rad, how much takes of the reference differ at each moment; 0 of one take.
-    """
-
+    # (T, K, 9) squared chord between the segments of the performance at t and of the reference at the same time + lag
+    # column, turned by the common yaw; 0 where either is not seen, and only there
     squared: FloatArray
-    yaw: FloatArray
-    judged: NDArray[np.bool_]
+    yaw: FloatArray  # (T, K) rad that turn the reference onto the performance
+    judged: NDArray[np.bool_]  # (T, 9) both seen, and inside the reference
+    # (T, 9, 3) unit vectors at the same time, the reference turned onto the performance, and both turned so that the
+    # reference's body always faces the same way: what is left is the motion of the limbs
     performance: FloatArray
     reference: FloatArray
-    center: int
-    step_s: float
-    spread: FloatArray
+    center: int  # column of no lag
+    step_s: float  # s from column to column
+    spread: FloatArray  # (T, 9) rad, how much takes of the reference differ at each moment; 0 of one take
 
 
 def compute_deviations(reference: Working, performance: Working, frames: FloatArray, weights: FloatArray) -> Deviations:
@@ -210,26 +201,15 @@ _SMALLER = 0.84  # gain
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GainFit:
-    """A motion as a smaller copy of another.
+    """A motion as a smaller copy of another."""
 
-    Parameters
-    ----------
-    gain : 1 for the same size.
-    unexplained : share of the difference, up to a constant, that shrinking leaves.
-    off_center : distance of the point it shrinks to from the middle of the reference's motion, in multiples of the
-        motion's reach.
-    chord : whether vectors shrink, or angles seen from ``pole``.
-    pole : (S, 3) mean directions.
-    reference_mean, performance_mean : (S, 3).
-    """
-
-    gain: float
-    unexplained: float
-    off_center: float
-    chord: bool
-    pole: FloatArray
-    reference_mean: FloatArray
-    performance_mean: FloatArray
+    gain: float  # 1 for the same size
+    unexplained: float  # share of the difference, up to a constant, that shrinking leaves
+    off_center: float  # from the middle of the reference's motion to the point it shrinks to, in reaches of the motion
+    chord: bool  # whether vectors shrink, or angles seen from ``pole``
+    pole: FloatArray  # (S, 3) mean directions
+    reference_mean: FloatArray  # (S, 3)
+    performance_mean: FloatArray  # (S, 3)
 
     def predict(self, reference: FloatArray) -> FloatArray:
         """(T, S, 3) unit vectors: the reference made smaller."""
@@ -438,32 +418,18 @@ _BODY = 0.45  # mean over all segments from which the body as a whole is off
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """Deviations in multiples of what is tolerated.
+    """Deviations in multiples of what is tolerated."""
 
-    Parameters
-    ----------
-    deviations : as measured.
-    tolerance : (9,) rad.
-    ratio : (T, K, 9) squared deviation over squared tolerance, at most `CAP`, times the segment's weight.
-    ordinary : (T, 9) the same at the same time, small lags forgiven; 0 where nothing is judged.
-    punctual : (T, 9) the same without forgiving.
-    course : (T,) column of the lag that explains most.
-    near : (T,) the same among the lags that are forgiven.
-    slack_s : s of lag that is forgiven.
-    slack : columns of it.
-    rate : Hz.
-    """
-
-    deviations: Deviations
-    tolerance: FloatArray
-    ratio: FloatArray
-    ordinary: FloatArray
-    punctual: FloatArray
-    course: NDArray[np.intp]
-    near: NDArray[np.intp]
-    slack_s: float
-    slack: int
-    rate: float
+    deviations: Deviations  # as measured
+    tolerance: FloatArray  # (9,) rad
+    ratio: FloatArray  # (T, K, 9) squared deviation over squared tolerance, at most `CAP`, times the segment's weight
+    ordinary: FloatArray  # (T, 9) the same at the same time, small lags forgiven; 0 where nothing is judged
+    punctual: FloatArray  # (T, 9) the same without forgiving
+    course: NDArray[np.intp]  # (T,) column of the lag that explains most
+    near: NDArray[np.intp]  # (T,) the same among the lags that are forgiven
+    slack_s: float  # s of lag that is forgiven
+    slack: int  # columns of it
+    rate: float  # Hz
 
     @property
     def center(self) -> int:
@@ -595,16 +561,10 @@ _WOBBLE_S, _WOBBLE_PERCENTILE, _WOBBLE_MULTIPLE, _MOST_SLACK_S = 0.5, 20.0, 3.0,
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tolerance:
-    """What is tolerated.
+    """What is tolerated."""
 
-    Parameters
-    ----------
-    angle : (9,) rad, of each segment.
-    lag_s : s.
-    """
-
-    angle: FloatArray
-    lag_s: float = SLACK_S
+    angle: FloatArray  # (9,) rad, of each segment
+    lag_s: float = SLACK_S  # s
 
 
 def measure_unsteadiness(

@@ -103,48 +103,29 @@ BODY = np.arange(9)  # all segments, by definition
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Finding:
-    """An error in working frames.
+    """An error in working frames."""
 
-    Parameters
-    ----------
-    kind : class.
-    start, end : half-open.
-    segments : indices.
-    lag_s : positive is late.
-    shortfall, shortfall_share : rad, and share of the reference's range; negative is larger than the reference.
-    severity : in multiples of what is tolerated.
-    worst : frame.
-    """
-
-    kind: str
+    kind: str  # class
     start: int
-    end: int
-    segments: tuple[int, ...]
-    severity: float
-    worst: int
-    lag_s: float | None = None
-    shortfall: float | None = None
+    end: int  # the frame after the last
+    segments: tuple[int, ...]  # indices
+    severity: float  # in multiples of what is tolerated
+    worst: int  # frame
+    lag_s: float | None = None  # positive is late
+    shortfall: float | None = None  # rad; negative is larger than the reference
     shortfall_share: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Hypothesis:
-    """One explanation of the frames first to last.
-
-    Parameters
-    ----------
-    cost : what it leaves, price included.
-    frames : (n,) what it leaves in each frame.
-    course : (n,) lag columns of a shift or of the way along the path.
-    group, fit : of a gain.
-    """
+    """One explanation of the frames first to last."""
 
     name: str
-    cost: float
-    frames: FloatArray
-    course: NDArray[np.intp] | None = None
-    group: NDArray[np.intp] | None = None
-    fit: GainFit | None = None
+    cost: float  # what it leaves, price included
+    frames: FloatArray  # (n,) what it leaves in each frame
+    course: NDArray[np.intp] | None = None  # (n,) lag columns of a shift or of the way along the path
+    group: NDArray[np.intp] | None = None  # of a gain
+    fit: GainFit | None = None  # of a gain
 
 
 def explain_all(evidence: Evidence) -> list[Finding]:

@@ -23,23 +23,14 @@ from dousa.motion.runs import find_equal_runs
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoostedTrees:
-    """Trees whose leaves add up to the logits of classes.
+    """Trees whose leaves add up to the logits of classes."""
 
-    Parameters
-    ----------
-    feature : (N,) uint16, of each node; of a leaf unused.
-    threshold : (N,) float32; a value at most this goes left. Of a leaf its value.
-    left, right : (N,) int32, children; -1 of a leaf.
-    roots : (R, C) int32, first node of each round's tree for each class.
-    start : (C,) logits before the first tree.
-    """
-
-    feature: NDArray[np.uint16]
-    threshold: NDArray[np.float32]
-    left: NDArray[np.int32]
-    right: NDArray[np.int32]
-    roots: NDArray[np.int32]
-    start: FloatArray
+    feature: NDArray[np.uint16]  # (N,) uint16, of each node; of a leaf unused
+    threshold: NDArray[np.float32]  # (N,) float32; a value at most this goes left; of a leaf its value
+    left: NDArray[np.int32]  # (N,) child; -1 of a leaf
+    right: NDArray[np.int32]  # (N,) child; -1 of a leaf
+    roots: NDArray[np.int32]  # (R, C) int32, first node of each round's tree for each class
+    start: FloatArray  # (C,) logits before the first tree
 
     def predict_log_proba(self, features: ArrayLike) -> FloatArray:
         """(N, C) logarithms of the probabilities of the classes, of features (N, F)."""
@@ -98,43 +89,27 @@ _LIMB_SEGMENTS = tuple(LIMBS.values())
 
 @dataclass(frozen=True, slots=True)
 class Decoding:
-    """How moments become errors; chosen on trials.
+    """How moments become errors; chosen on trials."""
 
-    Parameters
-    ----------
-    change : price of beginning or ending an error, nats.
-    shift, incomplete, partial, whole : what speaks for an error of the class at every moment, nats; ``whole`` for
-        global motion errors.
-    shortest_s : a shorter error is none.
-    surest : mean log odds against "ok" that an error must have, nats.
-    """
-
-    change: float = 3.0
+    change: float = 3.0  # price of beginning or ending an error, nats
+    # what speaks for an error of the class at every moment, nats; ``whole`` for global motion errors
     shift: float = 0.0
     incomplete: float = 0.0
     partial: float = 0.0
     whole: float = 0.0
-    shortest_s: float = 0.25
-    surest: float = 0.5
+    shortest_s: float = 0.25  # a shorter error is none
+    surest: float = 0.5  # mean log odds against "ok" that an error must have, nats
 
 
 @dataclass(frozen=True, slots=True)
 class Suspect:
-    """An error in moments.
+    """An error in moments."""
 
-    Parameters
-    ----------
-    kind : class.
-    start, end : moments, half-open.
-    limbs : numbers; all for an error of the body.
-    surety : mean log odds against none, nats.
-    """
-
-    kind: str
-    start: int
-    end: int
-    limbs: tuple[int, ...]
-    surety: float
+    kind: str  # class
+    start: int  # moment
+    end: int  # the moment after the last
+    limbs: tuple[int, ...]  # numbers; all for an error of the body
+    surety: float  # mean log odds against none, nats
 
     @property
     def segments(self) -> tuple[int, ...]:
@@ -247,17 +222,11 @@ _FILE = "judge.npz"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judge:
-    """What was learned.
+    """What was learned."""
 
-    Parameters
-    ----------
-    limbs, body : say what is likely of a limb and of the body at a moment.
-    decoding : how moments become errors.
-    """
-
-    limbs: BoostedTrees
-    body: BoostedTrees
-    decoding: Decoding
+    limbs: BoostedTrees  # classes of a limb at a moment
+    body: BoostedTrees  # classes of the whole body at a moment
+    decoding: Decoding  # how moments become errors
 
     def weigh(self, descriptors: Descriptors, first: int = 0) -> tuple[FloatArray, FloatArray]:
         """(N, 5, 4) and (N, 4) log probabilities of the classes of limbs and body; moments from ``first`` on."""

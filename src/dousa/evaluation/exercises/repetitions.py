@@ -50,19 +50,12 @@ _EXACT_UP_TO = 40  # repetitions without ties; beyond, and with ties, the normal
 
 @dataclass(frozen=True, slots=True)
 class Trend:
-    """How one measure changes over the repetitions.
+    """How one measure changes over the repetitions."""
 
-    Parameters
-    ----------
-    slope : per repetition, in the unit of the measure; nan with fewer than two values.
-    p_value : of Mann and Kendall's test against no trend, two-sided; nan with fewer than two values.
-    n : number of values.
-    adjusted_p : the same probability where several measures were tested at once, see `adjust_for_many`.
-    """
-
-    slope: float
-    p_value: float
-    n: int
+    slope: float  # per repetition, in the unit of the measure; nan with fewer than two values
+    p_value: float  # of Mann and Kendall's test against no trend, two-sided; nan with fewer than two values
+    n: int  # number of values
+    # the same probability where several measures were tested at once, see `adjust_for_many`
     adjusted_p: float = math.nan
 
     @property

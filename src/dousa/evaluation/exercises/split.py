@@ -115,22 +115,13 @@ _RATE = 15.0  # Hz at which repetitions are looked for; their bounds are found a
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PostureCurve:
-    """Postures without heading, as points of a space in which distances are chords.
+    """Postures without heading, as points of a space in which distances are chords."""
 
-    Parameters
-    ----------
-    fine : (T, 27) nine unit vectors in the body's frame, at the full rate.
-    fine_rate : Hz.
-    coarse : (U, 27) the same at about 15 Hz.
-    stride : frames of ``fine`` in one of ``coarse``.
-    place : (U, 2) m, where on the floor the body is.
-    """
-
-    fine: FloatArray
-    fine_rate: float
-    coarse: FloatArray
-    stride: int
-    place: FloatArray
+    fine: FloatArray  # (T, 27) nine unit vectors in the body's frame, at the full rate
+    fine_rate: float  # Hz
+    coarse: FloatArray  # (U, 27) the same at about 15 Hz
+    stride: int  # frames of ``fine`` in one of ``coarse``
+    place: FloatArray  # (U, 2) m, where on the floor the body is
 
     @property
     def rate(self) -> float:

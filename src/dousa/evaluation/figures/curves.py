@@ -30,20 +30,12 @@ _TURN_RATE = 30.0  # Hz, of the poses whose angle is measured
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turned:
-    """Reference poses of a figure and a second around it, turned onto the figure's mean.
+    """Reference poses of a figure and a second around it, turned onto the figure's mean."""
 
-    Parameters
-    ----------
-    segments : (n, 9, 3).
-    turn : (n,) rad by which they were turned, unwrapped.
-    seen : (n,) where all segments are.
-    first : frame of the reference.
-    """
-
-    segments: FloatArray
-    turn: FloatArray
-    seen: NDArray[np.bool_]
-    first: int
+    segments: FloatArray  # (n, 9, 3)
+    turn: FloatArray  # (n,) rad by which they were turned, unwrapped
+    seen: NDArray[np.bool_]  # (n,) where all segments are
+    first: int  # frame of the reference
 
     def find(self, figure: Furi) -> slice:
         """Where the figure lies in the arrays."""

@@ -20,37 +20,22 @@ _NEAR_S = 0.4  # repetitions whose lags differ by less are one
 
 @dataclass(frozen=True, slots=True)
 class Coarse:
-    """A motion at the coarse rate.
+    """A motion at the coarse rate."""
 
-    Parameters
-    ----------
-    segments : (n, 9, 3) each the mean of `block` frames.
-    block : frames of the motion to a coarse one.
-    rate : Hz.
-    similarity : (n, n) float32 self-correlation.
-    speed : (n,) rad/s, change of posture, root mean square over the segments.
-    """
-
-    segments: FloatArray
-    block: int
-    rate: float
-    similarity: NDArray[np.float32]
-    speed: FloatArray
+    segments: FloatArray  # (n, 9, 3) each the mean of `block` frames
+    block: int  # frames of the motion to a coarse one
+    rate: float  # Hz
+    similarity: NDArray[np.float32]  # (n, n) float32 self-correlation
+    speed: FloatArray  # (n,) rad/s, change of posture, root mean square over the segments
 
 
 @dataclass(frozen=True, slots=True)
 class Repeat:
-    """A stretch of a motion that is done again.
+    """A stretch of a motion that is done again."""
 
-    Parameters
-    ----------
-    earlier, later : (K,) coarse frames that resemble each other, in order of time.
-    score : height that the alignment climbed to.
-    """
-
-    earlier: NDArray[np.int32]
-    later: NDArray[np.int32]
-    score: float
+    earlier: NDArray[np.int32]  # (K,) coarse frames in order of time
+    later: NDArray[np.int32]  # (K,) coarse frames that resemble them
+    score: float  # height that the alignment climbed to
 
 
 def coarsen(segments: FloatArray, frame_rate: float, *, most_poses: int = 4000) -> Coarse:

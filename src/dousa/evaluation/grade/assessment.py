@@ -181,26 +181,16 @@ def compare_bodies(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighed:
-    """What a performance has been found to do wrong before its figures are looked at.
+    """What a performance has been found to do wrong before its figures are looked at."""
 
-    Parameters
-    ----------
-    comparison : with the takes of the reference.
-    weights : (9,) of the segments, those above 0 of mean 1.
-    tolerance : of angles and lags.
-    findings : errors, in frames at the working rate.
-    same, matched, lag : (T,) s, reference time if the tempo is kept, that is resembled, and the difference.
-    pairing : both motions at the same moments.
-    """
-
-    comparison: Comparison
-    weights: FloatArray
-    tolerance: Tolerance
-    findings: tuple[Finding, ...]
-    same: FloatArray
-    matched: FloatArray
-    lag: FloatArray
-    pairing: Pairing
+    comparison: Comparison  # with the takes of the reference
+    weights: FloatArray  # (9,) of the segments, those above 0 of mean 1
+    tolerance: Tolerance  # of angles and lags
+    findings: tuple[Finding, ...]  # errors, in frames at the working rate
+    same: FloatArray  # (T,) s, reference time if the tempo is kept
+    matched: FloatArray  # (T,) s, reference time that is resembled
+    lag: FloatArray  # (T,) s, same less matched
+    pairing: Pairing  # both motions at the same moments
 
 
 def weigh(
@@ -441,19 +431,12 @@ _Frames = tuple[tuple[int, int], ...]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Prepared:
-    """All that figures do not change, and the eigenspaces of figures that were looked at.
+    """All that figures do not change, and the eigenspaces of figures that were looked at."""
 
-    Parameters
-    ----------
-    references : prepared with these weights.
-    weighed : the performance compared with them.
-    performance : by the body of the reference.
-    spaces : by the frames that they were learnt from.
-    """
-
-    references: ReferenceTakes
-    weighed: Weighed
-    performance: PostureSequence
+    references: ReferenceTakes  # prepared with these weights
+    weighed: Weighed  # the performance compared with them
+    performance: PostureSequence  # by the body of the reference
+    # by the frames that they were learnt from
     spaces: OrderedDict[_Frames, Eigenspace] = field(default_factory=OrderedDict)
 
     def fit_spaces(self, figures: Sequence[Furi], *, most_spaces: int = 60) -> dict[str, Eigenspace]:

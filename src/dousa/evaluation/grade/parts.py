@@ -31,31 +31,19 @@ _FLOOR_DEG, _FLOOR_SPEED = 20.0, 5.0  # deg, deg/s: what hardly moves is measure
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """A performance against its reference, segment by segment; (N,) moments at about 10 Hz.
+    """A performance against its reference, segment by segment; (N,) moments at about 10 Hz."""
 
-    Parameters
-    ----------
-    rows : (N,) frames at the working rate.
-    same, shape : (N, 9) deg, angle at the same time and at the best time nearby; nan where not judged.
-    lag : (N, 9) s, of each segment's limb, without a sign.
-    moving : (N, 9) deg/s, of the reference.
-    missing, more : (9,) deg, range less or more than any take's.
-    way, ways : (9,) deg that each segment goes, and (n, 9) of the takes over what was danced of them.
-    covered : (U,) moments of the reference that were danced.
-    weights_of : (U, 9) deg/s, how much the reference moves then.
-    """
-
-    rows: IndexArray
-    same: FloatArray
-    shape: FloatArray
-    lag: FloatArray
-    moving: FloatArray
-    missing: FloatArray
-    more: FloatArray
-    way: FloatArray
-    ways: FloatArray
-    covered: NDArray[np.bool_]
-    weights_of: FloatArray
+    rows: IndexArray  # (N,) frames at the working rate
+    same: FloatArray  # (N, 9) deg, angle at the same time; nan where not judged
+    shape: FloatArray  # (N, 9) deg, angle at the best time nearby; nan where not judged
+    lag: FloatArray  # (N, 9) s, of each segment's limb, without a sign
+    moving: FloatArray  # (N, 9) deg/s, of the reference
+    missing: FloatArray  # (9,) deg, range less than any take's
+    more: FloatArray  # (9,) deg, range more than any take's
+    way: FloatArray  # (9,) deg that each segment goes
+    ways: FloatArray  # (n, 9) deg, the same of the takes over the part of them that was danced
+    covered: NDArray[np.bool_]  # (U,) moments of the reference that were danced
+    weights_of: FloatArray  # (U, 9) deg/s, how much the reference moves then
 
     def find_coverage(self, weights: FloatArray, *, floor_still: float = 1.0) -> float:
         """Find the share of the reference's motion that was danced, 0 to 1; weights (9,) of the segments."""

@@ -32,49 +32,31 @@ MOST_MISMATCH, MOST_DEVIATION = 0.85, 26.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceTakes:
-    """Takes of the reference on the clock of the first.
+    """Takes of the reference on the clock of the first."""
 
-    Parameters
-    ----------
-    postures : of the first take, at the performance's rate.
-    working : of the first take and of each further one that is like it, at the working rate, warped onto the first.
-    warped : the further ones at the full rate, warped onto the first.
-    clock : (U,) frame of the first take at the working rate that belongs to each frame of ``working``: the takes are
-        put on the clock that most of them keep, not on the first one's own.
-    time_spread : (U,) s, how much the takes' timing differs there.
-    left_out : numbers, from 1, of takes that are not like the first.
-    between : (9,) rad, root mean square of what bodies differ by.
-    measured : of each of the further ones against all others.
-    importance : (9,) weights of the segments in the grade, see `learn_importance`.
-    """
-
-    postures: PostureSequence
+    postures: PostureSequence  # of the first take, at the performance's rate
+    # of the first take and of each further one that is like it, at the working rate, warped onto the first
     working: tuple[Working, ...]
-    warped: tuple[PostureSequence, ...]
+    warped: tuple[PostureSequence, ...]  # the further ones at the full rate, warped onto the first
+    # (U,) frame of the first take at the working rate that belongs to each frame of ``working``: the takes are put on
+    # the clock that most of them keep, not on the first one's own
     clock: FloatArray
-    time_spread: FloatArray
-    between: FloatArray
-    left_out: tuple[int, ...] = ()
-    measured: tuple[Measured, ...] = ()
+    time_spread: FloatArray  # (U,) s, how much the takes' timing differs there
+    between: FloatArray  # (9,) rad, root mean square of what bodies differ by
+    left_out: tuple[int, ...] = ()  # numbers, from 1, of takes that are not like the first
+    measured: tuple[Measured, ...] = ()  # of each of the further ones against all others
+    # (9,) weights of the segments in the grade, see `learn_importance`
     importance: FloatArray = field(default_factory=lambda: np.ones(9))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """How a performance compares with the reference.
+    """How a performance compares with the reference."""
 
-    Parameters
-    ----------
-    alignment : lines.
-    deviations : from the nearest take.
-    offset : of the performer's body against the first take's, taken out of all of them.
-    measured : what the grade is made of.
-    """
-
-    alignment: Alignment
-    deviations: Deviations
-    offset: Offset
-    measured: Measured
+    alignment: Alignment  # lines
+    deviations: Deviations  # from the nearest take
+    offset: Offset  # of the performer's body against the first take's, taken out of all of them
+    measured: Measured  # what the grade is made of
 
 
 def prepare_references(

@@ -28,30 +28,17 @@ _MOSTLY = 1.28  # standard deviations around which four of five lie, by definiti
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GradeModel:
-    """The numbers of grade.toml.
+    """The numbers of grade.toml."""
 
-    Parameters
-    ----------
-    n_references : (n,) takes of the reference that the rows below are for, ascending.
-    usual : (n, 7) of `PARTS`, between takes of one person.
-    floors : (7,) added to what is usual: so little is nothing.
-    strengths : (7,) of the logarithms.
-    curve : (K, 2) sum and grade.
-    doubt : (n,) of the sum, standard deviation between takes of one person.
-    prior_takes : what is usual counts as so many takes.
-    unlike : deg, mean angle at the best time from which it is another dance.
-    unlike_mismatch : the same of the mismatch along the lines.
-    """
-
-    n_references: FloatArray
-    usual: FloatArray
-    floors: FloatArray
-    strengths: FloatArray
-    curve: FloatArray
-    doubt: FloatArray
-    prior_takes: float
-    unlike: float
-    unlike_mismatch: float
+    n_references: FloatArray  # (n,) takes of the reference that the rows below are for, ascending
+    usual: FloatArray  # (n, 7) of `PARTS`, between takes of one person
+    floors: FloatArray  # (7,) added to what is usual: so little is nothing
+    strengths: FloatArray  # (7,) of the logarithms
+    curve: FloatArray  # (K, 2) sum and grade
+    doubt: FloatArray  # (n,) of the sum, standard deviation between takes of one person
+    prior_takes: float  # what is usual counts as so many takes
+    unlike: float  # deg, mean angle at the best time from which it is another dance
+    unlike_mismatch: float  # the same of the mismatch along the lines
 
     def find_sum(self, parts: FloatArray, takes: FloatArray, n_references: int) -> float:
         """Sum up the distance from the reference, 0 or above; parts (7,) of the performance, takes (n, 7) of others."""

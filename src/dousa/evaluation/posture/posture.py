@@ -276,22 +276,13 @@ WORKING_RATE = 30.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Working:
-    """Postures at the working rate.
+    """Postures at the working rate."""
 
-    Parameters
-    ----------
-    segments : (T, 9, 3) unit vectors.
-    seen : (T, 9).
-    heading : (T,) rad, unwrapped, which way hips and shoulders face.
-    frame_rate : Hz.
-    stride : frames of the full rate in one of these.
-    """
-
-    segments: FloatArray
-    seen: NDArray[np.bool_]
-    heading: FloatArray
-    frame_rate: float
-    stride: int
+    segments: FloatArray  # (T, 9, 3) unit vectors
+    seen: NDArray[np.bool_]  # (T, 9)
+    heading: FloatArray  # (T,) rad, unwrapped, which way hips and shoulders face
+    frame_rate: float  # Hz
+    stride: int  # frames of the full rate in one of these
 
     @property
     def n_frames(self) -> int:

@@ -208,21 +208,14 @@ _MOST_MOMENTS = 1500
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Offset:
-    """How another body stands, against the reference, throughout.
+    """How another body stands, against the reference, throughout."""
 
-    Parameters
-    ----------
-    measured : (9, 3) rad, rotation vectors in the performer's own frame (x to the own left, y up, z to the front)
-        that turn the reference's segments onto the performer's.
-    taken : (9, 3) the part of them that is laid to the body, and taken out.
-    seconds : (9,) s, of the performance, that the estimate rests on.
-    missing : (9,) parts that one of the two does not show, or does in another position throughout (sitting): not
-        judged.
-    """
-
+    # (9, 3) rad, rotation vectors in the performer's own frame (x to the own left, y up, z to the front) that turn
+    # the reference's segments onto the performer's
     measured: FloatArray
-    taken: FloatArray
-    seconds: FloatArray
+    taken: FloatArray  # (9, 3) the part of them that is laid to the body, and taken out
+    seconds: FloatArray  # (9,) s, of the performance, that the estimate rests on
+    # (9,) parts that one of the two does not show, or does in another position throughout (sitting): not judged
     missing: NDArray[np.bool_]
 
     @property
