@@ -89,16 +89,9 @@ def format_time(seconds: float) -> str:
 
 
 def describe_segments(segments: Iterable[str], language: str | None = None) -> str:
-    """Describe segments, grouped to limbs: ``"right arm"``, ``"trunk and both legs"``, ``"whole body"``.
+    """Describe segments, by limbs: ``"right arm"``, ``"trunk and both legs"``, ``"whole body"`` (also for none).
 
-    Parameters
-    ----------
-    segments : names out of `SEGMENT_NAMES`, any order; none at all is the whole body.
-    language : of `dousa.messages.LANGUAGES`; None for the one in use.
-
-    Raises
-    ------
-    OptionError : a segment that there is not.
+    Raises OptionError for an unknown segment. The language is one of `dousa.messages.LANGUAGES`, None for the current.
     """
     return Message("body_segments.several", names=group_segments(segments)).render(language)
 
@@ -196,15 +189,8 @@ def describe_lapse(
 ) -> Message:
     """Describe one lapse of order, such as ``"leaves out 2.0 s of the reference (0:30.0 to 0:32.0)"``.
 
-    Parameters
-    ----------
-    kind : of `LAPSE_KINDS`.
-    start_s, end_s : performance seconds.
-    reference_start_s, reference_end_s : reference seconds left out, done again or not reached.
-
-    Raises
-    ------
-    OptionError : a kind that there is not.
+    Times are seconds of the performance and seconds of the reference left out, done again or not reached. Raises
+    OptionError for an unknown kind.
     """
     own, missed = _say_seconds(end_s - start_s), _say_seconds(reference_end_s - reference_start_s)
     start, end = format_time(reference_start_s), format_time(reference_end_s)

@@ -102,17 +102,7 @@ class Progress:
 
 
 def read_attempt(answer: Mapping[str, Any], name: str) -> Attempt:
-    """Read one attempt from the answer of ``dousa evaluate --json``.
-
-    Parameters
-    ----------
-    answer : of one evaluation.
-    name : of the performance.
-
-    Raises
-    ------
-    OptionError : something else.
-    """
+    """Read one attempt from an answer of ``dousa evaluate --json``; raises OptionError for anything else."""
     try:
         events = list(answer["events"])
         counts = {kind: sum(event["kind"] == kind for event in events) for kind in KINDS}

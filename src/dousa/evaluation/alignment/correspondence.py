@@ -94,19 +94,8 @@ def check_segment_weights(weights: ArrayLike | None) -> FloatArray:
 def compute_similarity(a: ArrayLike, b: ArrayLike, weights: ArrayLike | None = None) -> FloatArray:
     """Compute the similarity S of poses pair by pair: the mean cosine between the segments at the best yaw.
 
-    Parameters
-    ----------
-    a, b : (..., 9, 3) unit vectors, Y up; leading axes broadcast.
-    weights : (9,) of the segments, 0 or above; None for equal ones.
-
-    Returns
-    -------
-    (...) -1 to 1.
-
-    Raises
-    ------
-    InvalidMotionError : wrong shapes or missing values.
-    OptionError : wrong weights.
+    Poses are (..., 9, 3) unit vectors, Y up, and broadcast; weights (9,) are 0 or above, None for equal ones. Returns
+    (...) from -1 to 1. Raises InvalidMotionError for wrong shapes or missing values, OptionError for wrong weights.
     """
     first, second = check_segments(a, "a"), check_segments(b, "b")
     shares = check_segment_weights(weights)

@@ -418,14 +418,7 @@ def accumulate_likeness(
 def find_ends(score: Matrix, least: float) -> NDArray[np.int64]:
     """Find pairs of frames where a repetition may end: no neighbour is higher, and no step goes up from there.
 
-    Parameters
-    ----------
-    score : of `accumulate_likeness`.
-    least : height.
-
-    Returns
-    -------
-    (E, 2) in order of rows.
+    Takes the score of `accumulate_likeness` and the least height; returns (E, 2) in order of rows.
     """
     n = len(score)
     ends = np.empty((0, 2), np.int64)

@@ -344,18 +344,9 @@ class Lapse:
 
 
 def find_lapses(alignment: Alignment, reference: Working, performance: Working) -> tuple[Lapse, ...]:
-    """Find the places where the performance changes its place in the reference.
+    """Find the places where the performance changes its place in the reference, in order of time.
 
-    Parameters
-    ----------
-    alignment : lines, frames at the working rate.
-    reference, performance : at the working rate.
-
-    Returns
-    -------
-    In order of time. None where performance and reference have nothing in common, since no place is known then.
-
-    Not in the paper.
+    Motions are at the working rate, and so are the frames of the lines. Motions with nothing in common have no lapses.
     """
     if alignment.mismatch > NO_LIKENESS or performance.n_frames == 0:
         return ()

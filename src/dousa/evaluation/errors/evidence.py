@@ -78,17 +78,11 @@ def compute_deviations(reference: Working, performance: Working, frames: FloatAr
 
 
 def merge_takes(takes: Sequence[Deviations], *, spread_s: float = 0.3) -> Deviations:
-    """Merge deviations from several takes to those from the nearest one, and measure the spread of the takes.
+    """Merge deviations from several takes, along the same line, to those from the nearest take; measure their spread.
 
-    Parameters
-    ----------
-    takes : deviations of one performance from each take, along the same line; the first tells what is judged.
-
-    Returns
-    -------
-    The smallest deviations of all; the reference is the median of the takes, so that one take's slip does not count,
-    and the spread the median angle of the takes from it, averaged over 0.3 s. Where a take is not seen the others
-    speak.
+    The first take decides what is judged; where a take is not seen the others count. The merged reference is the median
+    of the takes, so that one take's slip does not count; the spread is the median angle of the takes from it, averaged
+    over spread_s.
     """
     first = takes[0]
     if len(takes) == 1:
@@ -234,15 +228,9 @@ class GainFit:
 def fit_gain(performance: FloatArray, reference: FloatArray, tolerance: FloatArray) -> GainFit:
     """Fit the gain of a stretch robustly: frames that do not fit lose weight.
 
-    Parameters
-    ----------
-    performance, reference : (T, S, 3) unit vectors at the same time, turned by the same yaw.
-    tolerance : (S,) rad.
-
-    Returns
-    -------
-    The best of four fits: vectors shrink (as an average of two postures does), or angles do (as joints do), seen from
-    the mean direction, from the direction at the beginning, or from that of a hanging limb.
+    Performance and reference are (T, S, 3) unit vectors at the same time, turned by the same yaw; tolerance is (S,)
+    rad. Returns the best of four fits: vectors shrink (as an average of two postures does), or angles do (as joints
+    do), seen from the mean direction, from the direction at the beginning, or from that of a hanging limb.
     """
     middle = reference.mean(axis=0)
     middle = middle / np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-9)

@@ -51,16 +51,9 @@ def follow_path(
 def compute_unreached(evidence: Evidence, start: int, end: int, first: int, last: int) -> FloatArray:
     """Compute the distance of each moment of the reference from the nearest moment of the performance.
 
-    Parameters
-    ----------
-    evidence : of the performance.
-    start, end : moments of the reference, on the performance's clock, half-open.
-    first, last : frames of the performance that are looked at, half-open.
-
-    Returns
-    -------
-    (n, 9) squared distance over squared tolerance to the nearest point of the performance's path, which runs
-    straight between its frames; averaged over three moments.
+    Moments start to end of the reference (on the performance's clock) are compared with frames first to last of the
+    performance, both half-open. Returns (n, 9) squared distance over squared tolerance to the nearest point of the
+    performance's path, which runs straight between its frames; averaged over three moments.
     """
     deviations, center = evidence.deviations, evidence.center
     inverse = 1.0 / evidence.tolerance**2

@@ -493,16 +493,10 @@ def choose_pair(assessment: RepetitionsAssessment) -> str | None:
 
 
 def describe_exercise(assessment: RepetitionsAssessment) -> tuple[Message, ...]:
-    """Describe the repetitions, the most important first; see `describe_trends` for their development.
+    """Describe the repetitions, the most important first; at least one must be complete.
 
-    Parameters
-    ----------
-    assessment : at least one complete repetition.
-
-    Returns
-    -------
-    The grade; what was broken off; the joints that go less than `SHORT` or more than `FAR` percent as far as in the
-    reference in the median; tempo and sides where they are clearly different.
+    Returns the grade; what was broken off; the joints that go less than `SHORT` or more than `FAR` percent as far as in
+    the reference in the median; tempo and sides where they are clearly different. See `describe_trends` for trends.
     """
     said = [*_say_grade(assessment), *_say_broken_off(assessment), *_say_ranges(assessment)]
     return (*said, *_say_tempo(assessment), *_say_sides(assessment))

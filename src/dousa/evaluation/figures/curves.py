@@ -84,34 +84,21 @@ _N_DIRECTIONS = 32  # along which the extreme poses of a segment are looked for:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curves:
-    """What differs, frame by frame; nan where there is nothing to compare.
+    """What differs, frame by frame; nan where there is nothing to compare."""
 
-    Parameters
-    ----------
-    d_space : (T,) d#, distance from the furi's eigenspace (eq. 10, 11).
-    d_within : (T,) d*, distance inside it at the same time (eq. 12-14).
-    d_path : (T,) distance to the nearest pose of the furi, any time of it and a second around it; turned like the
-        moment that is resembled, so that who is late is on the path.
-    facing : (T,) rad, heading against the reference's less its median, -pi to pi, to the own left.
-    residual : (T, 9) rad, angle between each segment and the reference's at the same time.
-    gain : (n_furi, 9) range of each segment as a share of the reference's.
-    lag_by_furi : (n_furi,) s, median, positive is late.
-    furi_index : (T,) number of the furi; -1 outside all.
-    d_space_reference : (U,) largest d# that any take of the reference has at a frame of the first.
-    d_within_reference : (U,) largest d* of the other takes against the first; nan with one take.
-    turn : (T,) rad that turns each pose of the performance onto the mean of its furi; nan without a distance.
-    """
-
-    d_space: FloatArray
-    d_within: FloatArray
+    d_space: FloatArray  # (T,) d#, distance from the furi's eigenspace (eq. 10, 11)
+    d_within: FloatArray  # (T,) d*, distance inside it at the same time (eq. 12-14)
+    # (T,) distance to the nearest pose of the furi, any time of it and a second around it; turned like the moment
+    # that is resembled, so that who is late is on the path
     d_path: FloatArray
-    facing: FloatArray
-    residual: FloatArray
-    gain: FloatArray
-    lag_by_furi: FloatArray
-    furi_index: NDArray[np.intp]
-    d_space_reference: FloatArray
-    d_within_reference: FloatArray
+    facing: FloatArray  # (T,) rad, heading against the reference's less its median, -pi to pi, to the own left
+    residual: FloatArray  # (T, 9) rad, angle between each segment and the reference's at the same time
+    gain: FloatArray  # (n_furi, 9) range of each segment as a share of the reference's
+    lag_by_furi: FloatArray  # (n_furi,) s, median, positive is late
+    furi_index: NDArray[np.intp]  # (T,) number of the furi; -1 outside all
+    d_space_reference: FloatArray  # (U,) largest d# that any take of the reference has at a frame of the first
+    d_within_reference: FloatArray  # (U,) largest d* of the other takes against the first; nan with one take
+    # (T,) rad that turns each pose of the performance onto the mean of its furi; nan without a distance
     turn: FloatArray
 
 

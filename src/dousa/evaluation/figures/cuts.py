@@ -113,17 +113,9 @@ _NOVELTY_WORTH, _REST_WORTH = 0.2, 0.25
 
 
 def rate_cuts(coarse: Coarse, repeats: Sequence[Repeat], speed: FloatArray) -> FloatArray:
-    """Rate a cut before each coarse frame.
+    """Rate a cut before each coarse frame of a dance, given its repeats and the speed (T,) rad/s of all its frames.
 
-    Parameters
-    ----------
-    coarse : the dance.
-    repeats : what it does again.
-    speed : (T,) rad/s of all its frames.
-
-    Returns
-    -------
-    (n,) about 1 where it is sure, below 0 where repetitions or long rests speak against it.
+    Returns (n,): about 1 where a cut is sure, below 0 where repetitions or long rests speak against it.
     """
     slow = np.minimum.reduceat(speed, np.arange(0, len(speed), coarse.block))
     typical = float(np.quantile(slow, 0.75))

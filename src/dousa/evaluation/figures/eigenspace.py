@@ -77,50 +77,15 @@ class Eigenspace:
         return rotate_yaw(segments, self.find_turn(segments))
 
     def find_turn(self, segments: ArrayLike) -> FloatArray:
-        """Find the angles by which `align` turns postures.
-
-        Parameters
-        ----------
-        segments : (T, 9, 3) unit vectors, Y up.
-
-        Returns
-        -------
-        (T,) rad about +Y.
-
-        Raises
-        ------
-        InvalidMotionError : another shape, or missing values.
-        """
+        """Find the angles (T,) rad about +Y by which `align` turns postures (T, 9, 3); raises as `align`."""
         return _estimate(check_segments(segments, "segments"), self.mean, self.yaw) + self.bias
 
     def project(self, aligned: ArrayLike) -> FloatArray:
-        """Project postures onto the space.
-
-        Parameters
-        ----------
-        aligned : (T, 9, 3).
-
-        Returns
-        -------
-        (T, m) X*.
-
-        Source: Yamane and Shakunaga, eq. 8.
-        """
+        """Project aligned postures (T, 9, 3) onto the space: (T, m) X*. Source: Yamane and Shakunaga, eq. 8."""
         return self._centre(aligned) @ self.axes
 
     def residual(self, aligned: ArrayLike) -> FloatArray:
-        """Compute the part of postures outside the space.
-
-        Parameters
-        ----------
-        aligned : (T, 9, 3).
-
-        Returns
-        -------
-        (T, 27) X#.
-
-        Source: Yamane and Shakunaga, eq. 9.
-        """
+        """Compute the part of aligned postures (T, 9, 3) outside the space: (T, 27) X#. Source: eq. 9."""
         centred = self._centre(aligned)
         return centred - (centred @ self.axes) @ self.axes.T
 
@@ -257,16 +222,7 @@ def _count_axes(spread: FloatArray, contribution: float, *, still: float = 1e-12
 
 
 def compute_distance_from_space(space: Eigenspace, aligned: ArrayLike) -> FloatArray:
-    """Compute the distance of postures from the eigenspace.
-
-    Parameters
-    ----------
-    space : of the furi.
-    aligned : (T, 9, 3) Y.
-
-    Returns
-    -------
-    (T,) d#.
+    """Compute the distance (T,) d# of aligned postures (T, 9, 3) from the eigenspace.
 
     Source: Yamane and Shakunaga, eq. 10 and 11. Eq. 10 is printed with Y#; it must be Y*.
     """
@@ -274,16 +230,7 @@ def compute_distance_from_space(space: Eigenspace, aligned: ArrayLike) -> FloatA
 
 
 def compute_distance_within(space: Eigenspace, aligned: ArrayLike, others: ArrayLike) -> FloatArray:
-    """Compute the distance of postures from each other inside the eigenspace.
-
-    Parameters
-    ----------
-    space : of the furi.
-    aligned, others : (T, 9, 3) X and Y of the same moments.
-
-    Returns
-    -------
-    (T,) d*.
+    """Compute the distance (T,) d* of aligned postures (T, 9, 3) X and Y of the same moments inside the eigenspace.
 
     Source: Yamane and Shakunaga, eq. 12 to 14.
     """
@@ -291,17 +238,7 @@ def compute_distance_within(space: Eigenspace, aligned: ArrayLike, others: Array
 
 
 def compute_segment_residuals(space: Eigenspace, aligned: ArrayLike) -> FloatArray:
-    """Compute the share of each segment in the distance from the eigenspace.
-
-    Parameters
-    ----------
-    space : of the furi.
-    aligned : (T, 9, 3).
-
-    Returns
-    -------
-    (T, 9); the squares add up to d# squared.
-    """
+    """Compute the share (T, 9) of each segment in d# of aligned postures (T, 9, 3); the squares add up to d#²."""
     residual = space.residual(aligned)
     return np.asarray(np.linalg.norm(residual.reshape(*residual.shape[:-1], len(SEGMENTS), 3), axis=-1))
 

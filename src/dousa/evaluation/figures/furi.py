@@ -335,17 +335,7 @@ def _clock(seconds: float) -> str:
 
 
 def uncovered(furi: Sequence[Furi], n_frames: int) -> tuple[tuple[int, int], ...]:
-    """List the stretches of the reference that belong to no figure, and so are not judged.
-
-    Parameters
-    ----------
-    furi : in order of time.
-    n_frames : of the reference.
-
-    Returns
-    -------
-    (start, end) frames, the end not included.
-    """
+    """List the (start, end) frames, half-open, of a reference of n frames that belong to none of the figures."""
     places = [0, *(frame for figure in furi for frame in (figure.start, figure.end)), n_frames]
     return tuple((a, b) for a, b in zip(places[::2], places[1::2], strict=True) if a < b)
 

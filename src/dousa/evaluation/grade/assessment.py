@@ -525,15 +525,8 @@ class AdjustableAssessment:
     ) -> Assessment:
         """Assess with these figures, weights and importance, as `dousa.evaluation.assess`.
 
-        Parameters
-        ----------
-        furi : in frames of the first take at its own rate; None for those that are found.
-        weights : of segments or limbs.
-        importance : ``"learned"`` or ``"equal"``: whether what matters in the reference counts more in the grade.
-
-        Raises
-        ------
-        OptionError : furi outside the reference, weights that cannot be, another importance.
+        Figures are in frames of the first take at its own rate; None for those that are found. Raises OptionError for
+        figures outside the reference, impossible weights or an unknown importance.
         """
         check_importance(importance)
         prepared = self._prepare(spread_weights(weights))

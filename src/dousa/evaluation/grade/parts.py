@@ -225,21 +225,11 @@ def _measure_motion(
 
 
 def compute_deviation(residual: ArrayLike, weights: ArrayLike | None = None) -> float:
-    """Compute the mean angle between a performance and its reference.
+    """Compute the mean angle between a performance and its reference in deg.
 
-    Parameters
-    ----------
-    residual : (T, 9) rad, angle of each segment to the reference's at the same time; nan is left out.
-    weights : (9,) of the segments, 0 or above; None for equal ones.
-
-    Returns
-    -------
-    deg, the mean over time of the weighted root mean square over the segments; nan where nothing is compared.
-
-    Raises
-    ------
-    InvalidMotionError : another shape.
-    OptionError : wrong weights.
+    The residual is (T, 9) rad, nan left out; weights (9,) are 0 or above, None for equal ones. Returns the mean over
+    time of the weighted root mean square over the segments; nan where nothing is compared. Raises InvalidMotionError
+    for another shape, OptionError for wrong weights.
     """
     angles = np.asarray(residual, np.float64)
     if angles.ndim != 2 or angles.shape[1] != len(SEGMENTS):

@@ -78,22 +78,14 @@ def load_model() -> GradeModel:
 
 @dataclass(frozen=True, slots=True)
 class Grade:
-    """A grade and what it is made of.
+    """A grade and what it is made of."""
 
-    Parameters
-    ----------
-    score : 0 to 100; nan if it is not the same dance, or nothing could be compared.
-    interval : (low, high), four of five takes of one quality are graded in it; nan where the score is.
-    coverage : share of the reference's motion that was danced, 0 to 1.
-    formula : how it came about, with its numbers, or why there is none.
-    calibrated : whether takes of the reference tell what is usual: three or more.
-    """
-
-    score: float
+    score: float  # 0 to 100; nan if it is not the same dance, or nothing could be compared
+    # (low, high), four of five takes of one quality are graded in it; nan where the score is
     interval: tuple[float, float]
-    coverage: float
-    formula: Message
-    calibrated: bool
+    coverage: float  # share of the reference's motion that was danced, 0 to 1
+    formula: Message  # how it came about, with its numbers, or why there is none
+    calibrated: bool  # whether takes of the reference tell what is usual: three or more
 
 
 def round_grade(score: float) -> float:

@@ -179,19 +179,10 @@ class IncrementalAssessor:
         return self._window.tolerance.angle.copy()
 
     def push(self, joints: ArrayLike) -> FrameState:
-        """Take the next frame.
+        """Take the next frame: joints (20, 3) m, order of `CANONICAL_JOINTS`, Y up; nan where a joint is not seen.
 
-        Parameters
-        ----------
-        joints : (20, 3) m, order of `CANONICAL_JOINTS`, Y up; nan where a joint is not seen.
-
-        Returns
-        -------
-        What is known of it. About once a second the call takes longer, when the last seconds are looked at.
-
-        Raises
-        ------
-        InvalidMotionError : another shape, or infinite values; the frame is not taken then.
+        Returns what is known of it. About once a second the call takes longer, when the last seconds are looked at.
+        Raises InvalidMotionError for another shape or infinite values; the frame is not taken then.
         """
         points = _check_frame(joints)
         number = self.n_frames

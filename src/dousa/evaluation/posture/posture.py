@@ -153,20 +153,10 @@ def check_weights(weights: ArrayLike | None) -> FloatArray:
 
 
 def compute_segments(positions: ArrayLike, *, shortest: float = 1e-6) -> FloatArray:
-    """Compute the directions of the nine segments of a pose.
+    """Compute the directions of the nine segments of poses (..., 20, 3) m, canonical joints, Y up.
 
-    Parameters
-    ----------
-    positions : (..., 20, 3) m, canonical joints, Y up.
-    shortest : m: a segment shorter than this has no direction.
-
-    Returns
-    -------
-    (..., 9, 3) unit vectors, order of `SEGMENTS`; NaN where a joint is missing or both ends coincide.
-
-    Raises
-    ------
-    InvalidMotionError : another shape.
+    Returns (..., 9, 3) unit vectors, order of `SEGMENTS`; NaN where a joint is missing or both ends coincide, or a
+    segment is shorter than ``shortest`` m. Raises InvalidMotionError for another shape.
 
     Source: Yamane and Shakunaga, eq. 1 and 2. The trunk goes from the middle of the hips to the neck.
     """

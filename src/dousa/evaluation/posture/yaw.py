@@ -164,20 +164,9 @@ def _far(products: ComplexArray, fixed: FloatArray, turn: ComplexArray) -> Float
 
 
 def rotate_yaw(segments: ArrayLike, theta: ArrayLike) -> FloatArray:
-    """Turn postures about the vertical.
+    """Turn postures (..., 9, 3) about the vertical by theta (...) rad about +Y, right-handed; shapes broadcast.
 
-    Parameters
-    ----------
-    segments : (..., 9, 3), Y up.
-    theta : (...) rad about +Y, right-handed; broadcasts.
-
-    Returns
-    -------
-    (..., 9, 3).
-
-    Raises
-    ------
-    InvalidMotionError : wrong shapes or missing values.
+    Raises InvalidMotionError for wrong shapes or missing values.
     """
     vectors = check_segments(segments, "segments")
     angle = np.asarray(theta, np.float64)[..., None]
