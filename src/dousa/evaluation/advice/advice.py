@@ -46,22 +46,11 @@ def find_other_figure(
 ) -> int | None:
     """Find the number of the figure, from 0, that a stretch resembles instead of the expected one.
 
-    Parameters
-    ----------
-    reference : the whole of it.
-    performance : (N, 9, 3) unit vectors of the stretch.
-    frame_rate : Hz of the stretch.
-    expected_s : reference time that belongs to its first frame.
-    furi : figures in order of the reference.
-    rate : Hz of the search.
-    around_s : s around the expected place that are not searched.
-    shortest_s : s of the shortest stretch that is searched for.
-    fade_s : s at both ends of the stretch, where one figure becomes the other.
-    better : largest difference, as a share of that from the expected figure.
-
-    Returns
-    -------
-    None if nothing elsewhere is similar, or only the same figure again.
+    The performance is (N, 9, 3) unit vectors of the stretch, expected_s the time in the whole reference of its first
+    frame. The search runs at rate Hz and leaves out around_s around the expected place; a stretch shorter than
+    shortest_s is not searched for. At both ends one figure becomes the other for fade_s. The other figure must differ
+    by less than better times the difference from the expected one. Returns None if nothing elsewhere is similar, or
+    only the same figure again.
     """
     if len(performance) < shortest_s * frame_rate or not np.isfinite(expected_s):
         return None

@@ -201,19 +201,10 @@ def find_corrections(
 ) -> tuple[Correction, ...]:
     """Find the corrections at some moments, the largest first; none where no direction dominates.
 
-    Parameters
-    ----------
-    pairs : the moments, such as those around the worst one.
-    segments : the wrong ones, of `SEGMENTS`.
-    least_together : share of the difference of all wrong limbs that the corrections remove together.
-    minor : share of the largest correction below which one is left out.
-    most : corrections in one sentence.
-
-    Returns
-    -------
-    One or two corrections; the same one of a left and a right limb is one correction of both.
-
-    Not in the paper.
+    Pairs are the moments, such as those around the worst one; segments are the wrong ones of `SEGMENTS`. The
+    corrections must together remove least_together of the difference of all wrong limbs; those below minor times the
+    largest are left out, and most of them remain at most. The same correction of a left and a right limb is one of
+    both. Not in the paper.
     """
     wrong = {SEGMENTS.index(name) for name in segments}
     known = np.all(pairs.judged[:, sorted(wrong)], axis=1) if wrong else np.zeros(len(pairs.times), np.bool_)

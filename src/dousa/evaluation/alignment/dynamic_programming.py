@@ -120,13 +120,7 @@ def follow_lines(
 ) -> np.ndarray:  # pragma: no cover - compiled
     """Find the reference frame of every performance frame on the cheapest sequence of lines.
 
-    Parameters
-    ----------
-    cost : (T, U) of performance frame against reference frame, 0 to 1.
-    jump, pause, outside : prices, as in `extend_lines`.
-
-    Returns
-    -------
+    The cost is (T, U) of performance frame against reference frame, 0 to 1; prices are those of `extend_lines`. Returns
     (T,) reference frames; -1 before the first and after the last line.
     """
     n_frames, n_reference = cost.shape
@@ -312,17 +306,10 @@ def _slide(above: NDArray[np.float64], below: NDArray[np.float64], similarity: M
 def compute_gains(similarity: Matrix, radius: int, noise: float, hopeless: float) -> Matrix:
     """Compute the contrast of every pair of frames to the pairs before and after it, in either motion.
 
-    Parameters
-    ----------
-    similarity : (n, n) of a motion with itself, 1 = equal.
-    radius : how many pairs on either side.
-    noise : 1 - similarity between takes of the same thing.
-    hopeless : 1 - similarity beyond which a pair gains nothing.
-
-    Returns
-    -------
-    (n, n) above the diagonal: logarithm of the contrast to the more similar side. A ridge stands out from
-    both sides; the edge of a block, which two rests make, only from one.
+    The similarity is (n, n) of a motion with itself, 1 = equal; radius is the number of pairs on either side, noise is
+    1 - similarity between takes of the same thing, and beyond hopeless a pair gains nothing. Returns (n, n) above the
+    diagonal: logarithm of the contrast to the more similar side. A ridge stands out from both sides; the edge of a
+    block, which two rests make, only from one.
     """
     n = len(similarity)
     gains = np.zeros((n, n), np.float32)
@@ -500,16 +487,9 @@ def trace_repeats(
 def compare_stretches(similarity: Matrix, cuts: NDArray[np.int64], slack: float) -> tuple[Matrix, Matrix]:
     """Compute the distance of every stretch of a motion from every other, warped to it, and within each.
 
-    Parameters
-    ----------
-    similarity : (n, n) of a motion with itself, 1 = equal.
-    cuts : (F + 1,) frames, from 0 to n.
-    slack : stretches whose lengths differ by a larger factor are not compared.
-
-    Returns
-    -------
-    apart : (F, F) mean of 1 - similarity along the best path; infinite where not compared.
-    within : (F, 1) mean of 1 - similarity between all frames of the stretch.
+    The similarity is (n, n) of a motion with itself, cuts are (F + 1,) frames from 0 to n; stretches whose lengths
+    differ by a factor above slack are not compared. Returns the mean of 1 - similarity (F, F) along the best path,
+    infinite where not compared, and (F, 1) between all frames of the stretch.
     """
     n_stretches = len(cuts) - 1
     apart = np.full((n_stretches, n_stretches), np.inf, np.float32)

@@ -77,16 +77,9 @@ def compare_poses(
 ) -> tuple[FloatArray, FloatArray]:
     """Compute the angles between segments after a common yaw that changes slowly.
 
-    Parameters
-    ----------
-    reference, performance : (T, 9, 3) poses of the same moments.
-    judged : (T, 9) where both are seen.
-    frame_rate : Hz.
-
-    Returns
-    -------
-    residual : (T, 9) rad, nan where not judged.
-    yaw : (T,) rad that turns the reference onto the performance, nan where nothing is judged.
+    Reference and performance are (T, 9, 3) poses of the same moments, judged (T, 9) where both are seen. The yaw is
+    estimated yaw_rounds times over yaw_window_s. Returns the residual (T, 9) rad, nan where not judged, and the yaw
+    (T,) rad that turns the reference onto the performance, nan where nothing is judged.
     """
     some: NDArray[np.bool_] = np.any(judged, axis=1)
     residual = np.full(judged.shape, np.nan)

@@ -368,18 +368,11 @@ def measure_missing_range(
     *,
     model_share: float = 0.25,
 ) -> tuple[float, float]:
-    """Measure the range that the most affected segment lacks.
+    """Measure the range that the most affected segment lacks: rad, and as a share of the reference's range.
 
-    Parameters
-    ----------
-    reference, performance, model : (T, 9, 3) unit vectors of the same moments; the model is the performance as its
-        explanation has it, without the performer's unsteadiness.
-    segments : indices of those that may be affected.
-
-    Returns
-    -------
-    missing : rad.
-    share : of the reference's range.
+    Reference, performance and model are (T, 9, 3) unit vectors of the same moments; the model is the performance as its
+    explanation has it, without the performer's unsteadiness. Segments are the indices that may be affected; model_share
+    is the weight of the model's range against the performance's.
     """
     whole = measure_ranges(reference[:, segments])
     # Seen and explained err to different sides: unsteadiness widens the one, a blunt model narrows the other.

@@ -49,18 +49,12 @@ class Turned:
 def turn_reference(
     reference: PostureSequence, figure: Furi, space: Eigenspace, *, margin_s: float = 1.0, turn_window_s: float = 0.3
 ) -> Turned:
-    """Turn the poses of a figure, and a second around it, onto its mean.
+    """Turn the poses of a figure, and margin_s around it, onto the mean of its label's space.
 
-    Parameters
-    ----------
-    reference : the dance.
-    figure : of it.
-    space : of its label.
-    margin_s : s around the figure: a late performer shows the end of the figure before, which is not a wrong pose.
-    turn_window_s : s of the median: longer than a near-vertical pose that faces anywhere, shorter than a spin.
-
-    Not in the paper, which turns each pose by itself: a pose that is nearly vertical in all segments may then be
-    turned any way, and another way than its neighbours.
+    The margin is for a late performer, who shows the end of the figure before: not a wrong pose. The turn is the median
+    over turn_window_s: longer than a near-vertical pose that faces anywhere, shorter than a spin. Not in the paper,
+    which turns each pose by itself: a pose that is nearly vertical in all segments may then be turned any way, and
+    another way than its neighbours.
     """
     margin = round(margin_s * reference.frame_rate)
     part = slice(max(figure.start - margin, 0), min(figure.end + margin, reference.n_frames))

@@ -254,18 +254,7 @@ def choose_cuts(
 
 
 def compute_speed(segments: FloatArray, rate: float, *, smooth_s: float = 0.25) -> FloatArray:
-    """Compute the speed of a person, averaged over a moment.
-
-    Parameters
-    ----------
-    segments : (T, 9, 3).
-    rate : Hz.
-    smooth_s : s that the speed is averaged over.
-
-    Returns
-    -------
-    (T,) rad/s, root mean square over the segments.
-    """
+    """Compute the speed (T,) rad/s of segments (T, 9, 3), root mean square over them, averaged over smooth_s."""
     if len(segments) < 2:
         return np.zeros(len(segments))
     steps = np.diff(segments, axis=0)
@@ -281,16 +270,8 @@ def compute_speed(segments: FloatArray, rate: float, *, smooth_s: float = 0.25) 
 def snap_cuts(cuts: Sequence[int], coarse: Coarse, speed: FloatArray, min_s: float) -> list[int]:
     """Move cuts to the moments of least motion nearby.
 
-    Parameters
-    ----------
-    cuts : coarse frames, from 0 to n.
-    coarse : the dance.
-    speed : (T,) rad/s of all its frames.
-    min_s : s, no piece becomes shorter.
-
-    Returns
-    -------
-    Frames of the cuts, from 0 to T.
+    Cuts are coarse frames, from 0 to n; the speed is (T,) rad/s of all frames of the dance; no piece becomes shorter
+    than min_s. Returns frames of the cuts, from 0 to T.
     """
     shortest = int(np.ceil(min_s * coarse.rate * coarse.block))
     frames = [*(cut * coarse.block for cut in cuts[:-1]), len(speed)]

@@ -368,20 +368,12 @@ def measure_offset(
 ) -> tuple[FloatArray, FloatArray]:
     """Measure the angle by which each segment is off at every moment.
 
-    Parameters
-    ----------
-    reference, performance : (N, 9, 3) unit vectors of the same moments.
-    judged : (N, 9) both seen.
-    heading : (N,) rad, of the performer.
-    rate : Hz of the moments.
-
-    Returns
-    -------
-    vectors : (9, 3) rad, see `Offset.measured`.
-    seconds : (9,) s that they rest on: moments that are elsewhere do not count.
+    Reference and performance are (N, 9, 3) unit vectors of the same moments at a rate in Hz, judged (N, 9) where both
+    are seen, heading (N,) rad of the performer. Returns the vectors (9, 3) rad of `Offset.measured`, and the seconds
+    (9,) that they rest on: moments that are elsewhere do not count.
 
     Not in the paper. The start is a median, refined by re-weighting (Geman and McClure, scale 3 to 10 degrees); the
-    common heading and the offsets are estimated in turns.
+    common heading, over yaw_window_s, and the offsets are estimated in turns.
     """
     vectors, trust = np.zeros((9, 3)), judged.astype(np.float64)
     half = max(1, round(0.5 * yaw_window_s * rate))
