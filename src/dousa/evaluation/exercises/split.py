@@ -416,11 +416,7 @@ def _cut_excursions(
     *,
     on_the_spot_m: float = 0.4,
     moment_s: float = 0.3,
-    levels: tuple[float, float, float] = (
-        0.15,
-        0.3,
-        0.5,
-    ),
+    levels: tuple[float, float, float] = (0.15, 0.3, 0.5),
 ) -> list[_Candidate]:
     """The spans between two rests, cut at several levels, those with a moment between them taken together as well."""
     # levels: shares of the largest displacements at which excursions are cut
