@@ -20,8 +20,8 @@ import numpy as np
 from dousa.experiments.annotated.trial import learn_clip_judge
 from dousa.retrieval.takes.label import label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
-from dousa.retrieval.takes.material.made_takes import JoinedTake
-from dousa.retrieval.takes.moments import HOP, describe_moments
+from dousa.retrieval.takes.made_takes import JoinedTake
+from dousa.retrieval.takes.moment_model import HOP, describe_moments
 from lab.benchmarks.take_material import make_takes, read_or_make_clips
 from lab.benchmarks.timing import timed
 

@@ -9,7 +9,7 @@ import numpy as np
 from dousa.retrieval import MotionForest
 from dousa.retrieval.features.feature_sets import DEFAULT_FEATURE_SET, FEATURE_SETS, FeatureSet
 from dousa.retrieval.features.posed_motion import LabelledClip
-from dousa.retrieval.takes.material.made_takes import JoinedTake, join_clips
+from dousa.retrieval.takes.made_takes import JoinedTake, join_clips
 
 __all__ = ["FEATURE_SET", "make_takes", "read_or_make_clips", "train_forest"]
 

@@ -120,8 +120,8 @@ def compute_body_poses(clip: PosedMotion) -> NDArray[np.float32]:
 
 def _describe_for_forest(clip: PosedMotion, feature_set: FeatureSet) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     """Features and pose sequence; where both come from the same channels, these are computed once."""
-    from dousa.retrieval.features.pose_sequences import compute_pose_sequence, compute_with_poses
     from dousa.retrieval.features.sensor_noise import reduce_noise
+    from dousa.retrieval.ranking.ranking import compute_pose_sequence, compute_with_poses
 
     if not feature_set.has_banks:
         return feature_set.compute(clip), compute_pose_sequence(clip)

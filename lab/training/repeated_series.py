@@ -24,7 +24,7 @@ from dousa.motion.synthetic.performers import Plan, play_score
 from dousa.motion.synthetic.scores import SCORES
 from dousa.retrieval.features.channels import sample_positions
 from dousa.retrieval.features.posed_motion import LabelledClip
-from dousa.retrieval.takes.material.made_takes import go_on, mirror_positions
+from dousa.retrieval.takes.made_takes import go_on, mirror_positions
 from dousa.retrieval.takes.windows import TAKE_RATE
 from lab.training.series import Series, read_sets
 

@@ -15,7 +15,7 @@ from dousa.formats import ReadOptions
 from dousa.formats.motion_files import read_canonical
 from dousa.retrieval.features.channels import sample_positions
 from dousa.retrieval.features.posed_motion import LabelledClip
-from dousa.retrieval.takes.material.made_takes import go_on
+from dousa.retrieval.takes.made_takes import go_on
 from dousa.retrieval.takes.windows import TAKE_RATE
 from lab.trials.disturbed import KINECT_RATE, make_kinect_like
 

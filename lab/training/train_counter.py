@@ -37,10 +37,10 @@ from dousa.retrieval.counting.counter import (
     choose_count,
     describe_counts,
     find_usual,
+    measure_tallies,
     name_evidence,
     use_weights,
 )
-from dousa.retrieval.counting.tallies import measure_tallies
 from dousa.retrieval.features.channels import sample_positions
 from dousa.retrieval.features.posed_motion import LabelledClip
 from dousa.retrieval.forest.stretches import StretchJudge

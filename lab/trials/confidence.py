@@ -41,8 +41,7 @@ from dousa.retrieval.forest.calibration import STRANGERS, Assessor, Copies, gues
 from dousa.retrieval.forest.likeness import LikenessLearner, merge_votes
 from dousa.retrieval.forest.pose_space import compute_auroc
 from dousa.retrieval.takes.find import describe_query, find_in_takes, judge_place, overlap
-from dousa.retrieval.takes.material.disturbances import disturb_motion
-from dousa.retrieval.takes.material.made_takes import join_clips, shuffle_into_takes
+from dousa.retrieval.takes.made_takes import disturb_motion, join_clips, shuffle_into_takes
 from dousa.retrieval.takes.windows import choose_grid, describe_take
 
 KIND = FEATURE_SETS["extended"]

@@ -20,8 +20,8 @@ from dousa.experiments.annotated.trial import learn_clip_judge
 from dousa.retrieval import TakeLabeller, label_take, train_labeller
 from dousa.retrieval.features.posed_motion import LabelledClip
 from dousa.retrieval.forest.stretches import StretchJudge
-from dousa.retrieval.takes.material.made_takes import JoinedTake, join_clips
-from dousa.retrieval.takes.teaching import Example, teach_labeller
+from dousa.retrieval.takes.labeller_training import Example, teach_labeller
+from dousa.retrieval.takes.made_takes import JoinedTake, join_clips
 from dousa.retrieval.takes.windows import TAKE_RATE
 from lab.benchmarks.take_material import read_or_make_clips
 from lab.benchmarks.timing import timed

@@ -30,7 +30,7 @@ from dousa.formats import ReadOptions
 from dousa.retrieval.features.posed_motion import AnnotatedTake, LabelledClip
 from dousa.retrieval.takes.label import Segment, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
-from dousa.retrieval.takes.material.made_takes import JoinedTake, join_clips, join_series, shuffle_into_takes
+from dousa.retrieval.takes.made_takes import JoinedTake, join_clips, join_series, shuffle_into_takes
 from dousa.retrieval.takes.windows import TAKE_RATE
 from lab.trials.disturbed import KINECT_RATE, make_kinect_like
 from lab.trials.label_takes import describe

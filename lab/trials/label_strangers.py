@@ -21,7 +21,7 @@ from dousa.experiments.annotated.trial import learn_clip_judge
 from dousa.retrieval.features.posed_motion import LabelledClip
 from dousa.retrieval.takes.label import Timeline, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
-from dousa.retrieval.takes.material.made_takes import JoinedTake, join_clips, shuffle_into_takes
+from dousa.retrieval.takes.made_takes import JoinedTake, join_clips, shuffle_into_takes
 from dousa.retrieval.takes.windows import TAKE_RATE
 from lab.trials.confidence import SETS, find_meaning, read_clips
 

@@ -32,10 +32,9 @@ from dousa.motion import CANONICAL_JOINTS, JOINT_INDEX
 from dousa.retrieval import FEATURE_SETS, MotionForest, RankedClips, RankingQuery, compute_pose_sequence, rank_clips
 from dousa.retrieval.features.channels import sample_positions
 from dousa.retrieval.features.feature_sets import FeatureSet, compute_track
-from dousa.retrieval.features.partial_bodies import hide_joints
 from dousa.retrieval.features.pose_features import turn_to_body
-from dousa.retrieval.features.pose_sequences import compute_window_poses
-from dousa.retrieval.ranking.ranking import warp_distances
+from dousa.retrieval.features.posed_motion import hide_joints
+from dousa.retrieval.ranking.ranking import compute_window_poses, warp_distances
 from lab.places import SHARED_DATA
 
 DATA = SHARED_DATA

@@ -32,8 +32,8 @@ from dousa.motion.synthetic.dance import make_dance
 from dousa.motion.synthetic.performers import draw_performer, make_library
 from dousa.retrieval.features.posed_motion import LabelledClip
 from dousa.retrieval.forest.calibration import ALIEN, Copies, guess_performers, learn_calibration
-from dousa.retrieval.takes.material import disturbances
-from dousa.retrieval.takes.material.disturbances import MOVED_SHARE, disturb_motion
+from dousa.retrieval.takes import made_takes as disturbances
+from dousa.retrieval.takes.made_takes import MOVED_SHARE, disturb_motion
 from lab.trials.confidence import KIND, MOST_COPIES, SETS, Trained, Trial, find_meaning, split
 
 DANCERS, DANCES = range(10, 22), (0, 1)

@@ -41,9 +41,9 @@ from dousa.retrieval.forest.pose_space import compute_auroc
 from dousa.retrieval.forest.stretches import StretchJudge, cut_stretch
 from dousa.retrieval.takes.label import TakeLabeller
 from dousa.retrieval.takes.labeller_training import train_labeller
-from dousa.retrieval.takes.material.disturbances import disturb
-from dousa.retrieval.takes.material.made_takes import (
+from dousa.retrieval.takes.made_takes import (
     JoinedTake,
+    disturb,
     join_clips,
     join_series,
     join_with_rests,
@@ -190,7 +190,7 @@ def read_rows(data: Path, name: str) -> Iterator[Row]:
 
 def to_joined(take: AnnotatedTake) -> JoinedTake:
     """A take as the made ones are."""
-    from dousa.retrieval.takes.material.made_takes import Piece
+    from dousa.retrieval.takes.made_takes import Piece
 
     pieces = tuple(
         Piece(one.start * TAKE_RATE, one.stop * TAKE_RATE, one.category, one.counted) for one in take.stretches

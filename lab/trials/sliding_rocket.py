@@ -20,8 +20,7 @@ from dousa.retrieval.features.channels import sample_positions
 from dousa.retrieval.features.posed_motion import AnnotatedTake
 from dousa.retrieval.takes.label import Segment
 from dousa.retrieval.takes.labeller_training import train_labeller
-from dousa.retrieval.takes.moment_model import sharpen
-from dousa.retrieval.takes.moments import HOP
+from dousa.retrieval.takes.moment_model import HOP, sharpen
 from dousa.retrieval.takes.sequence import N_PHASES, PHASE_FRAMES
 from dousa.retrieval.takes.windows import TAKE_RATE
 

@@ -32,7 +32,7 @@ from dousa.experiments.metrics import compute_scores
 from dousa.retrieval import MotionForest
 from dousa.retrieval.forest import growth, trees
 from dousa.retrieval.forest.growth import Growth, StandingClips, grow_forest
-from dousa.retrieval.forest.leaves.examples import MOST_EXAMPLES, choose_examples
+from dousa.retrieval.forest.standing_leaves import MOST_EXAMPLES, choose_examples
 from lab.benchmarks.take_material import FEATURE_SET, read_or_make_clips
 
 NOISE = 0.1  # of the spread of each number between the clips

@@ -22,7 +22,7 @@ from dousa.experiments.takes import (
     run_takes_experiment,
 )
 from dousa.messages import Message
-from dousa.retrieval.takes.material.made_takes import join_clips, shuffle_into_takes
+from dousa.retrieval.takes.made_takes import join_clips, shuffle_into_takes
 
 CLIPS = make_library((0, 1, 2), 3)
 

@@ -13,7 +13,7 @@ from dousa.formats.registry import write_motion
 from dousa.library import Library, TextResult
 from dousa.library.text import index as text_index
 from dousa.motion.synthetic.performers import draw_performer, make_motion
-from dousa.retrieval.words import vectors
+from dousa.retrieval.words import vocabulary as vectors
 from library.database_server import run_sql
 
 NAMES = {

@@ -10,7 +10,7 @@ from oracles.standing import standing
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.retrieval.features.posed_motion import LabelledClip
 from dousa.retrieval.takes.labeller_training import train_labeller
-from dousa.retrieval.takes.material.made_takes import join_clips
+from dousa.retrieval.takes.made_takes import join_clips
 
 ACTIONS = ("bow", "kick", "raise left", "raise right", "spread", "wave")
 RATE = 30.0

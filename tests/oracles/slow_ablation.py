@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dousa.retrieval.features.integral import integrate
+from dousa.retrieval.features.feature_sets import integrate
 from dousa.retrieval.forest.trees import evaluate_test, read_test
 
 

@@ -14,8 +14,7 @@ from oracles.slow_channels import find_lateral_axis
 from dousa.arrays import BoolArray, FloatArray
 from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.retrieval.features.channels import CHANNEL_RATE, sample_positions
-from dousa.retrieval.features.partial_bodies import place_pelvis
-from dousa.retrieval.features.posed_motion import PosedMotion
+from dousa.retrieval.features.posed_motion import PosedMotion, place_pelvis
 from dousa.retrieval.words.relations import Relation
 
 _SMOOTHED = 5  # frames of the moving average: the joints of a Kinect jump

@@ -1,6 +1,6 @@
 """Tallies of repetitions with NumPy's own quantiles and fits, each curve by itself.
 
-It says what ``dousa.retrieval.counting.tallies`` computes with less ado; swings are counted there.
+It says what ``dousa.retrieval.counting.counter`` computes with less ado; swings are counted there.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ import numpy as np
 from dousa.arrays import BoolArray, FloatArray
 from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.motion.resampling import smooth_gaussian
-from dousa.retrieval.counting.tallies import TALLIES, count_swings
-from dousa.retrieval.features.partial_bodies import FRAME_JOINTS, complete_positions
+from dousa.retrieval.counting.counter import TALLIES, count_swings
 from dousa.retrieval.features.pose_features import turn_to_body
+from dousa.retrieval.features.posed_motion import FRAME_JOINTS, complete_positions
 
 RATE = 30.0
 _JOINTS = "head left_elbow left_hand right_elbow right_hand left_knee left_ankle right_knee right_ankle".split()

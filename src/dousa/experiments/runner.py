@@ -279,7 +279,7 @@ def describe_copies(clips: Sequence[LabelledClip], features: FeatureSet, random_
     None of no clips, and none for features without banks: the paper knows no copies.
     """
     from dousa.retrieval.forest.calibration import Copies
-    from dousa.retrieval.takes.material.disturbances import disturb_motion
+    from dousa.retrieval.takes.made_takes import disturb_motion
 
     some = clips if features.has_banks else ()
     described = [

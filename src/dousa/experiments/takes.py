@@ -44,7 +44,7 @@ from dousa.retrieval.forest.stretches import StretchJudge
 from dousa.retrieval.takes.find import Found, describe_query, find_in_takes, overlap
 from dousa.retrieval.takes.label import Segment, TakeLabeller, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
-from dousa.retrieval.takes.material.made_takes import JoinedTake, join_clips, join_series, shuffle_into_takes
+from dousa.retrieval.takes.made_takes import JoinedTake, join_clips, join_series, shuffle_into_takes
 from dousa.retrieval.takes.windows import TAKE_RATE, TakeWindows, WindowGrid, choose_grid, describe_take
 
 OURS, NEVER_UNKNOWN = "discriminants of moments, best sequence", "the same, all said"

@@ -23,8 +23,7 @@ from dousa.library.seals.checksums import BLOCK_FRAMES, seal_positions, seal_row
 from dousa.library.selection import fetch_in, portions
 from dousa.motion import CANONICAL_JOINTS
 from dousa.motion.canonical.joints import JOINT_INDEX, CanonicalPoses, find_absent
-from dousa.retrieval.features.partial_bodies import hide_joints, order_joints
-from dousa.retrieval.features.posed_motion import SLOWEST_RATE
+from dousa.retrieval.features.posed_motion import SLOWEST_RATE, hide_joints, order_joints
 from dousa.workers.current import current_cluster
 from dousa.workers.threads import map_together
 
@@ -70,7 +69,7 @@ class Description:
     ----------
     feature_set : name of the features.
     features : (frames, columns) of this set, of float32 precision: a query meets its own clip to the last bit.
-    poses : its pose sequence, see ``dousa.retrieval.features.pose_sequences``.
+    poses : its pose sequence, see ``dousa.retrieval.ranking.ranking``.
     """
 
     feature_set: str
@@ -103,8 +102,8 @@ def describe_clip(motion: StoredMotion, feature_set: str) -> Description:
 
 def _describe_clips(motions: Sequence[StoredMotion], feature_set: str) -> list[Description]:
     from dousa.retrieval.features.feature_sets import FEATURE_SETS
-    from dousa.retrieval.features.pose_sequences import compute_with_poses
     from dousa.retrieval.features.sensor_noise import reduce_noise_of_all
+    from dousa.retrieval.ranking.ranking import compute_with_poses
 
     wanted = find_feature_set(feature_set)
     seen = [hide_joints(motion, wanted.hidden) for motion in motions]
@@ -456,7 +455,7 @@ def load_poses(connection: sa.Connection, ids: Sequence[int], feature_set: str) 
     ------
     LibraryDamagedError : arrays that are of another length, or not finite.
     """
-    from dousa.retrieval.features.pose_sequences import POSE_CELLS, POSE_COLUMNS
+    from dousa.retrieval.ranking.ranking import POSE_CELLS, POSE_COLUMNS
 
     table = schema.clip_poses.c
     found = {}

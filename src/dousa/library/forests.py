@@ -319,10 +319,10 @@ def describe_copies(
 
     None for features without banks: the paper knows no copies.
     """
-    from dousa.retrieval.features.partial_bodies import hide_joints
+    from dousa.retrieval.features.posed_motion import hide_joints
     from dousa.retrieval.features.sensor_noise import reduce_noise_of_all
     from dousa.retrieval.forest.calibration import Copies
-    from dousa.retrieval.takes.material.disturbances import disturb_motion
+    from dousa.retrieval.takes.made_takes import disturb_motion
 
     rows = choose_held_back(clips, labelled)
     some = bool(rows) and kind.has_banks

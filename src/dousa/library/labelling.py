@@ -23,7 +23,7 @@ from dousa.library.selection import fetch_in
 from dousa.library.takes.takes import Takes, check_single
 from dousa.messages import Message
 from dousa.motion.canonical.joints import find_absent
-from dousa.retrieval.features.partial_bodies import hide_joints
+from dousa.retrieval.features.posed_motion import hide_joints
 
 if TYPE_CHECKING:
     from dousa.retrieval import LabelledClip
@@ -184,7 +184,7 @@ class Labellers:
     def _teach(
         self, connection: sa.Connection, base: TakeLabeller, labels: tuple[tuple[int, str], ...]
     ) -> TakeLabeller:
-        from dousa.retrieval.takes.teaching import Example, teach_labeller
+        from dousa.retrieval.takes.labeller_training import Example, teach_labeller
 
         new = [number for number, _ in labels if number not in self._examples]
         self._examples.update(zip(new, load_motions(connection, new), strict=True))

@@ -50,7 +50,7 @@ from dousa.library.text.store import keep_all_relations, keep_relations_of
 from dousa.messages import Message
 from dousa.retrieval import MotionForest
 from dousa.retrieval.features.feature_sets import FeatureSet
-from dousa.retrieval.features.partial_bodies import is_comparable
+from dousa.retrieval.features.posed_motion import is_comparable
 from dousa.retrieval.forest.likeness import LikenessLearner
 from dousa.retrieval.takes.label import TakeLabeller
 

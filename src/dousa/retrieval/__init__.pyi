@@ -5,10 +5,12 @@ from .features.feature_sets import (
     FEATURE_SETS,
     FeatureSet,
     FeatureTrack,
+    compute_interval_means,
     compute_track,
     get_feature_set,
+    integrate,
+    list_tests,
 )
-from .features.integral import compute_interval_means, integrate, list_tests
 from .features.pose_features import (
     FEATURE_NAMES,
     FEATURES,
@@ -16,7 +18,6 @@ from .features.pose_features import (
     compute_clip_features,
     compute_pose_features,
 )
-from .features.pose_sequences import compute_pose_sequence, compute_window_poses
 from .features.posed_motion import LabelledClip
 from .features.sensor_noise import reduce_noise
 from .forest.calibration import Assessor, Calibration, Verdicts, guess_performers, learn_calibration
@@ -28,6 +29,8 @@ from .ranking.ranking import (
     RankedClips,
     Ranking,
     RankingQuery,
+    compute_pose_sequence,
+    compute_window_poses,
     rank_by_fusion,
     rank_by_histogram,
     rank_by_leaves,

@@ -13,15 +13,20 @@ from oracles.standing import standing
 
 from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.retrieval.counting.counter import (
+    COUNTED,
+    TALLIES,
     choose_count,
+    correlate,
     count_repetitions,
+    count_swings,
     describe_counts,
     find_usual,
     list_counts,
+    measure_parts,
+    measure_tallies,
     name_evidence,
     use_weights,
 )
-from dousa.retrieval.counting.tallies import COUNTED, TALLIES, correlate, count_swings, measure_parts, measure_tallies
 from dousa.retrieval.counting.tally_kernels import read_quantile
 
 HEIGHT = 1.7

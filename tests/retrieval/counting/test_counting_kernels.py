@@ -8,10 +8,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from oracles.short_actions import ACTIONS, make_clip
 
-from dousa.retrieval.counting.axis_kernels import find_axes
-from dousa.retrieval.counting.counter import choose_count, describe_counts, find_usual, list_counts, use_weights
-from dousa.retrieval.counting.tallies import COUNTED, TALLIES, measure_tallies
-from dousa.retrieval.counting.tally_kernels import find_period, fold, sort_into, square
+from dousa.retrieval.counting.counter import (
+    COUNTED,
+    TALLIES,
+    choose_count,
+    describe_counts,
+    find_usual,
+    list_counts,
+    measure_tallies,
+    use_weights,
+)
+from dousa.retrieval.counting.tally_kernels import find_axes, find_period, fold, sort_into, square
 
 
 def find_directions(matrix: np.ndarray, count: int) -> np.ndarray:

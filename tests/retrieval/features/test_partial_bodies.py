@@ -11,7 +11,7 @@ from dousa.motion.canonical.joints import find_absent
 from dousa.motion.synthetic import draw_performer, make_motion
 from dousa.retrieval import FEATURE_SETS, compute_track, compute_window_poses, get_feature_set
 from dousa.retrieval.features.channels import CHANNELS
-from dousa.retrieval.features.partial_bodies import (
+from dousa.retrieval.features.posed_motion import (
     complete_positions,
     hide_joints,
     is_comparable,

@@ -10,7 +10,7 @@ from oracles.standing import standing
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.retrieval import FEATURE_SETS, MotionForest, compute_track, get_feature_set, reduce_noise
 from dousa.retrieval.features.channels import CHANNELS, compute_channels
-from dousa.retrieval.features.pose_sequences import compute_window_poses
+from dousa.retrieval.ranking.ranking import compute_window_poses
 
 EXTENDED, PAPER = FEATURE_SETS["extended"], FEATURE_SETS["paper"]
 

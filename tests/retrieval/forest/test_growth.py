@@ -15,9 +15,8 @@ from oracles import plain_novelty as slow
 
 from dousa.errors import InvalidMotionError, NotTrainedError, TrainingError
 from dousa.retrieval import FEATURE_SETS, MotionForest, integrate
-from dousa.retrieval.forest import growth
+from dousa.retrieval.forest import growth, standing_leaves, subtrees
 from dousa.retrieval.forest.growth import StandingClips, grow_forest
-from dousa.retrieval.forest.leaves import points, subtrees
 from dousa.retrieval.forest.trees import evaluate_test, prepare_leaves, read_test
 
 
@@ -109,7 +108,7 @@ def test_a_leaf_of_copies_alone_is_one_when_points_have_come_and_gone(by_an_olde
 
 
 def mix_keys(count):
-    return points.mix(np.arange(count, dtype=np.uint64), np.ones(1, np.uint64))
+    return standing_leaves.mix(np.arange(count, dtype=np.uint64), np.ones(1, np.uint64))
 
 
 def decisions_of(forest, features):
@@ -290,7 +289,7 @@ def list_pairs_slowly(own, keys, later, usual):
     for category in set(own[later].tolist()):
         inside = np.flatnonzero(own == category)
         pairs = [frozenset(pair) for pair in itertools.combinations(inside.tolist(), 2) if later[list(pair)].any()]
-        drawn = {pair: points.mix(*np.sort(keys[list(pair)])[:, None])[0] for pair in pairs}
+        drawn = {pair: standing_leaves.mix(*np.sort(keys[list(pair)])[:, None])[0] for pair in pairs}
         chosen |= set(sorted(pairs, key=drawn.__getitem__)[: max(usual - len(inside), 0)])
     return chosen
 
@@ -307,8 +306,8 @@ def test_pairs_are_drawn_among_all_that_have_a_later_clip(own, n_later, usual, f
     later = np.arange(len(own)) >= len(own) - n_later
     slow = list_pairs_slowly(own, keys, later, min(usual, filled))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(points, "MOST_FILLED", filled)
-        pairs = points.choose_pairs(own, keys, later, usual)
+        patch.setattr(standing_leaves, "MOST_FILLED", filled)
+        pairs = standing_leaves.choose_pairs(own, keys, later, usual)
     found = [frozenset(pair) for pair in zip(pairs.first.tolist(), pairs.second.tolist(), strict=True)]
     assert len(set(found)) == len(found)
     assert set(found) == slow
@@ -317,13 +316,13 @@ def test_pairs_are_drawn_among_all_that_have_a_later_clip(own, n_later, usual, f
 @pytest.mark.parametrize("sizes", [(20_000, 20_000), (20_000, 20_000, 5_000), (20_000, 20_000, 100)])
 def test_one_clip_more_of_a_large_category_lists_no_pairs(sizes):
     own = np.append(np.repeat(np.arange(len(sizes)), sizes), len(sizes) - 1).astype(np.int32)
-    keys = points.mix(np.arange(len(own), dtype=np.uint64), np.zeros(1, np.uint64))
+    keys = standing_leaves.mix(np.arange(len(own), dtype=np.uint64), np.zeros(1, np.uint64))
     later = np.arange(len(own)) == len(own) - 1
     tracemalloc.start()
-    pairs = points.choose_pairs(own, keys, later, 20_000)
+    pairs = standing_leaves.choose_pairs(own, keys, later, 20_000)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    missing = points.MOST_FILLED - sizes[-1] - 1
+    missing = standing_leaves.MOST_FILLED - sizes[-1] - 1
     assert len(pairs.first) == (min(missing, sizes[-1]) if missing > 0 else 0)
     assert peak < 60_000_000
 

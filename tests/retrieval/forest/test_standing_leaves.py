@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dousa.retrieval.forest.leaves.standing_leaves import LeafCodes, StandingLeaves
+from dousa.retrieval.forest.standing_leaves import LeafCodes, StandingLeaves
 
 N_TREES, N_EACH = 3, 5  # leaves of each tree
 

@@ -10,9 +10,8 @@ from dousa.motion.synthetic import CATEGORIES, draw_performer, make_motion
 from dousa.motion.synthetic.gestures import make_gesture
 from dousa.retrieval import FEATURE_SETS, MotionForest
 from dousa.retrieval.forest.calibration import Assessor, learn_calibration
-from dousa.retrieval.forest.evidence import EVIDENCE
+from dousa.retrieval.forest.evidence import EVIDENCE, describe_strangers
 from dousa.retrieval.forest.pose_space import fit_pose_space
-from dousa.retrieval.forest.strangers import describe_strangers
 
 KIND = FEATURE_SETS["extended"]
 

@@ -12,13 +12,14 @@ from dousa.errors import InvalidMotionError, OptionError
 from dousa.motion import canonicalise, compute_trajectories
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 from dousa.retrieval.features.feature_sets import FEATURE_SETS, compute_track
-from dousa.retrieval.features.pose_sequences import (
+from dousa.retrieval.ranking.ranking import (
     POSE_CELLS,
     POSE_COLUMNS,
     compute_pose_sequence,
     compute_window_poses,
+    rank_by_pose,
+    warp_distances,
 )
-from dousa.retrieval.ranking.ranking import rank_by_pose, warp_distances
 
 
 def measure(query, others, reach):

@@ -8,9 +8,8 @@ import pytest
 from dousa.motion import canonicalise
 from dousa.motion.canonical.joints import CANONICAL_PARENTS
 from dousa.motion.synthetic.gestures import make_gesture
-from dousa.retrieval.takes.material import disturbances
-from dousa.retrieval.takes.material.disturbances import move_differently
-from dousa.retrieval.takes.material.made_takes import mirror_positions
+from dousa.retrieval.takes import made_takes as disturbances
+from dousa.retrieval.takes.made_takes import mirror_positions, move_differently
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,8 @@ from dousa.errors import InvalidMotionError, OptionError
 from dousa.retrieval import FEATURE_SETS, MotionForest
 from dousa.retrieval.takes import find
 from dousa.retrieval.takes.find import describe_query, find_in_takes, judge_place, overlap
-from dousa.retrieval.takes.material.made_takes import JoinedTake, join_clips
-from dousa.retrieval.takes.window_kernels import compare_poses
+from dousa.retrieval.takes.made_takes import JoinedTake, join_clips
+from dousa.retrieval.takes.moment_kernels import compare_poses
 from dousa.retrieval.takes.windows import TakeWindows, WindowGrid, describe_take
 
 SET = FEATURE_SETS["extended"]

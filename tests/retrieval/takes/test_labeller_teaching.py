@@ -10,8 +10,8 @@ import pytest
 from dousa.errors import InvalidMotionError
 from dousa.motion.synthetic.performers import make_library
 from dousa.retrieval import LabelledClip, label_take, train_labeller
-from dousa.retrieval.takes.material.made_takes import join_clips
-from dousa.retrieval.takes.teaching import Example, teach_labeller
+from dousa.retrieval.takes.labeller_training import Example, teach_labeller
+from dousa.retrieval.takes.made_takes import join_clips
 
 KNOWN = ("squat", "wave_right", "walk", "jump")
 STRANGE = "lunge"

@@ -30,8 +30,7 @@ from dousa.retrieval.takes.label import (
 )
 from dousa.retrieval.takes.labeller_training import train_labeller
 from dousa.retrieval.takes.labeller_tuning import Answer, calibrate_places, fit_logistic
-from dousa.retrieval.takes.material.disturbances import disturb, disturb_motion
-from dousa.retrieval.takes.material.made_takes import JoinedTake, join_clips, join_with_rests
+from dousa.retrieval.takes.made_takes import JoinedTake, disturb, disturb_motion, join_clips, join_with_rests
 
 
 def true_segments():

@@ -11,7 +11,7 @@ from oracles.short_actions import ACTIONS, make_clip, make_library
 from dousa.experiments.annotated.trial import learn_clip_judge
 from dousa.retrieval.takes.label import label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
-from dousa.retrieval.takes.material.made_takes import join_clips, mirror_positions
+from dousa.retrieval.takes.made_takes import join_clips, mirror_positions
 from dousa.retrieval.takes.repetitions import Chosen, lay_mirrored
 
 SHOWN = ("bow", "kick", "spread", "wave")

@@ -9,17 +9,18 @@ import pytest
 from oracles.short_actions import ACTIONS, make_clip
 from oracles.slow_sequence import best_value, value_of
 
-from dousa.retrieval.takes.material.made_takes import join_clips, mirror_positions
+from dousa.retrieval.takes.made_takes import join_clips, mirror_positions
 from dousa.retrieval.takes.moment_kernels import find_best_sequence
 from dousa.retrieval.takes.moment_model import (
     MomentModel,
     MomentSums,
     choose_scale,
+    describe_moments,
+    mirror_moments,
     sharpen,
     solve_positive,
     sum_moments,
 )
-from dousa.retrieval.takes.moments import describe_moments, mirror_moments
 from dousa.retrieval.takes.sequence import Run, SequenceModel, SequenceWeights, fit_lengths, join_phases
 
 

@@ -10,11 +10,10 @@ import pytest
 from oracles.short_actions import make_clip
 
 from dousa.errors import InvalidMotionError
-from dousa.retrieval.counting.counter import find_usual
-from dousa.retrieval.counting.tallies import TALLIES, measure_tallies
+from dousa.retrieval.counting.counter import TALLIES, find_usual, measure_tallies
 from dousa.retrieval.takes.label import TakeLabeller, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
-from dousa.retrieval.takes.material.made_takes import Piece, join_clips, join_series
+from dousa.retrieval.takes.made_takes import Piece, join_clips, join_series
 from dousa.retrieval.takes.repetitions import Chosen, count_all, count_clip
 
 HEIGHT = 1.7

@@ -19,7 +19,7 @@ from dousa.retrieval.forest.stretches import StretchOpinions, cut_stretch
 from dousa.retrieval.takes.label import combine_chances, label_take, make_timeline, weigh_chosen
 from dousa.retrieval.takes.labeller_training import train_labeller
 from dousa.retrieval.takes.live import LiveLabeller
-from dousa.retrieval.takes.material.made_takes import join_clips
+from dousa.retrieval.takes.made_takes import join_clips
 from dousa.retrieval.takes.repetitions import Chosen
 
 STRANGE = ("bow", "kick")

@@ -14,8 +14,8 @@ from oracles.slow_takes import parts_of, pose_distance
 
 from dousa.errors import DousaError, InvalidMotionError, OptionError
 from dousa.retrieval import FEATURE_SETS, MotionForest, compute_track, reduce_noise
-from dousa.retrieval.takes import window_kernels as kernels
-from dousa.retrieval.takes.material.made_takes import join_clips
+from dousa.retrieval.takes import moment_kernels as kernels
+from dousa.retrieval.takes.made_takes import join_clips
 from dousa.retrieval.takes.windows import TakeWindows, WindowGrid, choose_grid, describe_take, place_windows
 
 SET = FEATURE_SETS["extended"]

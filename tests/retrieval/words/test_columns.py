@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dousa.retrieval.words.columns import MotionWords, WordColumns
-from dousa.retrieval.words.matching import KnownWords, Matcher, make_unit, read_query
-from dousa.retrieval.words.reading import read_words
-from dousa.retrieval.words.vocabulary import load_vocabulary
+from dousa.retrieval.words.matching import KnownWords, Matcher, MotionWords, WordColumns, make_unit, read_query
+from dousa.retrieval.words.vocabulary import load_vocabulary, read_words
 
 CATEGORIES = ("kick_left", "wave_right", "walk", "", "sit down", "クロール", "throw/overhead", "a07")
 NAMES = ("performer01_3", "kickHighL", "hdm_bd_clap5Reps", "take_000123", "left hand wave", "蹴り_右", "x")

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from dousa.retrieval.words.reading import read_words, split_name
-from dousa.retrieval.words.vocabulary import inflect, load_vocabulary, stem
+from dousa.retrieval.words.vocabulary import inflect, load_vocabulary, read_words, split_name, stem
 
 TABLE = load_vocabulary()
 

@@ -163,7 +163,7 @@ def test_every_relation_has_words_that_the_table_understands():
     import re
 
     from dousa.retrieval.words import relations
-    from dousa.retrieval.words.reading import read_words
+    from dousa.retrieval.words.vocabulary import read_words
 
     source = inspect.getsource(relations)
     for language in LANGUAGES:

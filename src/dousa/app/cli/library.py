@@ -221,7 +221,7 @@ def train(context: typer.Context, library: LibraryPath, *, request: TrainRequest
         shares = {"known": calibration.false_alarms, "others": 1 - calibration.misses}
         say(Message("library_cli.calibrated", **shares))
     if report.hidden:
-        from dousa.retrieval.features.partial_bodies import name_parts
+        from dousa.retrieval.features.posed_motion import name_parts
 
         say(Message("library_cli.hidden", parts=name_parts(report.hidden)))
     if report.n_partial:

@@ -80,7 +80,7 @@ def write_take(clips: Sequence[LabelledClip], known: Sequence[str], path: Path, 
     from dousa.experiments.metrics import TrueSegment
     from dousa.formats.registry import write_motion
     from dousa.motion import CANONICAL_JOINTS, CANONICAL_PARENTS, Trajectories, fit_motion
-    from dousa.retrieval.takes.material.made_takes import join_clips
+    from dousa.retrieval.takes.made_takes import join_clips
 
     joined = join_clips(clips, np.random.default_rng(seed))
     parents = np.array(CANONICAL_PARENTS)

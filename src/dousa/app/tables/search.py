@@ -77,7 +77,7 @@ def print_search(out: Console, answer: SearchResult) -> None:
         warn(Message("answers.no_clip_found"))
         return
     side = () if answer.mirrored is None else ("columns.side",)
-    from dousa.retrieval.features.partial_bodies import name_parts
+    from dousa.retrieval.features.posed_motion import name_parts
 
     differ = len({hit.hidden for hit in answer.results}) > 1
     table = make_table(

@@ -19,8 +19,7 @@ from dousa.library import schema
 from dousa.library.forests import StoredForest, TreeAnswers
 from dousa.library.schema import pack
 from dousa.library.seals.checksums import EXAMPLES, seal_rows
-from dousa.retrieval.forest.leaves.examples import MOST_EXAMPLES, choose_examples
-from dousa.retrieval.forest.leaves.standing_leaves import StandingLeaves
+from dousa.retrieval.forest.standing_leaves import MOST_EXAMPLES, StandingLeaves, choose_examples
 
 _AT_ONCE = 16_384  # clips
 

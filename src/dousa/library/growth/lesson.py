@@ -28,7 +28,7 @@ from dousa.retrieval.forest.calibration import Assessor
 
 if TYPE_CHECKING:
     from dousa.retrieval.forest.growth import Growth
-    from dousa.retrieval.forest.leaves.standing_leaves import StandingLeaves
+    from dousa.retrieval.forest.standing_leaves import StandingLeaves
 
 Stamp = tuple[int, int, int, tuple[int, ...]]
 """Of what a forest learns from: its ``revision`` and ``learned``, the ``clips_revision`` of the library, and the clips
@@ -223,7 +223,7 @@ def _grow(
 
 
 def _gather_clips(rows: StandingRows) -> _Clips:
-    from dousa.retrieval.forest.leaves.standing_leaves import LeafCodes, StandingLeaves
+    from dousa.retrieval.forest.standing_leaves import LeafCodes, StandingLeaves
 
     parts = list(zip(rows.parts, rows.alive, strict=True))
     ids = np.concatenate([part.ids[alive] for part, alive in parts])

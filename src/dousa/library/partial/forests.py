@@ -26,7 +26,7 @@ from dousa.library.schema import pack, stack
 from dousa.library.seals.checksums import PART_FORESTS, seal_rows
 from dousa.library.search import PartProgress
 from dousa.messages import Message
-from dousa.retrieval.features.partial_bodies import is_comparable, name_parts
+from dousa.retrieval.features.posed_motion import is_comparable, name_parts
 
 if TYPE_CHECKING:
     from dousa.retrieval.features.feature_sets import FeatureSet
@@ -152,8 +152,8 @@ class PartForests:
     ) -> tuple[StoredForest | None, Answers]:
         """The forest and its answers as the library keeps them, if all that it has learned from is as it was."""
         from dousa.retrieval import MotionForest
-        from dousa.retrieval.features.pose_sequences import POSE_CELLS, POSE_COLUMNS
         from dousa.retrieval.forest.calibration import Assessor, Calibration
+        from dousa.retrieval.ranking.ranking import POSE_CELLS, POSE_COLUMNS
 
         table = schema.part_forests.c
         row = connection.execute(sa.select(schema.part_forests).where(table.feature_set == kind.name)).one_or_none()

@@ -33,7 +33,7 @@ from dousa.library.search import (
     judge,
 )
 from dousa.messages import Message
-from dousa.retrieval.features.partial_bodies import count_placed, is_comparable
+from dousa.retrieval.features.posed_motion import count_placed, is_comparable
 
 if TYPE_CHECKING:
     from dousa.arrays import FloatArray

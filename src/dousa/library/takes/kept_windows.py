@@ -16,7 +16,7 @@ from dousa.library.engine import Database, choose_jobs
 from dousa.library.features import StoredMotion, find_feature_set, lacks, load_motions
 from dousa.library.forests import StoredForest
 from dousa.messages import Message
-from dousa.retrieval.features.partial_bodies import hide_joints
+from dousa.retrieval.features.posed_motion import hide_joints
 
 if TYPE_CHECKING:
     from dousa.retrieval.takes.windows import TakeWindows, WindowGrid

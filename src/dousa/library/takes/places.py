@@ -17,7 +17,7 @@ from dousa.library.forests import StoredForest, ask_trees
 from dousa.library.results import MIRROR_SCORE, Place
 from dousa.library.takes.reading import ReadTake
 from dousa.library.text.meanings import find_meanings
-from dousa.retrieval.features.partial_bodies import count_placed, hide_joints
+from dousa.retrieval.features.posed_motion import count_placed, hide_joints
 from dousa.retrieval.forest.likeness import merge_votes
 
 if TYPE_CHECKING:

@@ -22,23 +22,22 @@ from dousa.library.selection import fetch_in
 from dousa.library.text.answers import TextHit, TextMatches, TextResult
 from dousa.library.text.store import load_relations
 from dousa.messages.tables import LANGUAGES
-from dousa.retrieval.words.columns import MotionWords, WordColumns
 from dousa.retrieval.words.matching import (
     LEAST_OF_BEST,
     LEAST_SCORE,
     Fit,
     KnownWords,
     Matcher,
+    MotionWords,
     Unit,
+    WordColumns,
     find_negation,
     make_unit,
     read_query,
     split_alternatives,
 )
-from dousa.retrieval.words.reading import read_words
 from dousa.retrieval.words.relations import RELATIONS_VERSION, Relation
-from dousa.retrieval.words.vectors import load_replacement
-from dousa.retrieval.words.vocabulary import Vocabulary, load_vocabulary, normalise
+from dousa.retrieval.words.vocabulary import Vocabulary, load_replacement, load_vocabulary, normalise, read_words
 
 _LONGEST = 500  # characters of a query
 _TIME = re.compile(r"#t=[0-9.]+,[0-9.]+(&id=[0-9]+)?$")  # of a segment, after the path of its take

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from dousa.retrieval.words.reading import read_words
-from dousa.retrieval.words.vocabulary import load_vocabulary
+from dousa.retrieval.words.vocabulary import load_vocabulary, read_words
 
 _KINDS = ("action", "side", "direction")
 

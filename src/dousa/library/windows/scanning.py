@@ -21,7 +21,7 @@ from dousa.library.windows.portions import Portion, PortionGoneError
 from dousa.library.windows.sketches import N_MARKS, cost_marks
 from dousa.motion.runs import find_runs
 from dousa.retrieval.takes.find import POSE_WEIGHT, WINDOW_NUMBERS, CutStretch, Stretch, TakeSearch, cost_windows
-from dousa.retrieval.takes.window_kernels import compare_leaves
+from dousa.retrieval.takes.moment_kernels import compare_leaves
 
 MOST_KEPT = 16_384
 """Windows whose leaves are read, those with the cheapest sketches, or twice as many as are compared."""

@@ -17,9 +17,173 @@ from importlib.resources import files
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.arrays import BoolArray, FloatArray, IntArray
+from dousa.arrays import BoolArray, FloatArray, IntArray, read_only
+from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX, MIRRORED_JOINTS
+from dousa.retrieval.counting import counting_kernels as counting
+from dousa.retrieval.counting import tally_kernels as kernels
 from dousa.retrieval.counting.counting_kernels import choose
-from dousa.retrieval.counting.tallies import COUNTED, TALLIES, measure_tallies
+from dousa.retrieval.features.pose_features import HIPS, SHOULDERS
+
+COUNTED = (
+    *("out", "back", "out_small", "back_small", "second_out", "crossings"),
+    *("turns", "small_turns", "quick_out", "quick_crossings"),
+    *("bursts", "bouts", "away", "away_crossings", "periods"),
+    *("light_crossings", "light_turns", "light_quick_crossings", "light_bursts", "light_periods"),
+    *("even_out", "even_crossings", "even_turns", "even_quick_crossings", "even_periods"),
+)
+"""Tallies that are counts themselves."""
+
+AMOUNTS = ("duration", "way", "moving")
+"""Tallies that only add up: s, body heights, s."""
+
+TALLIES = (*COUNTED, *AMOUNTS)
+
+_JOINTS = "head left_elbow left_hand right_elbow right_hand left_knee left_ankle right_knee right_ankle".split()
+_INDEX = np.array([JOINT_INDEX[joint] for joint in _JOINTS])
+_OTHERS = np.array([_JOINTS.index(CANONICAL_JOINTS[MIRRORED_JOINTS[joint]]) for joint in _INDEX])
+_N_EVEN = 3 * len(_JOINTS) - sum(
+    3 if other < k else other == k for k, other in enumerate(_OTHERS)
+)  # curves of both sides
+_SMOOTHING = 3.0  # frames, standard deviation: a sensor's noise is quicker than people
+_LIGHT = 1.5  # frames: hands that clap or wave are as quick as noise
+
+
+def _list_weights(deviation: float) -> FloatArray:
+    weights: FloatArray = np.exp(-0.5 * (np.arange(int(4.0 * deviation + 0.5) + 1) / deviation) ** 2)
+    weights /= 2.0 * weights.sum() - weights[0]
+    return weights
+
+
+_WEIGHTS = _list_weights(_SMOOTHING), _list_weights(_LIGHT)
+_PERIODS = [TALLIES.index(name) for name in ("periods", "light_periods", "even_periods")]
+
+
+def measure_tallies(sampled: FloatArray, height: float) -> FloatArray:
+    """What each tally of a part of a recording comes to.
+
+    Parameters
+    ----------
+    sampled : (n, 20, 3) m, canonical joints at 30 Hz.
+    height : m.
+
+    Returns
+    -------
+    (28,) in the order of ``TALLIES``; 0 where nothing moves.
+    """
+    from dousa.retrieval.features.posed_motion import FRAME_JOINTS, complete_positions
+
+    points = complete_positions(sampled, height, (), {*_JOINTS, *FRAME_JOINTS})
+    if len(points) < 2:
+        return np.zeros(len(TALLIES))
+    found, (first, last), (frames, speeds) = _tally_one(points, height)
+    if last > 0:  # a part of it, short enough for all to be told
+        return found
+    if last < 0 and _is_repeated(_read_velocities(frames[0], len(points))[:, first:-last]):
+        points = points[first:-last]
+        found, _, (frames, speeds) = _tally_one(points, height, whole=True)
+    for place, course, speed in zip(_PERIODS, frames, speeds.reshape(3, -1), strict=True):
+        if np.isnan(found[place]):
+            found[place] = _count_periods(_read_velocities(course, len(points)), speed)
+    return found
+
+
+def _read_velocities(course: FloatArray, n_frames: int) -> FloatArray:
+    velocities: FloatArray = course.reshape(3, -1, n_frames)[1]
+    return velocities
+
+
+_Courses = tuple[tuple[FloatArray, FloatArray, FloatArray], FloatArray]
+
+
+def _tally_one(points: FloatArray, height: float, *, whole: bool = False) -> tuple[FloatArray, list[int], _Courses]:
+    """The tallies (28,), the frames of what alone was tallied, or may be, and the courses and the speeds."""
+    tallies, core = np.zeros((1, len(TALLIES))), np.zeros(2, np.int64)
+    courses = _tally(points, np.array([[0, len(points)]]), height, len(points), tallies, core, whole=whole)
+    return tallies[0], core.tolist(), courses
+
+
+def _tally(
+    points: FloatArray,
+    spans: IntArray,
+    height: float,
+    most: int,
+    tallies: FloatArray,
+    core: IntArray,
+    *,
+    whole: bool = False,
+) -> _Courses:
+    """Fill ``tallies`` (N, 28) of parts of at most so many frames; of the last one, the courses and the speeds."""
+    width = 3 * len(_JOINTS)
+    frames = np.empty(3 * width * most), np.empty(3 * width * most), np.empty(3 * _N_EVEN * most)
+    sizes = (width, width), (_N_EVEN, _N_EVEN), (6, width), (3, width), (3, _N_EVEN)
+    speeds = np.empty(3 * most)
+    counting.tally_all(
+        read_only(np.ascontiguousarray(points, np.float64)), spans, float(height), _WEIGHTS,
+        (HIPS, SHOULDERS, _INDEX, _OTHERS), np.empty(most * points[0].size), np.empty(2 * most), frames, speeds,
+        np.empty(counting.N_LINES * most), (np.empty(counting.CALM), np.empty((counting.CALM, width))),
+        tuple(np.empty(size) for size in sizes), np.empty((3, counting.SHORT + 1)), whole, core, tallies,
+    )  # fmt: skip
+    return frames, speeds
+
+
+def measure_parts(sampled: FloatArray, spans: IntArray, height: float) -> FloatArray:
+    """The same (N, 28) of parts of a recording, in less time than one by one.
+
+    Parameters
+    ----------
+    sampled : (n, 20, 3) m, canonical joints at 30 Hz, finite.
+    spans : (N, 2) the first frame of each part, and the one after its last.
+    height : m.
+    """
+    tallies, lengths, most = np.zeros((len(spans), len(TALLIES))), np.diff(spans, axis=1)[:, 0], counting.SHORT
+    short = np.flatnonzero((lengths >= 2) & (lengths <= most))
+    for number in np.setdiff1d(np.arange(len(spans)), short).tolist():
+        tallies[number] = measure_tallies(sampled[slice(*spans[number])], height)
+    found = tallies[short]
+    _tally(sampled, spans[short], height, most, found, np.zeros(2, np.int64))
+    tallies[short] = found
+    return tallies
+
+
+def _count_periods(velocities: FloatArray, speeds: FloatArray) -> float:
+    """How often the period fits into the moving part; 1 where there is none. ``velocities`` (K, n), ``speeds`` (n,)."""
+    moving = counting.MOVING * kernels.read_quantile(np.sort(speeds), 0.9)
+    places = np.flatnonzero(speeds > moving)
+    return _fit_periods(velocities[:, places[0] : places[-1] + 1], counting.ALIKE)
+
+
+def _is_repeated(velocities: FloatArray) -> bool:
+    return _fit_periods(velocities, counting.CORE_ALIKE) >= counting.ROUNDS
+
+
+def _fit_periods(velocities: FloatArray, alike: float) -> float:
+    period = kernels.find_period(correlate(velocities.T), counting.SHORTEST, alike, counting.NEARLY)
+    return velocities.shape[1] / float(period) if period else 1.0
+
+
+def correlate(velocities: FloatArray) -> FloatArray:
+    """(L,) how much velocities (n, K) resemble themselves 0, 1, 2 ... frames later, -1 to 1; L a share of n."""
+    n = len(velocities)
+    most = max(round(counting.LONGEST * n), 1)
+    curves, likeness = np.ascontiguousarray(velocities.T), np.zeros(most)
+    if n <= counting.SHORT:
+        kernels.correlate(curves, 0, n, likeness)
+    else:
+        size = 1 << (n + most - 1).bit_length()
+        spectrum = np.fft.rfft(curves, size)
+        likeness[:] = np.fft.irfft((spectrum * spectrum.conj()).real.sum(axis=0), size)[:most]
+    kernels.normalise(curves, 0, n, np.empty(n + 1), likeness)
+    return likeness
+
+
+def count_swings(curve: FloatArray, least: float) -> tuple[int, int]:
+    """How many tops, and how many bottoms, a curve (n,) has that differ by so much from those before and after.
+
+    The ends count: a curve that only rises has a bottom and a top.
+    """
+    tops, bottoms = kernels.count_swings(np.ascontiguousarray(curve, np.float64), 1.0, max(least, 1e-9))
+    return int(tops), int(bottoms)
+
 
 _LEAST = 0.5  # of a tally: what moves has moved
 _FARTHEST = 1.0  # of a log ratio: what is wrong is wrong

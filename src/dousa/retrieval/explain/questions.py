@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 from dousa.arrays import BoolArray, FloatArray, IntArray
 from dousa.errors import InvalidMotionError
 from dousa.retrieval.features.channels import Channel
-from dousa.retrieval.features.feature_sets import DURATION, FEATURE_SETS
-from dousa.retrieval.features.integral import MEAN, SPREAD, TREND
+from dousa.retrieval.features.feature_sets import DURATION, FEATURE_SETS, MEAN, SPREAD, TREND
 from dousa.retrieval.forest.forest import MotionForest
 from dousa.retrieval.forest.trees import KIND_NAMES, Trees
 

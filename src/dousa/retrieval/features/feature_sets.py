@@ -4,11 +4,11 @@
 is largest (eq. 7).
 
 ``extended``: means, spreads (standard deviations) and trends (the change along the fitted line) of the channels of
-``channels`` over intervals of a clip that is cut into 10 cells of equal movement (see ``tracks``), and the clip's
+``channels`` over intervals of a clip that is cut into 10 cells of equal movement (``compute_track``), and the clip's
 duration; split at random thresholds. All three kinds come from integral features: of the values, of their squares, and
 of the values times the time.
 
-A set may leave out some joints, which a part of a body does not have (see ``partial_bodies``): then the values of the
+A set may leave out some joints, which a part of a body does not have (see ``posed_motion``): then the values of the
 channels that need them are 0, and nothing is asked about them. Its name says so: ``extended without left_hand``.
 """
 
@@ -22,7 +22,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dousa.arrays import BoolArray, FloatArray, IntArray
+from dousa.arrays import BoolArray, FloatArray, IndexArray, IntArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.retrieval.features.channel_kernels import find_edges, read_cells
 from dousa.retrieval.features.channels import (
@@ -36,11 +36,110 @@ from dousa.retrieval.features.channels import (
     integrate_channels,
     sample_positions,
 )
-from dousa.retrieval.features.integral import MEAN, SPREAD, TREND, list_interval_tests
-from dousa.retrieval.features.partial_bodies import FRAME_JOINTS, complete_positions, order_joints
 from dousa.retrieval.features.pose_features import FEATURES, Feature, compute_clip_features, compute_pose_features
-from dousa.retrieval.features.posed_motion import PosedMotion, check_shape
+from dousa.retrieval.features.posed_motion import (
+    FRAME_JOINTS,
+    PosedMotion,
+    check_shape,
+    complete_positions,
+    order_joints,
+)
 from dousa.retrieval.features.sensor_noise import reduce_noise
+
+MEAN, SPREAD, TREND = 0, 1, 2
+"""Kinds of tests: the mean of a column over an interval, its standard deviation, its change along the fitted line."""
+
+
+def integrate(features: ArrayLike) -> FloatArray:
+    """Running sums of pose features, from which every mean over an interval is one subtraction.
+
+    Parameters
+    ----------
+    features : (N, T, F) pose features of N clips, thinned to T frames.
+
+    Returns
+    -------
+    (N, F, T + 1) with ``g[..., 0] = 0`` and ``g[..., t] = g[..., t - 1] + p[..., t]``.
+
+    Raises
+    ------
+    InvalidMotionError : not three axes, or an axis of length 0 other than the first.
+
+    Source: Hamada et al., eq. 4.
+    """
+    pose = np.asarray(features, dtype=np.float64)
+    if pose.ndim != 3 or 0 in pose.shape[1:]:
+        raise InvalidMotionError("features.shape", shape=pose.shape)
+    clips, frames, count = pose.shape
+    integrals = np.zeros((clips, count, frames + 1))
+    np.cumsum(pose.transpose(0, 2, 1), axis=2, out=integrals[:, :, 1:])
+    return integrals
+
+
+def compute_interval_means(integrals: ArrayLike, start: int, stop: int) -> FloatArray:
+    """Mean pose features over the frames ``start ... stop - 1``, counted from 0.
+
+    Parameters
+    ----------
+    integrals : (..., T + 1) of ``integrate``.
+    start, stop : t0 and t1 of the paper, 0 <= start < stop <= T.
+
+    Returns
+    -------
+    (...,) in the unit of the features.
+
+    Raises
+    ------
+    OptionError : an interval outside the clip.
+
+    Source: Hamada et al., eq. 3 and 5.
+    """
+    g = np.asarray(integrals, dtype=np.float64)
+    if not 0 <= start < stop < g.shape[-1]:
+        raise OptionError("features.interval", last=g.shape[-1] - 1, start=start, stop=stop)
+    return (g[..., stop] - g[..., start]) / (stop - start)
+
+
+def list_tests(n_features: int, n_frames: int) -> IntArray:
+    """Every mean that a tree may ask for: the set R of the paper.
+
+    Parameters
+    ----------
+    n_features, n_frames : F and T, at least 1.
+
+    Returns
+    -------
+    (F T (T + 1) / 2, 5) rows (kind, i, i, t0, t1) with the kind 0, a mean; 3,080 for 56 features and 10 frames. Longer
+    intervals come first, then earlier ones: of tests that part the clips equally well a tree without randomness takes
+    the first, and the mean over a longer time says more about the motion and less about the moment.
+    """
+    columns = np.arange(n_features)
+    return list_interval_tests([(0, columns, columns)], n_frames)
+
+
+def list_interval_tests(kinds: Sequence[tuple[int, IndexArray, IndexArray]], n_frames: int) -> IntArray:
+    """Tests of several kinds over every interval, in the order of ``list_tests``.
+
+    Parameters
+    ----------
+    kinds : for each kind its number, the columns that it may ask for, and the partner of each column.
+    n_frames : T.
+
+    Returns
+    -------
+    (R, 5) rows (kind, column, partner, t0, t1).
+    """
+    starts, stops = np.triu_indices(n_frames + 1, k=1)
+    order = np.lexsort((starts, starts - stops))
+    asked = np.concatenate(
+        [np.stack([np.full(len(columns), kind), columns, partners], axis=1) for kind, columns, partners in kinds]
+    )
+    tests = np.empty((len(starts), len(asked), 5), np.int64)
+    tests[:, :, :3] = asked
+    tests[:, :, 3] = starts[order, None]
+    tests[:, :, 4] = stops[order, None]
+    return tests.reshape(-1, 5)
+
 
 N_CELLS = 10
 DURATION = Channel("duration", "duration", "s")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -9,9 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dousa.arrays import FloatArray
-from dousa.errors import InvalidMotionError
+from dousa.errors import InvalidMotionError, OptionError
+from dousa.messages import Message
 from dousa.motion.annotation import Stretch
-from dousa.motion.canonical.joints import CANONICAL_JOINTS
+from dousa.motion.canonical.anthropometry import TRUNK_SHARE, stature_of_parts
+from dousa.motion.canonical.geometry import STATURE_PER_HEIGHT
+from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX, CanonicalPoses, find_absent
+from dousa.motion.canonical.tree_shape import spread_frames
 
 SLOWEST_RATE = 1.0
 """Hz: everything is brought to 30 Hz, so a rate near zero would fill the memory."""
@@ -105,3 +111,181 @@ class AnnotatedTake:
     frame_rate: float
     height: float
     stretches: tuple[Stretch, ...]
+
+
+FRAME_JOINTS = ("pelvis", "left_hip", "right_hip", "left_shoulder", "right_shoulder", "neck")
+"""What tells where the body stands and which way it faces."""
+
+_LIMB_JOINTS = tuple(f"{side}_{joint}" for joint in ("elbow", "hand", "knee", "ankle") for side in ("left", "right"))
+_WITH = (("hand", "wrist"), ("ankle", "toe"))
+_PELVIS = JOINT_INDEX["pelvis"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HiddenMotion(CanonicalPoses):
+    """A motion of which some joints are hidden.
+
+    Parameters
+    ----------
+    positions : (T, 20, 3) m, NaN where hidden.
+    frame_rate : Hz.
+    height : m, of the performer, by the bones that are left.
+    """
+
+    height: float
+
+
+def order_joints(joints: Iterable[str]) -> tuple[str, ...]:
+    """Canonical joints in their order, each once; OptionError for one that there is not."""
+    asked = set(joints)
+    unknown = sorted(asked.difference(CANONICAL_JOINTS))
+    if unknown:
+        raise OptionError("features.no_such_joint", joint=unknown[0], known=CANONICAL_JOINTS)
+    return tuple(joint for joint in CANONICAL_JOINTS if joint in asked)
+
+
+def is_comparable(hidden: Iterable[str]) -> bool:
+    """Whether a body without some joints can be compared: it must face some way, and have a limb that moves."""
+    gone = set(hidden)
+    faces = any(not gone & {f"left_{joint}", f"right_{joint}"} for joint in ("hip", "shoulder"))
+    return faces and bool(set(_LIMB_JOINTS) - gone)
+
+
+_PLACED_JOINTS = ("head", "neck", "left_shoulder", "right_shoulder", *_LIMB_JOINTS)
+
+
+def count_placed(hidden: Iterable[str]) -> int:
+    """How many of the joints by which poses are compared a body has."""
+    return len(set(_PLACED_JOINTS).difference(hidden))
+
+
+_SIDED = (
+    # Word of both sides, of one side, and the joints without which the part is gone; larger parts first.
+    ("arms", "arm", ("elbow", "hand")),
+    ("hands", "hand", ("hand",)),
+    ("elbows", "elbow", ("elbow",)),
+    ("shoulders", "shoulder", ("shoulder",)),
+    ("legs", "leg", ("knee", "ankle")),
+    ("feet", "foot", ("ankle",)),
+    ("knees", "knee", ("knee",)),
+    ("hips", "hip", ("hip",)),
+)
+
+
+def name_parts(joints: Iterable[str]) -> tuple[Message, ...]:
+    """What a person calls joints that are missing: the arms, the left leg, the head."""
+    gone = set(joints)
+    named: list[str] = []
+    for single in ("head", "neck"):
+        if single in gone and not (single == "neck" and "head" in gone):
+            named.append(single)
+    told: set[str] = set()
+    for both, one, ends in _SIDED:
+        sides = [side for side in ("left", "right") if {f"{side}_{end}" for end in ends} <= gone - told]
+        told |= {f"{side}_{end}" for side in sides for end in ends}
+        if len(sides) == 2:
+            named.append(both)
+        elif sides:
+            named.append(f"{sides[0]}_{one}")
+    if "pelvis" in gone and "hips" not in named:
+        named.append("pelvis")
+    named += ["spine"] if not named and "spine" in gone else []
+    named += ["toes"] if not named and gone else []
+    # A shoulder without its arm, a neck without its head, are no parts that anybody misses.
+    without = {"shoulders", "left_shoulder", "right_shoulder", "neck"} if len(named) > 1 else set()
+    return tuple(Message(f"body_part.{name}") for name in named if name not in without)
+
+
+def hide_joints(motion: PosedMotion, hidden: Collection[str]) -> PosedMotion:
+    """A motion as if some of its joints had not been recorded; the motion itself if none is to be hidden.
+
+    Parameters
+    ----------
+    motion : canonical positions in m, of a whole body or a part.
+    hidden : canonical joints.
+
+    Returns
+    -------
+    A motion whose hidden joints are NaN, and whose height follows from the bones that are left.
+    """
+    if not hidden:
+        return motion
+    joints = set(order_joints(hidden))
+    # Who lacks a hand lacked its wrist too: the one is made from the other where it is not recorded.
+    joints |= {
+        f"{side}_{beyond}" for side in ("left", "right") for joint, beyond in _WITH if f"{side}_{joint}" in joints
+    }
+    positions = np.array(motion.positions, np.float64)
+    positions[:, [JOINT_INDEX[joint] for joint in joints]] = np.nan
+    height = stature_of_parts(spread_frames(positions)) / STATURE_PER_HEIGHT
+    return HiddenMotion(positions, motion.frame_rate, height if height > 0 else motion.height)
+
+
+def complete_positions(
+    positions: ArrayLike, height: float, hidden: Iterable[str], needed: Collection[str]
+) -> FloatArray:
+    """Positions without gaps: hidden joints, of which nothing is asked, lie on the pelvis.
+
+    Parameters
+    ----------
+    positions : (n, 20, 3) m, Y up.
+    height : m, of the performer.
+    hidden : joints whose positions do not count, whatever they are.
+    needed : joints that somebody looks at; others that are NaN in all frames are hidden too.
+
+    Returns
+    -------
+    (n, 20, 3) finite. A hidden pelvis lies between the hips, else as far below the neck, or the shoulders, as the trunk
+    of a standing person of this height is long; else at the hip or shoulder that there is.
+
+    Raises
+    ------
+    InvalidMotionError : joints that are needed have no place.
+    """
+    points = np.asarray(positions, np.float64)
+    gone = set(hidden)
+    if not gone and np.isfinite(points).all():
+        return points
+    points = points.copy()
+    gone |= set(find_absent(points)).difference(needed)
+    if "pelvis" in gone:
+        points[:, _PELVIS] = _make_pelvis(points, height, gone)
+    points[:, [JOINT_INDEX[joint] for joint in gone]] = points[:, _PELVIS, None]
+    if not np.isfinite(points).all():
+        raise InvalidMotionError("posed_motion.not_finite")
+    return points
+
+
+def place_pelvis(positions: FloatArray, height: float) -> FloatArray:
+    """Positions (n, 20, 3) whose pelvis lies where ``complete_positions`` puts it, where the body has none of its own.
+
+    Other joints that are absent stay NaN; so does the pelvis where nothing tells its place.
+    """
+    gone = set(find_absent(positions))
+    if "pelvis" not in gone:
+        return positions
+    placed = np.array(positions, np.float64)
+    with suppress(InvalidMotionError):
+        placed[:, _PELVIS] = _make_pelvis(placed, height, gone)
+    return placed
+
+
+def _make_pelvis(points: FloatArray, height: float, gone: set[str]) -> FloatArray:
+    def middle(*joints: str) -> FloatArray | None:
+        there = [JOINT_INDEX[joint] for joint in joints if joint not in gone]
+        mean: FloatArray | None = points[:, there].mean(axis=1) if len(there) == len(joints) else None
+        return mean
+
+    hips = middle("left_hip", "right_hip")
+    if hips is not None:
+        return hips
+    for joints in (("neck",), ("left_shoulder", "right_shoulder")):
+        top = middle(*joints)
+        if top is not None:
+            below: FloatArray = top - np.array([0.0, TRUNK_SHARE * STATURE_PER_HEIGHT * height, 0.0])
+            return below
+    for joint in ("left_hip", "right_hip", "left_shoulder", "right_shoulder"):
+        single = middle(joint)
+        if single is not None:
+            return single
+    raise InvalidMotionError("posed_motion.not_finite")

@@ -38,7 +38,9 @@ from dousa.messages import Message
 from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.forest.evidence import (
     Judgement,
+    Strangers,
     VoteScale,
+    describe_strangers,
     fit_judgement,
     gather_evidence,
     learn_usual,
@@ -56,7 +58,6 @@ from dousa.retrieval.forest.pose_space import (
     fit_pose_space,
     read_curve,
 )
-from dousa.retrieval.forest.strangers import Strangers, describe_strangers
 from dousa.workers.threads import map_pieces
 
 _ROUNDS = 8

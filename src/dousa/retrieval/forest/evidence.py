@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,10 @@ from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.errors import InvalidMotionError
+from dousa.motion import canonicalise, mirror_canonical
+from dousa.motion.synthetic.gestures import make_gesture
+from dousa.retrieval.features.feature_sets import FeatureSet
+from dousa.retrieval.features.posed_motion import PosedMotion, hide_joints
 from dousa.retrieval.forest import tree_kernels as kernels
 from dousa.retrieval.forest.forest import MotionForest
 from dousa.retrieval.forest.pose_space import Curve, PoseSpace, fit_weighted_curve, read_curve
@@ -220,3 +225,38 @@ def fit_judgement(evidence: FloatArray, positive: BoolArray, weights: FloatArray
         fitted = fit_weighted_curve(evidence[:, places], positive, weights, near)
         curves.append(spread_curve(fitted, columns))
     return Judgement(*curves)
+
+
+_BESIDE, _ASKED = 80, 40  # gestures; each is there with its mirror image
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Strangers:
+    """Features of made-up gestures.
+
+    Parameters
+    ----------
+    beside : (M, T, F) those that stand in spaces of poses.
+    asked : (K, T, F) others, that are asked about.
+    """
+
+    beside: FloatArray
+    asked: FloatArray
+
+
+def describe_strangers(feature_set: FeatureSet | None) -> Strangers | None:
+    """Made-up gestures as a feature set describes them; None for one without banks: the paper knows no strangers."""
+    return None if feature_set is None or not feature_set.has_banks else _describe(feature_set)
+
+
+@lru_cache(maxsize=4)
+def _describe(kind: FeatureSet) -> Strangers:
+    features = np.stack([kind.compute(kind.complete(hide_joints(one, kind.hidden))) for one in _make_gestures()])
+    features.flags.writeable = False
+    return Strangers(features[: 2 * _BESIDE], features[2 * _BESIDE :])
+
+
+@lru_cache(maxsize=1)
+def _make_gestures() -> Sequence[PosedMotion]:
+    motions = [canonicalise(make_gesture(seed)) for seed in range(_BESIDE + _ASKED)]
+    return [side for motion in motions for side in (motion, mirror_canonical(motion))]

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import FloatArray, IntArray
 from dousa.errors import InvalidMotionError, NotTrainedError, OptionError, TrainingError
-from dousa.retrieval.features.integral import integrate, list_tests
+from dousa.retrieval.features.feature_sets import integrate, list_tests
 from dousa.retrieval.features.pose_features import FEATURE_NAMES
 from dousa.retrieval.forest import tree_kernels as kernels
 from dousa.retrieval.forest.trees import (

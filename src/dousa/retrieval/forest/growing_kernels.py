@@ -18,7 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IntArray
-from dousa.retrieval.features.integral import MEAN, SPREAD
+from dousa.retrieval.features.feature_sets import MEAN, SPREAD
 
 # None of these allocates. Counting references to rows took a fifth of the time, and half of that of compiling. Numbers
 # that are known beforehand are handed over as np.int64: else numba compiles what takes them once for each number.

@@ -38,12 +38,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import BoolArray, FloatArray, IntArray
 from dousa.errors import InvalidMotionError, TrainingError
-from dousa.retrieval.features.feature_sets import FeatureSet
-from dousa.retrieval.features.integral import list_tests
+from dousa.retrieval.features.feature_sets import FeatureSet, list_tests
 from dousa.retrieval.forest.forest import MotionForest, check_features
-from dousa.retrieval.forest.leaves.points import Keys, Pairs, choose_pairs, mix
-from dousa.retrieval.forest.leaves.standing_leaves import StandingLeaves
-from dousa.retrieval.forest.leaves.subtrees import (
+from dousa.retrieval.forest.standing_leaves import Keys, Pairs, StandingLeaves, choose_pairs, mix
+from dousa.retrieval.forest.subtrees import (
     collapse_leaves,
     grow_subtrees,
     make_stump,

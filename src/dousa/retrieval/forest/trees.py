@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IntArray
-from dousa.retrieval.features.integral import MEAN, SPREAD, TREND
+from dousa.retrieval.features.feature_sets import MEAN, SPREAD, TREND
 from dousa.retrieval.forest import growing_kernels as kernels
 from dousa.workers.current import current_cluster
 from dousa.workers.threads import map_pieces

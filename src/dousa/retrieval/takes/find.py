@@ -235,7 +235,7 @@ class TakeSearch:
         sums : running sums of poses in which all of them lie.
         places : (M,) where each begins there.
         """
-        from dousa.retrieval.takes.window_kernels import compare_poses
+        from dousa.retrieval.takes.moment_kernels import compare_poses
 
         distances = np.empty(len(windows))
         ends = places + windows["stop"] - windows["start"]
@@ -275,7 +275,7 @@ class TakeSearch:
 
 def _compare(query: TakeQuery, take: TakeWindows, tempos: tuple[float, float], farthest: float) -> NDArray[Any]:
     """The windows of a take that cost no more than ``farthest``, in their order, as ``WINDOW_NUMBERS``."""
-    from dousa.retrieval.takes.window_kernels import compare_leaves, compare_poses
+    from dousa.retrieval.takes.moment_kernels import compare_leaves, compare_poses
 
     if take.leaves.shape[1] != len(query.leaves):
         raise InvalidMotionError("find.other_forest", expected=len(query.leaves), found=take.leaves.shape[1])
@@ -344,7 +344,7 @@ def overlap(one: tuple[float, float], other: tuple[float, float]) -> float:
 
 def _refine(query: TakeQuery, named: tuple[str, CutStretch], window: Any, tempos: tuple[float, float]) -> Found:
     """Move the edges of a window until the poses of its parts fit best, then align it pose by pose."""
-    from dousa.retrieval.takes.window_kernels import compare_poses
+    from dousa.retrieval.takes.moment_kernels import compare_poses
 
     name, cut = named
     start, stop, share = int(window["start"]), int(window["stop"]), float(window["share"])

@@ -25,27 +25,25 @@ from dousa.errors import OptionError
 from dousa.files.disk import atomic_write
 from dousa.messages import Message
 from dousa.motion.runs import find_equal_runs
-from dousa.retrieval.counting.tallies import TALLIES
+from dousa.retrieval.counting.counter import TALLIES
 from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
 from dousa.retrieval.forest.forest_file import check, check_version, pack_arrays, unpack_arrays
 from dousa.retrieval.forest.stretches import CutStretch, StretchJudge, StretchOpinions
-from dousa.retrieval.takes.material.made_takes import mirror_positions
+from dousa.retrieval.takes.made_takes import mirror_positions
 from dousa.retrieval.takes.moment_model import (
+    HOP,
+    MIRRORED_VALUES,
     MODEL_ARRAYS,
+    N_VALUES,
     Codes,
     MomentModel,
     are_mirrored,
-    read_moment_model,
-    sharpen,
-)
-from dousa.retrieval.takes.moments import (
-    HOP,
-    MIRRORED_VALUES,
-    N_VALUES,
     chunk_starts,
     count_moments,
     describe_chunk,
     mirror_moments,
+    read_moment_model,
+    sharpen,
 )
 from dousa.retrieval.takes.repetitions import Chosen, count_all, is_clearer, lay_mirrored
 from dousa.retrieval.takes.sequence import FLOOR, N_PHASES, Run, SequenceModel, SequenceWeights, join_phases

@@ -32,8 +32,7 @@ from dousa.retrieval.takes.label import (
     make_segment,
     weigh_chosen,
 )
-from dousa.retrieval.takes.moment_model import sharpen
-from dousa.retrieval.takes.moments import HOP, REACH, describe_chunk
+from dousa.retrieval.takes.moment_model import HOP, REACH, describe_chunk, sharpen
 from dousa.retrieval.takes.repetitions import Chosen
 from dousa.retrieval.takes.sequence import N_PHASES, Run
 from dousa.retrieval.takes.windows import TAKE_RATE

@@ -9,10 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dousa.arrays import FloatArray
-from dousa.retrieval.counting.counter import choose_count, find_usual
-from dousa.retrieval.counting.tallies import measure_parts, measure_tallies
+from dousa.retrieval.counting.counter import choose_count, find_usual, measure_parts, measure_tallies
 from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
-from dousa.retrieval.takes.material.made_takes import SERIES
+from dousa.retrieval.takes.made_takes import SERIES
 from dousa.workers.threads import map_pieces
 
 _AT_ONCE = 16  # actions that a thread counts before it asks for more

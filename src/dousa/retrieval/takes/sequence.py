@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.retrieval.takes.moments import HOP
+from dousa.retrieval.takes.moment_model import HOP
 
 _SPREAD, _STRENGTH = 0.3, 4.0  # least spread of the log length; segments' worth of the spread of all
 _LONGEST = 250  # moments that are told apart; longer segments are reached one moment at a time

@@ -20,8 +20,7 @@ from dousa.arrays import FloatArray, IndexArray, IntArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.messages import Message
 from dousa.motion.canonical.joints import JOINT_INDEX
-from dousa.retrieval.features.partial_bodies import FRAME_JOINTS, complete_positions
-from dousa.retrieval.features.posed_motion import check_shape
+from dousa.retrieval.features.posed_motion import FRAME_JOINTS, check_shape, complete_positions
 from dousa.retrieval.forest.forest_file import check, check_version, damaged, pack_arrays, unpack_arrays
 
 if TYPE_CHECKING:

@@ -20,9 +20,8 @@ from dousa.arrays import BoolArray, FloatArray
 from dousa.messages import Message
 from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.retrieval.features.channels import CHANNEL_RATE, sample_positions
-from dousa.retrieval.features.partial_bodies import place_pelvis
 from dousa.retrieval.features.pose_features import find_lateral_axis
-from dousa.retrieval.features.posed_motion import PosedMotion
+from dousa.retrieval.features.posed_motion import PosedMotion, place_pelvis
 from dousa.retrieval.words import relation_kernels as kernels
 
 RELATIONS_VERSION = 1
