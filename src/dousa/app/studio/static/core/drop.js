@@ -65,8 +65,6 @@ function showReading(found) {
   };
 }
 
-const chosen = (input) => [...input.files].map((file) => ({ file, path: file.webkitRelativePath || file.name }));
-
 /** Let files be dropped on an element; onEntries([{file, path}]). */
 export function acceptDrops(element, onEntries) {
   let depth = 0;
@@ -99,16 +97,22 @@ export function acceptDrops(element, onEntries) {
   }, true);
 }
 
+/** An input that is not seen, for a button to open; onEntries([{file, path}]). */
+export function fileInput(onEntries, options) {
+  const input = h("input", { type: "file", class: "sr", tabindex: "-1", "aria-hidden": "true", ...options });
+  input.addEventListener("change", () => {
+    const entries = [...input.files].map((file) => ({ file, path: file.webkitRelativePath || file.name }));
+    input.value = "";
+    if (entries.length) onEntries(entries);
+  });
+  return input;
+}
+
 /** A zone with words and buttons. options: {text, hint, accept, multiple, folders, id} -> element */
 export function dropZone(onEntries, { text = t("drop_here"), hint, accept, multiple = true, folders = false, id } = {}) {
   const pick = (folder) => {
-    const input = h("input", { type: "file", class: "sr", tabindex: "-1", "aria-hidden": "true", accept, multiple, id: id && (folder ? `${id}-folder` : id) });
+    const input = fileInput(onEntries, { accept, multiple, id: id && (folder ? `${id}-folder` : id) });
     if (folder) input.webkitdirectory = true;
-    input.addEventListener("change", () => {
-      const entries = chosen(input);
-      input.value = "";
-      if (entries.length) onEntries(entries);
-    });
     const button = h("button", { type: "button", onclick: () => input.click() }, icon(folder ? "folder" : "upload"), t(folder ? "choose_folder" : "choose_files"));
     return [input, button];
   };

@@ -40,9 +40,14 @@ export function notify(text, kind = "note", action = null) {
   if (kind !== "problem") setTimeout(close, action ? WITH_ACTION : SHOWN_FOR);
 }
 
-/** Take a problem back that is none any more. */
 export function withdraw(text) {
   for (const notice of $$(".problem", $("#notices"))) if ($("p", notice).textContent === text) notice.remove();
+}
+
+/** Show why the page cannot do what was asked, in its head; "" for no problem. */
+export function showProblem(text) {
+  $("#problem").textContent = text;
+  $("#problem").hidden = !text;
 }
 
 /** Run something asynchronous; what goes wrong is told, not thrown. -> its value, or undefined. */

@@ -2,8 +2,8 @@
 
 import { get, post } from "../core/api.js";
 import { $, h, icon, t } from "../core/dom.js";
-import { acceptDrops, dropZone, MOTION_FILES, takeMotions } from "../core/drop.js";
-import { attempt, notify } from "../core/notices.js";
+import { acceptDrops, dropZone, fileInput, MOTION_FILES, takeMotions } from "../core/drop.js";
+import { attempt, notify, showProblem } from "../core/notices.js";
 import { pickClips } from "../core/pick.js";
 import { drawPlaces, Hits, nameOf } from "./hits.js";
 import { Stage } from "./stage.js";
@@ -38,21 +38,17 @@ let explained = null; // promise of the same with reasons
 let places = [];
 let asking = null;
 
-// --- the state
-
 function go(changes, { replace = false } = {}) {
   const next = { ...state, ...changes };
   keepState(next, { replace });
   apply(next);
 }
 
-/** Put a match beside the query, where it is seen. */
 function compare(changes) {
   go(changes);
   stage.reveal();
 }
 
-/** Show what was found in words; the words stay in the address, so that their list is found again. */
 function playHit(changes) {
   go({ ...changes, text: null, from: state.text });
   $("#back-to-words")?.focus();
@@ -87,7 +83,6 @@ async function apply(next) {
   drawMatch();
 }
 
-/** From a hit to the list that it stood in. */
 function drawWayBack() {
   const back = () => go({ ...state, motion: null, ...NO_PART, ...NO_HIT, text: state.from, from: null });
   $("#from-words").hidden = !state.from || Boolean(state.text);
@@ -97,11 +92,9 @@ function drawWayBack() {
 function showFrame(shown, problem = "") {
   $("#start").hidden = shown;
   $("#search").hidden = $("#change").hidden = !shown;
-  $("#problem").textContent = problem;
-  $("#problem").hidden = !problem;
+  showProblem(problem);
 }
 
-/** Nothing is searched for any more. */
 function leave() {
   asking?.abort();
   asking = known = sought = null;
@@ -109,7 +102,6 @@ function leave() {
   document.title = TITLE;
 }
 
-/** A motion that cannot be shown: back to the start, with the reason. */
 function giveUp(error) {
   state = { ...state, motion: null, unit: null, up: null, ...NO_PART, ...NO_HIT };
   leave();
@@ -131,7 +123,6 @@ async function showStage() {
   }
 }
 
-/** What the search said of the match that is shown. */
 function hitOf({ hit, other_start_s }) {
   if (!hit) return null;
   if (other_start_s !== null) return places.find((place) => place.motion === hit && Math.abs(place.start_s - other_start_s) < 0.01) ?? null;
@@ -142,8 +133,6 @@ function drawMatch() {
   stage.describeMatch(state, hitOf(state), { searchWith: (part) => go({ ...state, unit: null, up: null, ...NO_HIT, ...part, from: null }) });
   hits.mark(state.other_start_s === null ? state.hit : null);
 }
-
-// --- searching
 
 function clearAnswer() {
   asking?.abort();
@@ -220,7 +209,6 @@ async function exportHits() {
   openExport([], others.map((hit) => ({ id: hit.clip_id, name: nameOf(hit), note: hit.category })));
 }
 
-/** A clip finds itself first; that says nothing. */
 const isQuery = (hit) => hit.motion === state.motion && state.start_s === null && state.end_s === null;
 
 async function searchTakes(mine) {
@@ -231,7 +219,6 @@ async function searchTakes(mine) {
   drawMatch();
 }
 
-/** A part of a take finds itself too. */
 const isQueryPlace = (place) => place.motion === state.motion && Math.min(place.end_s, state.end_s ?? Infinity) - Math.max(place.start_s, state.start_s ?? 0) > 0.5 * (place.end_s - place.start_s);
 
 /** The answer with reasons: asked for when somebody wants to know. */
@@ -239,8 +226,6 @@ function explain() {
   explained ??= attempt(() => post("/search", { ...askOf(state), explain: true }));
   return explained;
 }
-
-// --- choosing what is searched for
 
 async function take(entries) {
   const [motion] = await takeMotions(entries);
@@ -256,8 +241,7 @@ function drawChoosing() {
   const pickButton = (kind, id) => h("button", { type: "button", class: kind, id, onclick: pick }, t(id === "pick" ? "start_pick" : "change_pick"));
   const zone = dropZone(take, { text: t("start_drop"), hint: t("start_hint"), accept: MOTION_FILES, id: "query-file" });
   $("#start").replaceChildren(h("div", { class: "choose" }, zone, h("p", { class: "or" }, t("or")), pickButton("", "pick")));
-  const input = h("input", { type: "file", class: "sr", tabindex: "-1", "aria-hidden": "true", accept: MOTION_FILES, multiple: true, id: "change-file" });
-  input.addEventListener("change", () => take([...input.files].map((file) => ({ file, path: file.name }))).then(() => (input.value = "")));
+  const input = fileInput(take, { accept: MOTION_FILES, multiple: true, id: "change-file" });
   $("#change").replaceChildren(input, h("button", { type: "button", onclick: () => input.click() }, icon("upload"), t("change_file")), pickButton("", "change-pick"));
   acceptDrops($("#main"), take);
 }

@@ -3,9 +3,9 @@
 
 import { get, post, remove, uploadAll } from "../core/api.js";
 import { $, baseName, formatSeconds, h, icon, language, t } from "../core/dom.js";
-import { acceptDrops, dropZone, LABEL_FILES, MOTION_FILES } from "../core/drop.js";
+import { acceptDrops, dropZone, fileInput, LABEL_FILES, MOTION_FILES } from "../core/drop.js";
 import { finished, followJob, isActive, stopJob } from "../core/jobs.js";
-import { attempt, notify } from "../core/notices.js";
+import { attempt, notify, showProblem } from "../core/notices.js";
 import { pickClips } from "../core/pick.js";
 import { createTimeline } from "../core/timeline.js";
 import { drawStrip, makeLegend, nameOf, sayShares, Tones, toSegment } from "../core/timeline_parts.js";
@@ -13,7 +13,6 @@ import { listenForUndo, undoButton } from "../core/undo.js";
 import { Desk, drawSegments, markSegments, Review } from "./desk.js";
 
 // The takes of the library, each with its labels in a strip.
-
 function say(labels, duration) {
   if (!labels?.segments) return t("not_labelled");
   return t(labels.given ? "strip_given" : "strip_facts", { count: labels.segments.length, unknown: sayShares(labels.segments, duration) });
@@ -77,8 +76,6 @@ const desk = new Desk($("#now"), {
   onExport: (part) => exportPart(part.start, part.end),
 }, review.element);
 
-// --- one take
-
 async function show(name, at) {
   motion = name;
   showFrame(true);
@@ -106,8 +103,7 @@ async function show(name, at) {
 function showFrame(shown, problem = "") {
   $("#start").hidden = shown;
   $("#take").hidden = $("#change").hidden = !shown;
-  $("#problem").textContent = problem;
-  $("#problem").hidden = !problem;
+  showProblem(problem);
 }
 
 function makeTimeline() {
@@ -178,15 +174,12 @@ async function load() {
   return answer;
 }
 
-// --- labelling
-
 async function label() {
   const name = motion;
   const job = await attempt(() => post("/jobs/label", { take: { motion: name } }));
   return job && watch(job.id, name);
 }
 
-/** Label the take anew and show what comes of it, also in the place of labels that were given. */
 async function labelAgain() {
   const name = motion;
   const state = await label();
@@ -218,9 +211,6 @@ function drawProgress(job) {
   $("#progress").replaceChildren(h("div", { class: "progress-row" }, h("span", { class: "note" }, job.total > 1 ? t("learning_step", { step: Math.min(job.done + 1, job.total), total: job.total }) : t("labelling")), bar, stop));
 }
 
-// --- correcting
-
-/** Where the library finds something, besides the places that people named. */
 const placesOf = (category) => (recognised ?? []).filter((one) => one.category === category && !one.corrected);
 
 /** To a stretch that the library found, which given labels hide. */
@@ -260,7 +250,6 @@ async function takeBack(id) {
   await label();
 }
 
-/** The library as it is after a step back or forth, in the take that is shown. */
 async function afterUndo() {
   if (!motion) return;
   await load();
@@ -269,21 +258,17 @@ async function afterUndo() {
 
 listenForUndo(afterUndo);
 
-// --- choosing a take
-
 function drawTools(given) {
   const shows = Boolean(given) && wantsGiven;
   const download = (kind) => h("a", { class: "button small", href: `/api/takes/export?${new URLSearchParams({ motion, format: kind, given: shows })}`, download: "", title: t("export_title", { kind: t(`export_${kind}`) }), id: `export-${kind}` }, icon("download"), t(`export_${kind}`));
   const button = (id, name, word, action, pressed = null) => h("button", { type: "button", class: "small", id, "aria-pressed": pressed, onclick: action }, ...(name ? [icon(name)] : []), t(word));
   const add = motion.startsWith("file:") ? button("add-take", "folder", "add_take", () => attempt(() => addTake(motion).then((found) => found && open(found, null, player.time)))) : null;
   const which = given ? button("show-given", "tag", "show_given", () => showGiven(!wantsGiven), String(shows)) : null;
-  const input = h("input", { type: "file", class: "sr", tabindex: "-1", "aria-hidden": "true", accept: LABEL_FILES, id: "labels-file" });
-  input.addEventListener("change", () => take([...input.files].map((file) => ({ file, path: file.name }))).then(() => (input.value = "")));
+  const input = fileInput(take, { accept: LABEL_FILES, id: "labels-file" });
   const give = button("give-labels", "upload", "give_labels", () => input.click());
   $("#take-tools").replaceChildren(...[which, input, give, add, button("label-again", null, "label_again", () => labelAgain()), ...["csv", "eaf", "json"].map(download)].filter(Boolean));
 }
 
-/** Add a dropped recording to the library; -> its name there. */
 async function addTake(from) {
   const [batch, name] = [from.slice(5, 21), from.slice(22)];
   const job = await finished((await post("/jobs/add", { batch, kind: "take", category_from: null })).id);
@@ -347,8 +332,7 @@ async function drawStart(problem = "") {
 }
 
 function drawChange() {
-  const input = h("input", { type: "file", class: "sr", tabindex: "-1", "aria-hidden": "true", accept: MOTION_FILES, multiple: true, id: "change-file" });
-  input.addEventListener("change", () => take([...input.files].map((file) => ({ file, path: file.name }))).then(() => (input.value = "")));
+  const input = fileInput(take, { accept: MOTION_FILES, multiple: true, id: "change-file" });
   $("#change").replaceChildren(input, h("button", { type: "button", onclick: () => input.click() }, icon("upload"), t("change_file")), h("button", { type: "button", id: "change-pick", onclick: pick }, t("change_pick")));
   acceptDrops($("#main"), take);
 }
