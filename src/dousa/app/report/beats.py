@@ -33,7 +33,8 @@ def build_beats(timing: BeatTiming | None, duration: float, language: str) -> st
     said = "".join(element("p", {"class": "beat-says"}, message.render(language)) for message in timing.messages)
     inner = element("h2", None, words["title"]) + said + _facts(timing, words)
     inner += element("div", {"class": "card plot-card"}, inner=_draw(timing, duration, words))
-    table = build_table(_heads(words), [_row(one, words, language) for one in timing.accents], words["table"])
+    heads = [words[f"col_{name}"] for name in ("time", "kind", "parts", "beat", "off")]
+    table = build_table(heads, [_row(one, words, language) for one in timing.accents], words["table"])
     inner += build_details(words["table"], table, len(timing.accents))
     return element("section", {"id": "beats"}, inner=inner)
 
@@ -69,7 +70,6 @@ def _say_drift(timing: BeatTiming, words: dict[str, str]) -> str:
 
 
 def _draw(timing: BeatTiming, duration: float, words: dict[str, str]) -> str:
-    """Each accent at its moment, above the line if it is late; those between the beats at the lower edge."""
     on_beat = timing.on_beat
     times = np.array([one.accent.time_s for one in on_beat])
     off = np.array([one.off_ms for one in on_beat], np.float64)
@@ -103,10 +103,6 @@ def _draw(timing: BeatTiming, duration: float, words: dict[str, str]) -> str:
 def _title(one: TimedAccent, words: dict[str, str]) -> str:
     late = words["between"] if one.off_ms is None else _say_ms(one.off_ms, words)
     return f"{format_time(one.accent.time_s)} {words[f'kind_{one.accent.kind}']}: {late}"
-
-
-def _heads(words: dict[str, str]) -> list[str]:
-    return [words[f"col_{name}"] for name in ("time", "kind", "parts", "beat", "off")]
 
 
 def _row(one: TimedAccent, words: dict[str, str], language: str) -> tuple[str, ...]:

@@ -4,7 +4,7 @@ import { Comparison } from "../compare/comparison.js";
 import { get, post } from "../core/api.js";
 import { $, h, language, t } from "../core/dom.js";
 import { followJob, isActive, stopJob } from "../core/jobs.js";
-import { attempt } from "../core/notices.js";
+import { attempt, showProblem } from "../core/notices.js";
 import { openSharing } from "../core/sharing.js";
 import { downloadLinks, Result } from "./result.js";
 import { keepChoice, readAddress, Setup, showJob } from "./setup.js";
@@ -19,8 +19,7 @@ function show(name, problem = "") {
   for (const [other, element] of Object.entries(places)) element.hidden = other !== name;
   $("#lead").hidden = name === "report" || name === "compare";
   if (name !== "compare") comparison.clear();
-  $("#problem").textContent = problem;
-  $("#problem").hidden = !problem;
+  showProblem(problem);
   if (name !== "report") $("#tools").hidden = true;
   if (name === "setup") offerComparison();
   if (name === "compare") putTools(h("a", { class: "button", href: "/evaluate" }, t("new_evaluation")));
@@ -33,7 +32,6 @@ function putTools(...tools) {
 
 const comparing = (ids = []) => h("a", { class: "button", id: "compare-open", href: `/evaluate?compare=${ids.join(",")}` }, t("compare_open"));
 
-/** Where there are two evaluations at least. */
 async function offerComparison() {
   const answer = await get("/comparisons/choices").catch(() => null); // the page is whole without
   if (answer?.evaluations.length > 1 && !places.setup.hidden) putTools(comparing());

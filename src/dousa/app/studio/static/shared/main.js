@@ -3,17 +3,15 @@
 import { get, getBytes } from "../core/api.js";
 import { openDialog } from "../core/dialog.js";
 import { $, formatSeconds, h, language, later, t } from "../core/dom.js";
-import { attempt } from "../core/notices.js";
+import { attempt, showProblem } from "../core/notices.js";
 import { foldAnalysis, foldForPhones, putParts } from "../evaluate/parts.js";
 
 // One report to look at: advice, player and worst moments first; the analysis is folded.
-
 export class Report {
   constructor(root) {
     this.root = root;
   }
 
-  /** Show an evaluation, or one of an exercise. */
   async show(id, repetitions) {
     const answer = await get(`/reports/${id}${repetitions ? "/exercise" : ""}`, { language });
     const { root } = this;
@@ -39,7 +37,6 @@ export class Report {
 }
 
 // The clips of the library, some at a time; a press on one plays it.
-
 const AT_ONCE = 24;
 const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
 let [text, shown, turn] = ["", 0, 0];
@@ -138,6 +135,5 @@ const asked = new URLSearchParams(location.search).get("job");
 try {
   await (location.pathname === "/report" && asked ? showReport(asked) : showList());
 } catch (error) {
-  $("#problem").textContent = error.message;
-  $("#problem").hidden = false;
+  showProblem(error.message);
 }
