@@ -28,7 +28,7 @@ CASES = [
     ("pictures", "from dousa.app.pictures.canvas import new_figure; new_figure(2.0, 1.0)"),
     ("pictures", "from dousa.app.pictures.canvas import drawable; drawable('x')"),
     ("music", "from dousa.evaluation import find_beats; find_beats('x.wav')"),
-    ("map", "from dousa.library.review.clip_map import map_clips; map_clips(None, None)"),
+    ("map", "from dousa.library.care.clip_map import map_clips; map_clips(None, None)"),
     ("studio", "from dousa.app.studio import create_app"),
     ("cluster", "from dousa.workers import use_cluster; use_cluster('tcp://127.0.0.1:9').__enter__()"),
 ]

@@ -18,8 +18,8 @@ import numpy as np
 
 from dousa.formats.motion_files import find_motion_files
 from dousa.formats.registry import read_motion
-from dousa.library.windows import scanning
-from dousa.library.windows.portions import read_portion, write_portion
+from dousa.library.takes import scanning
+from dousa.library.takes.portions import read_portion, write_portion
 from dousa.motion import canonicalise, compute_trajectories
 from dousa.retrieval.takes.find import Found, TakeQuery, TakeSearch, describe_query, find_in_takes
 from dousa.retrieval.takes.windows import TakeWindows, choose_grid, describe_take

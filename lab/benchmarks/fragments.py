@@ -26,8 +26,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from dousa.library import Library
-from dousa.library.features import describe_clip, load_motions, pack_positions
-from dousa.library.schema import pack
+from dousa.library.store.features import describe_clip, load_motions, pack_positions
+from dousa.library.store.schema import pack
 from dousa.retrieval import DEFAULT_FEATURE_SET
 from lab.benchmarks.search import make_library
 

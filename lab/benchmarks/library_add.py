@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from dousa.formats import ReadOptions
-from dousa.library import AddReport, Library, ingest
+from dousa.library import AddReport, Library
+from dousa.library.store import ingest
 from dousa.motion import CanonicalMotion, Trajectories, canonicalise
 from lab.places import SHARED_DATA
 

@@ -15,12 +15,13 @@ from typing import Any
 import numpy as np
 import sqlalchemy as sa
 
-from dousa.library import Library, schema
-from dousa.library.engine import next_revision, note_changed_clips, take_clip_ids
-from dousa.library.forests import StoredForest, load_forest, name_votes
-from dousa.library.seals.checksums import LABELS, LEAVES, POSES, RELATIONS, Seal, seal_positions, seal_rows
-from dousa.library.windows.portions import Portion, read_portion
-from dousa.library.windows.scanning import TakesOnDisk
+from dousa.library import Library
+from dousa.library.store import schema
+from dousa.library.store.checksums import LABELS, LEAVES, POSES, RELATIONS, Seal, seal_positions, seal_rows
+from dousa.library.store.engine import next_revision, note_changed_clips, take_clip_ids
+from dousa.library.store.forests import StoredForest, load_forest, name_votes
+from dousa.library.takes.portions import Portion, read_portion
+from dousa.library.takes.scanning import TakesOnDisk
 from dousa.retrieval.takes.windows import TAKE_RATE, TakeWindows
 
 AT_ONCE = 20_000

@@ -42,10 +42,10 @@ import numpy as np
 
 from dousa.formats.registry import read_motion, write_motion
 from dousa.library import Library
-from dousa.library.features import find_feature_set
-from dousa.library.forests import load_forest
 from dousa.library.results import Place
-from dousa.library.windows import keeper
+from dousa.library.store.features import find_feature_set
+from dousa.library.store.forests import load_forest
+from dousa.library.takes import windows as keeper
 from dousa.motion import canonicalise, compute_trajectories
 from dousa.motion.canonical.canonicalise import mirror_canonical
 from dousa.motion.synthetic.performers import CATEGORIES, draw_performer, make_motion

@@ -31,13 +31,14 @@ import numpy as np
 import sqlalchemy as sa
 
 from dousa.formats.registry import write_motion
-from dousa.library import Library, schema
-from dousa.library.engine import next_revision, take_clip_ids
-from dousa.library.forests import load_forest
-from dousa.library.index.refresh import read_index
-from dousa.library.partial.dense_index import make_dense
-from dousa.library.schema import pack
-from dousa.library.seals.checksums import seal_rows
+from dousa.library import Library
+from dousa.library.search.leaf_index import read_index
+from dousa.library.search.part_search import make_dense
+from dousa.library.store import schema
+from dousa.library.store.checksums import seal_rows
+from dousa.library.store.engine import next_revision, take_clip_ids
+from dousa.library.store.forests import load_forest
+from dousa.library.store.schema import pack
 from dousa.messages import Message
 from dousa.motion import canonicalise, compute_trajectories
 from dousa.motion.synthetic.performers import CATEGORIES, draw_performer, make_motion

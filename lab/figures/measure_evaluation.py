@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from dousa.app.pipelines.experiment_clips import read_takes
 from dousa.evaluation import compute_postures, find_furi
 from dousa.formats import ReadOptions
 from dousa.library import parse_label_rule
@@ -22,6 +21,7 @@ from dousa.motion import canonicalise
 from dousa.motion.synthetic.dance import make_dance
 from dousa.motion.synthetic.performers import draw_performer
 from lab.errors.experiment import is_held_out, run_severity_sweep
+from lab.errors.recordings import read_takes
 
 NEAR_S = 0.5  # a cut found so near to a true one is that one
 

@@ -32,8 +32,8 @@ import numpy as np
 from sklearn.isotonic import IsotonicRegression
 
 from dousa.library import Library
-from dousa.library.features import load_motions
-from dousa.library.text.meanings import find_meanings
+from dousa.library.search.text_store import find_meanings
+from dousa.library.store.features import load_motions
 from dousa.retrieval import FEATURE_SETS, MotionForest
 from dousa.retrieval.features.channels import sample_positions
 from dousa.retrieval.features.posed_motion import LabelledClip

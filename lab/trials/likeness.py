@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from dousa.library import ClipInfo, Library, SearchResult
-from dousa.library import search as search_room
-from dousa.library.index.leaf_index import LeafIndex
-from dousa.library.partial import dense_index
+from dousa.library.search import part_search as dense_index
+from dousa.library.search import search as search_room
+from dousa.library.search.leaf_index import LeafIndex
 from dousa.retrieval import RankedClips, Ranking, RankingQuery
 
 SETS = {

@@ -409,7 +409,7 @@ def test_an_output_that_cannot_be_written_is_one_line(motions, words):
 
 
 def test_ctrl_c_is_a_word_not_a_traceback(dousa, motions, tmp_path, monkeypatch):
-    from dousa.library import ingest
+    from dousa.library.store import ingest
 
     def interrupt(task):
         raise KeyboardInterrupt

@@ -12,7 +12,7 @@ from dousa.errors import MotionFileError, OptionError, UnknownFormatError
 from dousa.formats.mmd.models import load_model, template
 from dousa.formats.mmd.vmd import ease, load_vmd
 from dousa.formats.registry import read_motion, write_motion
-from dousa.library.ingest import look_at
+from dousa.library.store.ingest import look_at
 from dousa.motion import canonicalise, compute_trajectories
 from formats import made_mmd as made
 

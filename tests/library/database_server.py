@@ -26,7 +26,7 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from dousa.library import opening
+from dousa.library.store import opening
 from patience import PATIENCE
 
 WANTED = os.environ.get("DOUSA_TEST_DATABASE", "")
@@ -141,7 +141,7 @@ class Server:
         return path
 
     def open_database(self, path_or_url, *, create: bool, read_only: bool, timeout: float):
-        """As in ``dousa.library.opening``, of the library of a path."""
+        """As in ``dousa.library.store.opening``, of the library of a path."""
         known = path_or_url
         if "://" not in os.fspath(path_or_url):
             known = self.address(path_or_url, create and not read_only)
@@ -167,7 +167,7 @@ _RUNNING: list[Server] = []
 @contextmanager
 def use_server() -> Iterator[None]:
     """Libraries are opened in databases of a server of our own, as long as this lasts."""
-    from dousa.library.front import contents
+    from dousa.library import contents
 
     with run_server() as url, pytest.MonkeyPatch.context() as patch:
         server = Server(url)

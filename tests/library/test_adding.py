@@ -13,7 +13,7 @@ import pytest
 from dousa.errors import OptionError
 from dousa.formats import ReadOptions, read_motion
 from dousa.library import Library
-from dousa.library.engine import choose_jobs
+from dousa.library.store.engine import choose_jobs
 from dousa.messages import Message
 from dousa.motion import CANONICAL_JOINTS, canonicalise, compute_trajectories
 

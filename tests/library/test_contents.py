@@ -9,7 +9,8 @@ import sqlalchemy as sa
 
 from dousa.errors import LibraryDamagedError, LibraryError, OptionError
 from dousa.formats import read_canonical
-from dousa.library import Library, schema
+from dousa.library import Library
+from dousa.library.store import schema
 from dousa.messages import Message
 
 

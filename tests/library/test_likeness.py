@@ -7,7 +7,7 @@ import pytest
 
 from dousa.formats.registry import write_motion
 from dousa.library import Library
-from dousa.library.text.meanings import find_meanings
+from dousa.library.search.text_store import find_meanings
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 from dousa.retrieval.forest.likeness import Likeness, merge_votes
 

@@ -13,8 +13,8 @@ from oracles.dense_clips import DenseClips, make_clips
 from dousa.errors import OptionError
 from dousa.formats.registry import read_motion, write_motion
 from dousa.library import Library
-from dousa.library.forests import TreeAnswers
-from dousa.library.search import Asked, search_index
+from dousa.library.search.search import Asked, search_index
+from dousa.library.store.forests import TreeAnswers
 from dousa.motion import canonicalise, compute_trajectories
 from dousa.motion.canonical.canonicalise import mirror_canonical
 from dousa.motion.synthetic.performers import draw_performer, make_motion

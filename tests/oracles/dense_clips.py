@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from dousa.library.index.leaf_index import LeafIndex
-from dousa.library.index.parts import ClipPart, SparseVotes, encode_rows
+from dousa.library.search.leaf_index import LeafIndex
+from dousa.library.search.parts import ClipPart, SparseVotes, encode_rows
 from dousa.retrieval.forest.likeness import Likeness, merge_votes
 from dousa.retrieval.forest.pose_space import Curve
 from dousa.retrieval.ranking.ranking import RankedClips, RankingQuery, rank_clips

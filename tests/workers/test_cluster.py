@@ -11,7 +11,8 @@ import pytest
 import sqlalchemy as sa
 
 from dousa.errors import ClusterError, OptionError
-from dousa.library import Library, schema
+from dousa.library import Library
+from dousa.library.store import schema
 from dousa.motion.synthetic import draw_performer, make_motion
 from dousa.workers import cluster as cluster_module
 from dousa.workers import current_cluster, use_cluster

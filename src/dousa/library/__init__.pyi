@@ -1,10 +1,12 @@
-from .engine import choose_jobs
-from .export.clip_export import ExportReport
-from .front.library import Library
-from .journal.entries import JournalEntry
+from .annotations.marks import CHECKED, FAVOURITE, SavedSearch
+from .care.clip_map import ClipMap
+from .care.compact import CompactReport
+from .care.damage import CheckReport, Damage
+from .care.review import DuplicateGroup, LabelDoubt, LabelReview
+from .export import ExportReport
+from .history.journal import JournalEntry
 from .labels import parse_label_rule
-from .marks.searches import SavedSearch
-from .marks.tags import CHECKED, FAVOURITE
+from .library import Library
 from .results import (
     AddReport,
     Classification,
@@ -22,13 +24,9 @@ from .results import (
     TrainReport,
     Verdict,
 )
-from .review.clip_map import ClipMap
-from .review.duplicates import DuplicateGroup
-from .review.label_doubts import LabelDoubt, LabelReview
-from .selection import UNCHANGED
-from .text.answers import TextHit, TextMatches, TextResult
-from .upkeep.compact import CompactReport
-from .upkeep.report import CheckReport, Damage
+from .search.text import TextHit, TextMatches, TextResult
+from .store.engine import choose_jobs
+from .store.selection import UNCHANGED
 
 __all__ = [
     "CHECKED",

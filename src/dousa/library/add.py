@@ -21,25 +21,21 @@ from dousa.errors import DousaError
 from dousa.formats.annotations.label_file import to_annotation
 from dousa.formats.frame_votes import FrameVotes
 from dousa.formats.motion_files import FoundFile, ReadOptions, Skipped, find_motion_files, is_unicode
-from dousa.library import schema
-from dousa.library.annotations.copies import choose_labels
-from dousa.library.annotations.fitting import TakeLength, check_fit
-from dousa.library.annotations.places import FoundLabels, find_labels
+from dousa.library.annotations.matching import FoundLabels, TakeLength, check_fit, choose_labels, find_labels
 from dousa.library.annotations.store import annotate_takes, read_annotations, rename_segments
-from dousa.library.engine import Database, next_revision
-from dousa.library.forests import StoredForest, load_forest
-from dousa.library.fragments.moving import BEGIN_AT, begin_where_large
-from dousa.library.growth.arrival import Arrival, describe_arrival
-from dousa.library.growth.insert import insert_clips
-from dousa.library.growth.lesson import learn_new
-from dousa.library.ingest import ClipRecord, FileRecord, ReadTask, SourceState, look_at, read_clip, read_clips
-from dousa.library.journal.recording import recording
-from dousa.library.journal.undoing import step
+from dousa.library.care.compact import BEGIN_AT, begin_where_large
+from dousa.library.history.recording import recording, step
 from dousa.library.labels import LabelRule, check_text, no_label
+from dousa.library.learning.insert import Arrival, describe_arrival, insert_clips
+from dousa.library.learning.lesson import learn_new
 from dousa.library.results import AddReport, Duplicate
-from dousa.library.seals.checksums import LABELS, NUMBERS, update_rows
-from dousa.library.selection import delete_clips, fetch_in, read_tags, save_tags
-from dousa.library.takes.kept_windows import make_window_files, refresh_windows
+from dousa.library.store import schema
+from dousa.library.store.checksums import LABELS, NUMBERS, update_rows
+from dousa.library.store.engine import Database, next_revision
+from dousa.library.store.forests import StoredForest, load_forest
+from dousa.library.store.ingest import ClipRecord, FileRecord, ReadTask, SourceState, look_at, read_clip, read_clips
+from dousa.library.store.selection import delete_clips, fetch_in, read_tags, save_tags
+from dousa.library.takes.windows import make_window_files, refresh_windows
 from dousa.messages import Message
 
 AddProgress = Callable[[int, int, str], None]

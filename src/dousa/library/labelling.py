@@ -11,15 +11,15 @@ import sqlalchemy as sa
 
 from dousa.errors import DousaError, LibraryDamagedError, LibraryError, MotionFileError
 from dousa.formats.motion_files import ReadOptions
-from dousa.library import schema
 from dousa.library.annotations.store import load_annotated_takes
-from dousa.library.engine import Database, choose_jobs
-from dousa.library.features import StoredMotion, find_feature_set, lacks, load_motions
-from dousa.library.forests import ForestCache, StoredForest
-from dousa.library.ingest import Query
-from dousa.library.partial.forests import PartForests
 from dousa.library.results import LabelledTake
-from dousa.library.selection import fetch_in
+from dousa.library.search.part_forests import PartForests
+from dousa.library.store import schema
+from dousa.library.store.engine import Database, choose_jobs
+from dousa.library.store.features import StoredMotion, find_feature_set, lacks, load_motions
+from dousa.library.store.forests import ForestCache, StoredForest
+from dousa.library.store.ingest import Query
+from dousa.library.store.selection import fetch_in
 from dousa.library.takes.takes import Takes, check_single
 from dousa.messages import Message
 from dousa.motion.canonical.joints import find_absent

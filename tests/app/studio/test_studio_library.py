@@ -391,7 +391,7 @@ def test_a_repair_looks_once_where_nothing_is_damaged(studio, wait_job, library_
     from types import SimpleNamespace
 
     from dousa.app.studio.work.library import check
-    from dousa.library.upkeep import repair
+    from dousa.library.care import repair
 
     looks, find = [], repair.find_damage
     monkeypatch.setattr(repair, "find_damage", lambda *words: looks.append(1) or find(*words))

@@ -605,7 +605,7 @@ def get_given(client, motion):
 
 def test_takes_are_added_with_tables_that_are_downloaded_as_they_are_read(studio, recording, table, wait_job, tmp_path):
     from dousa.formats.motion_files import FoundFile
-    from dousa.library.annotations.places import find_labels
+    from dousa.library.annotations.matching import find_labels
 
     motion, result = add_take(studio, recording, wait_job, table)
     assert (len(result["labelled"]), result["n_segments"]) == (1, len(ORDER) - 1)

@@ -197,7 +197,7 @@ def _leave_no_empty(library: str) -> Iterator[None]:
 def _check_labels(paths: list[Path], rule: str, tier: str | None) -> None:
     """Find mistakes in tables of labels before an empty library is left behind."""
     from dousa.formats.motion_files import find_motion_files
-    from dousa.library.annotations.places import find_labels
+    from dousa.library.annotations.matching import find_labels
 
     find_labels(find_motion_files(paths)[0], rule, tier)
 

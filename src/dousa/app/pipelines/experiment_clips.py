@@ -95,7 +95,7 @@ def read_annotated_takes(
     Parameters
     ----------
     paths : files and folders.
-    labels_from, tier : where their labels are, as in `dousa.library.annotations.places`.
+    labels_from, tier : where their labels are, as in `dousa.library.annotations.matching`.
     performer_from : rule as in `dousa.library.labels`.
     options : how the files are read.
     n_jobs : files at a time; None for every core.
@@ -114,8 +114,7 @@ def read_annotated_takes(
     TrainingError : no take could be read.
     """
     from dousa.formats.annotations.label_file import to_annotation
-    from dousa.library.annotations.fitting import TakeLength, check_fit, fit
-    from dousa.library.annotations.places import find_labels
+    from dousa.library.annotations.matching import TakeLength, check_fit, find_labels, fit
     from dousa.motion.annotation import lay_out
     from dousa.retrieval.features.posed_motion import AnnotatedTake
 

@@ -45,7 +45,7 @@ class LabelRules:
 
 @dataclass(frozen=True, slots=True)
 class TakeLabels:
-    """Where takes have tables of what happens when; see `dousa.library.annotations.places`."""
+    """Where takes have tables of what happens when; see `dousa.library.annotations.matching`."""
 
     labels: Annotated[
         str | None,

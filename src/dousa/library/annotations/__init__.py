@@ -1,1 +1,1 @@
-"""Takes with labels: where their tables are found, and how their segments are kept."""
+"""Labels of takes, tags and saved searches."""

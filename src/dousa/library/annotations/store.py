@@ -3,6 +3,8 @@
 A take with a table of labels has a row in ``take_annotations``: it was labelled from beginning to end, and where no
 segment is, nothing that has a name happens. Segments that somebody named by hand are kept like the others; of a take
 that has only such, nobody can say what the rest is.
+
+What a table of labels says of its take once some of its segments are removed from the library.
 """
 
 from __future__ import annotations
@@ -18,24 +20,63 @@ from typing import Any
 import sqlalchemy as sa
 
 from dousa.errors import LibraryError, OptionError
-from dousa.library import schema
-from dousa.library.annotations.fitting import TakeLength, check_annotation, check_fit, check_times, fit
-from dousa.library.engine import Database, next_revision
-from dousa.library.features import StoredMotion, load_motions
-from dousa.library.forests import ForestCache, StoredForest, load_forest
-from dousa.library.growth.arrival import Arrival, describe_arrival
-from dousa.library.growth.insert import insert_clips
-from dousa.library.growth.lesson import learn_new
-from dousa.library.ingest import ClipRecord
-from dousa.library.journal.recording import recording
+from dousa.library.annotations.matching import TakeLength, check_annotation, check_fit, check_times, fit
+from dousa.library.history.recording import recording
 from dousa.library.labels import check_text
+from dousa.library.learning.insert import Arrival, describe_arrival, insert_clips
+from dousa.library.learning.lesson import learn_new
 from dousa.library.results import TakeAnnotation, TakeSegment
-from dousa.library.seals.checksums import ANNOTATIONS, LABELS, SEGMENTS, seal_rows, update_rows
-from dousa.library.selection import delete_clips, fetch_in, find_row
-from dousa.library.takes.kept_windows import refresh_windows
+from dousa.library.store import schema
+from dousa.library.store.checksums import ANNOTATIONS, LABELS, SEGMENTS, seal_rows, update_rows
+from dousa.library.store.engine import Database, next_revision
+from dousa.library.store.features import StoredMotion, load_motions
+from dousa.library.store.forests import ForestCache, StoredForest, load_forest
+from dousa.library.store.ingest import ClipRecord
+from dousa.library.store.selection import delete_clips, fetch_in, find_row
+from dousa.library.takes.windows import refresh_windows
 from dousa.messages import Message
 from dousa.motion.annotation import Annotation, Stretch
 from dousa.retrieval.features.posed_motion import AnnotatedTake
+
+Spans = Mapping[int, Sequence[tuple[float, float]]]
+"""By number of the take: (start, stop) s."""
+
+
+def find_leaving(connection: sa.Connection, ids: Sequence[int]) -> Spans:
+    """Where the segments among some clips lie that tables said, in takes that are not among them.
+
+    What somebody named by hand is no part of a table: without it there is what the table says.
+    """
+    table, going = schema.segments.c, set(ids)
+    query = sa.select(table.take_id, table.start_s, table.end_s)
+    query = query.join(schema.take_annotations, schema.take_annotations.c.take_id == table.take_id)
+    found: dict[int, list[tuple[float, float]]] = {}
+    for row in fetch_in(connection, query.where(sa.not_(table.by_hand)), table.clip_id, ids):
+        if row.take_id not in going:
+            found.setdefault(int(row.take_id), []).append((row.start_s, row.end_s))
+    return found
+
+
+def leave_open(connection: sa.Connection, removed: Spans) -> None:
+    """Nobody can say what happens where a label was removed: it is not nothing. A take without any has no table.
+
+    After the segments are gone, in the same transaction.
+
+    Parameters
+    ----------
+    removed : of `find_leaving`.
+    """
+    segments, tables = schema.segments.c, schema.take_annotations
+    there = {row.take_id for row in fetch_in(connection, sa.select(segments.take_id), segments.take_id, list(removed))}
+    for take in removed.keys() - there:
+        connection.execute(sa.delete(tables).where(tables.c.take_id == take))
+    query = sa.select(*ANNOTATIONS.columns)
+    changes = {}
+    for row in fetch_in(connection, query, tables.c.take_id, sorted(there)):
+        ANNOTATIONS.check(connection, row)
+        changes[int(row.take_id)] = {"unclear": sorted([*map(list, row.unclear), *map(list, removed[row.take_id])])}
+    update_rows(connection, ANNOTATIONS, changes)
+
 
 _TIME = "#t="  # between the path of a take and the time of a segment
 _TAKES_AT_ONCE = 16  # in one transaction

@@ -1,1 +1,1 @@
-"""Looking into takes: the windows that a library keeps of its own, and those of others, described on the fly."""
+"""Windows of takes, and the search for places in them."""

@@ -1,9 +1,12 @@
-"""Places of takes that are like a motion: the best of all takes, each once, and how probably they show the same."""
+"""Places of takes that are like a motion: the best of all takes, each once, and how probably they show the same.
+
+Takes whose windows can be looked at, and how those are described that no library keeps.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -12,18 +15,74 @@ import sqlalchemy as sa
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IndexArray
-from dousa.library.features import StoredMotion, describe_clip, find_feature_set, load_motions
-from dousa.library.forests import StoredForest, ask_trees
+from dousa.formats.motion_files import ReadOptions, Skipped
 from dousa.library.results import MIRROR_SCORE, Place
-from dousa.library.takes.reading import ReadTake
-from dousa.library.text.meanings import find_meanings
+from dousa.library.search.text_store import find_meanings
+from dousa.library.store.features import StoredMotion, describe_clip, find_feature_set, load_motions
+from dousa.library.store.forests import StoredForest, ask_trees
+from dousa.library.takes.windows import describe_windows
+from dousa.messages import Message
 from dousa.retrieval.features.posed_motion import count_placed, hide_joints
 from dousa.retrieval.forest.likeness import merge_votes
 
 if TYPE_CHECKING:
-    from dousa.library.windows.scanning import TakesOnDisk
+    from dousa.library.takes.scanning import TakesOnDisk
     from dousa.retrieval.takes.find import CutStretch, Found
-    from dousa.retrieval.takes.windows import TakeWindows
+    from dousa.retrieval.takes.windows import TakeWindows, WindowGrid
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReadTake:
+    """A take whose windows can be looked at.
+
+    Parameters
+    ----------
+    path : its file.
+    clip_id : its number in the library, None for a file that is not there.
+    read : gives its windows; of many takes not all are in memory at a time.
+    stored : that forest: the present one, or one for the joints that take and query have in common.
+    motion : of a take that is not in the library.
+    notes : what came up when its file was read, if that was done just now.
+    """
+
+    path: str
+    clip_id: int | None
+    read: Callable[[], TakeWindows]
+    stored: StoredForest
+    motion: StoredMotion | None = None
+    notes: tuple[Message, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Describing:
+    """How takes are described that are not kept.
+
+    Parameters
+    ----------
+    stored : the forest of the library.
+    choose : gives the forest for a body that lacks some joints, and the grid of its windows; or None, and why.
+    options : what is said about files.
+    n_jobs : parts described at a time.
+    """
+
+    stored: StoredForest
+    choose: Callable[[Sequence[str]], tuple[tuple[StoredForest, WindowGrid] | None, Message | None]]
+    options: ReadOptions
+    n_jobs: int | None
+
+    def describe(
+        self, path: str, clip_id: int | None, motion: StoredMotion, notes: tuple[Message, ...] = ()
+    ) -> ReadTake | Skipped:
+        """A recording with its windows, or why it has none."""
+        chosen, why = self.choose(motion.absent)
+        if chosen is None:
+            assert why is not None
+            return Skipped(path, why)
+        stored, grid = chosen
+        kept = motion if clip_id is None else None
+        windows = describe_windows(stored, motion, self.n_jobs, grid)
+        return ReadTake(path, clip_id, lambda: windows, stored, kept, notes)
+
 
 _ALIKE = 0.5
 _SAME_PLACE = 0.3  # intersection over union of two answers that are the same place

@@ -11,11 +11,14 @@ import sqlalchemy as sa
 
 from dousa.errors import InvalidMotionError, LibraryError, MotionFileError
 from dousa.formats.motion_files import ReadOptions, Skipped, find_motion_files, is_unicode
-from dousa.library import schema
-from dousa.library.engine import Database
-from dousa.library.features import StoredMotion, load_motions
-from dousa.library.forests import ForestCache, StoredForest
-from dousa.library.ingest import (
+from dousa.library.results import FindResult
+from dousa.library.search.part_forests import PartForests
+from dousa.library.search.search import PartProgress
+from dousa.library.store import schema
+from dousa.library.store.engine import Database
+from dousa.library.store.features import StoredMotion, load_motions
+from dousa.library.store.forests import ForestCache, StoredForest
+from dousa.library.store.ingest import (
     ClipRecord,
     Query,
     ReadTask,
@@ -25,14 +28,9 @@ from dousa.library.ingest import (
     read_clips,
     read_rounded,
 )
-from dousa.library.partial.forests import PartForests
-from dousa.library.results import FindResult
-from dousa.library.search import PartProgress
-from dousa.library.selection import fetch_in, find_row, read_doubts
-from dousa.library.takes.kept_windows import MOST_KEPT, describe_windows, read_windows, replace_windows
-from dousa.library.takes.places import count_alike, find_places, judge_places, rank_places
-from dousa.library.takes.reading import Describing, ReadTake
-from dousa.library.windows.keeper import WindowKeeper
+from dousa.library.store.selection import fetch_in, find_row, read_doubts
+from dousa.library.takes.places import Describing, ReadTake, count_alike, find_places, judge_places, rank_places
+from dousa.library.takes.windows import MOST_KEPT, WindowKeeper, describe_windows, read_windows, replace_windows
 from dousa.messages import Message
 
 if TYPE_CHECKING:
@@ -121,7 +119,7 @@ class Takes:
         progress: PartProgress | None,
     ) -> tuple[list[tuple[Found, bool]], float, list[Message]]:
         """``find_places``, in the files of windows if there are many, without any that is damaged."""
-        from dousa.library.windows.portions import PortionGoneError
+        from dousa.library.takes.portions import PortionGoneError
 
         if far is None:
             return *find_places(*asked), []

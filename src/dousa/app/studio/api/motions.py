@@ -12,7 +12,7 @@ from starlette.responses import FileResponse, Response
 from dousa.app.studio.content.motions import EXPORTED, Address, MotionName, MotionPart, MotionRef, Seconds, name_file
 from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import BYTES, Answer, RefusedError, StrictModel, attachment, say
-from dousa.library.export.clip_export import ORIGINAL, ExportFormat, list_formats
+from dousa.library.export import ORIGINAL, ExportFormat, list_formats
 from dousa.messages import Message
 
 router = APIRouter(tags=["motions"])

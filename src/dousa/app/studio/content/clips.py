@@ -35,7 +35,7 @@ from dousa.files.npz_arrays import open_npz
 
 if TYPE_CHECKING:
     from dousa.library import ClipInfo, ClipMap, Library, TextMatches
-    from dousa.library.selection import KnownClips
+    from dousa.library.store.selection import KnownClips
 
 Match = Callable[[str], "TextMatches | None"]
 """Finds the clips that do what a text describes; None if that is not known yet."""

@@ -1,0 +1,200 @@
+"""Searches that are kept under a name, and selections: clips that somebody chose one by one.
+
+Tags of clips and takes: several of each, such as ``fight`` or ``draft``; nothing is learned from them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import sqlalchemy as sa
+
+from dousa.errors import LibraryError, OptionError
+from dousa.library.labels import check_text
+from dousa.library.store import schema
+from dousa.library.store.checksums import SEARCHES, seal_rows
+from dousa.library.store.engine import Database, next_revision
+from dousa.library.store.selection import fetch_in, list_clips, read_tags, save_tags
+
+FAVOURITE = "favourite"
+"""The tag that the studio shows as a star."""
+
+CHECKED = "checked"
+"""The tag of clips whose label somebody has looked at and found right."""
+
+MOST_TAGS = 100
+"""Of a clip."""
+
+
+def check_tags(tags: Iterable[str]) -> tuple[str, ...]:
+    """Names of tags without spaces around them, each once; OptionError for one that is none."""
+    names = []
+    for tag in [tags] if isinstance(tags, str) else tags:
+        name = tag.strip()
+        check_text(name)
+        if not name or not name.isprintable() or name[0] in "+-":
+            raise OptionError("library_tags.not_a_tag", tag=tag)
+        names.append(name)
+    return tuple(dict.fromkeys(names))
+
+
+def change_tags(
+    connection: sa.Connection, ids: Sequence[int], add: Iterable[str], remove: Iterable[str]
+) -> dict[int, tuple[str, ...]]:
+    """Give tags to clips and takes and take others away; returns the tags of those that change.
+
+    Raises
+    ------
+    OptionError : more tags than a clip can have.
+    """
+    there = read_tags(connection, ids)
+    more, less = set(add), set(remove)
+    wanted = {number: tuple(sorted((set(there.get(number, ())) - less) | more)) for number in ids}
+    changed = {number: tags for number, tags in wanted.items() if tags != there.get(number, ())}
+    if any(len(tags) > MOST_TAGS for tags in changed.values()):
+        raise OptionError("library_tags.too_many", most=MOST_TAGS)
+    save_tags(connection, changed)
+    return changed
+
+
+def count_tags(connection: sa.Connection) -> dict[str, int]:
+    """Number of clips and takes that have a tag, by name."""
+    return dict(sorted(Counter(tag for tags in read_tags(connection).values() for tag in tags).items()))
+
+
+MOST_SEARCHES = 500
+_FILTERS = ("text", "category", "performer", "tag", "kind", "min_s", "max_s", "clips")
+
+
+@dataclass(frozen=True, slots=True)
+class SavedSearch:
+    """Something that is looked for again and again.
+
+    Parameters
+    ----------
+    name : of it.
+    asked : values by filter: ``text``, ``category``, ``performer``, ``tag`` (lists: any of them; ``kick/`` stands for
+        all categories below it), ``kind``, ``min_s``, ``max_s``; or ``clips``, numbers of a selection.
+    """
+
+    name: str
+    asked: Mapping[str, Any]
+
+    @property
+    def is_selection(self) -> bool:
+        """Whether clips were chosen one by one."""
+        return "clips" in self.asked
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {"name": self.name, "asked": dict(self.asked)}
+
+
+class SavedSearches:
+    """The searches and selections that a library keeps, ``Library.searches``."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def all(self) -> list[SavedSearch]:
+        """All of them, by name."""
+        with self._database.reading() as connection:
+            return _read(connection)
+
+    def get(self, name: str) -> SavedSearch:
+        """One; LibraryError where there is none of this name."""
+        found = [one for one in self.all() if one.name == name]
+        if not found:
+            raise LibraryError("library_searches.none", library=self._database.where, name=name)
+        return found[0]
+
+    def save(self, name: str, asked: Mapping[str, Any]) -> SavedSearch:
+        """Keep one, in the place of another of its name.
+
+        Raises
+        ------
+        OptionError : an empty name, or filters that there are not.
+        LibraryError : the library cannot be written, or there are too many.
+        """
+        search = _check(name, asked)
+        with self._database.writing() as connection:
+            next_revision(connection)
+            table = schema.saved_searches
+            connection.execute(sa.delete(table).where(table.c.name == search.name))
+            numbers = set(connection.execute(sa.select(table.c.number)).scalars())
+            if len(numbers) >= MOST_SEARCHES:
+                raise LibraryError("library_searches.too_many", library=self._database.where, most=MOST_SEARCHES)
+            free = next(number for number in range(1, MOST_SEARCHES + 1) if number not in numbers)
+            row = {"number": free, "name": search.name, "asked": dict(search.asked)}
+            connection.execute(sa.insert(table), seal_rows(table, [row]))
+        return search
+
+    def remove(self, name: str) -> None:
+        """Forget one; LibraryError where there is none of this name."""
+        with self._database.writing() as connection:
+            next_revision(connection)
+            table = schema.saved_searches
+            gone = connection.execute(sa.delete(table).where(table.c.name == name))
+            if not gone.rowcount:
+                raise LibraryError("library_searches.none", library=self._database.where, name=name)
+
+    def find(self, name: str) -> list[int]:
+        """Numbers of the clips and takes that fit now, ascending; those of a selection that are still there."""
+        asked = self.get(name).asked
+        with self._database.reading() as connection:
+            if "clips" in asked:
+                clips = schema.clips.c
+                return sorted(row.id for row in fetch_in(connection, sa.select(clips.id), clips.id, asked["clips"]))
+            return sorted(clip.id for clip in list_clips(connection) if _fits(clip, asked))
+
+
+def _read(connection: sa.Connection) -> list[SavedSearch]:
+    found = []
+    for row in connection.execute(sa.select(*SEARCHES.columns)).all():
+        SEARCHES.check(connection, row)
+        found.append(SavedSearch(row.name, row.asked))
+    return sorted(found, key=lambda one: one.name)
+
+
+def _check(name: str, asked: Mapping[str, Any]) -> SavedSearch:
+    plain = name.strip()
+    if not plain or not plain.isprintable():
+        raise OptionError("library_searches.no_name", name=name)
+    check_text(plain)
+    unknown = sorted(set(asked) - set(_FILTERS))
+    if unknown or not asked:
+        raise OptionError("library_searches.no_filter", found=tuple(unknown), known=_FILTERS)
+    kept = json.loads(json.dumps(dict(asked)))
+    return SavedSearch(plain, kept)
+
+
+def _fits(clip: Any, asked: Mapping[str, Any]) -> bool:
+    """Whether a clip is what a search asks for, as the Library page of the studio understands it."""
+    for name in ("category", "performer"):
+        wanted = _as_list(asked.get(name))
+        label, below = getattr(clip, name) or "", tuple(one for one in wanted if one.endswith("/"))
+        if wanted and label not in wanted and not (below and f"{label}/".startswith(below)):
+            return False
+    tags = _as_list(asked.get("tag"))
+    if tags and not (set(tags) & set(clip.tags) or ("" in tags and not clip.tags)):
+        return False
+    if asked.get("kind") and clip.kind != asked["kind"]:
+        return False
+    if not float(asked.get("min_s") or 0.0) <= clip.duration < float(asked.get("max_s") or float("inf")):
+        return False
+    said = " ".join([clip.path, clip.category or "", clip.performer or "", *clip.tags]).casefold()
+    return all(word in said for word in str(asked.get("text") or "").casefold().split())
+
+
+def _as_list(value: Any) -> Sequence[str]:
+    if value is None:
+        return ()
+    return (value,) if isinstance(value, str) else tuple(_texts(value))
+
+
+def _texts(values: Iterable[Any]) -> Iterable[str]:
+    return (str(value) for value in values)

@@ -1,0 +1,1 @@
+"""Check, repair, compaction and review."""

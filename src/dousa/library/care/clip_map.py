@@ -1,0 +1,164 @@
+"""A map of all clips: points in a plane, of which those lie together whose poses are alike.
+
+Clips are compared by their pose sequences, as near duplicates are: how far the joints are apart, in body heights. These
+are reduced to their principal components and laid out by t-SNE (van der Maaten, Hinton, "Visualizing Data using t-SNE",
+JMLR 9, 2008; the approximation of van der Maaten, JMLR 15, 2014), both of scikit-learn. Labels play no part in it, so
+that a clip with a wrong one lies among those that it resembles. On the map only what is near means something: distances
+between groups and sizes of groups do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import sqlalchemy as sa
+from numpy.typing import NDArray
+
+from dousa.arrays import IndexArray
+from dousa.extras import require
+from dousa.library.store import schema
+from dousa.library.store.engine import Database
+from dousa.library.store.features import lacks, load_poses
+from dousa.library.store.selection import portions
+from dousa.messages import Message
+from dousa.retrieval import DEFAULT_FEATURE_SET
+
+MapProgress = Callable[[int, int, Message], None]
+"""Called with (steps done, steps, message about the next step)."""
+
+MOST_LAID_OUT = 5_000
+"""Clips that are laid out together; the others of a larger library are placed beside those that they resemble."""
+
+_COMPONENTS = 50
+_PERPLEXITY = 30.0  # neighbours that a clip is drawn to, about
+_EXAGGERATION = 12.0  # of attraction at first, so that groups form
+_PARTS, _STEPS = 3, 250  # of t-SNE; between two parts progress is told
+_NEIGHBOURS = 3  # between which a clip is placed that was not laid out
+_FEWEST = 4  # clips of which neighbours can be told
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClipMap:
+    """Where clips lie on a map.
+
+    Parameters
+    ----------
+    clip_ids : (N,) numbers of the clips, in the order of their contents.
+    points : (N, 2) where each lies: x to the right, y up, from -1 to 1.
+    n_laid_out : of them, how many were laid out together; the others were placed beside those that they resemble.
+    left_out : numbers of clips that are not on it, as their bodies lack joints that the others have.
+    """
+
+    clip_ids: NDArray[np.int64]
+    points: NDArray[np.float32]
+    n_laid_out: int
+    left_out: tuple[int, ...]
+
+
+def map_clips(database: Database, progress: MapProgress | None) -> ClipMap:
+    """The map of a library; as ``Library.map``."""
+    for name in ("sklearn", "sklearn.manifold"):  # before the limit, which holds for what is loaded
+        require(name, "map")
+    limits = require("threadpoolctl", "map")
+    steps = _PARTS + 2
+    tell = progress or (lambda done, total, what: None)
+    tell(0, steps, Message("library_map.reading"))
+    # One thread: sums of several are in no fixed order, and the map would be another one each time.
+    with limits.threadpool_limits(1):
+        with database.reading() as connection:
+            ids, left_out, feature_set = _list(connection)
+            if len(ids) < _FEWEST:
+                return ClipMap(np.array(ids, np.int64), _in_a_row(len(ids)), len(ids), tuple(left_out))
+            chosen = np.sort(np.random.default_rng(0).permutation(len(ids))[:MOST_LAID_OUT])
+            reduced = _reduce(connection, ids, chosen, feature_set)
+        points = np.empty((len(ids), 2), np.float32)
+        laying_out = Message("library_map.laying_out")
+        points[chosen] = _lay_out(reduced[chosen], lambda part: tell(1 + part, steps, laying_out))
+        tell(steps - 1, steps, Message("library_map.placing"))
+        others = np.setdiff1d(np.arange(len(ids)), chosen)
+        if len(others):
+            points[others] = _place(reduced[others], reduced[chosen], points[chosen])
+    tell(steps, steps, Message("library_map.placing"))
+    return ClipMap(np.array(ids, np.int64), _fit(points), len(chosen), tuple(left_out))
+
+
+def _reduce(connection: sa.Connection, ids: Sequence[int], chosen: IndexArray, feature_set: str) -> NDArray[np.float32]:
+    """(N, C) principal components of the clips' poses, found by those that are chosen."""
+    decomposition = require("sklearn.decomposition", "map")
+    poses = _read_poses(connection, [ids[row] for row in chosen], feature_set)
+    n_components = min(_COMPONENTS, *poses.shape)
+    found = decomposition.PCA(n_components, svd_solver="randomized", random_state=0)
+    with np.errstate(invalid="ignore", divide="ignore"):  # all clips are the same: shares of no variance
+        found.fit(poses)
+    reduced = [found.transform(_read_poses(connection, some, feature_set)) for some in portions(ids)]
+    return np.concatenate(reduced).astype(np.float32)
+
+
+def _list(connection: sa.Connection) -> tuple[list[int], list[int], str]:
+    """Clips that can be compared, those that cannot, and the features with which their poses are stored."""
+    parameters = connection.execute(sa.select(schema.forests.c.parameters)).scalar()
+    feature_set = str((parameters or {}).get("feature_set", DEFAULT_FEATURE_SET))
+    clips = schema.clips.c
+    query = sa.select(clips.id, clips.absent).where(clips.kind == schema.CLIP).order_by(clips.content_hash)
+    ids: list[int] = []
+    left_out: list[int] = []
+    for row in connection.execute(query):
+        (left_out if lacks(feature_set, row.absent) else ids).append(row.id)
+    return ids, left_out, feature_set
+
+
+def _read_poses(connection: sa.Connection, ids: Sequence[int], feature_set: str) -> NDArray[np.float32]:
+    return load_poses(connection, ids, feature_set).reshape(len(ids), -1)
+
+
+def _in_a_row(count: int) -> NDArray[np.float32]:
+    """Points of so few clips that there is nothing to compare."""
+    across = np.linspace(-1, 1, count) if count > 1 else np.zeros(count)
+    return np.stack([across, np.zeros(count)], axis=1).astype(np.float32)
+
+
+def _lay_out(known: NDArray[np.float32], tell: Callable[[int], None]) -> NDArray[np.float32]:
+    """(N, 2) points by t-SNE, from where the first two principal components (N, C) lead."""
+    manifold = require("sklearn.manifold", "map")
+    points = np.zeros((len(known), 2), np.float32)
+    points[:, : known.shape[1]] = known[:, :2]
+    spread = float(points[:, 0].std())
+    if spread <= 0 or not np.isfinite(spread):  # all clips are the same
+        return points
+    points *= np.float32(1e-4 / spread)
+    rate = max(len(known) / _EXAGGERATION / 4, 50.0)  # as scikit-learn chooses it for all parts together
+    for part in range(_PARTS):
+        tell(part)
+        exaggeration = 1.0 if part else _EXAGGERATION
+        layout = manifold.TSNE(
+            perplexity=min(_PERPLEXITY, (len(known) - 1) / 3),
+            early_exaggeration=exaggeration,
+            learning_rate=rate,
+            max_iter=_STEPS,
+            init=points,
+            random_state=0,
+            n_jobs=1,
+        )
+        points = layout.fit_transform(known)
+    return points
+
+
+def _place(others: NDArray[np.float32], known: NDArray[np.float32], points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(M, 2) points between those of the nearest clips, the nearer the more."""
+    neighbours = require("sklearn.neighbors", "map")
+    nearest = neighbours.NearestNeighbors(n_neighbors=min(_NEIGHBOURS, len(known)), n_jobs=1).fit(known)
+    distances, rows = nearest.kneighbors(others)
+    shares = 1 / np.maximum(distances, 1e-6) ** 2
+    shares /= shares.sum(axis=1, keepdims=True)
+    placed: NDArray[np.float32] = np.einsum("mk,mkd->md", shares, points[rows]).astype(np.float32)
+    return placed
+
+
+def _fit(points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The same points about the middle of their extent, from -1 to 1 along the longer side."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    half = float((high - low).max()) / 2
+    fitted: NDArray[np.float32] = (points - (low + high) / 2) / np.float32(half or 1.0)
+    return fitted

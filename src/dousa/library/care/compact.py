@@ -1,0 +1,404 @@
+"""Giving back the room that removed clips have left, in a library file and in fragments, and moving arrays there.
+
+Moving arrays between rows and fragments, and leaving out blocks that no row names any more.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+import sqlite3
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+
+from dousa.errors import LibraryDamagedError, LibraryError
+from dousa.library.history.journal import forget_kept, measure_kept
+from dousa.library.store import schema
+from dousa.library.store.checksums import FEATURES, seal_positions
+from dousa.library.store.engine import Database, lock_for_writing
+from dousa.library.store.fragments import (
+    ARRAYS,
+    MOST_BYTES,
+    FragmentStore,
+    begin_store,
+    find_store,
+    make_name,
+    read_blocks,
+)
+from dousa.library.store.schema import PLACE
+from dousa.library.takes.windows import sweep_files
+from dousa.messages import Message
+
+MoveProgress = Callable[[int, int], None]
+"""Called with (bytes moved, bytes to move)."""
+
+_ROWS_AT_ONCE = 500
+_BYTES_AT_ONCE = 2**25  # of one transaction
+_SMALL = MOST_BYTES // 8  # fragments below are joined
+_PAUSE = 0.1  # s between two looks at whether somebody reads an earlier state
+
+BEGIN_AT = 100_000
+"""Clips of a library file from which on new arrays go to fragments."""
+
+
+def begin_where_large(database: Database) -> bool:
+    """Let new arrays go to fragments beside a large library file; whether that has begun now."""
+    if database.engine.dialect.name != "sqlite" or database.is_read_only:
+        return False
+    with database.reading() as connection:
+        if find_store(connection) is not None:
+            return False
+        # All but segments have positions; to count these themselves reads through the whole file.
+        n_clips, n_segments = (
+            connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one()
+            for table in (schema.clips, schema.segments)
+        )
+        if n_clips - n_segments < BEGIN_AT:
+            return False
+    with database.writing() as connection:
+        if find_store(connection) is None:
+            begin_store(connection, "")
+    return True
+
+
+def choose_place(database: Database, place: str) -> None:
+    """Let new arrays go to fragments at a place that is asked for; empty for beside a library file.
+
+    Raises
+    ------
+    LibraryError : a library file with fragments elsewhere, a server without a place, or another one than it has.
+    """
+    on_server = database.engine.dialect.name != "sqlite"
+    if bool(place) != on_server:
+        code = "library_fragments.place_of_server" if on_server else "library_fragments.place_of_file"
+        raise LibraryError(code, library=database.where)
+    with database.writing() as connection:
+        known = connection.execute(sa.select(schema.array_store.c.place)).scalar_one_or_none()
+        if known is None:
+            chosen = f"{_as_url(place)}/{secrets.token_hex(8)}" if place else ""
+            begin_store(connection, chosen)
+            find_store(connection)  # says if it cannot be opened, before anything is moved
+        elif place and not known.startswith(f"{_as_url(place)}/"):
+            raise LibraryError("library_fragments.other_place", library=database.where, place=known)
+
+
+def _as_url(place: str) -> str:
+    return place.rstrip("/") if "://" in place else os.fspath(Path(place).absolute())
+
+
+def measure_rows(connection: sa.Connection) -> int:
+    """Bytes of arrays that stand in their rows."""
+    sizes = (sa.select(sa.func.sum(sa.func.length(column))) for column in ARRAYS)
+    return sum(int(connection.execute(query).scalar() or 0) for query in sizes)
+
+
+def move_arrays(database: Database, progress: MoveProgress | None = None) -> int:
+    """Move the arrays that stand in rows to fragments; returns their bytes."""
+    report = progress or (lambda done, total: None)
+    with database.reading() as connection:
+        total = measure_rows(connection)
+    done = 0
+    for column in ARRAYS:
+        with database.reading() as connection:
+            table = column.table.c
+            query = sa.select(_key_of(column)).where(table.fragment.is_(None), sa.func.length(column) > 0)
+            keys = list(connection.execute(query.order_by(_key_of(column))).scalars())
+        for start in range(0, len(keys), _ROWS_AT_ONCE):
+            left: Sequence[Any] = keys[start : start + _ROWS_AT_ONCE]
+            while left:
+                report(done, max(total, done))
+                moved, left = _move_some(database, column, left)
+                done += moved
+    report(done, done)
+    return done
+
+
+def _key_of(column: sa.Column[Any]) -> sa.Column[Any]:
+    return next(iter(column.table.primary_key))
+
+
+def _move_some(database: Database, column: sa.Column[Any], keys: Sequence[Any]) -> tuple[int, Sequence[Any]]:
+    """Move rows in one transaction; returns the bytes, and those that are left for the next."""
+    key, table = _key_of(column), column.table
+    with database.writing() as connection:
+        lock_for_writing(connection)
+        store = find_store(connection)
+        if store is None:
+            raise LibraryDamagedError("library_fragments.no_store", library=database.where)
+        measured = sa.select(key, sa.func.length(column)).where(key.in_(keys), table.c.fragment.is_(None))
+        sizes = {row[0]: int(row[1]) for row in connection.execute(measured)}
+        some: list[Any] = []
+        size = 0
+        for number in keys:
+            if some and size + sizes.get(number, 0) > _BYTES_AT_ONCE:
+                break
+            some.append(number)
+            size += sizes.get(number, 0)
+        query = sa.select(table).where(key.in_(some), table.c.fragment.is_(None), sa.func.length(column) > 0)
+        rows = connection.execute(query.order_by(key)).all()
+        if rows:
+            places = store.append([row._mapping[column.name] for row in rows])
+            changes = [
+                {"of_row": row._mapping[key.name], column.name: b"", **place._asdict(), **_seal(column, row)}
+                for row, place in zip(rows, places, strict=True)
+            ]
+            connection.execute(sa.update(table).where(key == sa.bindparam("of_row")), changes)
+    return size, keys[len(some) :]
+
+
+def _seal(column: sa.Column[Any], row: Any) -> dict[str, Any]:
+    """The checksum of bytes, also where an older dousa wrote none: without one nothing would tell their fragment."""
+    if column.table is schema.clip_features:
+        sums = row.checksum if row.checksum is not None else FEATURES.compute(row[: len(FEATURES.covered)])
+        return {"checksum": sums}
+    known = row.block_checksums
+    return {"block_checksums": known if known is not None else seal_positions(row[0], row.positions)}
+
+
+def rewrite_fragments(database: Database, progress: MoveProgress | None = None) -> None:
+    """Write fragments anew that have blocks which no row names, and join small ones."""
+    report = progress or (lambda done, total: None)
+    with database.reading() as connection:
+        store, used = find_store(connection), measure_used(connection)
+    if store is None:
+        return
+    sizes = store.sizes()
+    sparse = [name for name, size in sizes.items() if 0 < used[name] < size]
+    small = [name for name, size in sizes.items() if 0 < used[name] == size < _SMALL]
+    chosen = sorted([*sparse, *(small if len(small) > 1 else [])])
+    total, done, into = sum(used[name] for name in chosen), 0, make_name(list(sizes))
+    for name in chosen:
+        for column in ARRAYS:
+            while True:
+                report(done, total)
+                size = _rewrite_some(database, column, name, into)
+                if not size:
+                    break
+                done += size
+                if store.sizes().get(into, 0) >= MOST_BYTES:
+                    into = make_name(list(store.sizes()))
+    report(total, total)
+
+
+def _rewrite_some(database: Database, column: sa.Column[Any], name: str, into: str) -> int:
+    """Move some blocks out of a fragment in one transaction; returns their bytes, 0 where none was left."""
+    key, table = _key_of(column), column.table
+    with database.writing() as connection:
+        lock_for_writing(connection)
+        query = sa.select(key, column, *(table.c[one] for one in PLACE)).where(table.c.fragment == name)
+        rows: list[Any] = []
+        size = 0
+        for row in connection.execute(query.order_by(table.c.first_byte).limit(_ROWS_AT_ONCE)).all():
+            if rows and size + row.n_bytes > _BYTES_AT_ONCE:
+                break
+            rows.append(row)
+            size += row.n_bytes
+        store = find_store(connection)
+        if not rows or store is None:
+            return 0
+        places = store.append(read_blocks(connection, rows, column.name), into)
+        changes = [{"of_row": row[0], **place._asdict()} for row, place in zip(rows, places, strict=True)]
+        connection.execute(sa.update(table).where(key == sa.bindparam("of_row")), changes)
+    return max(size, 1)
+
+
+def measure_used(connection: sa.Connection) -> Counter[str]:
+    """Bytes of each fragment that rows name."""
+    used: Counter[str] = Counter()
+    for column in ARRAYS:
+        table = column.table.c
+        query = sa.select(table.fragment, sa.func.sum(table.n_bytes)).where(table.fragment.is_not(None))
+        for name, size in connection.execute(query.group_by(table.fragment)):
+            used[name] += int(size)
+    return used
+
+
+def drop_unused(database: Database, timeout: float) -> int:
+    """Delete fragments that no row names, once nobody reads an earlier state of the library; returns their bytes.
+
+    They are left for the next time where somebody still reads after the timeout, s.
+    """
+    deadline = time.monotonic() + timeout
+    while not _is_read_by_nobody(database):
+        if time.monotonic() >= deadline:
+            return 0
+        time.sleep(_PAUSE)
+    freed = 0
+    # Nobody writes meanwhile: a block is written before the row that names it.
+    with database.writing() as connection:
+        lock_for_writing(connection)
+        store, used = find_store(connection), measure_used(connection)
+        if store is None:
+            return 0
+        for name, size in store.sizes().items():
+            if name not in used:
+                store.delete(name)
+                freed += size
+    return freed
+
+
+def _is_read_by_nobody(database: Database) -> bool:
+    """Whether no transaction is going on that began before."""
+    if database.engine.dialect.name == "sqlite":
+        with database.alone() as connection:
+            # Busy if a reader still needs the log.
+            return not connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0]
+    with database.reading() as connection:
+        others = "SELECT count(*) FROM pg_stat_activity WHERE datname = current_database() AND pid <> pg_backend_pid()"
+        return not connection.execute(sa.text(f"{others} AND backend_xmin IS NOT NULL")).scalar_one()
+
+
+def measure_fragments(connection: sa.Connection) -> tuple[int, int]:
+    """Number and bytes of the fragments."""
+    store: FragmentStore | None = find_store(connection)
+    sizes = {} if store is None else store.sizes()
+    return len(sizes), sum(sizes.values())
+
+
+_STEPS = 10_000  # of the database between two looks at whether somebody wants to stop
+
+CompactProgress = Callable[[int, int, Message], None]
+"""Called with (kB done, kB, what is being done)."""
+
+
+@dataclass(frozen=True, slots=True)
+class CompactReport:
+    """The answer of ``Library.compact``.
+
+    Parameters
+    ----------
+    library : its path.
+    before, after : bytes of its file and its fragments; of a database server only those of fragments.
+    forgotten : bytes of removed clips that were kept for an undo.
+    moved : bytes of arrays that were moved from the file, or the tables, to fragments.
+    n_fragments : how many there are.
+    swept : bytes of files of takes, beside the library, that no search would use.
+    """
+
+    library: str
+    before: int
+    after: int
+    forgotten: int = 0
+    moved: int = 0
+    n_fragments: int = 0
+    swept: int = 0
+
+    def to_messages(self) -> Iterator[Message]:
+        """What was moved, what is forgotten, and what the file was and is."""
+        if self.moved:
+            yield Message("library_compact.moved", megabytes=self.moved / 1e6, n=self.n_fragments)
+        if self.forgotten:
+            yield Message("library_compact.forgotten", megabytes=self.forgotten / 1e6)
+        if self.swept:
+            yield Message("library_compact.swept", megabytes=self.swept / 1e6)
+        if self.before:
+            yield Message("library_compact.done", before=self.before / 1e6, after=self.after / 1e6)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "library": self.library,
+            "before": self.before,
+            "after": self.after,
+            "forgotten": self.forgotten,
+            "moved": self.moved,
+            "n_fragments": self.n_fragments,
+            "swept": self.swept,
+        }
+
+
+def _go_on() -> int:
+    return 0
+
+
+def compact_library(
+    database: Database, fragments: str | None = None, progress: CompactProgress | None = None
+) -> CompactReport:
+    """Leave out what nobody needs, and move arrays to fragments where that is asked for; as ``Library.compact``."""
+    report = progress or (lambda done, total, what: None)
+
+    def tell(what: Message) -> Callable[[int, int], None]:
+        return lambda done, total: report(done // 1000, total // 1000, what)
+
+    in_file = database.engine.dialect.name == "sqlite"
+    database.check_writable()
+    before, _ = _measure(database)
+    moved = 0
+    if fragments is not None:
+        _check_room(database, fragments)
+        choose_place(database, fragments)
+        moved = move_arrays(database, tell(Message("library_compact.moving")))
+    if in_file:
+        needed, free = _measure_room(database)
+        if needed > free:
+            raise LibraryError("library_compact.disk", library=database.where, needed=needed / 1e6, free=free / 1e6)
+    with database.writing() as writing:  # not before the space is known to be there
+        forgotten = forget_kept(writing)
+    rewrite_fragments(database, tell(Message("library_compact.rewriting")))
+    if in_file:
+        _vacuum(database)
+    drop_unused(database, min(database.timeout, 5.0))
+    swept = sweep_files(database)
+    after, n_fragments = _measure(database)
+    if not in_file and not (forgotten or moved or n_fragments or swept):
+        raise LibraryError("library_compact.server", library=database.where)
+    return CompactReport(database.where, before, after, forgotten, moved, n_fragments, swept)
+
+
+def _measure(database: Database) -> tuple[int, int]:
+    """Bytes of a library, and how many fragments it has."""
+    with database.reading() as connection:
+        n_fragments, size = measure_fragments(connection)
+    if database.engine.dialect.name == "sqlite":
+        size += os.path.getsize(database.where)
+    return size, n_fragments
+
+
+def _check_room(database: Database, place: str) -> None:
+    """LibraryError where the arrays that are going to be moved find no room."""
+    if "://" in place:
+        return
+    folder = os.path.abspath(place or os.path.dirname(os.path.abspath(database.where)))
+    while not os.path.exists(folder):
+        folder = os.path.dirname(folder)
+    with database.reading() as connection:
+        needed = measure_rows(connection)
+    free = shutil.disk_usage(folder).free
+    if needed > free:
+        raise LibraryError("library_compact.disk", library=database.where, needed=needed / 1e6, free=free / 1e6)
+
+
+def _measure_room(database: Database) -> tuple[int, int]:
+    """Bytes that a library file without its unused room needs, and those that are free on its disk."""
+    with database.reading() as reading:
+        kept = measure_kept(reading)
+    with database.alone() as connection:
+        pages, unused, size = (
+            connection.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "freelist_count", "page_size")
+        )
+    # What is left is written beside the file, and then over it.
+    free = shutil.disk_usage(os.path.dirname(os.path.abspath(database.where))).free
+    return (pages - unused) * size - kept, free
+
+
+def _vacuum(database: Database) -> None:
+    """Write a library file anew without its unused room, all or nothing."""
+    with database.alone() as connection:
+        # Called while SQLite works, so that Ctrl-C is noticed.
+        connection.set_progress_handler(_go_on, _STEPS)
+        try:
+            connection.execute("VACUUM")
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorname == "SQLITE_INTERRUPT":
+                raise KeyboardInterrupt from error
+            raise
+        finally:
+            connection.set_progress_handler(None, 0)
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()

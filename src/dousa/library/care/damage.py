@@ -1,0 +1,372 @@
+"""What of a library is damaged: the structure of its file, rows that do not agree with their checksums, numbers that
+cannot be, and what does not go together.
+
+What a check of a library found, and what became of it: plain values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import sqlalchemy as sa
+
+from dousa.errors import DousaError, LibraryDamagedError, LibraryError
+from dousa.library.care.compact import measure_used
+from dousa.library.store import checksums, schema
+from dousa.library.store.checksums import SEALS, STATE, Seal, seal_positions
+from dousa.library.store.engine import Database
+from dousa.library.store.features import load_motions
+from dousa.library.store.forests import load_forest
+from dousa.library.store.fragments import find_store, look_at_blocks, look_at_feature_rows
+from dousa.library.store.selection import fetch_in
+from dousa.library.takes.portions import check_portion
+from dousa.library.takes.windows import find_files
+from dousa.messages import Message
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """Something that is damaged.
+
+    Parameters
+    ----------
+    what : names the part.
+    clip_id, path : of the clip or take; None where the library as a whole is meant.
+    remedy : what was done, can be done, or has to be done by hand.
+    repaired : whether it is whole again.
+    """
+
+    what: Message
+    clip_id: int | None
+    path: str | None
+    remedy: Message
+    repaired: bool
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, messages in the language in use."""
+        return {
+            "what": str(self.what),
+            "clip_id": self.clip_id,
+            "path": self.path,
+            "remedy": str(self.remedy),
+            "repaired": self.repaired,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class CheckReport:
+    """The answer of ``Library.check``.
+
+    Parameters
+    ----------
+    library : its path or URL.
+    n_clips : clips and takes.
+    n_rows : rows that were compared with their checksums.
+    n_sealed : rows of an older dousa that had none, and got them now.
+    n_unsealed : those that have none still, as the library cannot be written.
+    damage : what is damaged, or was.
+    seconds : that it took.
+    """
+
+    library: str
+    n_clips: int
+    n_rows: int
+    n_sealed: int
+    n_unsealed: int
+    damage: tuple[Damage, ...]
+    seconds: float
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether nothing is damaged, any more."""
+        return all(one.repaired for one in self.damage)
+
+    def to_messages(self) -> Iterator[Message]:
+        """A line for each thing that is or was damaged, then one of the whole."""
+        for one in self.damage:
+            where = {"what": one.what, "remedy": one.remedy}
+            if one.clip_id is None:
+                yield Message("library_check.part", **where)
+            else:
+                yield Message("library_check.of_clip", path=one.path, number=one.clip_id, **where)
+        if self.n_sealed:
+            yield Message("library_check.sealed", n=self.n_sealed)
+        if self.n_unsealed:
+            yield Message("library_check.unsealed", n=self.n_unsealed)
+        counts = {"clips": self.n_clips, "rows": self.n_rows, "seconds": self.seconds}
+        left = sum(not one.repaired for one in self.damage)
+        yield (
+            Message("library_check.damaged", left=left, **counts) if left else Message("library_check.sound", **counts)
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, messages in the language in use."""
+        return {
+            "library": self.library,
+            "sound": self.is_sound,
+            "n_clips": self.n_clips,
+            "n_rows": self.n_rows,
+            "n_sealed": self.n_sealed,
+            "n_unsealed": self.n_unsealed,
+            "damage": [one.to_json() for one in self.damage],
+            "seconds": round(self.seconds, 3),
+        }
+
+
+Tell = Callable[[int, int], None]
+"""Called with (rows done, rows)."""
+
+_POSITIONS = (schema.clip_trajectories, schema.removed_positions)
+_ARRAYS_AT_ONCE = 64
+_MOST_SAID = 20  # by SQLite about the structure
+REMOVED_POSITIONS = Message("library_damage.removed_positions")
+"""Names positions of a removed clip."""
+
+_WINDOWS = Message("library_damage.windows")
+WINDOW_FILE = "library_damage.window_file"
+"""Code of a file of windows; its key is where it is."""
+
+_LABELLER = Message("library_damage.labeller")
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Something that is damaged.
+
+    Parameters
+    ----------
+    what : names the part.
+    key : of its row; None for the whole library.
+    seal : of the row, if it is one with a checksum of its own.
+    """
+
+    what: Message
+    key: Any = None
+    seal: Seal | None = None
+
+
+@dataclass(slots=True)
+class Findings:
+    """What a look at the whole library found.
+
+    Parameters
+    ----------
+    faults : what is damaged, each once.
+    unsealed : keys of rows without a checksum, by table.
+    n_rows : rows that were looked at.
+    n_clips : clips and takes.
+    """
+
+    faults: dict[Fault, None] = field(default_factory=dict)
+    unsealed: dict[str, list[Any]] = field(default_factory=dict)
+    n_rows: int = 0
+    n_clips: int = 0
+
+    def add(self, fault: Fault) -> None:
+        """Note a fault, if it is a new one."""
+        self.faults[fault] = None
+
+
+def find_damage(database: Database, tell: Tell | None = None) -> Findings:
+    """Look at everything that a library keeps."""
+    findings = Findings()
+    report = tell or (lambda done, total: None)
+    with _noting(findings), database.reading() as connection:
+        for reason in _check_structure(connection):
+            findings.add(Fault(Message("library_damage.structure", reason=reason)))
+    tables = [*dict.fromkeys(seal.checksum.table for seal in SEALS), *_POSITIONS]
+    keys: dict[str, list[Any]] = {}
+    for table in tables:
+        with _noting(findings), database.reading() as connection:
+            keys[table.name] = list(connection.execute(sa.select(_key_of(table))).scalars())
+    total, done = sum(map(len, keys.values())), 0
+    for table in tables:
+        own = keys.get(table.name, [])
+        for start in range(0, len(own), _ARRAYS_AT_ONCE):
+            report(done, total)
+            some = own[start : start + _ARRAYS_AT_ONCE]
+            with _noting(findings), database.reading() as connection:
+                _check_rows(connection, table, some, findings)
+            done += len(some)
+    findings.n_rows, findings.n_clips = total, len(keys.get(schema.clips.name, []))
+    with _noting(findings), database.reading() as connection:
+        _check_fragments(connection, findings)
+    with _noting(findings), database.reading() as connection:
+        _check_state(connection, findings)
+        _check_forest(connection, database.where, findings)
+    with _noting(findings), database.reading() as connection:
+        for file in find_files(connection, database.where):
+            if not check_portion(file):
+                findings.add(Fault(Message(WINDOW_FILE, file=file.name), str(file)))
+    report(total, total)
+    return findings
+
+
+@contextmanager
+def _noting(findings: Findings) -> Iterator[None]:
+    """What cannot be read at all is a fault of the structure."""
+    try:
+        yield
+    except LibraryDamagedError as error:
+        findings.add(Fault(Message("library_damage.structure", reason=error)))
+
+
+def _key_of(table: sa.Table) -> sa.Column[Any]:
+    return next(iter(table.primary_key))
+
+
+def _check_structure(connection: sa.Connection) -> Iterator[str]:
+    """What the database says of its own file, and tables that are not those of a library."""
+    inspector = sa.inspect(connection)
+    for table in schema.metadata.sorted_tables:
+        there = {column["name"] for column in inspector.get_columns(table.name)}
+        lacking = sorted(column.name for column in table.c if column.name not in there)
+        if lacking:
+            yield f"{table.name}: {', '.join(lacking)}"
+    if connection.dialect.name != "sqlite":
+        return
+    for said in connection.exec_driver_sql(f"PRAGMA integrity_check({_MOST_SAID})").scalars():
+        if said != "ok":
+            yield from (line for line in str(said).splitlines() if line and not line.startswith("***"))
+    for row in connection.exec_driver_sql("PRAGMA foreign_key_check").all()[:_MOST_SAID]:
+        yield f"{row[0]} {row[1]}"
+
+
+def _check_rows(connection: sa.Connection, table: sa.Table, keys: Sequence[Any], findings: Findings) -> None:
+    if table in _POSITIONS:
+        check = _check_positions if table is schema.clip_trajectories else _check_removed_positions
+        for number in keys:
+            check(connection, number, findings)
+        return
+    for seal in SEALS:
+        if seal.checksum.table is not table:
+            continue
+        rows: list[Any] = (
+            look_at_feature_rows(connection, keys)
+            if seal is checksums.FEATURES
+            else list(fetch_in(connection, sa.select(*seal.columns), seal.covered[0], keys))
+        )
+        for row in rows:
+            if row[-1] is None:
+                findings.unsealed.setdefault(table.name, []).append(row[0])
+            elif not seal.is_whole(row):
+                findings.add(Fault(seal.what, row[0], seal))
+        for number in set(keys) - {row[0] for row in rows}:  # an index knows it, the table does not
+            findings.add(Fault(seal.what, number, seal))
+
+
+def _check_positions(connection: sa.Connection, number: int, findings: Findings) -> None:
+    """Positions against their checksums; those that have none, against what can be."""
+    table = schema.clip_trajectories
+    row = connection.execute(sa.select(table).where(table.c.clip_id == number)).first()
+    if row is not None and row.block_checksums is None:
+        findings.unsealed.setdefault(schema.clip_trajectories.name, []).append(number)
+    n_frames = connection.execute(sa.select(schema.clips.c.n_frames).where(schema.clips.c.id == number)).scalar()
+    data = b"" if row is None else look_at_blocks(connection, [row], "positions")[0]
+    if row is None or n_frames is None or not are_positions(number, data, row.block_checksums, n_frames):
+        findings.add(Fault(checksums.POSITIONS, number))
+        return
+    known = {(fault.seal, fault.key) for fault in findings.faults}
+    if not known & {(seal, number) for seal in (checksums.LABELS, checksums.NUMBERS)}:
+        try:
+            next(load_motions(connection, [number]))
+        except LibraryDamagedError:
+            findings.add(Fault(checksums.POSITIONS, number))
+
+
+def _check_removed_positions(connection: sa.Connection, number: int, findings: Findings) -> None:
+    """Positions that an undo would bring back."""
+    table = schema.removed_positions
+    row = connection.execute(sa.select(table).where(table.c.number == number)).first()
+    data = b"" if row is None else look_at_blocks(connection, [row], "positions")[0]
+    n_frames = len(data) // schema.FRAME_BYTES
+    if row is None or not n_frames or not are_positions(number, data, row.block_checksums, n_frames):
+        findings.add(Fault(REMOVED_POSITIONS, number))
+
+
+def _check_fragments(connection: sa.Connection, findings: Findings) -> None:
+    """Whether the fragments that rows name are there; the clips that lack them are found too."""
+    used = measure_used(connection)
+    store = find_store(connection) if used else None
+    if used and store is None:
+        findings.add(Fault(checksums.STORE.what, 1, checksums.STORE))
+    elif store is not None:
+        there = store.sizes()
+        for name in sorted(used.keys() - there.keys()):
+            findings.add(Fault(Message("library_damage.fragment", fragment=name, where=store.where)))
+
+
+def are_positions(number: int, data: bytes, sums: bytes | None, n_frames: int) -> bool:
+    """Whether positions have their length and their checksums, and are finite where there are none."""
+    if len(data) != n_frames * schema.FRAME_BYTES:
+        return False
+    if sums is None:
+        return bool(np.isfinite(np.frombuffer(data, "<f4")).all())
+    return seal_positions(number, data) == sums
+
+
+def _check_state(connection: sa.Connection, findings: Findings) -> None:
+    """Whether the numbers that count clips and writes fit what is there."""
+    clips, segments, stored = schema.clips.c, schema.segments.c, schema.clip_trajectories.c
+    state = connection.execute(sa.select(*STATE.columns)).one_or_none()
+    highest = connection.execute(sa.select(sa.func.max(clips.id))).scalar() or 0
+    learned = connection.execute(sa.select(sa.func.max(schema.forests.c.learned))).scalar() or 0
+    if state is None or not (highest < state.next_clip_id and learned <= state.revision):
+        findings.add(Fault(STATE.what, 1, STATE))
+    query = sa.select(clips.id).join(schema.segments, segments.clip_id == clips.id, isouter=True)
+    query = query.join(schema.clip_trajectories, stored.clip_id == clips.id, isouter=True)
+    for number in connection.execute(query.where(segments.clip_id.is_(None), stored.clip_id.is_(None))).scalars():
+        findings.add(Fault(checksums.POSITIONS, number))
+
+
+def _check_forest(connection: sa.Connection, where: str, findings: Findings) -> None:
+    """Whether the forest, its leaves, the windows of takes and the labeller can be used."""
+    from dousa.retrieval import MotionForest
+    from dousa.retrieval.forest.calibration import Calibration
+    from dousa.retrieval.takes.label import TakeLabeller
+    from dousa.retrieval.takes.windows import TakeWindows
+
+    table, windows = schema.forests.c, schema.take_windows.c
+    stored = None
+    try:
+        stored = load_forest(connection, where)
+    except LibraryError:
+        findings.add(Fault(checksums.FOREST.what, 1, checksums.FOREST))
+    asked = connection.execute(sa.select(schema.clip_leaves.c.clip_id).limit(1)).first()
+    if asked is not None and connection.execute(sa.select(table.id)).first() is None:
+        findings.add(Fault(checksums.FOREST.what, 1, checksums.FOREST))  # it is gone
+    labeller = connection.execute(sa.select(table.labeller)).scalar()
+    if labeller is not None and not _is_readable(TakeLabeller.from_bytes, labeller):
+        findings.add(Fault(_LABELLER, 1))
+    for number in connection.execute(sa.select(windows.clip_id)).scalars().all():
+        data = connection.execute(sa.select(windows.data).where(windows.clip_id == number)).scalar()
+        if data is None or not _is_readable(TakeWindows.from_bytes, data):
+            findings.add(Fault(_WINDOWS, number))
+    for row in connection.execute(sa.select(schema.part_forests)).all():
+        readers = (MotionForest.from_bytes, row.forest), (Calibration.from_bytes, row.calibration)
+        both = (*readers, (TakeLabeller.from_bytes, row.labeller))
+        if not all(data is None or _is_readable(read, data) for read, data in both):
+            findings.add(Fault(checksums.PART_FORESTS.what, row.feature_set, checksums.PART_FORESTS))
+    if stored is not None:
+        _check_leaves(connection, len(stored.forest.trees_.roots), stored.forest.trees_.n_leaves, findings)
+
+
+def _check_leaves(connection: sa.Connection, n_trees: int, n_leaves: int, findings: Findings) -> None:
+    """Leaves that the forest does not have, where an older dousa wrote no checksum."""
+    table = schema.clip_leaves.c
+    for row in connection.execute(sa.select(table.clip_id, table.leaves).where(table.checksum.is_(None))):
+        leaves = np.frombuffer(row.leaves, "<i4") if len(row.leaves) == 4 * n_trees else np.array([-1])
+        if not (leaves.min(initial=0) >= 0 and leaves.max(initial=0) < n_leaves):
+            findings.add(Fault(checksums.LEAVES.what, row.clip_id, checksums.LEAVES))
+
+
+def _is_readable(read: Callable[[bytes], Any], data: bytes) -> bool:
+    try:
+        read(data)
+    except DousaError:
+        return False
+    return True

@@ -1,0 +1,521 @@
+"""Checking a library, and putting right what can be: computed again, read again from the files, or by its checksum.
+
+Saving what can be read of a library whose file is damaged in its structure: row by row, into a new file.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sqlite3
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, suppress
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+import sqlalchemy as sa
+
+from dousa.errors import LibraryError
+from dousa.formats.motion_files import ReadOptions, Skipped
+from dousa.library.care.bits import is_one_bit, mend_bytes, mend_values
+from dousa.library.care.damage import (
+    REMOVED_POSITIONS,
+    WINDOW_FILE,
+    CheckReport,
+    Damage,
+    Fault,
+    Findings,
+    are_positions,
+    find_damage,
+)
+from dousa.library.search.text_store import keep_all_relations
+from dousa.library.store import checksums, schema
+from dousa.library.store.checksums import BLOCK_FRAMES, SEALS, Seal, seal_positions, seal_rows
+from dousa.library.store.engine import Database
+from dousa.library.store.features import lacks, load_features, pack_positions, save_descriptions
+from dousa.library.store.forests import ask_trees, load_forest, save_answers
+from dousa.library.store.fragments import begin_store, look_at_blocks, put_aside
+from dousa.library.store.ingest import ClipRecord, ReadTask, read_clip
+from dousa.library.store.opening import open_database
+from dousa.library.store.selection import portions
+from dousa.library.takes.windows import refresh_windows
+from dousa.messages import Message
+
+# Forests for parts of bodies are learned again, examples of leaves chosen again, the state is counted again. What was
+# changed cannot be undone any more.
+_LEFT_OUT = (
+    schema.migrations, schema.library_state, schema.part_forests, schema.leaf_examples, *schema.JOURNAL_TABLES,
+)  # fmt: skip
+
+
+def salvage_library(database: Database) -> dict[int, str]:
+    """Copy every row that can be read into a new file, which takes the place of the old one.
+
+    The old one is kept beside it, its name followed by ``.damaged``.
+
+    Returns
+    -------
+    Names of clips that could not be saved, by number, where an index still has them.
+    """
+    path = Path(database.where)
+    with suppress(sqlite3.Error), database.alone() as connection:
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+    database.engine.dispose()
+    new = path.with_name(f"{path.name}.salvaged")
+    for end in ("", "-wal", "-shm"):
+        Path(f"{new}{end}").unlink(missing_ok=True)
+    fresh = open_database(new, create=True, read_only=False, timeout=5.0)
+    name = f"file:{quote(os.fsencode(path.absolute().as_posix()))}?mode=ro"
+    try:
+        with closing(sqlite3.connect(name, uri=True)) as source:
+            saved, lost = _copy(source, fresh)
+        with fresh.alone() as connection:
+            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+    finally:
+        fresh.engine.dispose()
+    for end in ("-wal", "-shm", ""):
+        if os.path.exists(f"{path}{end}"):
+            os.replace(f"{path}{end}", f"{path}.damaged{end}")
+    os.replace(new, path)
+    return {number: lost[number] for number in sorted(lost.keys() - saved)}
+
+
+def _copy(source: sqlite3.Connection, fresh: Database) -> tuple[set[int], dict[int, str]]:
+    """Copy the rows; returns the numbers of the clips that are there now, and of all that an index knows."""
+    known = _read_names(source)
+    last = max([_read_next(source), *(number + 1 for number in known)])
+    saved: set[int] = set()
+    for table in schema.metadata.sorted_tables:
+        if table in _LEFT_OUT:
+            continue
+        keys = range(1, 2) if table is schema.forests else range(1, last)
+        for rows in _read_rows(source, table, keys):
+            if table is schema.clips:
+                saved |= {row["id"] for row in rows}
+            owners = [name for name in ("clip_id", "take_id") if name in table.c]
+            _insert(fresh, table, [row for row in rows if all(row[name] in saved for name in owners)])
+    with fresh.writing() as connection:
+        learned = connection.execute(sa.select(sa.func.max(schema.forests.c.learned))).scalar() or 0
+        state = {"id": 1, "revision": learned + 1, "next_clip_id": last, "clips_revision": learned + 1}
+        connection.execute(sa.delete(schema.library_state))
+        connection.execute(sa.insert(schema.library_state), seal_rows(schema.library_state, [state]))
+    return saved, known
+
+
+def _insert(fresh: Database, table: sa.Table, rows: list[dict[str, Any]]) -> None:
+    """Write raw values; a row that breaks a rule of the tables (two of one name) is left out."""
+    names = [column.name for column in table.c]
+    statement = f"INSERT OR IGNORE INTO {table.name} ({', '.join(names)}) VALUES ({', '.join('?' * len(names))})"
+    with fresh.alone() as connection:
+        connection.execute("BEGIN")
+        connection.executemany(statement, [tuple(row[name] for name in names) for row in rows])
+        connection.execute("COMMIT")
+
+
+def _read_names(source: sqlite3.Connection) -> dict[int, str]:
+    names: dict[int, str] = {}
+    with suppress(sqlite3.Error):
+        for path, number in source.execute("SELECT path, id FROM clips INDEXED BY sqlite_autoindex_clips_1"):
+            names[number] = str(path)
+    return names
+
+
+def _read_next(source: sqlite3.Connection) -> int:
+    with suppress(sqlite3.Error):
+        rows = source.execute("SELECT max(next_clip_id) FROM library_state").fetchall()
+        if rows and isinstance(rows[0][0], int) and schema.is_id(rows[0][0]):
+            return int(rows[0][0])
+    return 1
+
+
+def _read_rows(source: sqlite3.Connection, table: sa.Table, keys: range) -> Iterator[list[dict[str, Any]]]:
+    """The rows that can be read, a few at a time."""
+    names = [column.name for column in table.c]
+    key = next(iter(table.primary_key)).name
+    statement = f"SELECT {', '.join(names)} FROM {table.name} WHERE {key} = ?"
+    rows: list[dict[str, Any]] = []
+    for number in keys:
+        with suppress(sqlite3.Error, UnicodeDecodeError):
+            rows += [dict(zip(names, row, strict=True)) for row in source.execute(statement, (number,)).fetchmany(1)]
+        if len(rows) >= 64:
+            yield rows
+            rows = []
+    yield rows
+
+
+CheckProgress = Callable[[int, int, Message], None]
+"""Called with (rows done, rows, what is being done)."""
+
+_COMPUTED = {
+    "library_damage.features": schema.clip_features,
+    "library_damage.poses": schema.clip_poses,
+    "library_damage.leaves": schema.clip_leaves,
+    "library_damage.relations": schema.clip_relations,
+    "library_damage.windows": schema.take_windows,
+    "library_damage.part_forest": schema.part_forests,
+    "library_damage.examples": schema.leaf_examples,
+}
+"""What follows from positions and forest: it is thrown away and computed anew."""
+
+_MENDED = ("library_damage.labels", "library_damage.numbers", "library_damage.segment", "library_damage.annotation",
+           "library_damage.forest", "library_damage.state", "library_damage.store")  # fmt: skip
+_FORGOTTEN = ("library_damage.tags", "library_damage.search", "library_damage.journal", "library_damage.removed",
+              REMOVED_POSITIONS.code)  # fmt: skip
+_FORESEEN = {
+    "library_damage.structure": Message("library_check.would_salvage"),
+    "library_damage.forest": Message("library_check.retrain"),
+    "library_damage.fragment": Message("library_check.would_replace"),
+    **dict.fromkeys(_FORGOTTEN, Message("library_check.would_forget")),
+}
+_POSITIONS_AT_ONCE = 16
+
+
+def check_library(
+    database: Database, repair: bool, progress: CheckProgress | None, salvage: bool = True
+) -> CheckReport:
+    """Look at everything, and put right what can be; as ``Library.check``."""
+    start = time.perf_counter()
+    report = progress or (lambda done, total, what: None)
+
+    def look() -> Findings:
+        return find_damage(database, lambda done, total: report(done, total, Message("library_check.checking")))
+
+    findings = look()
+    repair = repair and (salvage or not _find_broken(findings))
+    damage = _salvage(database, findings) if repair else []
+    if damage:
+        findings = look()
+    outcomes = {fault: _foresee(database, fault) for fault in findings.faults}
+    left = set(findings.faults)
+    if repair and findings.faults:
+        report(0, 1, Message("library_check.repairing"))
+        for fault in findings.faults:
+            outcomes[fault] = _repair(database, fault) or outcomes[fault]
+        _compute_again(database)
+        left = set(look().faults)
+    with database.reading() as connection:
+        names: dict[int, str] = {}
+        for fault in findings.faults:
+            if (number := _clip_of(fault)) is not None:
+                names[number] = _name(connection, number)
+    n_unsealed = sum(map(len, findings.unsealed.values()))
+    n_sealed = 0 if database.is_read_only else _seal_rows(database, findings)
+    for fault in findings.faults:
+        number = _clip_of(fault)
+        path = None if number is None else names[number]
+        damage.append(Damage(fault.what, number, path, outcomes[fault], repair and fault not in left))
+    seconds = time.perf_counter() - start
+    return CheckReport(
+        database.where, findings.n_clips, findings.n_rows, n_sealed, n_unsealed - n_sealed, tuple(damage), seconds
+    )
+
+
+def _find_broken(findings: Findings) -> list[Fault]:
+    return [fault for fault in findings.faults if fault.what.code == "library_damage.structure"]
+
+
+def _salvage(database: Database, findings: Findings) -> list[Damage]:
+    """Where the structure of the file is damaged, save what can be read; empty where it is not."""
+    broken = _find_broken(findings)
+    if not broken or database.engine.dialect.name != "sqlite":
+        return []
+    database.check_writable()
+    lost = salvage_library(database)
+    kept = Message("library_check.salvaged", name=f"{os.path.basename(database.where)}.damaged")
+    damage = [Damage(fault.what, None, None, kept, repaired=True) for fault in broken]
+    gone, again = Message("library_damage.clip"), Message("library_check.lost_clip")
+    return damage + [Damage(gone, number, path, again, repaired=False) for number, path in lost.items()]
+
+
+def _clip_of(fault: Fault) -> int | None:
+    of_clip = fault.key is not None and (fault.seal.is_of_clip if fault.seal else fault.what.code in _OF_CLIPS)
+    return int(fault.key) if of_clip else None
+
+
+_OF_CLIPS = ("library_damage.positions", "library_damage.windows")
+
+
+def _name(connection: sa.Connection, number: int) -> str:
+    try:
+        raw = _as_bytes(connection, schema.clips.c.path)
+        path = connection.execute(sa.select(raw).where(schema.clips.c.id == number)).scalar()
+    except (sa.exc.SQLAlchemyError, ValueError):
+        return "?"
+    return path.decode(errors="backslashreplace") if isinstance(path, bytes) else "?"
+
+
+def _as_bytes(connection: sa.Connection, column: sa.Column[Any]) -> sa.ColumnElement[Any]:
+    """A text as it is stored: it may not be one any more."""
+    if connection.dialect.name == "sqlite":
+        return sa.cast(column, sa.LargeBinary)
+    return sa.func.convert_to(sa.cast(column, sa.Text), "UTF8", type_=sa.LargeBinary)
+
+
+def _foresee(database: Database, fault: Fault) -> Message:
+    """What a repair would do."""
+    code = fault.what.code
+    if code in _FORESEEN:
+        return _FORESEEN[code]
+    if code in _COMPUTED or code in ("library_damage.labeller", "library_damage.state", WINDOW_FILE):
+        return Message("library_check.would_compute")
+    if code == "library_damage.positions":
+        return _look_at_file(database, fault.key)[0]
+    return Message("library_check.lost_labels" if code == "library_damage.annotation" else "library_check.lost")
+
+
+def _repair(database: Database, fault: Fault) -> Message | None:
+    """Put one thing right; returns how, or None where that cannot be."""
+    code, done = fault.what.code, None
+    try:
+        if code in _COMPUTED:
+            _throw_away(database, _COMPUTED[code], fault.key)
+            done = Message("library_check.computed")
+        elif code == "library_damage.fragment":
+            done = Message("library_check.replaced")  # whether it is so is seen when all is looked at again
+        elif code == WINDOW_FILE:
+            with suppress(OSError):
+                os.unlink(fault.key)
+            done = Message("library_check.deleted")
+        elif code == "library_damage.labeller":
+            with database.writing() as connection:
+                connection.execute(sa.update(schema.forests).values(labeller=None))
+            done = Message("library_check.deleted")
+        elif code == "library_damage.positions":
+            done = _restore_positions(database, fault.key)
+        elif code == REMOVED_POSITIONS.code:
+            done = _mend_removed(database, fault.key) or _forget_row(database, checksums.REMOVED, fault.key)
+        elif code in _MENDED and fault.seal is not None:
+            done = _mend_row(database, fault.seal, fault.key)
+            if done is None and code == "library_damage.state":
+                done = _count_again(database)
+            elif done is None and code == "library_damage.store" and database.engine.dialect.name == "sqlite":
+                with database.writing() as connection:
+                    begin_store(connection, "")  # they lie nowhere else
+                done = Message("library_check.computed")
+            elif done is None and code == "library_damage.numbers":
+                done = _read_numbers(database, fault.key)
+        elif code in _FORGOTTEN and fault.seal is not None:
+            done = _mend_row(database, fault.seal, fault.key) or _forget_row(database, fault.seal, fault.key)
+    except LibraryError:
+        return None
+    return done
+
+
+def _throw_away(database: Database, table: sa.Table, key: Any) -> None:
+    with database.writing() as connection:
+        if table is schema.clip_leaves:
+            load_forest(connection, database.where)  # a clip without leaves is not found: only if they can be had again
+        connection.execute(sa.delete(table).where(next(iter(table.primary_key)) == key))
+        if table is schema.clip_features:
+            connection.execute(sa.delete(schema.clip_poses).where(schema.clip_poses.c.clip_id == key))
+
+
+def _mend_row(database: Database, seal: Seal, key: Any) -> Message | None:
+    """Put one flipped bit of a row right."""
+    table, own = seal.checksum.table, seal.covered[0]
+    with database.writing() as connection:
+        raw = [
+            _as_bytes(connection, column) if isinstance(column.type, sa.Text | sa.String | sa.JSON) else column
+            for column in seal.columns
+        ]
+        row = connection.execute(sa.select(*raw).where(own == key)).first()
+        values = None if row is None else mend_values(seal, list(row))
+        if values is None or values[0] != key:
+            return None
+        named = {column.name: value for column, value in zip(seal.covered[1:], values[1:], strict=True)}
+        named[seal.checksum.name] = seal.compute(values)
+        connection.execute(sa.update(table).where(own == key).values(**named))
+    return Message("library_check.one_bit")
+
+
+def _forget_row(database: Database, seal: Seal, key: Any) -> Message:
+    """Throw away what people can do without: tags of a clip, a search that is kept, a change that can be undone."""
+    with database.writing() as connection:
+        connection.execute(sa.delete(seal.checksum.table).where(seal.covered[0] == key))
+    return Message("library_check.forgotten")
+
+
+def _count_again(database: Database) -> Message:
+    """The numbers that count clips and writes, from what is there; the forest is no longer called current."""
+    with database.writing() as connection:
+        highest = connection.execute(sa.select(sa.func.max(schema.clips.c.id))).scalar() or 0
+        learned = connection.execute(sa.select(sa.func.max(schema.forests.c.learned))).scalar() or 0
+        values = {"id": 1, "revision": learned + 1, "next_clip_id": highest + 1, "clips_revision": learned + 1}
+        connection.execute(sa.delete(schema.library_state))
+        connection.execute(sa.insert(schema.library_state), checksums.seal_rows(schema.library_state, [values]))
+    return Message("library_check.computed")
+
+
+def _look_at_file(database: Database, number: int) -> tuple[Message, ClipRecord | None]:
+    """What the file of a clip has to give: a message, and where it is as it was the record of it."""
+    clips = schema.clips.c
+    columns = (clips.path, clips.content_hash, clips.read_options, clips.kind, clips.format)
+    try:
+        with database.reading() as connection:
+            row = connection.execute(sa.select(*columns).where(clips.id == number)).one()
+            table = schema.clip_trajectories.c
+            sums = connection.execute(sa.select(table.block_checksums).where(table.clip_id == number)).scalar()
+        options = ReadOptions(**(json.loads(row.read_options) if row.read_options else {}))
+    except (LibraryError, ValueError, TypeError):
+        return Message("library_check.lost"), None
+    if row.format == "memory":
+        return Message("library_check.no_file"), None
+    if not os.path.exists(row.path):
+        return Message("library_check.file_gone"), None
+    return _read_file(ReadTask(row.path, options, kind=row.kind), row.content_hash, number, sums)
+
+
+def _read_file(task: ReadTask, content: str, number: int, sums: bytes | None) -> tuple[Message, ClipRecord | None]:
+    # Which axis is up may have been decided by other files of the folder: the checksum says which it was.
+    for up, unit in product((None, "y", "z"), (None, 1.0, 0.01, 0.001)):
+        record = read_clip(replace(task, voted=(up, unit, ())))
+        if isinstance(record, Skipped):
+            return Message("library_check.file_unusable", problem=record.reason), None
+        if not isinstance(record, ClipRecord) or record.row["content_hash"] != content:
+            break
+        if sums is None or seal_positions(number, pack_positions(record.motion)) == sums:
+            return Message("library_check.would_read"), record
+        if record.claim is None or not record.claim.doubtful:
+            break
+    return Message("library_check.file_changed"), None
+
+
+def _restore_positions(database: Database, number: int) -> Message | None:
+    """Positions from the file, else with one bit put right."""
+    table = schema.clip_trajectories
+    _, record = _look_at_file(database, number)
+    with database.writing() as connection:
+        n_frames = connection.execute(sa.select(schema.clips.c.n_frames).where(schema.clips.c.id == number)).scalar()
+        row = connection.execute(sa.select(table).where(table.c.clip_id == number)).first()
+        if n_frames is None:
+            return None
+        if record is not None:
+            data, how = pack_positions(record.motion), Message("library_check.read_again")
+        elif row is not None and row.block_checksums is not None:
+            found = look_at_blocks(connection, [row], "positions")[0]
+            data, how = _mend_positions(number, found, row.block_checksums), Message("library_check.one_bit")
+        else:
+            return None
+        if not are_positions(number, data, seal_positions(number, data), n_frames):
+            return None
+        values = {"clip_id": number, "positions": data, "block_checksums": seal_positions(number, data)}
+        connection.execute(sa.delete(table).where(table.c.clip_id == number))
+        connection.execute(sa.insert(table), put_aside(connection, [values], "positions"))
+    return how
+
+
+def _mend_removed(database: Database, number: int) -> Message | None:
+    """One flipped bit of positions that an undo would bring back."""
+    table = schema.removed_positions
+    with database.writing() as connection:
+        row = connection.execute(sa.select(table).where(table.c.number == number)).first()
+        if row is None or row.block_checksums is None:
+            return None
+        data = _mend_positions(number, look_at_blocks(connection, [row], "positions")[0], row.block_checksums)
+        sums = seal_positions(number, data)
+        if not data:
+            return None
+        values = {"number": number, "positions": data, "block_checksums": sums}
+        connection.execute(sa.delete(table).where(table.c.number == number))
+        connection.execute(sa.insert(table), put_aside(connection, [values], "positions"))
+    return Message("library_check.one_bit")
+
+
+def _mend_positions(number: int, data: bytes, sums: bytes) -> bytes:
+    """Positions with at most one flipped bit in each block put right; empty where that does not explain them."""
+    size = BLOCK_FRAMES * schema.FRAME_BYTES
+    found, kept = np.frombuffer(seal_positions(number, data), "<u4"), np.frombuffer(sums[: len(sums) // 4 * 4], "<u4")
+    if len(found) != len(kept):
+        return b""
+    blocks = [data[start : start + size] for start in range(0, len(data), size)]
+    for place in np.flatnonzero(found != kept):
+        now, then = int(found[place]), int(kept[place])
+        mended = mend_bytes(blocks[place], now ^ then)
+        if mended is None and not is_one_bit(now, then):
+            return b""
+        blocks[place] = mended or blocks[place]
+    return b"".join(blocks)
+
+
+def _read_numbers(database: Database, number: int) -> Message | None:
+    """What is known of a clip, from its file, where its positions say that it is the same."""
+    _, record = _look_at_file(database, number)
+    if record is None:
+        return None
+    with database.writing() as connection:
+        clips = schema.clips
+        names = [column.name for column in checksums.NUMBERS.covered[1:] if column.name in record.row]
+        values = {name: record.row[name] for name in names}
+        added = connection.execute(sa.select(clips.c.added_at).where(clips.c.id == number)).scalar_one()
+        whole = {**values, "id": number, "added_at": added}
+        sealed = checksums.NUMBERS.compute([whole[column.name] for column in checksums.NUMBERS.covered])
+        connection.execute(sa.update(clips).where(clips.c.id == number).values(**values, checksum=sealed))
+    return Message("library_check.read_again")
+
+
+def _compute_again(database: Database) -> None:
+    """What follows from positions and forest, where it is lacking."""
+    with suppress(LibraryError):
+        keep_all_relations(database)
+        with database.reading() as connection:
+            stored = load_forest(connection, database.where)
+        if stored is None:
+            return
+        clips, poses, leaves = schema.clips.c, schema.clip_poses.c, schema.clip_leaves.c
+        query = sa.select(clips.id).where(clips.kind == schema.CLIP)
+        query = query.join(schema.clip_poses, poses.clip_id == clips.id, isouter=True)
+        query = query.join(schema.clip_leaves, leaves.clip_id == clips.id, isouter=True)
+        query = query.where(sa.or_(poses.clip_id.is_(None), leaves.clip_id.is_(None)))
+        with database.reading() as connection:
+            lacking = list(connection.execute(query).scalars())
+        for some in portions(lacking):
+            with database.writing() as connection:
+                own = _lack_nothing(connection, stored.feature_set, some)
+                known = load_features(connection, stored.feature_set, own)
+                save_descriptions(connection, list(known.computed), list(known.computed.values()))
+                there = set(connection.execute(sa.select(leaves.clip_id).where(leaves.clip_id.in_(own))).scalars())
+                places = [place for place, number in enumerate(own) if number not in there]
+                save_answers(connection, [own[p] for p in places], ask_trees(stored, known.features[places]))
+        refresh_windows(database, stored, None)
+
+
+def _lack_nothing(connection: sa.Connection, feature_set: str, ids: Sequence[int]) -> list[int]:
+    query = sa.select(schema.clips.c.id, schema.clips.c.absent).where(schema.clips.c.id.in_(ids))
+    return [row.id for row in connection.execute(query) if not lacks(feature_set, row.absent)]
+
+
+def _seal_rows(database: Database, findings: Findings) -> int:
+    """Give checksums to rows that an older dousa wrote; returns to how many."""
+    broken = {(fault.what.code, fault.key) for fault in findings.faults}
+    count = 0
+    table = schema.clip_trajectories
+    numbers = [n for n in findings.unsealed.get(table.name, []) if (checksums.POSITIONS.code, n) not in broken]
+    for start in range(0, len(numbers), _POSITIONS_AT_ONCE):
+        with database.writing() as connection:
+            query = sa.select(table.c.clip_id, table.c.positions).where(table.c.block_checksums.is_(None))
+            some = numbers[start : start + _POSITIONS_AT_ONCE]
+            for number, data in connection.execute(query.where(table.c.clip_id.in_(some))).all():
+                sums = seal_positions(number, data)
+                connection.execute(sa.update(table).where(table.c.clip_id == number).values(block_checksums=sums))
+                count += 1
+    for seal in SEALS:
+        keys = [k for k in findings.unsealed.get(seal.checksum.table.name, []) if (seal.what.code, k) not in broken]
+        for few in portions(list(dict.fromkeys(keys))):
+            with database.writing() as connection:
+                count += _seal_some(connection, seal, few)
+    return count
+
+
+def _seal_some(connection: sa.Connection, seal: Seal, keys: Sequence[Any]) -> int:
+    query = sa.select(*seal.columns).where(seal.covered[0].in_(keys), seal.checksum.is_(None))
+    rows = connection.execute(query).all()
+    if rows:
+        values = [{"of_row": row[0], "sum_of_row": seal.compute(row[:-1])} for row in rows]
+        statement = sa.update(seal.checksum.table).where(seal.covered[0] == sa.bindparam("of_row"))
+        connection.execute(statement.values({seal.checksum.name: sa.bindparam("sum_of_row")}), values)
+    return len(rows)

@@ -1,0 +1,281 @@
+"""Clips whose label is likely wrong: those that resemble clips of another category more than those of their own.
+
+A forest that has learned a wrong label repeats it, so no clip is judged by trees that have seen it. The clips are dealt
+into parts; for each part a forest is grown of all others and votes on it, as in cross-validation. A clip is doubted as
+far as another category has more votes than its own: the normalised margin of confident learning (Northcutt, Jiang,
+Chuang, "Confident Learning: Estimating Uncertainty in Dataset Labels", JAIR 70, 2021). Categories whose names mean the
+same count as one.
+
+Groups of clips that are nearly the same: one recording twice, at another rate, cut a little differently, or cleaned.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import sqlalchemy as sa
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray, IndexArray
+from dousa.errors import TrainingError
+from dousa.library.annotations.marks import CHECKED
+from dousa.library.search.text_store import find_meanings
+from dousa.library.store import schema
+from dousa.library.store.engine import Database, choose_jobs
+from dousa.library.store.features import ClipFeatures, find_feature_set, lacks, load_features, load_poses
+from dousa.library.store.selection import list_clips
+from dousa.messages import Message
+from dousa.retrieval import DEFAULT_FEATURE_SET, MotionForest
+
+NEAR = 0.01
+"""Body heights that the joints of near duplicates are apart, root mean square over joints and time."""
+
+_LONGER = 1.15  # times as long as the other
+_BLOCK = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class DuplicateGroup:
+    """Clips that are nearly the same.
+
+    Parameters
+    ----------
+    clip_ids, paths, categories : of them, in the order of their paths.
+    distance : the largest of the distances that hold them together, body heights.
+    """
+
+    clip_ids: tuple[int, ...]
+    paths: tuple[str, ...]
+    categories: tuple[str | None, ...]
+    distance: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        clips = zip(self.clip_ids, self.paths, self.categories, strict=True)
+        listed = [{"clip_id": number, "path": path, "category": category} for number, path, category in clips]
+        return {"distance": self.distance, "clips": listed}
+
+
+def find_near_duplicates(database: Database, near: float) -> list[DuplicateGroup]:
+    """Groups of clips that are nearly the same, the largest first; as ``Library.find_near_duplicates``."""
+    with database.reading() as connection:
+        parameters = connection.execute(sa.select(schema.forests.c.parameters)).scalar()
+        feature_set = str((parameters or {}).get("feature_set", DEFAULT_FEATURE_SET))
+        absent = {row.id: row.absent for row in connection.execute(sa.select(schema.clips.c.id, schema.clips.c.absent))}
+        clips = [clip for clip in list_clips(connection) if clip.kind == schema.CLIP]
+        clips = [clip for clip in clips if not lacks(feature_set, absent[clip.id])]
+        poses = load_poses(connection, [clip.id for clip in clips], feature_set)
+    pairs = find_pairs(poses, np.array([clip.duration for clip in clips]), near)
+    groups: dict[int, list[int]] = {row: [row] for row in range(len(clips))}
+    widest = np.zeros(len(clips))
+    for first, second, distance in sorted(pairs, key=lambda pair: pair[2]):
+        one, other = groups[first], groups[second]
+        widest[[*one, *other]] = distance
+        if one is not other:
+            one += other
+            groups.update(dict.fromkeys(other, one))
+    found = []
+    for rows in {id(rows): sorted(rows) for rows in groups.values() if len(rows) > 1}.values():
+        some = [clips[row] for row in rows]
+        labels = tuple(clip.category for clip in some)
+        found.append(
+            DuplicateGroup(
+                tuple(clip.id for clip in some),
+                tuple(clip.path for clip in some),
+                labels,
+                round(float(widest[rows[0]]), 5),
+            )
+        )
+    return sorted(found, key=lambda group: (-len(group.clip_ids), group.distance, group.paths))
+
+
+def find_pairs(poses: NDArray[np.float32], durations: FloatArray, near: float) -> list[tuple[int, int, float]]:
+    """Pairs of clips (row, later row, distance) that are nearer than a bound.
+
+    Parameters
+    ----------
+    poses : (N, cells, columns) pose sequences.
+    durations : (N,) s.
+    near : bound, body heights.
+    """
+    flat = poses.reshape(len(poses), -1) / np.float32(np.sqrt(poses.shape[1] if poses.ndim > 1 else 1))
+    order = np.argsort(durations, kind="stable")
+    flat, lengths = flat[order], durations[order]
+    squares = (flat * flat).sum(axis=1)
+    pairs = []
+    for start in range(0, len(flat), _BLOCK):
+        stop = min(start + _BLOCK, len(flat))
+        last = int(np.searchsorted(lengths, _LONGER * lengths[stop - 1], side="right"))
+        square = squares[start:stop, np.newaxis] + squares[start:last] - 2 * flat[start:stop] @ flat[start:last].T
+        for one, other in np.argwhere(square < (2 * near) ** 2).tolist():
+            first, second = start + one, start + other
+            if second <= first or lengths[second] > _LONGER * lengths[first]:
+                continue
+            # Once more, as little is left of the difference of large numbers.
+            distance = float(np.linalg.norm(flat[first] - flat[second]))
+            if distance < near:
+                rows = int(order[first]), int(order[second])
+                pairs.append((min(rows), max(rows), distance))
+    return pairs
+
+
+ReviewProgress = Callable[[int, int, Message], None]
+"""Called with (steps done, steps, message about the next step)."""
+
+_PARTS = 5
+_TREES = 50
+_LEAST = 3  # clips of a category, so that there are others to be compared with
+_NEIGHBOURS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class LabelDoubt:
+    """A clip whose label is likely wrong.
+
+    Parameters
+    ----------
+    clip_id, path, category : of it, as in ``ClipInfo``.
+    suggested : the category that its neighbours have.
+    votes, own_votes : share of the trees that vote for the suggestion and for the label, 0 to 1; none of them has seen
+        the clip.
+    alike, same : numbers of the clips of the suggested and of its own category that it meets in the most leaves, the
+        nearest first.
+    """
+
+    clip_id: int
+    path: str
+    category: str
+    suggested: str
+    votes: float
+    own_votes: float
+    alike: tuple[int, ...]
+    same: tuple[int, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        names = ("clip_id", "path", "category", "suggested", "votes", "own_votes")
+        return {name: getattr(self, name) for name in names} | {"alike": list(self.alike), "same": list(self.same)}
+
+
+@dataclass(frozen=True, slots=True)
+class LabelReview:
+    """What came of looking through the labels of a library.
+
+    Parameters
+    ----------
+    doubts : clips whose label is likely wrong, the likeliest first.
+    n_judged : clips that were looked at.
+    n_few : clips that were not: fewer than three have their category.
+    n_checked : clips that somebody has looked at before: they have the tag ``checked``.
+    """
+
+    doubts: tuple[LabelDoubt, ...]
+    n_judged: int
+    n_few: int
+    n_checked: int
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        counts = {"n_judged": self.n_judged, "n_few": self.n_few, "n_checked": self.n_checked}
+        return counts | {"doubts": [one.to_json() for one in self.doubts]}
+
+
+def review_labels(database: Database, n_jobs: int | None, progress: ReviewProgress | None) -> LabelReview:
+    """Which labels of a library are likely wrong; as ``Library.review_labels``."""
+    tell = progress or (lambda done, total, what: None)
+    tell(0, _PARTS + 1, Message("library_training.describing_clips"))
+    with database.reading() as connection:
+        name = connection.execute(sa.select(schema.forests.c.parameters)).scalar()
+        feature_set = str((name or {}).get("feature_set", DEFAULT_FEATURE_SET))
+        clips = load_features(connection, feature_set, n_jobs=n_jobs)
+        paths = {clip.id: (clip.path, CHECKED in clip.tags) for clip in list_clips(connection)}
+    counts = Counter(category for category in clips.categories if category is not None)
+    rows = [row for row, label in enumerate(clips.categories) if label is not None and counts[label] >= _LEAST]
+    labels = np.array([clips.categories[row] for row in rows], dtype=np.str_)
+    if len(set(labels.tolist())) < 2:
+        raise TrainingError("library_review.too_few", library=database.where, least=_LEAST)
+
+    def tell_part(part: int) -> None:
+        tell(1 + part, _PARTS + 1, Message("library_review.comparing"))
+
+    found = _judge(clips, np.array(rows, np.intp), labels, feature_set, n_jobs, tell_part)
+    fresh = [one for one in found if not paths[one[0]][1]]
+    doubts = tuple(LabelDoubt(one[0], paths[one[0]][0], *one[1:]) for one in fresh)
+    n_few = sum(counts.values()) - len(rows)
+    n_checked = sum(paths[clips.ids[row]][1] for row in rows)
+    return LabelReview(doubts, len(rows), n_few, n_checked)
+
+
+_Found = tuple[int, str, str, float, float, tuple[int, ...], tuple[int, ...]]
+
+
+def _judge(
+    clips: ClipFeatures,
+    rows: IndexArray,
+    labels: NDArray[np.str_],
+    feature_set: str,
+    n_jobs: int | None,
+    tell: Callable[[int], None],
+) -> list[_Found]:
+    """Number, label, suggestion, votes for both and neighbours of both, of each clip in doubt; the likeliest first."""
+    kind, named = find_feature_set(feature_set), find_meanings(set(labels.tolist()))
+    means = np.array([named[label] for label in labels.tolist()], dtype=np.str_)
+    ids = np.array([clips.ids[row] for row in rows])
+    found: list[tuple[float, _Found]] = []
+    part_of = deal(labels)
+    for part in range(_PARTS):
+        tell(part)
+        held, rest = np.flatnonzero(part_of == part), np.flatnonzero(part_of != part)
+        forest = MotionForest(
+            n_trees=_TREES,
+            n_trials=kind.n_trials,
+            thresholds=kind.thresholds,
+            random_state=part,
+            n_jobs=choose_jobs(n_jobs),
+        )
+        forest.fit(clips.features[rows[rest]], labels[rest], feature_set=kind)
+        leaves, known = forest.apply(clips.features[rows[held]]), forest.apply(clips.features[rows[rest]])
+        shares, classes = forest.histograms_of(leaves), [str(name) for name in forest.classes_]
+        meant = np.array([named[name] for name in classes], dtype=np.str_)
+        for place, row in enumerate(held.tolist()):
+            other, votes, own = _compare(shares[place], meant, str(means[row]))
+            if votes <= own:
+                continue
+            suggested = max(
+                (name for name in classes if named[name] == other), key=lambda n: shares[place][classes.index(n)]
+            )
+            shared = (known == leaves[place]).sum(axis=1)
+            alike, same = (_nearest(shared, means[rest] == meaning, ids[rest]) for meaning in (other, means[row]))
+            one = (int(ids[row]), str(labels[row]), suggested, round(votes, 4), round(own, 4), alike, same)
+            found.append((votes - own, one))
+    tell(_PARTS)
+    return [one for _, one in sorted(found, key=lambda item: (-item[0], item[1][0]))]
+
+
+def deal(labels: NDArray[np.str_]) -> IndexArray:
+    """(N,) which part each clip is in; every category is spread over all parts, at random but always the same."""
+    chance = np.random.default_rng(0)
+    order = np.lexsort((chance.permutation(len(labels)), labels))
+    parts = np.empty(len(labels), np.intp)
+    parts[order] = np.arange(len(labels)) % _PARTS
+    return parts
+
+
+def _compare(shares: FloatArray, meant: NDArray[np.str_], own: str) -> tuple[str, float, float]:
+    """The other meaning with the most votes, its votes, and those of a clip's own."""
+    votes: dict[str, float] = {}
+    for meaning, share in zip(meant.tolist(), shares.tolist(), strict=True):
+        votes[meaning] = votes.get(meaning, 0.0) + share
+    mine = votes.pop(own, 0.0)
+    other = max(votes, key=lambda meaning: votes[meaning], default=own)
+    return other, votes.get(other, 0.0), mine
+
+
+def _nearest(shared: Sequence[int] | NDArray[Any], chosen: NDArray[np.bool_], ids: NDArray[Any]) -> tuple[int, ...]:
+    places = np.flatnonzero(chosen)
+    order = np.argsort(-np.asarray(shared)[places], kind="stable")[:_NEIGHBOURS]
+    return tuple(int(number) for number in ids[places[order]])

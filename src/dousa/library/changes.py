@@ -1,0 +1,236 @@
+"""What people change in a motion library by hand, and take back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, nullcontext
+from typing import TYPE_CHECKING, Any
+
+from dousa.errors import LibraryError, OptionError
+from dousa.library.annotations.store import find_leaving, leave_open
+from dousa.library.contents import LibraryContents
+from dousa.library.history.recording import Recorded, recording, recording_together
+from dousa.library.labels import check_labels
+from dousa.library.store import selection as _selection
+from dousa.library.store.engine import next_revision
+from dousa.library.store.selection import UNCHANGED, Selection, Unchanged, select_ids
+
+if TYPE_CHECKING:
+    from dousa.library.history.journal import JournalEntry
+
+_FULL = ("library_file.disk_full", "library_file.server_disk_full", "library_file.disk_failed")
+
+
+class LibraryChanges(LibraryContents):
+    """The part of `dousa.library.Library` that removes, labels and tags clips, with the journal to undo it."""
+
+    def remove(
+        self,
+        selection: Selection = (),
+        *,
+        category: str | None = None,
+        performer: str | None = None,
+        tag: str | None = None,
+        for_good: bool = False,
+    ) -> list[str]:
+        """Take clips or takes out of the library; their files stay on the disk.
+
+        The forest still knows what it learned from them, until the next training. ``undo`` brings them back until
+        ``compact`` forgets them. Where a segment of a take with a table of labels was, nobody can say what happens;
+        without any segment the take has no labels.
+
+        Parameters
+        ----------
+        selection : numbers, files, or folders, which stand for all clips below them.
+        category, performer, tag : only clips of this label, with this tag.
+        for_good : nothing is kept for an undo, which needs as much room on the disk as what is removed.
+
+        Returns
+        -------
+        Paths of the clips that were removed.
+
+        Raises
+        ------
+        OptionError : nothing is chosen.
+        LibraryError : something chosen is not there, or the library cannot be written.
+        """
+        try:
+            with self.database.writing() as connection:
+                ids = select_ids(connection, self.name, selection, category, performer, tag)
+                paths = _selection.list_paths(connection, ids)
+                if ids:
+                    revision, labelled = next_revision(connection), find_leaving(connection, ids)
+                    written = recording(connection, revision, "remove", gone=ids, takes=labelled)
+                    with nullcontext() if for_good else written as recorded:
+                        _selection.delete_clips(connection, ids)
+                        leave_open(connection, labelled)
+                    self._note_change(recorded)
+        except LibraryError as error:
+            if for_good or error.code not in _FULL:
+                raise
+            raise LibraryError("library_clips.no_room_for_undo", library=self.name) from error
+        return paths
+
+    def relabel(
+        self,
+        selection: Selection = (),
+        *,
+        category: str | Unchanged | None = UNCHANGED,
+        performer: str | Unchanged | None = UNCHANGED,
+        where_category: str | None = None,
+        where_performer: str | None = None,
+    ) -> list[str]:
+        """Give clips or takes another category or performer; the forest learns of it in the next training.
+
+        Parameters
+        ----------
+        selection : numbers, files, or folders, which stand for all clips below them.
+        category, performer : the new labels, None for no label.
+        where_category, where_performer : only clips that have this label now.
+
+        Returns
+        -------
+        Paths of the clips that were chosen.
+
+        Raises
+        ------
+        OptionError : nothing is chosen, or no new label is given, or an empty one.
+        LibraryError : something chosen is not there, or the library cannot be written.
+        """
+        if category is UNCHANGED and performer is UNCHANGED:
+            raise OptionError("library_clips.no_new_label")
+        check_labels(category, performer)
+        told = {"category": category, "performer": performer}
+        told = {name: label for name, label in told.items() if label is not UNCHANGED}
+        with self.database.writing() as connection:
+            ids = select_ids(connection, self.name, selection, where_category, where_performer)
+            if ids:
+                revision, marked = next_revision(connection), _selection.with_segments(connection, ids)
+                with recording(connection, revision, "relabel", marked=marked, told=told) as recorded:
+                    _selection.set_labels(connection, ids, category, performer)
+                self._note_change(recorded)
+            return [clip.path for clip in _selection.list_clips(connection, ids)]
+
+    def tag(
+        self,
+        selection: Selection = (),
+        *,
+        add: Iterable[str] = (),
+        remove: Iterable[str] = (),
+        where_category: str | None = None,
+        where_performer: str | None = None,
+        where_tag: str | None = None,
+    ) -> list[str]:
+        """Give tags to clips or takes, or take tags away; nothing is learned from them.
+
+        Parameters
+        ----------
+        selection : numbers, files, or folders, which stand for all clips below them.
+        add, remove : names of tags; ``"favourite"`` is a star in the studio.
+        where_category, where_performer, where_tag : only clips of this label, with this tag.
+
+        Returns
+        -------
+        Paths of the clips whose tags changed.
+
+        Raises
+        ------
+        OptionError : nothing is chosen, no tag is given, or what is none.
+        LibraryError : something chosen is not there, or the library cannot be written.
+        """
+        from dousa.library.annotations.marks import change_tags, check_tags
+
+        more, less = check_tags(add), check_tags(remove)
+        if not more and not less:
+            raise OptionError("library_tags.nothing_to_change")
+        told = {"tags": [*(f"+{name}" for name in more), *(f"-{name}" for name in less)]}
+        with self.database.writing() as connection:
+            ids = select_ids(connection, self.name, selection, where_category, where_performer, where_tag)
+            with recording(connection, next_revision(connection), "tag", marked=ids, told=told) as recorded:
+                changed = change_tags(connection, ids, more, less)
+            self._note_change(recorded)
+            return _selection.list_paths(connection, list(changed))
+
+    def tags(self) -> dict[str, int]:
+        """Number of clips and takes that have a tag, by name."""
+        from dousa.library.annotations.marks import count_tags
+
+        with self.database.reading() as connection:
+            return count_tags(connection)
+
+    def journal(self) -> list[JournalEntry]:
+        """The changes that can be undone, or done again: what was added, removed, relabelled, tagged; the last first.
+
+        The last 1,000 are kept, with removed clips of up to 1 GB, until ``compact``.
+        """
+        from dousa.library.history.journal import list_entries
+
+        with self.database.reading() as connection:
+            return list_entries(connection)
+
+    def removed_paths(self) -> list[str]:
+        """Paths of the removed clips that are kept for ``undo``: their files are still of use."""
+        from dousa.library.history.journal import list_kept_paths
+
+        with self.database.reading() as connection:
+            return list_kept_paths(connection)
+
+    @property
+    def last_change(self) -> int | None:
+        """Number of the change that this thread made last with ``add``, ``add_motion``, ``relabel``, ``tag``,
+        ``remove`` or ``annotations``; None where that changed nothing."""
+        return getattr(self._last, "change", None)
+
+    @contextmanager
+    def one_change(self, kind: str | None = None, **told: Any) -> Iterator[None]:
+        """What this thread changes inside the block is undone, and done again, in one step.
+
+        What was done before an error stays, as the change of ``last_change``. In one block a clip is changed once.
+
+        Parameters
+        ----------
+        kind, told : what the change is called, as in ``JournalEntry``; by default after its first part.
+        """
+        with recording_together(self.database.engine, kind, told) as whole:
+            try:
+                yield
+            finally:
+                self._note_change(whole)
+
+    def _note_number(self, number: int | None) -> None:
+        self._last.change = number
+
+    def _note_change(self, recorded: Recorded | None) -> None:
+        self._last.change = None if recorded is None else recorded.number
+
+    def undo(self, number: int | None = None, *, n_jobs: int | None = None) -> JournalEntry:
+        """Take a change back: labels, tags and takes are as they were, removed clips are there again.
+
+        What a forest learned from clips that were added stays until the next training.
+
+        Parameters
+        ----------
+        number : of a change, by default the last one that is in force.
+        n_jobs : takes described at a time, as in ``add``.
+
+        Raises
+        ------
+        LibraryError : there is nothing to undo, or somebody has changed the same clips since; then nothing happens.
+        """
+        return self._step(number, redo=False, n_jobs=n_jobs)
+
+    def redo(self, number: int | None = None, *, n_jobs: int | None = None) -> JournalEntry:
+        """Do a change again that was undone, as long as no new one was made; as ``undo``."""
+        return self._step(number, redo=True, n_jobs=n_jobs)
+
+    def _step(self, number: int | None, *, redo: bool, n_jobs: int | None) -> JournalEntry:
+        from dousa.library.history.recording import step
+        from dousa.library.store.forests import load_forest
+        from dousa.library.takes.windows import refresh_windows
+
+        entry = step(self.database, number, redo=redo)
+        with self.database.reading() as connection:
+            stored = load_forest(connection, self.name, self._forests.last)
+        if stored is not None:
+            refresh_windows(self.database, stored, n_jobs)
+        return entry

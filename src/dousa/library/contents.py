@@ -1,0 +1,242 @@
+"""What is in a motion library, and how it is opened."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator, Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+import sqlalchemy as sa
+
+from dousa.errors import LibraryError
+from dousa.formats.motion_files import ReadOptions
+from dousa.library.results import ClipInfo, LibraryStats
+from dousa.library.store import schema
+from dousa.library.store import selection as _selection
+from dousa.library.store.engine import read_revision
+from dousa.library.store.features import load_trajectories
+from dousa.library.store.forests import ForestCache
+from dousa.library.store.opening import open_database
+from dousa.library.store.selection import KnownClips, Selection, fetch_in, select_ids
+
+if TYPE_CHECKING:
+    from dousa.library.export import ExportProgress, ExportReport
+    from dousa.library.store.engine import Database
+    from dousa.motion import Trajectories
+
+
+class LibraryContents:
+    """The part of `dousa.library.Library` that reads: clips, their joints and labels, and files made of them.
+
+    Parameters
+    ----------
+    database : with the tables of a library.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self.database = database
+        self._forests = ForestCache(database.where)
+        self._last = threading.local()
+
+    @classmethod
+    def open(
+        cls,
+        path_or_url: str | os.PathLike[str],
+        *,
+        create: bool = False,
+        read_only: bool = False,
+        timeout: float = 5.0,
+    ) -> Self:
+        """Open a library, or make one.
+
+        Parameters
+        ----------
+        path_or_url : a file of any name, by custom ``NAME.dousa``; or the SQLAlchemy URL of a database.
+        create : a library that does not exist is made.
+        read_only : refuse every change.
+        timeout : s to wait while another program writes.
+
+        Raises
+        ------
+        LibraryError : no library there, no such folder, no permission.
+        LibraryDamagedError : not a library, or damaged.
+        LibraryVersionError : written by a newer dousa.
+        LibraryLockedError : another program is writing, longer than the timeout.
+        """
+        return cls(open_database(path_or_url, create=create, read_only=read_only, timeout=timeout))
+
+    @property
+    def name(self) -> str:
+        """The path or URL it was opened with."""
+        return self.database.where
+
+    def close(self) -> None:
+        """Let go of the file; a closed library opens itself again when it is used."""
+        self.database.engine.dispose()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def clips(
+        self,
+        selection: Selection | None = None,
+        *,
+        category: str | None = None,
+        performer: str | None = None,
+        tag: str | None = None,
+    ) -> list[ClipInfo]:
+        """Clips and takes in the order of their paths: all, or those chosen.
+
+        Parameters
+        ----------
+        selection : numbers, files, or folders, which stand for all clips below them.
+        category, performer, tag : only clips of this label, with this tag.
+
+        Raises
+        ------
+        LibraryError : nothing fits.
+        """
+        with self.database.reading() as connection:
+            if selection is None and category is None and performer is None and tag is None:
+                return _selection.list_clips(connection)
+            chosen = () if selection is None else selection
+            ids = select_ids(connection, self.name, chosen, category, performer, tag)
+            return _selection.list_clips(connection, ids)
+
+    def renew_clips(self, known: KnownClips | None = None) -> KnownClips:
+        """All clips and takes by number, as ``clips`` reads them; of those that were read before only what has changed.
+
+        Parameters
+        ----------
+        known : what this gave before; None for all.
+        """
+        with self.database.reading() as connection:
+            return _selection.renew_clips(connection, known or KnownClips())
+
+    def iterate_clips(self, *, category: str | None = None, performer: str | None = None) -> Iterator[ClipInfo]:
+        """Clips and takes in the order of their numbers, of which a thousand are in memory at a time.
+
+        What others add meanwhile comes too; a library of a million clips can be gone through like this.
+
+        Parameters
+        ----------
+        category, performer : only clips of this label.
+        """
+        last = 0
+        while True:
+            with self.database.reading() as connection:
+                page = _selection.read_page(connection, last, category, performer)
+            yield from page
+            if not page:
+                return
+            last = page[-1].id
+
+    @property
+    def revision(self) -> int:
+        """Number of the last write, of this program or another; while it is the same, nothing has changed."""
+        with self.database.reading() as connection:
+            return read_revision(connection)
+
+    def contents(self, clip_ids: Sequence[int]) -> dict[int, str]:
+        """What stands for the content of clips, by number: whoever keeps something made of a clip knows it by this.
+
+        Parameters
+        ----------
+        clip_ids : of clips and takes; numbers that are not there are left out.
+        """
+        clips = schema.clips.c
+        query = sa.select(clips.id, clips.content_hash, clips.read_options)
+        wanted = [number for number in clip_ids if schema.is_id(number)]
+        with self.database.reading() as connection:
+            rows = fetch_in(connection, query, clips.id, wanted)
+            return {row.id: f"{row.content_hash} {row.read_options}" for row in rows}
+
+    def trajectories(self, clip_id: int) -> Trajectories:
+        """The canonical joints of a clip, in metres.
+
+        Raises
+        ------
+        LibraryError : no such clip; LibraryDamagedError: its numbers are damaged.
+        """
+        found = dict(self.iterate_trajectories([clip_id]))
+        if clip_id not in found:
+            raise LibraryError("library_clips.no_clip", library=self.name, number=clip_id)
+        return found[clip_id]
+
+    def iterate_trajectories(self, clip_ids: Sequence[int]) -> Iterator[tuple[int, Trajectories]]:
+        """Numbers and canonical joints of many clips, in any order; one at a time is in memory.
+
+        Parameters
+        ----------
+        clip_ids : of clips and takes; numbers that are not there are left out.
+
+        Raises
+        ------
+        LibraryDamagedError : the numbers of one are damaged.
+        """
+        with self.database.reading() as connection:
+            yield from load_trajectories(connection, [number for number in clip_ids if schema.is_id(number)])
+
+    def export(
+        self,
+        path: str | os.PathLike[str],
+        selection: Selection | None = None,
+        *,
+        category: str | None = None,
+        performer: str | None = None,
+        tag: str | None = None,
+        to: str = "original",
+        onto: str | os.PathLike[str] | None = None,
+        keep_reach: bool = False,
+        frame_rate: float | None = None,
+        options: ReadOptions | None = None,
+        progress: ExportProgress | None = None,
+    ) -> ExportReport:
+        """Write clips as files, a folder per category, with a ``manifest.csv`` of their labels.
+
+        Run again, it keeps what is there and unchanged: an interrupted export goes on where it stopped. Of a clip whose
+        file is gone the stored joints are written, which the column ``from`` says.
+
+        Parameters
+        ----------
+        path : folder, made if necessary, in which files of others are left alone; or a ZIP file, by its suffix.
+        selection : numbers, files, or folders, which stand for all clips below them; all if left out.
+        category, performer, tag : only clips of this label, with this tag.
+        to : name of a format that is written, such as ``"glb"`` or ``"bvh"``, or ``"original"``.
+        onto : file of a character whose skeleton the motions are put onto; see ``dousa.motion.retarget``.
+        keep_reach : hands reach the same places, instead of arm directions.
+        frame_rate : Hz to resample to.
+        options : how files are read, where that is not as they were when they were added.
+        progress : called with the number of clips that are done, of all, and the name of the next.
+
+        Returns
+        -------
+        What was written, kept and skipped.
+
+        Raises
+        ------
+        LibraryError : nothing fits.
+        OptionError : a format that does not exist, the originals put onto a character, a character without a skeleton.
+        """
+        from dousa.library.export import ExportFormat, export_clips
+
+        form = ExportFormat(to, onto, keep_reach, frame_rate)
+        clips = self.clips(selection, category=category, performer=performer, tag=tag)
+        return export_clips(self, clips, path, form, options, progress)
+
+    def categories(self) -> dict[str, int]:
+        """Number of clips of each category, by name."""
+        with self.database.reading() as connection:
+            return _selection.count_by(connection, "category")
+
+    def stats(self) -> LibraryStats:
+        """The library in numbers."""
+        with self.database.reading() as connection:
+            return _selection.summarise(connection)

@@ -1,0 +1,473 @@
+"""Many clips of a library as files at once, in a format of the user's choice, perhaps on the user's character.
+
+A folder per category and a ``manifest.csv`` with the labels. What an earlier run has written is kept if nothing has
+changed since, so that an interrupted export goes on where it stopped.
+
+Where exported files go: a folder, or a ZIP file that is put together in a hidden folder beside it.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import hashlib
+import io
+import itertools
+import json
+import os
+import re
+import shutil
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from dousa.errors import DousaError, MotionWriteError, OptionError
+from dousa.files.disk import NO_ROOM, atomic_write, read_bytes, write_error
+from dousa.formats.motion_files import ReadOptions, Skipped, describe_problem
+from dousa.formats.registry import WRITERS
+
+if TYPE_CHECKING:
+    from dousa.library.results import ClipInfo
+    from dousa.motion import Motion, Trajectories
+
+MANIFEST = "manifest.csv"
+COLUMNS = (
+    "file", "id", "kind", "category", "performer", "tags", "n_frames", "frame_rate", "duration_s", "source", "start_s",
+    "end_s", "from", "made_of",
+)  # fmt: skip
+
+Rows = dict[str, dict[str, str]]
+"""Rows of the manifest by file."""
+
+
+class Destination:
+    """A folder that files are written to.
+
+    Parameters
+    ----------
+    path : of the folder; made when the first file is.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.folder = path, path
+        if path.exists() and not path.is_dir():
+            raise OptionError("export.no_folder", path=path)
+
+    def open(self) -> Rows:
+        """What an earlier run has left; OptionError where the list that is there is not ours."""
+        rows = read_manifest(self.folder / MANIFEST)
+        if not rows and _holds_text(self.folder / MANIFEST):
+            raise OptionError("export.other_manifest", path=self.folder / MANIFEST)
+        return {name: row for name, row in rows.items() if (self.folder / name).is_file()}
+
+    def prepare(self, name: str) -> Path:
+        """Where a file of this name, with folders and ``/``, is to be written."""
+        path = self.folder / name
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise write_error(path, error) from error
+        return path
+
+    def is_foreign(self, name: str, rows: Rows) -> bool:
+        """Whether a file of this name is there that no export has written, such as a recording itself."""
+        return name not in rows and (self.folder / name).exists()
+
+    def remove(self, name: str) -> None:
+        """Take away a file that was written."""
+        (self.folder / name).unlink(missing_ok=True)
+
+    def write_manifest(self, rows: Rows) -> None:
+        """The list of what is there, in the order of the names; none of nothing."""
+        if not rows:
+            return
+        text = io.StringIO()
+        table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+        table.writeheader()
+        table.writerows(row for name, row in sorted(rows.items()) if (self.folder / name).is_file())
+        with atomic_write(self.folder / MANIFEST) as file:
+            file.write(text.getvalue().encode())
+
+    def close(self, extras: tuple[str, ...] = ()) -> None:
+        """Finish what is there, with files besides those of the manifest."""
+
+
+class ZipDestination(Destination):
+    """A ZIP file.
+
+    Until it is whole its files are in a hidden folder beside it, where an interrupted export is taken up again.
+
+    Parameters
+    ----------
+    path : of the file; one that an earlier export has written is continued, any other is refused.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.folder = path.parent / f".{path.name[:100]}.parts"
+
+    def is_foreign(self, name: str, rows: Rows) -> bool:
+        """No: nobody else writes into the hidden folder."""
+        return False
+
+    def open(self) -> Rows:
+        """What an earlier run has left, unpacked."""
+        if self.path.exists():
+            self._unpack()
+        return super().open()
+
+    def _unpack(self) -> None:
+        try:
+            with zipfile.ZipFile(self.path) as archive:
+                if MANIFEST not in archive.namelist():
+                    raise OptionError("export.other_zip", path=self.path)
+                for name in archive.namelist():
+                    if not name.endswith("/") and not (self.folder / name).exists():
+                        archive.extract(name, self.folder)  # which leaves out .. and the roots of disks
+        except (OSError, zipfile.BadZipFile, EOFError, RuntimeError, ValueError, NotImplementedError) as error:
+            raise OptionError("export.other_zip", path=self.path) from error
+
+    def close(self, extras: tuple[str, ...] = ()) -> None:
+        """Write the ZIP file, and remove the folder."""
+        names = [*read_manifest(self.folder / MANIFEST), *extras]
+        if names:
+            with atomic_write(self.path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+                for name in (MANIFEST, *sorted(set(names))):
+                    archive.write(self.folder / name, name)
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def choose_destination(path: str | os.PathLike[str]) -> Destination:
+    """A folder, or a ZIP file if the name ends so."""
+    target = Path(path)
+    return ZipDestination(target) if target.suffix.lower() == ".zip" and not target.is_dir() else Destination(target)
+
+
+def _holds_text(path: Path) -> bool:
+    """Whether there is more in a file than our heading."""
+    heading = ",".join(COLUMNS).encode()
+    try:
+        with open(path, "rb") as file:
+            return file.read(len(heading) + 9).strip() not in (b"", heading)
+    except OSError:
+        return False
+
+
+def read_manifest(path: Path) -> Rows:
+    """Rows by file of an earlier run; none if there is no list, or another's."""
+    try:
+        with open(path, encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error):
+        return {}
+    rows = [{"tags": "", **row} for row in rows]  # an earlier version had none
+    return {
+        row["file"]: row for row in rows if set(row) == set(COLUMNS) and all(isinstance(v, str) for v in row.values())
+    }
+
+
+ORIGINAL = "original"
+
+ExportProgress = Callable[[int, int, str], None]
+"""Called with the number of clips that are done, of all, and the name of the next."""
+
+_UNSAFE = re.compile(r'[\x00-\x1f<>:"|?*\\]')
+_GIVEN = ("joint_map", "unit", "up", "skeleton", "frame_rate")
+
+
+class Source(Protocol):
+    """What an export asks of a library."""
+
+    def contents(self, clip_ids: Sequence[int]) -> dict[int, str]:
+        """What stands for the content of clips, and how their files were read."""
+        ...
+
+    def trajectories(self, clip_id: int) -> Trajectories:
+        """The joints of a clip that are kept."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class ExportReport:
+    """What an export did.
+
+    Parameters
+    ----------
+    written, kept : files, relative to the folder: new, and there already.
+    skipped : clips that could not be exported, by the path of their source.
+    """
+
+    written: tuple[str, ...]
+    kept: tuple[str, ...]
+    skipped: tuple[Skipped, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """The report as plain values."""
+        return {
+            "written": list(self.written),
+            "kept": list(self.kept),
+            "skipped": [skipped.to_json() for skipped in self.skipped],
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class ExportFormat:
+    """What clips are written as.
+
+    Parameters
+    ----------
+    to : a key of `list_formats`, or ``"original"``: the files as they are.
+    onto : file of a character whose skeleton the motions are put onto.
+    keep_reach : hands reach the same places, instead of arm directions.
+    frame_rate : Hz to resample to; None keeps each clip's own.
+    """
+
+    to: str = ORIGINAL
+    onto: str | os.PathLike[str] | None = None
+    keep_reach: bool = False
+    frame_rate: float | None = None
+
+    def __post_init__(self) -> None:
+        known = list_formats()
+        if self.to not in known and self.to != ORIGINAL:
+            raise OptionError("export.format", found=self.to, known=(*known, ORIGINAL))
+        if self.to == ORIGINAL and (self.onto is not None or self.frame_rate is not None):
+            raise OptionError("export.original_onto")
+        if self.keep_reach and self.onto is None:
+            raise OptionError("export.reach_of_nobody")
+        if self.frame_rate is not None and not 0 < self.frame_rate <= 1e6:
+            raise OptionError("resampling.rate", rate=self.frame_rate)
+
+
+def list_formats() -> dict[str, str]:
+    """Suffixes of the formats that are written, by name: ``"glb"`` for ``".glb"``, ``"amass"`` for ``".amass.npz"``."""
+    return {suffix[1:] if suffix.count(".") == 1 else line.name: suffix for suffix, line in WRITERS.items()}
+
+
+def export_clips(
+    library: Source,
+    clips: Sequence[ClipInfo],
+    path: str | os.PathLike[str],
+    form: ExportFormat,
+    options: ReadOptions | None = None,
+    progress: ExportProgress | None = None,
+) -> ExportReport:
+    """Write clips of a library as files; see `Library.export`.
+
+    Parameters
+    ----------
+    library, clips : which, and where from.
+    path : folder, or name of a ZIP file.
+    form : what they are written as.
+    options : how files are read, instead of as they were when they were added.
+    """
+    destination = choose_destination(path)
+    job = _Export(library, destination, form, options or ReadOptions())
+    try:
+        for number, clip in enumerate(clips):
+            if progress is not None:
+                progress(number, len(clips), os.path.basename(clip.path))
+            job.run(clip)
+        if progress is not None:
+            progress(len(clips), len(clips), "")
+    except MotionWriteError as error:
+        job.list_what_fits()
+        done = len(job.written) + len(job.kept)
+        raise MotionWriteError(path, "export.no_room", reason=error.message, done=done, total=len(clips)) from error
+    except BaseException:  # interrupted: what is there is listed
+        destination.write_manifest(job.rows)
+        raise
+    destination.write_manifest(job.rows)
+    destination.close(tuple(job.skeletons))
+    return ExportReport(tuple(job.written), tuple(job.kept), tuple(job.skipped))
+
+
+class _Export:
+    """One run: what is there from earlier ones, and what it does."""
+
+    def __init__(self, library: Source, destination: Destination, form: ExportFormat, options: ReadOptions) -> None:
+        self.library, self.destination, self.form, self.options = library, destination, form, options
+        self.character: Motion | None = None
+        recipe: dict[str, Any] = {"to": form.to}
+        if form.onto is not None:
+            from dousa.formats import read_character
+
+            self.character = read_character(form.onto)
+            recipe |= {"onto": hashlib.sha256(read_bytes(form.onto)).hexdigest(), "reach": form.keep_reach}
+        recipe |= {"rate": form.frame_rate, "read": options.describe(), "skeleton": str(options.skeleton or "")}
+        self.recipe = json.dumps(recipe, sort_keys=True)
+        self.rows = destination.open()
+        self.written: list[str] = []
+        self.kept: list[str] = []
+        self.skipped: list[Skipped] = []
+        self.skeletons: list[str] = []
+
+    def run(self, clip: ClipInfo) -> None:
+        """Export one clip, unless it is there already."""
+        suffix = _suffix_of(_file_of(clip)) if self.form.to == ORIGINAL else list_formats()[self.form.to]
+        name = self._choose_name(clip, suffix)
+        content = self.library.contents([clip.id]).get(clip.id, "")
+        made_of = hashlib.sha256(f"{self.recipe} {content} {clip.start_s} {clip.end_s}".encode()).hexdigest()[:16]
+        known = self.rows.get(name)
+        row = _describe(clip, name, made_of, known["from"] if known else "file")
+        if known is not None and known["made_of"] == made_of:
+            self._copy_skeleton(clip, name)
+            self.rows[name] = row
+            self.kept.append(name)
+            return
+        try:
+            row["from"] = self._write(clip, name, content)
+        except DousaError as error:
+            self.rows.pop(name, None)
+            if isinstance(error, MotionWriteError) and error.code in NO_ROOM:
+                raise
+            self.skipped.append(Skipped(clip.path, describe_problem(clip.path, error)))
+            return
+        self.rows[name] = row
+        self.written.append(name)
+
+    def list_what_fits(self) -> None:
+        """The list of what is there, on a disk without room: the last files written make place for it."""
+        while True:
+            try:
+                self.destination.write_manifest(self.rows)
+            except MotionWriteError:
+                if not self.written:
+                    return
+                name = self.written.pop()
+                del self.rows[name]
+                self.destination.remove(name)
+            else:
+                return
+
+    def _choose_name(self, clip: ClipInfo, suffix: str) -> str:
+        """Category, name of the source; with the clip's number where another clip has the name, or may have it, or a
+        file that no export has written."""
+        parts = [_safe(part) for part in (clip.category or "").split("/") if part]
+        base = os.path.basename(_file_of(clip))
+        own = _suffix_of(base)
+        stem = _safe(base[: -len(own)] if own and base.lower().endswith(own.lower()) else base)
+        if clip.take_id is not None:
+            stem = f"{stem}_{clip.start_s or 0.0:.2f}s"
+        name = "/".join((*parts, stem + suffix))
+        other = self.rows.get(name)
+        if name == MANIFEST or (other is not None and other["id"] != str(clip.id)) or self._is_foreign(name):
+            name = "/".join((*parts, f"{stem}_{clip.id}{suffix}"))
+        numbers = itertools.count(2)
+        while self._is_foreign(name):
+            name = "/".join((*parts, f"{stem}_{clip.id}_{next(numbers)}{suffix}"))
+        return name
+
+    def _is_foreign(self, name: str) -> bool:
+        return self.destination.is_foreign(name, self.rows)
+
+    def _write(self, clip: ClipInfo, name: str, content: str) -> str:
+        """Write the file; returns what it was made of."""
+        if self.form.to == ORIGINAL:
+            if clip.take_id is not None:
+                raise OptionError("export.part_of_take")
+            data = read_bytes(clip.path)
+            path = self.destination.prepare(name)
+            self._copy_skeleton(clip, name)
+            with atomic_write(path) as file:
+                file.write(data)
+            return "file"
+        from dousa.formats import write_motion
+
+        if clip.take_id is not None:
+            content = self.library.contents([clip.take_id]).get(clip.take_id, "")
+        options = self._options(content)
+        motion, origin = self._read(clip, options)
+        if self.form.frame_rate is not None:
+            from dousa.motion import resample
+
+            motion = resample(motion, self.form.frame_rate)  # type: ignore[type-var]  # either, not both
+        if self.character is not None:
+            from dousa.motion import retarget
+
+            joints = options.joint_map if origin == "file" else None
+            motion = retarget(motion, self.character, joint_map=joints, keep_reach=self.form.keep_reach).motion
+        write_motion(motion, self.destination.prepare(name))
+        return origin
+
+    def _copy_skeleton(self, clip: ClipInfo, name: str) -> None:
+        """The .asf of an .amc that is exported as it is."""
+        if self.form.to != ORIGINAL or not clip.path.lower().endswith(".amc"):
+            return
+        from dousa.formats.asf_amc.reading import find_skeleton
+
+        skeleton = self.options.skeleton or find_skeleton(clip.path)
+        copy = "/".join((*name.split("/")[:-1], os.path.basename(skeleton)))
+        if copy not in self.skeletons:
+            data = read_bytes(skeleton)
+            with atomic_write(self.destination.prepare(copy)) as file:
+                file.write(data)
+            self.skeletons.append(copy)
+
+    def _options(self, content: str) -> ReadOptions:
+        """How the file was read when it was added, but for what is said now."""
+        text = content.partition(" ")[2]
+        stored = json.loads(text) if text else {}
+        known = ReadOptions(**{key: stored[key] for key in _GIVEN if key in stored})
+        given = {key: getattr(self.options, key) for key in _GIVEN if getattr(self.options, key) is not None}
+        return dataclasses.replace(known, **given)
+
+    def _read(self, clip: ClipInfo, options: ReadOptions) -> tuple[Motion | Trajectories, str]:
+        """The motion of the file, or the part of it, else the joints that the library keeps."""
+        path = _file_of(clip)
+        if not os.path.exists(path):
+            return self.library.trajectories(clip.id), "stored joints"
+        from dousa.formats import read_motion
+
+        motion = read_motion(
+            path, unit=options.unit, up=options.up, skeleton=options.skeleton, frame_rate=options.frame_rate
+        )
+        return (motion if clip.take_id is None else _cut(motion, clip)), "file"
+
+
+def _cut(motion: Motion | Trajectories, clip: ClipInfo) -> Motion | Trajectories:
+    """The frames of a segment of a take."""
+    from dousa.motion import Motion
+
+    first = round((clip.start_s or 0.0) * motion.frame_rate)
+    frames = slice(first, None if clip.end_s is None else round(clip.end_s * motion.frame_rate))
+    if isinstance(motion, Motion):
+        return motion.replace(rotations=motion.rotations[frames], translations=motion.translations[frames])
+    return motion.replace(positions=motion.positions[frames])
+
+
+def _file_of(clip: ClipInfo) -> str:
+    """The file of a clip, or of the take that it is a part of."""
+    return clip.path if clip.take_id is None else clip.path.rpartition("#t=")[0]
+
+
+def _describe(clip: ClipInfo, name: str, made_of: str, origin: str) -> dict[str, str]:
+    return {
+        "file": name,
+        "id": str(clip.id),
+        "kind": clip.kind,
+        "category": clip.category or "",
+        "performer": clip.performer or "",
+        "tags": "; ".join(clip.tags),
+        "n_frames": str(clip.n_frames),
+        "frame_rate": repr(clip.frame_rate),
+        "duration_s": f"{clip.duration:.6g}",
+        "source": clip.path,
+        "start_s": "" if clip.start_s is None else f"{clip.start_s:.6g}",
+        "end_s": "" if clip.end_s is None else f"{clip.end_s:.6g}",
+        "from": origin,
+        "made_of": made_of,
+    }
+
+
+def _suffix_of(path: str) -> str:
+    """What a name ends in, both suffixes of a packed file."""
+    stem, suffix = os.path.splitext(path)
+    return os.path.splitext(stem)[1] + suffix if suffix.lower() in (".gz", ".zip") else suffix
+
+
+def _safe(part: str) -> str:
+    """A name that any disk takes."""
+    return _UNSAFE.sub("_", part).strip(". ")[:150] or "clip"

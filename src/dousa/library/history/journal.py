@@ -1,0 +1,326 @@
+"""Removed clips that are kept for an undo: put away before they are removed, and brought back as they were.
+
+Kept are the rows that nobody can compute again, and those that are small: labels and numbers, positions, the place in a
+take, tables of labels, tags, words, poses, and the leaves, which hold while the forest is the same. Features are
+computed again when they are needed, windows of takes at once.
+
+The changes that are written down: reading them, naming them, and how many are kept.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy import exc
+
+from dousa.library.store import schema
+from dousa.library.store.checksums import JOURNAL, POSITIONS, REMOVED, damaged, seal_rows
+from dousa.library.store.features import lacks, load_features
+from dousa.library.store.forests import ask_trees, load_forest, save_answers
+from dousa.library.store.selection import fetch_in, portions
+from dousa.messages import Message
+
+MOST_CHANGES = 1000
+"""That are written down; the oldest are forgotten."""
+
+MOST_KEPT_BYTES = 1 << 30
+"""Of removed clips: the oldest changes are forgotten with theirs. Those of the last change are kept in any case."""
+
+
+@dataclass(frozen=True, slots=True)
+class JournalEntry:
+    """A change of a library.
+
+    Parameters
+    ----------
+    number : of the change; later ones have higher numbers.
+    made_at : when, ISO 8601, UTC.
+    kind : ``"add"``, ``"remove"``, ``"relabel"``, ``"tag"``, ``"label"`` (tables of labels of takes) or ``"name"`` (a
+        part of a take, by hand).
+    n_clips : clips and takes that it concerns.
+    what : tells it.
+    is_undone : whether it was undone, and can be done again.
+    kept_bytes : of removed clips that are kept for it.
+    """
+
+    number: int
+    made_at: str
+    kind: str
+    n_clips: int
+    what: Message
+    is_undone: bool
+    kept_bytes: int
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "number": self.number,
+            "made_at": self.made_at,
+            "kind": self.kind,
+            "n_clips": self.n_clips,
+            "what": str(self.what),
+            "is_undone": self.is_undone,
+            "kept_bytes": self.kept_bytes,
+        }
+
+
+def read_row(connection: sa.Connection, number: int) -> Any:
+    """A row of the table, None if there is no such change; LibraryDamagedError where it is not as it was written."""
+    row = connection.execute(sa.select(*JOURNAL.columns).where(schema.journal.c.number == number)).one_or_none()
+    if row is not None:
+        JOURNAL.check(connection, row)
+    return row
+
+
+def find_next(connection: sa.Connection, *, undone: bool) -> int | None:
+    """Number of the change that is undone next, or done again next."""
+    table = schema.journal.c
+    if undone:
+        query = sa.select(table.number).where(table.undone.is_not(None)).order_by(table.undone.desc(), table.number)
+    else:
+        query = sa.select(table.number).where(table.undone.is_(None)).order_by(table.number.desc())
+    number = connection.execute(query.limit(1)).scalar()
+    return None if number is None else int(number)
+
+
+def list_entries(connection: sa.Connection, numbers: Sequence[int] | None = None) -> list[JournalEntry]:
+    """The changes that are written down, the last first; all, or those of these numbers."""
+    table, kept = schema.journal.c, schema.removed_clips.c
+    query = sa.select(*JOURNAL.columns).order_by(table.number.desc())
+    if numbers is not None:
+        query = query.where(table.number.in_(numbers))
+    sizes = {
+        row[0]: row[1]
+        for row in connection.execute(sa.select(kept.change, sa.func.sum(kept.size)).group_by(kept.change))
+    }
+    entries = []
+    for row in connection.execute(query).all():
+        JOURNAL.check(connection, row)
+        what = describe(row.kind, row.n_clips, row.told)
+        size = int(sizes.get(row.number, 0))
+        entries.append(JournalEntry(row.number, row.made_at, row.kind, row.n_clips, what, row.undone is not None, size))
+    return entries
+
+
+def describe(kind: str, n: int, told: dict[str, Any]) -> Message:
+    """A change in words.
+
+    Parameters
+    ----------
+    kind, n : of the change, and clips that it concerns.
+    told : ``category`` and ``performer`` of a relabelling, ``tags`` that were given and taken, as ``["+a", "-b"]``, or
+        the ``category`` of a part that was named.
+    """
+    if kind == "relabel":
+        return _describe_labels(n, told)
+    if kind == "tag":
+        return Message("journal.tagged", n=n, tags=tuple(told.get("tags", ())))
+    if kind == "name":
+        return Message("journal.named", category=told.get("category", "?"))
+    simple: dict[str, Callable[[int], Message]] = {
+        "add": lambda n: Message("journal.added", n=n),
+        "remove": lambda n: Message("journal.removed", n=n),
+        "label": lambda n: Message("journal.labelled", n=n),
+    }
+    return simple[kind](n) if kind in simple else Message("journal.other", n=n)
+
+
+def _describe_labels(n: int, told: dict[str, Any]) -> Message:
+    category, performer = told.get("category"), told.get("performer")
+    if "category" in told and "performer" in told:
+        return Message("journal.both_labels", n=n)
+    if "performer" in told:
+        if performer is None:
+            return Message("journal.no_performer", n=n)
+        return Message("journal.performer", n=n, performer=performer)
+    if category is None:
+        return Message("journal.no_category", n=n)
+    return Message("journal.category", n=n, category=category)
+
+
+def measure_kept(connection: sa.Connection) -> int:
+    """Bytes of the removed clips that are kept."""
+    return int(connection.execute(sa.select(sa.func.sum(schema.removed_clips.c.size))).scalar() or 0)
+
+
+def forget_undone(connection: sa.Connection) -> None:
+    """What was undone cannot be done again any more."""
+    connection.execute(sa.delete(schema.journal).where(schema.journal.c.undone.is_not(None)))
+
+
+def forget_kept(connection: sa.Connection) -> int:
+    """Forget all removed clips, and the changes that cannot be undone without them; returns the bytes of these."""
+    size = measure_kept(connection)
+    forget_undone(connection)
+    last = connection.execute(sa.select(sa.func.max(schema.removed_clips.c.change))).scalar()
+    if last is not None:
+        connection.execute(sa.delete(schema.journal).where(schema.journal.c.number <= last))
+    return size
+
+
+def keep_within_bounds(connection: sa.Connection, newest: int) -> None:
+    """Forget the oldest changes where there are too many, or where they keep too much."""
+    table, kept = schema.journal.c, schema.removed_clips.c
+    numbers = list(connection.execute(sa.select(table.number).order_by(table.number.desc())).scalars())
+    bound = numbers[MOST_CHANGES] if len(numbers) > MOST_CHANGES else 0
+    query = sa.select(kept.change, sa.func.sum(kept.size)).group_by(kept.change).order_by(kept.change.desc())
+    total = 0
+    for number, size in connection.execute(query):
+        total += int(size)
+        if total > MOST_KEPT_BYTES and number != newest:
+            bound = max(bound, number)
+            break
+    if bound:
+        connection.execute(sa.delete(schema.journal).where(table.number <= bound))
+
+
+def pack_ids(ids: Iterable[int]) -> list[list[int]]:
+    """Numbers as [[first, last], ...]: those of clips that were added together follow each other."""
+    spans: list[list[int]] = []
+    for number in sorted(set(ids)):
+        if spans and spans[-1][1] == number - 1:
+            spans[-1][1] = number
+        else:
+            spans.append([number, number])
+    return spans
+
+
+def unpack_ids(spans: Iterable[Sequence[int]]) -> list[int]:
+    """The numbers that ``pack_ids`` wrote, ascending."""
+    return [number for first, last in spans for number in range(first, last + 1)]
+
+
+# In this order they are brought back: a segment after the clip that it is.
+_TABLES = (
+    schema.clips, schema.segments, schema.take_annotations, schema.clip_tags, schema.clip_relations, schema.clip_poses,
+    schema.clip_leaves,
+)  # fmt: skip
+_COPIED = ("positions", "block_checksums", *schema.PLACE)  # blocks in fragments stay where they are
+_BYTES = "base64"
+_STAMP = "forest"
+
+
+def put_away(connection: sa.Connection, ids: Sequence[int], change: int) -> None:
+    """Keep clips and takes, with their segments among these numbers, that are about to be removed.
+
+    Damaged rows that cannot be read are not kept: such a clip cannot be brought back.
+    """
+    for some in portions(ids):
+        try:
+            kept = _read_rows(connection, some)
+        except (exc.SQLAlchemyError, ValueError):
+            kept = {}
+            for number in some:
+                try:
+                    kept |= _read_rows(connection, [number])
+                except (exc.SQLAlchemyError, ValueError):
+                    continue
+        _write(connection, kept, change)
+
+
+def _read_rows(connection: sa.Connection, ids: Sequence[int]) -> dict[int, dict[str, Any]]:
+    kept: dict[int, dict[str, Any]] = {}
+    for table in _TABLES:
+        key = next(iter(table.primary_key))
+        for row in connection.execute(sa.select(table).where(key.in_(ids))):
+            values = {name: _to_json(value) for name, value in row._mapping.items()}
+            kept.setdefault(row._mapping[key.name], {})[table.name] = values
+    stamp = _read_stamp(connection)
+    return {number: {**rows, _STAMP: stamp} for number, rows in kept.items() if schema.clips.name in rows}
+
+
+def _read_stamp(connection: sa.Connection) -> list[int]:
+    forests = schema.forests.c
+    return list(connection.execute(sa.select(forests.revision, forests.learned)).first() or (0, 0))
+
+
+def _write(connection: sa.Connection, kept: dict[int, dict[str, Any]], change: int) -> None:
+    if not kept:
+        return
+    positions, table = schema.clip_trajectories, schema.removed_positions
+    size = sa.func.coalesce(positions.c.n_bytes, sa.func.length(positions.c.positions))
+    query = sa.select(positions.c.clip_id, size)
+    sizes = {row[0]: row[1] for row in connection.execute(query.where(positions.c.clip_id.in_(list(kept))))}
+    rows = [
+        {"number": number, "change": change, "size": int(sizes.get(number, 0)), "kept": own}
+        for number, own in kept.items()
+    ]
+    connection.execute(sa.insert(schema.removed_clips), seal_rows(schema.removed_clips, rows))
+    copied = sa.select(positions.c.clip_id, *(positions.c[name] for name in _COPIED))
+    copied = copied.where(positions.c.clip_id.in_(list(kept)))
+    connection.execute(sa.insert(table).from_select(["number", *_COPIED], copied))
+
+
+def list_kept(connection: sa.Connection, ids: Sequence[int], change: int) -> dict[int, dict[str, Any]]:
+    """What is kept of clips for a change, by number; LibraryDamagedError where it is not as it was written."""
+    table = schema.removed_clips.c
+    found = {}
+    for row in fetch_in(connection, sa.select(*REMOVED.columns).where(table.change == change), table.number, ids):
+        REMOVED.check(connection, row)
+        found[row.number] = row.kept
+    return found
+
+
+def list_kept_paths(connection: sa.Connection) -> list[str]:
+    """Paths of all removed clips that are kept."""
+    path = schema.removed_clips.c.kept[schema.clips.name]["path"].as_string()
+    return [str(found) for found in connection.execute(sa.select(path)).scalars()]
+
+
+def bring_back(connection: sa.Connection, where: str, kept: dict[int, dict[str, Any]]) -> None:
+    """Put removed clips back as they were, with what the present forest says of them.
+
+    Parameters
+    ----------
+    where : name of the library, for messages.
+    kept : as ``list_kept`` has it.
+
+    Raises
+    ------
+    LibraryDamagedError : the positions of one are gone.
+    """
+    stamp = _read_stamp(connection)
+    fresh = [number for number, own in kept.items() if own[_STAMP] == stamp]
+    for table in _TABLES:
+        some = fresh if table is schema.clip_leaves else list(kept)
+        rows = [_from_json(kept[number][table.name]) for number in some if table.name in kept[number]]
+        for few in portions(rows):
+            connection.execute(sa.insert(table), list(few))
+    positions, old = schema.clip_trajectories, schema.removed_positions.c
+    own = {number for number, rows in kept.items() if schema.segments.name not in rows}
+    lacking = own - {row.number for row in fetch_in(connection, sa.select(old.number), old.number, sorted(own))}
+    if lacking:
+        raise damaged(connection, POSITIONS, min(lacking))
+    for ids in portions(list(kept)):
+        query = sa.select(old.number, *(old[name] for name in _COPIED)).where(old.number.in_(ids))
+        connection.execute(sa.insert(positions).from_select(["clip_id", *_COPIED], query))
+        connection.execute(sa.delete(schema.removed_clips).where(schema.removed_clips.c.number.in_(ids)))
+    _ask_forest(connection, where, [number for number in kept if kept[number][_STAMP] != stamp])
+
+
+def _ask_forest(connection: sa.Connection, where: str, ids: Sequence[int]) -> None:
+    """The leaves of clips in a forest that has learned since they were removed; takes have none."""
+    stored = load_forest(connection, where) if ids else None
+    if stored is None:
+        return
+    clips = schema.clips.c
+    query = sa.select(clips.id, clips.absent).where(clips.kind == schema.CLIP)
+    rows = fetch_in(connection, query, clips.id, ids)
+    whole = sorted(row.id for row in rows if not lacks(stored.feature_set, row.absent))
+    for some in portions(whole):
+        save_answers(connection, some, ask_trees(stored, load_features(connection, stored.feature_set, some).features))
+
+
+def _to_json(value: Any) -> Any:
+    return {_BYTES: base64.b64encode(value).decode()} if isinstance(value, bytes) else value
+
+
+def _from_json(row: dict[str, Any]) -> dict[str, Any]:
+    return {
+        name: base64.b64decode(value[_BYTES]) if isinstance(value, dict) and _BYTES in value else value
+        for name, value in row.items()
+    }

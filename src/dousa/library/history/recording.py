@@ -1,0 +1,391 @@
+"""Undoing a change, and doing it again: both put what was, or what became, in the place of the other.
+
+Nothing is done by halves, and nothing is done where the clips are not as the change left them.
+
+Writing a change down while it is made: what its clips were before, and what they are afterwards.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+import sqlalchemy as sa
+
+from dousa.errors import LibraryError
+from dousa.library.history.journal import (
+    JournalEntry,
+    bring_back,
+    find_next,
+    forget_undone,
+    keep_within_bounds,
+    list_entries,
+    list_kept,
+    pack_ids,
+    put_away,
+    read_row,
+    unpack_ids,
+)
+from dousa.library.store import schema
+from dousa.library.store.checksums import JOURNAL, LABELS, seal_rows, update_rows
+from dousa.library.store.engine import Database, next_revision, note_changed_clips
+from dousa.library.store.selection import delete_clips, fetch_in, save_tags, with_segments
+
+Marks = dict[int, dict[str, Any]]
+"""By number: category, performer and tags of clips."""
+
+
+@dataclass(slots=True)
+class Recorded:
+    """A change that is being written down.
+
+    Parameters
+    ----------
+    number : of the change; None where nothing changed.
+    """
+
+    number: int | None = None
+
+
+@dataclass(slots=True)
+class _Together(Recorded):
+    """Several steps that are one change.
+
+    Parameters
+    ----------
+    engine : of the library.
+    kind, told : of the change; those of the first step where there are none.
+    """
+
+    engine: sa.Engine | None = None
+    kind: str | None = None
+    told: dict[str, Any] = field(default_factory=dict)
+
+
+_TOGETHER: ContextVar[_Together | None] = ContextVar("together", default=None)
+
+
+@contextmanager
+def recording_together(engine: sa.Engine, kind: str | None, told: dict[str, Any]) -> Iterator[Recorded]:
+    """What this thread records of a library inside the block is one change, even in several transactions.
+
+    Parameters
+    ----------
+    engine : of the library.
+    kind, told : as in `recording`, of the whole.
+    """
+    together = _Together(engine=engine, kind=kind, told=told)
+    token = _TOGETHER.set(together)
+    try:
+        yield together
+    finally:
+        _TOGETHER.reset(token)
+
+
+@dataclass(slots=True)
+class Changes:
+    """What a change did, as it is kept.
+
+    Parameters
+    ----------
+    labels : (column, before, after, numbers).
+    gone, new : numbers.
+    annotations : (take, before, after).
+    """
+
+    labels: list[tuple[str, Any, Any, list[int]]] = field(default_factory=list)
+    gone: list[int] = field(default_factory=list)
+    new: list[int] = field(default_factory=list)
+    annotations: list[tuple[int, Any, Any]] = field(default_factory=list)
+
+    @classmethod
+    def from_json(cls, values: dict[str, Any]) -> Changes:
+        """From what ``to_json`` wrote."""
+        return cls(
+            [(name, before, after, unpack_ids(spans)) for name, before, after, spans in values["labels"]],
+            unpack_ids(values["gone"]),
+            unpack_ids(values["new"]),
+            [(take, before, after) for take, before, after in values["annotations"]],
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "labels": [[name, before, after, pack_ids(ids)] for name, before, after, ids in self.labels],
+            "gone": pack_ids(self.gone),
+            "new": pack_ids(self.new),
+            "annotations": [list(one) for one in self.annotations],
+        }
+
+    @property
+    def clips(self) -> set[int]:
+        """Numbers of all clips and takes that it concerns."""
+        labelled = {number for *_, ids in self.labels for number in ids}
+        return labelled | {*self.gone, *self.new} | {take for take, _, _ in self.annotations}
+
+
+@contextmanager
+def recording(
+    connection: sa.Connection,
+    revision: int,
+    kind: str,
+    *,
+    marked: Sequence[int] = (),
+    gone: Sequence[int] = (),
+    takes: Iterable[int] = (),
+    told: dict[str, Any] | None = None,
+    into: int | None = None,
+) -> Iterator[Recorded]:
+    """Write down what is changed inside the block, after ``next_revision`` in the same transaction.
+
+    Parameters
+    ----------
+    revision : of the library in this transaction.
+    kind : see ``JournalEntry``.
+    marked : clips whose labels or tags may change.
+    gone : clips that are going to be removed; they are put away, with the segments of the takes among them.
+    takes : whose tables of labels may change.
+    told : values of the message that tells it.
+    into : number of a change that goes on; another one is begun where it is not there any more.
+    """
+    together = _TOGETHER.get()
+    if together is not None and together.engine is not connection.engine:
+        together = None
+    if together is not None:
+        into = together.number if into is None else into
+        kind, told = (kind, told) if together.kind is None else (together.kind, together.told)
+    known = None if into is None else read_row(connection, into)
+    if known is not None and known.undone is not None:
+        known = None
+    number = revision if known is None else int(known.number)
+    forget_undone(connection)
+    if known is None:
+        _begin(connection, number, kind, told or {})
+    leaving = with_segments(connection, gone) if gone else []
+    put_away(connection, leaving, number)
+    marks, tables = read_marks(connection, marked), read_tables(connection, takes)
+    first = _next_number(connection)
+    recorded = Recorded()
+    yield recorded
+    made = Changes(gone=leaving, new=list(range(first, _next_number(connection))))
+    made.labels = _compare(marks, read_marks(connection, marked))
+    now = read_tables(connection, tables)
+    made.annotations = [(take, before, now[take]) for take, before in tables.items() if before != now[take]]
+    if made.clips:
+        _finish(connection, number, made, known)
+        recorded.number = number
+    elif known is None:
+        connection.execute(sa.delete(schema.journal).where(schema.journal.c.number == number))
+    else:
+        recorded.number = number
+    if together is not None and recorded.number is not None:
+        together.number = recorded.number
+
+
+def _begin(connection: sa.Connection, number: int, kind: str, told: dict[str, Any]) -> None:
+    row = {
+        "number": number,
+        "made_at": datetime.now(UTC).isoformat(timespec="seconds"),
+        "kind": kind,
+        "n_clips": 0,
+        "told": told,
+        "changes": Changes().to_json(),
+        "undone": None,
+    }
+    connection.execute(sa.insert(schema.journal), seal_rows(schema.journal, [row]))
+
+
+def _finish(connection: sa.Connection, number: int, made: Changes, known: Any) -> None:
+    # Of files that replace others, each once; of segments that go, without the takes whose tables change with them.
+    changes, n_clips = made.to_json(), len(made.new) or len(made.gone) or len(made.clips)
+    if known is not None:
+        changes = {name: join_spans(known.changes[name], changes[name]) for name in changes}
+        n_clips += known.n_clips
+    update_rows(connection, JOURNAL, {number: {"n_clips": n_clips, "changes": changes}})
+    keep_within_bounds(connection, number)
+
+
+def join_spans(before: list[Any], more: list[Any]) -> list[Any]:
+    """Two lists, whose spans of numbers become one where the second goes on where the first ends."""
+    if before and more and len(before[-1]) == 2 and len(more[0]) == 2 and before[-1][1] + 1 == more[0][0]:
+        return [*before[:-1], [before[-1][0], more[0][1]], *more[1:]]
+    return before + more
+
+
+def _next_number(connection: sa.Connection) -> int:
+    return int(connection.execute(sa.select(schema.library_state.c.next_clip_id)).scalar_one())
+
+
+def read_marks(connection: sa.Connection, ids: Sequence[int]) -> Marks:
+    """What people say of clips: their category, performer and tags."""
+    clips, tags = schema.clips.c, schema.clip_tags.c
+    query = sa.select(clips.id, clips.category, clips.performer, tags.tags)
+    query = query.join(schema.clip_tags, tags.clip_id == clips.id, isouter=True)
+    rows = fetch_in(connection, query, clips.id, ids)
+    return {r.id: {"category": r.category, "performer": r.performer, "tags": r.tags or []} for r in rows}
+
+
+def _compare(before: Marks, after: Marks) -> list[tuple[str, Any, Any, list[int]]]:
+    """What changed, clips with the same change together."""
+    groups: dict[str, tuple[str, Any, Any, list[int]]] = {}
+    for number, old in before.items():
+        new = after.get(number)
+        for name, value in old.items():
+            if new is not None and new[name] != value:
+                key = json.dumps([name, value, new[name]])
+                groups.setdefault(key, (name, value, new[name], []))[3].append(number)
+    return list(groups.values())
+
+
+def read_tables(connection: sa.Connection, takes: Iterable[int]) -> dict[int, dict[str, Any] | None]:
+    """The rows of ``take_annotations`` of takes, None of those that have none."""
+    table = schema.take_annotations
+    names = [column.name for column in table.c if column.name != "checksum"]
+    found: dict[int, dict[str, Any] | None] = dict.fromkeys(takes)
+    for row in fetch_in(connection, sa.select(*(table.c[name] for name in names)), table.c.take_id, list(found)):
+        found[row.take_id] = {name: row._mapping[name] for name in names}
+    return found
+
+
+def step(database: Database, number: int | None, *, redo: bool) -> JournalEntry:
+    """Undo a change, or do it again, in one transaction; as ``Library.undo`` and ``Library.redo``."""
+    with database.writing() as connection:
+        revision = next_revision(connection)
+        wanted = find_next(connection, undone=redo) if number is None else number
+        row = None if wanted is None else read_row(connection, wanted)
+        if row is None or (row.undone is not None) != redo:
+            raise _no_such(database.where, number, row, redo)
+        changes = Changes.from_json(row.changes)
+        _Step(connection, database.where, row.number, changes, redo).run()
+        update_rows(connection, JOURNAL, {row.number: {"undone": None if redo else revision}})
+        return list_entries(connection, [row.number])[0]
+
+
+def _no_such(where: str, number: int | None, row: Any, redo: bool) -> LibraryError:
+    if number is None:
+        code = "journal.nothing_to_redo" if redo else "journal.nothing_to_undo"
+        return LibraryError(code, library=where)
+    if row is None:
+        return LibraryError("journal.no_change", library=where, number=number)
+    return LibraryError("journal.in_force" if redo else "journal.undone_already", library=where, number=number)
+
+
+class _Step:
+    """One step back or forth.
+
+    Parameters
+    ----------
+    number, changes : of the change.
+    redo : forth.
+    """
+
+    def __init__(self, connection: sa.Connection, where: str, number: int, changes: Changes, redo: bool) -> None:
+        self.connection, self.where, self.number, self.changes = connection, where, number, changes
+        self.redo = redo
+        leaving, coming = (changes.gone, changes.new) if redo else (changes.new, changes.gone)
+        self.leaving, self.coming = leaving, coming
+
+    def run(self) -> None:
+        """Check everything, then change everything."""
+        self._check_later()
+        self._check_labels()
+        self._check_tables()
+        self._check_leaving()
+        kept = self._check_coming()
+        if self.leaving or self.coming or any(name == "category" for name, *_ in self.changes.labels):
+            note_changed_clips(self.connection)
+        put_away(self.connection, self.leaving, self.number)
+        delete_clips(self.connection, self.leaving)
+        bring_back(self.connection, self.where, kept)
+        self._set_labels()
+        self._set_tables()
+
+    def _check_later(self) -> None:
+        """Later changes of the same clips come first."""
+        if self.redo:
+            return
+        table = schema.journal.c
+        query = sa.select(*JOURNAL.columns).where(table.number > self.number, table.undone.is_(None))
+        own = self.changes.clips | set(with_segments(self.connection, self.leaving) if self.leaving else ())
+        for row in self.connection.execute(query.order_by(table.number)).all():
+            JOURNAL.check(self.connection, row)
+            if own & Changes.from_json(row.changes).clips:
+                entry = list_entries(self.connection, [row.number])[0]
+                raise LibraryError(
+                    "journal.changed_later", library=self.where, number=self.number, later=row.number, what=entry.what
+                )
+
+    def _check_labels(self) -> None:
+        for name, before, after, ids in self.changes.labels:
+            expected = before if self.redo else after
+            there = read_marks(self.connection, ids)
+            self._refuse(number for number in ids if there.get(number, {name: ...})[name] != expected)
+
+    def _check_tables(self) -> None:
+        there = read_tables(self.connection, [take for take, _, _ in self.changes.annotations])
+        for take, before, after in self.changes.annotations:
+            # Of a take that comes or goes with it, they come and go too.
+            if take not in self.leaving and take not in self.coming:
+                self._refuse([take] if there[take] != (before if self.redo else after) else [])
+
+    def _check_leaving(self) -> None:
+        clips = schema.clips.c
+        there = set(self._fetch(clips.id, clips.id, self.leaving))
+        self._refuse(number for number in self.leaving if number not in there)
+        more = set(with_segments(self.connection, self.leaving) if self.leaving else ()) - set(self.leaving)
+        self._refuse(more)  # segments that were named since
+
+    def _check_coming(self) -> dict[int, dict[str, Any]]:
+        """What is kept of the clips that come back; a name, content or take that is another's now is refused."""
+        kept = list_kept(self.connection, self.coming, self.number)
+        if len(kept) < len(self.coming):
+            raise LibraryError(
+                "journal.not_kept", library=self.where, number=self.number, n=len(self.coming) - len(kept)
+            )
+        rows = [own[schema.clips.name] for own in kept.values()]
+        clips = schema.clips.c
+        for column in (clips.path, clips.content_hash):
+            taken = self._fetch(clips.id, column, [row[column.name] for row in rows])
+            self._refuse(number for number in taken if number not in self.leaving)
+        takes = {own[schema.segments.name]["take_id"] for own in kept.values() if schema.segments.name in own}
+        there = set(self._fetch(clips.id, clips.id, sorted(takes - kept.keys())))
+        self._refuse(takes - kept.keys() - there)
+        return kept
+
+    def _fetch(self, column: sa.Column[Any], key: sa.Column[Any], values: Sequence[Any]) -> Iterable[Any]:
+        return [row[0] for row in fetch_in(self.connection, sa.select(column), key, values)]
+
+    def _refuse(self, numbers: Iterable[int]) -> None:
+        """LibraryError where clips are not as the change left them."""
+        others = sorted(set(numbers))
+        if others:
+            paths = self._fetch(schema.clips.c.path, schema.clips.c.id, others[:1])
+            first = next(iter(paths), f"#{others[0]}")
+            raise LibraryError(
+                "journal.changed_since", library=self.where, number=self.number, n=len(others), path=first
+            )
+
+    def _set_labels(self) -> None:
+        for name, before, after, ids in self.changes.labels:
+            value = after if self.redo else before
+            if name == "tags":
+                save_tags(self.connection, dict.fromkeys(ids, tuple(value)))
+            else:
+                update_rows(self.connection, LABELS, {number: {name: value} for number in ids})
+
+    def _set_tables(self) -> None:
+        table = schema.take_annotations
+        own = [one for one in self.changes.annotations if one[0] not in self.leaving and one[0] not in self.coming]
+        if not own:
+            return
+        connection = self.connection
+        connection.execute(sa.delete(table).where(table.c.take_id.in_([take for take, _, _ in own])))
+        wanted = [after if self.redo else before for _, before, after in own]
+        rows = [row for row in wanted if row is not None]
+        if rows:
+            connection.execute(sa.insert(table), seal_rows(table, rows))

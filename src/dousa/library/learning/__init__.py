@@ -1,0 +1,1 @@
+"""Training, and clips that are added to a trained library."""

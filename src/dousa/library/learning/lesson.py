@@ -1,0 +1,376 @@
+"""What a forest learns from clips that were added: worked out beside other writers, then written at once.
+
+Clips are written first, with what the forest says of them as it is, and noted in ``unlearned``; whoever adds clips lets
+the forest learn from all that are noted, once, when the last is written. A program that is stopped in between loses
+nothing: the next one learns from what it wrote. What comes out depends on the clips, and neither on their order nor on
+how many were learned at a time.
+
+The examples that leaves of a large forest grow from: kept with the training, or made when they are first needed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import sqlalchemy as sa
+from numpy.typing import NDArray
+
+from dousa.arrays import BoolArray, FloatArray, IndexArray, IntArray
+from dousa.errors import LibraryDamagedError
+from dousa.library.search.renewal import LearnedRows, StandingRows, keep_learned, read_standing, teach_rows
+from dousa.library.store import schema
+from dousa.library.store.checksums import EXAMPLES, LEAVES, seal_rows, update_rows
+from dousa.library.store.engine import Database, next_revision
+from dousa.library.store.features import find_feature_set, load_features
+from dousa.library.store.forests import StoredForest, TreeAnswers, find_leaves, load_forest, make_keys, update_forest
+from dousa.library.store.schema import pack
+from dousa.library.store.selection import fetch_in, portions
+from dousa.retrieval.forest.calibration import Assessor
+from dousa.retrieval.forest.standing_leaves import MOST_EXAMPLES, StandingLeaves, choose_examples
+
+if TYPE_CHECKING:
+    from dousa.retrieval.forest.growth import Growth
+
+_TAKEN_AT_ONCE = 16_384  # clips
+
+_ID = 1
+
+
+def choose_trained(
+    stored: StoredForest, ids: IntArray, categories: NDArray[np.int32], answers: TreeAnswers
+) -> NDArray[np.int32] | None:
+    """Numbers of the clips that are examples, of each leaf (L, E), -1 for none; None where the forest needs none.
+
+    Parameters
+    ----------
+    ids, categories : (N,), in the order of their contents; -1 for a clip without a category.
+    answers : what the trees say of them.
+    """
+    if not stored.forest.trees_.pooled:
+        return None
+    rows = np.flatnonzero((categories >= 0) & (ids < stored.first_later))
+    return _choose(stored, (ids, categories), rows, lambda some: answers.leaves[some])
+
+
+def _choose(
+    stored: StoredForest,
+    clips: tuple[IntArray, NDArray[Any]],
+    rows: IndexArray,
+    read_leaves: Callable[[IndexArray], NDArray[np.int32]],
+) -> NDArray[np.int32]:
+    """Examples among some rows of clips (numbers, categories), whose leaves are read in portions."""
+    ids, categories = clips
+    portions = (rows[start : start + _TAKEN_AT_ONCE] for start in range(0, len(rows), _TAKEN_AT_ONCE))
+    handed = ((ids[some], categories[some].astype(np.int32), read_leaves(some)) for some in portions)
+    return choose_examples(handed, stored.forest.trees_.n_leaves)
+
+
+def make_examples(
+    connection: sa.Connection, stored: StoredForest, ids: IntArray, categories: IntArray, leaves: StandingLeaves
+) -> NDArray[np.int32]:
+    """The same of the clips of a library that an older dousa trained, or whose examples are gone.
+
+    Parameters
+    ----------
+    ids, categories : (N,) ascending numbers, and categories, -1 for none.
+    leaves : of these clips.
+    """
+    table, homes = schema.clips.c, stored.forest.trees_.home_leaves
+    query = sa.select(table.id).where(table.id < stored.first_later).order_by(table.content_hash)
+    ordered = np.fromiter(connection.execute(query).scalars(), np.int64)
+    places = np.minimum(np.searchsorted(ids, ordered), max(len(ids) - 1, 0))
+    places = places[(ids[places] == ordered) & (categories[places] >= 0)] if len(ids) else places[:0]
+    return _choose(stored, (ids, categories), places, lambda some: homes[leaves.take(some)])
+
+
+def find_places(kept: NDArray[np.int32], leaves: IndexArray, ids: IntArray) -> IntArray:
+    """(n, E) places among ids (N,), ascending, of the examples of some leaves (n,); -1 for those that are not there."""
+    wanted = kept[leaves]
+    if not len(ids):
+        return np.full(wanted.shape, -1)
+    places = np.minimum(np.searchsorted(ids, wanted), len(ids) - 1)
+    there: BoolArray = ids[places] == wanted
+    return np.where(there, places, -1)
+
+
+def load_examples(connection: sa.Connection, stored: StoredForest) -> NDArray[np.int32] | None:
+    """Those that are kept for a forest; None where there are none, or damaged ones."""
+    row = connection.execute(sa.select(*EXAMPLES.columns)).first()
+    if row is None or row.revision != stored.revision:
+        return None
+    try:
+        EXAMPLES.check(connection, row)
+    except LibraryDamagedError:
+        return None
+    kept = np.frombuffer(row.clips, "<i4")
+    # Leaves that grew since the training have none: they are numbered behind those that it made.
+    return kept.reshape(-1, MOST_EXAMPLES) if len(kept) and not len(kept) % MOST_EXAMPLES else None
+
+
+def save_examples(connection: sa.Connection, revision: int, kept: NDArray[np.int32] | None) -> None:
+    """Keep the examples of a forest, whose training was of a revision, in the place of those before."""
+    table = schema.leaf_examples
+    connection.execute(sa.delete(table))
+    if kept is not None:
+        row = {"id": _ID, "revision": revision, "clips": pack(kept, "<i4")}
+        connection.execute(sa.insert(table), seal_rows(table, [row]))
+
+
+Stamp = tuple[int, int, int, tuple[int, ...]]
+"""Of what a forest learns from: its ``revision`` and ``learned``, the ``clips_revision`` of the library, and the clips
+that it has still to learn."""
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """What a forest learned from clips that were added.
+
+    Parameters
+    ----------
+    n_clips : clips that have a category.
+    new_categories : those that the forest did not know.
+    """
+
+    n_clips: int = 0
+    new_categories: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Lesson:
+    """What follows from the clips that a forest has still to learn.
+
+    Parameters
+    ----------
+    stamp : of the library for which it was worked out.
+    stored : the forest as it has learned; None in a library that is not trained.
+    learned : what it learned.
+    rows : what it says of all clips then.
+    examples : of its leaves, where they had to be made.
+    """
+
+    stamp: Stamp
+    stored: StoredForest | None
+    learned: Learned = Learned()
+    rows: LearnedRows | None = None
+    examples: NDArray[np.int32] | None = None
+
+
+def learn_new(database: Database, known: StoredForest | None) -> tuple[StoredForest | None, Learned]:
+    """Let the forest learn from the clips that it has still to learn.
+
+    Parameters
+    ----------
+    known : the forest as it was loaded before, if it was.
+
+    Returns
+    -------
+    The forest as it is then, None before the training, and what it learned.
+    """
+    with database.reading() as connection:
+        forest = load_forest(connection, database.where, known)
+        waiting = connection.execute(sa.select(schema.unlearned.c.clip_id).limit(1)).first()
+    if forest is None or waiting is None:
+        return forest, Learned()
+
+    def plan(connection: sa.Connection, before: _Lesson | None) -> _Lesson:
+        stamp = _read_stamp(connection)
+        if before is not None and before.stamp == stamp:
+            return before
+        stored = load_forest(connection, database.where, forest)
+        return _Lesson(stamp, None) if stored is None else _work_out(connection, database.where, stored, stamp)
+
+    stored, learned, rows = database.write_planned(plan, _write)
+    if stored is not None and rows is not None:
+        keep_learned(database, stored, rows)
+    return stored, learned
+
+
+def _write(connection: sa.Connection, lesson: _Lesson) -> tuple[StoredForest | None, Learned, LearnedRows | None]:
+    stored, waiting = lesson.stored, lesson.stamp[3]
+    table = schema.unlearned
+    for some in portions(waiting):
+        connection.execute(sa.delete(table).where(table.c.clip_id.in_(some)))
+    if stored is None or not waiting:
+        return stored, lesson.learned, None
+    stored = replace(stored, learned=next_revision(connection))
+    update_forest(connection, stored, lesson.learned.n_clips)
+    if lesson.examples is not None:
+        save_examples(connection, stored.revision, lesson.examples)
+    rows = lesson.rows
+    if rows is not None:
+        rows = rows.sealed(update_rows(connection, LEAVES, rows.changes))
+    return stored, lesson.learned, rows
+
+
+def _read_stamp(connection: sa.Connection) -> Stamp:
+    forests = schema.forests.c
+    forest = connection.execute(sa.select(forests.revision, forests.learned)).first() or (0, 0)
+    changed = connection.execute(sa.select(schema.library_state.c.clips_revision)).scalar() or 0
+    waiting = connection.execute(sa.select(schema.unlearned.c.clip_id).order_by(schema.unlearned.c.clip_id)).scalars()
+    return int(forest[0]), int(forest[1]), int(changed), tuple(waiting)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Clips:
+    """Clips that have leaves, in the order of their numbers.
+
+    Parameters
+    ----------
+    ids : (N,).
+    given : (N,) places in ``names`` of their categories, -1 for none.
+    names : categories.
+    leaves : (N, n_trees), which may lie in a file.
+    """
+
+    ids: IntArray
+    given: IntArray
+    names: list[str]
+    leaves: StandingLeaves
+
+
+def _work_out(connection: sa.Connection, where: str, stored: StoredForest, stamp: Stamp) -> _Lesson:
+    rows = read_standing(connection, where, stored)
+    clips = _gather_clips(rows)
+    waiting = np.isin(clips.ids, stamp[3])
+    new = np.flatnonzero(waiting & (clips.given >= 0))
+    if not len(new):
+        return _Lesson(stamp, stored)
+    known = set(stored.categories)
+    # Clips that were given a category later that the forest does not know stand in no leaf of theirs.
+    stands = np.array([*(name in known for name in clips.names), False])[clips.given] & ~waiting
+    labels = np.array([clips.names[number] for number in clips.given[new]], dtype=np.str_)
+    features = load_features(connection, stored.feature_set, clips.ids[new].tolist()).features
+    examples, made = None, None
+    if stored.forest.trees_.pooled:
+        examples = load_examples(connection, stored)
+        if examples is None:
+            own = np.where(stands, clips.given, -1)
+            examples = made = make_examples(connection, stored, clips.ids, own, clips.leaves)
+    growth = _grow(connection, stored, clips, (stands, examples), (features, labels, clips.ids[new]))
+    assessor = stored.assessor
+    if assessor is not None:
+        assessor = Assessor(growth.forest, assessor.calibration.with_clips(features, labels))
+    categories = tuple(str(name) for name in growth.forest.classes_)
+    grown = replace(stored, forest=growth.forest, categories=categories, assessor=assessor)
+    ids, leaves = _find_moved(connection, grown, clips, (stands, new), growth)
+    learned = Learned(len(new), tuple(sorted(set(labels.tolist()) - known)))
+    return _Lesson(stamp, grown, learned, teach_rows(stored, grown, rows, ids, leaves), made)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Keys:
+    """Numbers that stand for the contents of clips, read when they are asked for."""
+
+    connection: sa.Connection
+    ids: IntArray
+
+    def __getitem__(self, places: IntArray) -> NDArray[np.uint64]:
+        clips = schema.clips.c
+        wanted = self.ids[places].tolist()
+        query = sa.select(clips.id, clips.content_hash)
+        found = {row.id: row.content_hash for row in fetch_in(self.connection, query, clips.id, wanted)}
+        return make_keys(found[number] for number in wanted)
+
+
+def _grow(
+    connection: sa.Connection,
+    stored: StoredForest,
+    clips: _Clips,
+    there: tuple[BoolArray, NDArray[np.int32] | None],
+    new: tuple[FloatArray, NDArray[np.str_], IntArray],
+) -> Growth:
+    """The forest with new clips (features, categories, numbers), beside those that it knows.
+
+    Parameters
+    ----------
+    there : which clips these are, and the examples of its leaves, if they have some.
+    """
+    from dousa.retrieval.forest.growth import StandingClips, grow_forest
+
+    stands, kept = there
+    ids = clips.ids[stands]
+
+    def read_features(places: NDArray[np.int64]) -> FloatArray:
+        return load_features(connection, stored.feature_set, ids[places].tolist()).features
+
+    standing = StandingClips(
+        clips.given[stands],
+        clips.leaves.only(stands),
+        read_features,
+        _Keys(connection, ids),
+        ids >= stored.first_later,
+        np.array([*clips.names], np.str_),
+        None if kept is None else lambda leaves: find_places(kept, leaves, ids),
+    )
+    features, labels, numbers = new
+    keys = _Keys(connection, numbers)[np.arange(len(numbers))]
+    kind = find_feature_set(stored.feature_set)
+    return grow_forest(stored.forest, standing, features, labels, keys=keys, feature_set=kind)
+
+
+def _gather_clips(rows: StandingRows) -> _Clips:
+    from dousa.retrieval.forest.standing_leaves import LeafCodes, StandingLeaves
+
+    parts = list(zip(rows.parts, rows.alive, strict=True))
+    ids = np.concatenate([part.ids[alive] for part, alive in parts])
+    order = np.argsort(ids, kind="stable")
+    places = np.empty(len(ids), np.int64)
+    places[order] = np.arange(len(ids))
+    names = sorted({name for part, _ in parts for name in part.names})
+    numbers = {name: number for number, name in enumerate(names)}
+    labels, codes, start = [], [], 0
+    for part, alive in parts:
+        own = np.full(len(part), -1)
+        own[alive] = places[start : start + int(alive.sum())]
+        start += int(alive.sum())
+        codes.append(LeafCodes(part.codes, part.table, part.offsets, own))
+        renumbered = np.array([*(numbers[name] for name in part.names), -1])
+        labels.append(renumbered[part.given[alive]])
+    return _Clips(ids[order], np.concatenate(labels)[order], names, StandingLeaves(codes, len(ids)))
+
+
+def _find_moved(
+    connection: sa.Connection,
+    grown: StoredForest,
+    clips: _Clips,
+    taught: tuple[BoolArray, IntArray],
+    growth: Growth,
+) -> tuple[IntArray, NDArray[np.int32]]:
+    """Numbers of the clips that have come into other leaves, ascending, and their leaves.
+
+    Parameters
+    ----------
+    taught : which clips stand in leaves, and which are new.
+    """
+    stands, new = taught
+    rows = [np.flatnonzero(stands)[growth.moved], new]
+    leaves = [growth.moved_leaves, growth.leaves]
+    others = ~stands
+    others[new] = False
+    if growth.stay is not None:  # clips of the training go nowhere, but where an older dousa moved them
+        trained = others & (clips.ids < grown.first_later)
+        others &= ~trained
+        where = np.flatnonzero(trained)
+        back = where[clips.leaves.only(trained).find(growth.stay != np.arange(len(growth.stay)))]
+        rows.append(back)
+        leaves.append(growth.stay[clips.leaves.take(back)].astype(np.int64))
+    if others.any():
+        where = np.flatnonzero(others)
+        again = where[clips.leaves.only(others).find(growth.changed)]
+        if len(again):
+            rows.append(again)
+            features = load_features(connection, grown.feature_set, clips.ids[again].tolist()).features
+            leaves.append(find_leaves(grown, features).astype(np.int64))
+    places, now = np.concatenate(rows), np.concatenate(leaves).astype(np.int32)
+    differs = np.empty(len(places), np.bool_)
+    for first in range(0, len(places), _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        differs[some] = (now[some] != clips.leaves.take(places[some])).any(axis=1)
+    order = np.flatnonzero(differs)[np.argsort(places[differs], kind="stable")]
+    return clips.ids[places[order]], now[order]
+
+
+_AT_ONCE = 16_384

@@ -1,0 +1,259 @@
+"""Training: one forest over all labelled clips, leaves for every clip, and windows for every take.
+
+Clips that are added later teach it too: `dousa.library.growth`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import sqlalchemy as sa
+from numpy.typing import NDArray
+
+from dousa.errors import TrainingError
+from dousa.library.learning.lesson import choose_trained, save_examples
+from dousa.library.results import TrainReport
+from dousa.library.search.renewal import make_side_file
+from dousa.library.search.text_store import find_meanings, keep_all_relations, keep_relations_of
+from dousa.library.store import schema
+from dousa.library.store.engine import Database, next_clip_id, next_revision, note_changed_clips, read_revision
+from dousa.library.store.features import ClipFeatures, keep_features, lacks, load_features, save_descriptions
+from dousa.library.store.forests import (
+    MOST_COPIES,
+    HeldBack,
+    StoredForest,
+    TreeAnswers,
+    ask_trees,
+    describe_copies,
+    fit_forest,
+    fit_grid,
+    hold_back,
+    keep_unlearned,
+    learn_unknown,
+    replace_forest,
+    save_answers,
+)
+from dousa.library.takes.windows import describe_takes, make_window_files, refresh_windows, save_windows
+from dousa.messages import Message
+from dousa.retrieval import MotionForest
+from dousa.retrieval.features.feature_sets import FeatureSet
+from dousa.retrieval.features.posed_motion import is_comparable
+from dousa.retrieval.forest.likeness import LikenessLearner
+from dousa.retrieval.takes.label import TakeLabeller
+
+TrainProgress = Callable[[int, int, Message], None]
+
+_STEPS = 6
+_ENOUGH_WHOLE = 1 / 3  # of the clips: then the forest is one of whole bodies
+
+LearnLabeller = Callable[[sa.Connection, StoredForest, int | None], TakeLabeller | None]
+"""Called with a connection, the forest, and the number of threads."""
+
+
+def train_forest(
+    database: Database,
+    forest: MotionForest,
+    kind: FeatureSet,
+    learn_labeller: LearnLabeller,
+    n_jobs: int | None = None,
+    progress: TrainProgress | None = None,
+) -> tuple[StoredForest, TrainReport]:
+    """Fit a forest to the clips of a library and store it with all that it says, in one transaction.
+
+    Windows of very many takes are written afterwards, one take after the other.
+
+    Parameters
+    ----------
+    forest : not yet fitted.
+    kind : features that it asks for; those that are not stored are computed.
+    learn_labeller : learns what takes are labelled with.
+    n_jobs : clips and takes described at a time.
+    progress : called with (steps done, steps, message about the next step).
+
+    Raises
+    ------
+    TrainingError : fewer than two categories.
+    """
+    start = time.perf_counter()
+    report = progress or (lambda done, total, what: None)
+    report(0, _STEPS, Message("library_training.describing_clips"))
+
+    def tell_clips(done: int, total: int) -> None:
+        report(0, _STEPS, Message("library_training.describing_clips_done", done=done, total=total))
+
+    def tell_takes(done: int, total: int) -> None:
+        report(4, _STEPS, Message("library_training.describing_takes_done", done=done, total=total))
+
+    def tell_files(done: int, total: int, what: Message) -> None:
+        report(5, _STEPS, Message("library_training.keeping_takes_done", done=done, total=total))
+
+    database.check_writable()  # before the work
+    with database.reading() as connection:
+        kind, n_partial = _choose_joints(database.where, connection, kind)  # before the work
+    keep_features(database, kind.name, n_jobs, tell_clips, partial(keep_relations_of, database))
+    stored, answers, counts = _learn(database, forest, kind, n_jobs, report)
+    report(3, _STEPS, Message("library_training.labeller"))
+    with database.reading() as connection:
+        labeller = learn_labeller(connection, stored, n_jobs)
+    report(4, _STEPS, Message("library_training.describing_takes"))
+    with database.reading() as connection:
+        windows = describe_takes(connection, stored, n_jobs=n_jobs, progress=tell_takes)
+    report(5, _STEPS, Message("library_training.writing"))
+    keep_all_relations(database)
+    stored = _store(database, stored, replace(answers, windows=windows), labeller)
+    del windows
+    refresh_windows(database, stored, n_jobs, tell_takes)
+    make_side_file(database, stored)
+    make_window_files(database, stored, n_jobs, tell_files)
+    report(_STEPS, _STEPS, Message("library_training.done"))
+    n_clips, n_labelled = len(answers.clips.ids), sum(counts.values())
+    done = TrainReport(
+        feature_set=kind.name,
+        n_trees=int(forest.get_params()["n_trees"]),
+        n_clips=n_labelled,
+        n_unlabelled=n_clips - n_labelled,
+        categories=counts,
+        calibration=None if stored.assessor is None else stored.assessor.calibration,
+        single=tuple(name for name, count in counts.items() if count == 1),
+        n_partial=n_partial,
+        hidden=kind.hidden,
+        seconds=time.perf_counter() - start,
+    )
+    return stored, done
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Answers:
+    """What a forest says of the library at a revision: of all clips, and the windows of takes, if not of too many.
+
+    The features of the clips are left out: they are most of what a training has in memory.
+    """
+
+    revision: int
+    clips: ClipFeatures
+    answers: TreeAnswers
+    windows: dict[int, bytes]
+
+
+def _learn(
+    database: Database, forest: MotionForest, kind: FeatureSet, n_jobs: int | None, report: TrainProgress
+) -> tuple[StoredForest, _Answers, dict[str, int]]:
+    """Grow the trees and calibrate them; what they say of the clips, and how many clips each category has."""
+
+    def tell_clips(done: int, total: int) -> None:
+        report(0, _STEPS, Message("library_training.describing_clips_done", done=done, total=total))
+
+    with database.reading() as connection:
+        seen, following = read_revision(connection), next_clip_id(connection)
+        clips = load_features(connection, kind.name, n_jobs=n_jobs, progress=tell_clips, spare=MOST_COPIES)
+        grid = fit_grid(connection)
+        labelled, counts = _check_categories(database.where, clips.categories)
+        copies = describe_copies(connection, clips, labelled, kind, n_jobs)
+    report(1, _STEPS, Message("library_training.growing_trees"))
+    fit_forest(forest, clips, labelled, kind, copies)
+    report(2, _STEPS, Message("library_training.calibrating"))
+    held = hold_back(clips, labelled)
+    learner = make_likeness_learner(held, kind)
+    assessor = learn_unknown(forest, held, kind, copies, learner.watch)
+    likeness = None if assessor is None else learner.finish()
+    names = tuple(str(name) for name in forest.classes_)
+    stored = StoredForest(forest, names, kind.name, grid, assessor, 0, 0, likeness, following)
+    known = replace(clips, features=np.empty((0, *clips.features.shape[1:]), np.float32), room=None)
+    return stored, _Answers(seen, known, ask_trees(stored, clips.features), {}), counts
+
+
+def make_likeness_learner(held: HeldBack, kind: FeatureSet) -> LikenessLearner:
+    """What learns, while the calibration holds its rounds, which clips are alike; categories of one meaning are."""
+    means = find_meanings(set(held.categories.tolist()))
+    meanings = np.array([means[label] for label in held.categories.tolist()], dtype=np.str_)
+    performers = np.array(held.performers, dtype=np.str_)
+    return LikenessLearner(held.features, held.categories, meanings, performers, kind)
+
+
+def _store(
+    database: Database,
+    stored: StoredForest,
+    answers: _Answers,
+    labeller: TakeLabeller | None,
+) -> StoredForest:
+    """Write the forest, what it says of clips and takes, and what takes are labelled with."""
+    seen = answers.revision
+    n_clips = sum(category is not None for category in answers.clips.categories)
+
+    def ask(connection: sa.Connection, known: _Answers | None) -> _Answers:
+        now = read_revision(connection)
+        if known is None and now == seen:
+            return answers
+        if known is not None and known.revision == now:
+            return known
+        # Another program added or removed clips while the trees grew.
+        there = load_features(connection, stored.feature_set)
+        described = describe_takes(connection, stored, known=(known or answers).windows)
+        return _Answers(now, there, ask_trees(stored, there.features), described)
+
+    def write(connection: sa.Connection, known: _Answers) -> StoredForest:
+        own = stored.with_revision(next_revision(connection))
+        if known.revision != seen:
+            next_revision(connection)
+            note_changed_clips(connection)  # the forest has not learned from what they did: it is not current
+        replace_forest(connection, own, n_clips, None if labeller is None else labeller.to_bytes())
+        save_descriptions(connection, list(known.clips.computed), list(known.clips.computed.values()))
+        connection.execute(sa.delete(schema.clip_leaves))
+        save_answers(connection, known.clips.ids, known.answers)
+        save_examples(connection, own.revision, _choose_examples(own, known))
+        later = zip(known.clips.ids, known.clips.categories, strict=True)
+        keep_unlearned(connection, [n for n, category in later if n >= own.first_later and category is not None])
+        connection.execute(sa.delete(schema.take_windows))
+        save_windows(connection, own, known.windows)
+        return own
+
+    return database.write_planned(ask, write)
+
+
+def _choose_examples(stored: StoredForest, known: _Answers) -> NDArray[np.int32] | None:
+    """Of each leaf of a large forest, some clips that it may grow from later."""
+    numbers = {name: number for number, name in enumerate(stored.categories)}
+    own = np.array([-1 if name is None else numbers.get(name, -1) for name in known.clips.categories], np.int32)
+    return choose_trained(stored, np.array(known.clips.ids, np.int64), own, known.answers)
+
+
+def _choose_joints(where: str, connection: sa.Connection, kind: FeatureSet) -> tuple[FeatureSet, int]:
+    """The features that the forest of a library asks for, without joints that most of its clips lack.
+
+    Those of whole bodies, if whole ones are a third of the clips that have a category, and of two categories; else
+    those of the parts that are the most. Returned with the number of clips that have fewer joints.
+    """
+    table = schema.clips.c
+    rows = connection.execute(sa.select(table.category, table.absent).where(table.kind == schema.CLIP)).all()
+    parts = {row.absent: kind.without(row.absent.split()) if row.absent else kind for row in rows}
+    labelled = [row for row in rows if row.category is not None]
+    counts = Counter(parts[row.absent].name for row in labelled)
+    if counts[kind.name] >= _ENOUGH_WHOLE * len(labelled):
+        counts[kind.name] = len(labelled) + 1
+    by_name = {part.name: part for part in parts.values() if is_comparable(part.hidden)}
+    chosen = kind
+    for name, _ in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
+        taught = {row.category for row in labelled if not lacks(name, row.absent)}
+        if name in by_name and len(taught) > 1:
+            chosen = by_name[name]
+            break
+    own = [row.category for row in rows if not lacks(chosen.name, row.absent)]
+    _check_categories(where, own)
+    return chosen, len(rows) - len(own)
+
+
+def _check_categories(where: str, categories: Sequence[str | None]) -> tuple[list[int], dict[str, int]]:
+    labelled = [index for index, category in enumerate(categories) if category is not None]
+    counts = dict(sorted(Counter(name for name in categories if name is not None).items()))
+    if len(counts) < 2:
+        n_clips = len(categories)
+        if not counts:
+            raise TrainingError("library_training.no_category", library=where, n_clips=n_clips)
+        only = next(iter(counts))
+        raise TrainingError("library_training.one_category", library=where, n_clips=n_clips, category=only)
+    return labelled, counts

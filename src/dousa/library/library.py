@@ -1,0 +1,628 @@
+"""The motion library: one object for everything that is asked of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+from dousa.errors import LibraryError, OptionError
+from dousa.formats.motion_files import ReadOptions, is_unicode
+from dousa.library.changes import LibraryChanges
+from dousa.library.labels import LabelRule, check_labels, check_text, no_label, parse_label_rule
+from dousa.library.results import AddReport, TrainReport
+from dousa.library.store.engine import check_jobs, choose_jobs
+from dousa.library.store.schema import CLIP, TAKE
+
+if TYPE_CHECKING:
+    from dousa.library.add import AddProgress
+    from dousa.library.annotations.marks import SavedSearches
+    from dousa.library.annotations.store import Annotations
+    from dousa.library.care.clip_map import ClipMap, MapProgress
+    from dousa.library.care.compact import CompactProgress, CompactReport
+    from dousa.library.care.damage import CheckReport
+    from dousa.library.care.repair import CheckProgress
+    from dousa.library.care.review import DuplicateGroup, LabelReview, ReviewProgress
+    from dousa.library.labelling import Labellers, LearnProgress
+    from dousa.library.learning.train import TrainProgress
+    from dousa.library.results import Classification, FindResult, LabelledTake, SearchResult
+    from dousa.library.search.part_forests import PartForests
+    from dousa.library.search.search import PartProgress, Searcher
+    from dousa.library.search.text import TextMatches, TextResult, TextSearcher
+    from dousa.library.store.ingest import Query
+    from dousa.library.takes.takes import Takes
+    from dousa.motion import CanonicalMotion, Motion, Trajectories
+    from dousa.retrieval.takes.live import LiveLabeller
+
+Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
+"""One path or several."""
+
+
+class Library(LibraryChanges):
+    """A collection of motion clips that can be trained and searched, made with ``Library.open``.
+
+    Usable in a ``with`` statement, from several threads, and by several programs at once: each sees what the
+    others wrote, and writers wait for each other.
+
+    Parameters
+    ----------
+    database : with the tables of a library.
+    """
+
+    def add(
+        self,
+        paths: Paths,
+        *,
+        kind: Literal["clip", "take"] = "clip",
+        category_from: str | None = "folder",
+        performer_from: str | None = None,
+        labels_from: str | None = None,
+        tier: str | None = None,
+        options: ReadOptions | None = None,
+        n_jobs: int | None = None,
+        progress: AddProgress | None = None,
+    ) -> AddReport:
+        """Add motion files; files that are in the library already are left as they are.
+
+        Written in portions: when the program is stopped, what was written stays, and the same call goes on
+        from there. If the library is trained, new clips get their histograms at once, and the leaves of the
+        forest learn from those that have a category; its questions stay until it is trained again.
+
+        Parameters
+        ----------
+        paths : files, and folders that are searched at any depth.
+        kind : ``"clip"``, files that each hold one thing that is done; ``"take"``, uncut recordings: they have no
+            category, ``find`` looks into them, and nothing is learned from them but from labelled segments. A file
+            that is there already stays what it is.
+        category_from, performer_from : rules for the labels, see ``dousa.library.labels``.
+        labels_from : of takes, where tables are that say what happens in them when, see
+            ``dousa.library.annotations.matching``; each segment becomes a clip. Takes that are there already get the
+            labels that their table has now.
+        tier : name of the tier of these tables, None for the first that has labels.
+        options : what the files do not say; a file read with other ones than before is read again.
+        n_jobs : files read at a time; by default every core, or what ``joblib.parallel_config`` says.
+        progress : called with (files done, files, path of the last one).
+
+        Returns
+        -------
+        What was added and what was not, and why; a file that cannot be used does not stop the others.
+
+        Raises
+        ------
+        OptionError : a rule that cannot be understood, or another kind; labels of clips, or of no take at all.
+        MotionFileError : a table of labels that cannot be read, or of which nothing lies in its take; nothing is added.
+        LibraryError : the library cannot be written.
+        """
+        from dousa.library.add import Adding
+
+        _check_kind(kind)
+        check_jobs(n_jobs)
+        if kind == CLIP and (labels_from is not None or tier is not None):
+            raise OptionError("annotations.of_clips")
+        if tier is not None and labels_from is None:
+            raise OptionError("annotations.tier_alone")
+        rules = {
+            "category": parse_label_rule(category_from if kind == CLIP else None, "category"),
+            "performer": parse_label_rule(performer_from, "performer"),
+        }
+        adding = Adding(self.database, kind, rules, options or ReadOptions(), self._forests.last, labels_from, tier)
+        try:
+            return adding.run(_as_list(paths), n_jobs, progress)
+        finally:
+            self._last.change = adding.change
+
+    def add_motion(
+        self,
+        motion: Motion | Trajectories | CanonicalMotion,
+        name: str,
+        category: str | None = None,
+        *,
+        performer: str | None = None,
+        kind: Literal["clip", "take"] = "clip",
+        options: ReadOptions | None = None,
+        n_jobs: int | None = None,
+    ) -> AddReport:
+        """Add a motion that is in memory, under a name; a trained forest learns it at once, as from a file.
+
+        What is kept, and every answer, is that of a file with the same positions. A motion of the same name is
+        replaced, and its labels stay where none are given; one of the same content is not added a second time.
+
+        Parameters
+        ----------
+        motion : in m, Y up.
+        name : takes the place of the path.
+        category, performer : its labels, None for none; a take has no category.
+        kind : ``"clip"`` or ``"take"``, as in ``add``.
+        options : its ``joint_map``, for what names and shape do not tell.
+        n_jobs : windows of takes that are described anew at a time, as in ``add``.
+
+        Returns
+        -------
+        The name as ``added``, ``replaced``, ``unchanged``, or in ``duplicates`` with the name of the same content.
+
+        Raises
+        ------
+        OptionError : an empty name or label, another kind, a category of a take.
+        JointMappingError : joints that cannot be identified.
+        InvalidMotionError : positions or a frame rate beyond measure.
+        LibraryError : the library cannot be written.
+        """
+        from dousa.library.add import Adding
+        from dousa.library.store.ingest import make_record, read_query
+
+        _check_kind(kind)
+        check_jobs(n_jobs)
+        check_labels(category, performer)
+        if kind == TAKE and category is not None:
+            raise OptionError("library_add.take_has_no_category", category=category)
+        if not name.strip() or not is_unicode(name):
+            raise OptionError("library_add.no_name", name=name.encode(errors="backslashreplace").decode())
+        check_text(name)
+        options = options or ReadOptions()
+        record = make_record(read_query(motion, options), name, kind)
+        rules: dict[str, LabelRule] = {
+            "category": no_label if category is None else lambda root, file: category,
+            "performer": no_label if performer is None else lambda root, file: performer,
+        }
+        adding = Adding(self.database, kind, rules, options, self._forests.last)
+        try:
+            return adding.run_one(record, n_jobs)
+        finally:
+            self._last.change = adding.change
+
+    def train(
+        self,
+        *,
+        feature_set: str | None = None,
+        n_trees: int = 100,
+        n_trials: int | Literal["all", "sqrt"] | None = None,
+        max_entropy: float = 0.0,
+        bootstrap: bool = False,
+        random_state: int | None = 0,
+        n_jobs: int | None = None,
+        progress: TrainProgress | None = None,
+    ) -> TrainReport:
+        """Train a new forest on all clips that have a category, and ask it about every clip and take.
+
+        One transaction: stopped at any moment, the library keeps the forest it had.
+
+        Parameters
+        ----------
+        feature_set : what it may ask about, a name in ``dousa.retrieval.FEATURE_SETS``: ``"paper"`` or
+            ``"extended"``; None for ``DEFAULT_FEATURE_SET``.
+        n_trees, max_entropy, bootstrap, random_state : as in ``dousa.retrieval.MotionForest``.
+        n_trials : likewise; None for what suits the features.
+        n_jobs : trees grown at a time, as in ``add``; the forest does not depend on it.
+        progress : called with (steps done, steps, message about the next step).
+
+        Raises
+        ------
+        TrainingError : fewer than two categories.
+        LibraryError : the library cannot be written.
+        OptionError : no such features, or a number out of range.
+        """
+        from dousa.library.labelling import learn_labeller
+        from dousa.library.learning.train import train_forest
+        from dousa.retrieval import DEFAULT_FEATURE_SET, MotionForest, get_feature_set
+
+        kind = get_feature_set(DEFAULT_FEATURE_SET if feature_set is None else feature_set)
+        forest = MotionForest(
+            n_trees=n_trees,
+            n_trials=kind.n_trials if n_trials is None else n_trials,
+            max_entropy=max_entropy,
+            bootstrap=bootstrap,
+            thresholds=kind.thresholds,
+            random_state=random_state,
+            n_jobs=choose_jobs(n_jobs),
+        )
+        stored, report = train_forest(self.database, forest, kind, learn_labeller, n_jobs, progress)
+        self._forests.last = stored
+        self._parts.prepare(stored, n_jobs, progress)
+        return report
+
+    def search(
+        self,
+        query: Query,
+        k: int = 10,
+        *,
+        ranking: str | None = None,
+        same_category: bool = False,
+        mirror: bool = False,
+        explain: bool = False,
+        threshold: float | None = None,
+        among: Iterable[int] | None = None,
+        options: ReadOptions | None = None,
+        progress: PartProgress | None = None,
+    ) -> SearchResult:
+        """The clips most like a motion, the most similar first; takes are left out.
+
+        A body of which a part is missing, and clips of such bodies, are compared by the joints that both have. The
+        first time that joints are missing which no query lacked before, a forest for the others is learned, and kept;
+        that of the joints which most of the incomplete clips lack is learned with the training.
+
+        Parameters
+        ----------
+        query : a motion file, the number of a clip, or a motion.
+        k : how many clips at most.
+        ranking : what they are ordered by, one of ``dousa.retrieval.RANKINGS``: ``"histogram"`` (eq. 8 of Hamada,
+            Kuriyama, Mukai), ``"leaves"``, ``"pose"`` or ``"fused"``, which is also what None stands for.
+        same_category : only clips of the category that most trees vote for.
+        mirror : search for the mirror image of the query too.
+        explain : give the reasons for the predicted category, and for the similarity of each clip.
+        threshold : confidence from which the query gets a category; None for the forest's own, 0
+            for always.
+        among : only clips of these numbers, such as those that ``search_text`` found; None for all.
+        options : what the query file does not say.
+        progress : called while a forest for a part of the body is learned, with (steps done, steps, message).
+
+        Raises
+        ------
+        NotTrainedError : there is no forest yet.
+        MotionFileError, JointMappingError : the query cannot be used.
+        InvalidMotionError : too little of the body is there.
+        LibraryError : no clip of this number, or the library cannot be read.
+        OptionError : k below 1, an unknown ranking, a threshold outside 0 to 1.
+        """
+        from dousa.library.search.search import Wanted
+        from dousa.retrieval import DEFAULT_RANKING
+
+        _check_k(k)
+        chosen = None if among is None else frozenset(among)
+        wanted = Wanted(k, ranking or DEFAULT_RANKING, same_category, mirror, explain, threshold, chosen)
+        return self._searcher.search(query, wanted, options or ReadOptions(), progress)
+
+    def search_text(
+        self,
+        text: str,
+        k: int | None = 10,
+        *,
+        category: str | None = None,
+        performer: str | None = None,
+        kind: Literal["clip", "take"] | None = None,
+    ) -> TextResult:
+        """The clips and takes that words describe, in English or Japanese; no forest is needed.
+
+        Words are looked for in categories, in names and in what the motions do ("both hands raised above the head"),
+        by their meaning: inflections, synonyms and translations of movement words count, and misspelt words are
+        corrected. Where nothing fits, the answer is empty, with the nearest words that the library has.
+
+        Parameters
+        ----------
+        text : such as ``"kicking with the left foot"`` or ``"手を叩く"``.
+        k : how many at most; None for all that fit.
+        category, performer : only of this label.
+        kind : only clips, or only takes.
+
+        Raises
+        ------
+        OptionError : no text, one of more than 500 characters, or k below 1.
+        LibraryError : the library cannot be read.
+        """
+        if k is not None:
+            _check_k(k)
+        return self._text.search(text, k, category=category, performer=performer, kind=kind)
+
+    def match_text(self, text: str) -> TextMatches:
+        """Numbers of all clips and takes that words describe, as ``search_text`` without what they are: for lists of
+        very many.
+
+        Parameters
+        ----------
+        text : as in ``search_text``.
+
+        Raises
+        ------
+        OptionError : no text, or one of more than 500 characters.
+        LibraryError : the library cannot be read.
+        """
+        return self._text.match(text)
+
+    def review_labels(self, *, n_jobs: int | None = None, progress: ReviewProgress | None = None) -> LabelReview:
+        """Clips whose label is likely wrong, as those that they resemble have another one; the likeliest first.
+
+        Each is judged by trees that have not seen it. Clips with the tag ``checked`` are taken to be right, and are not
+        listed. No forest is needed; nothing is changed.
+
+        Parameters
+        ----------
+        n_jobs : trees grown at a time, as in ``add``.
+        progress : called with (steps done, steps, message about the next step).
+
+        Raises
+        ------
+        TrainingError : fewer than two categories of three clips.
+        LibraryError : the library cannot be read.
+        """
+        from dousa.library.care.review import review_labels
+
+        check_jobs(n_jobs)
+        return review_labels(self.database, n_jobs, progress)
+
+    def find_near_duplicates(self, *, near: float = 0.01) -> list[DuplicateGroup]:
+        """Groups of clips that are nearly the same: one recording twice, cleaned, or cut a little differently.
+
+        Parameters
+        ----------
+        near : body heights that their joints are apart at most.
+
+        Raises
+        ------
+        OptionError : ``near`` is not above 0 and at most 1.
+        LibraryError : the library cannot be read.
+        """
+        from dousa.library.care.review import find_near_duplicates
+
+        if not 0 < near <= 1:
+            raise OptionError("library_review.near", near=near)
+        return find_near_duplicates(self.database, near)
+
+    def map(self, *, progress: MapProgress | None = None) -> ClipMap:
+        """Where the clips lie on a map: a plane where those are near to each other whose poses are alike.
+
+        No forest is needed, and labels play no part. The same clips give the same map. Takes are not on it.
+
+        Parameters
+        ----------
+        progress : called with (steps done, steps, message about the next step).
+
+        Raises
+        ------
+        MissingExtraError : scikit-learn is not installed (``pip install 'dousa[map]'``).
+        LibraryError : the library cannot be read.
+        """
+        from dousa.library.care.clip_map import map_clips
+
+        return map_clips(self.database, progress)
+
+    def classify(
+        self,
+        paths: Paths,
+        *,
+        mirror: bool = False,
+        explain: bool = False,
+        threshold: float | None = None,
+        options: ReadOptions | None = None,
+        n_jobs: int | None = None,
+        progress: PartProgress | None = None,
+    ) -> list[Classification]:
+        """Predict the categories of motion files; they are not added.
+
+        Parameters
+        ----------
+        paths : files, and folders that are searched at any depth.
+        mirror : predict the category of the mirror image of each too.
+        explain : say why.
+        threshold : as in ``search``.
+        options : what the files do not say.
+        n_jobs : files read at a time, as in ``add``.
+        progress : as in ``search``.
+
+        Returns
+        -------
+        One answer per file; one that cannot be used has a ``problem`` instead of a category.
+
+        Raises
+        ------
+        NotTrainedError : there is no forest yet.
+        LibraryError : the library cannot be read.
+        """
+        return self._searcher.classify(
+            _as_list(paths),
+            mirror=mirror,
+            explain=explain,
+            threshold=threshold,
+            options=options or ReadOptions(),
+            n_jobs=n_jobs,
+            progress=progress,
+        )
+
+    def find(
+        self,
+        query: Query,
+        takes: Query | Iterable[Query] | None = None,
+        k: int = 10,
+        *,
+        mirror: bool = False,
+        exact: bool = False,
+        options: ReadOptions | None = None,
+        n_jobs: int | None = None,
+        progress: PartProgress | None = None,
+    ) -> FindResult:
+        """The places in takes that are most like a motion, at half to twice its tempo.
+
+        Parameters
+        ----------
+        query : a motion file, the number of a clip, or a motion.
+        takes : numbers, files and folders, or motions; by default all takes of the library, whose windows are
+            kept. Others are described now.
+        k : how many places at most.
+        mirror : look for the mirror image of the query too.
+        exact : compare every window, also of more takes than memory has room for. Of these only windows are compared
+            otherwise whose sketches are nearest.
+        options : what the files do not say.
+        n_jobs : files read, and parts described, at a time; as in ``add``.
+        progress : as in ``search``; of many takes also called while the files are made in which they are searched.
+
+        Raises
+        ------
+        NotTrainedError : there is no forest yet.
+        MotionFileError, JointMappingError : the query cannot be used; takes that cannot are named in the answer.
+        InvalidMotionError : the query is shorter than 0.27 s.
+        LibraryError : no clip of this number, no takes, or the library cannot be read.
+        OptionError : k below 1.
+        """
+        from dousa.motion import CanonicalMotion, Motion, Trajectories
+
+        _check_k(k)
+        single = (int, str, os.PathLike, CanonicalMotion, Motion, Trajectories)
+        chosen = [takes] if isinstance(takes, single) else takes if takes is None else list(takes)
+        options = options or ReadOptions()
+        asked = query, chosen, k
+        return self._takes.find(*asked, mirror=mirror, exact=exact, options=options, n_jobs=n_jobs, progress=progress)
+
+    def label(
+        self,
+        take: Query,
+        *,
+        threshold: float | None = None,
+        examples: Iterable[int] = (),
+        options: ReadOptions | None = None,
+        n_jobs: int | None = None,
+        progress: LearnProgress | None = None,
+    ) -> LabelledTake:
+        """What happens in a take, from beginning to end: which category from when to when, and what is unknown.
+
+        The first time after a training, what takes are labelled with is learned from the clips; it is kept in the
+        library if that can be written.
+
+        Parameters
+        ----------
+        take : number, file, or motion.
+        threshold : confidence from which a category is said, 0 to 1; None for what was learned.
+        examples : numbers of clips that were cut out of takes and named by hand. What a take is labelled with learns
+            from each at once, far more than from a clip that is only added.
+        options : what the file does not say.
+        n_jobs : parts described at a time, as in ``add``.
+        progress : of the learning; called with (steps done, steps, message about the next step).
+
+        Raises
+        ------
+        NotTrainedError : there is no forest yet.
+        MotionFileError, JointMappingError : the take cannot be used.
+        LibraryError : no take of this number, or the library cannot be read.
+        OptionError : a threshold outside 0 to 1.
+        """
+        return self._labellers.label(take, threshold, tuple(examples), options or ReadOptions(), n_jobs, progress)
+
+    def live(
+        self,
+        *,
+        height: float | None = None,
+        threshold: float | None = None,
+        n_jobs: int | None = None,
+        progress: LearnProgress | None = None,
+    ) -> LiveLabeller:
+        """What labels a motion while it happens: ``push`` it a frame, and it answers some times a second.
+
+        Parameters
+        ----------
+        height : m, of the performer; None to estimate it from the first second.
+        threshold, n_jobs, progress : as in ``label``.
+
+        Raises
+        ------
+        NotTrainedError : there is no forest yet.
+        OptionError : a height or threshold out of range.
+        LibraryError : the library cannot be read.
+        """
+        return self._labellers.live(height, threshold, n_jobs, progress)
+
+    # Made when first needed, as what they import takes a while.
+
+    @cached_property
+    def _parts(self) -> PartForests:
+        from dousa.library.search.part_forests import PartForests
+
+        return PartForests(self.database)
+
+    @cached_property
+    def _searcher(self) -> Searcher:
+        from dousa.library.search.part_search import PartSearcher
+
+        return PartSearcher(self.database, self._forests, self._parts)
+
+    @cached_property
+    def _text(self) -> TextSearcher:
+        from dousa.library.search.text import TextSearcher
+
+        return TextSearcher(self.database)
+
+    @cached_property
+    def _takes(self) -> Takes:
+        from dousa.library.takes.takes import Takes
+
+        return Takes(self.database, self._forests, self._parts)
+
+    @cached_property
+    def _labellers(self) -> Labellers:
+        from dousa.library.labelling import Labellers
+
+        return Labellers(self.database, self._forests, self._takes, self._parts)
+
+    @cached_property
+    def annotations(self) -> Annotations:
+        """Labels of takes: what is known of them, and writing more."""
+        from dousa.library.annotations.store import Annotations
+
+        return Annotations(self.database, self._forests, self._note_number)
+
+    @cached_property
+    def searches(self) -> SavedSearches:
+        """Searches and selections that are kept under a name."""
+        from dousa.library.annotations.marks import SavedSearches
+
+        return SavedSearches(self.database)
+
+    def check(
+        self, *, repair: bool = False, salvage: bool = True, progress: CheckProgress | None = None
+    ) -> CheckReport:
+        """Whether everything in the library is as it was written: the structure of the file, and every checksum.
+
+        Rows that an older dousa wrote without checksums get them, where the library can be written.
+
+        Parameters
+        ----------
+        repair : put right what can be: features, leaves and windows are computed again, positions are read again
+            from the original files, and single flipped bits are put right by their checksums.
+        salvage : whether a file whose structure is damaged is written anew, which nobody else may have open. If not,
+            nothing of such a file is repaired.
+        progress : called with (rows done, rows, message about what is being done).
+
+        Raises
+        ------
+        LibraryError : to be repaired, but cannot be written.
+        """
+        from dousa.library.care.repair import check_library
+
+        if repair and self.database.is_read_only:
+            raise LibraryError("library_file.opened_read_only", library=self.name)
+        return check_library(self.database, repair, progress, salvage)
+
+    def compact(self, *, fragments: str | None = None, progress: CompactProgress | None = None) -> CompactReport:
+        """Make the file as small as what is in it; removed clips leave room that only new ones would use.
+
+        Removed clips that ``undo`` would bring back are forgotten, and changes that need them.
+
+        Needs free space of the size of what is left. Others may read meanwhile, and write when it is done; stopped at
+        any moment, the file is as it was.
+
+        Parameters
+        ----------
+        fragments : where positions and features are moved to, and new ones are written from then on: ``""`` for a
+            folder beside the library file; of a library on a server, a folder that all see, or a URL such as
+            ``s3://bucket/moves``. Stopped, it goes on where it was. None leaves them where they are.
+        progress : called with (kB done, kB, message about the step).
+
+        Raises
+        ------
+        LibraryError : cannot be written, too little free space, a database server without fragments, which sees to its
+            room itself, or a place for fragments that does not fit the library.
+        """
+        from dousa.library.care.compact import compact_library
+
+        return compact_library(self.database, fragments, progress)
+
+
+def _as_list(paths: Paths) -> list[str | os.PathLike[str]]:
+    return [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+
+
+def _check_kind(kind: str) -> None:
+    if kind not in (CLIP, TAKE):
+        raise OptionError("library_add.unknown_kind", kind=kind)
+
+
+def _check_k(k: int) -> None:
+    if k < 1:
+        raise OptionError("library_search.too_few_results", k=k)

@@ -1,1 +1,0 @@
-"""Bodies of which a part is missing: what they are compared by, and forests that ask about that alone."""

@@ -1,1 +1,0 @@
-"""Looking through a library: labels that are likely wrong, and clips that are nearly the same."""

@@ -1,1 +1,0 @@
-"""Checksums of what is kept, and what they can put right."""

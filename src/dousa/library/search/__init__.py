@@ -1,0 +1,1 @@
+"""The index of leaves, and searches by motion and by words."""

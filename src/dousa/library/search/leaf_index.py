@@ -1,0 +1,466 @@
+"""The index of a library as it is now: from the one of before, reading only clips that have changed.
+
+Nobody has to say what has changed: numbers of clips are divided into blocks, and the checksums of the rows of a block,
+which lie in an index of the database, are added up. Where a sum is another one the checksums are compared one by one,
+and clips whose own are others are read. So it makes no difference who changed the library, with what, or whether it was
+put back from a copy.
+
+What the trees say of all clips of a library, at one of its revisions.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+import sqlalchemy as sa
+from numpy.typing import NDArray
+
+from dousa.arrays import BoolArray, FloatArray, IndexArray, IntArray
+from dousa.library.search.kernels import bound_clips, compare_clips
+from dousa.library.search.parts import ClipPart, SparseVotes, count_part, read_part
+from dousa.library.search.text_store import find_meanings
+from dousa.library.store import schema
+from dousa.library.store.engine import next_clip_id
+from dousa.library.store.features import lacks
+from dousa.library.store.forests import StoredForest, TreeAnswers
+from dousa.library.store.selection import portions
+from dousa.retrieval.forest.likeness import Likeness
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IndexedRows:
+    """What an index was read from.
+
+    Parameters
+    ----------
+    sums : (B, 6) int64 for each block: rows of clips, how many have a checksum, the sum of these; and of their leaves.
+    partial : by number, the joints that clips lack, of all that lack some.
+    """
+
+    sums: IntArray
+    partial: dict[int, str]
+
+    @property
+    def is_sealed(self) -> bool:
+        """Whether all rows have checksums; those of an older dousa may have none."""
+        return bool((self.sums[:, 0] == self.sums[:, 1]).all() and (self.sums[:, 3] == self.sums[:, 4]).all())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IndexQuery:
+    """What is known of a motion that is searched for.
+
+    Parameters
+    ----------
+    votes, leaves : (C,) and (n_trees,) of its ``TreeAnswers``.
+    poses : its pose sequence.
+    direction : (K,) of ``Likeness.place``; None where it is not known.
+    """
+
+    votes: NDArray[np.int32]
+    leaves: NDArray[np.int32]
+    poses: NDArray[np.float32]
+    direction: NDArray[np.float32] | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Compared:
+    """How far M clips are from a query.
+
+    Parameters
+    ----------
+    histograms : (M,) eq. 8 between shares.
+    leaves : (M,) share of the trees with other leaves.
+    cosines : (M,) of the angle to the query; 0 where that is not known.
+    """
+
+    histograms: FloatArray
+    leaves: FloatArray
+    cosines: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class LeafIndex:
+    """What the trees of a library say of its clips: parts one after the other, in rows that are numbered through.
+
+    Parameters
+    ----------
+    revision, learned : of the library and of its forest when it was read.
+    categories : names, in the order of the votes.
+    likeness : tells which clips are alike; None where that was not learned.
+    meanings : (C,) number of what each category means; categories of one meaning have the same.
+    parts, votes : the clips, and their votes.
+    alive : for each part (N,) which of its clips are as they were; None for all.
+    partial : by number, the joints that clips lack which the forest asks about: they are not among the above.
+    source : what it was read from; None where nobody asks.
+    n_kept : of the parts, the first, that were read from all rows or from files; the others are of what changed since.
+    """
+
+    revision: int
+    learned: tuple[int, int]
+    categories: tuple[str, ...]
+    likeness: Likeness | None
+    meanings: IndexArray
+    parts: tuple[ClipPart, ...]
+    votes: tuple[SparseVotes, ...]
+    alive: tuple[BoolArray | None, ...]
+    partial: dict[int, str] = field(default_factory=dict)
+    source: IndexedRows | None = None
+    n_kept: int = 1
+
+    @cached_property
+    def starts(self) -> IntArray:
+        """Row at which each part begins, and the number of all rows."""
+        return np.cumsum([0, *map(len, self.parts)])
+
+    @cached_property
+    def has_directions(self) -> bool:
+        """Whether the directions of all clips are known."""
+        return self.likeness is not None and all(part.directions is not None for part in self.parts)
+
+    @cached_property
+    def living(self) -> BoolArray:
+        """(N,) rows of clips that are as they were."""
+        own = [np.ones(len(p), np.bool_) if a is None else a for p, a in zip(self.parts, self.alive, strict=True)]
+        return np.concatenate(own) if own else np.zeros(0, np.bool_)
+
+    @cached_property
+    def n_clips(self) -> int:
+        """How many."""
+        return int(self.living.sum())
+
+    def find(self, clip_id: int) -> int | None:
+        """The row of a clip; None if it is not among them."""
+        for part, start in zip(self.parts, self.starts, strict=False):
+            row = int(np.searchsorted(part.ids, clip_id))
+            if row < len(part) and part.ids[row] == clip_id and self.living[start + row]:
+                return int(start) + row
+        return None
+
+    def clip_id(self, row: int) -> int:
+        """The number of a clip."""
+        part, own = self._locate(row)
+        return int(part.ids[own])
+
+    def path(self, row: int) -> bytes:
+        """The path of a clip, in UTF-8."""
+        part, own = self._locate(row)
+        return part.path(own)
+
+    def label(self, row: int) -> str:
+        """The category of a clip; the forest's, where nobody gave it one."""
+        part, own = self._locate(row)
+        return part.label(own)
+
+    def _locate(self, row: int) -> tuple[ClipPart, int]:
+        number = int(np.searchsorted(self.starts, row, side="right")) - 1
+        return self.parts[number], row - int(self.starts[number])
+
+    def choose(self, category: str | None, among: Collection[int] | None) -> BoolArray:
+        """(N,) the rows of a category, and of clips of some numbers; of all where that is None."""
+        chosen = self.living
+        if category is not None:
+            chosen = chosen & np.concatenate([part.are_labelled(category) for part in self.parts])
+        if among is not None:
+            wanted = np.array(sorted(among), np.int64)
+            chosen = chosen & np.concatenate([np.isin(part.ids, wanted, kind="sort") for part in self.parts])
+        return chosen
+
+    def answers_of(self, clip_id: int) -> TreeAnswers:
+        """What the trees say of one clip."""
+        row = self.find(clip_id)
+        assert row is not None
+        number = int(np.searchsorted(self.starts, row, side="right")) - 1
+        part, own = self._locate(row)
+        directions = part.directions[own : own + 1] if self.has_directions and part.directions is not None else None
+        votes = self.votes[number].dense(own, len(self.categories))
+        return TreeAnswers(votes, part.leaves(slice(own, own + 1)), self.categories, directions)
+
+    def _each(self) -> Iterator[tuple[ClipPart, SparseVotes, slice]]:
+        places = (slice(int(a), int(b)) for a, b in zip(self.starts[:-1], self.starts[1:], strict=True))
+        return zip(self.parts, self.votes, places, strict=True)
+
+    def bound(self, query: IndexQuery, weights: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+        """For all rows the least that their distance can be, and the cosine of their votes for meanings.
+
+        Parameters
+        ----------
+        weights : of the distance of the histograms and of the share of other leaves.
+        """
+        merged = np.bincount(self.meanings, query.votes, minlength=1) if len(self.meanings) else np.zeros(1)
+        told = merged[self.meanings].astype(np.int64)
+        votes = query.votes.astype(np.int64)
+        length = float(np.linalg.norm(merged))
+        numbers = _total(query), float((votes * votes).sum()), length, _PARTS
+        bounds, cosines = np.empty(self.starts[-1]), np.empty(self.starts[-1])
+        for _, own, place in self._each():
+
+            def work(first: int, last: int, own: SparseVotes = own, place: slice = place) -> None:
+                some = slice(place.start + first, place.start + last)
+                bound_clips(
+                    own.starts[first : last + 1], own.categories, own.votes, own.squares[first:last],
+                    own.lengths[first:last], votes, told, numbers, weights, len(query.leaves), bounds[some],
+                    cosines[some],
+                )  # fmt: skip
+
+            _share_out(place.stop - place.start, work)
+        return bounds, cosines
+
+    def compare(self, query: IndexQuery, rows: IndexArray) -> Compared:
+        """How far some clips are from a query; rows ascend."""
+        votes = query.votes.astype(np.int64)
+        total, square = _total(query), float((votes * votes).sum())
+        found = Compared(np.empty(len(rows)), np.empty(len(rows)), np.zeros(len(rows)))
+        uses = self.has_directions and query.direction is not None
+        direction = query.direction if uses and query.direction is not None else np.zeros(0, np.float32)
+        edges = np.searchsorted(rows, self.starts)
+        for (part, own, place), first, last in zip(self._each(), edges[:-1], edges[1:], strict=True):
+            some = slice(int(first), int(last))
+            directions = np.zeros((0, 0), np.float32) if part.directions is None or not uses else part.directions
+            told = rows[some] - place.start, found.histograms[some], found.leaves[some], found.cosines[some]
+            clips = own.starts, own.categories, own.votes, own.squares, part.codes, directions
+            asked = votes, part.encode(query.leaves), direction, total, square
+
+            def work(first: int, last: int, told: Any = told, clips: Any = clips, asked: Any = asked) -> None:
+                chosen, *places = (column[first:last] for column in told)
+                compare_clips(chosen, *clips, *asked, *places)
+
+            _share_out(some.stop - some.start, work)
+        found.leaves[:] /= len(query.leaves)
+        return found
+
+
+_PARTS = 64.0
+_FEWEST = 50_000  # clips for a thread
+_MOST_THREADS = 4
+
+
+def _share_out(count: int, work: Callable[[int, int], None]) -> None:
+    """Do some work on clips from a first to a last one, in several threads where they are many."""
+    n_threads = min(count // _FEWEST, os.cpu_count() or 1, _MOST_THREADS)
+    if n_threads < 2:
+        work(0, count)
+        return
+    edges = np.linspace(0, count, n_threads + 1).astype(int).tolist()
+    with ThreadPoolExecutor(n_threads) as pool:
+        list(pool.map(work, edges[:-1], edges[1:]))
+
+
+def _total(query: IndexQuery) -> float:
+    return max(float(query.votes.sum()), 1e-300)
+
+
+def number_meanings(categories: Sequence[str]) -> IndexArray:
+    """(C,) number of what each category means."""
+    named = find_meanings(categories)
+    numbers: IndexArray = np.unique([named[name] for name in categories], return_inverse=True)[1]
+    return numbers
+
+
+class KnownRows(Protocol):
+    """Clips as they were read once: a ``LeafIndex``, or anything like it."""
+
+    @property
+    def parts(self) -> Sequence[ClipPart]:
+        """The clips."""
+
+    @property
+    def alive(self) -> Sequence[BoolArray | None]:
+        """For each part (N,) which of its clips are as they were; None for all."""
+
+    @property
+    def source(self) -> IndexedRows | None:
+        """What they were read from."""
+
+
+BLOCK = 16_384
+"""Numbers of clips whose checksums are added up."""
+
+_MOST_PARTS = 6
+_MOST_CHANGED = 0.1  # of the clips: of more the whole library is read
+
+
+def add_checksums(connection: sa.Connection) -> IntArray:
+    """The ``sums`` of ``IndexedRows`` as they are now."""
+    clips, leaves = schema.clips.c, schema.clip_leaves.c
+    queries = []
+    for key, checksum in ((clips.id, clips.label_checksum), (leaves.clip_id, leaves.checksum)):
+        own = sa.select(sa.func.count(), sa.func.count(checksum), sa.func.coalesce(sa.func.sum(checksum), 0))
+        queries.append(own.where(key.between(sa.bindparam("first"), sa.bindparam("last"))))
+    found = []
+    for first in range(0, next_clip_id(connection), BLOCK):
+        ends = {"first": first, "last": first + BLOCK - 1}
+        found.append([int(value) for query in queries for value in connection.execute(query, ends).one()])
+    return np.array(found, np.int64).reshape(-1, 6)
+
+
+def read_lacking(connection: sa.Connection, blocks: Iterable[int] | None = None) -> dict[int, str]:
+    """By number, the joints that clips lack; of those that lack some, in all blocks or in some."""
+    clips = schema.clips.c
+    query = sa.select(clips.id, clips.absent).where(clips.kind == schema.CLIP, clips.absent != "")
+    if blocks is None:
+        return {row.id: row.absent for row in connection.execute(query)}
+    found = {}
+    for block in blocks:
+        own = query.where(clips.id.between(block * BLOCK, (block + 1) * BLOCK - 1))
+        found.update({row.id: row.absent for row in connection.execute(own)})
+    return found
+
+
+def renew_lacking(connection: sa.Connection, known: KnownRows, changed: Sequence[int]) -> dict[int, str]:
+    """The ``partial`` of ``IndexedRows`` as it is now, where something has changed in some blocks."""
+    before = {} if known.source is None else known.source.partial
+    blocks = set(changed)
+    kept = {number: absent for number, absent in before.items() if number // BLOCK not in blocks}
+    return kept | read_lacking(connection, changed)
+
+
+def change_sums(sums: IntArray, ids: IntArray, differences: IntArray) -> IntArray:
+    """The ``sums`` of ``IndexedRows`` where the checksums of the leaves of clips are others, by differences (M,)."""
+    changed = sums.copy()
+    np.add.at(changed[:, 5], ids // BLOCK, differences)
+    return changed
+
+
+def read_index(connection: sa.Connection, revision: int, stored: StoredForest) -> LeafIndex:
+    """Read what the trees say of all clips, at a revision of the library.
+
+    Raises
+    ------
+    LibraryDamagedError : as of ``read_part``.
+    """
+    clips = schema.clips.c
+    rows = IndexedRows(add_checksums(connection), read_lacking(connection))
+    starts = range(0, len(rows.sums) * BLOCK, BLOCK)
+    part = read_part(connection, stored, (clips.id.between(start, start + BLOCK - 1) for start in starts))
+    return make_index(revision, stored, rows, (part,))
+
+
+def make_index(
+    revision: int,
+    stored: StoredForest,
+    rows: IndexedRows,
+    parts: tuple[ClipPart, ...],
+    votes: tuple[SparseVotes, ...] | None = None,
+) -> LeafIndex:
+    """The index of clips that are all as they were; their votes are counted where they are not known."""
+    meanings = number_meanings(stored.categories)
+    return LeafIndex(
+        revision,
+        (stored.revision, stored.learned),
+        stored.categories,
+        stored.likeness,
+        meanings,
+        parts,
+        tuple(count_part(stored, part, meanings) for part in parts) if votes is None else votes,
+        (None,) * len(parts),
+        {number: absent for number, absent in rows.partial.items() if lacks(stored.feature_set, absent)},
+        rows,
+    )
+
+
+def refresh_index(connection: sa.Connection, revision: int, stored: StoredForest, known: LeafIndex) -> LeafIndex | None:
+    """The index at a later revision; None where so much has changed that all is read anew.
+
+    Parameters
+    ----------
+    known : of a time before, with the same trees but for what they have learned since.
+    """
+    rows = known.source
+    if rows is None or known.learned[0] != stored.revision:
+        return None
+    compared = compare_rows(connection, known)
+    if compared is None:
+        return None
+    sums, changed, fresh, alive = compared
+    if len(known.parts) > _MOST_PARTS:  # the small ones become one
+        alive, again = _fold(known, alive)
+        fresh = np.union1d(fresh, again)
+    n_changed = len(fresh) + sum(int(a.sum()) for a in alive[known.n_kept :])
+    if n_changed > max(_MOST_CHANGED * len(known.parts[0]), 1000):
+        return None
+    lacking = renew_lacking(connection, known, changed)
+    parts, votes = list(known.parts), list(known.votes)
+    if (stored.revision, stored.learned) != known.learned:
+        votes = [count_part(stored, part, number_meanings(stored.categories)) for part in parts]
+    if len(fresh):
+        some = read_part(connection, stored, (schema.clips.c.id.in_(ids) for ids in portions(fresh.tolist())))
+        parts.append(some)
+        votes.append(count_part(stored, some, number_meanings(stored.categories)))
+        alive.append(np.ones(len(some), np.bool_))
+    kept = [place for place, own in enumerate(alive) if place == 0 or own.any()]
+    whole = make_index(revision, stored, IndexedRows(sums, lacking), tuple(parts[:1]), tuple(votes[:1]))
+    return replace(
+        whole,
+        parts=tuple(parts[place] for place in kept),
+        votes=tuple(votes[place] for place in kept),
+        alive=tuple(None if alive[place].all() else alive[place] for place in kept),
+        n_kept=sum(place < known.n_kept for place in kept),
+    )
+
+
+def compare_rows(
+    connection: sa.Connection, known: KnownRows
+) -> tuple[IntArray, list[int], IntArray, list[BoolArray]] | None:
+    """What has changed since clips were read; None where rows have no checksums that would tell.
+
+    Returns
+    -------
+    sums : of ``IndexedRows``, as they are now.
+    changed : blocks in which something has.
+    fresh : numbers of the clips that have changed or come.
+    alive : which clips of each part are as they were.
+    """
+    rows = known.source
+    if rows is None or not rows.is_sealed:
+        return None
+    sums = add_checksums(connection)
+    both, most = sorted((len(sums), len(rows.sums)))
+    changed = [block for block in range(most) if block >= both or (sums[block] != rows.sums[block]).any()]
+    if not IndexedRows(sums, {}).is_sealed:
+        return None
+    return sums, changed, *_compare_blocks(connection, known, changed)
+
+
+def _compare_blocks(
+    connection: sa.Connection, known: KnownRows, blocks: Sequence[int]
+) -> tuple[IntArray, list[BoolArray]]:
+    """Numbers of the clips in some blocks that have changed or come, and which clips of each part are as they were."""
+    clips, leaves = schema.clips.c, schema.clip_leaves.c
+    query = sa.select(clips.id, clips.label_checksum, leaves.checksum)
+    query = query.join(schema.clip_leaves, leaves.clip_id == clips.id).order_by(clips.id)
+    alive = [
+        np.ones(len(p), np.bool_) if a is None else a.copy() for p, a in zip(known.parts, known.alive, strict=True)
+    ]
+    fresh = [np.zeros(0, np.int64)]
+    for block in blocks:
+        first, last = block * BLOCK, (block + 1) * BLOCK - 1
+        rows: list[Any] = list(connection.execute(query.where(clips.id.between(first, last))))
+        now = np.array([tuple(row) for row in rows], np.int64).reshape(-1, 3)
+        same = np.zeros(len(now), np.bool_)
+        for part, own in zip(known.parts, alive, strict=True):
+            start, stop = np.searchsorted(part.ids, [first, last + 1])
+            places = np.searchsorted(now[:, 0], part.ids[start:stop])
+            inside = np.minimum(places, max(len(now) - 1, 0))
+            equal = np.zeros(stop - start, np.bool_)
+            if len(now):
+                equal = (now[inside, 0] == part.ids[start:stop]) & (now[inside, 1:] == part.sums[start:stop]).all(
+                    axis=1
+                )
+            own[start:stop] &= equal
+            same[inside[own[start:stop]]] = True
+        fresh.append(now[~same, 0])
+    return np.concatenate(fresh), alive
+
+
+def _fold(known: LeafIndex, alive: list[BoolArray]) -> tuple[list[BoolArray], IntArray]:
+    """All clips of the small parts as if they were gone, and their numbers."""
+    n_kept = known.n_kept
+    again = [part.ids[own] for part, own in zip(known.parts[n_kept:], alive[n_kept:], strict=True)]
+    return [*alive[:n_kept], *(np.zeros_like(own) for own in alive[n_kept:])], np.concatenate(again)

@@ -1,0 +1,271 @@
+"""Clips as a search reads them: in a few flat arrays that can lie in a file, and as few bytes a clip as it takes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import sqlalchemy as sa
+from numpy.typing import NDArray
+
+from dousa.arrays import BoolArray, FloatArray, IndexArray, IntArray
+from dousa.library.search.kernels import copy_runs, count_sparsely, encode_leaves, find_owners
+from dousa.library.store import schema
+from dousa.library.store.checksums import LABELS, LEAVES
+from dousa.library.store.forests import PARTS_OF_A_VOTE, StoredForest, check_leaves
+from dousa.library.store.schema import stack
+
+_MOST_CODES = 2**16 - 1  # the last one stands for a leaf that no clip is in
+_ROOM = 2**22  # entries of votes that are counted at a time
+_CLIPS_AT_ONCE = 1024  # in the leaves of one tree
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClipPart:
+    """N clips of a library, in the order of their numbers, with what the trees say of them.
+
+    Parameters
+    ----------
+    ids : (N,) int64.
+    sums : (N, 2) int64, checksums of their labels and leaves; -1 where there is none.
+    given, predicted : (N,) int32, places in ``names``: their category, -1 for none, and the forest's.
+    names : categories.
+    path_ends, path_bytes : (N,) where the path of each ends in (B,) uint8.
+    codes : (N, n_trees) uint16, leaves as numbers among those of their tree.
+    table, offsets : (L,) int32 leaves, and (n_trees,) where those of each tree begin.
+    directions : (N, K) float32 of ``Likeness.place``; None where they are not known.
+    """
+
+    ids: IntArray
+    sums: IntArray
+    given: NDArray[np.int32]
+    predicted: NDArray[np.int32]
+    names: tuple[str, ...]
+    path_ends: IntArray
+    path_bytes: NDArray[np.uint8]
+    codes: NDArray[Any]
+    table: NDArray[np.int32]
+    offsets: IntArray
+    directions: NDArray[np.float32] | None
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def is_by_trees(self) -> bool:
+        """Whether leaves are numbered by their trees; those of damaged rows cannot be."""
+        return bool(self.offsets.any()) or len(self.offsets) == 1
+
+    def path(self, row: int) -> bytes:
+        """The path of a clip, in UTF-8: their order is that of the texts."""
+        start = self.path_ends[row - 1] if row else 0
+        return self.path_bytes[start : self.path_ends[row]].tobytes()
+
+    def label(self, row: int) -> str:
+        """The category of a clip; the forest's, where nobody gave it one."""
+        return self.names[int(self.predicted[row] if self.given[row] < 0 else self.given[row])]
+
+    def are_labelled(self, category: str) -> BoolArray:
+        """(N,) whether clips are of a category, as ``label`` says."""
+        if category not in self.names:
+            return np.zeros(len(self), np.bool_)
+        number = self.names.index(category)
+        chosen: BoolArray = np.where(self.given < 0, self.predicted, self.given) == number
+        return chosen
+
+    def leaves(self, rows: IndexArray | slice) -> NDArray[np.int32]:
+        """(M, n_trees) leaves of clips."""
+        leaves: NDArray[np.int32] = self.table[self.offsets + self.codes[rows]]
+        return leaves
+
+    def encode(self, leaves: NDArray[np.int32]) -> NDArray[Any]:
+        """(n_trees,) codes of leaves; of one that no clip is in, a number that no code is."""
+        ends = np.append(self.offsets[1:], len(self.table)) if self.offsets.any() else [len(self.table)] * len(leaves)
+        missing = _MOST_CODES if self.codes.dtype == np.uint16 else -1
+        codes = np.full(len(leaves), missing, self.codes.dtype)
+        for tree, (leaf, start, end) in enumerate(zip(leaves, self.offsets, ends, strict=True)):
+            place = int(np.searchsorted(self.table[start:end], leaf))
+            if start + place < end and self.table[start + place] == leaf:
+                codes[tree] = place
+        return codes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SparseVotes:
+    """Votes of N clips for the categories that trees name, in 64ths.
+
+    Parameters
+    ----------
+    starts : (N + 1,) where the entries of each clip begin.
+    categories, votes : (E,) uint16 and int32.
+    squares : (N,) int64, sums of the squared votes.
+    lengths : (N,) Euclidean lengths of the votes for meanings.
+    """
+
+    starts: IntArray
+    categories: NDArray[np.uint16]
+    votes: NDArray[np.int32]
+    squares: IntArray
+    lengths: FloatArray
+
+    def dense(self, row: int, n_categories: int) -> NDArray[np.int32]:
+        """(1, C) votes of one clip."""
+        votes = np.zeros((1, n_categories), np.int32)
+        own = slice(self.starts[row], self.starts[row + 1])
+        votes[0, self.categories[own]] = self.votes[own]
+        return votes
+
+
+def read_part(connection: sa.Connection, stored: StoredForest, portions: Iterable[sa.ColumnElement[bool]]) -> ClipPart:
+    """Read clips that have leaves, portion after portion, each of higher numbers.
+
+    Raises
+    ------
+    LibraryDamagedError : a wrong checksum; leaves that are not as many as the trees, or that the forest does not have.
+    """
+    clips, table = schema.clips.c, schema.clip_leaves.c
+    query = sa.select(*LABELS.columns, *LEAVES.columns).join(schema.clip_leaves, table.clip_id == clips.id)
+    gathered = _Gathered(stored)
+    for portion in portions:
+        rows = connection.execute(query.where(portion).order_by(clips.id)).all()
+        if rows:
+            columns = list(zip(*rows, strict=True))
+            LABELS.check_all(connection, columns[: len(LABELS.columns)])
+            LEAVES.check_all(connection, columns[len(LABELS.columns) :])
+            gathered.take(columns)
+    return gathered.finish()
+
+
+class _Gathered:
+    """Clips that are being read."""
+
+    def __init__(self, stored: StoredForest) -> None:
+        self._n_leaves = stored.forest.trees_.n_leaves
+        self._n_trees = len(stored.forest.trees_.roots)
+        self._width = None if stored.likeness is None else stored.likeness.space.axes.shape[1]
+        self._stored = stored
+        self._names: dict[str, int] = {}
+        self._arrays: list[tuple[NDArray[Any], ...]] = []
+        self._paths: list[bytes] = []
+        self._leaves: list[NDArray[np.int32]] = []
+        self._directions: list[NDArray[np.float32]] = []
+
+    def take(self, columns: Sequence[Sequence[Any]]) -> None:
+        ids, paths, given, _, _, _, own, _, predicted, leaves, directions, theirs = columns
+        some = stack(leaves, "<i4", (self._n_trees,), "leaves")
+        check_leaves(self._stored, some)
+        self._leaves.append(some)
+        self._paths += [path.encode() for path in paths]
+        sums = [[-1 if one is None else one for one in column] for column in (own, theirs)]
+        numbers = ids, self._number(given), self._number(predicted)
+        self._arrays.append((*(np.array(column, np.int64) for column in numbers), np.array(sums, np.int64).T))
+        if None in directions:
+            self._width = None
+        if self._width is not None:
+            self._directions.append(stack(directions, "<f4", (self._width,), "directions"))
+
+    def _number(self, labels: Sequence[str | None]) -> list[int]:
+        known = self._names
+        return [-1 if name is None else known.setdefault(name, len(known)) for name in labels]
+
+    def finish(self) -> ClipPart:
+        empty = (np.zeros(0, np.int64),) * 3 + (np.zeros((0, 2), np.int64),)
+        ids, given, predicted, sums = (np.concatenate(parts) for parts in zip(empty, *self._arrays, strict=True))
+        leaves = np.concatenate([np.zeros((0, self._n_trees), np.int32), *self._leaves])
+        self._leaves.clear()
+        codes, table, offsets = encode_rows(leaves, self._n_leaves)
+        directions = None
+        if self._width is not None:
+            directions = np.concatenate([np.zeros((0, self._width), np.float32), *self._directions])
+        return ClipPart(
+            ids=ids,
+            sums=sums,
+            given=given.astype(np.int32),
+            predicted=predicted.astype(np.int32),
+            names=tuple(self._names),
+            path_ends=np.cumsum([len(path) for path in self._paths], dtype=np.int64),
+            path_bytes=np.frombuffer(b"".join(self._paths), np.uint8),
+            codes=codes,
+            table=table,
+            offsets=offsets,
+            directions=directions,
+        )
+
+
+def encode_rows(leaves: NDArray[np.int32], n_leaves: int) -> tuple[NDArray[Any], NDArray[np.int32], IntArray]:
+    """Leaves (N, n_trees) as codes, with their table and offsets."""
+    n_trees = leaves.shape[1]
+    owners = np.full(n_leaves, -1, np.int32)
+    if not find_owners(leaves, owners):  # rows without checksums that are damaged
+        return leaves, np.arange(n_leaves, dtype=np.int32), np.zeros(n_trees, np.int64)
+    table, offsets, ranks = order_table(owners, n_trees)
+    codes = np.empty(leaves.shape, choose_code(ranks))
+    encode_leaves(leaves, ranks, codes)
+    return codes, table, offsets
+
+
+def pick_clips(part: ClipPart, rows: IndexArray, leaves: NDArray[np.int32], n_leaves: int) -> ClipPart:
+    """Some clips of a part (M,), in other leaves (M, n_trees) of ``n_leaves`` in all."""
+    starts = np.concatenate([np.zeros(1, np.int64), part.path_ends])
+    ends = np.cumsum(starts[rows + 1] - starts[rows])
+    paths = np.empty(int(ends[-1]) if len(ends) else 0, np.uint8)
+    copy_runs(part.path_bytes, starts, rows, ends, paths)
+    codes, table, offsets = encode_rows(leaves, n_leaves)
+    return ClipPart(
+        ids=part.ids[rows],
+        sums=part.sums[rows],
+        given=part.given[rows],
+        predicted=part.predicted[rows],
+        names=part.names,
+        path_ends=ends,
+        path_bytes=paths,
+        codes=codes,
+        table=table,
+        offsets=offsets,
+        directions=None if part.directions is None else part.directions[rows],
+    )
+
+
+def order_table(owners: NDArray[np.int32], n_trees: int) -> tuple[NDArray[np.int32], IntArray, IntArray]:
+    """Leaves by their trees, where those of each tree begin, and the rank of each leaf in its tree.
+
+    Parameters
+    ----------
+    owners : (L,) the tree of each leaf, -1 for one that is left out.
+    """
+    table = np.flatnonzero(owners >= 0)
+    table = table[np.argsort(owners[table], kind="stable")]
+    offsets = np.searchsorted(owners[table], np.arange(n_trees))
+    ranks = np.zeros(len(owners), np.int64)
+    ranks[table] = np.arange(len(table)) - offsets[owners[table]]
+    return table.astype(np.int32), offsets, ranks
+
+
+def choose_code(ranks: IntArray) -> type[np.uint16 | np.int32]:
+    """The type of codes up to the largest rank."""
+    return np.uint16 if int(ranks.max(initial=0)) < _MOST_CODES else np.int32
+
+
+def count_part(stored: StoredForest, part: ClipPart, meanings: IndexArray) -> SparseVotes:
+    """What the trees say of clips; ``meanings`` (C,) is the number of what each category means."""
+    starts, classes, weights = stored.forest.vote_entries
+    begins, stops = starts[part.table], starts[part.table + 1]
+    shares = np.empty((_CLIPS_AT_ONCE, len(meanings)))
+    n_meanings = int(meanings.max(initial=-1)) + 1
+    portion = max(_ROOM // max(len(meanings), 1), 1)
+    ends = np.zeros(len(part) + 1, np.int64)
+    squares, lengths = np.zeros(len(part), np.int64), np.zeros(len(part))
+    found = [(np.zeros(0, np.uint16), np.zeros(0, np.int32))]
+    for first in range(0, len(part), portion):
+        own = np.zeros(min(portion, len(part) - first), np.int64)
+        room = np.empty(len(own) * len(meanings), np.uint16), np.empty(len(own) * len(meanings), np.int32)
+        written = count_sparsely(
+            part.codes, part.offsets, begins, stops, classes, weights, PARTS_OF_A_VOTE, meanings, n_meanings, first,
+            shares, own, *room, squares, lengths,
+        )  # fmt: skip
+        found.append((room[0][:written].copy(), room[1][:written].copy()))
+        ends[first + 1 : first + 1 + len(own)] = ends[first] + own
+    categories, votes = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return SparseVotes(ends, categories, votes, squares, lengths)

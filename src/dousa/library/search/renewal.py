@@ -1,0 +1,299 @@
+"""The index of a library as it is now, and its file brought up to date by whoever changed or read much.
+
+A file that is behind is no mistake, as its checksums say what has changed since (``refresh``), but costs the next
+program time. So a training makes it, clips that a forest has learned from go into it, and a search that had to read
+much of the library writes what it read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import sqlalchemy as sa
+from numpy.typing import NDArray
+
+from dousa.arrays import BoolArray, IndexArray, IntArray
+from dousa.library.search.kernels import find_most
+from dousa.library.search.leaf_index import (
+    IndexedRows,
+    LeafIndex,
+    change_sums,
+    compare_rows,
+    number_meanings,
+    read_index,
+    refresh_index,
+    renew_lacking,
+)
+from dousa.library.search.parts import ClipPart, SparseVotes, count_part, pick_clips, read_part
+from dousa.library.search.side_file import (
+    Base,
+    find_place,
+    read_side_file,
+    read_side_rows,
+    renumber_votes,
+    write_later_file,
+    write_side_file,
+)
+from dousa.library.store import schema
+from dousa.library.store.engine import Database, next_clip_id, read_revision
+from dousa.library.store.forests import StoredForest
+from dousa.library.store.schema import pack
+from dousa.library.store.selection import portions
+from dousa.retrieval.forest.growth import find_changed
+from dousa.retrieval.forest.tree_kernels import find_marked
+
+FEWEST_CLIPS = 16_384
+"""From which on a library has a file of its index: fewer are read as fast from their rows."""
+
+_MOST_AGAIN = 0.25  # of the clips of a file, in the later one: 64 files change the votes of 15 % of a million
+
+
+def load_index(
+    connection: sa.Connection, where: str, stored: StoredForest, known: LeafIndex | None, *, may_write: bool
+) -> LeafIndex:
+    """The index of a library as it is now.
+
+    Parameters
+    ----------
+    where : name of the library.
+    known : the index that was loaded before, if one was.
+    may_write : whether a file may be made for a large library.
+
+    Raises
+    ------
+    LibraryDamagedError : a wrong checksum; leaves that are not as many as the trees, or that the forest does not have.
+    """
+    revision = read_revision(connection)
+    if known is not None and (known.revision, known.learned) == (revision, (stored.revision, stored.learned)):
+        return known
+    index = None if known is None else refresh_index(connection, revision, stored, known)
+    if index is not None:
+        return index
+    place = find_place(connection, where)
+    kept = read_side_file(place, stored)
+    if kept is not None:
+        before, has_votes = kept
+        index = refresh_index(connection, revision, stored, before)
+        if index is not None and has_votes and not _is_far_behind(before, index):
+            return index
+    if index is None:
+        index = read_index(connection, revision, stored)
+    if may_write and index.n_clips >= FEWEST_CLIPS:
+        write_side_file(place, stored, index)
+    return index
+
+
+def _is_far_behind(known: LeafIndex, index: LeafIndex) -> bool:
+    """Whether to compare the rows of the blocks that have changed takes longer than to write the file."""
+    assert known.source is not None and index.source is not None
+    before, now = known.source.sums, index.source.sums
+    both = min(len(before), len(now))
+    return int((before[:both] != now[:both]).any(axis=1).sum()) + len(now) - both > len(now) / 2
+
+
+def make_side_file(database: Database, stored: StoredForest) -> None:
+    """Make the file of a large library, after a training, so that no search needs to."""
+    with database.reading() as connection:
+        count = connection.execute(sa.select(sa.func.count()).select_from(schema.clip_leaves)).scalar_one()
+        if count >= FEWEST_CLIPS:
+            load_index(connection, database.where, stored, None, may_write=True)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StandingRows:
+    """All clips that have leaves; see ``refresh.KnownRows``.
+
+    Parameters
+    ----------
+    source : what they were read from; None where the library is too small for a file.
+    votes : of parts out of files, the first; none where the forest has learned since.
+    base : of the file that the first part is of, where its votes are among these.
+    """
+
+    parts: tuple[ClipPart, ...]
+    alive: tuple[BoolArray, ...]
+    source: IndexedRows | None
+    votes: tuple[SparseVotes, ...] = ()
+    base: Base | None = None
+
+
+def read_standing(connection: sa.Connection, where: str, stored: StoredForest) -> StandingRows:
+    """All clips that have leaves; of a large library out of its file.
+
+    Parameters
+    ----------
+    where : name of the library.
+
+    Raises
+    ------
+    LibraryDamagedError : as of ``read_part``, of what is read from the library.
+    """
+    clips = schema.clips.c
+    known = read_side_rows(find_place(connection, where), stored)
+    compared = None if known is None else compare_rows(connection, known)
+    if known is not None and compared is not None:
+        sums, changed, fresh, alive = compared
+        some = read_part(connection, stored, (clips.id.in_(ids) for ids in portions(fresh.tolist())))
+        source = IndexedRows(sums, renew_lacking(connection, known, changed))
+        living = *alive, np.ones(len(some), np.bool_)
+        return StandingRows((*known.parts, some), living, source, known.votes or (), known.base)
+    n_clips = connection.execute(sa.select(sa.func.count()).select_from(schema.clip_leaves)).scalar_one()
+    if n_clips >= FEWEST_CLIPS:
+        index = read_index(connection, read_revision(connection), stored)
+        return StandingRows(index.parts, (np.ones(len(index.parts[0]), np.bool_),), index.source)
+    blocks = range(0, next_clip_id(connection), FEWEST_CLIPS)
+    part = read_part(connection, stored, (clips.id.between(first, first + FEWEST_CLIPS - 1) for first in blocks))
+    return StandingRows((part,), (np.ones(len(part), np.bool_),), None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LearnedRows:
+    """All clips after a forest has learned.
+
+    Parameters
+    ----------
+    parts, alive : as of ``StandingRows``; behind these are the clips that have come into other leaves, or of which the
+        forest says something else.
+    votes : of the forest as it has learned.
+    source : as of ``StandingRows``, from before.
+    changes : by number, the values in ``clip_leaves`` that change.
+    base : of the file that the first part is of, where that has the votes of its clips.
+    """
+
+    parts: tuple[ClipPart, ...]
+    alive: tuple[BoolArray, ...]
+    votes: tuple[SparseVotes, ...]
+    source: IndexedRows | None
+    changes: dict[int, dict[str, Any]]
+    base: Base | None = None
+
+    def sealed(self, checksums: Mapping[int, int]) -> LearnedRows:
+        """With the checksums that the rows got which were written, by number."""
+        if self.source is None:
+            return self
+        ids = np.array(sorted(checksums), np.int64)
+        new = np.array([checksums[number] for number in ids.tolist()], np.int64)
+        parts, differences = [], np.zeros(len(ids), np.int64)
+        for part, own in zip(self.parts, self.alive, strict=True):
+            rows, which = find_clips(part, own, ids)
+            if not len(rows):
+                parts.append(part)
+                continue
+            differences[which] = new[which] - part.sums[rows, 1]
+            sums = part.sums.copy()
+            sums[rows, 1] = new[which]
+            parts.append(replace(part, sums=sums))
+        source = replace(self.source, sums=change_sums(self.source.sums, ids, differences))
+        return replace(self, parts=tuple(parts), source=source)
+
+
+def find_clips(part: ClipPart, alive: BoolArray, ids: IntArray) -> tuple[IntArray, IntArray]:
+    """Rows of clips of some numbers (M,) that are in a part and as they were, and which of the numbers these are."""
+    if not len(part):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    rows = np.minimum(np.searchsorted(part.ids, ids), len(part) - 1)
+    which = np.flatnonzero((part.ids[rows] == ids) & alive[rows])
+    return rows[which], which
+
+
+def teach_rows(
+    before: StoredForest, stored: StoredForest, rows: StandingRows, ids: IntArray, leaves: NDArray[np.int32]
+) -> LearnedRows:
+    """What a forest that has learned says of all clips.
+
+    Parameters
+    ----------
+    before, stored : the forest, and as it has learned.
+    ids, leaves : (M,) and (M, n_trees), of the clips that have come into other leaves.
+    """
+    n_leaves = stored.forest.trees_.n_leaves
+    votes_differ = find_changed(before.forest, stored.forest)
+    parts: list[_Told] = []
+    others: list[tuple[ClipPart, bool]] = []
+    for place, (part, own) in enumerate(zip(rows.parts, rows.alive, strict=True)):
+        places, which = find_clips(part, own, ids)
+        left = own.copy()
+        left[places] = False
+        if len(places):
+            others.append((pick_clips(part, places, leaves[which], n_leaves), True))
+        known = rows.votes[place] if place < len(rows.votes) else None
+        again = np.zeros(0, np.int64)
+        if known is not None:
+            again = _find_again(part, left, votes_differ)
+            if len(again) > _MOST_AGAIN * len(part):
+                known, again = None, again[:0]
+        if known is not None:
+            known = renumber_votes(known, before.categories, stored.categories)
+        if len(again):
+            left[again] = False
+            others.append((pick_clips(part, again, part.leaves(again), n_leaves), False))
+        parts.append(_Told(part, left, known))
+    parts += [_Told(part, np.ones(len(part), np.bool_), None, moved) for part, moved in others]
+    base = rows.base if parts and parts[0].votes is not None else None
+    changes: dict[int, dict[str, Any]] = {}
+    told = [_tell(stored, one, changes) for one in parts]
+    return LearnedRows(
+        tuple(one.part for one, _ in told),
+        tuple(one.alive for one, _ in told),
+        tuple(votes for _, votes in told),
+        rows.source,
+        changes,
+        base,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Told:
+    """Clips; their votes, where these are known and all that is said of them stays; and whether they have moved."""
+
+    part: ClipPart
+    alive: BoolArray
+    votes: SparseVotes | None
+    moved: bool = False
+
+
+def _tell(stored: StoredForest, one: _Told, changes: dict[int, dict[str, Any]]) -> tuple[_Told, SparseVotes]:
+    """Clips and their votes as the forest has them now; what becomes other in their rows is added to ``changes``."""
+    part = one.part
+    if one.votes is not None:
+        return one, one.votes
+    votes = count_part(stored, part, number_meanings(stored.categories))
+    guessed, others = _guess_again(part, votes, stored.categories)
+    for row in np.flatnonzero(one.alive & (others | one.moved)).tolist():
+        told: dict[str, Any] = {"predicted_category": guessed.names[guessed.predicted[row]]}
+        if one.moved:
+            told["leaves"] = pack(part.leaves(slice(row, row + 1))[0], "<i4")
+        changes[int(part.ids[row])] = told
+    return replace(one, part=guessed), votes
+
+
+def _find_again(part: ClipPart, alive: BoolArray, changed: BoolArray) -> IndexArray:
+    """Rows of clips in leaves (L,) that have changed."""
+    hits = np.empty(len(part), np.bool_)
+    find_marked(part.codes, part.offsets, np.where(alive, 0, -1), changed[part.table], hits)
+    return np.flatnonzero(hits)
+
+
+def _guess_again(part: ClipPart, votes: SparseVotes, categories: Sequence[str]) -> tuple[ClipPart, BoolArray]:
+    """Clips with the category that most trees name now, and which had another."""
+    most = np.zeros(len(part), np.int64)
+    find_most(votes.starts, votes.categories, votes.votes, most)
+    names = tuple(dict.fromkeys((*part.names, *categories)))
+    predicted = np.array([names.index(name) for name in categories], np.int32)[most]
+    return replace(part, names=names, predicted=predicted), predicted != part.predicted
+
+
+def keep_learned(database: Database, stored: StoredForest, learned: LearnedRows) -> None:
+    """Write the file of the index of a large library after a forest has learned, when all else is written."""
+    if learned.source is None or sum(int(own.sum()) for own in learned.alive) < FEWEST_CLIPS:
+        return
+    with database.reading() as connection:
+        place = find_place(connection, database.where)
+    n_later = sum(int(own.sum()) for own in learned.alive[1:])
+    if learned.base is not None and n_later <= _MOST_AGAIN * len(learned.parts[0]):
+        write_later_file(place, stored, learned, learned.base)
+    else:
+        write_side_file(place, stored, learned)

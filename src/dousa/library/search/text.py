@@ -1,0 +1,435 @@
+"""The index of words of a library, and searching in it; it stays in memory, and of a change what changed is read.
+
+What a search in words answers.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+import sqlalchemy as sa
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray, IndexArray
+from dousa.errors import OptionError
+from dousa.library.search.text_store import load_relations
+from dousa.library.store import schema
+from dousa.library.store.checksums import LABELS, RELATIONS
+from dousa.library.store.engine import Database, read_revision
+from dousa.library.store.selection import fetch_in
+from dousa.messages.tables import LANGUAGES
+from dousa.retrieval.words.matching import (
+    LEAST_OF_BEST,
+    LEAST_SCORE,
+    Fit,
+    KnownWords,
+    Matcher,
+    MotionWords,
+    Unit,
+    WordColumns,
+    find_negation,
+    make_unit,
+    read_query,
+    split_alternatives,
+)
+from dousa.retrieval.words.relations import RELATIONS_VERSION, Relation
+from dousa.retrieval.words.vocabulary import Vocabulary, load_replacement, load_vocabulary, normalise, read_words
+
+
+@dataclass(frozen=True, slots=True)
+class TextHit:
+    """A clip or take that fits the words.
+
+    Parameters
+    ----------
+    clip_id, path, category, performer, kind : of it, as in ``ClipInfo``.
+    rank : 1 for the best.
+    score : share of what the words ask for that it has, 0 to 1.
+    in_category, in_name : whether words are in its category, or in its name.
+    relations : what it does that fits the words, with the longest stretch of it.
+    """
+
+    clip_id: int
+    path: str
+    category: str | None
+    performer: str | None
+    kind: str
+    rank: int
+    score: float
+    in_category: bool
+    in_name: bool
+    relations: tuple[Relation, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """The hit as a plain dictionary; times in s."""
+        names = ("rank", "clip_id", "path", "category", "performer", "kind", "score", "in_category", "in_name")
+        relations = [
+            {"name": one.name, "part": one.part or None, "text": str(one.message), "share": one.share}
+            | {"start_s": one.start, "end_s": one.end}
+            for one in self.relations
+        ]
+        return {name: getattr(self, name) for name in names} | {"relations": relations}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TextMatches:
+    """The numbers of all clips and takes that fit words.
+
+    Parameters
+    ----------
+    ids : (n,) the best first.
+    scores : (n,) share of what the words ask for that each has, 0 to 1.
+    corrections : words that were misspelt or that nobody knows, and what they were taken for.
+    """
+
+    ids: NDArray[np.int64]
+    scores: FloatArray
+    corrections: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class TextResult:
+    """The answer to a search in words.
+
+    Parameters
+    ----------
+    text : what was asked.
+    results : the clips and takes that fit, the best first; no more than fit.
+    n_found : how many fit, of which ``results`` may be the first.
+    n_searched : clips and takes that were looked at.
+    corrections : words that were misspelt, and what they were taken for.
+    replaced : words that nobody knows, and words of similar meaning that were searched for (with ``dousa[words]``).
+    unknown : words that neither the table of words nor the library knows.
+    near : words of the library near to the query, if nothing fits.
+    """
+
+    text: str
+    results: tuple[TextHit, ...]
+    n_found: int
+    n_searched: int
+    corrections: dict[str, str]
+    replaced: dict[str, str]
+    unknown: tuple[str, ...]
+    near: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """The answer as plain lists and dictionaries."""
+        return {
+            "text": self.text,
+            "n_found": self.n_found,
+            "n_searched": self.n_searched,
+            "corrections": dict(self.corrections),
+            "replaced": dict(self.replaced),
+            "unknown_words": list(self.unknown),
+            "near_words": list(self.near),
+            "results": [hit.to_json() for hit in self.results],
+        }
+
+
+_LONGEST = 500  # characters of a query
+_TIME = re.compile(r"#t=[0-9.]+,[0-9.]+(&id=[0-9]+)?$")  # of a segment, after the path of its take
+_LITERAL = 0.6  # score of a name that has the query in it letter by letter
+_SAME = 1e-6  # scores that differ by rounding
+_MOST_NEAR = 5  # words that are offered where nothing fits
+_NEAR_MEANING, _NEAR_SPELLING = 0.4, 60  # weight of what such a word finds; per cent of its letters
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """A motion in the index: its row, its label and name letter by letter, its relations, and the words of all."""
+
+    row: Any
+    literal: str
+    relations: tuple[Relation, ...]
+    words: MotionWords
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _TextIndex:
+    """The motions in the order of their paths, as of a revision of the library; their words by key.
+
+    ``sums`` tell whether what it was made of is still the same: tags, stars and kept searches leave it as it is.
+    ``stamps`` are the checksums of each motion, by number, from which it is known which motions have changed.
+    """
+
+    revision: int
+    sums: tuple[int, ...]
+    entries: tuple[_Entry, ...]
+    columns: WordColumns
+    words: KnownWords
+    stamps: Mapping[int, tuple[Any, ...]]
+    units: Mapping[tuple[str, str], Unit]
+
+
+class TextSearcher:
+    """Answers questions in words about one library."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._index: _TextIndex | None = None
+
+    def match(self, text: str) -> TextMatches:
+        """Numbers of all motions that fit a text, the best first, without what they are; as ``Library.match_text``."""
+        _check_text(text)
+        index = self._load()
+        matchers = _read(index, text)
+        rows, scores, _ = _find(matchers, text, index, np.arange(len(index.entries)))
+        ids = np.array([index.entries[row].row.id for row in rows.tolist()], np.int64)
+        taken = _join([one.query.corrections | one.query.replaced for one in matchers])
+        return TextMatches(ids, scores, taken)
+
+    def search(
+        self,
+        text: str,
+        k: int | None,
+        *,
+        category: str | None = None,
+        performer: str | None = None,
+        kind: str | None = None,
+    ) -> TextResult:
+        """The motions that fit a text; as ``Library.search_text``."""
+        _check_text(text)
+        index = self._load()
+        chosen = _choose(index.entries, category, performer, kind)
+        matchers = _read(index, text)
+        rows, scores, fitting = _find(matchers, text, index, chosen)
+        found = zip(rows[:k].tolist(), scores.tolist(), fitting.tolist(), strict=False)
+        hits = tuple(
+            _make_hit(index.entries[row], _fit(matchers[which], index, row, score), rank)
+            for rank, (row, score, which) in enumerate(found, start=1)
+        )
+        queries = [one.query for one in matchers]
+        near: tuple[str, ...] = ()
+        if not len(rows):
+            there = [index.entries[row] for row in chosen]
+            near = tuple(dict.fromkeys(word for one in matchers for word in _find_near(one, there)))[:_MOST_NEAR]
+        corrections = _join([one.corrections for one in queries]), _join([one.replaced for one in queries])
+        unknown = tuple(word for one in queries for word in one.unknown)
+        return TextResult(text, hits, len(rows), len(chosen), *corrections, unknown, near)
+
+    def _load(self) -> _TextIndex:
+        with self._database.reading() as connection:
+            revision = read_revision(connection)
+            if self._index is None or self._index.revision != revision:
+                sums = _read_sums(connection)
+                if self._index is not None and sums is not None and self._index.sums == sums:
+                    self._index = replace(self._index, revision=revision)
+                else:
+                    self._index = _load_index(connection, revision, sums or (), self._index)
+            return self._index
+
+
+def _read_sums(connection: sa.Connection) -> tuple[int, ...] | None:
+    """Numbers and sums of the checksums of what the index is made of; None where rows have none."""
+    sums: list[int] = []
+    for seal in (LABELS, RELATIONS):
+        own = seal.checksum
+        query = sa.select(sa.func.count(seal.covered[0]), sa.func.count(own), sa.func.coalesce(sa.func.sum(own), 0))
+        n_rows, n_sealed, total = map(int, connection.execute(query).one())
+        if n_rows != n_sealed:
+            return None
+        sums += (n_rows, total)
+    return tuple(sums)
+
+
+def _read(index: _TextIndex, text: str) -> list[Matcher]:
+    """What compares each of the alternatives that a text asks for."""
+    vocabulary, letters = load_vocabulary(), _literal(text)
+    negation = find_negation(text)
+    if negation is not None and not any(letters in entry.literal for entry in index.entries):
+        raise OptionError("library_text.negation", word=negation)
+    parts = split_alternatives(vocabulary, text)
+    return [Matcher(vocabulary, read_query(vocabulary, part, index.words, load_replacement())) for part in parts]
+
+
+def _join(parts: Iterable[Mapping[str, str]]) -> dict[str, str]:
+    return {word: other for part in parts for word, other in part.items()}
+
+
+def _check_text(text: str) -> None:
+    if not text.strip():
+        raise OptionError("library_text.empty")
+    if len(text) > _LONGEST:
+        raise OptionError("library_text.too_long", most=_LONGEST, found=len(text))
+
+
+def _choose(entries: Sequence[_Entry], category: str | None, performer: str | None, kind: str | None) -> IndexArray:
+    """Places of the motions of these labels."""
+    asked = {"category": category, "performer": performer, "kind": kind}
+    wanted = [(name, value) for name, value in asked.items() if value is not None]
+    if not wanted:
+        return np.arange(len(entries))
+    fits = [all(getattr(entry.row, name) == value for name, value in wanted) for entry in entries]
+    return np.flatnonzero(np.array(fits, bool))
+
+
+def _load_index(
+    connection: sa.Connection, revision: int, sums: tuple[int, ...], known: _TextIndex | None
+) -> _TextIndex:
+    """The index at a revision; of motions that are as they were in a ``known`` one, nothing is read but checksums."""
+    stamps = _read_stamps(connection)
+    kept: list[_Entry] = []
+    if known is not None:
+        kept = [one for one in known.entries if _is_same(known.stamps.get(one.row.id), stamps.get(one.row.id))]
+    there = {one.row.id for one in kept}
+    some = None if not kept else [number for number in stamps if number not in there]
+    vocabulary = load_vocabulary()
+    units = {} if known is None else dict(known.units)
+    categories = {one.row.category or "": one.words.category for one in kept}
+    relations = load_relations(connection, some)
+    query = sa.select(*LABELS.columns)
+    rows: list[Any]
+    if some is None:
+        rows = list(connection.execute(query))
+    else:
+        rows = list(fetch_in(connection, query, schema.clips.c.id, some))
+    if rows:
+        LABELS.check_all(connection, list(zip(*rows, strict=True)))
+    for row in rows:
+        label = row.category or ""
+        if label not in categories:
+            categories[label] = make_unit(vocabulary, read_words(vocabulary, label, name=True))
+        own = relations.get(row.id, ())
+        for relation in own:
+            if (relation.name, relation.part) not in units:
+                units[relation.name, relation.part] = _make_relation_unit(vocabulary, relation)
+        name = _name_of(row.path)
+        kept.append(
+            _Entry(
+                row,
+                _literal(f"{label} {name}"),
+                own,
+                MotionWords(
+                    categories[label],
+                    make_unit(vocabulary, read_words(vocabulary, name, name=True)),
+                    tuple((units[one.name, one.part], one.share) for one in own),
+                ),
+            )
+        )
+    entries = tuple(sorted(kept, key=lambda entry: str(entry.row.path)))
+    columns = WordColumns([entry.words for entry in entries])
+    words = KnownWords(
+        word for entry in entries for unit in (entry.words.category, entry.words.name) for word in unit.words
+    )
+    return _TextIndex(revision, sums, entries, columns, words, stamps, units)
+
+
+def _read_stamps(connection: sa.Connection) -> dict[int, tuple[Any, ...]]:
+    """The checksums of the labels and of the relations of all motions, by number; None where there is none."""
+    clips, table = schema.clips.c, schema.clip_relations.c
+    own = sa.select(table.clip_id, table.checksum).where(table.version == RELATIONS_VERSION)
+    relations: dict[int, Any] = {row.clip_id: row.checksum for row in connection.execute(own)}
+    labels = connection.execute(sa.select(clips.id, clips.label_checksum))
+    return {row.id: (row.label_checksum, relations.get(row.id)) for row in labels}
+
+
+def _is_same(before: tuple[Any, ...] | None, now: tuple[Any, ...] | None) -> bool:
+    """Whether a motion has the checksums that it had; without one nobody knows."""
+    return before is not None and before == now and None not in before
+
+
+def _name_of(path: str) -> str:
+    """The file's name without its suffix, and without the time of a segment, whose numbers name nothing."""
+    name = _TIME.sub("", os.path.basename(path))
+    return PurePath(name).stem or path
+
+
+def _make_relation_unit(vocabulary: Vocabulary, relation: Relation) -> Unit:
+    """The words of a relation in every language; each language says the same, so it weighs once."""
+    texts = [relation.message.render(language) for language in LANGUAGES]
+    read = [make_unit(vocabulary, read_words(vocabulary, text)) for text in texts]
+    first = read[0]
+    known = {name for word in first.words for name in word.meanings}
+    more = tuple(word for unit in read[1:] for word in unit.words if not known.intersection(word.meanings))
+    return Unit(first.words + more, first.weight)
+
+
+def _literal(text: str) -> str:
+    return "".join(letter for letter in normalise(text).casefold() if letter.isalnum())
+
+
+def _find(
+    matchers: Sequence[Matcher], text: str, index: _TextIndex, chosen: IndexArray
+) -> tuple[IndexArray, FloatArray, IndexArray]:
+    """Places and scores of the motions that fit, and which of the alternatives fits them, the best first.
+
+    Equals in the order of their paths.
+    """
+    alternatives, letters = np.stack([index.columns.score(one) for one in matchers]), _literal(text)
+    fitting, scores = alternatives.argmax(axis=0), alternatives.max(axis=0)
+    if len(letters) >= 3:
+        weak = chosen[scores[chosen] < _LITERAL]
+        scores[[row for row in weak.tolist() if letters in index.entries[row].literal]] = _LITERAL
+    found = chosen[scores[chosen] >= LEAST_SCORE]
+    found = found[np.argsort(-np.round(scores[found], 3), kind="stable")]
+    best = scores[found[0]] if len(found) else 0.0
+    found = found[scores[found] >= LEAST_OF_BEST * best]
+    return found, scores[found], fitting[found]
+
+
+def _fit(matcher: Matcher, index: _TextIndex, row: int, score: float) -> Fit:
+    """All that is to be said of a motion that fits; what has the query letter by letter fits better than its words."""
+    fit = index.columns.fit(matcher, row)
+    return fit if fit.score >= score - _SAME else Fit(_LITERAL, (), in_category=False, in_name=True)
+
+
+def _make_hit(entry: _Entry, fit: Fit, rank: int) -> TextHit:
+    row = entry.row
+    return TextHit(
+        clip_id=row.id,
+        path=row.path,
+        category=row.category,
+        performer=row.performer,
+        kind=row.kind,
+        rank=rank,
+        score=round(fit.score, 3),
+        in_category=fit.in_category,
+        in_name=fit.in_name,
+        relations=tuple(entry.relations[place] for place in fit.relations),
+    )
+
+
+def _find_near(matcher: Matcher, entries: Iterable[_Entry]) -> tuple[str, ...]:
+    """Words of categories and relations that come nearest: by what they mean, else by their letters."""
+    from rapidfuzz import fuzz, process
+
+    units: dict[str, Unit] = {}
+    counts: Counter[str] = Counter()
+    does: Counter[tuple[str, str]] = Counter()
+    examples: dict[tuple[str, str], tuple[Relation, Unit]] = {}
+    for entry in entries:
+        label = entry.row.category or ""
+        counts[label] += 1
+        units.setdefault(label, entry.words.category)
+        for one, (unit, _) in zip(entry.relations, entry.words.relations, strict=True):
+            does[one.name, one.part] += 1
+            examples.setdefault((one.name, one.part), (one, unit))
+    for key, (relation, unit) in examples.items():
+        units[str(relation.message)] = unit
+        counts[str(relation.message)] += does[key]
+    units.pop("", None)
+    query = matcher.query
+    weights = [slot.weight for slot in query.slots]
+    # An action that is near, not a limb or a side: those are everywhere.
+    scores = {
+        text: max((w * value for w, value in zip(weights, matcher.find(unit)[0], strict=True)), default=0.0)
+        for text, unit in units.items()
+    }
+    meant = sorted(
+        (text for text in units if scores[text] >= _NEAR_MEANING), key=lambda text: (-scores[text], -counts[text], text)
+    )
+    words = sorted({word.text for unit in units.values() for word in unit.words if len(word.text) > 2})
+    spelled = [
+        found
+        for word in query.unknown
+        for found, ratio, _ in process.extract(word, words, scorer=fuzz.ratio, limit=2)
+        if ratio >= _NEAR_SPELLING
+    ]
+    return tuple(dict.fromkeys([*meant, *spelled]))[:_MOST_NEAR]

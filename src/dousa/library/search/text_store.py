@@ -1,0 +1,142 @@
+"""What motions do, in words: computed when they are added; where an older dousa added them, when they are needed.
+
+Categories that mean the same, by their names: of different producers, languages or styles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import sqlalchemy as sa
+
+from dousa.errors import LibraryDamagedError
+from dousa.library.store import schema
+from dousa.library.store.checksums import RELATIONS, seal_rows
+from dousa.library.store.engine import Database
+from dousa.library.store.features import StoredMotion, load_motions
+from dousa.library.store.selection import fetch_in, portions
+from dousa.retrieval.words.relations import RELATIONS_VERSION, Relation, find_relations
+from dousa.retrieval.words.vocabulary import load_vocabulary, read_words
+
+_KINDS = ("action", "side", "direction")
+
+
+def find_meanings(categories: Iterable[str]) -> dict[str, str]:
+    """What each category means: one word for all whose names tell of the same actions, sides and directions.
+
+    "squat1Reps", "squat" and "しゃがむ" mean the same, and so do "walk/active" and "walk/tired"; "wave-left-hand" and
+    "wave-right-hand" do not. A name that tells of no action stands for itself.
+    """
+    vocabulary = load_vocabulary()
+    kinds = {name: concept.kind for name, concept in vocabulary.concepts.items()}
+    meanings = {}
+    for category in categories:
+        named = {word.meanings[0] for word in read_words(vocabulary, category, name=True) if word.meanings}
+        told = sorted(name for name in named if kinds[name] in _KINDS)
+        is_action = any(kinds[name] == "action" for name in told)
+        meanings[category] = f"({' '.join(told)})" if is_action else category
+    return meanings
+
+
+_COUNT_CLIPS = sa.select(sa.func.count()).select_from(schema.clips)
+
+
+def load_relations(connection: sa.Connection, ids: Sequence[int] | None = None) -> dict[int, tuple[Relation, ...]]:
+    """The relations of clips and takes, of all or of some, by number; those that are not kept are computed.
+
+    Raises
+    ------
+    LibraryDamagedError : what is kept is none.
+    """
+    table = schema.clip_relations.c
+    query = sa.select(*RELATIONS.columns).where(table.version == RELATIONS_VERSION)
+    found = {}
+    rows = connection.execute(query).all() if ids is None else fetch_in(connection, query, table.clip_id, ids)
+    for row in rows:
+        RELATIONS.check(connection, row)
+        found[row.clip_id] = _from_json(row.relations)
+    return found | _compute(connection, _list_missing(connection, ids))
+
+
+def keep_relations(connection: sa.Connection) -> None:
+    """Compute and write the relations of the clips and takes of which none are kept yet."""
+    table = schema.clip_relations
+    kept = sa.select(sa.func.count()).select_from(table).where(table.c.version == RELATIONS_VERSION)
+    # Counted first: to look for each clip reads all that is kept.
+    if connection.execute(kept).scalar_one() < connection.execute(_COUNT_CLIPS).scalar_one():
+        _write(connection, _list_missing(connection))
+
+
+def describe_relations(motion: StoredMotion) -> list[list[Any]]:
+    """The relations of a motion as they are kept."""
+    return _to_json(find_relations(motion))
+
+
+def save_relations(connection: sa.Connection, described: Mapping[int, list[list[Any]]]) -> None:
+    """Write the relations of clips and takes, by number, of which none are kept yet."""
+    table = schema.clip_relations
+    rows = [
+        {"clip_id": number, "version": RELATIONS_VERSION, "relations": relations}
+        for number, relations in described.items()
+    ]
+    for some in portions(rows):
+        connection.execute(sa.insert(table), seal_rows(table, some))
+
+
+def keep_all_relations(database: Database) -> None:
+    """The same for a library that an older dousa wrote: in portions, each a transaction of its own."""
+    with database.reading() as connection:
+        missing = _list_missing(connection)
+    for some in portions(missing):
+        with database.writing() as connection:
+            _write(connection, _list_missing(connection, some))
+
+
+def keep_relations_of(database: Database, motions: Mapping[int, StoredMotion]) -> None:
+    """Compute and write the relations of those of these clips and takes of which none are kept yet."""
+    with database.reading() as connection:
+        missing = _list_missing(connection, list(motions))
+    described = {number: describe_relations(motions[number]) for number in missing}
+    if described:
+        with database.writing() as connection:
+            still = _list_missing(connection, missing)
+            _replace(connection, {number: described[number] for number in still})
+
+
+def _list_missing(connection: sa.Connection, ids: Sequence[int] | None = None) -> list[int]:
+    """Numbers, ascending, of those of which nothing is kept; of some, or of all, that are there."""
+    clips, table = schema.clips.c, schema.clip_relations.c
+    kept = sa.and_(table.clip_id == clips.id, table.version == RELATIONS_VERSION)
+    query = sa.select(clips.id).join(schema.clip_relations, kept, isouter=True).where(table.clip_id.is_(None))
+    rows = connection.execute(query).all() if ids is None else fetch_in(connection, query, clips.id, ids)
+    return sorted(row.id for row in rows)
+
+
+def _compute(connection: sa.Connection, ids: Iterable[int]) -> dict[int, tuple[Relation, ...]]:
+    numbers = list(ids)
+    return dict(zip(numbers, map(find_relations, load_motions(connection, numbers)), strict=True))
+
+
+def _write(connection: sa.Connection, ids: list[int]) -> None:
+    for some in portions(ids):
+        found = _compute(connection, some)
+        _replace(connection, {number: _to_json(relations) for number, relations in found.items()})
+
+
+def _replace(connection: sa.Connection, described: Mapping[int, list[list[Any]]]) -> None:
+    table = schema.clip_relations
+    for some in portions(list(described)):
+        connection.execute(sa.delete(table).where(table.c.clip_id.in_(list(some))))
+    save_relations(connection, described)
+
+
+def _to_json(relations: Iterable[Relation]) -> list[list[Any]]:
+    return [[one.name, one.part, one.share, one.start, one.end] for one in relations]
+
+
+def _from_json(stored: Any) -> tuple[Relation, ...]:
+    try:
+        return tuple(Relation(str(n), str(p), float(share), float(s), float(e)) for n, p, share, s, e in stored)
+    except (TypeError, ValueError) as error:
+        raise LibraryDamagedError("library_text.relations_damaged", reason=error) from error

@@ -1,0 +1,1 @@
+"""The database, its arrays and the forests that are stored in it."""

@@ -1,0 +1,440 @@
+"""The database of a library: connections, everything that only SQLite needs, errors in plain words.
+
+A path becomes one SQLite file in WAL mode; a URL such as ``postgresql+psycopg://...`` is left to SQLAlchemy.
+Transactions that write begin with ``BEGIN IMMEDIATE``, on a server with a lock of its own: they wait for each other
+instead of failing half way.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import re
+import sqlite3
+import stat
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from json import JSONDecodeError
+from pathlib import Path
+from typing import Any, TypeVar
+from urllib.parse import quote
+
+import sqlalchemy as sa
+from sqlalchemy import event, exc
+
+from dousa.errors import (
+    LibraryDamagedError,
+    LibraryError,
+    LibraryLockedError,
+    OptionError,
+)
+from dousa.library.store.checksums import LIBRARY_NAME, STATE, update_rows
+from dousa.library.store.schema import APPLICATION_ID, library_state
+
+BESIDE = "dousa_beside"
+"""Execution option of a connection to a library file: the folder beside it that has its fragments, if any."""
+
+STATE_ID = 1
+_WRITES = "dousa_writes"
+_READ_ONLY = "dousa_read_only"
+_ATTEMPTS = 3  # of working something out beside other writers
+_MOST_PAUSE = 0.2  # s
+_BUSY = 5.0  # s that SQLite waits by itself; it cannot be interrupted meanwhile
+_LEAST_BYTES = 512  # of a database that is not empty: a page
+
+
+Plan = TypeVar("Plan")
+Result = TypeVar("Result")
+
+
+def is_url(path_or_url: str | os.PathLike[str]) -> bool:
+    """Whether this names a database server rather than a file."""
+    return isinstance(path_or_url, str) and "://" in path_or_url
+
+
+def name_of(path_or_url: str | os.PathLike[str]) -> str:
+    """What messages call a library: its path, or its URL without the password."""
+    if not is_url(path_or_url):
+        return os.fspath(path_or_url)
+    try:
+        return sa.make_url(str(path_or_url)).render_as_string(hide_password=True)
+    except (exc.ArgumentError, ValueError):
+        return re.sub(r"(?<=:)[^:@/]+(?=@)", "***", str(path_or_url))
+
+
+def make_engine(path_or_url: str | os.PathLike[str], *, create: bool, read_only: bool, timeout: float) -> sa.Engine:
+    """An engine for a file or a URL; nothing is connected yet."""
+    if is_url(path_or_url):
+        return _server_engine(str(path_or_url), read_only, timeout)
+    path = Path(path_or_url).absolute()
+    _check_place(path, create)
+    engine = sa.create_engine(
+        "sqlite+pysqlite://",
+        creator=lambda: _connect(path, create, read_only, min(timeout, _BUSY)),
+        poolclass=sa.pool.QueuePool,
+        pool_size=1,
+        execution_options={
+            _READ_ONLY: read_only,
+            LIBRARY_NAME: name_of(path_or_url),
+            BESIDE: path.with_name(f"{path.name}.fragments"),
+        },
+    )
+    event.listen(engine, "begin", _begin)
+    return engine
+
+
+def _server_engine(url: str, read_only: bool, timeout: float) -> sa.Engine:
+    name = name_of(url)
+    try:
+        # A server that was started again in the meantime is connected to anew.
+        options = {_READ_ONLY: read_only, LIBRARY_NAME: name}
+        engine = sa.create_engine(url, pool_pre_ping=True, execution_options=options)
+    except (exc.ArgumentError, exc.NoSuchModuleError, ValueError) as error:
+        raise LibraryError("library_file.not_a_url", library=name, reason=error) from error
+    except ImportError as error:
+        package = "'dousa[postgres]'" if error.name == "psycopg" else error.name
+        raise LibraryError("library_file.driver_missing", library=name, package=package) from error
+    if engine.dialect.name == "sqlite":
+        # It would lack all that we give a file: the log, foreign keys, writers that wait.
+        raise LibraryError("library_file.sqlite_url", library=name)
+    if engine.dialect.name == "postgresql":
+
+        def limit_waiting(connection: Any, record: Any) -> None:
+            with connection.cursor() as cursor:
+                cursor.execute(f"SET lock_timeout = {max(round(1000 * timeout), 1)}")
+            connection.commit()
+
+        event.listen(engine, "connect", limit_waiting)
+    return engine
+
+
+def _check_place(path: Path, create: bool) -> None:
+    # The functions of os.path say no, and do not raise, where a folder above cannot be looked into.
+    if os.path.isdir(path):
+        raise LibraryError("library_file.is_folder", library=path)
+    if not os.path.exists(path) and not create:
+        raise LibraryError("library_file.missing", library=path, name=path.name)
+    if not os.path.isdir(path.parent):
+        raise LibraryError("library_file.no_folder", library=path, folder=path.parent)
+    if os.path.exists(path) and _is_something_else(path):
+        # SQLite would take a file of a few bytes for an empty database, and write over it.
+        raise LibraryDamagedError("library_file.not_a_library", library=path)
+
+
+def _is_something_else(path: Path) -> bool:
+    """Whether a file is no database; SQLite itself looks.
+
+    On POSIX a program that opens a file and closes it again gives up all locks that it has on it, those of its other
+    connections, too. SQLite knows that and closes later; else another program would take these connections for gone,
+    and the log away that they write to.
+    """
+    if not os.path.isfile(path):
+        return True  # a pipe would be waited for
+    size = os.path.getsize(path)
+    if size < _LEAST_BYTES:
+        return size > 0
+    try:
+        connection = sqlite3.connect(_name_for_sqlite(path, "mode=ro&immutable=1"), uri=True)
+        try:
+            connection.execute("PRAGMA schema_version").fetchone()
+        finally:
+            connection.close()
+    except sqlite3.Error as error:
+        return getattr(error, "sqlite_errorname", "") == "SQLITE_NOTADB"  # else connecting says what is wrong
+    return False
+
+
+def _name_for_sqlite(path: Path, options: str) -> str:
+    return f"file:{quote(os.fsencode(path.as_posix()))}?{options}"
+
+
+def _connect(path: Path, create: bool, read_only: bool, timeout: float) -> sqlite3.Connection:
+    # Also to read: a connection that may not write cannot clear its lock files away. ``writing`` refuses.
+    mode = "rwc" if create else "rw"
+    _free_lock_files(path)
+    try:
+        return _connect_as(path, f"mode={mode}", timeout)
+    except sqlite3.OperationalError as error:
+        # Where nobody may write, SQLite cannot make its lock files; if no log waits there, it can do without.
+        # On a full disk it cannot make them either, but then a program that means to write must hear of that.
+        kinds = ("SQLITE_CANTOPEN", "SQLITE_READONLY", *(("SQLITE_IOERR",) if read_only else ()))
+        if error.sqlite_errorname.startswith(kinds) and not _has_log(path):
+            return _connect_as(path, "mode=ro&immutable=1", timeout)
+        raise
+
+
+def _free_lock_files(path: Path) -> None:
+    """Let lock files be written that were made while the library might not be; SQLite leaves them behind."""
+    with suppress(OSError):
+        mode = stat.S_IMODE(os.stat(path).st_mode)
+        for lock in (f"{path}-shm", f"{path}-wal"):
+            with suppress(FileNotFoundError):
+                if mode & ~os.stat(lock).st_mode & 0o222:
+                    os.chmod(lock, mode)
+
+
+def _connect_as(path: Path, options: str, timeout: float) -> sqlite3.Connection:
+    name = _name_for_sqlite(path, options)
+    connection = sqlite3.connect(name, uri=True, timeout=timeout, check_same_thread=False, isolation_level=None)
+    try:
+        connection.execute("SELECT count(*) FROM sqlite_master")
+        connection.execute("PRAGMA foreign_keys = ON")
+        # With WAL this survives a killed program; a power cut may lose the last commits, never the file.
+        connection.execute("PRAGMA synchronous = NORMAL")
+    except sqlite3.Error:
+        connection.close()
+        raise
+    return connection
+
+
+def _has_log(path: Path) -> bool:
+    log = f"{path}-wal"
+    return os.path.exists(log) and os.path.getsize(log) > 0
+
+
+def _begin(connection: sa.Connection) -> None:
+    writes = connection.get_execution_options().get(_WRITES, False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+
+
+def check_mark(connection: sa.Connection, where: str) -> bool:
+    """Whether an SQLite file is ours (true) or has no tables at all (false); servers are asked later."""
+    if connection.dialect.name != "sqlite":
+        return sa.inspect(connection).has_table("dousa_migrations")
+    mark = connection.exec_driver_sql("PRAGMA application_id").scalar_one()
+    if mark == APPLICATION_ID:
+        return True
+    tables = connection.exec_driver_sql("SELECT count(*) FROM sqlite_master").scalar_one()
+    if mark or tables:
+        raise LibraryDamagedError("library_file.other_database", library=where)
+    return False
+
+
+def set_mark(connection: sa.Connection) -> None:
+    """Mark an SQLite file as ours."""
+    if connection.dialect.name == "sqlite":
+        connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
+
+
+def use_write_ahead_log(database: Database) -> None:
+    """Switch an SQLite file to WAL: readers and one writer at the same time, and safe against kill -9.
+
+    Where that cannot be (no permission, or another program is just doing it) the library works all the same.
+    """
+    if database.engine.dialect.name != "sqlite":
+        return
+    with suppress(LibraryError), _plain_errors(database.where):
+        raw = database.engine.raw_connection()
+        try:
+            raw.cursor().execute("PRAGMA journal_mode = WAL")
+        finally:
+            raw.close()
+
+
+@dataclass(frozen=True, slots=True)
+class Database:
+    """Where a library is kept; every transaction begins here.
+
+    Parameters
+    ----------
+    engine : with the tables of a library.
+    where : its name for messages.
+    timeout : s to wait for others who write.
+    """
+
+    engine: sa.Engine
+    where: str
+    timeout: float = _BUSY
+
+    @property
+    def is_read_only(self) -> bool:
+        """Whether it was opened so that nothing may change."""
+        return bool(self.engine.get_execution_options().get(_READ_ONLY))
+
+    @contextmanager
+    def reading(self) -> Iterator[sa.Connection]:
+        """A connection in one transaction that sees the library as it stands at its first query."""
+        with _plain_errors(self.where), self.engine.connect() as connection:
+            if self.engine.dialect.name == "postgresql":
+                connection.execution_options(isolation_level="REPEATABLE READ")
+            with connection.begin():
+                yield connection
+
+    @contextmanager
+    def writing(self) -> Iterator[sa.Connection]:
+        """A connection in one transaction that writes all or nothing; LibraryError where it was opened read-only."""
+        if self.is_read_only:
+            raise LibraryError("library_file.opened_read_only", library=self.where)
+        with _plain_errors(self.where), self.engine.connect() as connection:
+            connection.execution_options(**{_WRITES: True})
+            with self._begin_writing(connection):
+                if self.engine.dialect.name == "postgresql":
+                    # One program writes at a time, as to a file: a server would let all begin, and some of them fail.
+                    connection.execute(sa.select(sa.func.pg_advisory_xact_lock(APPLICATION_ID)))
+                yield connection
+
+    def _begin_writing(self, connection: sa.Connection) -> sa.RootTransaction:
+        """Begin a transaction that writes, when the others are done: LibraryLockedError when that takes too long."""
+        deadline = time.monotonic() + self.timeout
+        while True:
+            try:
+                return connection.begin()
+            except exc.OperationalError as error:
+                busy = getattr(error.orig, "sqlite_errorname", "").startswith("SQLITE_BUSY")
+                if not busy or time.monotonic() >= deadline:
+                    raise
+            time.sleep(random.uniform(0, _MOST_PAUSE))
+
+    @contextmanager
+    def alone(self) -> Iterator[sqlite3.Connection]:
+        """The connection of an SQLite file itself, in no transaction; for what SQLAlchemy has no words for."""
+        with _plain_errors(self.where):
+            raw = self.engine.raw_connection()
+            try:
+                yield raw.driver_connection  # type: ignore[misc]
+            finally:
+                raw.close()
+
+    def check_writable(self) -> None:
+        """LibraryError where nothing could be written: said before long work, not after it."""
+        with self.writing() as connection:
+            state = library_state.c
+            connection.execute(sa.update(library_state).where(state.id == STATE_ID).values(id=STATE_ID))
+
+    def write_planned(
+        self, plan: Callable[[sa.Connection, Plan | None], Plan], write: Callable[[sa.Connection, Plan], Result]
+    ) -> Result:
+        """Work something out beside other writers, then write it in one transaction.
+
+        If another program wrote in between it is worked out again, and the last time while the others wait.
+
+        Parameters
+        ----------
+        plan : works it out, given a connection and what it returned the last time; it writes nothing.
+        write : writes it, in a library that is as it was for the plan.
+        """
+        planned: Plan | None = None
+        for attempt in range(_ATTEMPTS + 1):
+            with self.reading() as connection:
+                seen = read_revision(connection)
+                planned = plan(connection, planned)
+            with self.writing() as connection:
+                lock_for_writing(connection)
+                if read_revision(connection) == seen:
+                    return write(connection, planned)
+                if attempt == _ATTEMPTS:
+                    return write(connection, plan(connection, planned))
+            time.sleep(random.uniform(0, _MOST_PAUSE))  # so that two writers do not meet again and again
+        raise AssertionError
+
+
+@contextmanager
+def _plain_errors(where: str) -> Iterator[None]:
+    """Errors of the database inside the block become LibraryError and its kinds."""
+    try:
+        yield
+    except exc.DBAPIError as error:
+        raise _translate(error.orig, where) from error
+    except sqlite3.Error as error:
+        raise _translate(error, where) from error
+    except UnicodeEncodeError as error:
+        text = str(error.object).encode(errors="backslashreplace").decode()
+        raise OptionError("library_file.not_unicode", text=text) from error
+    except (exc.SQLAlchemyError, UnicodeDecodeError, JSONDecodeError) as error:
+        raise LibraryDamagedError("library_file.content_damaged", library=where, reason=error) from error
+
+
+_SQLITE_PROBLEMS: dict[str, tuple[type[LibraryError], str]] = {
+    "SQLITE_BUSY": (LibraryLockedError, "library_file.locked"),
+    "SQLITE_LOCKED": (LibraryLockedError, "library_file.locked"),
+    "SQLITE_NOTADB": (LibraryDamagedError, "library_file.not_a_library"),
+    "SQLITE_CORRUPT": (LibraryDamagedError, "library_file.cut_short"),
+    "SQLITE_FULL": (LibraryError, "library_file.disk_full"),
+    "SQLITE_READONLY": (LibraryError, "library_file.read_only"),
+    "SQLITE_CANTOPEN": (LibraryError, "library_file.cannot_open"),
+    "SQLITE_PERM": (LibraryError, "library_file.no_permission"),
+    "SQLITE_IOERR": (LibraryError, "library_file.disk_failed"),
+    "SQLITE_TOOBIG": (LibraryError, "library_file.motion_too_long"),
+}
+_SERVER_PROBLEMS: dict[str, tuple[type[LibraryError], str]] = {
+    "55P03": (LibraryLockedError, "library_file.locked"),
+    "40P01": (LibraryLockedError, "library_file.locked"),
+    "53100": (LibraryError, "library_file.server_disk_full"),
+    "25006": (LibraryError, "library_file.server_read_only"),
+    "42501": (LibraryError, "library_file.server_no_permission"),
+}
+
+
+def _translate(error: BaseException | None, where: str) -> LibraryError:
+    name = getattr(error, "sqlite_errorname", None) or ""
+    primary = "_".join(name.split("_")[:2])  # such as SQLITE_IOERR of SQLITE_IOERR_WRITE
+    known = _SQLITE_PROBLEMS.get(primary) or _SERVER_PROBLEMS.get(str(getattr(error, "sqlstate", "")))
+    if known is not None:
+        kind, code = known
+        return kind(code, library=where)
+    # Drivers like to speak in several lines.
+    reason = " ".join(str(error).split())
+    gone = str(getattr(error, "sqlstate", "")) in ("42P01", "42703")
+    if gone or (name == "SQLITE_ERROR" and "no such" in reason):
+        return LibraryDamagedError("library_file.table_missing", library=where, reason=reason)
+    return LibraryError("library_file.database_error", library=where, reason=reason)
+
+
+def read_revision(connection: sa.Connection) -> int:
+    """Number of the last write."""
+    return int(_read_state(connection).revision)
+
+
+def _read_state(connection: sa.Connection) -> Any:
+    row = connection.execute(sa.select(*STATE.columns)).one_or_none()
+    if row is None:
+        raise LibraryDamagedError("library_file.no_state")
+    STATE.check(connection, row)
+    return row
+
+
+def lock_for_writing(connection: sa.Connection) -> None:
+    """Wait for other writers, without counting this write yet."""
+    connection.execute(sa.select(library_state.c.revision).with_for_update())
+
+
+def next_revision(connection: sa.Connection) -> int:
+    """Count this write, and return its number."""
+    lock_for_writing(connection)
+    revision = read_revision(connection) + 1
+    update_rows(connection, STATE, {STATE_ID: {"revision": revision}})
+    return revision
+
+
+def note_changed_clips(connection: sa.Connection) -> None:
+    """Clips or their categories change in this write: the forest has not learned from them as they are now."""
+    update_rows(connection, STATE, {STATE_ID: {"clips_revision": read_revision(connection)}})
+
+
+def next_clip_id(connection: sa.Connection) -> int:
+    """The number that the next new clip gets."""
+    return int(_read_state(connection).next_clip_id)
+
+
+def take_clip_ids(connection: sa.Connection, count: int) -> range:
+    """Numbers for new clips, never used before; after ``next_revision`` in the same transaction."""
+    first = next_clip_id(connection)
+    update_rows(connection, STATE, {STATE_ID: {"next_clip_id": first + count}})
+    return range(first, first + count)
+
+
+def check_jobs(n_jobs: int | None) -> None:
+    """OptionError for zero jobs."""
+    if n_jobs == 0:
+        raise OptionError("library_add.no_jobs")
+
+
+def choose_jobs(n_jobs: int | None) -> int | None:
+    """The number for joblib: as given, else what ``joblib.parallel_config`` says, else every core."""
+    import joblib
+
+    check_jobs(n_jobs)
+    # Without an argument joblib is asked for all cores, and says how many these are, not what it would take by itself.
+    return -1 if n_jobs is None and joblib.effective_n_jobs(None) == 1 else n_jobs

@@ -1,0 +1,491 @@
+"""Features and poses of the clips: stored once, computed again where another set of features is needed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import sqlalchemy as sa
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray
+from dousa.errors import LibraryDamagedError, LibraryVersionError, OptionError
+from dousa.library.store import checksums, schema
+from dousa.library.store.checksums import BLOCK_FRAMES, seal_positions, seal_rows
+from dousa.library.store.engine import Database, choose_jobs
+from dousa.library.store.fragments import Place, in_portions, place_of, put_aside, read_feature_rows, read_places
+from dousa.library.store.schema import pack, stack, unpack
+from dousa.library.store.selection import fetch_in, portions
+from dousa.motion import CANONICAL_JOINTS
+from dousa.motion.canonical.joints import JOINT_INDEX, CanonicalPoses, find_absent
+from dousa.retrieval.features.posed_motion import SLOWEST_RATE, hide_joints, order_joints
+from dousa.workers.current import current_cluster
+from dousa.workers.threads import map_together
+
+if TYPE_CHECKING:
+    from dousa.motion import CanonicalMotion, Trajectories
+    from dousa.retrieval.features.feature_sets import FeatureSet
+
+BEYOND_MEASURE = 1e9
+"""Metres, body heights and hertz beyond which nothing is a motion."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredMotion(CanonicalPoses):
+    """A motion as the library keeps it: canonical joints, without where they came from.
+
+    Parameters
+    ----------
+    positions : (T, 20, 3) m, of float32 precision; NaN in all frames for joints that are absent.
+    frame_rate : Hz.
+    height : m, body height.
+    """
+
+    height: float
+
+    @property
+    def absent(self) -> tuple[str, ...]:
+        """Canonical joints that the body lacks."""
+        return find_absent(self.positions)
+
+    def mirror(self) -> StoredMotion:
+        """Its mirror image."""
+        from dousa.motion.canonical.canonicalise import mirror_positions
+
+        return StoredMotion(mirror_positions(self.positions), self.frame_rate, self.height)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Description:
+    """What is computed of a clip before the forest sees it.
+
+    Parameters
+    ----------
+    feature_set : name of the features.
+    features : (frames, columns) of this set, of float32 precision: a query meets its own clip to the last bit.
+    poses : its pose sequence, see ``dousa.retrieval.ranking.ranking``.
+    """
+
+    feature_set: str
+    features: FloatArray
+    poses: NDArray[np.float32]
+
+
+def round_positions(motion: CanonicalMotion | StoredMotion) -> StoredMotion:
+    """The motion as it would be stored; infinite where a position is beyond float32."""
+    with np.errstate(over="ignore"):
+        positions = motion.positions.astype(np.float32).astype(np.float64)
+    return StoredMotion(positions, motion.frame_rate, motion.height)
+
+
+def find_feature_set(name: str) -> FeatureSet:
+    """The set of features of this name; LibraryVersionError if a newer dousa trained the library on another."""
+    from dousa.retrieval.features.feature_sets import FEATURE_SETS, get_feature_set
+
+    try:
+        return get_feature_set(name)
+    except OptionError as error:
+        known = tuple(FEATURE_SETS)
+        raise LibraryVersionError("library_forest.unknown_features", name=name, known=known) from error
+
+
+def describe_clip(motion: StoredMotion, feature_set: str) -> Description:
+    """Features and poses of a motion whose positions are rounded; joints that the features leave out are hidden."""
+    return _describe_clips([motion], feature_set)[0]
+
+
+def _describe_clips(motions: Sequence[StoredMotion], feature_set: str) -> list[Description]:
+    from dousa.retrieval.features.feature_sets import FEATURE_SETS
+    from dousa.retrieval.features.sensor_noise import reduce_noise_of_all
+    from dousa.retrieval.ranking.ranking import compute_with_poses
+
+    wanted = find_feature_set(feature_set)
+    seen = [hide_joints(motion, wanted.hidden) for motion in motions]
+    posed = FEATURE_SETS["extended"].without(wanted.hidden)
+    features, poses = compute_with_poses(reduce_noise_of_all(seen), posed)
+    if wanted is not posed:
+        features = np.array([wanted.compute(motion) for motion in seen])
+    with np.errstate(over="ignore"):  # what is beyond float32 is beyond measure
+        features = features.astype(np.float32).astype(np.float64)
+    return [Description(feature_set, *own) for own in zip(features, poses, strict=True)]
+
+
+def lacks(feature_set: str, absent: str) -> bool:
+    """Whether a body without some joints (a row's ``absent``) has less than features of this name look at."""
+    if not absent:
+        return False
+    kind = find_feature_set(feature_set)
+    return kind.without(absent.split()) is not kind
+
+
+def _select_motion() -> sa.Select[Any]:
+    """Rows of motions; of a segment the blocks of the positions of the take that it lies in."""
+    clips, segments, stored = schema.clips.c, schema.segments.c, schema.clip_trajectories.c
+    first = segments.first_frame // BLOCK_FRAMES
+    n_blocks = (segments.first_frame + clips.n_frames - 1) // BLOCK_FRAMES - first + 1
+
+    def cut(column: sa.Column[Any], size: int) -> sa.ColumnElement[Any]:
+        part = sa.func.substr(column, 1 + size * first, size * n_blocks, type_=sa.LargeBinary)
+        return sa.case((segments.clip_id.is_(None), column), else_=part).label(column.name)
+
+    own = (*checksums.LABELS.columns, *checksums.NUMBERS.columns, *checksums.SEGMENTS.columns)
+    arrays = cut(stored.positions, BLOCK_FRAMES * schema.FRAME_BYTES), cut(stored.block_checksums, 4)
+    own += tuple(stored[name] for name in schema.PLACE)
+    query = sa.select(*dict.fromkeys(own), *arrays).join(schema.segments, segments.clip_id == clips.id, isouter=True)
+    return query.join(schema.clip_trajectories, stored.clip_id == sa.func.coalesce(segments.take_id, clips.id))
+
+
+_SELECT_MOTION = _select_motion()
+
+
+def load_motions(connection: sa.Connection, ids: Sequence[int]) -> Iterator[StoredMotion]:
+    """Stored motions, one after the other, in the order of these numbers.
+
+    Raises
+    ------
+    LibraryDamagedError : numbers that are missing, too few or not finite.
+    """
+    for some in portions(ids):
+        rows = {row.id: row for row in connection.execute(_SELECT_MOTION.where(schema.clips.c.id.in_(some)))}
+        if len(rows) != len(set(some)):
+            raise LibraryDamagedError("library_clips.positions_missing", expected=len(set(some)), found=len(rows))
+        for row, data in _read_positions(connection, [rows[clip_id] for clip_id in some]):
+            yield _unpack(connection, row, data)
+
+
+def _read_positions(connection: sa.Connection, rows: Iterable[Any]) -> Iterator[tuple[Any, bytes]]:
+    """Rows with their positions; of a segment with the blocks that it lies in."""
+    for some in in_portions(rows):
+        _check_rows(connection, some)
+        blocks = read_places(connection, [(row.positions, _find_blocks(row)) for row in some])
+        yield from zip(some, blocks, strict=True)
+
+
+def _find_blocks(row: Any) -> Place | None:
+    """Where positions lie in a fragment; of a segment its blocks, as the query cuts them out of a row."""
+    place = place_of(row)
+    if place is None or row.take_id is None:
+        return place
+    size = BLOCK_FRAMES * schema.FRAME_BYTES
+    first = row.first_frame // BLOCK_FRAMES * size
+    end = ((row.first_frame + row.n_frames - 1) // BLOCK_FRAMES + 1) * size
+    return Place(place.fragment, place.first_byte + first, max(min(end, place.n_bytes) - first, 0))
+
+
+def load_trajectories(connection: sa.Connection, ids: Sequence[int]) -> Iterator[tuple[int, Trajectories]]:
+    """Numbers and stored joints of those clips that are there, in any order.
+
+    Raises
+    ------
+    LibraryDamagedError : numbers that are missing, too few or not finite.
+    """
+    from dousa.motion import CANONICAL_PARENTS, Trajectories
+
+    parents = np.array(CANONICAL_PARENTS)
+    rows = fetch_in(connection, _SELECT_MOTION, schema.clips.c.id, ids)
+    lacking = set(ids)
+    for row, data in _read_positions(connection, rows):
+        positions = _unpack_positions(connection, row, data)
+        lacking.discard(row.id)
+        yield row.id, Trajectories(CANONICAL_JOINTS, positions, row.frame_rate, parents)
+    for number in fetch_in(connection, sa.select(schema.clips.c.id), schema.clips.c.id, sorted(lacking)):
+        raise checksums.damaged(connection, checksums.POSITIONS, number[0])
+
+
+def _check_rows(connection: sa.Connection, rows: Sequence[Any]) -> None:
+    """Compare what is written of motions with its checksums."""
+    checksums.LABELS.check_rows(connection, rows)
+    checksums.NUMBERS.check_rows(connection, rows)
+    checksums.SEGMENTS.check_rows(connection, [row for row in rows if row.take_id is not None])
+
+
+def _unpack_positions(connection: sa.Connection, row: Any, data: bytes) -> FloatArray:
+    owner, start = row.id, 0
+    if row.take_id is not None:
+        owner, start = row.take_id, row.first_frame
+    block, skipped = divmod(start, BLOCK_FRAMES)
+    if row.block_checksums is not None and seal_positions(owner, data, block) != row.block_checksums:
+        raise checksums.damaged(connection, checksums.POSITIONS, owner)
+    if row.take_id is not None:
+        data = data[skipped * schema.FRAME_BYTES : (skipped + row.n_frames) * schema.FRAME_BYTES]
+    stored = unpack(data, "<f4", (row.n_frames, len(CANONICAL_JOINTS), 3), row.path)
+    positions: FloatArray = stored.astype(np.float64)
+    if row.absent:
+        positions[:, [JOINT_INDEX[joint] for joint in _read_joints(row)]] = np.nan
+    return positions
+
+
+def _read_joints(row: Any) -> tuple[str, ...]:
+    try:
+        return order_joints(row.absent.split())
+    except OptionError as error:
+        raise LibraryDamagedError("library_clips.joints", path=row.path, problem=error) from error
+
+
+def pack_positions(motion: StoredMotion) -> bytes:
+    """Positions as they are stored."""
+    return pack(np.nan_to_num(motion.positions) if motion.absent else motion.positions, "<f4")
+
+
+def _unpack(connection: sa.Connection, row: Any, data: bytes) -> StoredMotion:
+    positions = _unpack_positions(connection, row, data)
+    numbers = row.height, 1 / row.height if row.height else np.inf, row.frame_rate, np.nanmax(np.abs(positions))
+    if not (max(numbers) < BEYOND_MEASURE and min(numbers) >= 0 and row.frame_rate >= SLOWEST_RATE):
+        raise LibraryDamagedError(
+            "library_clips.impossible", path=row.path, height=row.height, frame_rate=row.frame_rate
+        )
+    return StoredMotion(positions, row.frame_rate, row.height)
+
+
+_FEATURES, _POSES = "<f4", "<f4"
+_EARLIER_FEATURES = "<f8"  # of an older dousa; the values are of float32 precision as well
+_LARGEST = 1e37  # of float32
+_IN_MEMORY = 2**32  # bytes of features; more are kept in a temporary file, of which memory holds what is in use
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClipFeatures:
+    """Features of clips.
+
+    Parameters
+    ----------
+    ids : numbers of N clips.
+    features : (N, frames, columns) of one set, float32.
+    categories, performers : labels, None where there are none.
+    heights : m, of the performers.
+    computed : by number, those that were not stored, or of another set.
+    room : (N + M, frames, columns), the features and behind them room for more; None where there is none.
+    """
+
+    ids: list[int]
+    features: FloatArray
+    categories: list[str | None]
+    performers: list[str | None]
+    heights: list[float]
+    computed: dict[int, Description]
+    room: FloatArray | None = None
+
+
+def load_features(
+    connection: sa.Connection,
+    feature_set: str,
+    ids: Sequence[int] | None = None,
+    n_jobs: int | None = 1,
+    progress: Progress | None = None,
+    spare: int = 0,
+) -> ClipFeatures:
+    """Features of clips, takes left out; those that are not stored are computed from the stored positions.
+
+    Parameters
+    ----------
+    ids : of these clips, in this order; by default of all that have the joints, in an order of their contents, so that
+        nothing depends on when they were added.
+    n_jobs : clips described at a time.
+    progress : called with (clips described, clips to describe).
+    spare : clips for whose features there shall be room behind them; they are then in the order of ``order_for_trees``.
+
+    Raises
+    ------
+    LibraryDamagedError : arrays that are missing, of another length, or not finite.
+    """
+    kind = find_feature_set(feature_set)
+    rows = _read_rows(connection, ids, feature_set)
+    if spare:  # for a training: trees read the cells of a column one after the other
+        room = _allocate((len(rows) + spare, kind.n_columns, kind.n_frames)).transpose(0, 2, 1)
+    else:
+        room = _allocate((len(rows), kind.n_frames, kind.n_columns))
+    features = room[: len(rows)]
+    # By number, as they were written: neighbours on the disk are read one after the other.
+    places = {row.id: place for place, row in enumerate(rows)}
+    stored = sorted(row.id for row in rows if row.feature_set == feature_set)
+    for some in portions(stored):
+        read = read_feature_rows(connection, some)
+        if read:
+            checksums.FEATURES.check_all(connection, list(zip(*read, strict=True)))
+        for own in _stack_features(read, features.shape[1:]):
+            values = own[1]
+            if not np.abs(values).max() < _LARGEST:
+                raise LibraryDamagedError("library_clips.features_beyond_measure")
+            features[[places[clip_id] for clip_id in own[0]]] = values
+    lacking = [row.id for row in rows if row.feature_set != feature_set]
+    computed = describe_stored(connection, lacking, feature_set, n_jobs, progress)
+    for place, row in enumerate(rows):
+        if row.id in computed:
+            features[place] = computed[row.id].features
+    return ClipFeatures(
+        ids=[row.id for row in rows],
+        features=features,
+        categories=[row.category for row in rows],
+        performers=[row.performer for row in rows],
+        heights=[row.height for row in rows],
+        computed=computed,
+        room=room if spare else None,
+    )
+
+
+def _stack_features(rows: Sequence[Any], shape: tuple[int, ...]) -> Iterator[tuple[list[int], NDArray[Any]]]:
+    """Numbers and features of rows: those that an older dousa wrote, and the others."""
+    earlier = int(np.prod(shape)) * np.dtype(_EARLIER_FEATURES).itemsize
+    for kind in (_EARLIER_FEATURES, _FEATURES):
+        some = [row for row in rows if (len(row.pose_features) == earlier) == (kind == _EARLIER_FEATURES)]
+        if some:
+            yield [row.clip_id for row in some], stack([row.pose_features for row in some], kind, shape, "features")
+
+
+def _allocate(shape: tuple[int, int, int]) -> NDArray[Any]:
+    """Room for features; in a temporary file, which goes with the last view of it, where that is much."""
+    if 4 * int(np.prod(shape)) <= _IN_MEMORY:
+        return np.zeros(shape, np.float32)
+    import tempfile
+
+    with tempfile.TemporaryFile() as file:
+        room: NDArray[Any] = np.asarray(np.memmap(file, np.float32, "w+", shape=shape))
+    return room
+
+
+def _read_rows(connection: sa.Connection, ids: Sequence[int] | None, feature_set: str) -> list[Any]:
+    """Rows of clips without their features, but with the set that these are of."""
+    clips, table = schema.clips.c, schema.clip_features.c
+    query = sa.select(*checksums.LABELS.columns, clips.height, table.feature_set)
+    query = query.join(schema.clip_features, table.clip_id == clips.id, isouter=True)
+    query = query.where(clips.kind == schema.CLIP)
+    if ids is None:
+        rows = connection.execute(query.order_by(clips.content_hash)).all()
+        checksums.LABELS.check_rows(connection, rows)
+        return [row for row in rows if not lacks(feature_set, row.absent)]
+    found = {row.id: row for row in fetch_in(connection, query, clips.id, ids)}
+    checksums.LABELS.check_rows(connection, list(found.values()))
+    if len(found) != len(set(ids)):
+        raise LibraryDamagedError("library_clips.clips_missing", expected=len(set(ids)), found=len(found))
+    return [found[clip_id] for clip_id in ids]
+
+
+def describe_stored(
+    connection: sa.Connection,
+    ids: Sequence[int],
+    feature_set: str,
+    n_jobs: int | None = 1,
+    progress: Progress | None = None,
+) -> dict[int, Description]:
+    """Describe stored motions, by number."""
+    described: dict[int, Description] = {}
+    for some in portions(ids):
+        # Read here, and not where they are described: a connection is for one thread at a time.
+        motions = list(load_motions(connection, some))
+        described.update(zip(some, describe_motions(motions, feature_set, n_jobs), strict=True))
+        if progress is not None:
+            progress(len(described), len(ids))
+    return described
+
+
+def describe_motions(motions: Sequence[StoredMotion], feature_set: str, n_jobs: int | None = 1) -> list[Description]:
+    """Describe motions whose positions are rounded, some at a time."""
+    cluster = current_cluster()
+    sizes = [motion.positions.nbytes for motion in motions]
+    if cluster is not None:
+        return list(cluster.map(partial(describe_clip, feature_set=feature_set), motions, sizes=sizes))
+    return map_together(partial(_describe_clips, feature_set=feature_set), motions, sizes, choose_jobs(n_jobs))
+
+
+def keep_features(
+    database: Database,
+    feature_set: str,
+    n_jobs: int | None = 1,
+    progress: Progress | None = None,
+    look: Callable[[Mapping[int, StoredMotion]], None] | None = None,
+) -> None:
+    """Compute and write the features and poses of all clips that have none of a set, in portions of one transaction.
+
+    What is written stays when this is stopped, and memory holds one portion. Nothing is written where the library has a
+    forest that hides other joints: its poses are needed until another one stands in its place.
+
+    Parameters
+    ----------
+    feature_set : name of the features.
+    n_jobs : clips described at a time.
+    progress : called with (clips described, clips to describe).
+    look : called with the motions of each portion, by number, when it is written.
+    """
+    table = schema.forests.c
+    with database.reading() as connection:
+        known = connection.execute(sa.select(table.parameters)).scalar_one_or_none()
+        set_of_forest = known.get("feature_set") if isinstance(known, dict) else None
+        if known is not None and not _has_same_poses(set_of_forest, feature_set):
+            return
+        rows = _read_rows(connection, None, feature_set)
+        lacking = sorted(row.id for row in rows if row.feature_set != feature_set)
+    done = 0
+    for some in portions(lacking):
+        with database.reading() as connection:
+            ids = [row.id for row in fetch_in(connection, sa.select(schema.clips.c.id), schema.clips.c.id, some)]
+            motions = dict(zip(ids, load_motions(connection, ids), strict=True))
+        described = dict(zip(ids, describe_motions(list(motions.values()), feature_set, n_jobs), strict=True))
+        with database.writing() as connection:
+            left = {row.id for row in fetch_in(connection, sa.select(schema.clips.c.id), schema.clips.c.id, some)}
+            still = {number: own for number, own in described.items() if number in left}
+            save_descriptions(connection, list(still), list(still.values()))
+        if look is not None:
+            look(motions)
+        done += len(some)
+        if progress is not None:
+            progress(done, len(lacking))
+
+
+def _has_same_poses(one: Any, other: str) -> bool:
+    """Whether poses of one set of features are those of another."""
+    return isinstance(one, str) and find_feature_set(one).hidden == find_feature_set(other).hidden
+
+
+def load_poses(connection: sa.Connection, ids: Sequence[int], feature_set: str) -> NDArray[np.float32]:
+    """(N, cells, columns) pose sequences of clips, in the order of these numbers.
+
+    Parameters
+    ----------
+    feature_set : name of those that the stored forest asks for, with which poses are stored.
+
+    Raises
+    ------
+    LibraryDamagedError : arrays that are of another length, or not finite.
+    """
+    from dousa.retrieval.ranking.ranking import POSE_CELLS, POSE_COLUMNS
+
+    table = schema.clip_poses.c
+    found = {}
+    for row in fetch_in(connection, sa.select(*checksums.POSES.columns), table.clip_id, ids):
+        checksums.POSES.check(connection, row)
+        found[row.clip_id] = row.poses
+    lacking = [clip_id for clip_id in ids if clip_id not in found]  # an older dousa trained the library
+    computed = describe_stored(connection, lacking, feature_set)
+    poses = np.empty((len(ids), POSE_CELLS, POSE_COLUMNS), np.float32)
+    stored = [place for place, clip_id in enumerate(ids) if clip_id in found]
+    poses[stored] = stack([found[ids[place]] for place in stored], _POSES, poses.shape[1:], "poses")
+    for place, clip_id in enumerate(ids):
+        if clip_id in computed:
+            poses[place] = computed[clip_id].poses
+    return poses
+
+
+def save_descriptions(connection: sa.Connection, ids: Sequence[int], descriptions: Sequence[Description]) -> None:
+    """Write the features and poses of clips, in the place of those that may be there."""
+    for some in portions(list(zip(ids, descriptions, strict=True))):
+        rows = [
+            {
+                "clip_id": clip_id,
+                "feature_set": own.feature_set,
+                "pose_features": pack(own.features, _FEATURES),
+                "poses": pack(own.poses, _POSES),
+            }
+            for clip_id, own in some
+        ]
+        for table in (schema.clip_features, schema.clip_poses):
+            connection.execute(sa.delete(table).where(table.c.clip_id.in_([row["clip_id"] for row in rows])))
+            names = [column.name for column in table.c if column.name not in ("checksum", *schema.PLACE)]
+            own = seal_rows(table, [{name: row[name] for name in names} for row in rows])
+            if table is schema.clip_features:
+                own = put_aside(connection, own, "pose_features")
+            connection.execute(sa.insert(table), own)

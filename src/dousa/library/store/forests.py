@@ -1,0 +1,458 @@
+"""The forest in the library, and what its trees say of clips."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from hashlib import blake2b
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import sqlalchemy as sa
+from numpy.typing import NDArray
+
+from dousa.arrays import FloatArray
+from dousa.errors import DousaError, LibraryDamagedError, LibraryVersionError, NotTrainedError, TrainingError
+from dousa.library.store import schema
+from dousa.library.store.checksums import FOREST, seal_rows, update_rows
+from dousa.library.store.engine import choose_jobs
+from dousa.library.store.features import ClipFeatures, StoredMotion, find_feature_set, load_motions
+from dousa.library.store.schema import pack
+from dousa.library.store.selection import portions
+from dousa.workers.current import current_cluster
+from dousa.workers.threads import map_pieces, map_together
+
+if TYPE_CHECKING:
+    from dousa.retrieval import MotionForest
+    from dousa.retrieval.features.feature_sets import FeatureSet
+    from dousa.retrieval.features.posed_motion import PosedMotion
+    from dousa.retrieval.forest.calibration import Assessor, Copies, Watch
+    from dousa.retrieval.forest.likeness import Likeness
+    from dousa.retrieval.takes.windows import WindowGrid
+
+_FOREST_ID = 1
+
+_AT_ONCE = 1024  # clips that trees are asked about; each takes some kilobytes more on its way
+
+# Clips that the rounds of a calibration use, enough for two curves: so many of each category, within these bounds.
+_HELD_OF_EACH, _MOST_HELD_BACK = 20, (1500, 3000)
+
+MOST_COPIES = 1000
+"""Disturbed copies of them: with a tenth of the clips the forest knows most of what noise does."""
+
+PARTS_OF_A_VOTE = 64  # of a vote: a power of two, so that nothing is rounded where trees give whole votes
+
+_TEMPOS = (0.5, 2.0)  # windows from half to twice the length of the clips
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredForest:
+    """A forest as the library keeps it.
+
+    Parameters
+    ----------
+    forest : the trees.
+    categories : names, in the order of the votes.
+    feature_set : name of the features that it asks for.
+    grid : windows that takes are cut into.
+    assessor : tells known motions from unknown ones; None where there were too few categories to learn that.
+    revision : of the library at the end of the training; other trees have another one.
+    learned : of the library when the leaves last learned; the histograms of clips hold until then.
+    likeness : tells which clips are alike; None where there were too few to learn that, or an older dousa trained.
+    first_later : number from which on clips came after the training.
+    """
+
+    forest: MotionForest
+    categories: tuple[str, ...]
+    feature_set: str
+    grid: WindowGrid
+    assessor: Assessor | None
+    revision: int
+    learned: int
+    likeness: Likeness | None = None
+    first_later: int = 1
+
+    @property
+    def hidden(self) -> tuple[str, ...]:
+        """Joints that it does not look at."""
+        return find_feature_set(self.feature_set).hidden
+
+    def with_revision(self, revision: int) -> StoredForest:
+        """The same forest, trained in this write."""
+        return replace(self, revision=revision, learned=revision)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TreeAnswers:
+    """What the trees of a forest say of N clips.
+
+    Parameters
+    ----------
+    votes : (N, n_categories) int32, how many trees name each category, in 64ths of a vote: the histogram H of section
+        3.4, times 64 trees. Whole numbers, so that equal histograms are equal to the last bit.
+    leaves : (N, n_trees) int32, the leaf that each clip reaches in each tree.
+    categories : names, in the order of the votes.
+    directions : (N, K) of ``Likeness.place``; None where they are not known.
+    """
+
+    votes: NDArray[np.int32]
+    leaves: NDArray[np.int32]
+    categories: tuple[str, ...]
+    directions: NDArray[np.float32] | None = None
+
+    def __getitem__(self, rows: slice) -> TreeAnswers:
+        """The same of some of the clips."""
+        directions = None if self.directions is None else self.directions[rows]
+        return TreeAnswers(self.votes[rows], self.leaves[rows], self.categories, directions)
+
+    def shares(self) -> FloatArray:
+        """(N, n_categories) share of the trees that name each category: the histograms."""
+        shares: FloatArray = self.votes / (PARTS_OF_A_VOTE * self.leaves.shape[1])
+        return shares
+
+    def predicted(self) -> list[str]:
+        """The most voted category of each clip; between equals the first in order."""
+        return [self.categories[index] for index in self.votes.argmax(axis=1)]
+
+
+def ask_trees(stored: StoredForest, features: FloatArray) -> TreeAnswers:
+    """Run clips down all trees: features (N, frames, columns) of the set that the forest asks for."""
+    answers = count_votes(stored, find_leaves(stored, features))
+    if stored.likeness is None or not len(features):
+        return answers
+    parts = [features[start : start + _AT_ONCE] for start in range(0, len(features), _AT_ONCE)]
+    placed = map_pieces(stored.likeness.place, parts, stored.forest.n_jobs, at_a_time=1)
+    return replace(answers, directions=np.concatenate(placed))
+
+
+def find_leaves(stored: StoredForest, features: FloatArray) -> NDArray[np.int32]:
+    """(N, n_trees), the leaf that each clip reaches in each tree."""
+    leaves = np.empty((len(features), len(stored.forest.trees_.roots)), np.int32)
+
+    def find(start: int) -> None:
+        leaves[start : start + _AT_ONCE] = stored.forest.apply(features[start : start + _AT_ONCE])
+
+    map_pieces(find, range(0, len(features), _AT_ONCE), stored.forest.n_jobs, at_a_time=1)
+    return leaves
+
+
+def make_keys(hashes: Iterable[str]) -> NDArray[np.uint64]:
+    """Numbers that stand for the contents of clips, of which hashes are given: a forest grows by them in any order."""
+    digests = (blake2b(content.encode(), digest_size=8).digest() for content in hashes)
+    return np.array([int.from_bytes(digest) for digest in digests], np.uint64)
+
+
+def check_leaves(stored: StoredForest, leaves: NDArray[np.int32]) -> None:
+    """LibraryDamagedError for a leaf that the forest does not have."""
+    if leaves.size and not (leaves.min() >= 0 and leaves.max() < stored.forest.trees_.n_leaves):
+        raise LibraryDamagedError("library_forest.no_such_leaf")
+
+
+def count_votes(stored: StoredForest, leaves: NDArray[np.int32]) -> TreeAnswers:
+    """What the trees say of clips whose leaves (N, n_trees) are known.
+
+    Raises
+    ------
+    LibraryDamagedError : a leaf that the forest does not have.
+    """
+    check_leaves(stored, leaves)
+    shares = stored.forest.histograms_of(leaves.astype(np.int64))
+    votes = np.rint(shares * (PARTS_OF_A_VOTE * leaves.shape[1])).astype(np.int32)
+    return TreeAnswers(votes, leaves, stored.categories)
+
+
+def name_votes(stored: StoredForest, leaves: NDArray[np.int32]) -> list[str]:
+    """The most voted category of each of many clips whose leaves (N, n_trees) are known, as ``TreeAnswers.predicted``.
+
+    Raises
+    ------
+    LibraryDamagedError : a leaf that the forest does not have.
+    """
+    names: list[str] = []
+    for start in range(0, len(leaves), _AT_ONCE):
+        names += count_votes(stored, leaves[start : start + _AT_ONCE]).predicted()
+    return names
+
+
+def load_forest(connection: sa.Connection, where: str, known: StoredForest | None = None) -> StoredForest | None:
+    """The forest of the library, None before the training.
+
+    Parameters
+    ----------
+    known : the forest as it was loaded before; returned where it is still the one.
+
+    Raises
+    ------
+    LibraryDamagedError : bytes that are not a forest.
+    LibraryVersionError : a forest of other features than those that this dousa computes.
+    """
+    table = schema.forests.c
+    query = sa.select(table.revision, table.learned).where(table.id == _FOREST_ID)
+    state = connection.execute(query).one_or_none()
+    if state is None or (known is not None and (known.revision, known.learned) == tuple(state)):
+        return None if state is None else known
+    columns = (*FOREST.columns, table.data, table.calibration, table.likeness, table.first_later)
+    row = connection.execute(sa.select(*columns).where(table.id == _FOREST_ID)).one()
+    FOREST.check(connection, row)
+    from dousa.retrieval import MotionForest
+
+    try:
+        forest = MotionForest.from_bytes(row.data)
+        categories = tuple(str(name) for name in row.categories)
+        if tuple(str(name) for name in forest.classes_) != categories:
+            raise LibraryDamagedError("library_forest.other_categories")
+        if not isinstance(row.parameters, dict) or not isinstance(row.parameters.get("feature_set"), str):
+            raise LibraryDamagedError("library_forest.no_features")
+    except DousaError as error:
+        raise LibraryDamagedError("library_forest.damaged", library=where, problem=error) from error
+    feature_set = row.parameters["feature_set"]
+    if forest.feature_names_ != find_feature_set(feature_set).column_names:
+        raise LibraryVersionError("library_forest.other_features", library=where)
+    return StoredForest(
+        forest,
+        categories,
+        feature_set,
+        _read_grid(connection, row.window_lengths),
+        _read_assessor(forest, row.calibration, where),
+        int(state.revision),
+        int(state.learned),
+        _read_likeness(row.likeness, where),
+        int(row.first_later or 1),
+    )
+
+
+class ForestCache:
+    """The forest of a library in memory, ``last``; read again where another program has changed it."""
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+        self.last: StoredForest | None = None
+
+    def load(self, connection: sa.Connection) -> StoredForest:
+        """The forest, as it is now; NotTrainedError where there is none."""
+        stored = load_forest(connection, self._where, self.last)
+        if stored is None:
+            raise NotTrainedError("library_forest.not_trained", library=self._where)
+        self.last = stored
+        return stored
+
+
+def _read_likeness(likeness: bytes | None, where: str) -> Likeness | None:
+    from dousa.retrieval.forest.likeness import Likeness
+
+    try:
+        return None if likeness is None else Likeness.from_bytes(likeness)
+    except DousaError as error:
+        raise LibraryDamagedError("library_forest.part_damaged", library=where, problem=error) from error
+
+
+def _read_assessor(forest: MotionForest, calibration: bytes | None, where: str) -> Assessor | None:
+    from dousa.retrieval.forest.calibration import Assessor, Calibration
+
+    if calibration is None:
+        return None
+    try:
+        return Assessor(forest, Calibration.from_bytes(calibration))
+    except DousaError as error:
+        raise LibraryDamagedError("library_forest.part_damaged", library=where, problem=error) from error
+
+
+def _read_grid(connection: sa.Connection, lengths: Any) -> WindowGrid:
+    from dousa.retrieval.takes.windows import WindowGrid
+
+    if lengths is None:
+        return fit_grid(connection)  # an older dousa trained the library
+    try:
+        return WindowGrid(tuple(lengths))
+    except (DousaError, TypeError) as error:
+        raise LibraryDamagedError("library_forest.windows_damaged", reason=error) from error
+
+
+def fit_grid(connection: sa.Connection) -> WindowGrid:
+    """Windows as long as the clips that have a category."""
+    from dousa.retrieval.takes.windows import choose_grid
+
+    table = schema.clips.c
+    query = sa.select(table.duration).where(table.kind == schema.CLIP, table.category.is_not(None))
+    return choose_grid(list(connection.execute(query).scalars()) or [1.0], *_TEMPOS)
+
+
+def choose_held_back(clips: ClipFeatures, labelled: Sequence[int]) -> list[int]:
+    """Places of the clips that rounds hold back or train on: every n-th of every category."""
+    n_categories = len({clips.categories[row] for row in labelled})
+    step = -(-len(labelled) // int(np.clip(_HELD_OF_EACH * n_categories, *_MOST_HELD_BACK)))
+    return sorted(labelled, key=lambda row: str(clips.categories[row]))[::step]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldBack:
+    """The clips of ``choose_held_back``: features (M, frames, columns), categories (M,), and who performed each."""
+
+    features: FloatArray
+    categories: NDArray[np.str_]
+    performers: list[str]
+
+
+def hold_back(clips: ClipFeatures, labelled: Sequence[int]) -> HeldBack:
+    """The clips that rounds hold back or train on.
+
+    Parameters
+    ----------
+    clips : those of the library that are trained on, and perhaps others.
+    labelled : places of those that have a category.
+    """
+    from dousa.retrieval.forest.calibration import guess_performers
+
+    rows = choose_held_back(clips, labelled)
+    guesses = guess_performers([clips.heights[row] for row in rows])
+    people = [clips.performers[row] or guess for row, guess in zip(rows, guesses, strict=True)]
+    categories = np.array([clips.categories[row] for row in rows], dtype=np.str_)
+    return HeldBack(np.ascontiguousarray(clips.features[rows]), categories, people)
+
+
+def describe_copies(
+    connection: sa.Connection, clips: ClipFeatures, labelled: Sequence[int], kind: FeatureSet, n_jobs: int | None = 1
+) -> Copies:
+    """Disturbed copies of some of the clips of ``choose_held_back``, which show what noise does to them.
+
+    None for features without banks: the paper knows no copies.
+    """
+    from dousa.retrieval.features.posed_motion import hide_joints
+    from dousa.retrieval.features.sensor_noise import reduce_noise_of_all
+    from dousa.retrieval.forest.calibration import Copies
+    from dousa.retrieval.takes.made_takes import disturb_motion
+
+    rows = choose_held_back(clips, labelled)
+    some = bool(rows) and kind.has_banks
+    places = np.arange(0, len(rows), -(-len(rows) // MOST_COPIES)) if some else np.zeros(0, np.intp)
+
+    def disturb(place: int, motion: StoredMotion) -> PosedMotion:
+        whole = kind.complete(hide_joints(motion, kind.hidden))
+        return disturb_motion(whole, np.random.default_rng(place))
+
+    def describe(tasks: Sequence[tuple[int, StoredMotion]]) -> FloatArray:
+        return kind.compute_quiet_all(reduce_noise_of_all([disturb(*task) for task in tasks]))
+
+    motions = list(load_motions(connection, [clips.ids[rows[place]] for place in places]))
+    tasks, sizes = list(zip(places.tolist(), motions, strict=True)), [motion.positions.nbytes for motion in motions]
+    cluster = current_cluster()
+    if cluster is not None:
+        features = list(cluster.map(lambda task: describe([task])[0], tasks, sizes=sizes))
+    else:
+        features = map_together(describe, tasks, sizes, choose_jobs(n_jobs))
+    shape = (0, kind.n_frames, kind.n_columns)
+    return Copies(places, np.stack(features) if features else np.zeros(shape))
+
+
+def fit_forest(
+    forest: MotionForest, clips: ClipFeatures, labelled: Sequence[int], kind: FeatureSet, copies: Copies
+) -> None:
+    """Grow the trees of clips that have a category, and of copies that ``describe_copies`` made of them."""
+    held = choose_held_back(clips, labelled)
+    rows = np.full(len(clips.ids), -1, np.intp)
+    rows[held] = np.arange(len(held))
+    chosen = np.asarray(labelled, np.intp)
+    categories = np.array([clips.categories[row] for row in labelled], dtype=np.str_)
+    if clips.room is not None and len(chosen) == len(clips.ids):
+        features, copied = copies.append(clips.room, rows)  # where there is room they need not all be copied
+    else:
+        features, copied = copies.join(clips.features, chosen, rows[chosen])
+    forest.fit(features, categories, feature_set=kind, copied=copied)
+
+
+def learn_unknown(
+    forest: MotionForest,
+    held: HeldBack,
+    kind: FeatureSet,
+    copies: Copies | None = None,
+    watch: Watch | None = None,
+) -> Assessor | None:
+    """Tell known motions from unknown ones; None where there are too few clips or categories to learn that.
+
+    Parameters
+    ----------
+    forest : trained on them.
+    held : of ``hold_back``.
+    kind : features that it asks for.
+    copies : of ``describe_copies``.
+    watch : looks on, as in ``learn_calibration``; its rows are those of ``choose_held_back``.
+    """
+    from dousa.retrieval.forest.calibration import Assessor, learn_calibration
+
+    try:
+        calibration = learn_calibration(
+            forest, held.features, held.categories, held.performers, feature_set=kind, copies=copies, watch=watch
+        )
+    except TrainingError:
+        return None
+    return Assessor(forest, calibration)
+
+
+def replace_forest(
+    connection: sa.Connection, stored: StoredForest, n_clips: int, labeller: bytes | None = None
+) -> None:
+    """Put a newly trained forest, and what takes are labelled with, in the place of those before."""
+    parameters = {name: value for name, value in stored.forest.get_params().items() if name != "n_jobs"}
+    connection.execute(sa.delete(schema.forests))
+    row = {
+        "id": _FOREST_ID,
+        "revision": stored.revision,
+        "trained_at": datetime.now(UTC).isoformat(timespec="seconds"),
+        "parameters": {**parameters, "feature_set": stored.feature_set},
+        "n_clips": n_clips,
+        "window_lengths": list(stored.grid.lengths),
+        "first_later": stored.first_later,
+        "n_learned": 0,
+        "labeller": labeller,
+        **_to_columns(stored),
+    }
+    connection.execute(sa.insert(schema.forests), seal_rows(schema.forests, [row]))
+
+
+def _to_columns(stored: StoredForest) -> dict[str, Any]:
+    """What changes when leaves learn."""
+    return {
+        "learned": stored.learned,
+        "categories": list(stored.categories),
+        "data": stored.forest.to_bytes(),
+        "calibration": None if stored.assessor is None else stored.assessor.calibration.to_bytes(),
+        "likeness": None if stored.likeness is None else stored.likeness.to_bytes(),
+    }
+
+
+def update_forest(connection: sa.Connection, stored: StoredForest, n_clips: int) -> None:
+    """Write a forest that has learned some more clips since it was trained."""
+    before = connection.execute(sa.select(schema.forests.c.n_learned)).scalar_one()
+    values = {
+        "n_learned": before + n_clips,
+        "labeller": None,  # it does not know the new clips
+        **_to_columns(stored),
+    }
+    update_rows(connection, FOREST, {_FOREST_ID: values})
+
+
+def keep_unlearned(connection: sa.Connection, ids: Sequence[int]) -> None:
+    """Note that the forest has these clips still to learn, and no others."""
+    connection.execute(sa.delete(schema.unlearned))
+    note_unlearned(connection, ids)
+
+
+def note_unlearned(connection: sa.Connection, ids: Sequence[int]) -> None:
+    """Note that the forest has these clips still to learn."""
+    for some in portions([{"clip_id": number} for number in ids]):
+        connection.execute(sa.insert(schema.unlearned), list(some))
+
+
+def save_answers(connection: sa.Connection, ids: Sequence[int], answers: TreeAnswers) -> None:
+    """Write what the trees say of clips of which nothing is written yet."""
+    for start in range(0, len(ids), _AT_ONCE):
+        some = answers[start : start + _AT_ONCE]
+        directions = [None] * len(some.leaves) if some.directions is None else [pack(d, "<f4") for d in some.directions]
+        told = zip(ids[start : start + _AT_ONCE], some.predicted(), some.leaves, directions, strict=True)
+        rows = [
+            {"clip_id": clip_id, "predicted_category": category, "leaves": pack(leaves, "<i4"), "direction": direction}
+            for clip_id, category, leaves, direction in told
+        ]
+        for few in portions(rows):
+            connection.execute(sa.insert(schema.clip_leaves), seal_rows(schema.clip_leaves, few))

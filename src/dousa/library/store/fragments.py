@@ -1,0 +1,425 @@
+"""Positions and features of rows, wherever they lie: in the row, or in a fragment that the row names.
+
+Whoever writes such rows hands them to ``put_aside``, and whoever reads them asks ``read_blocks``. Checksums stand in
+the database and are of the bytes themselves, so that nothing changes for who compares them. Blocks are written while
+the others wait to write, before the transaction that names them ends: a fragment has all that rows name.
+
+Fragments: files of blocks of bytes, one after the other, that only grow; in a folder, or in object storage.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import secrets
+import sys
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import sqlalchemy as sa
+
+from dousa.errors import LibraryDamagedError, LibraryError
+from dousa.extras import require
+from dousa.library.store import schema
+from dousa.library.store.checksums import FEATURES, LIBRARY_NAME, STORE
+from dousa.library.store.engine import BESIDE
+from dousa.library.store.schema import PLACE, array_store
+from dousa.library.store.selection import fetch_in
+
+MOST_BYTES = 2**28
+"""Of a fragment: then another one is begun."""
+
+_NAME = re.compile(r"\d{6,}-[0-9a-f]{8}\.blocks")
+_EXTRAS = {"s3": ("s3fs", "s3"), "s3a": ("s3fs", "s3")}  # package and extra of dousa, by the beginning of a URL
+
+
+class Place(NamedTuple):
+    """Where a block lies.
+
+    Parameters
+    ----------
+    fragment : its name.
+    first_byte, n_bytes : its place in it.
+    """
+
+    fragment: str
+    first_byte: int
+    n_bytes: int
+
+
+class FragmentStore(Protocol):
+    """What keeps fragments."""
+
+    where: str
+    """Names it in messages."""
+
+    def append(self, blocks: Sequence[bytes], into: str | None = None) -> list[Place]:
+        """Write blocks, which are on the disk when this returns; into a fragment of this name where that can be."""
+
+    def read(self, places: Sequence[Place]) -> list[bytes]:
+        """Blocks, in the order of their places; those that are not there, or not whole, are shorter."""
+
+    def sizes(self) -> dict[str, int]:
+        """Bytes of all fragments, by name."""
+
+    def delete(self, name: str) -> None:
+        """Delete a fragment."""
+
+
+def is_name(name: Any) -> bool:
+    """Whether a fragment can have this name."""
+    return isinstance(name, str) and _NAME.fullmatch(name) is not None
+
+
+def make_name(known: Sequence[str]) -> str:
+    """A name for a new fragment, which sorts after the others and is nobody else's."""
+    last = max((int(name.partition("-")[0]) for name in known), default=0)
+    return f"{last + 1:06}-{secrets.token_hex(4)}.blocks"
+
+
+class FolderFragments:
+    """Fragments as files of a folder.
+
+    Parameters
+    ----------
+    folder : made when the first block is written.
+    library : its name, for messages.
+    """
+
+    def __init__(self, folder: Path, library: str) -> None:
+        self.folder, self.library, self.where = folder, library, os.fspath(folder)
+
+    def append(self, blocks: Sequence[bytes], into: str | None = None) -> list[Place]:
+        """As ``FragmentStore.append``."""
+        with _plain_errors(self.library, self.where):
+            self.folder.mkdir(parents=True, exist_ok=True)
+            name = into or self._choose()
+            path = self.folder / name
+            is_new = not path.exists()
+            with open(path, "ab") as file:
+                end = file.seek(0, os.SEEK_END)
+                file.writelines(blocks)
+                file.flush()
+                os.fsync(file.fileno())
+            if is_new:
+                _sync_folder(self.folder)
+        return list(_lay_out(name, end, blocks))
+
+    def _choose(self) -> str:
+        """The newest fragment while it has room, else a new one."""
+        sizes = self.sizes()
+        newest = max(sizes, default=None)
+        return newest if newest is not None and sizes[newest] < MOST_BYTES else make_name(list(sizes))
+
+    def read(self, places: Sequence[Place]) -> list[bytes]:
+        """As ``FragmentStore.read``."""
+        found = [b""] * len(places)
+        by_name: dict[str, list[int]] = {}
+        for number, place in enumerate(places):
+            if is_name(place.fragment) and place.first_byte >= 0 and place.n_bytes >= 0:
+                by_name.setdefault(place.fragment, []).append(number)
+        with _plain_errors(self.library, self.where):
+            for name, numbers in by_name.items():
+                with suppress(FileNotFoundError, NotADirectoryError), open(self.folder / name, "rb") as file:
+                    size = os.fstat(file.fileno()).st_size
+                    for number in numbers:
+                        _, first, length = places[number]
+                        file.seek(min(first, size))
+                        found[number] = file.read(min(length, size))
+        return found
+
+    def sizes(self) -> dict[str, int]:
+        """As ``FragmentStore.sizes``."""
+        with _plain_errors(self.library, self.where):
+            if not self.folder.is_dir():
+                return {}
+            with os.scandir(self.folder) as entries:
+                return {entry.name: entry.stat().st_size for entry in entries if is_name(entry.name)}
+
+    def delete(self, name: str) -> None:
+        """As ``FragmentStore.delete``; an empty folder goes with its last fragment."""
+        with _plain_errors(self.library, self.where), suppress(FileNotFoundError):
+            os.unlink(self.folder / name)
+        with suppress(OSError):
+            self.folder.rmdir()
+
+
+class ObjectFragments:
+    """Fragments as objects of what fsspec knows, such as ``s3://bucket/moves``.
+
+    Parameters
+    ----------
+    url : of the folder.
+    library : its name, for messages.
+    """
+
+    def __init__(self, url: str, library: str) -> None:
+        self.library, self.where = library, url
+        kind = url.partition("://")[0]
+        if kind in _EXTRAS:
+            require(*_EXTRAS[kind])
+        core = require("fsspec.core", "s3")
+        with _plain_errors(library, url):
+            self._files, self._root = core.url_to_fs(url)
+
+    def append(self, blocks: Sequence[bytes], into: str | None = None) -> list[Place]:
+        """As ``FragmentStore.append``; always a new fragment."""
+        name = f"{int(time.time()):010}-{secrets.token_hex(4)}.blocks"  # without a list of all that are there
+        with _plain_errors(self.library, self.where):
+            self._files.pipe_file(f"{self._root}/{name}", b"".join(blocks))
+        return list(_lay_out(name, 0, blocks))
+
+    def read(self, places: Sequence[Place]) -> list[bytes]:
+        """As ``FragmentStore.read``; neighbours are read together."""
+        spans = _join([place for place in places if is_name(place.fragment)])
+        paths = [f"{self._root}/{name}" for name, _, _ in spans]
+        starts, ends = [first for _, first, _ in spans], [first + n for _, first, n in spans]
+        with _plain_errors(self.library, self.where):
+            got = self._files.cat_ranges(paths, starts, ends, on_error="return") if spans else []
+            for one in got:
+                if isinstance(one, Exception) and not isinstance(one, FileNotFoundError):
+                    raise one
+        data = {span: b"" if isinstance(one, Exception) else one for span, one in zip(spans, got, strict=True)}
+        found = []
+        for place in places:
+            own = [span for span in data if span[0] == place.fragment and _is_within(place, span)]
+            start = place.first_byte - own[0].first_byte if own else 0
+            found.append(data[own[0]][start : start + place.n_bytes] if own else b"")
+        return found
+
+    def sizes(self) -> dict[str, int]:
+        """As ``FragmentStore.sizes``."""
+        with _plain_errors(self.library, self.where), suppress(FileNotFoundError):
+            self._files.invalidate_cache(self._root)
+            listed = self._files.ls(self._root, detail=True)
+            found = {one["name"].rpartition("/")[2]: int(one["size"] or 0) for one in listed}
+            return {name: size for name, size in found.items() if is_name(name)}
+        return {}
+
+    def delete(self, name: str) -> None:
+        """As ``FragmentStore.delete``."""
+        with _plain_errors(self.library, self.where), suppress(FileNotFoundError):
+            self._files.rm_file(f"{self._root}/{name}")
+
+
+_GAP = 2**16  # bytes between two blocks that are read together all the same
+
+
+def _join(places: Sequence[Place]) -> list[Place]:
+    """Stretches that have all of some blocks, neighbours in one."""
+    spans: list[Place] = []
+    for place in sorted(set(places)):
+        last = spans[-1] if spans else None
+        end = place.first_byte + place.n_bytes
+        if last is not None and last.fragment == place.fragment:
+            reached = last.first_byte + last.n_bytes
+            if place.first_byte <= reached + _GAP and end - last.first_byte <= MOST_BYTES:
+                spans[-1] = last._replace(n_bytes=max(end, reached) - last.first_byte)
+                continue
+        spans.append(place)
+    return spans
+
+
+def _is_within(place: Place, span: Place) -> bool:
+    end = span.first_byte + span.n_bytes
+    return span.first_byte <= place.first_byte and place.first_byte + place.n_bytes <= end
+
+
+def _lay_out(name: str, start: int, blocks: Sequence[bytes]) -> Iterator[Place]:
+    for block in blocks:
+        yield Place(name, start, len(block))
+        start += len(block)
+
+
+def _sync_folder(folder: Path) -> None:
+    """The name of a new file is on the disk too."""
+    with suppress(OSError):  # some systems cannot open folders
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def _list_client_errors() -> tuple[type[Exception], ...]:
+    """What a client of object storage raises besides errors of the system."""
+    module = sys.modules.get("botocore.exceptions")
+    return () if module is None else (module.BotoCoreError, module.ClientError)
+
+
+@contextmanager
+def _plain_errors(library: str, where: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise LibraryError("library_fragments.disk_full", library=library, where=where) from error
+        raise LibraryError("library_fragments.unusable", library=library, where=where, reason=error) from error
+    except Exception as error:
+        # ValueError: a URL of no kind that fsspec knows; ImportError: of one whose package is not there.
+        if not isinstance(error, (ValueError, ImportError, *_list_client_errors())):
+            raise
+        raise LibraryError("library_fragments.unusable", library=library, where=where, reason=error) from error
+
+
+def open_fragments(place: str, beside: Path | None, library: str) -> FragmentStore:
+    """The store of a library.
+
+    Parameters
+    ----------
+    place : folder or URL; empty for ``beside``.
+    beside : the folder beside a library file; None of a server.
+    library : its name, for messages.
+    """
+    # What a file says of other places is not believed: it may come from anybody.
+    if beside is not None:
+        return FolderFragments(beside, library)
+    if "://" in place and not place.startswith("file://"):
+        return ObjectFragments(place, library)
+    return FolderFragments(Path(place.removeprefix("file://")), library)
+
+
+ARRAYS = (
+    schema.clip_trajectories.c.positions,
+    schema.clip_features.c.pose_features,
+    schema.removed_positions.c.positions,
+)
+"""The columns whose bytes may lie in fragments."""
+
+_READ_AT_ONCE = 2**24  # bytes
+
+
+def find_store(connection: sa.Connection) -> FragmentStore | None:
+    """Where new blocks go; None where they stay in their rows."""
+    row = connection.execute(sa.select(*STORE.columns)).one_or_none()
+    if row is None:
+        return None
+    STORE.check(connection, row)
+    return _open(connection, row.place)
+
+
+def _open(connection: sa.Connection, place: str) -> FragmentStore:
+    options = connection.get_execution_options()
+    return open_fragments(place, options.get(BESIDE), str(options.get(LIBRARY_NAME, "")))
+
+
+def open_store(connection: sa.Connection) -> FragmentStore:
+    """Where the blocks are that rows name."""
+    return find_store(connection) or _open(connection, "")
+
+
+def put_aside(connection: sa.Connection, rows: Sequence[Mapping[str, Any]], column: str) -> list[dict[str, Any]]:
+    """Rows that are going to be written, after their blocks were, where the library has fragments.
+
+    Parameters
+    ----------
+    rows : with their checksums, all of one table.
+    column : name of the one that has the bytes.
+    """
+    store = find_store(connection) if rows else None
+    if store is None:
+        return [{**row, **dict.fromkeys(PLACE)} for row in rows]
+    places = store.append([row[column] for row in rows])
+    return [{**row, column: b"", **place._asdict()} for row, place in zip(rows, places, strict=True)]
+
+
+def place_of(row: Any) -> Place | None:
+    """Where the bytes of a row lie; None where they are in the row."""
+    return None if row.fragment is None else Place(row.fragment, row.first_byte or 0, row.n_bytes or 0)
+
+
+def read_blocks(connection: sa.Connection, rows: Sequence[Any], column: str) -> list[bytes]:
+    """The bytes of rows, in their order.
+
+    Parameters
+    ----------
+    rows : with the columns ``PLACE`` and the one that has the bytes.
+    column : its name.
+
+    Raises
+    ------
+    LibraryDamagedError : a fragment is missing or too short.
+    """
+    return read_places(connection, [(row._mapping[column], place_of(row)) for row in rows])
+
+
+def read_places(connection: sa.Connection, blocks: Sequence[tuple[bytes, Place | None]]) -> list[bytes]:
+    """As ``read_blocks``, of bytes and places that were found; a place stands before the bytes."""
+    wanted = [place for _, place in blocks if place is not None]
+    if not wanted:
+        return [data for data, _ in blocks]
+    store = open_store(connection)
+    found = store.read(wanted)
+    for place, data in zip(wanted, found, strict=True):
+        if len(data) != place.n_bytes:
+            raise _incomplete(connection, store, place)
+    blocks_found = iter(found)
+    return [data if place is None else next(blocks_found) for data, place in blocks]
+
+
+def _incomplete(connection: sa.Connection, store: FragmentStore, place: Place) -> LibraryDamagedError:
+    library = connection.get_execution_options().get(LIBRARY_NAME, "")
+    code = "library_fragments.cut_short" if place.fragment in store.sizes() else "library_fragments.missing"
+    return LibraryDamagedError(code, library=library, fragment=place.fragment, where=store.where)
+
+
+def look_at_blocks(connection: sa.Connection, rows: Sequence[Any], column: str) -> list[bytes]:
+    """As ``read_blocks``, for who looks for damage: what is not there is empty or too short."""
+    wanted = [place for place in map(place_of, rows) if place is not None]
+    found = iter(open_store(connection).read(wanted) if wanted else ())
+    return [row._mapping[column] if place_of(row) is None else next(found) for row in rows]
+
+
+def in_portions(rows: Iterable[Any]) -> Iterator[list[Any]]:
+    """Rows of positions, so many at a time that memory holds little of them, as they come."""
+    some: list[Any] = []
+    size = 0
+    for row in rows:
+        some.append(row)
+        size += len(row.positions) if row.fragment is None else row.n_bytes or 0
+        if size >= _READ_AT_ONCE:
+            yield some
+            some, size = [], 0
+    if some:
+        yield some
+
+
+class FeatureRow(NamedTuple):
+    """The columns of ``FEATURES``, wherever the features lie."""
+
+    clip_id: int
+    feature_set: str
+    pose_features: bytes
+    checksum: int | None
+
+
+_FEATURES = sa.select(*FEATURES.columns, *(schema.clip_features.c[name] for name in PLACE))
+
+
+def read_feature_rows(connection: sa.Connection, ids: Sequence[int]) -> list[FeatureRow]:
+    """Rows of features that are there, in any order; LibraryDamagedError as of ``read_blocks``."""
+    rows = list(fetch_in(connection, _FEATURES, schema.clip_features.c.clip_id, ids))
+    return _with_features(rows, read_blocks(connection, rows, "pose_features"))
+
+
+def look_at_feature_rows(connection: sa.Connection, ids: Sequence[int]) -> list[FeatureRow]:
+    """As ``read_feature_rows``, for who looks for damage."""
+    rows = list(fetch_in(connection, _FEATURES, schema.clip_features.c.clip_id, ids))
+    return _with_features(rows, look_at_blocks(connection, rows, "pose_features"))
+
+
+def _with_features(rows: Sequence[Any], blocks: Sequence[bytes]) -> list[FeatureRow]:
+    found = zip(rows, blocks, strict=True)
+    return [FeatureRow(row.clip_id, row.feature_set, data, row.checksum) for row, data in found]
+
+
+def begin_store(connection: sa.Connection, place: str) -> None:
+    """New blocks go to fragments from now on, in a folder or at a URL; empty for those beside a library file."""
+    row = {"id": 1, "place": place}
+    row["checksum"] = STORE.compute([row[column.name] for column in STORE.covered])
+    connection.execute(sa.delete(array_store))
+    connection.execute(sa.insert(array_store).values(**row))

@@ -1,0 +1,326 @@
+"""From motions to records: reading a file, or taking a motion of the memory, with everything that is derived from it.
+
+``read_clip`` is a pure function of a task, so that joblib can run it in threads here or anywhere else, and so can the
+workers of a cluster (``dousa.workers``).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import warnings
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from dousa.errors import DousaError, InvalidMotionError, MotionFileError
+from dousa.formats.frame_votes import OVERRULED, FrameClaim, describe_frame
+from dousa.formats.motion_files import ReadOptions, Skipped, describe_problem, is_unicode, read_both, read_canonical
+from dousa.library.store.engine import check_jobs, choose_jobs
+from dousa.library.store.features import (
+    BEYOND_MEASURE,
+    Description,
+    StoredMotion,
+    describe_clip,
+    lacks,
+    round_positions,
+)
+from dousa.library.store.schema import CLIP, as_message, pack
+from dousa.library.store.selection import choose_doubts
+from dousa.messages import Message
+from dousa.motion import CANONICAL_JOINTS, CanonicalMotion, canonicalise
+from dousa.retrieval.features.posed_motion import check_frame_rate
+from dousa.workers.current import current_cluster
+
+if TYPE_CHECKING:
+    from dousa.motion import Motion, Trajectories
+    from dousa.workers.cluster import Cluster
+
+
+@dataclass(frozen=True, slots=True)
+class SourceState:
+    """The files behind a clip as they stand on the disk.
+
+    Parameters
+    ----------
+    files : the motion file, or those of its frames, then its skeleton file if it has one.
+    size : bytes of all.
+    fingerprint : sizes and times; equal ones mean that nothing changed.
+    """
+
+    files: tuple[str, ...]
+    size: int
+    fingerprint: str
+
+
+@dataclass(frozen=True, slots=True)
+class ReadTask:
+    """One file to read.
+
+    Parameters
+    ----------
+    path : the motion file.
+    options : what is said about it.
+    known : content hashes in the library of clips of this size; such a content is not parsed again.
+    kind : ``CLIP`` or ``TAKE``.
+    feature_set : name of the features to describe it by; it is not described if empty.
+    voted : up axis and unit that other files of its skeleton elected, and what to say about that.
+    """
+
+    path: str
+    options: ReadOptions
+    known: tuple[str, ...] = ()
+    kind: str = CLIP
+    feature_set: str = ""
+    voted: tuple[str | None, float | None, tuple[Message, ...]] = (None, None, ())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FileRecord:
+    """A file whose content is in the library.
+
+    Parameters
+    ----------
+    row : values of the columns of ``clips``: of the file here, of the motion too in a ``ClipRecord``.
+    """
+
+    row: dict[str, Any]
+
+    @property
+    def path(self) -> str:
+        """Of the file, or the name of a motion of the memory."""
+        return str(self.row["path"])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClipRecord(FileRecord):
+    """All that the library keeps of one motion; its number, labels and date come when it is written.
+
+    Parameters
+    ----------
+    row : values of the columns of ``clips``.
+    motion : as it is stored.
+    description : features and poses, if they were wanted.
+    claim : what the file says of its axes and unit; None of a motion of the memory.
+    place : of a segment of a take, the values of the columns of ``segments``.
+    """
+
+    motion: StoredMotion
+    description: Description | None
+    claim: FrameClaim | None = None
+    place: dict[str, Any] | None = None
+
+
+def look_at(path: str, options: ReadOptions) -> SourceState:
+    """Size and times of a motion file (or the files of its frames) and of the skeleton file that goes with it.
+
+    Raises
+    ------
+    OSError : a file that is not there.
+    MotionFileError : an ``.amc`` without a skeleton file.
+    """
+    files = [path]
+    if os.path.isdir(path):  # of a file for each frame
+        from dousa.formats.frame_folders import list_frame_files
+
+        files = [os.path.join(path, name) for name in list_frame_files(path)]
+    elif path.lower().endswith(".amc"):
+        from dousa.formats.asf_amc.reading import find_skeleton
+
+        files.append(os.fspath(options.skeleton or find_skeleton(path)))
+    elif path.lower().endswith(".vmd"):
+        from dousa.formats.mmd import find_model
+
+        model = options.skeleton or find_model(path)
+        files += [] if model is None else [os.fspath(model)]
+    stats = [os.stat(file) for file in files]
+    fingerprint = " ".join(f"{stat.st_size}:{stat.st_mtime_ns}" for stat in stats)
+    return SourceState(tuple(files), sum(stat.st_size for stat in stats), fingerprint)
+
+
+def is_as_stored(row: Any, options: ReadOptions) -> bool:
+    """Whether a file (of a row of ``clips``) has not changed since, and would be understood in the same way."""
+    if row.read_options != options.describe():
+        return False
+    try:
+        return bool(look_at(row.path, options).fingerprint == row.fingerprint)
+    except (DousaError, OSError):
+        return False  # reading the file says what is wrong
+
+
+def read_clip(task: ReadTask) -> ClipRecord | FileRecord | Skipped:
+    """Read one motion file and derive everything the library keeps of it.
+
+    Returns
+    -------
+    The record; that of the file alone if its content is known; or why the file cannot be used. Never raises for
+    a bad file, so that the others go on.
+    """
+    if not is_unicode(task.path):
+        printable = task.path.encode(errors="backslashreplace").decode()
+        return Skipped(printable, Message("motion_files.not_unicode"))
+    try:
+        state = look_at(task.path, task.options)
+        row = {
+            "path": task.path,
+            "content_hash": _hash_content(state, task.options),
+            "fingerprint": state.fingerprint,
+            "size": state.size,
+            "read_options": task.options.describe(),
+            "kind": task.kind,
+        }
+        if row["content_hash"] in task.known:
+            return FileRecord(row)
+        up, unit, notes = task.voted
+        told = replace(task.options, up=up or task.options.up, unit=unit or task.options.unit)
+        motion, canonical = read_both(task.path, told, whole=False)
+        if up or unit:
+            kept = tuple(note for note in canonical.warnings if note.code not in OVERRULED)
+            canonical = replace(canonical, warnings=(*notes, *kept))
+        form = motion.provenance.format if motion.provenance else ""
+        record = _derive(canonical, {**row, "format": form}, task.feature_set)
+        return replace(record, claim=describe_frame(motion, canonical))
+    except DousaError as error:
+        return Skipped(task.path, describe_problem(task.path, error))
+    except OSError as error:
+        return Skipped(task.path, Message("motion_files.unreadable", reason=error))
+    except MemoryError:
+        return Skipped(task.path, Message("motion_files.too_large"))
+
+
+def _hash_content(state: SourceState, options: ReadOptions) -> str:
+    digest = hashlib.sha256()
+    for file in state.files:
+        with open(file, "rb") as stream:
+            digest.update(stream.read())
+    # The same bytes understood in another way make another clip.
+    digest.update(options.describe().encode())
+    return digest.hexdigest()
+
+
+def make_record(motion: CanonicalMotion, name: str, kind: str) -> ClipRecord:
+    """Derive everything the library keeps of a motion of the memory.
+
+    It has no file: its fingerprint is empty, and its content is what is stored of it.
+
+    Raises
+    ------
+    InvalidMotionError : positions or a frame rate beyond measure.
+    """
+    positions = pack(motion.positions, "<f4")
+    digest = hashlib.sha256(positions)
+    digest.update(np.array([motion.frame_rate, motion.height], "<f8").tobytes())
+    row = {
+        "path": name,
+        "content_hash": digest.hexdigest(),
+        "fingerprint": "",
+        "size": len(positions),
+        "read_options": "",
+        "kind": kind,
+        "format": "memory",
+    }
+    return _derive(motion, row, "")
+
+
+def _derive(motion: CanonicalMotion, row: dict[str, Any], feature_set: str) -> ClipRecord:
+    rounded = _round(motion)
+    absent = rounded.absent
+    row |= {
+        "n_frames": motion.n_frames,
+        "frame_rate": motion.frame_rate,
+        "duration": motion.duration,
+        "height": motion.height,
+        "joint_table": motion.mapping.table,
+        "warnings": [item.to_json() for item in motion.warnings],
+        "absent": " ".join(absent),
+    }
+    described = feature_set and not lacks(feature_set, row["absent"])
+    description = describe_clip(rounded, feature_set) if described else None
+    return ClipRecord(row, rounded, description)
+
+
+def _round(motion: CanonicalMotion) -> StoredMotion:
+    """The motion as it would be stored; InvalidMotionError where positions or the frame rate are beyond measure."""
+    rounded = round_positions(motion)
+    there = [row for row, joint in enumerate(CANONICAL_JOINTS) if joint not in rounded.absent]
+    if not ((np.abs(rounded.positions[:, there]) < BEYOND_MEASURE).all() and motion.height * BEYOND_MEASURE > 1):
+        raise InvalidMotionError("motion_files.beyond_measure")
+    check_frame_rate(motion.frame_rate)
+    return rounded
+
+
+def read_clips(
+    tasks: Sequence[ReadTask], n_jobs: int | None = None
+) -> Generator[ClipRecord | FileRecord | Skipped, None, None]:
+    """Read many files at the same time (``n_jobs`` as in ``Library.add``); answers come in the order of the tasks."""
+    check_jobs(n_jobs)
+    cluster = current_cluster()
+    if cluster is not None and tasks:
+        yield from _read_elsewhere(cluster, tasks)
+        return
+    if len(tasks) <= 1 or n_jobs == 1:
+        yield from map(read_clip, tasks)
+        return
+    import joblib
+
+    # No backend is named here: threads are only a preference, so that Dask or Ray can take over.
+    parallel = joblib.Parallel(n_jobs=choose_jobs(n_jobs), prefer="threads", return_as="generator")
+    answers = parallel(joblib.delayed(read_clip)(task) for task in tasks)
+    try:
+        for answer in answers:  # noqa: UP028  (yield from would close them before the block below)
+            yield answer
+    finally:
+        with warnings.catch_warnings():
+            # Stopped in the middle: joblib regrets the files that were read in vain.
+            warnings.simplefilter("ignore", UserWarning)
+            answers.close()
+
+
+def _read_elsewhere(
+    cluster: Cluster, tasks: Sequence[ReadTask]
+) -> Generator[ClipRecord | FileRecord | Skipped, None, None]:
+    cluster.check_paths([task.path for task in tasks])
+    sizes = [os.path.getsize(task.path) if os.path.isfile(task.path) else 0 for task in tasks]
+    for task, answer in zip(tasks, cluster.map(read_clip, tasks, sizes=sizes), strict=True):
+        # One that a worker cannot use is tried here: it may be the worker that does not see it.
+        yield read_clip(task) if isinstance(answer, Skipped) else answer
+
+
+Query: TypeAlias = "int | str | os.PathLike[str] | CanonicalMotion | Motion | Trajectories"
+"""What a library is asked about: a motion by its number, its file, or itself."""
+
+
+def read_query(
+    query: str | os.PathLike[str] | CanonicalMotion | Motion | Trajectories, options: ReadOptions
+) -> CanonicalMotion:
+    """A file or a motion on canonical joints."""
+    if isinstance(query, str | os.PathLike):
+        return read_canonical(query, options, whole=False)[0]
+    return query if isinstance(query, CanonicalMotion) else canonicalise(query, options.joint_map)
+
+
+def read_rounded(
+    query: str | os.PathLike[str] | CanonicalMotion | Motion | Trajectories, options: ReadOptions
+) -> tuple[StoredMotion, tuple[Message, ...]]:
+    """A file or a motion as it would be stored, and what came up when it was read."""
+    motion = read_query(query, options)
+    try:
+        return _round(motion), choose_doubts(motion.warnings)
+    except InvalidMotionError as error:
+        if isinstance(query, str | os.PathLike):
+            raise MotionFileError(query, error.message) from error
+        raise
+
+
+def list_doubts(record: ClipRecord) -> tuple[Message, ...]:
+    """What came up when a file was read."""
+    return choose_doubts(map(as_message, record.row["warnings"]))
+
+
+def name_query(query: Query) -> str:
+    """What the answer calls the query: its path, where it has one."""
+    if isinstance(query, str | os.PathLike):
+        return os.fspath(query)
+    return getattr(getattr(query, "provenance", None), "path", "motion")

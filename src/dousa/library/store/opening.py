@@ -1,0 +1,297 @@
+"""Opening a library: its tables are made, or brought to this version.
+
+The versions of the tables are numbered and named steps, each in a transaction of its own. A new library is made from
+``schema`` at once and every step is recorded as done; an older library takes the steps that it lacks. To change a
+table: change ``schema`` and add a step that does the same to an old library. To change a set of features: give it
+another name, or add a step that empties ``clip_features.feature_set``; features of another set than the one asked for
+are computed anew from the stored positions.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+import sqlalchemy as sa
+
+import dousa
+from dousa.errors import LibraryDamagedError, LibraryError, LibraryVersionError, OptionError
+from dousa.library.store import schema
+from dousa.library.store.checksums import seal_rows
+from dousa.library.store.engine import (
+    STATE_ID,
+    Database,
+    check_mark,
+    is_url,
+    make_engine,
+    name_of,
+    set_mark,
+    use_write_ahead_log,
+)
+from dousa.library.store.schema import library_state
+
+
+@dataclass(frozen=True, slots=True)
+class Migration:
+    """One step from a version of the tables to the next.
+
+    Parameters
+    ----------
+    number : position, from 1 without gaps.
+    name : what it does, in words.
+    apply : does it, on a connection that is in a transaction.
+    """
+
+    number: int
+    name: str
+    apply: Callable[[sa.Connection], None]
+
+
+def _first_tables(connection: sa.Connection) -> None:
+    """Nothing to do: every library has them."""
+
+
+def _takes_and_feature_sets(connection: sa.Connection) -> None:
+    """Takes, sets of features by name, leaves that learn; histograms, which follow from the leaves, go."""
+    for table, column in (
+        (schema.clips, "kind"),
+        (schema.clip_features, "feature_set"),
+        (schema.forests, "learned"),
+        (schema.forests, "window_lengths"),
+        (schema.forests, "n_learned"),
+        (schema.forests, "calibration"),
+        (schema.forests, "labeller"),
+        (schema.library_state, "clips_revision"),
+    ):
+        _add_column(connection, table, column)
+    state = schema.library_state
+    connection.execute(sa.update(state).values(clips_revision=state.c.revision))
+    forests = schema.forests
+    for row in connection.execute(sa.select(forests.c.id, forests.c.revision, forests.c.parameters)).all():
+        known = {**row.parameters, "feature_set": "paper"}  # there was no other set
+        values = {"learned": row.revision, "parameters": known}
+        connection.execute(sa.update(forests).where(forests.c.id == row.id).values(**values))
+    schema.clip_poses.create(connection)
+    schema.clip_leaves.create(connection)
+    schema.take_windows.create(connection)
+    names = ["clip_id", "predicted_category", "leaves"]
+    copied: Any = sa.select(*map(sa.column, names)).select_from(sa.table("clip_histograms"))
+    connection.execute(sa.insert(schema.clip_leaves).from_select(names, copied))
+    connection.execute(sa.DDL("DROP TABLE clip_histograms"))  # type: ignore[no-untyped-call]
+
+
+def _annotated_takes(connection: sa.Connection) -> None:
+    """Segments of takes that are clips, and tables of labels that they came from."""
+    schema.segments.create(connection)
+    schema.take_annotations.create(connection)
+
+
+def _words(connection: sa.Connection) -> None:
+    """What motions do, in words; it is computed when the library is trained, or asked in words."""
+    schema.clip_relations.create(connection)
+
+
+def _parts_of_bodies(connection: sa.Connection) -> None:
+    """Clips that lack joints, and forests that ask about the others."""
+    _add_column(connection, schema.clips, "absent")
+    schema.part_forests.create(connection)
+
+
+def _likeness(connection: sa.Connection) -> None:
+    """Which clips are alike, learned with the next training."""
+    for table, column in ((schema.forests, "likeness"), (schema.clip_leaves, "direction")):
+        _add_missing_column(connection, table, column)
+
+
+def _labellers_of_moments(connection: sa.Connection) -> None:
+    """A labeller of an earlier version is of no use; another is learned when a take is labelled."""
+    connection.execute(sa.update(schema.forests).values(labeller=None))
+
+
+def _checksums(connection: sa.Connection) -> None:
+    """A checksum for each row; those that are there get theirs from ``Library.check``."""
+    for table in schema.metadata.sorted_tables:
+        if not sa.inspect(connection).has_table(table.name):
+            continue  # made by a later step
+        for column in table.c:
+            if "checksum" in column.name:
+                _add_missing_column(connection, table, column.name)
+
+
+def _sensor_noise(connection: sa.Connection) -> None:
+    """Extended features were of positions as the sensor saw them: they are computed anew when they are needed."""
+    table = schema.clip_features
+    old = table.c.feature_set.startswith("extended", autoescape=True)
+    connection.execute(sa.update(table).where(old).values(feature_set="", checksum=None))
+
+
+def _journal(connection: sa.Connection) -> None:
+    """What people change can be undone, clips have tags, and searches are kept."""
+    for table in (schema.clip_tags, schema.saved_searches, *schema.JOURNAL_TABLES):
+        table.create(connection, checkfirst=True)
+
+
+def _clips_to_learn(connection: sa.Connection) -> None:
+    """Clips that a forest has not learned from yet; all that are there it has learned from, or does not know."""
+    schema.unlearned.create(connection, checkfirst=True)
+    _add_missing_column(connection, schema.forests, "first_later")
+    following = connection.execute(sa.select(library_state.c.next_clip_id)).scalar()
+    connection.execute(sa.update(schema.forests).values(first_later=following))
+
+
+def _indices_of_checksums(connection: sa.Connection) -> None:
+    """Sums of checksums say what has changed since an index of a search was made."""
+    for table in (schema.clips, schema.clip_leaves):
+        for index in table.indexes:
+            if "checksum" in str(index.name):
+                index.create(connection, checkfirst=True)
+
+
+def _fragments(connection: sa.Connection) -> None:
+    """Positions and features may lie beside the tables; those that are there stay where they are."""
+    schema.array_store.create(connection, checkfirst=True)
+    for table in (schema.clip_trajectories, schema.clip_features, schema.removed_positions):
+        for name in schema.PLACE:
+            _add_missing_column(connection, table, name)
+
+
+def _labellers_of_parts(connection: sa.Connection) -> None:
+    """What takes of bodies that lack joints are labelled with; it is learned when one is labelled."""
+    _add_missing_column(connection, schema.part_forests, "labeller")
+
+
+def _examples_of_leaves(connection: sa.Connection) -> None:
+    """Leaves of a large forest grow from examples, chosen when clips are next added; two indices that an add asks."""
+    schema.leaf_examples.create(connection, checkfirst=True)
+    for table, name in ((schema.clips, "ix_clips_size"), (schema.clip_relations, "ix_clip_relations_version")):
+        for index in table.indexes:
+            if index.name == name:
+                index.create(connection, checkfirst=True)
+
+
+def _add_missing_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
+    """A column that is there already where a step above made the table as it is now."""
+    if name not in {known["name"] for known in sa.inspect(connection).get_columns(table.name)}:
+        _add_column(connection, table, name)
+
+
+def _add_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
+    column = sa.schema.CreateColumn(table.c[name]).compile(dialect=connection.dialect)
+    connection.execute(sa.DDL(f"ALTER TABLE {table.name} ADD COLUMN {column}"))  # type: ignore[no-untyped-call]
+
+
+MIGRATIONS: tuple[Migration, ...] = (
+    Migration(1, "first tables", _first_tables),
+    Migration(2, "takes and feature sets", _takes_and_feature_sets),
+    Migration(3, "annotated takes", _annotated_takes),
+    Migration(4, "words", _words),
+    Migration(5, "parts of bodies", _parts_of_bodies),
+    Migration(6, "likeness", _likeness),
+    Migration(7, "labellers of moments", _labellers_of_moments),
+    Migration(8, "checksums", _checksums),
+    Migration(9, "sensor noise", _sensor_noise),
+    Migration(10, "labellers of discriminants", _labellers_of_moments),
+    Migration(11, "journal, tags and saved searches", _journal),
+    Migration(12, "clips to be learned", _clips_to_learn),
+    Migration(13, "indices of checksums", _indices_of_checksums),
+    Migration(14, "fragments", _fragments),
+    Migration(15, "labellers of parts", _labellers_of_parts),
+    Migration(16, "examples of leaves", _examples_of_leaves),
+)
+
+
+def _record(connection: sa.Connection, step: Migration) -> None:
+    connection.execute(
+        sa.insert(schema.migrations).values(
+            number=step.number,
+            name=step.name,
+            applied_at=datetime.now(UTC).isoformat(timespec="seconds"),
+            dousa_version=dousa.__version__,
+        )
+    )
+
+
+def _create_tables(database: Database) -> None:
+    """Make the tables of a new library, all or none; does nothing if another program just did."""
+    with database.writing() as connection:
+        if sa.inspect(connection).has_table(schema.migrations.name):
+            return
+        schema.metadata.create_all(connection)
+        set_mark(connection)
+        state = {"id": STATE_ID, "revision": 0, "next_clip_id": 1, "clips_revision": 0}
+        connection.execute(sa.insert(library_state), seal_rows(library_state, [state]))
+        for step in MIGRATIONS:
+            _record(connection, step)
+
+
+def _applied_number(connection: sa.Connection, where: str) -> int:
+    """Number of the last step that this library took."""
+    query = sa.select(schema.migrations.c.number, schema.migrations.c.dousa_version)
+    rows = connection.execute(query.order_by(schema.migrations.c.number)).all()
+    if not rows:
+        raise LibraryDamagedError("library_file.no_version", library=where)
+    last = rows[-1]
+    if last.number > MIGRATIONS[-1].number:
+        raise LibraryVersionError(
+            "library_file.newer",
+            library=where,
+            version=last.dousa_version,
+            tables=last.number,
+            own_version=dousa.__version__,
+            own_tables=MIGRATIONS[-1].number,
+        )
+    return int(last.number)
+
+
+def _migrate(database: Database) -> None:
+    """Take the steps that a library lacks, each in a transaction of its own."""
+    for step in MIGRATIONS:
+        with database.writing() as connection:
+            if _applied_number(connection, database.where) < step.number:
+                step.apply(connection)
+                _record(connection, step)
+
+
+def open_database(path_or_url: str | os.PathLike[str], *, create: bool, read_only: bool, timeout: float) -> Database:
+    """A database whose tables are there and of this version.
+
+    Raises
+    ------
+    LibraryError : there is no library, or no permission; LibraryDamagedError, LibraryVersionError,
+        LibraryLockedError as their names say.
+    OptionError : create and read_only together.
+    """
+    if create and read_only:
+        raise OptionError("library_file.create_read_only")
+    where = name_of(path_or_url)
+    engine = make_engine(path_or_url, create=create, read_only=read_only, timeout=timeout)
+    database = Database(engine, where, timeout)
+    try:
+        _prepare(database, create, read_only)
+    except BaseException:
+        engine.dispose()
+        raise
+    return database
+
+
+def _prepare(database: Database, create: bool, read_only: bool) -> None:
+    where = database.where
+    with database.reading() as connection:
+        ours = check_mark(connection, where)
+        number = _applied_number(connection, where) if ours else 0
+    if not ours and not create:
+        name = where if is_url(where) else os.path.basename(where)
+        raise LibraryError("library_file.empty", library=where, name=name)
+    if not ours:
+        _create_tables(database)
+    elif number < MIGRATIONS[-1].number:
+        if read_only:
+            raise LibraryVersionError(
+                "library_file.older", library=where, tables=number, own_tables=MIGRATIONS[-1].number
+            )
+        _migrate(database)
+    if not read_only:
+        use_write_ahead_log(database)

@@ -1,1 +1,0 @@
-"""Looking after a library: what is damaged, what of it can be had again, and unused room."""
