@@ -1,6 +1,6 @@
 """Training: one forest over all labelled clips, leaves for every clip, and windows for every take.
 
-Clips that are added later teach it too: `dousa.library.growth`.
+Clips that are added later teach it too: `dousa.library.learning`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The windows of takes that a library keeps: described by its forest, and anew when that has learned.
 
-Those of many takes lie in files, too (``library.windows``), which are made here when windows have been described.
+Those of many takes lie in files, too (``takes.portions``), which are made here when windows have been described.
 
 The files with the windows of many takes: which are of the library as it is now, and making those that are missing.
 """
