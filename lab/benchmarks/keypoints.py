@@ -26,8 +26,7 @@ import numpy as np
 from dousa.errors import KeypointError
 from dousa.estimation import MEDIAPIPE_NAMES, Camera, ViewKeypoints, find_keypoints, read_cameras
 from dousa.estimation.keypoints.films import FilmFrames
-from dousa.estimation.keypoints.person_crops import PersonCrop, Shrinker
-from dousa.estimation.keypoints.pose_networks import LandmarkNetwork, PersonDetector
+from dousa.estimation.keypoints.pose_networks import LandmarkNetwork, PersonCrop, PersonDetector, Shrinker
 from dousa.formats import read_motion
 from dousa.motion import Trajectories
 from lab.benchmarks.timing import best_of

@@ -39,8 +39,8 @@ from dousa.estimation import (
     sync,
 )
 from dousa.estimation.calibration.bundle import Freedom, Rig, Sightings, adjust
+from dousa.estimation.calibration.rig_search import triangulate
 from dousa.estimation.calibration.sightings import choose_moments, list_limbs, make_track, read_sightings
-from dousa.estimation.calibration.two_views import triangulate
 from dousa.estimation.sync.synchronise import rig_of
 from lab.places import SHARED_DATA
 

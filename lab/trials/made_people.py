@@ -11,7 +11,7 @@ model looks for them. Prints
   person, and the middle error that stays: the tables of `dousa.estimation.multiview.landmarks`. (The rig has its hips
   0.130 statures apart, its shoulders 0.23; we take what anatomists say, and give the network's width to the points.);
 - of each way from point to point how far the network's places in space are off across and in depth: those of
-  `dousa.estimation.multiview.world_residuals`;
+  `dousa.estimation.multiview.pose_residuals`;
 - the error of the joints with four views, neighbouring pairs and one view, beside the network's own posture, and the
   stature that comes out.
 

@@ -23,7 +23,7 @@ from dousa.estimation import (
     write_keypoints,
 )
 from dousa.estimation.keypoints.films import FilmFrames
-from dousa.estimation.keypoints.person_crops import PersonCrop
+from dousa.estimation.keypoints.pose_networks import PersonCrop
 
 
 @pytest.fixture(scope="module")

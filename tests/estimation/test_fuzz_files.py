@@ -13,14 +13,13 @@ from oracles.calibration_files import turned_view, write_opencv
 
 from dousa.estimation import make_human
 from dousa.estimation.body.body_file import read_body, write_body
+from dousa.estimation.cameras.camera import make_ring
 from dousa.estimation.cameras.camera_files import read_cameras, write_cameras
 from dousa.estimation.cameras.camera_formats import cameras_to_arrays
-from dousa.estimation.cameras.camera_sets import make_ring
 from dousa.estimation.keypoints.keypoint_files import read_keypoint_npz, write_keypoints
 from dousa.estimation.keypoints.keypoints import PersonTrack, ViewKeypoints
 from dousa.estimation.silhouettes.mask_npz import read_silhouettes, read_stature, read_true_joints, write_silhouettes
-from dousa.estimation.sync.sync_file import read_offsets, write_offsets
-from dousa.estimation.sync.synchronise import Synchronisation
+from dousa.estimation.sync.synchronise import Synchronisation, read_offsets, write_offsets
 from fuzzing import fuzz
 
 pytestmark = pytest.mark.fuzz

@@ -5,17 +5,14 @@ from .body.posing import fit_pose, fit_poses, standing_state
 from .body.skeleton_body import body_from_motion, fit_body
 from .calibration.board import Board, calibrate_from_board, calibrate_lens, find_board, parse_board
 from .calibration.person import CalibratedView, Calibration, calibrate_from_person
-from .cameras.camera import Camera
+from .cameras.camera import Camera, fit_cameras, make_ring, make_view, match_cameras
 from .cameras.camera_files import read_cameras, write_cameras
 from .cameras.camera_formats import cameras_to_arrays
-from .cameras.camera_sets import fit_cameras, make_ring, make_view, match_cameras
-from .keypoints.keypoint_files import write_keypoints
-from .keypoints.keypoint_input import read_keypoints
+from .keypoints.keypoint_files import read_keypoints, write_keypoints
 from .keypoints.keypoint_search import find_keypoints
 from .keypoints.keypoints import MEDIAPIPE_NAMES, PersonMasks, PersonTrack, ViewKeypoints
 from .multiview.keypoint_fit import KeypointFit, fit_keypoints
-from .multiview.people import MatchedPerson, match_people
-from .multiview.sides import repair_sides
+from .multiview.people import MatchedPerson, match_people, repair_sides
 from .multiview.triangulation import Triangulated, triangulate
 from .raster.rendering import poses_from_motion, render, spoil
 from .silhouettes.cleaning import clean_mask, describe_mask
@@ -30,8 +27,7 @@ from .silhouettes.repairs import (
 from .silhouettes.silhouette_files import open_silhouettes
 from .silhouettes.silhouettes import PackedSilhouettes, Silhouettes
 from .sync.sound import Sound, read_sound
-from .sync.sync_file import read_offsets, write_offsets
-from .sync.synchronise import Synchronisation, sync
+from .sync.synchronise import Synchronisation, read_offsets, sync, write_offsets
 from .tracking.measures import fit_girths
 from .tracking.settings import EVIDENCES, PAPER, READINGS, Estimate, TrackedFrame, TrackerSettings
 from .tracking.start import find_start

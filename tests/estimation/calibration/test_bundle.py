@@ -11,9 +11,8 @@ from scipy.optimize import least_squares
 
 from dousa.estimation.calibration import bundle
 from dousa.estimation.calibration.bundle import Freedom, Limb, Rig, Sightings, adjust
-from dousa.estimation.calibration.rig_search import find_rig
+from dousa.estimation.calibration.rig_search import find_rig, triangulate
 from dousa.estimation.calibration.sightings import list_limbs, make_track, read_sightings
-from dousa.estimation.calibration.two_views import triangulate
 from dousa.motion.rotations import from_axis_angle, to_matrix
 
 

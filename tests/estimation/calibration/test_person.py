@@ -10,7 +10,7 @@ from oracles.made_films import NAMES, Performance, film, make_cameras
 
 from dousa.errors import CalibrationError, OptionError
 from dousa.estimation import PersonTrack, ViewKeypoints, calibrate_from_person, make_view, read_cameras, write_cameras
-from dousa.estimation.calibration.world_axes import find_world, measure_stature
+from dousa.estimation.calibration.person import find_world, measure_stature
 from dousa.estimation.sync.synchronise import rig_of
 
 ACTS = ("punch", "turn_around", "kick_left", "raise_hands")

@@ -21,9 +21,9 @@ from oracles.calibration_files import (
 )
 
 from dousa.errors import CalibrationError
+from dousa.estimation.cameras.camera import make_ring
 from dousa.estimation.cameras.camera_files import read_cameras
 from dousa.estimation.cameras.camera_formats import cameras_to_arrays
-from dousa.estimation.cameras.camera_sets import make_ring
 
 
 def test_the_cameras_of_the_bench(shared_data):

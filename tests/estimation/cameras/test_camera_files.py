@@ -21,8 +21,8 @@ from oracles.calibration_files import (
 )
 
 from dousa.errors import CalibrationError, MotionWriteError
+from dousa.estimation.cameras.camera import fit_cameras, make_ring
 from dousa.estimation.cameras.camera_files import read_cameras, write_cameras
-from dousa.estimation.cameras.camera_sets import fit_cameras, make_ring
 from dousa.formats.registry import read_motion
 
 CALIBRATION = "pose2sim/calibration/Calib.qca.txt"

@@ -17,8 +17,8 @@ from oracles.calibration_files import (
 )
 
 from dousa.errors import CalibrationError, OptionError
+from dousa.estimation.cameras.camera import make_ring, make_view
 from dousa.estimation.cameras.camera_files import read_cameras
-from dousa.estimation.cameras.camera_sets import make_ring, make_view
 
 
 @pytest.mark.parametrize("suffix", ["yml", "xml", "json", "yaml"])

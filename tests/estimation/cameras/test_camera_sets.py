@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dousa.errors import CalibrationError, OptionError
-from dousa.estimation.cameras.camera_sets import fit_cameras, make_ring, make_view, match_cameras
+from dousa.estimation.cameras.camera import fit_cameras, make_ring, make_view, match_cameras
 
 place = st.tuples(*[st.floats(-10, 10)] * 3)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from oracles.made_people import collect, see
 
-from dousa.estimation.keypoints.identities import assign, cut_stretches, find_identities
+from dousa.estimation.keypoints.people import assign, cut_stretches, find_identities
 
 TIMES = np.arange(120) / 30
 

@@ -9,7 +9,7 @@ import pytest
 
 from dousa.errors import KeypointError
 from dousa.estimation import MEDIAPIPE_NAMES, read_keypoints
-from dousa.estimation.keypoints.keypoint_schemes import BODY_25, COCO_17, HALPE_26, SCHEMES
+from dousa.estimation.keypoints.keypoint_json import BODY_25, COCO_17, HALPE_26, SCHEMES
 
 SIZE = (640, 480)
 

@@ -15,8 +15,7 @@ from dousa.estimation import find_keypoints
 from dousa.estimation.keypoints import keypoint_search
 from dousa.estimation.keypoints.films import FilmFrames
 from dousa.estimation.keypoints.people import SIGHTING, PeopleFollower
-from dousa.estimation.keypoints.person_crops import PersonCrop
-from dousa.estimation.keypoints.pose_networks import Landmarks
+from dousa.estimation.keypoints.pose_networks import Landmarks, PersonCrop
 
 av = pytest.importorskip("av", reason="PyAV is not installed (dousa[film])")
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (dousa[film])")
@@ -277,7 +276,7 @@ class PlannedDetector:
         self.landmarks, self.n_asked = landmarks, 0
 
     def find(self, picture, part=None):
-        from dousa.estimation.keypoints.person_crops import Detection
+        from dousa.estimation.keypoints.pose_networks import Detection
 
         self.n_asked += 1
         places = self.landmarks.places(self.landmarks.frame)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from dousa.estimation.keypoints import person_crops as pc
+from dousa.estimation.keypoints import pose_networks as pc
 from dousa.estimation.keypoints.pose_networks import paint_over, refine_landmarks
 
 pytest.importorskip("cv2", reason="OpenCV is not installed (dousa[film])")

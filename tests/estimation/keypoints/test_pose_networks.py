@@ -8,9 +8,8 @@ import pytest
 from dousa.errors import KeypointError
 from dousa.estimation import MEDIAPIPE_NAMES, read_cameras
 from dousa.estimation.keypoints.films import FilmFrames
-from dousa.estimation.keypoints.person_crops import PersonCrop, Shrinker
 from dousa.estimation.keypoints.pose_models import find_pose_model
-from dousa.estimation.keypoints.pose_networks import LandmarkNetwork, PersonDetector
+from dousa.estimation.keypoints.pose_networks import LandmarkNetwork, PersonCrop, PersonDetector, Shrinker
 from dousa.formats import read_motion
 
 POINTS = {

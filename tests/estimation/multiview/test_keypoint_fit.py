@@ -18,10 +18,10 @@ from dousa.estimation import (
     triangulate,
 )
 from dousa.estimation.body.kinematics import compute_points, point_names
+from dousa.estimation.multiview.body_fit import _solve, find_covariance, force_weights
 from dousa.estimation.multiview.landmarks import find_sources, gather, place_landmarks
 from dousa.estimation.multiview.people import resample_track
 from dousa.estimation.multiview.pose_residuals import place_points
-from dousa.estimation.multiview.trajectory import _solve, find_covariance, force_weights
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 
 RATE = 30.0

@@ -19,7 +19,7 @@ from dousa.estimation import (
     read_silhouettes,
     write_silhouettes,
 )
-from dousa.estimation.silhouettes.mask_doubts import doubt_masks, measure_mask
+from dousa.estimation.silhouettes.cleaning import doubt_masks, measure_mask
 from dousa.estimation.silhouettes.repairs import repair_from_json
 
 HEIGHT, WIDTH, N_FRAMES = 60, 80, 12

@@ -9,8 +9,8 @@ from oracles.made_films import Performance, film, make_cameras
 from dousa.errors import CalibrationError, OptionError
 from dousa.estimation import PersonTrack, Sound, ViewKeypoints, sync
 from dousa.estimation.calibration.person import guess_lenses
-from dousa.estimation.sync.speeds import choose_step, correlate, describe_movement
 from dousa.estimation.sync.synchronise import _make_tracks
+from dousa.estimation.sync.timing import choose_step, correlate, describe_movement
 
 ACTS = ("punch", "turn_around", "kick_left", "raise_hands", "side_step", "bow")
 

@@ -9,11 +9,10 @@ from hypothesis import strategies as st
 
 from dousa.estimation.body.human import make_human
 from dousa.estimation.body.posing import standing_state
-from dousa.estimation.cameras.camera_sets import make_ring
+from dousa.estimation.cameras.camera import make_ring
 from dousa.estimation.raster.rasteriser import pack_bits, unpack_bits
 from dousa.estimation.raster.rendering import render
-from dousa.estimation.tracking.diagnosis import Diagnosis
-from dousa.estimation.tracking.doubt import ErrorModel, PatchMeasure, erode, find_habit
+from dousa.estimation.tracking.diagnosis import Diagnosis, ErrorModel, PatchMeasure, erode, find_habit
 from dousa.estimation.tracking.search_setup import SearchSetup
 from dousa.estimation.tracking.settings import TrackerSettings
 

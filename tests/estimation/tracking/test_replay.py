@@ -7,9 +7,9 @@ import numpy as np
 from dousa.estimation.body.human import make_human
 from dousa.estimation.body.kinematics import compute_points
 from dousa.estimation.body.posing import standing_state
-from dousa.estimation.cameras.camera_sets import make_ring
+from dousa.estimation.cameras.camera import make_ring
 from dousa.estimation.raster.rendering import render
-from dousa.estimation.tracking.replay import Replay, choose_switch, choose_track, narrow, replay, score_frames
+from dousa.estimation.tracking.beam import Replay, choose_switch, choose_track, narrow, replay, score_frames
 from dousa.estimation.tracking.search_setup import SearchSetup
 from dousa.estimation.tracking.settings import TrackerSettings
 

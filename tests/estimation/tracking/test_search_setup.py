@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from dousa.estimation.body.human import make_human
 from dousa.estimation.body.posing import standing_state
-from dousa.estimation.cameras.camera_sets import make_ring
+from dousa.estimation.cameras.camera import make_ring
 from dousa.estimation.raster.rasteriser import draw_body
 from dousa.estimation.tracking.search_setup import SearchSetup, Shrinker
 from dousa.estimation.tracking.settings import TrackerSettings

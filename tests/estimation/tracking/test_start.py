@@ -16,8 +16,7 @@ from dousa.estimation.tracking.measures import USUAL_STATURE, fit_scale
 from dousa.estimation.tracking.outlines import guess_place, lines_meet, measure_outline, move_onto, turn_about
 from dousa.estimation.tracking.search_setup import SearchSetup
 from dousa.estimation.tracking.settings import TrackerSettings
-from dousa.estimation.tracking.start import find_start
-from dousa.estimation.tracking.templates import find_limbs, is_person, list_templates, mirror_twins
+from dousa.estimation.tracking.start import find_limbs, find_start, is_person, list_templates, mirror_twins
 from lab.estimation.clips import read_clip
 
 BODY = make_human(1.7)
@@ -201,11 +200,11 @@ def test_several_views_tell_the_stature_and_one_does_not():
     body = make_human(1.87)
     masks = draw(body, standing_state(body), VIEWS)
     found = fit_scale(VIEWS, masks)
-    assert found.told
+    assert found.measured
     assert abs(found.stature - 1.87) < 0.03
     assert found.body.stature == found.stature
     alone = fit_scale(VIEWS[:1], masks[:1])
-    assert not alone.told
+    assert not alone.measured
     assert alone.stature == USUAL_STATURE
 
 

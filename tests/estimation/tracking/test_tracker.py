@@ -12,7 +12,7 @@ from dousa.estimation.body.body_file import read_body
 from dousa.estimation.body.human import make_human
 from dousa.estimation.body.kinematics import compute_points
 from dousa.estimation.body.posing import standing_state
-from dousa.estimation.cameras.camera_sets import make_ring
+from dousa.estimation.cameras.camera import make_ring
 from dousa.estimation.raster.rendering import render
 from dousa.estimation.silhouettes.silhouettes import PackedSilhouettes
 from dousa.estimation.tracking.settings import PAPER, TrackerSettings

@@ -224,13 +224,13 @@ def keypoints(
 
 
 def _manage_models(source: Path | None, *, install: bool, clear_cache: bool, json: bool) -> None:
-    from dousa.estimation.keypoints import keypoint_cache, model_archives, pose_models
+    from dousa.estimation.keypoints import keypoint_cache, pose_models
 
     cache = pose_models.user_cache() / "keypoints"
     installed: tuple[Path, ...] = ()
     if install:
         with progress_bar() as progress:
-            installed = model_archives.install_models((), source, progress)
+            installed = pose_models.install_models((), source, progress)
     removed = keypoint_cache.clear_kept(cache) if clear_cache else []
     kept = keypoint_cache.list_kept(cache)
     rows = [(model, pose_models.check_pose_model(model)) for model in pose_models.POSE_MODELS]
@@ -252,6 +252,6 @@ def _manage_models(source: Path | None, *, install: bool, clear_cache: bool, jso
     if removed:
         lines.append(Message("models.cleared", n=len(removed), megabytes=sum(film.n_bytes for film in removed) / 1e6))
     lines.append(Message("models.cache", n=len(kept), megabytes=sum(film.n_bytes for film in kept) / 1e6, path=cache))
-    lines.append(Message("models.licence", npm=model_archives.NPM_PACKAGE, pip=model_archives.PIP_PACKAGE))
+    lines.append(Message("models.licence", npm=pose_models.NPM_PACKAGE, pip=pose_models.PIP_PACKAGE))
     for line in lines:
         say(line)

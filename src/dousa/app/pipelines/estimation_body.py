@@ -89,7 +89,7 @@ def measure_body(
         scale = fit_scale(cameras, masks, make_body=lambda stature: make_human(stature, sex), progress=progress)
     except SilhouetteError:  # no silhouette in the first frame
         return _assume_body(sex)
-    if not scale.told:
+    if not scale.measured:
         return _assume_body(sex)
     return make_human(scale.stature, sex), Message("body.measured", stature=scale.stature), ()
 

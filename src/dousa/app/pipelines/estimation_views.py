@@ -63,8 +63,8 @@ def open_bare_views(
 
 def _find_sizes(request: EstimationRequest) -> list[tuple[int, int]] | None:
     """Sizes for the masks of videos: the proportions of the cameras', which may differ from those of the files."""
+    from dousa.estimation.cameras.camera import match_cameras
     from dousa.estimation.cameras.camera_files import read_cameras
-    from dousa.estimation.cameras.camera_sets import match_cameras
     from dousa.estimation.silhouettes.video import LONGEST_SIDE, reduce_size
 
     if request.cameras is None or not all(path.is_file() and path.suffix.lower() != ".npz" for path in request.sources):
@@ -91,7 +91,7 @@ def read_known_stature(sources: Sequence[Path]) -> float | None:
 
 def choose_cameras(request: EstimationRequest, views: Silhouettes) -> tuple[tuple[Camera, ...], list[Message]]:
     """Choose a camera for each view, of the size of its images."""
-    from dousa.estimation.cameras.camera_sets import fit_cameras
+    from dousa.estimation.cameras.camera import fit_cameras
 
     if request.cameras is not None:
         return read_view_cameras(request.cameras, views.names, views.sizes)
@@ -110,8 +110,8 @@ def read_view_cameras(
     ------
     CalibrationError : no calibration, or a view without camera.
     """
+    from dousa.estimation.cameras.camera import fit_cameras, match_cameras
     from dousa.estimation.cameras.camera_files import read_cameras
-    from dousa.estimation.cameras.camera_sets import fit_cameras, match_cameras
 
     found = read_cameras(path)
     if len(found) < len(names):

@@ -259,8 +259,7 @@ def _place_cameras(
 ) -> FilmScene:
     """Place unknown cameras: several by the person, a single one upright at a usual height."""
     from dousa.estimation.calibration.person import calibrate_from_person, guess_lenses
-    from dousa.estimation.sync.sync_file import read_offsets
-    from dousa.estimation.sync.synchronise import sync
+    from dousa.estimation.sync.synchronise import read_offsets, sync
 
     focals = _find_focals(request, found)
     if len(found) == 1:
@@ -325,8 +324,7 @@ def find_offsets(
     report: ProgressCallback,
 ) -> tuple[FloatArray, list[Message]]:
     """What each film's own clock shows (V,) s when the last of them begins, and what a person should know."""
-    from dousa.estimation.sync.sync_file import read_offsets
-    from dousa.estimation.sync.synchronise import sync
+    from dousa.estimation.sync.synchronise import read_offsets, sync
 
     together = np.zeros(len(found))
     if request.offsets == "none" or len(found) < 2:

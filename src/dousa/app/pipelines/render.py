@@ -144,8 +144,8 @@ def _pose_body(body: BodyModel, motion: CanonicalMotion) -> tuple[tuple[str, ...
 def _choose_cameras(request: RenderRequest, points: FloatArray) -> tuple[tuple[Camera, ...], list[Message]]:
     if request.cameras is None:
         return ring_around(points, request.n_ring, request.size or (320, 240)), []
+    from dousa.estimation.cameras.camera import fit_cameras
     from dousa.estimation.cameras.camera_files import read_cameras
-    from dousa.estimation.cameras.camera_sets import fit_cameras
 
     cameras = read_cameras(request.cameras)
     if request.size is None:
@@ -163,7 +163,7 @@ def ring_around(points: FloatArray, n_views: int, size: tuple[int, int]) -> tupl
     n_views : number of cameras.
     size : px, width and height.
     """
-    from dousa.estimation.cameras.camera_sets import make_ring
+    from dousa.estimation.cameras.camera import make_ring
 
     low, high = points.min(axis=(0, 1)) - _MARGIN, points.max(axis=(0, 1)) + _MARGIN
     middle = (low + high) / 2.0

@@ -28,7 +28,7 @@ _LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e6
 def find_bones(body: BodyModel, rows: IndexArray) -> IndexArray:
     """Pairs (B, 2) of places in ``rows`` whose direction says how a part lies.
 
-    A part with one point hanging on it is told by the way there from its joint; one with several by the ways from
+    A part with one point attached is determined by the vector to it from its joint; one with several by the ways from
     right to left, because bodies differ in where a pelvis or a chest has its joint and how shoulders lie to the neck.
     """
     owners = np.concatenate((body.parents, body.tip_parts))
@@ -119,7 +119,7 @@ class _Costs:
         return np.concatenate([part.reshape(len(poses), -1) for part in parts], axis=1)
 
 
-_CAUGHT = 1.5  # times the best residual so far: such a frame is fitted anew
+_CAUGHT = 1.5  # times the best residual so far: such a frame is fitted again
 _FLAT = 0.01  # statures: joints that are no farther from one line tell no rotation about it
 _STRAIGHT = 0.1  # sine of a bend that says nothing about which way a hinge folds
 _ARMS_OUT = 0.14  # rad, off the trunk: clothed arms hang so
@@ -283,7 +283,7 @@ def fit_poses(
         places = dict(zip(names, frame, strict=True))
         try:
             found = fit_pose(body, places, start)
-            # Caught in a wrong fold after a jump in time: look anew.
+            # Caught in a wrong fold after a jump in time: start again.
             if start is not None and found[1] > _CAUGHT * usual:
                 found = min(found, fit_pose(body, places), key=lambda pair: pair[1])
         except BodyModelError as error:
@@ -336,7 +336,7 @@ def _first_guesses(body: BodyModel, places: FloatArray, rows: IndexArray) -> lis
 
 
 def _core_parts(body: BodyModel) -> list[int]:
-    """The root and the parts that carry several others: where the body's front is told."""
+    """The root and the parts that carry several others: which determine the body's front."""
     return [part for part in range(body.n_parts) if part == 0 or (body.parents == part).sum() > 1]
 
 

@@ -30,7 +30,7 @@ _SPINE_RANGE = (0.25, 0.75)  # of the way from hips to neck, where a trunk can b
 
 @dataclass(frozen=True, slots=True)
 class Torso:
-    """Sizes in metres; NaN where not told.
+    """Sizes in metres; NaN where unknown.
 
     Parameters
     ----------
@@ -227,10 +227,10 @@ def _overall(body: BodyModel, ratios: FloatArray, torso: Torso) -> float:
         upright = [sizes[row] for row, joint in enumerate(body.joints) if joint.endswith(("_knee", "_ankle"))]
         upright.append((own.neck, torso.neck / own.neck))
         sizes = upright if any(_is_measured(ratio) for _, ratio in upright) else sizes
-    told = [(length, ratio) for length, ratio in sizes if _is_measured(ratio)]
-    if not told:
+    known = [(length, ratio) for length, ratio in sizes if _is_measured(ratio)]
+    if not known:
         raise BodyModelError("pose.no_bone", points=point_names(body))
-    weights, shares = np.array(told).T
+    weights, shares = np.array(known).T
     return float((weights * shares).sum() / weights.sum())
 
 
@@ -246,15 +246,15 @@ def _believable(body: BodyModel, ratios: FloatArray) -> FloatArray:
 
 
 def _even_sides(names: tuple[str, ...], ratios: FloatArray) -> FloatArray:
-    """Left and right made one where they agree, or where one of them is not told."""
+    """Left and right made one where they agree, or where one of them is unknown."""
     even = ratios.copy()
     for row, name in enumerate(names):
         if not name.startswith("left_") or (other := "right_" + name[5:]) not in names:
             continue
         pair = [row, names.index(other)]
-        told = ratios[pair][np.isfinite(ratios[pair])]
-        if len(told) and np.ptp(told) <= _SIDES_AGREE * told.mean():
-            even[pair] = told.mean()
+        known = ratios[pair][np.isfinite(ratios[pair])]
+        if len(known) and np.ptp(known) <= _SIDES_AGREE * known.mean():
+            even[pair] = known.mean()
     return even
 
 
@@ -303,7 +303,7 @@ def body_from_motion(motion: Motion | Trajectories | CanonicalMotion, sex: str =
 
     Parameters
     ----------
-    motion : any motion whose joints can be told (BVH, ASF/AMC, C3D, TRC ...), in m, or its canonical joints.
+    motion : any motion whose joints can be identified (BVH, ASF/AMC, C3D, TRC ...), in m, or its canonical joints.
     sex : as in `make_human`; moves girths, since the bones are measured.
 
     Returns
@@ -312,7 +312,7 @@ def body_from_motion(motion: Motion | Trajectories | CanonicalMotion, sex: str =
 
     Raises
     ------
-    JointMappingError : the joints cannot be told apart.
+    JointMappingError : the joints cannot be distinguished.
     BodyModelError : the person is no size that people are; is the unit right?
     """
     canonical = require_whole(motion if isinstance(motion, CanonicalMotion) else canonicalise(motion))

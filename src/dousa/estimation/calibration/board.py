@@ -19,10 +19,9 @@ from dousa.arrays import FloatArray, Image, IndexArray
 from dousa.errors import CalibrationError, OptionError
 from dousa.estimation.calibration.bundle import Freedom, Limb, Rig, Sightings, adjust
 from dousa.estimation.calibration.person import Calibration, measure_parallax, rate_views
+from dousa.estimation.calibration.rig_search import triangulate
 from dousa.estimation.calibration.sightings import choose_moments, make_track, read_sightings
-from dousa.estimation.calibration.two_views import triangulate
-from dousa.estimation.cameras.camera import Camera
-from dousa.estimation.cameras.camera_sets import make_view
+from dousa.estimation.cameras.camera import Camera, make_view
 from dousa.estimation.keypoints.keypoints import PersonTrack, ViewKeypoints
 from dousa.messages import Message
 

@@ -380,7 +380,7 @@ class _System:
         n_frames, size = len(self.forces), 3 * self.forces.shape[1]
         blocks = self.blocks.reshape(n_frames, size, size).copy()
         diagonal = np.arange(size)
-        # What nobody saw has no equations; it stays where it is.
+        # Points that no view sees have no equations and keep their places.
         blocks[:, diagonal, diagonal] += damping * blocks[:, diagonal, diagonal] + 1e-9
         mixed = self.mixed[:, self.free].reshape(n_frames, -1, size).swapaxes(1, 2)
         right = np.concatenate((mixed, self.forces.reshape(n_frames, size, 1)), axis=2)

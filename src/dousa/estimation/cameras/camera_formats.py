@@ -224,7 +224,7 @@ def _read_qualisys(element: ET.Element, otherwise: str) -> RawCamera:
         for key in ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV")
     }
     skew = _attribute(intrinsic, "skew", name, 0.0)
-    if abs(skew) > 1e-6:  # its unit is not told, and no camera of today has any
+    if abs(skew) > 1e-6:  # its unit is not stated, and no camera of today has any
         raise CalibrationError("camera_files.skew", what=entry(name, "intrinsic skew"), found=skew)
     matrix = np.array(
         [

@@ -31,7 +31,7 @@ from dousa.estimation.keypoints.keypoints import PersonMasks, PersonTrack, ViewK
 from dousa.estimation.keypoints.people import SIGHTING
 
 _SAMPLES, _SAMPLE = 48, 262_144
-_ABANDONED_S = 60.0  # without a write, after which an unfinished folder is nobody's
+_ABANDONED_S = 60.0  # without a write, after which an unfinished folder is abandoned
 _FLUSH_S = 2.0
 MOST_BYTES = 4_000_000_000
 """Of the disk, that kept films may take."""
@@ -263,7 +263,7 @@ def _last_write(folder: Path) -> float:
 
 
 def _write_masks(folder: Path, n_frames: int, sightings: NDArray[np.void], people: list[NDArray[np.int64]]) -> None:
-    from dousa.estimation.keypoints.person_crops import PersonCrop
+    from dousa.estimation.keypoints.pose_networks import PersonCrop
 
     shape = (len(people), n_frames, *SIGHTING["mask"].shape)
     crops = np.full((*shape[:2], 2, 3), np.nan)

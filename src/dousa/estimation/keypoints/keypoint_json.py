@@ -1,8 +1,9 @@
-"""Keypoints that other programs found: JSON, one file for each frame or one for a view.
+"""Reads keypoints that other programs found: JSON, one file for each frame or one for a view.
 
-What is understood, for each person of a frame: OpenPose and Pose2Sim (``people``, ``pose_keypoints_2d``), results of
+Supported for each person of a frame: OpenPose and Pose2Sim (``people``, ``pose_keypoints_2d``), results of
 COCO and AlphaPose (``image_id``, ``keypoints``), annotations of COCO, MMPose (``instance_info``, ``instances``), and
-landmarks of MediaPipe as lists of ``x, y, visibility``, whose unit may be the size of the picture.
+landmarks of MediaPipe as lists of ``x, y, visibility``, whose unit may be the size of the picture. The number of points
+determines their scheme. Left is the person's left.
 """
 
 from __future__ import annotations
@@ -17,9 +18,42 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.errors import KeypointError, MotionFileError
-from dousa.estimation.keypoints.keypoint_schemes import SCHEMES
+from dousa.estimation.keypoints.keypoints import MEDIAPIPE_NAMES
 from dousa.files.disk import read_bytes
 from dousa.files.frame_names import natural_key, number_frames
+
+
+def _pairs(words: str) -> tuple[str, ...]:
+    """Names for a left and a right point each."""
+    return tuple(f"{side}_{word}" for word in words.split() for side in ("left", "right"))
+
+
+COCO_17 = ("nose", *_pairs("eye ear shoulder elbow wrist hip knee ankle"))
+_FEET = ("left_big_toe", "left_small_toe", "left_heel", "right_big_toe", "right_small_toe", "right_heel")
+BODY_25 = (
+    "nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
+    "mid_hip", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "right_eye", "left_eye",
+    "right_ear", "left_ear", *_FEET,
+)  # fmt: skip
+COCO_18 = (
+    "nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
+    "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "right_eye", "left_eye",
+    "right_ear", "left_ear",
+)  # fmt: skip
+HALPE_26 = (*COCO_17, "head_top", "neck", "mid_hip", *_pairs("big_toe small_toe heel"))
+WHOLE_BODY = (*COCO_17, *_FEET)  # of 133; those of face and hands are left out
+
+SCHEMES: dict[int, tuple[str, ...]] = {
+    17: COCO_17,
+    18: COCO_18,
+    25: BODY_25,
+    26: HALPE_26,
+    33: MEDIAPIPE_NAMES,
+    133: WHOLE_BODY,
+    136: HALPE_26,
+}
+"""Names by the number of points: COCO, OpenPose (COCO and BODY_25), Halpe, MediaPipe, COCO-WholeBody, Halpe's whole."""
+
 
 _MOST_BYTES, _MOST_FRAMES, _MOST_PEOPLE = 1_000_000_000, 2_000_000, 200
 _POINT_KEYS = ("pose_keypoints_2d", "keypoints", "pose_landmarks", "poseLandmarks", "landmarks")
@@ -231,7 +265,7 @@ def settle_units(frames: list[list[ReadPerson]], size: tuple[int, int] | None) -
 
     Raises
     ------
-    KeypointError : shares of a size that nobody tells.
+    KeypointError : shares of an unknown size.
     """
     everybody = [person.points for people in frames for person in people]
     places = np.concatenate([points[:, :2] for points in everybody]) if everybody else np.zeros((0, 2))

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray, IntArray
 from dousa.errors import OptionError
 from dousa.estimation.keypoints.films import FilmFrames, read_ahead
-from dousa.estimation.keypoints.identities import find_identities
 from dousa.estimation.keypoints.keypoint_cache import KeypointCache, fingerprint_film
 from dousa.estimation.keypoints.keypoints import MEDIAPIPE_NAMES, PersonTrack, ViewKeypoints
-from dousa.estimation.keypoints.people import SIGHTING, PeopleFollower
+from dousa.estimation.keypoints.people import SIGHTING, PeopleFollower, find_identities
 from dousa.estimation.keypoints.pose_models import DETECTOR, LANDMARK_MODELS, find_pose_model, user_cache
 from dousa.estimation.keypoints.pose_networks import N_BODY, LandmarkNetwork, PersonDetector
 from dousa.messages import Message
@@ -39,8 +38,8 @@ def find_keypoints(
 ) -> ViewKeypoints:
     """Find the keypoints and masks of the people in a film, with learned networks.
 
-    Every person is followed in a crop that the last frame's landmarks place; the detector runs when somebody is lost
-    and twice a second or so. Who is who is settled over the whole film (`identities.find_identities`). The models are
+    Every person is followed in a crop that the last frame's landmarks place; the detector runs when a person is lost
+    and twice a second or so. Who is who is settled over the whole film (`people.find_identities`). The models are
     those of `dousa keypoints --install`; nothing is fetched here. The results are kept in the user's cache, so that a
     film is searched once, and an interrupted search goes on where it stopped.
 
@@ -56,7 +55,7 @@ def find_keypoints(
     Returns
     -------
     The 33 points of `MEDIAPIPE_NAMES` of each person, who is seen most (for long, large) first; ``people`` is empty
-    where there is nobody, and ``warnings`` says so.
+    if no person is found, with a warning.
 
     Raises
     ------

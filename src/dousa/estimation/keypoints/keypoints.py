@@ -143,7 +143,7 @@ class ViewKeypoints:
 
     Parameters
     ----------
-    names : (K,) of the points, `MEDIAPIPE_NAMES` or those of another scheme, spelled alike.
+    names : (K,) of the points, `MEDIAPIPE_NAMES` or those of another scheme, spelled the same.
     people : one track each; who is seen most comes first where dousa finds or reads them.
     times : (T,) s of each frame since the first of the film, rising; phones do not film at a steady rate.
     size : width and height of the upright picture in px.

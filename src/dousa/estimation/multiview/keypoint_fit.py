@@ -22,8 +22,7 @@ from dousa.estimation.body.kinematics import compute_points, point_names
 from dousa.estimation.body.posing import fit_poses
 from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.keypoints.keypoints import PersonTrack
-from dousa.estimation.multiview.body_fit import BodyParameters, fit_body_parameters
-from dousa.estimation.multiview.known_values import known_median
+from dousa.estimation.multiview.body_fit import BodyParameters, fit_body_parameters, fit_trajectory
 from dousa.estimation.multiview.landmarks import (
     BREADTHS,
     SHIFTS,
@@ -32,10 +31,9 @@ from dousa.estimation.multiview.landmarks import (
     gather,
     place_landmarks,
 )
+from dousa.estimation.multiview.people import repair_sides
 from dousa.estimation.multiview.pose_residuals import Terms, place_points, point_slopes
-from dousa.estimation.multiview.sides import repair_sides
-from dousa.estimation.multiview.trajectory import fit_trajectory
-from dousa.estimation.multiview.triangulation import Triangulated, pixels_per_metre, triangulate
+from dousa.estimation.multiview.triangulation import Triangulated, known_median, pixels_per_metre, triangulate
 from dousa.estimation.tracking.settings import Estimate
 from dousa.messages import Message
 from dousa.motion import rotations as rot
@@ -134,11 +132,11 @@ def fit_keypoints(
     places = _first_places(cameras, seen, shown)
     tell(1, 4, Message("multiview.body"))
     given = body if body is not None else _usual_body(stature or _guess_stature(places, seen.names, len(shown)), sex)
-    poses, told = _first_poses(given, places, seen.names, frame_rate)
+    poses, determined = _first_poses(given, places, seen.names, frame_rate)
     terms = (
         Terms(cameras, seen, frame_rate, 1.0, _ONE_VIEW_EASE) if len(shown) == 1 else Terms(cameras, seen, frame_rate)
     )
-    own, landmarks, poses = _find_body(given, body is None, stature, sex, poses, told, terms)
+    own, landmarks, poses = _find_body(given, body is None, stature, sex, poses, determined, terms)
     tell(2, 4, Message("multiview.fitting"))
     poses, covariance = _fit_in_windows(own, poses, landmarks, terms, tell)
     seconds = perf_counter() - begun
@@ -150,7 +148,7 @@ def fit_keypoints(
 
 
 def _first_places(cameras: Sequence[Camera], seen: SeenLandmarks, shown: Sequence[int]) -> FloatArray:
-    """(T, L, 3) m, nan where not told."""
+    """(T, L, 3) m, nan where unknown."""
     if not shown:
         raise KeypointError("multiview.nobody")
     if len(shown) > 1:
@@ -190,17 +188,17 @@ def _guess_stature(places: FloatArray, names: tuple[str, ...], n_views: int) -> 
                 ways = places[:, names.index(side + one)] - places[:, names.index(side + other)]
                 length = np.nanmedian(np.linalg.norm(ways, axis=1)) if np.isfinite(ways).any() else np.nan
                 ratios.append(length / share)
-    told = [ratio for ratio in ratios if np.isfinite(ratio)]
-    return float(np.clip(np.median(told), 0.5, 2.3)) if told else USUAL_STATURE
+    determined = [ratio for ratio in ratios if np.isfinite(ratio)]
+    return float(np.clip(np.median(determined), 0.5, 2.3)) if determined else USUAL_STATURE
 
 
 def _first_poses(
     body: BodyModel, places: FloatArray, names: tuple[str, ...], frame_rate: float
 ) -> tuple[FloatArray, BoolArray]:
-    """Poses (T, 7 + A) to begin with, and (T,) whether the frame told enough."""
+    """Poses (T, 7 + A) to begin with, and (T,) whether the frame determines the pose."""
     known = set(point_names(body))
     rows = [row for row, name in enumerate(names) if name in known and not name.endswith("neck")]
-    told = np.isfinite(places[:, rows, 0])
+    determined = np.isfinite(places[:, rows, 0])
     filled = places.copy()
     frames = np.arange(len(places))
     for row in rows:
@@ -213,7 +211,7 @@ def _first_poses(
         poses, _ = fit_poses(body, filled[some][:, rows], [names[row] for row in rows])
     except BodyModelError as error:
         raise KeypointError("multiview.nobody") from error
-    return _fill_between(poses, some, len(places)), np.asarray(told.mean(axis=1) > 0.6)
+    return _fill_between(poses, some, len(places)), np.asarray(determined.mean(axis=1) > 0.6)
 
 
 def _fill_between(poses: FloatArray, frames: IndexArray, n_frames: int) -> FloatArray:
@@ -233,11 +231,11 @@ def _find_body(
     stature: float | None,
     sex: str,
     poses: FloatArray,
-    told: BoolArray,
+    determined: BoolArray,
     terms: Terms,
 ) -> tuple[BodyModel, Landmarks, FloatArray]:
     """The body, its landmarks, and the poses to begin with, from frames of the whole film."""
-    chosen = np.flatnonzero(told)
+    chosen = np.flatnonzero(determined)
     if not len(chosen):
         chosen = np.arange(len(poses))
     chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, _BODY_FRAMES).astype(int))]
@@ -310,12 +308,12 @@ def _answer(
     visible = np.asarray(terms.seen.visibility > 0.3)
     off = np.where(visible, errors / sigma, np.nan)
     n_needed = min(2, len(terms.cameras))
-    told = (visible.sum(axis=0) >= n_needed).mean(axis=1)
+    determined = (visible.sum(axis=0) >= n_needed).mean(axis=1)
     middle = known_median(np.moveaxis(off, 1, 0).reshape(len(poses), -1), axis=1)
     middle = np.where(np.isfinite(middle), middle, np.inf)
-    lost = (uncertainty.mean(axis=1) > _LOST_SIGMA) | (told < _LOST_SEEN) | (middle > _LOST_ERROR)
+    lost = (uncertainty.mean(axis=1) > _LOST_SIGMA) | (determined < _LOST_SEEN) | (middle > _LOST_ERROR)
     if len(terms.cameras) == 1:
-        lost = (told < _LOST_SEEN) | (middle > _LOST_ERROR)
+        lost = (determined < _LOST_SEEN) | (middle > _LOST_ERROR)
     estimate = Estimate(
         body,
         poses,

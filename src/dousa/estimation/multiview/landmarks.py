@@ -4,7 +4,7 @@ Places are in statures in the axes of the part (see ``anthropometry.toml``). The
 made-up people, whose joints are known (``lab/trials/made_people.py``: BlazePose's heavy model, meshes of MakeHuman in
 poses of HDM05 and Bandai Namco): such as that the point of a shoulder lies above the joint and goes with the trunk, and
 that of an ankle above the ankle. Nothing was fitted to a film of a real person; how far off the points of a group are
-in a film is found anew (`body_fit`).
+in a film is estimated (`body_fit`).
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ _OTHERWISE: dict[str, tuple[tuple[str, ...], ...]] = {
     "hand": (("left_hand",), ("right_hand",)),
 }
 _SIDES = ("left", "right")
-_LEAST = 6  # landmarks, of which a body can be told
+_LEAST = 6  # landmarks, at least, to determine a body
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,6 +6,7 @@ views that disagree are left out, and the point is refined on its reprojection e
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -15,9 +16,31 @@ import numpy as np
 from dousa.arrays import BoolArray, FloatArray
 from dousa.estimation.cameras.camera import Camera
 
+
+def known_mean(values: FloatArray, axis: int) -> FloatArray:
+    """The mean of the values that are not nan along an axis."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # all nan, whose mean is nan
+        return np.asarray(np.nanmean(values, axis=axis))
+
+
+def known_median(values: FloatArray, axis: int) -> FloatArray:
+    """The median of the values that are not nan along an axis."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return np.asarray(np.nanmedian(values, axis=axis))
+
+
+def known_span(values: FloatArray, axis: int) -> FloatArray:
+    """Greatest less least of the values that are not nan along an axis."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return np.asarray(np.nanmax(values, axis=axis) - np.nanmin(values, axis=axis))
+
+
 _AGREES = 3.0  # sigmas: a view farther off is left out
 _STEPS = 4
-_LEAST_ANGLE = 0.06  # rad between two rays; below, they tell no depth
+_LEAST_ANGLE = 0.06  # rad between two rays; below, depth is undetermined
 _DIFFERENCE = 1e-5  # m
 
 
@@ -114,7 +137,7 @@ def _refine(
     spread: float,
     batch: tuple[int, ...],
 ) -> Triangulated:
-    """Gauss-Newton on the views that agree, with the views chosen anew at each step."""
+    """Gauss-Newton on the views that agree, with the views chosen again at each step."""
     points = best.copy()
     n_points = len(points)
     identity = np.eye(3)
@@ -136,14 +159,14 @@ def _refine(
             gradient += np.einsum("n,nij,ni->nj", share, slope, off)
         points = points + np.linalg.solve(square, gradient[..., None])[..., 0]
     errors, _ = _reproject(cameras, points, flat, spread)
-    told = (used.sum(axis=0) >= 2) & np.isfinite(points).all(axis=1)
-    points[~told] = np.nan
+    determined = (used.sum(axis=0) >= 2) & np.isfinite(points).all(axis=1)
+    points[~determined] = np.nan
     covariance = np.full((n_points, 3, 3), np.nan)
-    covariance[told] = np.linalg.inv(square[told])
+    covariance[determined] = np.linalg.inv(square[determined])
     return Triangulated(
         points.reshape(*batch, 3),
         covariance.reshape(*batch, 3, 3),
-        (used & told).reshape(len(cameras), *batch),
+        (used & determined).reshape(len(cameras), *batch),
         errors.reshape(len(cameras), *batch),
     )
 

@@ -24,7 +24,7 @@ from dousa.motion import CANONICAL_JOINTS, Motion, Trajectories, canonicalise, c
 _EDGE_GRAIN = 2.5  # px, size of the bumps of a ragged edge
 _HOLE_GRAIN = 4.0  # px, size of the holes
 _SPECKLE_GRAIN = 1.0  # px
-_PERSISTENCE = 0.6  # share of an error that the next frame keeps: segmentation errs alike twice
+_PERSISTENCE = 0.6  # share of an error that the next frame keeps: errors of segmentation last
 _SHADOW_DEPTH = 0.12  # height of a shadow on the floor by its length: cameras look flat over the floor
 _SHADOW_LOSS = 0.25  # share of a shadow that segmentation notices and removes
 
@@ -228,7 +228,7 @@ def poses_from_motion(body: BodyModel, motion: Motion | Trajectories) -> FloatAr
     Raises
     ------
     BodyModelError : too few joints of the body are found in the motion.
-    JointMappingError : the joints of a person's motion cannot be told apart.
+    JointMappingError : the joints of a person's motion cannot be distinguished.
     """
     moving = compute_trajectories(motion) if isinstance(motion, Motion) else motion
     wanted = point_names(body)

@@ -3,8 +3,8 @@
 Three ways to know the background:
 
 - ``plate``: an image of the empty scene, which may be from another moment. It is shifted and its exposure fitted to the
-  video; where the video is static the video's own median is used, so the plate counts only where somebody moves; and
-  where the plate shows somebody, the video's colours replace it if they are seen (see `choose_sources`).
+  video; where the video is static the video's own median is used, so the plate counts only where a person moves; and
+  where the plate shows a person, the video's colours replace it if they are seen (see `choose_sources`).
 - ``median``: the median over frames spread over the video. Fails where the person stays.
 - ``mog2``: a mixture of Gaussians by pixel (Zivkovic 2004, as in OpenCV), learnt on the same frames.
 
@@ -20,14 +20,319 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.arrays import Image, Mask
+from dousa.arrays import BoolArray, Image, Mask
 from dousa.errors import OptionError, SilhouetteError
-from dousa.estimation.silhouettes.background_plate import complete_plate, smooth_image
 from dousa.messages import Message
+
+FloatArray = NDArray[np.float32]
+
+_SIDE = 240  # px, longer side of the image on which sources are chosen
+_ROUNDS = 150
+_EDGE_LIMIT = 60.0  # grey levels; an edge costs no more
+UNUSABLE = 1000.0
+"""Cost of a source that has nothing to offer."""
+
+_SEEN_EDGE = 0.1  # share of an edge's cost inside a colour of the video; edges inside the plate are its own
+
+
+def choose_sources(
+    sources: FloatArray, costs: FloatArray, open_pixels: BoolArray, known: FloatArray
+) -> NDArray[np.uint8]:
+    """The source of each open pixel.
+
+    Parameters
+    ----------
+    sources : (3, H, W, 3) grey levels: plate, first and second colour of the video.
+    costs : (3, H, W) grey levels, what speaks against a source at a pixel, in the coin of an edge; `UNUSABLE` where
+        it has nothing to offer. The first colour of the video is usable everywhere.
+    open_pixels : (H, W) where to choose.
+    known : (H, W, 3) grey levels, the background elsewhere.
+
+    Returns
+    -------
+    (H, W) 0, 1 or 2; without meaning outside the open pixels.
+    """
+    from dousa.extras import cv2
+
+    height, width = open_pixels.shape
+    step = max(1, round(max(height, width) / _SIDE))
+    size = (max(1, width // step), max(1, height // step))
+
+    def shrink(array: NDArray[np.float32]) -> FloatArray:
+        return np.asarray(cv2.resize(array, size, interpolation=cv2.INTER_AREA), np.float32)
+
+    share = shrink(open_pixels.astype(np.float32))
+    weight = share[..., None] + 1e-6
+    masked = open_pixels[..., None]
+    small = np.stack([shrink(np.where(masked, source, np.float32(0))) / weight for source in sources])
+    around = shrink(np.where(masked, np.float32(0), known)) / (1 - share[..., None] + 1e-6)
+    prices = np.stack([shrink(np.where(open_pixels, cost, np.float32(0))) / weight[..., 0] for cost in costs])
+    chosen = _propagate(small, prices, share > 0.25, around).astype(np.uint8)
+    labels = np.asarray(cv2.resize(chosen, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)
+    price = np.take_along_axis(costs, labels[None].astype(np.intp), 0)[0]
+    labels[price >= UNUSABLE] = 1
+    return labels
+
+
+def _propagate(sources: FloatArray, prices: FloatArray, open_pixels: BoolArray, known: FloatArray) -> NDArray[np.intp]:
+    """Labels (H, W) of least cost, by min-sum belief propagation on the grid."""
+    unary = np.where(open_pixels, prices, np.float32(0))
+    sources = np.where(open_pixels[..., None], sources, known)
+    across = _edge_costs(sources[:, :, :-1], sources[:, :, 1:], open_pixels[:, :-1] & open_pixels[:, 1:])
+    down = _edge_costs(sources[:, :-1], sources[:, 1:], open_pixels[:-1] & open_pixels[1:])
+    to_right, to_left, to_below, to_above = (np.zeros_like(unary) for _ in range(4))
+    for _ in range(_ROUNDS):
+        belief = unary + to_right + to_left + to_below + to_above
+        sent = (
+            (to_right[:, :, 1:], _message((belief - to_left)[:, :, :-1], across)),
+            (to_left[:, :, :-1], _message((belief - to_right)[:, :, 1:], across.swapaxes(0, 1))),
+            (to_below[:, 1:], _message((belief - to_above)[:, :-1], down)),
+            (to_above[:, :-1], _message((belief - to_below)[:, 1:], down.swapaxes(0, 1))),
+        )
+        for place, message in sent:  # half old, half new: it settles instead of swinging
+            place[...] = 0.5 * (place + message)
+    return np.asarray((unary + to_right + to_left + to_below + to_above).argmin(axis=0))
+
+
+def _edge_costs(one: FloatArray, other: FloatArray, both_open: BoolArray) -> FloatArray:
+    """Cost (3, 3, H, W) of an edge between neighbours by the sources of both."""
+    costs = np.minimum(np.abs(one[:, None] - other[None]).max(axis=4), np.float32(_EDGE_LIMIT))
+    for label in range(len(one)):
+        costs[label, label][both_open] *= 0.0 if label == 0 else _SEEN_EDGE
+    return np.asarray(costs)
+
+
+def _message(sender: FloatArray, costs: FloatArray) -> FloatArray:
+    message = (sender[:, None] + costs).min(axis=0)
+    return np.asarray(message - message.min(axis=0), np.float32)
+
+
+FloatImage = NDArray[np.float32]
+
+_SMALL = 800  # px; larger images show the noise of the sensor
+_DIFFERS = 30.0  # grey levels between video and plate that are another surface
+_LEAST_PART = 0.0003  # share of the image; smaller parts are noise
+_LEAST_ALIKE = 0.4  # share of the static scene in which plate and video should agree
+_AGREE = 12.0  # grey levels between plate and video that are the same surface
+_LEAST_SEEN = 0.06  # share of the frames in which the video must agree with the plate
+_SAME_COLOUR, _OTHER_COLOUR = 10.0, 20.0  # grey levels, when colours of a pixel are counted
+_NOT_SCENIC, _WAVERING = 12.0, 4.0  # grey levels; costs of the sources, see `_choose`
+
+
+def smooth_image(image: NDArray[Any]) -> NDArray[Any]:
+    """An image without the noise of single pixels; of frames and background, or their edges would differ."""
+    from dousa.extras import cv2
+
+    side = 3 if max(image.shape) <= _SMALL else 5
+    return np.asarray(cv2.GaussianBlur(image, (side, side), 0))
+
+
+def complete_plate(
+    smooth: NDArray[np.uint8], median: FloatImage, moving: Mask, plate: Image, warnings: list[Message]
+) -> FloatImage:
+    """The background of a video from its own frames and an image of the empty scene.
+
+    Parameters
+    ----------
+    smooth : (N, H, W, 3) uint8, smoothed frames.
+    median : (H, W, 3) their median.
+    moving : (H, W) bool, where a person moves.
+    plate : (H, W, 3) uint8, the empty scene, perhaps from another moment.
+    warnings : what a person should know is added.
+
+    Returns
+    -------
+    (H, W, 3) float32: the median where the video is static, the plate where a person moves, the video's colours where
+    the plate is wrong.
+    """
+    placed = _align(plate, median, moving, warnings)
+    fitted = np.asarray(smooth_image(_fit_exposure(placed, median, moving, warnings)), np.float32)
+    image = median.copy()
+    stays = _standing_parts(median, fitted, moving)
+    image[stays] = fitted[stays]
+    rows, columns = np.nonzero(moving)
+    if len(rows) == 0:
+        warnings.append(Message("background.nothing_moves"))
+        return fitted
+    seen_sum = np.zeros((len(rows), 3), np.float32)
+    count = np.zeros(len(rows), np.float32)
+    own = fitted[rows, columns]
+    for frame in smooth:
+        colours = frame[rows, columns].astype(np.float32)
+        agrees = np.abs(colours - own).max(axis=1) < _AGREE
+        seen_sum[agrees] += colours[agrees]
+        count += agrees
+    sure = count >= max(1.0, _LEAST_SEEN * len(smooth))
+    image[rows[sure], columns[sure]] = seen_sum[sure] / count[sure, None]
+    rows, columns = rows[~sure], columns[~sure]
+    if len(rows) == 0:
+        return image
+    still = smooth[:, ~moving][:, ::97].astype(np.float32)
+    noise = float(np.abs(still - np.median(still, axis=0)).max(axis=2).mean()) if still.size else 2.0
+    return _choose(smooth, image, fitted, noise, (rows, columns))
+
+
+def _standing_parts(median: FloatImage, plate: FloatImage, moving: Mask) -> Mask:
+    """Parts of the moving person that stay where they are, such as a foot: there the plate is the background.
+
+    They differ from the plate, touch what moves, and their outline is an edge of the video and not of the plate. (What
+    only the plate shows, a ghost, is the other way round.)
+    """
+    from dousa.extras import cv2
+
+    differs = ((np.abs(median - plate).max(axis=2) > _DIFFERS) & ~moving).astype(np.uint8)
+    around = np.ones((3, 3), np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(cv2.morphologyEx(differs, cv2.MORPH_OPEN, around))
+    near = cv2.dilate(moving.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    edges = [_edges(image) for image in (median, plate)]
+    found = np.zeros(moving.shape, bool)
+    for part in range(1, count):
+        if stats[part, cv2.CC_STAT_AREA] < _LEAST_PART * moving.size:
+            continue
+        there = labels == part
+        if not (there & near).any():
+            continue
+        shape = there.astype(np.uint8)
+        outline = cv2.dilate(shape, around) != cv2.erode(shape, around)
+        rim = outline & ~near
+        surrounded = rim.sum() < 0.3 * outline.sum()
+        if surrounded or edges[0][rim].mean() > 1.3 * edges[1][rim].mean():
+            found |= cv2.dilate(shape, np.ones((5, 5), np.uint8)) > 0
+    return found & ~moving
+
+
+def _edges(image: FloatImage) -> FloatImage:
+    """Strength of the edges (H, W) in grey levels per pixel."""
+    from dousa.extras import cv2
+
+    across, down = (cv2.Sobel(image, cv2.CV_32F, *axes, scale=0.125) for axes in ((1, 0), (0, 1)))
+    return np.asarray(np.sqrt(across * across + down * down).max(axis=2), np.float32)
+
+
+def _choose(
+    smooth: NDArray[np.uint8],
+    image: FloatImage,
+    plate: FloatImage,
+    noise: float,
+    where: tuple[NDArray[np.intp], NDArray[np.intp]],
+) -> FloatImage:
+    """The background with the pixels that the video never agreed on filled in."""
+    from dousa.extras import cv2
+
+    colours, shares, spreads = _frequent_colours(smooth[:, where[0], where[1]].astype(np.float32))
+    # A colour that stays within the noise of the scene is scenery; one that wavers is a person who stands there.
+    wavers = np.clip(spreads / max(noise, 1.0) - 1.0, 0.0, 2.0)
+    sources = np.stack((plate, image, image))
+    costs = np.zeros(sources.shape[:3], np.float32)
+    sources[1][where], sources[2][where] = colours
+    costs[0][where] = ((wavers < 0.5) & (shares >= 0.15) & (shares <= 0.85)).any(axis=0)
+    # Outlines of the person are mixed colours, and thin; one colour all the time may be either.
+    costs[0] = _NOT_SCENIC * cv2.erode(costs[0], np.ones((3, 3), np.uint8))
+    costs[1][where] = 0.1 + _WAVERING * wavers[0]
+    costs[2][where] = np.where(shares[1] >= 0.08, 0.3 + _WAVERING * wavers[1], UNUSABLE)
+    open_pixels = np.zeros(image.shape[:2], bool)
+    open_pixels[where] = True
+    labels = choose_sources(sources, costs, open_pixels, image)
+    filled = image.copy()
+    filled[where] = sources[labels[where], where[0], where[1]]
+    return filled
+
+
+def _frequent_colours(
+    colours: FloatImage,
+) -> tuple[FloatImage, NDArray[np.float32], NDArray[np.float32]]:
+    """The two most frequent colours (2, K, 3) of each pixel's series (N, K, 3), their shares and spreads (2, K)."""
+    counts = np.zeros(colours.shape[:2], np.int32)
+    for colour in colours:
+        counts += np.abs(colours - colour).max(axis=2) < _SAME_COLOUR
+    pixels = np.arange(colours.shape[1])
+    found, shares, spreads = [], [], []
+    for _ in range(2):
+        best = colours[counts.argmax(axis=0), pixels]
+        distance = np.abs(colours - best).max(axis=2)
+        members = distance < _SAME_COLOUR
+        weight = members.astype(np.float32)
+        total = np.maximum(weight.sum(axis=0), 1.0)
+        mean = np.einsum("nk,nkc->kc", weight, colours) / total[:, None]
+        deviation = np.abs(colours - mean).max(axis=2)
+        found.append(mean)
+        shares.append(np.where(counts.max(axis=0) > 0, total / len(colours), 0.0))
+        spreads.append((deviation * weight).sum(axis=0) / total)
+        counts = np.where(distance <= _OTHER_COLOUR, 0, counts)
+    return np.stack(found), np.stack(shares).astype(np.float32), np.stack(spreads).astype(np.float32)
+
+
+def _align(plate: Image, median: FloatImage, moving: Mask, warnings: list[Message]) -> Image:
+    """The plate shifted, turned and stretched onto the video by at most a few percent.
+
+    Enhanced correlation (Evangelidis and Psarakis 2008) over what is static; a fit that is worse than none is dropped.
+    """
+    from dousa.extras import cv2
+
+    target = cv2.cvtColor(median.astype(np.uint8), cv2.COLOR_BGR2GRAY)
+    source = cv2.cvtColor(plate, cv2.COLOR_BGR2GRAY)
+    similar = np.abs(median - smooth_image(plate)).max(axis=2) < 60
+    static = (~moving & similar).astype(np.uint8)
+    warp = np.eye(2, 3, dtype=np.float32)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-4)
+    try:
+        found = cv2.findTransformECC(target, source, warp, cv2.MOTION_AFFINE, criteria, static, 5)
+        warp = np.asarray(found[1], np.float32)
+    except cv2.error:  # it does not converge on images without texture
+        return plate
+    corners = np.array([[0, 0, 1], [plate.shape[1], 0, 1], [0, plate.shape[0], 1]], np.float32)
+    moved = float(np.linalg.norm(corners @ warp.T - corners[:, :2], axis=1).max())
+    if not moved <= 0.05 * max(plate.shape):
+        return plate
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    placed = cv2.warpAffine(plate, warp, plate.shape[1::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    where = static > 0
+    before, after = (float(np.abs(median[where] - smooth_image(image)[where]).mean()) for image in (plate, placed))
+    if after >= before:
+        return plate
+    if moved > 0.004 * max(plate.shape):
+        warnings.append(Message("background.plate_moved", pixels=moved))
+    return np.asarray(placed, np.uint8)
+
+
+def _fit_exposure(plate: Image, median: FloatImage, moving: Mask, warnings: list[Message]) -> FloatImage:
+    """The plate with gain and offset of each colour as in the video, fitted where both show the same."""
+    fitted = plate.astype(np.float32)
+    usable = ~moving & (plate.max(axis=2) < 250) & (np.abs(median - fitted).max(axis=2) < 80)
+    if usable.sum() < 0.05 * usable.size:
+        warnings.append(Message("background.unlike"))
+        return fitted
+    step = max(1, int(usable.sum()) // 100_000)
+    for channel in range(3):
+        x = plate[..., channel][usable][::step].astype(np.float64)
+        y = median[..., channel][usable][::step].astype(np.float64)
+        gain, offset = _fit_line(x, y)
+        if 0.4 <= gain <= 2.5:
+            fitted[..., channel] = gain * fitted[..., channel] + offset
+    similar = (np.abs(median - fitted).max(axis=2) < _DIFFERS)[~moving].mean()
+    if similar < _LEAST_ALIKE:
+        warnings.append(Message("background.unlike"))
+    return np.clip(fitted, 0, 255)
+
+
+def _fit_line(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float]:
+    """Gain and offset by least squares, outliers left out in five rounds."""
+    kept = np.ones(len(x), bool)
+    gain, offset = 1.0, 0.0
+    for _ in range(5):
+        centre = x[kept].mean()
+        spread = float(((x[kept] - centre) ** 2).sum())
+        if spread < 1e-6:
+            return 1.0, float(np.median(y - x))
+        gain = float(((x[kept] - centre) * y[kept]).sum()) / spread
+        offset = float(y[kept].mean() - gain * centre)
+        rest = np.abs(y - gain * x - offset)
+        kept = rest <= max(3.7 * float(np.median(rest)), 2.0)
+    return gain, offset
+
 
 BackgroundMethod = Literal["plate", "median", "mog2"]
 
-FloatImage = NDArray[np.float32]
 
 _HALF = 0.5
 _WEAK_EDGE = 6.0  # grey levels per pixel; less is no edge
@@ -120,7 +425,7 @@ def _movement(smooth: NDArray[np.uint8], median: FloatImage) -> tuple[NDArray[np
     kept[0] = False
     grown = cv2.dilate(kept[labels].astype(np.uint8), _ellipse(0.009, moving.shape))
     there = np.asarray(grown, bool)
-    if not there.all():  # where somebody moved the spread is theirs, not the scene's
+    if not there.all():  # where a person moved the spread is theirs, not the scene's
         noise[there] = np.median(noise[~there])
     return noise, there
 
@@ -196,7 +501,7 @@ def _difference(frame: Image, background: Background, shadow: float) -> FloatIma
 
 
 def _exposure(image: FloatImage, background: Background) -> FloatImage:
-    """Factors (3,) that give a frame the exposure of the background, from pixels that nobody hides."""
+    """Factors (3,) that give a frame the exposure of the background, from pixels that no person hides."""
     step = max(1, max(image.shape) // 100)
     part = (slice(None, None, step), slice(None, None, step))
     scene, values = background.image[part], image[part]

@@ -1,20 +1,21 @@
-"""Cleaning of masks: specks off, holes filled, one person kept."""
+"""Cleans masks (specks off, holes filled, one person kept) and finds frames whose mask looks doubtful."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.arrays import Mask
+from dousa.arrays import FloatArray, Mask
 from dousa.errors import OptionError
 
 _MOST_PIECES = 24  # pieces beside the main one that are looked at, the largest first
-_PERSON_SHARE = 0.4  # a far piece with so much of the main one's area is somebody else
+_PERSON_SHARE = 0.4  # a far piece with so much of the main one's area is another person
 _LEAST_REACH = 3.0  # px
 _STACKED_REACH = 0.3  # of the larger side of the main piece, which is only half a person then
-NEARLY_FULL = 0.9  # of the image: a mask that covers so much shows nobody
+NEARLY_FULL = 0.9  # of the image: a mask that covers so much shows no person
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +99,7 @@ def clean_mask(
     reach : gap in shares of the main piece's larger side over which any piece but a speck is kept.
     limb_reach : the same for pieces of at least ``limb_share`` of the main one's area.
     limb_share : see ``limb_reach``.
-    previous : (H, W) bool, the cleaned mask of the frame before: whoever is nearest to it is the person.
+    previous : (H, W) bool, the cleaned mask of the frame before: the nearest piece is the person.
 
     Returns
     -------
@@ -212,7 +213,7 @@ def _keep_near(
         for piece in tuple(pieces):
             gap = float(distance[labels == piece].min()) - 1.0
             large = areas[piece] >= max(limb_share, speck_share) * areas[main]
-            # A piece as large as a person is somebody else unless it was there, or stands above or below.
+            # A piece as large as a person is another person unless it was there, or stands above or below.
             alone = areas[piece] >= _PERSON_SHARE * areas[main]
             if alone and _share_columns(stats[piece], stats[main]):
                 fits = gap <= _STACKED_REACH * side
@@ -254,3 +255,67 @@ def _fill_holes(mask: Mask, most: float) -> None:
     small[0] = False
     if small.any():
         mask |= small[labels]
+
+
+DoubtReason = Literal["empty", "parts", "size"]
+"""Nothing is foreground; a second part of some size; larger or smaller than the frames around it."""
+
+_LARGE_PART = 0.05  # of the largest part's area
+_SUDDEN = 0.35  # change of area against the frames around, in shares
+_AROUND = 7  # frames on each side
+
+
+@dataclass(frozen=True, slots=True)
+class MaskMeasure:
+    """What is kept of a mask to doubt it.
+
+    Parameters
+    ----------
+    area : foreground, px.
+    second : area of the second largest connected part, in shares of the largest.
+    """
+
+    area: float
+    second: float
+
+
+def measure_mask(mask: Mask | None) -> MaskMeasure:
+    """Measure a mask (H, W); None is measured like an empty one whose area is unknown."""
+    from dousa.extras import cv2
+
+    if mask is None:
+        return MaskMeasure(float("nan"), 0.0)
+    image = np.ascontiguousarray(mask, bool).view(np.uint8)
+    areas = np.sort(cv2.connectedComponentsWithStats(image, connectivity=8)[2][1:, cv2.CC_STAT_AREA])[::-1]
+    if not len(areas):
+        return MaskMeasure(0.0, 0.0)
+    return MaskMeasure(float(areas.sum()), float(areas[1] / areas[0]) if len(areas) > 1 else 0.0)
+
+
+def doubt_masks(areas: FloatArray, seconds: FloatArray) -> list[tuple[int, DoubtReason]]:
+    """The frames of one view whose mask looks doubtful, and why.
+
+    Parameters
+    ----------
+    areas : (T,) px of foreground, NaN where there is no image.
+    seconds : (T,) as of `MaskMeasure`.
+
+    Returns
+    -------
+    (frame, reason) in the order of frames.
+    """
+    found: list[tuple[int, DoubtReason]] = []
+    for frame, (area, second) in enumerate(zip(areas, seconds, strict=True)):
+        if np.isnan(area):
+            continue
+        around = np.delete(areas[max(0, frame - _AROUND) : frame + _AROUND + 1], min(frame, _AROUND))
+        around = around[around > 0]
+        usual = float(np.median(around)) if len(around) else float(area)
+        if area == 0:
+            if len(around):
+                found.append((frame, "empty"))
+        elif second >= _LARGE_PART:
+            found.append((frame, "parts"))
+        elif abs(area - usual) > _SUDDEN * usual:
+            found.append((frame, "size"))
+    return found

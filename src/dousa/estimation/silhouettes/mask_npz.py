@@ -33,9 +33,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dousa.errors import SilhouetteError
-from dousa.estimation.cameras.camera import Camera, format_size
+from dousa.estimation.cameras.camera import Camera, check_cameras, format_size
 from dousa.estimation.cameras.camera_formats import cameras_to_arrays
-from dousa.estimation.cameras.camera_sets import check_cameras
 from dousa.estimation.silhouettes.silhouettes import PackedMasks, PackedSilhouettes, Silhouettes, checked_rate
 from dousa.files.disk import atomic_write
 from dousa.files.npz_arrays import Header, NpzFile, open_npz

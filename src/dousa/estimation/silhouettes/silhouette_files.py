@@ -68,7 +68,7 @@ def open_silhouettes(
     backgrounds : of videos, an image of the empty scene per view, in the order of the views.
     method : how the background of videos is known: ``"plate"``, ``"median"`` or ``"mog2"``; plate by default where
         ``backgrounds`` are given, else median.
-    kind : ``"mask"`` or ``"video"``, what videos show; told from their frames by default.
+    kind : ``"mask"`` or ``"video"``, what videos show; by default recognised from their frames.
     frame_rate : Hz of sources that do not say theirs (or say it wrongly).
     sizes : (V,) width and height of the masks, such as those of the (scaled) cameras; or one for all. By default
         as masks are stored, and for videos of a scene that of the background or the video, reduced.

@@ -354,15 +354,15 @@ def open_video(
     progress: Progress | None = None,
     longest_side: int = LONGEST_SIDE,
 ) -> View:
-    """A video of masks or of a scene as one view; the kind is told from a few frames unless it is given."""
+    """A video of masks or of a scene as one view; the kind is recognised from a few frames unless it is given."""
     if kind not in (None, "mask", "video"):
         raise OptionError("film.kind", found=str(kind))
     file = VideoFile(path, frame_rate)
-    told = kind
-    if told is None:
+    shown = kind
+    if shown is None:
         images = [file.read(frame) for frame in _spread(5, file.n_frames)]
-        told = guess_video_kind([image for image in images if image is not None])
-    if told == "video":
+        shown = guess_video_kind([image for image in images if image is not None])
+    if shown == "video":
         return VideoView(file, size, method, plate, progress, longest_side)
     view = MaskVideo(file, size)
     if kind is None:

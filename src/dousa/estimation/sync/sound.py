@@ -1,7 +1,7 @@
 """The sound of films, and the time between two recordings of it.
 
 Generalised cross-correlation with the phase transform (Knapp and Carter, The generalized correlation method for
-estimation of time delay, 1976): all frequencies of a voice or a room count alike, so that the peak is sharp whatever
+estimation of time delay, 1976): all frequencies of a voice or a room count equally, so that the peak is sharp whatever
 made the sound. Bands in which a recording is silent would be noise made loud, and count less.
 """
 

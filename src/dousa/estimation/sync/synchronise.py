@@ -1,23 +1,37 @@
-"""Time offsets of films of one scene: by the movement of the people in them, and by their sound."""
+"""Finds time offsets of films of one scene, by the movement of people and by sound, and keeps them in TOML files.
+
+A file has one table ``[[film]]`` for each film: ``offset`` (s) is added to the film's own time, which begins with its
+first picture, to get the time of the first film; ``spread`` (s) is its standard deviation; ``basis`` its evidence.
+"""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from dousa.arrays import FloatArray
-from dousa.errors import CalibrationError, OptionError
+from dousa.errors import CalibrationError, MotionFileError, OptionError
 from dousa.estimation.calibration.bundle import Limb, Rig
 from dousa.estimation.calibration.person import guess_lenses
 from dousa.estimation.calibration.sightings import Track, choose_points, list_limbs, make_track
-from dousa.estimation.cameras.camera import Camera
+from dousa.estimation.cameras.camera import Camera, find_views
 from dousa.estimation.keypoints.keypoints import ViewKeypoints
 from dousa.estimation.sync.sound import Sound, SoundLag, find_sound_lag
-from dousa.estimation.sync.speeds import Agreement, Movement, choose_step, correlate, describe_movement
-from dousa.estimation.sync.timing import TimedRig, fit_times
+from dousa.estimation.sync.timing import (
+    Agreement,
+    Movement,
+    TimedRig,
+    choose_step,
+    correlate,
+    describe_movement,
+    fit_times,
+)
+from dousa.files.disk import atomic_write, read_bytes
+from dousa.files.markup import parse_toml, quote_toml
 from dousa.messages import Message
 
 Progress = Callable[[int, int, Message], None]
@@ -93,7 +107,7 @@ def sync(
     Raises
     ------
     OptionError : fewer than two films, another number of cameras or sounds.
-    CalibrationError : nothing tells the time: nobody moves or is seen, the films are of different moments or people.
+    CalibrationError : the time is undetermined: no person moves or is seen, or films differ in moment or people.
     """
     for what, given in (("cameras", cameras), ("sounds", sounds)):
         if given is not None and len(given) != len(views):
@@ -335,3 +349,67 @@ def _answer(
     both = (apart <= _DIFFERS).tolist()
     basis = ("reference", *("both" if agree else "movement" for agree in both[1:]))
     return Synchronisation(best.offsets, best.spreads, basis, start.people, by_sound, best.misfit, tuple(notes))
+
+
+_MOST_SECONDS = 1e6
+
+
+def write_offsets(path: str | os.PathLike[str], names: Sequence[str], found: Synchronisation) -> None:
+    """Write time offsets; the file appears whole or not at all.
+
+    Parameters
+    ----------
+    path : the file to write or replace.
+    names : (V,) of the films, without suffix.
+    found : their offsets.
+
+    Raises
+    ------
+    MotionWriteError : the folder is missing or read-only, or the disk is full.
+    """
+    lines = ["# A film's own time plus its offset is the time of the first film; in seconds.", ""]
+    for name, offset, spread, basis in zip(names, found.offsets, found.spreads, found.basis, strict=True):
+        lines += ["[[film]]", f"name = {quote_toml(name)}", f"offset = {float(offset):.6f}"]
+        lines += [f"spread = {float(spread):.6f}", f"basis = {quote_toml(basis)}", ""]
+    with atomic_write(path) as file:
+        file.write("\n".join(lines).encode("utf-8"))
+
+
+def read_offsets(path: str | os.PathLike[str], names: Sequence[str]) -> list[float]:
+    """Read the time offsets of films.
+
+    Parameters
+    ----------
+    path : as `write_offsets` writes it, or by hand: of each film ``name`` and ``offset``.
+    names : (V,) of the films, without suffix, in the order in which their offsets are wanted.
+
+    Returns
+    -------
+    (V,) s.
+
+    Raises
+    ------
+    CalibrationError : missing, no TOML, no offset for a film, or one that is no number.
+    """
+    try:
+        tree = parse_toml(read_bytes(path).decode("utf-8-sig"))
+    except MotionFileError as error:
+        raise CalibrationError(error.message).at(path) from error
+    except (ValueError, RecursionError) as error:
+        raise CalibrationError("sync_file.toml", reason=str(error)[:200]).at(path) from error
+    films = tree.get("film")
+    if not isinstance(films, list) or not all(isinstance(film, Mapping) and "name" in film for film in films):
+        raise CalibrationError("sync_file.no_films").at(path)
+    try:
+        places = find_views([str(film["name"]) for film in films], names)
+    except CalibrationError as error:
+        raise error.at(path) from error
+    return [_read_offset(films[place], path) for place in places]
+
+
+def _read_offset(film: Mapping[str, object], path: str | os.PathLike[str]) -> float:
+    offset = film.get("offset")
+    number = isinstance(offset, int | float) and not isinstance(offset, bool)
+    if not number or not abs(offset) <= _MOST_SECONDS:  # type: ignore[arg-type]  # nan neither
+        raise CalibrationError("sync_file.offset", film=str(film["name"])[:80], found=str(offset)[:40]).at(path)
+    return float(offset)  # type: ignore[arg-type]

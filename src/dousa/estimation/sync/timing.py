@@ -1,8 +1,13 @@
-"""The time between films by geometry: when points that move are in one place for all cameras at once.
+"""Finds the time between films by the speed of a person's points, and refines it by geometry.
 
-Cameras, points and time offsets are fitted together (`bundle`): a point that moves is off in every picture by its
-velocity times the error of the offset, which no camera can make good. That tells fractions of a frame, and wrong times
-from right ones, since those leave residuals that are half as large again.
+Cameras that stand upright see rising and falling equally from all sides, and fast and slow equally from most. Both are
+correlated at every lag: the vertical velocity of each point, the speed of each (its root, which tames jumps), and the
+mean speed. Only moments that both films show count at a lag (Padfield, Masked object registration in the Fourier
+domain, 2012). A short overlap agrees easily by chance, so lags are compared by Fisher's z of the correlation.
+
+Then cameras, points and time offsets are fitted together (`bundle`): a moving point is off in every picture by its
+velocity times the error of the offset, which no camera can compensate. This resolves fractions of a frame; at wrong
+times the residuals are half as large again.
 """
 
 from __future__ import annotations
@@ -14,9 +19,166 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.estimation.calibration.bundle import CAMERA_UNKNOWNS, Fit, Freedom, Limb, Rig, Sightings, adjust
-from dousa.estimation.calibration.rig_search import find_rig
+from dousa.estimation.calibration.rig_search import find_rig, triangulate
 from dousa.estimation.calibration.sightings import Track, choose_moments, read_sightings
-from dousa.estimation.calibration.two_views import triangulate
+
+INDEPENDENT = 8.0
+"""Hz; so many moments of a second tell something of their own: people hardly move faster than 4 Hz."""
+
+_SHORTEST_STEP, _LONGEST_STEP = 1.0 / 60.0, 1.0 / 20.0  # s
+_MOST_SAMPLES = 60_000  # of a film: a quarter of an hour at 60 Hz
+_LEAST_OVERLAP = 0.5  # s
+_APART = 0.1  # s, between two candidates
+_LEAST_SPREAD = 1e-9
+_WINDOW = 0.05  # s, in which points are smoothed: wider than for places, as velocities are noisier
+_QUICK = 1.0  # heights per second: faster is squashed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Movement:
+    """How a person moves in one film, at steady intervals.
+
+    Parameters
+    ----------
+    start : s of the film's own clock, of the first sample.
+    step : s.
+    values : (C, N) signals in heights of the person per second (or their roots); 0 where nothing is known.
+    known : (C, N) 1 where something is known.
+    families : (C,) which signals are of one kind: 0 vertical velocities, 1 speeds, 2 the mean speed.
+    """
+
+    start: float
+    step: float
+    values: FloatArray
+    known: FloatArray
+    families: FloatArray
+
+    @property
+    def speed(self) -> float:
+        """Heights of the person per second: what the fastest points reach now and then."""
+        speeds = self.values[self.families == 1]
+        there = speeds[self.known[self.families == 1] > 0]
+        return float(np.quantile(there, 0.9) ** 2) if len(there) else 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A lag at which two films agree.
+
+    Parameters
+    ----------
+    lag : s, what is added to the second film's own time to get that of the first.
+    score : Fisher's z by its spread: a chance agreement is about 1.
+    correlation : -1 to 1.
+    """
+
+    lag: float
+    score: float
+    correlation: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Agreement:
+    """How well two films agree at every lag.
+
+    Parameters
+    ----------
+    lags : (L,) s, rising.
+    scores, correlations : (L,) see `Candidate`; -inf and 0 where the films overlap too little.
+    """
+
+    lags: FloatArray
+    scores: FloatArray
+    correlations: FloatArray
+
+    def at(self, lag: float) -> float:
+        """The score at a lag, the greatest within two steps, at least -1; 0 where the films overlap too little."""
+        place = int(np.searchsorted(self.lags, lag))
+        near = self.scores[max(0, place - 2) : place + 3]
+        near = near[np.isfinite(near)]
+        return max(-1.0, float(near.max())) if len(near) else 0.0
+
+    def find(self, most: int) -> list[Candidate]:
+        """The best lags that are 0.1 s or more apart, the best first."""
+        scores = self.scores
+        inner = np.flatnonzero((scores[1:-1] >= scores[:-2]) & (scores[1:-1] >= scores[2:])) + 1
+        ends = [0, len(scores) - 1]
+        found: list[Candidate] = []
+        for place in sorted({*inner.tolist(), *ends}, key=lambda index: -scores[index]):
+            lag = float(self.lags[place])
+            if not np.isfinite(scores[place]) or scores[place] <= 0 or len(found) == most:
+                break
+            if all(abs(lag - other.lag) > _APART for other in found):
+                found.append(Candidate(lag, float(scores[place]), float(self.correlations[place])))
+        return found
+
+
+def choose_step(tracks: Sequence[Track]) -> float:
+    """A step in s fine enough for films and coarse enough for long ones."""
+    finest = min(track.interval for track in tracks)
+    longest = max(float(track.times[-1] - track.times[0]) for track in tracks)
+    return max(min(max(finest, _SHORTEST_STEP), _LONGEST_STEP), longest / _MOST_SAMPLES)
+
+
+def describe_movement(track: Track, step: float) -> Movement:
+    """How a person moves, sampled every ``step`` s."""
+    start = float(track.times[0])
+    moments = np.arange(start, float(track.times[-1]) + 1e-9, step)
+    _, velocities, weights = track.read(moments, _WINDOW)
+    velocities = velocities / max(track.height, 1.0)
+    known = (weights > 0).T.astype(np.float64)
+    vertical = (velocities[..., 1] / (1.0 + np.abs(velocities[..., 1]) / _QUICK)).T  # a jump is no evidence
+    speeds = np.sqrt(np.linalg.norm(velocities, axis=-1)).T
+    count = known.sum(axis=0)
+    enough = count >= max(4, known.shape[0] // 3)
+    mean = np.where(enough, (speeds**2 * known).sum(axis=0) / np.maximum(count, 1.0), 0.0)
+    values = np.concatenate((vertical * known, speeds * known, mean[None]))
+    families = np.repeat([0, 1, 2], (len(known), len(known), 1))
+    return Movement(start, step, values, np.concatenate((known, known, enough[None].astype(np.float64))), families)
+
+
+def correlate(first: Movement, second: Movement) -> Agreement:
+    """How well two films of the same step agree at every lag of the second."""
+    n_first, n_second = first.values.shape[1], second.values.shape[1]
+    size = 1 << (n_first + n_second - 1).bit_length()
+    # Shift s pairs sample i + s of the first with sample i of the second.
+    shifts = np.arange(-(n_second - 1), n_first)
+    means = np.zeros(len(shifts))
+    overlap = np.zeros(len(shifts))
+    for family in range(3):
+        covariance, spread, pairs = _sum_family(first, second, family, size)
+        correlation = np.where(spread > _LEAST_SPREAD, covariance / np.maximum(spread, _LEAST_SPREAD), 0.0)
+        means += np.clip(correlation, -1.0, 1.0)[shifts] / 3.0
+        if family == 2:
+            overlap = pairs[shifts] * first.step
+    counts = overlap * INDEPENDENT
+    enough = overlap >= _LEAST_OVERLAP
+    scores = np.arctanh(np.clip(means, -0.999, 0.999)) * np.sqrt(np.maximum(counts - 3.0, 0.0))
+    lags = shifts * first.step + first.start - second.start
+    return Agreement(lags, np.where(enough, scores, -np.inf), np.where(enough, means, 0.0))
+
+
+def _sum_family(first: Movement, second: Movement, family: int, size: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Covariance and product of the spreads of one kind of signals by shift (size,), and how many pairs there are."""
+    covariance, squares, pairs = np.zeros(size), np.zeros((2, size)), np.zeros(size)
+    for row in np.flatnonzero(first.families == family):
+        values = [movement.values[row] for movement in (first, second)]
+        known = [movement.known[row] for movement in (first, second)]
+        one, one_squared, one_known = (np.fft.rfft(x, size) for x in (values[0], values[0] ** 2, known[0]))
+        two, two_squared, two_known = (np.conj(np.fft.rfft(x, size)) for x in (values[1], values[1] ** 2, known[1]))
+        products = np.stack(
+            (one_known * two_known, one * two_known, one_known * two, one * two,
+             one_squared * two_known, one_known * two_squared)
+        )  # fmt: skip
+        count, sum_one, sum_two, product, square_one, square_two = np.fft.irfft(products, size)
+        count = np.maximum(np.round(count), 0.0)
+        number = np.maximum(count, 1.0)
+        covariance += product - sum_one * sum_two / number
+        squares[0] += np.maximum(square_one - sum_one**2 / number, 0.0)
+        squares[1] += np.maximum(square_two - sum_two**2 / number, 0.0)
+        pairs += count
+    return covariance, np.sqrt(squares[0] * squares[1]), pairs
+
 
 _MOST_MOMENTS = 120
 _STEPS = 25
@@ -67,7 +229,7 @@ def fit_times(
     calibrated : the focal lengths are known. The cameras' poses are fitted in any case: what a network takes for a hip
         is seen a little differently from each side, and fixed cameras would make that a matter of time.
     most : moments to look at.
-    rounds : at most; in each the points are read anew at the offsets of the last.
+    rounds : at most; in each the points are read again at the offsets of the last.
 
     Returns
     -------

@@ -35,14 +35,14 @@ class Scale:
     Parameters
     ----------
     stature : m.
-    told : whether the silhouettes tell it; else it is the usual one.
+    measured : whether it follows from the silhouettes; else it is the usual one.
     body : of that stature.
     pose : (7 + A,) of the body in the frame.
     iou : overlap of body and silhouettes.
     """
 
     stature: float
-    told: bool
+    measured: bool
     body: BodyModel
     pose: FloatArray
     iou: float
@@ -68,11 +68,11 @@ def fit_scale(
     -------
     The stature of 1.40 to 2.05 m whose body covers the silhouettes best, its pose refined for each. One view, or
     several from about one side, do not tell it (a tall person far away looks like a short one nearby): then it is
-    `USUAL_STATURE` and ``told`` is false.
+    `USUAL_STATURE` and ``measured`` is false.
 
     Raises
     ------
-    SilhouetteError : nobody is seen in any view.
+    SilhouetteError : no person is seen in any view.
     """
     outlines = [measure_outline(mask) for mask in masks]
     extents = [found.extent for found in outlines if found is not None]

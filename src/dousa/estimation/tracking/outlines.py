@@ -44,7 +44,7 @@ class Outline:
 
 
 def measure_outline(mask: Mask | None) -> Outline | None:
-    """Box and centre of a mask without its specks; None if nobody is in it."""
+    """Box and centre of a mask without its specks; None if it shows no person."""
     if mask is None or not mask.any():
         return None
     from dousa.extras import cv2
@@ -86,12 +86,12 @@ def _trace(pairs: Sequence[tuple[Camera, Outline]]) -> tuple[FloatArray, FloatAr
 
 
 def do_meet(across: FloatArray) -> bool:
-    """Whether lines, told by the projections (N, 3, 3) across them, are far enough from parallel to meet in a point."""
+    """Whether lines, given by projections (N, 3, 3) across them, are far enough from parallel to meet in a point."""
     return bool(np.linalg.eigvalsh(across.sum(axis=0))[0] > _PARALLEL * len(across))
 
 
 def lines_meet(cameras: Sequence[Camera], outlines: Sequence[Outline | None]) -> bool:
-    """Whether the views that see somebody look from different enough sides to tell how far away that is."""
+    """Whether the views that see a person look from directions different enough to determine the distance."""
     pairs = [(camera, found) for camera, found in zip(cameras, outlines, strict=True) if found is not None]
     return do_meet(_trace(pairs)[2])
 
@@ -143,7 +143,7 @@ def move_onto(
     body : with A joint angles.
     poses : (N, 7 + A), anywhere.
     place : (3,) m, where their middles begin.
-    cameras, outlines : (V,); None where nobody is seen.
+    cameras, outlines : (V,); None if no person is seen.
 
     Returns
     -------

@@ -33,7 +33,7 @@ class Frame:
     Parameters
     ----------
     bits : (V, H, words) rows of bits; zeros where a view is not seen.
-    seen : (V,) views that have an image with somebody in it.
+    seen : (V,) views that have an image with a person in it.
     """
 
     bits: NDArray[np.uint64]

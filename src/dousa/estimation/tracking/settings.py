@@ -1,4 +1,4 @@
-"""What the tracker is told and what it answers."""
+"""Settings and results of the tracker."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ class TrackedFrame:
     pose : (7 + A,), not smoothed yet.
     overlap : (V,) as `Estimate.iou`.
     occluded : (P,) as `Estimate.occluded`.
-    lost : nobody is seen, or the pose is probably wrong.
+    lost : no person is seen, or the pose is probably wrong.
     settled : whether the search is done with it; a later frame may still change the pose of one that is not.
     body : the body that is tracked, its girths fitted.
     """
@@ -161,7 +161,7 @@ class Estimate:
     iou : (T, V) overlap of model and silhouette, intersection over union; NaN where a view has no image.
     uncertainty : (T, P + K) m, expected error of each joint and tip.
     occluded : (T, P) true where a part's outline is hidden in every view, so that inertia alone places it.
-    lost : (T,) true where nobody is seen, or the joints are too likely off by more than 150 mm in the mean.
+    lost : (T,) true where no person is seen, or the joints are too likely off by more than 150 mm in the mean.
     warnings : what a person should know.
     frames_per_second : frames tracked in a second of wall-clock time.
     """

@@ -23,15 +23,21 @@ from numpy.typing import ArrayLike, NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import OptionError
 from dousa.estimation.body.body import BodyModel
-from dousa.estimation.cameras.camera import Camera
-from dousa.estimation.cameras.camera_sets import check_cameras
+from dousa.estimation.cameras.camera import Camera, check_cameras
 from dousa.estimation.silhouettes.silhouettes import Silhouettes
-from dousa.estimation.tracking.beam import Beam, BeamState
-from dousa.estimation.tracking.diagnosis import Diagnosis, Note
-from dousa.estimation.tracking.doubt import LOST_ERROR
+from dousa.estimation.tracking.beam import (
+    Beam,
+    BeamState,
+    Replay,
+    choose_switch,
+    choose_track,
+    narrow,
+    replay,
+    score_frames,
+)
+from dousa.estimation.tracking.diagnosis import LOST_ERROR, Diagnosis, Note
 from dousa.estimation.tracking.measures import fit_girths
 from dousa.estimation.tracking.outlines import do_meet
-from dousa.estimation.tracking.replay import Replay, choose_switch, choose_track, narrow, replay, score_frames
 from dousa.estimation.tracking.search_setup import Frame, SearchSetup, Shrinker
 from dousa.estimation.tracking.settings import PAPER, Estimate, TrackedFrame, TrackerSettings
 from dousa.estimation.tracking.start import checked_start, find_first, find_start
@@ -43,7 +49,7 @@ __all__ = ["PAPER", "PartialTrack", "TrackerSettings", "estimate", "smooth_poses
 Progress = Callable[[int, int, Message], None]
 
 _CHECKPOINT_FRAMES = 32
-_LOST_FRAMES = 5  # after so many in a row the track is looked for anew
+_LOST_FRAMES = 5  # after so many in a row the track is searched again
 _POOR = 0.7  # of the usual overlap
 _PATCHES, _MORE = 0.02, 1.5  # share of the silhouettes in patches that is poor, and how often the usual one
 _GAIN = 4.0  # log score by which another pose must fit better
@@ -62,10 +68,10 @@ class PartialTrack(BeamState):
     overlap, occluded, restarts : of these frames, see `Estimate`.
     widths, patches : of these frames, see `Note`.
     spheres : (S, 4) of the body, whose girths may have been fitted.
-    first : the first frame with somebody in it.
+    first : the first frame with a person in it.
     usual, usual_patches : overlap that this recording usually has, and share of its silhouettes in patches.
     area : px, mean area of a silhouette.
-    poor, unseen : how many of the newest frames in a row the model hardly covers, and how many show nobody.
+    poor, unseen : how many of the newest frames in a row the model hardly covers, and how many show no person.
     """
 
     poses: FloatArray
@@ -127,7 +133,7 @@ def estimate(
     ------
     CalibrationError : not one camera for each view, or of another size than the masks.
     BodyModelError : a start that is no pose of this body.
-    SilhouetteError : nobody is seen in the first frames, or every mask is full.
+    SilhouetteError : no person is seen in the first frames, or every mask is full.
     """
     settings = TrackerSettings() if settings is None else settings
     if girths not in ("fit", "keep"):
@@ -287,7 +293,7 @@ class _Job:
         self.seconds = time.perf_counter() - self.clock
 
     def _watch(self, frame: Frame) -> None:
-        """Look for the person anew after several frames that the model hardly covers, or that nobody is in."""
+        """Search for the person again after several frames that the model hardly covers or that show no person."""
         if not frame.seen.any():
             self.unseen += 1
             return
@@ -405,7 +411,7 @@ def smooth_poses(poses: FloatArray, frame_rate: float, cutoff: float, breaks: Se
     poses : (T, 7 + A), see `BodyModel`.
     frame_rate : Hz.
     cutoff : Hz, at which half of the power is left; the filter is a Gaussian, ends are repeated.
-    breaks : frames at which the track was taken up anew: nothing is smoothed across them.
+    breaks : frames at which the track was started again: nothing is smoothed across them.
 
     Returns
     -------

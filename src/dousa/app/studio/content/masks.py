@@ -4,7 +4,7 @@
     cameras.toml    the cameras, if they are known
     seen.idx        records of `dousa.app.studio.content.footage.SEEN`
     seen.bin        masks (PNG, full size) and small pictures (JPEG), one after another
-    measures.npy    (2, V, T) areas and second parts, see `dousa.estimation.silhouettes.mask_doubts`
+    measures.npy    (2, V, T) areas and second parts, see `dousa.estimation.silhouettes.cleaning`
     repairs.json    the repairs, and those that were undone
 
 The stored masks are never changed: repairs are applied when they are read.
@@ -25,7 +25,7 @@ from dousa.app.studio.content.footage import MASK, PICTURE, SeenReader
 from dousa.app.studio.core.answers import RefusedError
 from dousa.app.studio.core.workspace import write_file
 from dousa.app.studio.jobs.board import OpenedJobs
-from dousa.estimation.silhouettes.mask_doubts import doubt_masks, measure_mask
+from dousa.estimation.silhouettes.cleaning import doubt_masks, measure_mask
 from dousa.estimation.silhouettes.mask_npz import write_silhouettes
 from dousa.estimation.silhouettes.repairs import MaskRepair, RepairedSilhouettes, repair_from_json
 from dousa.estimation.silhouettes.silhouettes import Silhouettes, checked_frame

@@ -315,7 +315,7 @@ def _write_cameras(asked: EstimationRequest, views: Silhouettes, context: Contex
 
 
 def _write_frames(views: Silhouettes, context: Context) -> Any:
-    from dousa.estimation.silhouettes.mask_doubts import measure_mask
+    from dousa.estimation.silhouettes.cleaning import measure_mask
 
     measures = np.full((2, views.n_views, views.n_frames), np.nan)
     with closing(SeenWriter(context.folder)) as seen:

@@ -307,8 +307,8 @@ def _middle_picture(film: Path, n_frames: int) -> str | None:
 
 
 def _match_cameras(asked: EstimationRequest, views: Sequence[FilmSource], answer: dict[str, Any]) -> None:
+    from dousa.estimation.cameras.camera import match_cameras
     from dousa.estimation.cameras.camera_files import read_cameras
-    from dousa.estimation.cameras.camera_sets import match_cameras
 
     assert asked.cameras is not None
     matched, notes = match_cameras(read_cameras(asked.cameras), [view.name for view in views])

@@ -149,7 +149,7 @@ def _settle(found: list[Material]) -> list[Material]:
 def pair_backgrounds(sources: list[Path], backgrounds: list[Path]) -> list[Path]:
     """Order backgrounds like the sources if their names tell which belong together."""
     from dousa.errors import CalibrationError
-    from dousa.estimation.cameras.camera_sets import find_views
+    from dousa.estimation.cameras.camera import find_views
 
     if len(sources) != len(backgrounds):
         return backgrounds
