@@ -1,12 +1,14 @@
 """The table of formats, and reading and writing by suffix.
 
 To add a format: write a module with ``read_xxx(path, *, unit=None, up=None)`` and, where it can be written,
-``write_xxx(motion, path)``, and add one line to ``FORMATS``. Modules are imported when first used.
+``write_xxx(motion, path)``, and add one line to ``FORMATS``. Modules are imported when first used. Another package adds
+its formats by entry points of the group ``dousa.formats``, see `load_plugins`.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import importlib
 import os
 import re
@@ -111,8 +113,62 @@ _ADVICE = {
 """Suffixes that are no motion by themselves, and what to do about them."""
 
 
-def _function(line: Format, name: str) -> Callable[..., Any]:
-    function: Callable[..., Any] = getattr(importlib.import_module(line.module), name)
+@dataclass(frozen=True, slots=True)
+class Plugins:
+    """The formats of other packages.
+
+    Parameters
+    ----------
+    readers, writers : format by suffix.
+    failures : name of an entry point that cannot be used, and the reason.
+    """
+
+    readers: dict[str, Format]
+    writers: dict[str, Format]
+    failures: dict[str, str]
+
+
+@functools.cache
+def load_plugins() -> Plugins:
+    """Load the entry points of the group ``dousa.formats``, each a `Format` or a tuple of them.
+
+    A suffix of ``FORMATS`` keeps its format. An entry point that fails is recorded and does not affect the others.
+    """
+    from importlib.metadata import entry_points
+
+    plugins = Plugins({}, {}, {})
+    for entry in entry_points(group="dousa.formats"):
+        try:
+            loaded = entry.load()
+            lines = loaded if isinstance(loaded, tuple) else (loaded,)
+            for line in lines:
+                _check_plugin(line)
+        except Exception as error:  # the code of another package may raise anything
+            plugins.failures[entry.name] = f"{type(error).__name__}: {error}"
+            continue
+        for line in lines:
+            for suffix in line.suffixes:
+                if line.reader:
+                    plugins.readers.setdefault(suffix, line)
+                if line.writer:
+                    plugins.writers.setdefault(suffix, line)
+    return plugins
+
+
+def _check_plugin(line: object) -> None:
+    if not isinstance(line, Format):
+        raise TypeError(f"expected a dousa.formats.Format, got {type(line).__name__}")
+    if not isinstance(line.suffixes, tuple) or not all(re.fullmatch(r"\.[^A-Z]+", suffix) for suffix in line.suffixes):
+        raise ValueError(f"expected a tuple of lower-case suffixes with the dot, got {line.suffixes!r}")
+
+
+def _function(path: str | os.PathLike[str], line: Format, name: str) -> Callable[..., Any]:
+    try:
+        function: Callable[..., Any] = getattr(importlib.import_module(line.module), name)
+    except Exception as error:
+        if line in FORMATS:
+            raise
+        raise UnknownFormatError(path, "formats.bad_plugin", plugin=line.name, reason=error) from error
     return function
 
 
@@ -138,7 +194,8 @@ def find_reader(path: str | os.PathLike[str]) -> Format | None:
     text = os.fspath(path)
     if os.path.isdir(path):
         return READERS[".json"] if is_frame_folder(path) else _find(text, READERS)
-    return _find(text[: -len(_suffix(text))] if _suffix(text) in PACKED else text, READERS)
+    name = text[: -len(_suffix(text))] if _suffix(text) in PACKED else text
+    return _find(name, READERS) or _find(name, load_plugins().readers)
 
 
 def is_motion_file(path: str | os.PathLike[str]) -> bool:
@@ -154,11 +211,14 @@ def is_motion_file(path: str | os.PathLike[str]) -> bool:
 
 
 def _no_format(path: str | os.PathLike[str], known: Iterable[str], *, read: bool) -> UnknownFormatError:
-    suffix, names = _suffix(path), tuple(known)
+    plugins = load_plugins()
+    suffix, names = _suffix(path), (*known, *(plugins.readers if read else plugins.writers))
     if os.path.isdir(path):
         return UnknownFormatError(path, "formats.folder")
     if not suffix:
         return UnknownFormatError(path, "formats.unreadable_name" if read else "formats.unwritable_name", known=names)
+    for plugin, reason in plugins.failures.items():
+        return UnknownFormatError(path, "formats.bad_plugin", plugin=plugin, reason=reason)
     code = "formats.unreadable_suffix" if read else "formats.unwritable_suffix"
     return UnknownFormatError(path, code, suffix=suffix, known=names)
 
@@ -219,7 +279,7 @@ def read_motion(
         raise OptionError("resampling.rate", rate=frame_rate)
     import numpy as np
 
-    reader = _function(line, line.reader)
+    reader = _function(path, line, line.reader)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300
             motion: Motion | Trajectories = reader(path, **options)
@@ -240,7 +300,7 @@ def read_motion(
 def _read_packed(path: str | os.PathLike[str], **options: Any) -> Motion | Trajectories:
     from dousa.formats.packed import unpack
 
-    with unpack(path, SUFFIXES) as inner:
+    with unpack(path, (*SUFFIXES, *load_plugins().readers)) as inner:
         try:
             motion = read_motion(inner, **options)
         except MotionFileError as error:
@@ -278,7 +338,7 @@ def write_motion(motion: Motion | Trajectories, path: str | os.PathLike[str]) ->
     UnknownFormatError : the suffix is not known, or this format is only read.
     MotionWriteError : the motion does not fit the format, or the disk refuses.
     """
-    line = _find(path, WRITERS)
+    line = _find(path, WRITERS) or _find(path, load_plugins().writers)
     if line is None or line.writer is None:
         raise _no_format(path, WRITERS, read=False)
     if line.holds == "trajectories" and isinstance(motion, Motion):
@@ -287,4 +347,4 @@ def write_motion(motion: Motion | Trajectories, path: str | os.PathLike[str]) ->
         motion = compute_trajectories(motion)
     elif line.holds == "motion" and isinstance(motion, Trajectories):
         motion = _fit(motion, path)
-    _function(line, line.writer)(motion, path)
+    _function(path, line, line.writer)(motion, path)
