@@ -232,6 +232,10 @@ DONE_BEFORE: dict[tuple[str, str], tuple[str, ...]] = {
         "dousa add moves.dousa recordings --performer-from 'name:HDM_(..)_'",
         "dousa train moves.dousa",
     ),
+    ("docs/ranking.md", "dousa search moves.dousa query.c3d --rank fused"): (
+        "dousa add moves.dousa recordings --performer-from 'name:HDM_(..)_'",
+        "dousa train moves.dousa",
+    ),
     ("docs/formats.md", "dousa export moves.dousa --category walk"): ("dousa add moves.dousa recordings",),
     ("docs/libraries.md", "dousa check moves.dousa"): ("dousa add moves.dousa recordings",),
     ("docs/evaluation.md", "from dousa.evaluation import IncrementalAssessor"): (
