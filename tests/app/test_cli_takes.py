@@ -335,7 +335,7 @@ def test_a_library_without_a_forest_says_how_to_train(dousa, recordings, tmp_pat
 def test_an_old_library_is_brought_up_to_date_and_searched(dousa, tmp_path):
     import gzip
 
-    made = Path(__file__).parents[1] / "library" / "library_of_tables_1.dousa.gz"
+    made = Path(__file__).parents[1] / "library" / "store" / "library_of_tables_1.dousa.gz"
     path = tmp_path / "old.dousa"
     path.write_bytes(gzip.decompress(made.read_bytes()))
     code, out, _ = dousa("search", path, 1, "-k", 2)
