@@ -1,4 +1,4 @@
-"""Names of the array types, spelled once."""
+"""Names of the array types."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Image = NDArray[np.uint8]
 
 
 def read_only(array: FloatArray) -> FloatArray:
-    """A view that cannot be written to: what is compiled for it serves arrays of both kinds."""
+    """Return a read-only view, so that kernels compile once for arrays of both kinds."""
     view = array.view()
     view.flags.writeable = False
     return view

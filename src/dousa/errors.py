@@ -1,26 +1,26 @@
-"""Every error that dousa raises on purpose.
+"""Errors that dousa raises on purpose.
 
-    DousaError                  something a person can put right; the message says how
+    DousaError                  something the user can fix; the message has the remedy
     ├── MotionFileError         a motion file cannot be read or written: path, line
     │   ├── UnknownFormatError  no reader or writer for this kind of file
-    │   └── MotionWriteError    the motion does not fit the format, or the disk refuses
+    │   └── MotionWriteError    the motion does not fit the format, or a disk error
     ├── InvalidMotionError      arrays that do not make a skeleton, motion or trajectory (a ValueError too)
-    ├── JointMappingError       the joints of a file cannot be told apart
+    ├── JointMappingError       the joints of a file cannot be mapped
     ├── LibraryError            a motion library cannot be opened, read or written
     │   ├── LibraryLockedError
     │   ├── LibraryDamagedError
     │   └── LibraryVersionError
-    ├── TrainingError           the clips at hand cannot train or test anything
-    ├── NotTrainedError         the forest is asked before it was trained
-    ├── SilhouetteError         masks or videos that no silhouettes can be had from
-    ├── KeypointError           keypoints that cannot be had: their file, their numbers, the models that find them
-    ├── CalibrationError        a camera that cannot be: its file, its numbers, or its views disagree
-    ├── BodyModelError          a body model that cannot be: its file, its measures, or its tree
-    ├── ClusterError            a cluster of workers cannot be reached, or is not as it must be
-    ├── OptionError             a command or function was called with a value outside its range
-    └── MissingExtraError       an optional package is not installed; says the pip command
+    ├── TrainingError           the available clips cannot train or test anything
+    ├── NotTrainedError         the forest was used before training
+    ├── SilhouetteError         masks or videos that give no silhouettes
+    ├── KeypointError           bad keypoints: their file, their numbers, or their models
+    ├── CalibrationError        a bad camera: its file, its numbers, or its views disagree
+    ├── BodyModelError          a bad body model: its file, its measures, or its tree
+    ├── ClusterError            a cluster of workers cannot be reached or used
+    ├── OptionError             a value outside its range
+    └── MissingExtraError       an optional package is not installed; with the pip command
 
-Messages say what was expected, what came, where, and the remedy:
+Messages have the expected and the found value, the place, and the remedy:
 ``walk.bvh:41: expected 66 channel values, got 63; is the file truncated?``
 """
 
@@ -33,12 +33,12 @@ from dousa.messages import Message
 
 
 class DousaError(Exception):
-    """Base of all errors that a person can put right: a code with values, in words where it is read.
+    """Base of all errors that the user can fix: a code with values, rendered when read.
 
     Parameters
     ----------
     code : of the tables of `dousa.messages`, or a whole message.
-    values : what its sentence names.
+    values : of its sentence.
     """
 
     def __init__(self, code: str | Message, /, **values: Any) -> None:
@@ -47,12 +47,12 @@ class DousaError(Exception):
 
     @property
     def code(self) -> str:
-        """Which error it is, among those of all rooms."""
+        """Code of the message."""
         return self.message.code
 
     @property
     def located(self) -> Message:
-        """The message with the file and the line that it is about, where they are known."""
+        """The message with its file and line, where known."""
         path, line = getattr(self, "path", None), getattr(self, "line", None)
         if not path:
             return self.message
@@ -61,11 +61,11 @@ class DousaError(Exception):
         return Message("text.in_line", path=path, line=line, problem=self.message)
 
     def render(self, language: str | None = None) -> str:
-        """The sentence, in a language of `dousa.messages.LANGUAGES` or in the one in use."""
+        """Return the sentence, in a language of `dousa.messages.LANGUAGES` or in the one in use."""
         return self.located.render(language)
 
     def to_json(self) -> dict[str, Any]:
-        """Code and values, as `Message.to_json` gives them."""
+        """Return code and values, as in `Message.to_json`."""
         return self.message.to_json()
 
     def __str__(self) -> str:
@@ -88,9 +88,9 @@ class MotionFileError(DousaError):
     Parameters
     ----------
     path : the file.
-    code : what was expected, what came and what to do.
+    code : of the problem and its remedy.
     line : 1-based line of a text file, where known.
-    values : what the sentence names.
+    values : of the sentence.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class UnknownFormatError(MotionFileError):
 
 
 class MotionWriteError(MotionFileError):
-    """The motion does not fit the format, or the disk refuses."""
+    """The motion does not fit the format, or a disk error."""
 
 
 class InvalidMotionError(DousaError, ValueError):
@@ -122,15 +122,13 @@ class InvalidMotionError(DousaError, ValueError):
 
 
 class JointMappingError(DousaError):
-    """The joints of a motion cannot be told apart.
+    """The joints of a motion cannot be mapped. ``path`` is the file, set by its reader.
 
     Parameters
     ----------
-    code : what is missing.
-    joints : the names the motion has, so that a joint map can be written.
-    values : what the sentence names.
-
-    ``path`` is the file, set by whoever read it.
+    code : of the problem.
+    joints : names in the motion, for a joint map.
+    values : of the sentence.
     """
 
     def __init__(self, code: str | Message, /, joints: tuple[str, ...] = (), **values: Any) -> None:
@@ -170,13 +168,13 @@ class NotTrainedError(DousaError):
 
 
 class _LocatableError(DousaError, ValueError):
-    """An error that gets its place where the file is known; what is rendered begins with it."""
+    """An error whose file is set later; the rendered message begins with it."""
 
     path: str = ""
     line: int | None = None
 
     def at(self, path: str | os.PathLike[str] = "", line: int | None = None) -> Self:
-        """The same error with the place that it does not have yet: the file, the 1-based line."""
+        """Set the file and the 1-based line where they are missing, and return the error."""
         self.path = self.path or os.fspath(path)
         self.line = line if self.line is None else self.line
         return self
@@ -186,15 +184,15 @@ class _LocatableError(DousaError, ValueError):
 
 
 class SilhouetteError(_LocatableError):
-    """Masks or videos that no silhouettes can be had from."""
+    """Masks or videos that give no silhouettes."""
 
 
 class KeypointError(_LocatableError):
-    """Keypoints that cannot be had: their file, their numbers, or the models that find them."""
+    """Bad keypoints: their file, their numbers, or their models."""
 
 
 class CalibrationError(_LocatableError):
-    """A camera that cannot be: its file, its numbers, or views that disagree with it."""
+    """A bad camera: its file, its numbers, or views that disagree with it."""
 
 
 class ClusterError(DousaError):
@@ -202,21 +200,15 @@ class ClusterError(DousaError):
 
 
 class BodyModelError(_LocatableError):
-    """A body model that cannot be: its file, its measures, or its tree."""
+    """A bad body model: its file, its measures, or its tree."""
 
 
 class OptionError(DousaError, ValueError):
-    """A command or function was called with a value outside its range."""
+    """A value outside its range."""
 
 
 class MissingExtraError(DousaError, ImportError):
-    """An optional package is not installed.
-
-    Parameters
-    ----------
-    package : what is missing.
-    extra : the extra of dousa that brings it.
-    """
+    """An optional ``package`` is not installed; ``extra`` of dousa installs it."""
 
     def __init__(self, package: str, extra: str) -> None:
         super().__init__("extras.missing", package=package, extra=extra)

@@ -1,4 +1,4 @@
-"""Packages that only some people need: each comes with an extra of dousa, and says so where it is missing.
+"""Optional packages, each in an extra of dousa that is named in the error if it is missing.
 
 ==========  ===================================================================  =====================================
 extra       what it is for                                                       what it brings
@@ -16,8 +16,7 @@ s3          fragments of a library in object storage                            
 cluster     adding, training and experiments on the workers of a cluster         Dask distributed
 ==========  ===================================================================  =====================================
 
-``from dousa.extras import cv2`` is ``import cv2`` with that message; it stands where OpenCV is used, so that nothing
-else waits for it.
+``from dousa.extras import cv2`` is ``import cv2`` with that message, at the place of use.
 """
 
 from __future__ import annotations
@@ -37,12 +36,7 @@ FONT_PACKAGE, _FONT_FILE = "matplotlib-fontja", "ipaexg.ttf"
 
 
 def require(package: str, extra: str) -> Any:
-    """A package of an extra.
-
-    Parameters
-    ----------
-    package : as it is imported.
-    extra : the extra of dousa that brings it.
+    """Import a package, such as ``cv2``, of an extra of dousa.
 
     Raises
     ------
@@ -57,9 +51,9 @@ def require(package: str, extra: str) -> Any:
 
 
 def find_font() -> Path | None:
-    """The file of the Japanese font of the extra ``pictures``, None if it is not installed.
+    """Find the file of the Japanese font of the extra ``pictures``, None if it is not installed.
 
-    Its package is not imported: that would change the settings of matplotlib.
+    Its package is not imported, as that would change the settings of matplotlib.
     """
     from importlib import metadata
 

@@ -1,8 +1,6 @@
-"""Estimation: from silhouettes to joint angles, with a body model and inertia.
+"""Estimation: from silhouettes or keypoints to joint angles, with a body model and inertia.
 
-Masks or video -> silhouettes; a body of rigid parts and calibrated cameras; each frame the joint angles whose
-projection fits the silhouettes are searched part by part within what inertia allows (Kameda, Minoh and Ikeda).
-Loaded name by name when first used.
+The method for silhouettes is that of Kameda, Minoh and Ikeda. Names are loaded when first used.
 """
 
 from __future__ import annotations

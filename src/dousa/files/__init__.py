@@ -1,1 +1,1 @@
-"""Files of unknown origin in, whole files out: clear errors, guarded arrays and markup, never half a file."""
+"""Safe reading of files of unknown origin, and writing of whole files: never half a file."""

@@ -1,7 +1,4 @@
-"""Reading and writing whole files: clear errors, and never half a file on the disk.
-
-Small text files are those that people write by hand: figures of a dance, weights of segments.
-"""
+"""Reading and writing of whole files, with clear errors and never half a file on the disk."""
 
 from __future__ import annotations
 
@@ -34,15 +31,7 @@ _WRITE_REMEDIES = {
 
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:
-    """Read a whole file.
-
-    Parameters
-    ----------
-    path : an ordinary file that is not empty.
-
-    Returns
-    -------
-    Its bytes.
+    """Read a whole file, which is an ordinary file that is not empty.
 
     Raises
     ------
@@ -71,14 +60,14 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
 
 
 def read_small_text(path: str | os.PathLike[str]) -> str:
-    """The text of a file of a few lines, also of a pipe.
+    """Read the text of a file of a few lines written by hand, also of a pipe.
 
     Raises
     ------
     MotionFileError : it cannot be read, is larger than 1 MB, or is no text in UTF-8.
     """
     try:
-        # Not the size that the system tells: a device or a pipe has none, and may never end.
+        # The size by the system is no limit: a device or a pipe has none, and may never end.
         with open(path, "rb") as file:
             data = file.read(_MOST_BYTES + 1)
     except OSError as error:
@@ -97,13 +86,13 @@ def read_small_text(path: str | os.PathLike[str]) -> str:
 
 
 def write_error(path: str | os.PathLike[str], error: OSError) -> MotionWriteError:
-    """What is said where the system refuses to write a file."""
+    """Return the error for a file that cannot be written."""
     code = _WRITE_REMEDIES.get(error.errno or 0)
     return MotionWriteError(path, code) if code else MotionWriteError(path, "disk.unwritable", reason=error)
 
 
 def create_beside(target: str) -> IO[bytes]:
-    """A new file in the target's folder, with the target's permissions or those a new file would get."""
+    """Create a file in the target's folder, with the target's permissions or those of a new file."""
     folder, name = os.path.split(target)
     temporary = os.path.join(folder, f".{name[:32]}.{secrets.token_hex(6)}.part")
     file = open(temporary, "xb")  # noqa: SIM115 - its name is the path, which os.fdopen would not keep
@@ -116,8 +105,8 @@ def create_beside(target: str) -> IO[bytes]:
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
     """Write a file so that it appears whole or not at all.
 
-    The bytes go to a hidden file beside the target, which takes the target's place when the block ends
-    well and is removed when it does not (Ctrl-C included). A link keeps pointing where it points.
+    The bytes go to a hidden file beside the target. It replaces the target when the block ends well and is removed when
+    it does not (Ctrl-C included). Links are kept.
 
     Parameters
     ----------

@@ -1,7 +1,4 @@
-"""Files of one frame each: their order, and which frame a name says.
-
-A camera's images, masks and the keypoints of each frame are numbered in their names, with or without leading zeros.
-"""
+"""Order and numbers of files of one frame each: images, masks, keypoints."""
 
 from __future__ import annotations
 
@@ -13,13 +10,13 @@ _MOST_GAPS = 3.0  # times more numbers than files: they are no frame numbers
 
 
 def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
-    """Order in which frame 10 comes after frame 9."""
+    """Return a sort key that puts frame 10 after frame 9."""
     parts = re.split(r"(\d+)", name.lower())
     return tuple((0, int(part), "") if part.isdigit() and part.isascii() else (1, 0, part) for part in parts)
 
 
 def number_frames(names: list[str]) -> dict[int, str]:
-    """Frame of each file by the number in its name; by order where the numbers are no frame numbers."""
+    """Map frames to files by the number in the name, or by order where these are no frame numbers."""
     by_order = dict(enumerate(names))
     parts = [re.fullmatch(r"(.*?)(\d{1,12})(\D*)", name, re.ASCII) for name in names]
     if len(names) < 2 or any(part is None for part in parts):

@@ -1,4 +1,4 @@
-"""Values as JSON has them."""
+"""Conversion of values to JSON."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from dousa.messages import Message
 
 
 def to_json_value(value: Any) -> Any:
-    """The value with numbers that are not finite as None, arrays and tuples as lists, messages in words.
+    """Convert a value: numbers that are not finite to None, arrays and tuples to lists, messages to text.
 
     Parameters
     ----------
     value : of dictionaries, sequences, numpy arrays and numbers, messages, objects with ``to_json()``, dataclasses;
-        anything else stays what it is.
+        anything else is kept.
     """
     if isinstance(value, Message):
         return str(value)
@@ -31,14 +31,14 @@ def to_json_value(value: Any) -> Any:
 
 
 def round_number(value: float | None, digits: int) -> float | None:
-    """Rounded; None for what is no finite number, and never -0.0."""
+    """Round a number; None if it is not finite, and never -0.0."""
     if value is None or not math.isfinite(value):
         return None
     return round(float(value), digits) + 0.0
 
 
 def _simplify(value: Any) -> Any:
-    """Arrays as lists, objects by what they say of themselves, dataclasses by their fields."""
+    """Arrays as lists, objects by their ``to_json()``, dataclasses by their fields."""
     if hasattr(value, "tolist"):  # numpy scalars and arrays
         return value.tolist()
     if hasattr(value, "to_json"):

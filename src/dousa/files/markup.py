@@ -1,4 +1,4 @@
-"""XML of unknown origin: no document types, so that no entity can grow or fetch anything."""
+"""XML without document types, so that no entity can expand or fetch anything; and TOML."""
 
 from __future__ import annotations
 
@@ -17,19 +17,14 @@ class _Builder(ET.TreeBuilder):
 
 
 def parse_xml(content: bytes) -> ET.Element:
-    """The root element.
-
-    Raises
-    ------
-    CalibrationError : no XML, cut off, or with a document type.
-    """
+    """Parse XML and return the root element; CalibrationError if it is no XML, cut off, or has a document type."""
     parser = ET.XMLParser(target=_Builder())
     try:
         return ET.fromstring(content, parser=parser)
     except ET.ParseError as error:
         line = error.position[0]
         raise CalibrationError("markup.broken_xml", line=line, reason=error) from error
-    except (ValueError, LookupError) as error:  # an encoding that nobody knows
+    except (ValueError, LookupError) as error:  # an unknown encoding
         if isinstance(error, CalibrationError):
             raise
         raise CalibrationError("markup.not_xml", reason=error) from error
@@ -39,7 +34,7 @@ _MOST_DOTS = 200  # in a line; numbers have them too
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The document, with any line ends.
+    """Parse TOML with any line ends.
 
     Raises
     ------
@@ -53,5 +48,5 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def quote_toml(text: str) -> str:
-    """A text as a basic string of TOML: JSON's, but for one control character."""
+    """Quote a text as a basic string of TOML: JSON's, except for one control character."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -1,7 +1,7 @@
-"""Arrays out of an npz file of unknown origin: nothing is pickled, and no size in it is believed.
+"""Arrays of an npz file of unknown origin: no pickles, and no trust in its sizes.
 
-A member may be compressed, and masks compress a thousandfold, so the size of the file bounds nothing. What a member
-declares is therefore compared with a limit before a byte is unpacked, and with what comes while unpacking.
+A member may be compressed, and masks compress a thousandfold, so the size of the file is no limit. The declared size of
+a member is compared with a limit before unpacking, and with the data while unpacking.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from dousa.files.disk import read_bytes
 from dousa.messages import Message
 
 _MOST_MEMBERS, _MOST_AXES, _LONGEST_AXIS = 256, 8, 2**40
-_MOST_BYTES = 64_000_000  # what an array may have unless more is asked for
+_MOST_BYTES = 64_000_000  # default limit of an array
 _LONGEST_HEADER = 10_000
 _LAST_CODE_POINT = 0x10FFFF
 _MAGIC = b"\x93NUMPY"
@@ -36,7 +36,7 @@ _HEADER = re.compile(
     r"\{'descr': '([<>|=]?[biufU]\d{1,9})', 'fortran_order': (True|False), 'shape': \(([\d, ]{0,200})\), ?\}\s*"
 )
 
-# What zipfile and its decompressors raise on damaged archives, found by fuzzing and in their source.
+# Errors of zipfile and its decompressors on damaged archives, found by fuzzing and in their source.
 _DAMAGE = (
     zipfile.BadZipFile, zlib.error, lzma.LZMAError, NotImplementedError, RuntimeError, EOFError, ValueError,
     OverflowError,
@@ -47,21 +47,20 @@ Fail = Callable[[Message], DousaError]
 
 @contextmanager
 def open_npz(source: str | os.PathLike[str] | bytes, fail: Fail) -> Iterator[NpzFile]:
-    """The arrays of an npz file, each read when it is asked for.
+    """Open the arrays of an npz file, each read on demand.
 
     Parameters
     ----------
     source : the file, or its bytes.
-    fail : makes an error of what is wrong, such as ``lambda message: SilhouetteError(message).at(path)``.
+    fail : makes an error of a message, such as ``lambda message: SilhouetteError(message).at(path)``.
 
     Raises
     ------
-    What ``fail`` makes: missing, a folder or device, empty, damaged, no archive of a few arrays. Errors that are raised
-    in the block go through.
+    By ``fail``: missing, a folder or device, empty, damaged, no archive of a few arrays. Errors of the block pass.
     """
     try:
         if not isinstance(source, bytes) and not (os.path.isfile(source) and os.path.getsize(source)):
-            read_bytes(source)  # says what is wrong
+            read_bytes(source)  # raises the error
         with zipfile.ZipFile(io.BytesIO(source) if isinstance(source, bytes) else source) as archive:
             yield NpzFile(archive, fail)
     except MotionFileError as error:
@@ -78,12 +77,12 @@ def open_npz(source: str | os.PathLike[str] | bytes, fail: Fail) -> Iterator[Npz
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What the head of an array says; its size agrees with the member's.
+    """Head of an array, whose size agrees with the member's.
 
     Parameters
     ----------
     dtype, shape : of the array.
-    n_packed : bytes that the data take in the file, perhaps compressed.
+    n_packed : bytes of the data in the file, perhaps compressed.
     order : ``"F"`` where the first axis runs fastest, else ``"C"``.
     n_bytes : of the data.
     """
@@ -120,7 +119,7 @@ class NpzFile:
 
     @contextmanager
     def open(self, name: str) -> Iterator[tuple[Header, IO[bytes]]]:
-        """The head of an array and the stream of its data."""
+        """Open the head of an array and the stream of its data."""
         if name not in self._members:
             raise self._fail(Message("npz.no_array", array=name, found=self.names[:20]))
         member = self._members[name]
@@ -153,7 +152,7 @@ class NpzFile:
         return Header(dtype, shape, "F" if found[2] == "True" else "C", n_bytes)
 
     def read_data(self, name: str, header: Header, stream: IO[bytes]) -> NDArray[Any]:
-        """The array behind a head, not to be written to."""
+        """Read the array behind a head; read-only."""
         whole, done = np.empty(header.n_bytes, np.uint8), 0  # no memory is taken before something comes
         while done < header.n_bytes:
             part = stream.read(min(header.n_bytes - done, 1 << 20))
@@ -167,14 +166,14 @@ class NpzFile:
         return flat.reshape(header.shape, order="F" if header.order == "F" else "C")
 
     def read(self, name: str, kinds: str, ndim: int | None = None, most: int = _MOST_BYTES) -> NDArray[Any]:
-        """An array, not to be written to.
+        """Read an array; read-only.
 
         Parameters
         ----------
         name : of the array.
         kinds : letters of the wanted kinds of dtype: b bool, i and u whole numbers, f numbers, U text.
         ndim : number of axes; any by default.
-        most : bytes it may have.
+        most : largest size in bytes.
         """
         with self.open(name) as (header, stream):
             if header.dtype.kind not in kinds:
@@ -191,12 +190,12 @@ class NpzFile:
         return array
 
     def read_number(self, name: str) -> float:
-        """A single finite number."""
+        """Read a single finite number."""
         value = float(self.read(name, "iuf", 0))
         if not math.isfinite(value):
             raise self._fail(Message("npz.not_finite", array=name, found=str(value)))
         return value
 
     def read_texts(self, name: str) -> tuple[str, ...]:
-        """A list of texts."""
+        """Read a list of texts."""
         return tuple(str(text) for text in self.read(name, "U", 1))

@@ -1,4 +1,4 @@
-"""Motion files: one module per format, ``read_motion`` and ``write_motion`` choose by suffix."""
+"""Motion files: one module per format; ``read_motion`` and ``write_motion`` choose by suffix."""
 
 from dousa.formats.characters import read_character
 from dousa.formats.frame_folders import is_frame_folder

@@ -40,7 +40,7 @@ _INTEL, _DEC, _MIPS = 84, 85, 86
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter: its raw data and how to take them.
+    """One parameter as raw data.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class Parameter:
     processor: int
 
     def texts(self) -> list[str]:
-        """The texts, without the blanks and zero bytes that pad them."""
+        """Return the texts, without the blanks and zero bytes that pad them."""
         data = self.data or b""
         length = self.shape[0] if len(self.shape) > 1 else len(data)
         if length == 0:
@@ -65,7 +65,7 @@ class Parameter:
         return [_decode_text(piece) for piece in pieces]
 
     def numbers(self) -> FloatArray:
-        """All values in file order; 16-bit integers unsigned, as counts may exceed 32,767."""
+        """Return all values in file order; 16-bit integers unsigned, as counts may exceed 32,767."""
         data = self.data or b""
         if self.item_size == 4:
             with np.errstate(invalid="ignore"):  # a signalling NaN
@@ -77,7 +77,7 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The numbers of the first block that matter here; word numbers as in the user guide."""
+    """The numbers needed from the first block; word numbers as in the user guide."""
 
     n_points: int
     n_analog: int
@@ -93,7 +93,7 @@ class Header:
 
 @dataclass(frozen=True, slots=True)
 class Sections:
-    """What precedes the data: header and parameters by ``"GROUP:NAME"``, upper case."""
+    """Header and parameters by ``"GROUP:NAME"``, upper case."""
 
     path: str
     header: Header
@@ -101,16 +101,16 @@ class Sections:
     processor: int
 
     def number(self, key: str) -> float | None:
-        """First value of a numeric parameter, None if there is none."""
+        """Return the first value of a numeric parameter, None if there is none."""
         values = self.numbers(key)
         return float(values[0]) if len(values) else None
 
     def numbers(self, key: str) -> FloatArray:
-        """All values of a numeric parameter."""
+        """Return all values of a numeric parameter."""
         return np.zeros(0) if key not in self.parameters else self._checked(key).numbers()
 
     def texts(self, key: str) -> list[str]:
-        """The texts of a parameter, together with those of its continuations NAME2, NAME3 ..."""
+        """Return the texts of a parameter, together with those of its continuations NAME2, NAME3 ..."""
         texts: list[str] = []
         number, name = 1, key
         while name in self.parameters:
@@ -140,7 +140,7 @@ def _decode_text(data: bytes) -> str:
 
 
 def decode_floats(data: bytes, processor: int) -> NDArray[np.float32]:
-    """32-bit floats of any of the three processors as native ones; DEC's exponents are two higher."""
+    """Convert 32-bit floats of any of the three processors to native ones; DEC's exponents are two higher."""
     usable = len(data) // 4 * 4
     with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
         if processor == _DEC:
@@ -150,12 +150,7 @@ def decode_floats(data: bytes, processor: int) -> NDArray[np.float32]:
 
 
 def parse_sections(path: str | os.PathLike[str], data: bytes) -> Sections:
-    """Header and parameters of a whole file.
-
-    Raises
-    ------
-    MotionFileError : not a C3D file, cut off, or a parameter section that points outside.
-    """
+    """Parse header and parameters; MotionFileError if it is no C3D file, cut off, or points outside."""
     if len(data) < 2 or data[1] != _MAGIC:
         raise MotionFileError(path, "c3d.magic")
     if len(data) < 2 * BLOCK:
@@ -223,7 +218,7 @@ def _parse_parameters(path: str | os.PathLike[str], section: bytes, processor: i
 
 
 def _parse_parameter(entry: bytes, processor: int) -> Parameter:
-    """A parameter from the bytes after its link, which may hold more than it."""
+    """Parse a parameter from the bytes after its link, which may be longer."""
     if len(entry) < 2:
         return Parameter(1, (), None, processor)
     item_size = int.from_bytes(entry[:1], signed=True)
@@ -238,7 +233,7 @@ def _parse_parameter(entry: bytes, processor: int) -> Parameter:
 
 
 _AWAY_FROM_ZERO = 50.0  # file units
-_BEYOND = 9.9e6  # file units: nobody is there; some programs put it for what they did not see
+_BEYOND = 9.9e6  # file units, outside any room: some programs write it for points not seen
 _MOST_LABELS = 255  # of one parameter, whose sizes are bytes
 _FULL_COUNTER = 65_535
 _CHUNK_FRAMES = 4096
@@ -247,16 +242,11 @@ _CHUNK_FRAMES = 4096
 def write_c3d(motion: Trajectories, path: str | os.PathLike[str]) -> None:
     """Write trajectories as a C3D file, in mm with Y up, as 32-bit floats.
 
-    Missing positions get the residual -1. Names are kept; the tree and the rest pose have no place in C3D.
-
-    Parameters
-    ----------
-    motion : trajectories.
-    path : the file to write.
+    Missing positions get the residual -1. Names are kept; the tree and the rest pose are lost.
 
     Raises
     ------
-    MotionWriteError : names that C3D cannot hold, too many points, positions too large, a disk that refuses.
+    MotionWriteError : names that C3D cannot hold, too many points, positions too large, a disk error.
     """
     names = [_check_name(path, name) for name in motion.names]
     # The place of the data is in the parameters, whose size does not depend on it.
@@ -357,27 +347,23 @@ def _texts(name: str, values: list[bytes]) -> tuple[str, bytes]:
     return name, struct.pack("bBBB", -1, 2, length, len(values)) + content
 
 
-# Parameters of the POINT group that list the points which are no positions.
+# Parameters of the POINT group that list points other than positions.
 _NOT_POSITIONS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "REACTIONS", "SCALARS")
 
 
 def read_c3d(
     path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None
 ) -> Trajectories | Motion:
-    """Read the points of a C3D file, or the poses of segments if it holds no points.
+    """Read the points of a C3D file, or the poses of segments of a markerless system if it holds no points.
 
     Unlabelled points (no name, or one that starts with ``*``) and computed angles, forces, moments and powers are
-    left out.
+    left out. Missing positions are NaN.
 
     Parameters
     ----------
     path : the file.
     unit : metres per unit, or its name; by default POINT:UNITS, else inferred from body height.
     up : axis that points up; by default POINT:Y_SCREEN, else inferred.
-
-    Returns
-    -------
-    Trajectories in metres, Y up, NaN where missing; a motion of segments that a markerless system found.
 
     Raises
     ------
@@ -441,7 +427,7 @@ def _choose_points(sections: Sections) -> tuple[IndexArray, tuple[str, ...]]:
         return np.arange(count), tuple(f"point{number + 1}" for number in range(count))
     left_out = {name for group in _NOT_POSITIONS for name in sections.texts(f"POINT:{group}")}
     chosen = [number for number, label in enumerate(labels) if label and label[0] != "*" and label not in left_out]
-    if not chosen:  # nobody gave the markers names
+    if not chosen:  # no marker has a name
         chosen = [number for number, label in enumerate(labels) if label not in left_out]
         labels = [f"point{number + 1}" for number in range(count)]
     if not chosen:
@@ -470,7 +456,7 @@ def _up_axis(sections: Sections) -> str | None:
 
 
 def _read_positions(sections: Sections, data: bytes, chosen: IndexArray) -> tuple[FloatArray, tuple[Message, ...]]:
-    """Positions (T, K, 3) of the chosen points in file units, NaN where the residual is negative; and what was odd."""
+    """Positions (T, K, 3) of the chosen points in file units, NaN where the residual is negative, and notes."""
     scale = sections.number("POINT:SCALE") or sections.header.scale
     if scale == 0 or not np.isfinite(scale):
         raise MotionFileError(sections.path, "c3d.scale", scale=scale)
@@ -495,7 +481,7 @@ def _read_positions(sections: Sections, data: bytes, chosen: IndexArray) -> tupl
     if scale > 0:
         positions *= scale
     if missing.all() and np.count_nonzero(positions) > positions.size // 2:
-        notes.append(Message("c3d.residuals"))  # a program that writes -1 for all: nobody stores what was not seen
+        notes.append(Message("c3d.residuals"))  # a program that writes -1 for all points, also those seen
     else:
         positions[missing] = np.nan
     lost = _find_unmarked(positions)
@@ -506,7 +492,7 @@ def _read_positions(sections: Sections, data: bytes, chosen: IndexArray) -> tupl
 
 
 def _find_unmarked(positions: FloatArray) -> BoolArray:
-    """(T, K) where a point was not seen although its residual does not say so: it is put to zero, or to 1e9.
+    """(T, K) points that were not seen without a residual for it: put to zero, or to 1e9.
 
     A point counts as put to zero where all three coordinates are exactly zero and it is far from there otherwise.
     """
@@ -521,7 +507,7 @@ def _measure_rows(sections: Sections, width: int, items: int, slack: int) -> tup
     """Items of a frame and number of frames, by the size of the file where the header contradicts it.
 
     The data fill whole blocks, so the right row leaves less than a block over. Some programs write the number of analog
-    channels where that of their samples belongs: every frame but the first would be read at the wrong place.
+    channels in place of the number of their samples, which would misplace every frame but the first.
     """
     held = {}
     for count in _analog_counts(sections):
@@ -535,7 +521,7 @@ def _measure_rows(sections: Sections, width: int, items: int, slack: int) -> tup
         frames = items // (width + counts[0])
         declared = _declared_frames(sections)
         if not frames or not declared:
-            _count_frames(sections, frames)  # says what is wrong
+            _count_frames(sections, frames)  # raises the error
         return width + counts[0], frames, [Message("c3d.fewer_frames", declared=min(declared), held=frames)]
     fitting = [count for count in held if held[count] < slack]
     count = next(iter(held)) if not fitting else fitting[0]
@@ -544,7 +530,7 @@ def _measure_rows(sections: Sections, width: int, items: int, slack: int) -> tup
 
 
 def _analog_counts(sections: Sections) -> list[int]:
-    """What the analog samples per frame, all channels together, may be: as the header says, then as parameters do."""
+    """Possible numbers of analog samples per frame, all channels together: of the header, then of parameters."""
     header = sections.header
     used, rate = sections.number("ANALOG:USED"), sections.number("ANALOG:RATE")
     points_rate = sections.number("POINT:RATE")
@@ -578,7 +564,7 @@ def _count_frames(sections: Sections, held: int) -> int:
 
 
 def _declared_frames(sections: Sections) -> list[int]:
-    """Numbers of frames, above 0, that are declared.
+    """Declared numbers of frames, above 0.
 
     Four places may declare it; programs keep them with different care, and 16 bits overflow.
     """

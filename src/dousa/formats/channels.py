@@ -1,4 +1,4 @@
-"""From channel values (Euler angles, positions) to poses (quaternions, translations), for BVH and AMC alike."""
+"""From channel values (Euler angles, positions) to poses (quaternions, translations), for BVH and AMC."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LARGE_MOTION = 50_000_000  # joints x frames, about 3 GB
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChannelProgram:
-    """What each joint does with the columns of a file, all lengths in file units.
+    """Meaning of the columns of a file for each joint, all lengths in file units.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class ChannelProgram:
 
 @dataclass(frozen=True, slots=True)
 class FileUnits:
-    """What is known about the unit and the up axis of a file before its poses are looked at.
+    """Unit and up axis of a file, as far as known before its poses are read.
 
     ``unit`` and ``up`` come from the caller; ``declared_unit`` from the file, found plausible.
     """
@@ -130,7 +130,7 @@ def _pose_kernel(
 
 
 def compute_poses(program: ChannelProgram, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Local rotations (T, J, 4) and translations (T, J, 3) in file units of channel values (T, C)."""
+    """Compute local rotations (T, J, 4) and translations (T, J, 3) in file units from channel values (T, C)."""
     offsets = program.skeleton.offsets
     start = offsets
     if program.added:
@@ -160,11 +160,9 @@ def build_motion(
     provenance: Provenance,
     units: FileUnits,
 ) -> Motion:
-    """The motion, in metres with Y up, of the channel values of a file; its provenance says how it got there.
+    """Build a motion, in metres with Y up, from channel values; the sources of unit and axis are in its provenance.
 
-    Raises
-    ------
-    MotionFileError : the values make no motion, such as positions beyond the largest float.
+    MotionFileError for values that make no motion, such as positions beyond the largest float.
     """
     skeleton = program.skeleton
     poses = len(values) * skeleton.n_joints

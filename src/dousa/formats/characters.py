@@ -1,4 +1,4 @@
-"""Characters: files whose skeleton other motions are put onto."""
+"""Characters: files with a skeleton for other motions."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from dousa.motion import Motion
 
 
 def read_character(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Motion:
-    """The skeleton of a file, as a motion or as a single pose.
+    """Read the skeleton of a file, as a motion or as a single pose.
 
     Parameters
     ----------
     path : any file of joint rotations; a glTF, GLB, VRM or FBX needs no animation.
-    unit, up : what the file does not say.
+    unit, up : if not in the file.
 
     Raises
     ------

@@ -15,18 +15,15 @@ _LOOKED_AT = 5
 
 
 def list_frame_files(folder: str | os.PathLike[str]) -> list[str]:
-    """Names of the JSON files of a folder, in the order of their numbers."""
+    """List the JSON files of a folder, in the order of their numbers."""
     names = [name for name in os.listdir(folder) if name.lower().endswith(".json") and not name.startswith(".")]
     return sorted(names, key=natural_key)
 
 
 def is_frame_folder(folder: str | os.PathLike[str], names: Sequence[str] | None = None) -> bool:
-    """Whether a folder holds the 3D points of the frames of one take, a file for each.
+    """Return whether a folder holds the 3D points of the frames of one take, a file for each.
 
-    Parameters
-    ----------
-    folder : to look into; a few files are, as nobody may be seen in the first.
-    names : of its files, where they are known.
+    A few files are read, as the first may be without a person; ``names`` are those of its files, if known.
     """
     if names is not None and not any(name.lower().endswith(".json") for name in names):
         return False

@@ -1,7 +1,7 @@
-"""Files of one skeleton vote on its up axis and unit: what one take leaves in doubt, the others of the folder know.
+"""Files of one skeleton vote on their up axis and unit.
 
 A program writes all its files in the same axes and unit. Where a file's own evidence is only a guess, the files with
-the same joints that were read together decide, if most of those that know agree.
+the same joints that were read together decide, if most of those with clear evidence agree.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _MAJORITY = 0.75
 
 @dataclass(frozen=True, slots=True)
 class FrameClaim:
-    """What a file says, or is guessed to say, of its axes and unit.
+    """Axes and unit of a file, declared or guessed.
 
     Parameters
     ----------
@@ -42,12 +42,12 @@ class FrameClaim:
 
     @property
     def doubtful(self) -> bool:
-        """Whether other files could know better."""
+        """Whether other files could have better evidence."""
         return self.up_source == "guessed" or self.unit_source == "assumed"
 
 
 def describe_frame(motion: Motion | Trajectories, canonical: CanonicalMotion) -> FrameClaim | None:
-    """The claim of a file that was read; None for a motion that came from no file."""
+    """Return the claim of a file that was read; None for a motion without a file."""
     origin = motion.provenance
     if origin is None:
         return None
@@ -67,20 +67,20 @@ def describe_frame(motion: Motion | Trajectories, canonical: CanonicalMotion) ->
 
 @dataclass(slots=True)
 class FrameVotes:
-    """The claims of the files that are read together, by skeleton."""
+    """The claims of files read together, by skeleton."""
 
     claims: dict[tuple[object, ...], list[FrameClaim]] = field(default_factory=lambda: defaultdict(list))
 
     def count(self, claim: FrameClaim) -> None:
-        """Take the claim of one more file."""
+        """Add the claim of one more file."""
         self.claims[claim.skeleton].append(claim)
 
     def elect(self, claim: FrameClaim) -> tuple[str | None, float | None, tuple[Message, ...]]:
-        """What the others of its skeleton say of a doubtful claim.
+        """Let the other files of its skeleton decide on a doubtful claim.
 
         Returns
         -------
-        Up axis and unit to read the file with, None where nobody knows; and what a person should know.
+        Up axis and unit to read the file with, None where undecided, and notes for the user.
         """
         others = self.claims[claim.skeleton]
         up, unit = self._elect_up(claim, others), self._elect_unit(claim, others)

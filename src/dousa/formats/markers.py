@@ -1,4 +1,4 @@
-"""What the formats of measured points share: from a file's unit and axes to metres with Y up."""
+"""Common code of the formats of measured points: from a file's unit and axes to metres with Y up."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _NUMBER = re.compile(r"[-+.\deE]+")
 
 
 def declared_unit(text: str) -> float | None:
-    """Metres per unit of the unit a file names, None where it names none that is known."""
+    """Return metres per unit of a named unit, None if it is unknown."""
     try:
         return None if _NUMBER.fullmatch(text.strip()) else parse_unit(text)  # a number slipped from another column
     except OptionError:
@@ -46,7 +46,7 @@ def settle_trajectories(
     keep_values: bool = False,
     notes: tuple[Message, ...] = (),
 ) -> Trajectories:
-    """Trajectories in metres with Y up from what a file holds.
+    """Build trajectories in metres with Y up from the content of a file.
 
     Parameters
     ----------
@@ -54,11 +54,11 @@ def settle_trajectories(
     names : (K,) of the points.
     positions : (T, K, 3) in the file's unit and axes, NaN where missing.
     frame_rate : Hz.
-    unit, up : what the caller says, or None.
-    unit_in_file, up_in_file : what the file says, or None.
-    default_up : the habit of the format, where neither says.
+    unit, up : given by the caller, or None.
+    unit_in_file, up_in_file : declared in the file, or None.
+    default_up : usual in the format, if neither is there.
     keep_values : keep the file's own numbers in the provenance.
-    notes : what a person should know of how the file was understood.
+    notes : for the user, on the reading of the file.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Motion files of the disk: what a person says about them, finding them, reading them on canonical joints."""
+"""Motion files on disk: options, finding them, reading them on canonical joints."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ JointMap = Mapping[str, str | Sequence[str]]
 
 @dataclass(frozen=True, slots=True)
 class ReadOptions:
-    """How motion files are understood, wherever any are read.
+    """Options for reading motion files.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class ReadOptions:
     unit : metres per unit of the file, or a name such as ``"cm"``; see ``dousa.formats.read_motion``.
     up : axis of the file that points up, such as ``"y"`` or ``"-z"``.
     skeleton : the ``.asf`` of ``.amc`` files, the model of ``.vmd`` files, the body model of SMPL poses.
-    frame_rate : Hz, of arrays that do not say it.
+    frame_rate : Hz, of arrays without one.
     any_skeleton : take bodies that cannot be a person's too, such as an animal's.
     """
 
@@ -45,7 +45,7 @@ class ReadOptions:
     any_skeleton: bool = False
 
     def describe(self) -> str:
-        """The options that change how a content is understood, as one line of JSON; empty if there are none."""
+        """Return the options that affect the result, as one line of JSON; empty if there are none."""
         joints = None
         if self.joint_map is not None:
             joints = {key: value if isinstance(value, str) else list(value) for key, value in self.joint_map.items()}
@@ -70,46 +70,46 @@ class FoundFile:
 
 @dataclass(frozen=True, slots=True)
 class Skipped:
-    """A file that was not used, and why.
+    """A file that was not used.
 
     Parameters
     ----------
     path : the file.
-    reason : what is wrong with it and what helps.
+    reason : the problem and its remedy.
     """
 
     path: str
     reason: Message
 
     def to_json(self) -> dict[str, Any]:
-        """Path and reason, in the language in use."""
+        """Return path and reason, in the language in use."""
         return {"path": self.path, "reason": str(self.reason)}
 
 
 def find_motion_files(
     paths: Iterable[str | os.PathLike[str]], others: Counter[str] | None = None
 ) -> tuple[list[FoundFile], list[Skipped]]:
-    """The motion files that are named, or lie in folders that are named, at any depth.
+    """Find the motion files among paths and, at any depth, in folders.
 
-    Folders give the files of known suffixes, in the order of their names; hidden files and folders are left
-    out, and links to folders are followed once. A folder with a file for each frame is one motion. A file that is named
-    is always taken, whatever its suffix.
+    Folders give the files of known suffixes, in the order of their names; hidden files and folders are left out, and
+    links to folders are followed once. A folder with a file for each frame is one motion. A named file is always taken,
+    whatever its suffix.
 
     Parameters
     ----------
     paths : files and folders.
-    others : where the files of folders that no reader takes are counted, by suffix.
+    others : counts files of folders without a reader, by suffix.
 
     Returns
     -------
     files : each once, under the first PATH that leads to it.
-    missing : the paths that do not exist, and the folders that cannot be looked into.
+    missing : paths that do not exist, and folders that cannot be read.
     """
     found: dict[Path, FoundFile] = {}
     missing: list[Skipped] = []
     for given in paths:
         root = Path(os.path.abspath(given))
-        # Unlike Path.is_dir these say no, and do not raise, where a folder above cannot be looked into.
+        # Unlike Path.is_dir these return false, and do not raise, where a folder above cannot be read.
         if os.path.isdir(root) and find_reader(root) is None:
             for path in _walk(root, missing, Counter() if others is None else others):
                 found.setdefault(path, FoundFile(root, path))
@@ -145,7 +145,7 @@ def _walk(root: Path, closed: list[Skipped], others: Counter[str]) -> Iterator[P
 
 
 def is_unicode(path: str) -> bool:
-    """Whether a path is text: on some disks names are any bytes, which no database keeps."""
+    """Return whether a path is text: on some disks names are any bytes, which no database stores."""
     try:
         path.encode()
     except UnicodeEncodeError:
@@ -156,18 +156,18 @@ def is_unicode(path: str) -> bool:
 def read_canonical(
     path: str | os.PathLike[str], options: ReadOptions | None = None, *, whole: bool = True
 ) -> tuple[CanonicalMotion, str]:
-    """A motion file as canonical joints, and the short name of its format.
+    """Read a motion file on canonical joints, with the short name of its format.
 
     Parameters
     ----------
     path : file ending in one of ``SUFFIXES``.
-    options : what the file does not say.
+    options : what the file lacks.
     whole : refuse a part of a body; see ``dousa.motion.canonicalise``.
 
     Raises
     ------
     MotionFileError : the file cannot be read.
-    JointMappingError : its joints cannot be told apart; the error has the ``path``.
+    JointMappingError : its joints cannot be mapped; the error has the ``path``.
     """
     motion, canonical = read_both(path, options, whole=whole)
     return canonical, motion.provenance.format if motion.provenance else ""
@@ -176,12 +176,12 @@ def read_canonical(
 def read_both(
     path: str | os.PathLike[str], options: ReadOptions | None = None, *, whole: bool = True
 ) -> tuple[Motion | Trajectories, CanonicalMotion]:
-    """A motion file as it is, and as canonical joints; parameters and errors as of ``read_canonical``."""
+    """Read a motion file as it is, and on canonical joints; parameters and errors as of ``read_canonical``."""
     from dousa.motion import canonicalise
 
     path, options = os.fspath(path), options or ReadOptions()
     line = find_reader(path)
-    # Of a folder of all kinds, each kind takes what it knows.
+    # In a folder of all kinds, each kind uses its own options.
     taken: dict[str, Any] = {name: getattr(options, name) for name in (line.options if line else ())}
     motion = read_motion(path, unit=options.unit, up=options.up, **taken)
     try:
@@ -193,7 +193,7 @@ def read_both(
 
 
 def describe_problem(path: str, error: DousaError) -> Message:
-    """What an error says, for a place that names the file itself: the file is left out, the line is not."""
+    """Return the message of an error without the file but with the line, for a place that names the file itself."""
     place, line = getattr(error, "path", None), getattr(error, "line", None)
     if place not in (None, path):
         return Message("motion_files.in_other_file", path=place, problem=error.message)

@@ -1,8 +1,8 @@
 """Xsens MVNX: XML with the orientation and the position of 23 segments in every frame.
 
 Metres, Z up, X to the front; quaternions w x y z from segment to world. A segment's origin is the joint to its parent;
-``joints`` names the tree; ``points`` of a segment tell where head, hands and toes end. Frames of the type ``identity``,
-``tpose`` and ``npose`` are poses of calibration, not of the take: identity is the rest pose.
+the tree is in ``joints``, the tips of head, hands and toes are among a segment's ``points``. Frames of the type
+``identity``, ``tpose`` and ``npose`` are calibration poses; identity is the rest pose.
 Reference: Xsens MVN user manual, chapter "MVNX".
 """
 
@@ -33,17 +33,13 @@ _MOST_SEGMENTS = 500
 
 
 def read_mvnx(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Motion:
-    """Read an MVNX file.
+    """Read the segments of an MVNX file, with end sites at the tips of head, hands and toes.
 
     Parameters
     ----------
     path : the file.
     unit : metres per unit; by default metres.
     up : axis that points up; by default Z.
-
-    Returns
-    -------
-    Motion in metres, Y up: the segments, and end sites at the tips of head, hands and toes.
 
     Raises
     ------

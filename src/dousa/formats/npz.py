@@ -1,4 +1,4 @@
-"""NPZ: dousa's own files, which hold everything a Motion or Trajectories holds.
+"""dousa's own NPZ files, with all content of a Motion or Trajectories.
 
 A zip of arrays as ``numpy.savez`` makes it, uncompressed, so that ``numpy.load`` opens it too:
 
@@ -16,8 +16,8 @@ A zip of arrays as ``numpy.savez`` makes it, uncompressed, so that ``numpy.load`
     positions         (T, J, 3) m              trajectories
     rest_positions    (J, 3) m                 trajectories, may be lacking
 
-Nothing is pickled. A reader never trusts a size in the file: only uncompressed members are accepted, and an
-array must fill its member exactly, so memory is bounded by the size of the file.
+Nothing is pickled. Only uncompressed members are accepted, and an array must fill its member exactly, so memory is
+bounded by the size of the file.
 """
 
 from __future__ import annotations
@@ -47,17 +47,7 @@ _PROVENANCE_TEXTS = ("path", "format", "unit_source", "up", "up_source")
 def read_npz(
     path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None
 ) -> Motion | Trajectories:
-    """Read a file written by ``write_npz``.
-
-    Parameters
-    ----------
-    path : the file.
-    unit, up : accepted for the sake of ``read_motion``; only metres and ``"y"`` fit, as dousa's own files hold
-        nothing else.
-
-    Returns
-    -------
-    The Motion or Trajectories that was written.
+    """Read a file written by ``write_npz``; of units and axes only metres and ``"y"`` fit.
 
     Raises
     ------
@@ -88,7 +78,7 @@ class _Reader:
             raise fail(Message("dousa_npz.compressed", array=file.compressed[0]))
 
     def take(self, name: str, kinds: str, ndim: int) -> NDArray[Any]:
-        """An array of the wanted kinds of dtype and number of axes."""
+        """Return an array of the wanted kinds of dtype and number of axes."""
         if name not in self.file:
             raise self.fail(Message("dousa_npz.lacks", array=name))
         return self.file.read(name, kinds, ndim, self._size)
@@ -132,16 +122,11 @@ def _read_provenance(reader: _Reader) -> Provenance | None:
 
 
 def write_npz(motion: Motion | Trajectories, path: str | os.PathLike[str]) -> None:
-    """Write a motion or trajectories as dousa's own file; nothing is lost but the layout of the source file.
-
-    Parameters
-    ----------
-    motion : what to write.
-    path : the file to write.
+    """Write a motion or trajectories as dousa's own file; only the layout of the source file is lost.
 
     Raises
     ------
-    MotionWriteError : a name with a zero byte, a disk that refuses.
+    MotionWriteError : a name with a zero byte, a disk error.
     """
     arrays = _list_arrays(motion)
     names = motion.skeleton.names if isinstance(motion, Motion) else motion.names

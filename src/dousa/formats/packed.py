@@ -1,4 +1,4 @@
-"""Motion files that are packed: gzip of one, or a zip archive of one with what belongs to it."""
+"""Packed motion files: gzip of one, or a zip archive of one with its companions."""
 
 from __future__ import annotations
 
@@ -26,16 +26,9 @@ _DAMAGE = (
 
 @contextmanager
 def unpack(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iterator[str]:
-    """A packed motion file, unpacked into a temporary folder for as long as the block lasts.
+    """Unpack a ``.gz`` or ``.zip`` file into a temporary folder for the duration of the block and return its path.
 
-    Parameters
-    ----------
-    path : file ending in ``.gz`` or ``.zip``.
-    suffixes : what motion files end in.
-
-    Returns
-    -------
-    The path of the motion file in the temporary folder; of many JSON files, one for each frame, that of their folder.
+    Of many JSON files, one for each frame, it is the path of their folder. ``suffixes`` : endings of motion files.
 
     Raises
     ------
@@ -92,7 +85,7 @@ def _unpack_zip(path: str | os.PathLike[str], data: bytes, folder: str, suffixes
 def _unpack_frames(
     path: str | os.PathLike[str], archive: zipfile.ZipFile, members: list[zipfile.ZipInfo], folder: str, most: int
 ) -> str:
-    """The folder of the files of the frames, which must have come from one folder."""
+    """Folder of the files of the frames, which must come from one folder."""
     folders = sorted({os.path.dirname(member.filename.replace("\\", "/")) for member in members})
     if len(folders) > 1:
         raise MotionFileError(path, "packed.folders", found=len(folders), names=folders[:5])

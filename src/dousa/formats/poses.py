@@ -1,4 +1,4 @@
-"""What the formats of joint rotations share: from a file's unit and axes to metres with Y up, world to local poses."""
+"""Common code of the formats of joint rotations: file units and axes to metres with Y up, world to local poses."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def settle_motion(
     layout: Any = None,
     notes: tuple[Message, ...] = (),
 ) -> Motion:
-    """A motion in metres with Y up from what a file holds.
+    """Build a motion in metres with Y up from the content of a file.
 
     Parameters
     ----------
@@ -45,13 +45,13 @@ def settle_motion(
     rotations : (T, J, 4) local unit quaternions.
     translations : (T, J, 3) local positions in the file's unit and axes.
     frame_rate : Hz.
-    unit, up : what the caller says, or None.
-    unit_in_file, up_in_file : what the file or its format says, or None.
-    declared_unit : what the file or its format says, not believed if the body would have an impossible height.
-    default_up : the habit of the format, where neither says; None where it has none.
-    rest_in_world : whether the rest pose stands in the axes of the file; else only the frames tell which way is up.
-    layout : what only this format knows.
-    notes : what a person should know of how the file was understood.
+    unit, up : given by the caller, or None.
+    unit_in_file, up_in_file : of the file or its format, or None.
+    declared_unit : of the file or its format, rejected if the body would have an impossible height.
+    default_up : usual in the format, if neither is there; None where it has none.
+    rest_in_world : whether the rest pose stands in the axes of the file; else only the frames show the up axis.
+    layout : of this format only.
+    notes : for the user, on the reading of the file.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def settle_motion(
 
 
 def localise(parents: Any, world: FloatArray, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Local rotations (T, J, 4) and translations (T, J, 3) of joints whose poses in the world are known.
+    """Compute local rotations (T, J, 4) and translations (T, J, 3) of joints from poses in the world.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def localise(parents: Any, world: FloatArray, positions: FloatArray) -> tuple[Fl
 
 
 def median_offsets(translations: FloatArray) -> FloatArray:
-    """Offsets (J, 3) of a skeleton whose file tells none: medians of the local positions (T, J, 3), root at 0."""
+    """Compute the offsets (J, 3) of a skeleton as medians of the local positions (T, J, 3), root at 0."""
     counted: BoolArray = np.isfinite(translations.sum(axis=2))
     offsets = np.zeros(translations.shape[1:])
     for joint in range(1, translations.shape[1]):
@@ -116,7 +116,7 @@ def median_offsets(translations: FloatArray) -> FloatArray:
 
 
 def order_tree(names: tuple[str, ...], parent_names: dict[str, str]) -> tuple[list[int], list[int]]:
-    """Indices of the names with parents before children, and the parent of each in that order.
+    """Order the names with parents before children; return their indices and the parent of each in that order.
 
     Parameters
     ----------

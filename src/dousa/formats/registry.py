@@ -39,10 +39,9 @@ class Format:
     module : where the functions live.
     reader : name of the function that reads a file, None if the format is only written.
     writer : name of the function that writes a file, None if the format is only read.
-    holds : ``"motion"``, ``"trajectories"`` or ``"both"``: what a file of this format can hold.
-    options : what the reader takes besides ``unit`` and ``up``: ``"skeleton"``, ``"frame_rate"``.
-    signs : pattern in the first bytes of such files, where other programs use the suffix for other things; None where
-        the suffix suffices.
+    holds : ``"motion"``, ``"trajectories"`` or ``"both"``: possible content of a file of this format.
+    options : of the reader besides ``unit`` and ``up``: ``"skeleton"``, ``"frame_rate"``.
+    signs : pattern in the first bytes of such files, for suffixes that other programs use too; else None.
     """
 
     name: str
@@ -101,7 +100,7 @@ WRITERS: dict[str, Format] = {suffix: line for line in FORMATS if line.writer fo
 """Format by suffix, for writing."""
 
 SUFFIXES: tuple[str, ...] = tuple(READERS)
-"""The suffixes that ``read_motion`` knows, lower case with the dot; each also with ``.gz`` or ``.zip`` behind it."""
+"""The suffixes of ``read_motion``, lower case with the dot; each also with ``.gz`` or ``.zip`` behind it."""
 
 _ADVICE = {
     ".asf": "formats.asf_alone",
@@ -177,19 +176,16 @@ def _suffix(path: str | os.PathLike[str]) -> str:
 
 
 def _find(path: str | os.PathLike[str], table: dict[str, Format]) -> Format | None:
-    """The line of the longest suffix that the name ends in."""
+    """The line of the longest suffix of the name."""
     name = os.path.basename(os.fspath(path)).lower()
     fitting = [suffix for suffix in table if name.endswith(suffix) and name != suffix]
     return table[max(fitting, key=len)] if fitting else None
 
 
 def find_reader(path: str | os.PathLike[str]) -> Format | None:
-    """The line of the table that a file will be read by, told by its name; None if there is none.
+    """Find the line of the table for a file by its name; None if there is none.
 
-    Parameters
-    ----------
-    path : of a file; that of a packed one has both suffixes, such as ``walk.bvh.gz``. Of folders only those with a file
-        for each frame are known.
+    A packed file has both suffixes, such as ``walk.bvh.gz``. Of folders only those with one file per frame are known.
     """
     text = os.fspath(path)
     if os.path.isdir(path):
@@ -199,7 +195,7 @@ def find_reader(path: str | os.PathLike[str]) -> Format | None:
 
 
 def is_motion_file(path: str | os.PathLike[str]) -> bool:
-    """Whether a file of a folder is one to read: by its suffix and, where others use the suffix, its first bytes."""
+    """Return whether to read a file of a folder: by its suffix and, for suffixes in other use, its first bytes."""
     line = find_reader(path)
     if line is None or line.signs is None or _suffix(path) in PACKED:
         return line is not None
@@ -207,7 +203,7 @@ def is_motion_file(path: str | os.PathLike[str]) -> bool:
         with open(path, "rb") as file:
             return re.search(line.signs, file.read(_HEAD_BYTES)) is not None
     except OSError:
-        return True  # its reader says what is wrong
+        return True  # its reader raises the error
 
 
 def _no_format(path: str | os.PathLike[str], known: Iterable[str], *, read: bool) -> UnknownFormatError:
@@ -231,18 +227,16 @@ def read_motion(
     skeleton: str | os.PathLike[str] | None = None,
     frame_rate: float | None = None,
 ) -> Motion | Trajectories:
-    """Read a motion file of any known format; the suffix tells which.
+    """Read a motion file of any known format, chosen by suffix.
 
     Parameters
     ----------
     path : file ending in one of ``SUFFIXES``, in any case, as it is or packed (``.gz``, ``.zip``).
-    unit : metres per unit of the file, or a name such as ``"cm"``; by default what the file declares, else
-        inferred from body height.
-    up : axis of the file that points up, such as ``"y"`` or ``"-z"``; by default what the file declares, else
-        inferred.
-    skeleton : the ``.asf`` of an ``.amc``; by default looked for beside and above it. The model of a ``.vmd``; by
-        default looked for beside it. The body model of SMPL poses; by default the mean body.
-    frame_rate : Hz, of arrays that do not say it.
+    unit : metres per unit of the file, or a name such as ``"cm"``; by default declared, else inferred from body height.
+    up : axis of the file that points up, such as ``"y"`` or ``"-z"``; by default declared, else inferred.
+    skeleton : the ``.asf`` of an ``.amc``, by default found beside and above it; the model of a ``.vmd``, by default
+        found beside it; or the body model of SMPL poses, by default the mean body.
+    frame_rate : Hz, of arrays without one.
 
     Returns
     -------
@@ -286,7 +280,7 @@ def read_motion(
     except DousaError as error:
         if isinstance(error, MotionFileError | OptionError):
             raise
-        # A reader that built impossible arrays met a damaged file: say which.
+        # Impossible arrays come from a damaged file: name it.
         raise MotionFileError(path, error.message) from error
     except MemoryError:
         raise MotionFileError(path, "disk.too_large") from None
@@ -322,11 +316,10 @@ def _fit(motion: Trajectories, path: str | os.PathLike[str]) -> Motion:
 
 
 def write_motion(motion: Motion | Trajectories, path: str | os.PathLike[str]) -> None:
-    """Write a motion file; the suffix tells the format.
+    """Write a motion file in the format of its suffix; it appears whole or not at all.
 
-    The file appears whole or not at all. A Motion written to a format of trajectories (C3D, TRC) becomes the
-    positions of its joints; trajectories written to a format of rotations (BVH) become the motion of a body of the
-    canonical joints that is fitted to them.
+    A Motion written to a format of trajectories (C3D, TRC) becomes the positions of its joints. Trajectories written to
+    a format of rotations (BVH) become the motion of a body of the canonical joints that is fitted to them.
 
     Parameters
     ----------
@@ -336,7 +329,7 @@ def write_motion(motion: Motion | Trajectories, path: str | os.PathLike[str]) ->
     Raises
     ------
     UnknownFormatError : the suffix is not known, or this format is only read.
-    MotionWriteError : the motion does not fit the format, or the disk refuses.
+    MotionWriteError : the motion does not fit the format, or a disk error.
     """
     line = _find(path, WRITERS) or _find(path, load_plugins().writers)
     if line is None or line.writer is None:

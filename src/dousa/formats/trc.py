@@ -1,14 +1,13 @@
 """TRC: marker positions as a table of text (Motion Analysis Cortex, OpenSim, Pose2Sim).
 
-Three lines of header, a line of marker names over every third column, a line X1 Y1 Z1 X2 ..., and then one row
-per frame: frame number, time, coordinates, separated by tabs, or throughout a file by commas, semicolons or spaces. A
-blank or ``nan`` cell is a missing value; the decimal sign is a point or, throughout a file from programs in some
-languages, a comma.
-Reference: OpenSim documentation, "Marker (.trc) Files". The format does not say which axis points up.
+Three lines of header, a line of marker names over every third column, a line X1 Y1 Z1 X2 ..., and then one row per
+frame: frame number, time, coordinates, separated by tabs, or throughout a file by commas, semicolons or spaces. A blank
+or ``nan`` cell is a missing value; the decimal sign is a point or, throughout a file, a comma.
+Reference: OpenSim documentation, "Marker (.trc) Files". The format does not declare the up axis.
 
-The rows count, not NumFrames and NumMarkers, which published files (those of Pose2Sim) have wrong. A file counts
-as cut off where the last row is short, or where frames are missing and the last line does not end: that row is left
-out, and a note says so.
+The rows count, not NumFrames and NumMarkers, which are wrong in published files (those of Pose2Sim). A file counts as
+cut off where the last row is short, or where frames are missing and the last line does not end: that row is left out,
+with a note.
 """
 
 from __future__ import annotations
@@ -31,17 +30,13 @@ _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|\s*[+-]?(nan|
 
 
 def read_trc(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Trajectories:
-    """Read the markers of a TRC file.
+    """Read the markers of a TRC file, NaN where missing; ``provenance.values`` (T, K, 3) are the file's own numbers.
 
     Parameters
     ----------
     path : the file.
-    unit : metres per unit, or its name; by default what the header says.
+    unit : metres per unit, or its name; by default that of the header.
     up : axis that points up; by default Y unless the body stands along another.
-
-    Returns
-    -------
-    Trajectories in metres, Y up, NaN where missing; ``provenance.values`` (T, K, 3) are the file's own numbers.
 
     Raises
     ------
@@ -81,7 +76,7 @@ def read_trc(path: str | os.PathLike[str], *, unit: float | str | None = None, u
 
 
 def _with_tabs(lines: list[str]) -> list[str]:
-    """The lines with tabs between their cells, whatever separates them."""
+    """Replace the separators of the lines with tabs."""
     header = next((line for line in lines[:_HEADER_LINES] if line.lstrip().lower().startswith("datarate")), "")
     if "\t" in header:
         return lines
@@ -96,7 +91,7 @@ def _with_tabs(lines: list[str]) -> list[str]:
 
 
 def _without_cut_row(lines: list[str], body: int, width: int, declared: float) -> list[str]:
-    """The lines without a last row that breaks off, where another is before it."""
+    """Drop a last row that breaks off, unless it is the only one."""
     rows = [number for number in range(body, len(lines)) if lines[number].strip()]
     if len(rows) < 2:
         return lines
@@ -175,7 +170,6 @@ def _read_rows(path: str | os.PathLike[str], lines: list[str], body: int, names:
 
 
 def _row_cells(path: str | os.PathLike[str], line: str, number: int, names: tuple[str, ...]) -> list[str]:
-    """The coordinates of one row as text."""
     width = 2 + 3 * len(names)
     cells = line.split("\t")
     if len(cells) != width:
@@ -214,17 +208,12 @@ def _parse_cell(path: str | os.PathLike[str], cell: str, number: int, name: str)
 def write_trc(motion: Trajectories, path: str | os.PathLike[str]) -> None:
     """Write trajectories as a TRC file.
 
-    Positions that were read from a TRC file and not changed are written in its unit and axes, digit for digit;
-    others in metres with Y up. Missing values are written as ``nan``.
-
-    Parameters
-    ----------
-    motion : trajectories.
-    path : the file to write.
+    Unchanged positions from a TRC file are written in its unit and axes, digit for digit; others in metres with Y up.
+    Missing values are written as ``nan``.
 
     Raises
     ------
-    MotionWriteError : a blank name or one with a tab or line break, a disk that refuses.
+    MotionWriteError : a blank name or one with a tab or line break, a disk error.
     """
     for name in motion.names:
         if not name.strip() or re.search(r"[\t\r\n]", name):

@@ -1,7 +1,7 @@
-"""Adding motions: what is known is left alone, the rest is read at the same time and written in portions.
+"""Adding motions: unchanged files are skipped, the others are read in parallel and written in portions.
 
-A portion is one transaction, so a program that is stopped in the middle keeps what it wrote and goes on from
-there when it is run again. A trained forest learns once, when all is written.
+A portion is one transaction, so that an interrupted run keeps its writes and goes on from there. A trained forest
+learns once, at the end.
 """
 
 from __future__ import annotations
@@ -39,26 +39,26 @@ from dousa.library.takes.windows import make_window_files, refresh_windows
 from dousa.messages import Message
 
 AddProgress = Callable[[int, int, str], None]
-"""Called with (files done, files, path of the last one), then, where takes are many, with (takes done, takes, what)."""
+"""Called with (files done, files, path of the last one), then, for many takes, with (takes done, takes, message)."""
 
 _NO_LABEL = {
     "category": Message("library_add.no_category"),
     "performer": Message("library_add.no_performer"),
 }
 
-_MOST_DOUBTFUL = 500  # files that wait for the others
+_MOST_DOUBTFUL = 500  # doubtful files held until the others of their skeleton are read
 _PORTION_CLIPS = 256
-_PORTION_SECONDS = 1.0  # so that a program that is stopped loses little
-_PORTION_FRAMES = (1 << 26) // (4 * 3 * 20)  # 64 MiB as they are stored
+_PORTION_SECONDS = 1.0  # an interrupted program loses little
+_PORTION_FRAMES = (1 << 26) // (4 * 3 * 20)  # 64 MiB of stored positions
 
 Labels = dict[str, str | None]
 
 Answer = ClipRecord | FileRecord | Skipped
 
-_SKELETONS = {".asf", ".pmx"}  # which are no motions, but read with them
+_SKELETONS = {".asf", ".pmx"}  # read with motions
 
 Tally = defaultdict[str, list[Any]]
-"""The fields of the report while it grows; numbers are lists of their parts."""
+"""The growing fields of the report; numbers are lists of their parts."""
 
 
 def _make_report(tally: Tally, seconds: float) -> AddReport:
@@ -70,7 +70,7 @@ def _make_report(tally: Tally, seconds: float) -> AddReport:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sorted:
-    """Motions that were read: how they are counted, which are new, which clips they replace, which only moved."""
+    """Sorted motions: their counts, the new ones, the clips they replace, and moved files."""
 
     tally: Tally
     fresh: list[ClipRecord]
@@ -84,12 +84,11 @@ class Adding:
 
     Parameters
     ----------
-    database : of the library.
-    kind : ``CLIP`` or ``TAKE``, of motions that are not there yet.
+    kind : ``CLIP`` or ``TAKE``, of new motions.
     rules : of category and performer: labels of new clips.
-    options : what is said about the files.
+    options : how to read the files.
     forest : of the library, if it is loaded; afterwards as it has learned.
-    labels_from, tier : where the labels of takes are, see ``annotations.places``; None for none.
+    labels_from, tier : the labels of takes, see ``dousa.library.annotations.matching``; None for none.
     """
 
     def __init__(
@@ -112,7 +111,7 @@ class Adding:
         self._found: dict[str, FoundFile] = {}
         self._known_labels: dict[str, Labels] = {}
         self._labels_stay = True
-        self.change: int | None = None  # in the journal: one for all portions
+        self.change: int | None = None  # in the journal, one for all portions
         self._tally: Tally = defaultdict(list)
 
     def run(self, paths: Sequence[Any], n_jobs: int | None, progress: AddProgress | None) -> AddReport:
@@ -125,10 +124,10 @@ class Adding:
         self._found = {str(file.path): file for file in files}
         self._leave_out(self._find_skeletons())
         report = progress or (lambda done, total, path: None)
-        report(0, len(files), "")  # a rule for labels may take for ever
+        report(0, len(files), "")  # a rule for labels may take long
         for path in self._found:
             self._labels(path)
-        # All tables before anything is written: a mistake in one leaves nothing half done.
+        # All tables before anything is written, so that an error in one leaves nothing half done.
         labels = {} if self._labels_from is None else find_labels(files, self._labels_from, self._tier)
         tasks = self._plan()
         self._check_known(labels)
@@ -137,7 +136,7 @@ class Adding:
             if self._labels_from is not None:
                 self._annotate(labels)
         except DousaError:
-            if labels and self.change is not None:  # of many takes that were written while others were read
+            if labels and self.change is not None:  # many takes, written while others were read
                 step(self._database, self.change, redo=False)
                 self.change = None
             raise
@@ -146,7 +145,7 @@ class Adding:
     def _read(
         self, tasks: Sequence[ReadTask], labels: Mapping[str, FoundLabels], n_jobs: int | None, report: AddProgress
     ) -> None:
-        """Read files and store them in portions; a table that does not fit its take stops this."""
+        """Read files and store them in portions; a table that does not fit its take is an error."""
         files = self._found
         done = len(files) - len(tasks)
         if done:
@@ -166,7 +165,7 @@ class Adding:
                     doubtful.append(cast("ClipRecord", answer))
                 else:
                     portion.append(answer)
-                # Takes with tables wait as long as there is room for them: nothing is written if one does not fit.
+                # Takes with tables wait while there is room, so that nothing is written if one does not fit.
                 if _is_full(portion) or (not labels and time.monotonic() - last >= _PORTION_SECONDS):
                     portion = self._store_portion(portion)
                     last = time.monotonic()
@@ -181,7 +180,7 @@ class Adding:
         self._store_portion(portion)
 
     def _check_known(self, labels: Mapping[str, FoundLabels]) -> None:
-        """Whether tables fit takes that are in the library, before anything is written."""
+        """Check that tables fit takes in the library, before anything is written."""
         paths = [path for path in self._tally["unchanged"] if path in labels]
         for row in self._read_takes(paths):
             self._check_fit(TakeLength.of(row), labels)
@@ -197,7 +196,6 @@ class Adding:
         check_fit(take, to_annotation(own.file, own.tiers, self._tier, take.frame_rate)[0])
 
     def _read_takes(self, paths: Sequence[str]) -> list[Any]:
-        """Rows of the takes of these paths, in their order."""
         table = schema.clips.c
         query = sa.select(table.id, table.path, table.frame_rate, table.duration, table.n_frames)
         with self._database.reading() as connection:
@@ -205,7 +203,7 @@ class Adding:
             return sorted(rows, key=lambda row: str(row.path))
 
     def _annotate(self, labels: Mapping[str, FoundLabels]) -> None:
-        """Give the takes among the files their labels; those that have the same already are left alone."""
+        """Label the takes among the files; those with the same labels are not touched."""
         copies: dict[str, list[FoundLabels]] = {}
         for one in self._tally["duplicates"]:
             if one.path in labels:
@@ -223,7 +221,7 @@ class Adding:
         self._tally["warnings"] += self._find_clips(labels, {row.path for row in rows})
         self.forest, changes = annotate_takes(self._database, wanted, self.forest, self.change)
         changed = set(changes.takes)
-        # What was said of labels that have not changed is not said again.
+        # Do not repeat notes on unchanged labels.
         told = [(row.path, note) for row in rows if row.path in changed for note in notes[row.id]]
         of_several = {note: path for path, note in reversed(told) if note.code == "annotations.one_name"}
         self._tally["warnings"] += [(path, note) for path, note in told if of_several.get(note, path) == path]
@@ -236,7 +234,7 @@ class Adding:
         self._leave_out_tables(labels)
 
     def _find_clips(self, labels: Mapping[str, FoundLabels], takes: set[str]) -> Iterator[tuple[str, Message]]:
-        """Files with tables that are in the library as clips: their labels have no take."""
+        """Return files with tables that are in the library as clips, so that the labels have no take."""
         first = {one.path: one.same_as for one in self._tally["duplicates"]}
         skipped = {one.path for one in self._tally["skipped"]}
         for path, own in labels.items():
@@ -245,11 +243,10 @@ class Adding:
                 yield path, Message("annotations.of_clip", table=own.file.path, clip=clip)
 
     def _leave_out_tables(self, labels: Mapping[str, FoundLabels]) -> None:
-        """Tables that were read are not among the files that no reader takes."""
+        """Remove tables that were read from the files that no reader accepts."""
         self._leave_out({os.path.abspath(own.file.path) for own in labels.values()})
 
     def _find_skeletons(self) -> set[str]:
-        """The skeleton files that motions of the folders are read with."""
         found: set[str] = set()
         if not {suffix for suffix, _ in self._tally["passed_over"]} & _SKELETONS:
             return found
@@ -259,14 +256,14 @@ class Adding:
         return found
 
     def _leave_out(self, paths: set[str]) -> None:
-        """Take files that were used out of those that no reader takes, if they are in the folders."""
+        """Remove used files from those that no reader accepts, if they are in the folders."""
         roots = {file.root for file in self._found.values() if file.root != file.path}
         used = Counter(os.path.splitext(path)[1].lower() for path in paths if not roots.isdisjoint(Path(path).parents))
         left = [(suffix, count - used[suffix]) for suffix, count in self._tally["passed_over"]]
         self._tally["passed_over"] = [(suffix, count) for suffix, count in left if count > 0]
 
     def _settle(self, record: ClipRecord, votes: FrameVotes) -> Answer:
-        """A file whose up axis or unit is a guess, as the others of its skeleton have it."""
+        """Read a file of doubtful up axis or unit as the others of its skeleton."""
         if record.claim is None or self._options.up is not None or self._options.unit is not None:
             return record
         voted = votes.elect(record.claim)
@@ -275,7 +272,7 @@ class Adding:
         return read_clip(replace(self._task(record.path, record.row["kind"]), voted=voted))
 
     def run_one(self, record: ClipRecord, n_jobs: int | None) -> AddReport:
-        """Add a motion of the memory, or put it in the place of another of its name; its labels are given by hand."""
+        """Add a motion in memory, or replace one of its name; its labels are given."""
         start = time.perf_counter()
         self._labels_stay = False
         self._found = {record.path: FoundFile(Path(record.path), Path(record.path))}
@@ -283,7 +280,7 @@ class Adding:
         return self._finish(start, n_jobs)
 
     def _finish(self, start: float, n_jobs: int | None, progress: AddProgress | None = None) -> AddReport:
-        # Also where nothing is new: an earlier run may have been stopped before this.
+        # Even if nothing is new: an earlier run may have been interrupted before this.
         self.forest, learned = learn_new(self._database, self.forest)
         self._tally["n_learned"].append(learned.n_clips)
         self._tally["new_categories"] += learned.new_categories
@@ -298,7 +295,7 @@ class Adding:
         return _make_report(self._tally, time.perf_counter() - start)
 
     def _plan(self) -> list[ReadTask]:
-        """The files that must be opened; those that did not change since they were stored are tallied."""
+        """Return the files to open; unchanged files are tallied."""
         table = schema.clips.c
         columns = (table.path, table.content_hash, table.fingerprint, table.size, table.read_options)
         query = sa.select(*columns, table.category, table.performer, table.kind)
@@ -322,20 +319,20 @@ class Adding:
         ]
 
     def _look_at(self, path: str) -> SourceState | None:
-        """The state of a file; None where only reading it says what is wrong."""
+        """Return the state of a file; None if only reading it gives the error."""
         try:
             return look_at(path, self._options)
         except (DousaError, OSError):
             return None
 
     def _task(self, path: str, kind: str | None = None, known: tuple[str, ...] = ()) -> ReadTask:
-        """A file to read; if there is a forest, the features of a clip are computed while it is read."""
+        """Return the task for a file; with a forest, the features of a clip are computed too."""
         chosen = kind or self._kind
         feature_set = self.forest.feature_set if self.forest and chosen == schema.CLIP else ""
         return ReadTask(path, self._options, known, chosen, feature_set)
 
     def _labels(self, path: str) -> Labels:
-        """What the rules say of a file; each is asked once."""
+        """Return the labels of a file by the rules, each applied once."""
         if path not in self._known_labels:
             file = self._found[path]
             labels = {name: rule(file.root, file.path) for name, rule in self._rules.items()}
@@ -345,7 +342,7 @@ class Adding:
         return self._known_labels[path]
 
     def _note_labels(self, tally: Tally, path: str, row: Any) -> None:
-        """Whether a stored clip would be another kind or have other labels now: it stays, but the report says so."""
+        """Report a stored clip whose kind or labels would now differ; it stays."""
         if row.kind != self._kind:
             tally["other_kind"].append(path)
         labels = self._labels(path)
@@ -353,22 +350,22 @@ class Adding:
             tally["other_labels"].append(path)
 
     def _store_portion(self, portion: list[Answer]) -> list[Answer]:
-        """Write a portion in one transaction; returns the empty next one."""
+        """Write a portion in one transaction; return the empty next one."""
         self._tally["skipped"] += [answer for answer in portion if isinstance(answer, Skipped)]
         read = [answer for answer in portion if not isinstance(answer, Skipped)]
         if read:
-            # What the forest says takes a while to work out: not while other programs wait to write.
+            # Votes are slow: compute them before other programs have to wait.
             sorted_out = self._database.write_planned(lambda c, known: self._sort(c, read, known), self._store)
             for name, items in sorted_out.tally.items():
                 self._tally[name] += items
         return []
 
     def _sort(self, connection: sa.Connection, read: list[FileRecord], known: _Sorted | None) -> _Sorted:
-        """What is new, what changed and what is there already of motions that were read; nothing is written."""
+        """Sort motions into new, changed and present ones, without writing."""
         tally: Tally = defaultdict(list)
         stored = _load_rows(connection, read)
         by_path = {row.path: row for row in stored}
-        # Files that hold something else now. All are found before any is stored: two may have changed places.
+        # Changed files, all found before any is stored: two may have swapped names.
         now = {record.path: record.row["content_hash"] for record in read}
         gone = {row.path: row.id for row in stored if now.get(row.path, row.content_hash) != row.content_hash}
         owner = {row.content_hash: row.path for row in stored if row.path not in gone}
@@ -399,7 +396,6 @@ class Adding:
         return _Sorted(tally, fresh, list(gone.values()), moved, arrival)
 
     def _store(self, connection: sa.Connection, found: _Sorted) -> _Sorted:
-        """Write what was sorted out, in the library as it was then."""
         for record, row in found.moved:
             _move(connection, record, row)
         if found.fresh or found.gone or found.tally["moved"]:
@@ -414,10 +410,10 @@ class Adding:
         return found
 
     def _take(self, tally: Tally, fresh: list[ClipRecord], known: FileRecord, row: Any) -> None:
-        """Note a clip for the insert; ``row`` is the clip that stands under its path, if any."""
+        """Add a clip to the insert; ``row`` is the clip under its path, if any."""
         record: Answer = known
         if not isinstance(known, ClipRecord):
-            # The clip of this content has just gone: read the file after all.
+            # The clip of this content was just removed: read the file after all.
             record = read_clip(self._task(known.path, row.kind if row is not None else None))
         if isinstance(record, ClipRecord):
             labels = self._choose_labels(record.path, row)
@@ -430,13 +426,13 @@ class Adding:
             tally["skipped"].append(record)
 
     def _missing(self, labels: Labels) -> Iterator[Message]:
-        """What a rule that was given did not find."""
+        """Yield a message for each given rule that found no label."""
         for name, rule in self._rules.items():
             if labels[name] is None and rule is not no_label:
                 yield _NO_LABEL[name]
 
     def _choose_labels(self, path: str, row: Any) -> Labels:
-        """Labels of a new clip; one whose file changed keeps those that it has."""
+        """Return labels of a new clip; a clip whose file changed keeps its own."""
         labels = self._labels(path)
         if row is None:
             return labels
@@ -452,32 +448,30 @@ def _move(connection: sa.Connection, record: FileRecord, row: Any) -> None:
 
 
 def _read_own_tags(connection: sa.Connection, ids: Sequence[int]) -> dict[str, tuple[str, ...]]:
-    """Tags of clips that are replaced, by path."""
     clips, tags = schema.clips.c, read_tags(connection, ids)
     rows = fetch_in(connection, sa.select(clips.id, clips.path), clips.id, list(tags))
     return {row.path: tags[row.id] for row in rows}
 
 
 def _give_tags(connection: sa.Connection, tags: Mapping[str, Sequence[str]]) -> None:
-    """Clips whose file changed keep their tags."""
+    """Restore the tags of clips whose file changed."""
     clips = schema.clips.c
     rows = fetch_in(connection, sa.select(clips.id, clips.path), clips.path, list(tags))
     save_tags(connection, {row.id: tags[row.path] for row in rows})
 
 
 def _is_gone(row: Any) -> bool:
-    """Whether there is no file any more where a clip came from; motions of the memory never had one."""
+    """Return whether the file of a clip is missing; motions in memory never had one."""
     return bool(row.fingerprint) and not os.path.exists(row.path)
 
 
 def _is_full(portion: Sequence[Answer]) -> bool:
-    """Whether a portion is large enough to be written."""
     n_frames = sum(answer.motion.n_frames for answer in portion if isinstance(answer, ClipRecord))
     return len(portion) >= _PORTION_CLIPS or n_frames >= _PORTION_FRAMES
 
 
 def _find_hashes(connection: sa.Connection, sizes: set[int]) -> dict[int, list[str]]:
-    """The contents of stored clips whose files are as large as some, by size."""
+    """Return the content hashes of stored clips by size, for the sizes of some files."""
     table = schema.clips.c
     query = sa.select(table.size, table.content_hash)
     hashes: dict[int, list[str]] = {}
@@ -487,7 +481,6 @@ def _find_hashes(connection: sa.Connection, sizes: set[int]) -> dict[int, list[s
 
 
 def _load_rows(connection: sa.Connection, read: Sequence[FileRecord]) -> list[Any]:
-    """Stored clips that share a path or a content with motions that were read."""
     table = schema.clips.c
     columns = (table.id, table.path, table.content_hash, table.fingerprint, table.kind)
     query = sa.select(*columns, table.category, table.performer)

@@ -1,4 +1,4 @@
-"""What people change in a motion library by hand, and take back."""
+"""Manual changes of a motion library, and undo."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FULL = ("library_file.disk_full", "library_file.server_disk_full", "library_fil
 
 
 class LibraryChanges(LibraryContents):
-    """The part of `dousa.library.Library` that removes, labels and tags clips, with the journal to undo it."""
+    """The part of `dousa.library.Library` that removes, labels and tags clips, with the undo journal."""
 
     def remove(
         self,
@@ -33,21 +33,21 @@ class LibraryChanges(LibraryContents):
         tag: str | None = None,
         for_good: bool = False,
     ) -> list[str]:
-        """Take clips or takes out of the library; their files stay on the disk.
+        """Remove clips or takes from the library; their files stay on disk.
 
-        The forest still knows what it learned from them, until the next training. ``undo`` brings them back until
-        ``compact`` forgets them. Where a segment of a take with a table of labels was, nobody can say what happens;
-        without any segment the take has no labels.
+        The forest keeps what it learned from them until the next training. ``undo`` restores them, unless ``compact``
+        ran since. The place of a removed segment of a take with a table of labels becomes undecided; without segments
+        the take has no labels.
 
         Parameters
         ----------
         selection : numbers, files, or folders, which stand for all clips below them.
         category, performer, tag : only clips of this label, with this tag.
-        for_good : nothing is kept for an undo, which needs as much room on the disk as what is removed.
+        for_good : keep nothing for an undo, which takes as much disk space as the removed clips.
 
         Returns
         -------
-        Paths of the clips that were removed.
+        Paths of the removed clips.
 
         Raises
         ------
@@ -80,7 +80,7 @@ class LibraryChanges(LibraryContents):
         where_category: str | None = None,
         where_performer: str | None = None,
     ) -> list[str]:
-        """Give clips or takes another category or performer; the forest learns of it in the next training.
+        """Change the category or performer of clips or takes; the forest learns it in the next training.
 
         Parameters
         ----------
@@ -90,11 +90,11 @@ class LibraryChanges(LibraryContents):
 
         Returns
         -------
-        Paths of the clips that were chosen.
+        Paths of the chosen clips.
 
         Raises
         ------
-        OptionError : nothing is chosen, or no new label is given, or an empty one.
+        OptionError : nothing is chosen, no new label is given, or an empty one.
         LibraryError : something chosen is not there, or the library cannot be written.
         """
         if category is UNCHANGED and performer is UNCHANGED:
@@ -121,7 +121,7 @@ class LibraryChanges(LibraryContents):
         where_performer: str | None = None,
         where_tag: str | None = None,
     ) -> list[str]:
-        """Give tags to clips or takes, or take tags away; nothing is learned from them.
+        """Add or remove tags of clips or takes; the forest ignores tags.
 
         Parameters
         ----------
@@ -135,7 +135,7 @@ class LibraryChanges(LibraryContents):
 
         Raises
         ------
-        OptionError : nothing is chosen, no tag is given, or what is none.
+        OptionError : nothing is chosen, no tag is given, or an invalid one.
         LibraryError : something chosen is not there, or the library cannot be written.
         """
         from dousa.library.annotations.marks import change_tags, check_tags
@@ -152,14 +152,14 @@ class LibraryChanges(LibraryContents):
             return _selection.list_paths(connection, list(changed))
 
     def tags(self) -> dict[str, int]:
-        """Number of clips and takes that have a tag, by name."""
+        """Return the number of clips and takes of each tag."""
         from dousa.library.annotations.marks import count_tags
 
         with self.database.reading() as connection:
             return count_tags(connection)
 
     def journal(self) -> list[JournalEntry]:
-        """The changes that can be undone, or done again: what was added, removed, relabelled, tagged; the last first.
+        """Return the changes that can be undone or redone, the last first.
 
         The last 1,000 are kept, with removed clips of up to 1 GB, until ``compact``.
         """
@@ -169,7 +169,7 @@ class LibraryChanges(LibraryContents):
             return list_entries(connection)
 
     def removed_paths(self) -> list[str]:
-        """Paths of the removed clips that are kept for ``undo``: their files are still of use."""
+        """Return the paths of the removed clips that are kept for ``undo``."""
         from dousa.library.history.journal import list_kept_paths
 
         with self.database.reading() as connection:
@@ -177,19 +177,17 @@ class LibraryChanges(LibraryContents):
 
     @property
     def last_change(self) -> int | None:
-        """Number of the change that this thread made last with ``add``, ``add_motion``, ``relabel``, ``tag``,
-        ``remove`` or ``annotations``; None where that changed nothing."""
+        """Number of this thread's last change with ``add``, ``add_motion``, ``relabel``, ``tag``, ``remove`` or
+        ``annotations``; None if that changed nothing.
+        """
         return getattr(self._last, "change", None)
 
     @contextmanager
     def one_change(self, kind: str | None = None, **told: Any) -> Iterator[None]:
-        """What this thread changes inside the block is undone, and done again, in one step.
+        """Make this thread's changes inside the block one step of undo and redo.
 
-        What was done before an error stays, as the change of ``last_change``. In one block a clip is changed once.
-
-        Parameters
-        ----------
-        kind, told : what the change is called, as in ``JournalEntry``; by default after its first part.
+        Changes before an error stay, as the change of ``last_change``. Within a block a clip can be changed once.
+        ``kind`` and message values as in ``JournalEntry``; by default those of its first part.
         """
         with recording_together(self.database.engine, kind, told) as whole:
             try:
@@ -204,23 +202,23 @@ class LibraryChanges(LibraryContents):
         self._last.change = None if recorded is None else recorded.number
 
     def undo(self, number: int | None = None, *, n_jobs: int | None = None) -> JournalEntry:
-        """Take a change back: labels, tags and takes are as they were, removed clips are there again.
+        """Undo a change: restore labels, tags, takes and removed clips.
 
-        What a forest learned from clips that were added stays until the next training.
+        What a forest learned from added clips stays until the next training.
 
         Parameters
         ----------
-        number : of a change, by default the last one that is in force.
+        number : of a change, by default the last one in force.
         n_jobs : takes described at a time, as in ``add``.
 
         Raises
         ------
-        LibraryError : there is nothing to undo, or somebody has changed the same clips since; then nothing happens.
+        LibraryError : there is nothing to undo, or the same clips were changed since; nothing changes.
         """
         return self._step(number, redo=False, n_jobs=n_jobs)
 
     def redo(self, number: int | None = None, *, n_jobs: int | None = None) -> JournalEntry:
-        """Do a change again that was undone, as long as no new one was made; as ``undo``."""
+        """Redo an undone change, as long as no new one was made; parameters and errors as in ``undo``."""
         return self._step(number, redo=True, n_jobs=n_jobs)
 
     def _step(self, number: int | None, *, redo: bool, n_jobs: int | None) -> JournalEntry:

@@ -1,4 +1,4 @@
-"""What is in a motion library, and how it is opened."""
+"""Opening a motion library and reading its contents."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class LibraryContents:
-    """The part of `dousa.library.Library` that reads: clips, their joints and labels, and files made of them.
+    """The part of `dousa.library.Library` that reads and exports clips, their joints and labels.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class LibraryContents:
         Parameters
         ----------
         path_or_url : a file of any name, by custom ``NAME.dousa``; or the SQLAlchemy URL of a database.
-        create : a library that does not exist is made.
+        create : make a library that does not exist.
         read_only : refuse every change.
         timeout : s to wait while another program writes.
 
@@ -73,7 +73,7 @@ class LibraryContents:
         return self.database.where
 
     def close(self) -> None:
-        """Let go of the file; a closed library opens itself again when it is used."""
+        """Close the file; the library opens again when it is used."""
         self.database.engine.dispose()
 
     def __enter__(self) -> Self:
@@ -92,7 +92,7 @@ class LibraryContents:
         performer: str | None = None,
         tag: str | None = None,
     ) -> list[ClipInfo]:
-        """Clips and takes in the order of their paths: all, or those chosen.
+        """Return clips and takes sorted by path: all, or those chosen.
 
         Parameters
         ----------
@@ -111,23 +111,14 @@ class LibraryContents:
             return _selection.list_clips(connection, ids)
 
     def renew_clips(self, known: KnownClips | None = None) -> KnownClips:
-        """All clips and takes by number, as ``clips`` reads them; of those that were read before only what has changed.
-
-        Parameters
-        ----------
-        known : what this gave before; None for all.
-        """
+        """Return all clips and takes by number; only changes since the ``known`` result are read."""
         with self.database.reading() as connection:
             return _selection.renew_clips(connection, known or KnownClips())
 
     def iterate_clips(self, *, category: str | None = None, performer: str | None = None) -> Iterator[ClipInfo]:
-        """Clips and takes in the order of their numbers, of which a thousand are in memory at a time.
+        """Yield clips and takes (of these labels) in the order of their numbers, a thousand in memory at a time.
 
-        What others add meanwhile comes too; a library of a million clips can be gone through like this.
-
-        Parameters
-        ----------
-        category, performer : only clips of this label.
+        Clips added meanwhile are included; suitable for a million clips.
         """
         last = 0
         while True:
@@ -140,16 +131,14 @@ class LibraryContents:
 
     @property
     def revision(self) -> int:
-        """Number of the last write, of this program or another; while it is the same, nothing has changed."""
+        """Number of the last write, of this program or another; equal if nothing has changed."""
         with self.database.reading() as connection:
             return read_revision(connection)
 
     def contents(self, clip_ids: Sequence[int]) -> dict[int, str]:
-        """What stands for the content of clips, by number: whoever keeps something made of a clip knows it by this.
+        """Return content hashes and read options of clips and takes, by number, to identify data derived from them.
 
-        Parameters
-        ----------
-        clip_ids : of clips and takes; numbers that are not there are left out.
+        Missing numbers are left out.
         """
         clips = schema.clips.c
         query = sa.select(clips.id, clips.content_hash, clips.read_options)
@@ -159,7 +148,7 @@ class LibraryContents:
             return {row.id: f"{row.content_hash} {row.read_options}" for row in rows}
 
     def trajectories(self, clip_id: int) -> Trajectories:
-        """The canonical joints of a clip, in metres.
+        """Return the canonical joints of a clip, in metres.
 
         Raises
         ------
@@ -171,15 +160,9 @@ class LibraryContents:
         return found[clip_id]
 
     def iterate_trajectories(self, clip_ids: Sequence[int]) -> Iterator[tuple[int, Trajectories]]:
-        """Numbers and canonical joints of many clips, in any order; one at a time is in memory.
+        """Yield numbers and canonical joints of clips and takes, in any order, one in memory at a time.
 
-        Parameters
-        ----------
-        clip_ids : of clips and takes; numbers that are not there are left out.
-
-        Raises
-        ------
-        LibraryDamagedError : the numbers of one are damaged.
+        Missing numbers are left out. LibraryDamagedError if the numbers of one are damaged.
         """
         with self.database.reading() as connection:
             yield from load_trajectories(connection, [number for number in clip_ids if schema.is_id(number)])
@@ -201,24 +184,24 @@ class LibraryContents:
     ) -> ExportReport:
         """Write clips as files, a folder per category, with a ``manifest.csv`` of their labels.
 
-        Run again, it keeps what is there and unchanged: an interrupted export goes on where it stopped. Of a clip whose
-        file is gone the stored joints are written, which the column ``from`` says.
+        A repeated call keeps unchanged files, so that an interrupted export goes on. Of a clip whose file is gone the
+        stored joints are written, as stated in the column ``from``.
 
         Parameters
         ----------
-        path : folder, made if necessary, in which files of others are left alone; or a ZIP file, by its suffix.
-        selection : numbers, files, or folders, which stand for all clips below them; all if left out.
+        path : folder, made if necessary, in which other files are left alone; or a ZIP file, by its suffix.
+        selection : numbers, files, or folders, which stand for all clips below them; by default all.
         category, performer, tag : only clips of this label, with this tag.
-        to : name of a format that is written, such as ``"glb"`` or ``"bvh"``, or ``"original"``.
-        onto : file of a character whose skeleton the motions are put onto; see ``dousa.motion.retarget``.
-        keep_reach : hands reach the same places, instead of arm directions.
+        to : name of an output format, such as ``"glb"`` or ``"bvh"``, or ``"original"``.
+        onto : file of a character to retarget the motions to; see ``dousa.motion.retarget``.
+        keep_reach : keep the places that hands reach, instead of arm directions.
         frame_rate : Hz to resample to.
-        options : how files are read, where that is not as they were when they were added.
-        progress : called with the number of clips that are done, of all, and the name of the next.
+        options : how to read the files, if not as when they were added.
+        progress : called with (clips done, clips, name of the next).
 
         Returns
         -------
-        What was written, kept and skipped.
+        The files written, kept and skipped.
 
         Raises
         ------
@@ -232,11 +215,11 @@ class LibraryContents:
         return export_clips(self, clips, path, form, options, progress)
 
     def categories(self) -> dict[str, int]:
-        """Number of clips of each category, by name."""
+        """Return the number of clips of each category."""
         with self.database.reading() as connection:
             return _selection.count_by(connection, "category")
 
     def stats(self) -> LibraryStats:
-        """The library in numbers."""
+        """Return the library in numbers."""
         with self.database.reading() as connection:
             return _selection.summarise(connection)

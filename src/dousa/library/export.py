@@ -1,9 +1,7 @@
-"""Many clips of a library as files at once, in a format of the user's choice, perhaps on the user's character.
+"""Export of many clips of a library as files, in any format, optionally retargeted to a character.
 
-A folder per category and a ``manifest.csv`` with the labels. What an earlier run has written is kept if nothing has
-changed since, so that an interrupted export goes on where it stopped.
-
-Where exported files go: a folder, or a ZIP file that is put together in a hidden folder beside it.
+Writes a folder per category and a ``manifest.csv`` with the labels, in a folder, or a ZIP file made from a hidden
+folder beside it. Files of an earlier run are kept if nothing has changed, so that an interrupted export goes on.
 """
 
 from __future__ import annotations
@@ -43,12 +41,7 @@ Rows = dict[str, dict[str, str]]
 
 
 class Destination:
-    """A folder that files are written to.
-
-    Parameters
-    ----------
-    path : of the folder; made when the first file is.
-    """
+    """A folder to write files to, made when the first file is."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.folder = path, path
@@ -56,14 +49,14 @@ class Destination:
             raise OptionError("export.no_folder", path=path)
 
     def open(self) -> Rows:
-        """What an earlier run has left; OptionError where the list that is there is not ours."""
+        """Read the manifest of an earlier run; OptionError if it is not one of dousa."""
         rows = read_manifest(self.folder / MANIFEST)
         if not rows and _holds_text(self.folder / MANIFEST):
             raise OptionError("export.other_manifest", path=self.folder / MANIFEST)
         return {name: row for name, row in rows.items() if (self.folder / name).is_file()}
 
     def prepare(self, name: str) -> Path:
-        """Where a file of this name, with folders and ``/``, is to be written."""
+        """Return the path to write a file of this name, with folders and ``/``."""
         path = self.folder / name
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -72,15 +65,15 @@ class Destination:
         return path
 
     def is_foreign(self, name: str, rows: Rows) -> bool:
-        """Whether a file of this name is there that no export has written, such as a recording itself."""
+        """Return whether a file of this name exists that no export wrote, such as a recording itself."""
         return name not in rows and (self.folder / name).exists()
 
     def remove(self, name: str) -> None:
-        """Take away a file that was written."""
+        """Delete a file that was written."""
         (self.folder / name).unlink(missing_ok=True)
 
     def write_manifest(self, rows: Rows) -> None:
-        """The list of what is there, in the order of the names; none of nothing."""
+        """Write the manifest, sorted by name; none if it is empty."""
         if not rows:
             return
         text = io.StringIO()
@@ -91,17 +84,13 @@ class Destination:
             file.write(text.getvalue().encode())
 
     def close(self, extras: tuple[str, ...] = ()) -> None:
-        """Finish what is there, with files besides those of the manifest."""
+        """Finish, with files besides those of the manifest."""
 
 
 class ZipDestination(Destination):
-    """A ZIP file.
+    """A ZIP file; one of an earlier export is continued, any other is refused.
 
-    Until it is whole its files are in a hidden folder beside it, where an interrupted export is taken up again.
-
-    Parameters
-    ----------
-    path : of the file; one that an earlier export has written is continued, any other is refused.
+    Its files are in a hidden folder beside it until it is complete, so that an interrupted export can go on.
     """
 
     def __init__(self, path: Path) -> None:
@@ -109,11 +98,11 @@ class ZipDestination(Destination):
         self.folder = path.parent / f".{path.name[:100]}.parts"
 
     def is_foreign(self, name: str, rows: Rows) -> bool:
-        """No: nobody else writes into the hidden folder."""
+        """Return false: only exports write into the hidden folder."""
         return False
 
     def open(self) -> Rows:
-        """What an earlier run has left, unpacked."""
+        """Unpack the files of an earlier run and read their manifest."""
         if self.path.exists():
             self._unpack()
         return super().open()
@@ -125,7 +114,7 @@ class ZipDestination(Destination):
                     raise OptionError("export.other_zip", path=self.path)
                 for name in archive.namelist():
                     if not name.endswith("/") and not (self.folder / name).exists():
-                        archive.extract(name, self.folder)  # which leaves out .. and the roots of disks
+                        archive.extract(name, self.folder)  # removes .. and disk roots
         except (OSError, zipfile.BadZipFile, EOFError, RuntimeError, ValueError, NotImplementedError) as error:
             raise OptionError("export.other_zip", path=self.path) from error
 
@@ -140,13 +129,13 @@ class ZipDestination(Destination):
 
 
 def choose_destination(path: str | os.PathLike[str]) -> Destination:
-    """A folder, or a ZIP file if the name ends so."""
+    """Return a folder, or a ZIP file by its suffix."""
     target = Path(path)
     return ZipDestination(target) if target.suffix.lower() == ".zip" and not target.is_dir() else Destination(target)
 
 
 def _holds_text(path: Path) -> bool:
-    """Whether there is more in a file than our heading."""
+    """Return whether a file has more than our heading."""
     heading = ",".join(COLUMNS).encode()
     try:
         with open(path, "rb") as file:
@@ -156,13 +145,13 @@ def _holds_text(path: Path) -> bool:
 
 
 def read_manifest(path: Path) -> Rows:
-    """Rows by file of an earlier run; none if there is no list, or another's."""
+    """Read the rows of an earlier run by file; empty if there is no manifest, or another's."""
     try:
         with open(path, encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error):
         return {}
-    rows = [{"tags": "", **row} for row in rows]  # an earlier version had none
+    rows = [{"tags": "", **row} for row in rows]  # missing in an earlier version
     return {
         row["file"]: row for row in rows if set(row) == set(COLUMNS) and all(isinstance(v, str) for v in row.values())
     }
@@ -171,27 +160,27 @@ def read_manifest(path: Path) -> Rows:
 ORIGINAL = "original"
 
 ExportProgress = Callable[[int, int, str], None]
-"""Called with the number of clips that are done, of all, and the name of the next."""
+"""Called with (clips done, clips, name of the next)."""
 
 _UNSAFE = re.compile(r'[\x00-\x1f<>:"|?*\\]')
 _GIVEN = ("joint_map", "unit", "up", "skeleton", "frame_rate")
 
 
 class Source(Protocol):
-    """What an export asks of a library."""
+    """The parts of a library that an export needs."""
 
     def contents(self, clip_ids: Sequence[int]) -> dict[int, str]:
-        """What stands for the content of clips, and how their files were read."""
+        """Return content hashes and read options of clips, by number."""
         ...
 
     def trajectories(self, clip_id: int) -> Trajectories:
-        """The joints of a clip that are kept."""
+        """Return the stored joints of a clip."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class ExportReport:
-    """What an export did.
+    """The result of an export.
 
     Parameters
     ----------
@@ -204,7 +193,7 @@ class ExportReport:
     skipped: tuple[Skipped, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """The report as plain values."""
+        """Return plain values."""
         return {
             "written": list(self.written),
             "kept": list(self.kept),
@@ -214,13 +203,13 @@ class ExportReport:
 
 @dataclass(frozen=True, slots=True)
 class ExportFormat:
-    """What clips are written as.
+    """The output format of clips.
 
     Parameters
     ----------
     to : a key of `list_formats`, or ``"original"``: the files as they are.
-    onto : file of a character whose skeleton the motions are put onto.
-    keep_reach : hands reach the same places, instead of arm directions.
+    onto : file of a character to retarget the motions to.
+    keep_reach : keep the places that hands reach, instead of arm directions.
     frame_rate : Hz to resample to; None keeps each clip's own.
     """
 
@@ -242,7 +231,7 @@ class ExportFormat:
 
 
 def list_formats() -> dict[str, str]:
-    """Suffixes of the formats that are written, by name: ``"glb"`` for ``".glb"``, ``"amass"`` for ``".amass.npz"``."""
+    """Return suffixes of the output formats, by name: ``"glb"`` for ``".glb"``, ``"amass"`` for ``".amass.npz"``."""
     return {suffix[1:] if suffix.count(".") == 1 else line.name: suffix for suffix, line in WRITERS.items()}
 
 
@@ -256,12 +245,7 @@ def export_clips(
 ) -> ExportReport:
     """Write clips of a library as files; see `Library.export`.
 
-    Parameters
-    ----------
-    library, clips : which, and where from.
-    path : folder, or name of a ZIP file.
-    form : what they are written as.
-    options : how files are read, instead of as they were when they were added.
+    ``path`` is a folder or the name of a ZIP file; ``options`` replace those of adding.
     """
     destination = choose_destination(path)
     job = _Export(library, destination, form, options or ReadOptions())
@@ -276,7 +260,7 @@ def export_clips(
         job.list_what_fits()
         done = len(job.written) + len(job.kept)
         raise MotionWriteError(path, "export.no_room", reason=error.message, done=done, total=len(clips)) from error
-    except BaseException:  # interrupted: what is there is listed
+    except BaseException:  # interrupted: list the finished files
         destination.write_manifest(job.rows)
         raise
     destination.write_manifest(job.rows)
@@ -285,7 +269,7 @@ def export_clips(
 
 
 class _Export:
-    """One run: what is there from earlier ones, and what it does."""
+    """One run, with the files of earlier ones."""
 
     def __init__(self, library: Source, destination: Destination, form: ExportFormat, options: ReadOptions) -> None:
         self.library, self.destination, self.form, self.options = library, destination, form, options
@@ -305,7 +289,6 @@ class _Export:
         self.skeletons: list[str] = []
 
     def run(self, clip: ClipInfo) -> None:
-        """Export one clip, unless it is there already."""
         suffix = _suffix_of(_file_of(clip)) if self.form.to == ORIGINAL else list_formats()[self.form.to]
         name = self._choose_name(clip, suffix)
         content = self.library.contents([clip.id]).get(clip.id, "")
@@ -329,7 +312,7 @@ class _Export:
         self.written.append(name)
 
     def list_what_fits(self) -> None:
-        """The list of what is there, on a disk without room: the last files written make place for it."""
+        """Write the manifest on a full disk, deleting the last files to make room."""
         while True:
             try:
                 self.destination.write_manifest(self.rows)
@@ -343,8 +326,9 @@ class _Export:
                 return
 
     def _choose_name(self, clip: ClipInfo, suffix: str) -> str:
-        """Category, name of the source; with the clip's number where another clip has the name, or may have it, or a
-        file that no export has written."""
+        """Return category and name of the source; with the clip's number if the name is, or may be, another clip's, or
+        is that of a file that no export wrote.
+        """
         parts = [_safe(part) for part in (clip.category or "").split("/") if part]
         base = os.path.basename(_file_of(clip))
         own = _suffix_of(base)
@@ -364,7 +348,6 @@ class _Export:
         return self.destination.is_foreign(name, self.rows)
 
     def _write(self, clip: ClipInfo, name: str, content: str) -> str:
-        """Write the file; returns what it was made of."""
         if self.form.to == ORIGINAL:
             if clip.take_id is not None:
                 raise OptionError("export.part_of_take")
@@ -393,7 +376,6 @@ class _Export:
         return origin
 
     def _copy_skeleton(self, clip: ClipInfo, name: str) -> None:
-        """The .asf of an .amc that is exported as it is."""
         if self.form.to != ORIGINAL or not clip.path.lower().endswith(".amc"):
             return
         from dousa.formats.asf_amc.reading import find_skeleton
@@ -407,7 +389,7 @@ class _Export:
             self.skeletons.append(copy)
 
     def _options(self, content: str) -> ReadOptions:
-        """How the file was read when it was added, but for what is said now."""
+        """Return how the file was read when it was added, with the options given now."""
         text = content.partition(" ")[2]
         stored = json.loads(text) if text else {}
         known = ReadOptions(**{key: stored[key] for key in _GIVEN if key in stored})
@@ -415,7 +397,7 @@ class _Export:
         return dataclasses.replace(known, **given)
 
     def _read(self, clip: ClipInfo, options: ReadOptions) -> tuple[Motion | Trajectories, str]:
-        """The motion of the file, or the part of it, else the joints that the library keeps."""
+        """Read the motion of the file, or its part, else the stored joints."""
         path = _file_of(clip)
         if not os.path.exists(path):
             return self.library.trajectories(clip.id), "stored joints"
@@ -428,7 +410,6 @@ class _Export:
 
 
 def _cut(motion: Motion | Trajectories, clip: ClipInfo) -> Motion | Trajectories:
-    """The frames of a segment of a take."""
     from dousa.motion import Motion
 
     first = round((clip.start_s or 0.0) * motion.frame_rate)
@@ -439,7 +420,6 @@ def _cut(motion: Motion | Trajectories, clip: ClipInfo) -> Motion | Trajectories
 
 
 def _file_of(clip: ClipInfo) -> str:
-    """The file of a clip, or of the take that it is a part of."""
     return clip.path if clip.take_id is None else clip.path.rpartition("#t=")[0]
 
 
@@ -463,11 +443,10 @@ def _describe(clip: ClipInfo, name: str, made_of: str, origin: str) -> dict[str,
 
 
 def _suffix_of(path: str) -> str:
-    """What a name ends in, both suffixes of a packed file."""
+    """Return the suffix of a name, both suffixes of a packed file."""
     stem, suffix = os.path.splitext(path)
     return os.path.splitext(stem)[1] + suffix if suffix.lower() in (".gz", ".zip") else suffix
 
 
 def _safe(part: str) -> str:
-    """A name that any disk takes."""
     return _UNSAFE.sub("_", part).strip(". ")[:150] or "clip"

@@ -1,4 +1,4 @@
-"""What takes are labelled with: learned with the forest from clips and annotated takes, and kept with it."""
+"""Labellers of takes: learned with the forest from clips and annotated takes, and kept with it."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ if TYPE_CHECKING:
 LearnProgress = Callable[[int, int, Message], None]
 """Called with (steps done, steps, message about the next step)."""
 
-_MOST_CLIPS = 1500  # that a labeller learns from: more than it takes moments of
+_MOST_CLIPS = 1500  # for learning a labeller: more than it samples moments from
 _CLIPS_AT_ONCE = 100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Kept:
-    """A labeller, its forest, how many clips that had learned since its training, and the examples known then."""
+    """A labeller, its forest, the number of clips learned since its training, and its examples."""
 
     stored: StoredForest
     labeller: TakeLabeller
@@ -50,7 +50,7 @@ class _Kept:
 
 
 class Labellers:
-    """Labels takes; what it labels with is learned where there is none for the present forest."""
+    """Labels takes; a labeller is learned if there is none for the present forest."""
 
     def __init__(self, database: Database, forests: ForestCache, takes: Takes, parts: PartForests) -> None:
         self._database = database
@@ -71,7 +71,7 @@ class Labellers:
         n_jobs: int | None,
         progress: LearnProgress | None,
     ) -> LabelledTake:
-        """What happens in a take; as ``Library.label``."""
+        """Label a take; as ``Library.label``."""
         from dousa.retrieval.takes.label import label_take
 
         check_single(take)
@@ -89,7 +89,7 @@ class Labellers:
         return LabelledTake(path, clip_id, timeline, doubts if note is None else (*doubts, note))
 
     def _find_judge(self, stored: StoredForest, examples: Sequence[int] = ()) -> StretchJudge | None:
-        """Who judges segments as clips; of what examples teach the trees have seen too little."""
+        """Return the judge of segments as clips; it spares the categories of examples."""
         from dousa.retrieval.forest.stretches import StretchJudge
 
         if stored.assessor is None:
@@ -101,7 +101,7 @@ class Labellers:
             return judge.sparing(frozenset(name for _, name in _read_labels(connection, examples)))
 
     def _get_part(self, part: StoredForest, n_jobs: int | None, progress: LearnProgress | None) -> TakeLabeller:
-        """What takes of bodies that lack joints are labelled with; examples do not teach it."""
+        """Return the labeller for takes of bodies that lack joints; it does not learn from examples."""
         known = self._of_parts.get(part.feature_set)
         if known is None or known[0] is not part:
             data = self._parts.read_labeller(part)
@@ -118,7 +118,7 @@ class Labellers:
         n_jobs: int | None,
         progress: LearnProgress | None,
     ) -> LiveLabeller:
-        """Labels frames as they come; as ``Library.live``."""
+        """Return a labeller of single frames; as ``Library.live``."""
         from dousa.retrieval.takes.live import LiveLabeller
 
         stored = self._load()
@@ -136,9 +136,9 @@ class Labellers:
         progress: LearnProgress | None,
         examples: Sequence[int] = (),
     ) -> TakeLabeller:
-        """The labeller of a forest, taught by examples: clips of which those without a category are left out.
+        """Return the labeller of a forest, taught by examples: clips, of which unlabelled ones are left out.
 
-        Where the library can be written the labeller is kept in it; else the next program learns it again.
+        It is kept in the library if that can be written.
         """
         base = self._get_base(stored, n_jobs, progress, frozenset(examples))
         if not examples:
@@ -158,7 +158,7 @@ class Labellers:
         progress: LearnProgress | None,
         examples: frozenset[int],
     ) -> TakeLabeller:
-        """The labeller that no example has taught."""
+        """Return the labeller without examples."""
         if self._last is None or self._last.stored.learned != stored.learned:
             with self._database.reading() as connection:
                 n_learned = int(connection.execute(sa.select(schema.forests.c.n_learned)).scalar_one())
@@ -175,7 +175,7 @@ class Labellers:
         return self._last.labeller
 
     def _carry(self, n_learned: int, examples: frozenset[int]) -> TakeLabeller | None:
-        """The last labeller, if all that the forest has learned since are examples: those are taught anyway."""
+        """Return the last labeller, if the forest has since learned only examples, which are taught anyway."""
         last = self._last
         if last is None or not 0 < n_learned - last.n_learned <= len(examples - last.examples):
             return None
@@ -238,14 +238,9 @@ def learn_labeller(
     n_jobs: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> TakeLabeller | None:
-    """Learn to label takes from what a library holds; None where it holds nothing of these categories.
+    """Learn a labeller from a library; None if it holds nothing of these categories.
 
-    Parameters
-    ----------
-    stored : the forest, which says what is looked at and which categories there are; segments of annotated takes may
-        have others.
-    n_jobs : threads; all cores by default.
-    progress : called with the steps done and their number.
+    The forest has the features and categories; segments of annotated takes may have other categories.
     """
     from dousa.retrieval.takes.labeller_training import train_labeller
 
@@ -256,7 +251,6 @@ def learn_labeller(
 
 
 def _read_takes(connection: sa.Connection, stored: StoredForest) -> Iterator[AnnotatedTake]:
-    """Annotated takes of bodies that have all that the forest looks at."""
     for take in load_annotated_takes(connection):
         if not lacks(stored.feature_set, " ".join(find_absent(take.positions))):
             seen = _complete(take, stored.feature_set)
@@ -264,13 +258,13 @@ def _read_takes(connection: sa.Connection, stored: StoredForest) -> Iterator[Ann
 
 
 def _complete(motion: PosedMotion, feature_set: str) -> PosedMotion:
-    """A motion of which hidden joints have places, though nobody looks at them."""
+    """Hide the joints that the features ignore, and fill their places."""
     kind = find_feature_set(feature_set)
     return kind.complete(hide_joints(motion, kind.hidden))
 
 
 def _read_clips(connection: sa.Connection, stored: StoredForest) -> list[LabelledClip]:
-    """Clips of some categories that are no segments of takes, not more than are needed."""
+    """Read a limited number of clips of some categories that are not segments of takes."""
     from dousa.retrieval import LabelledClip, guess_performers
     from dousa.retrieval.features.channels import CHANNEL_RATE, sample_positions
 
@@ -291,7 +285,7 @@ def _read_clips(connection: sa.Connection, stored: StoredForest) -> list[Labelle
         some = slice(first, first + _CLIPS_AT_ONCE)
         motions = load_motions(connection, [row.id for row in rows[some]])
         for row, who, motion in zip(rows[some], people[some], motions, strict=True):
-            # Nothing faster is looked at, and many clips are in memory.
+            # The labeller needs no higher rate, and many clips are in memory.
             seen = _complete(motion, stored.feature_set)
             sampled = sample_positions(seen.positions, seen.frame_rate)
             name = row.performer or who
@@ -300,7 +294,6 @@ def _read_clips(connection: sa.Connection, stored: StoredForest) -> list[Labelle
 
 
 def _read_labels(connection: sa.Connection, numbers: Sequence[int]) -> tuple[tuple[int, str], ...]:
-    """Numbers and categories of those clips that are there and have one, by number."""
     clips = schema.clips.c
     query = sa.select(clips.id, clips.category).where(clips.category.is_not(None))
     there = sorted({number for number in numbers if schema.is_id(number)})

@@ -1,4 +1,4 @@
-"""Where the category and the performer of a clip come from when its file is added.
+"""Rules for the category and performer of a clip when its file is added.
 
 A rule is written as a short text:
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from _csv import Reader
 
 LabelRule = Callable[[Path, Path], "str | None"]
-"""Label of a file: called with the PATH that was given and the file found there, both absolute."""
+"""Label of a file: called with the given PATH and the file found there, both absolute."""
 
 _WORDS = {
     "category": Message("label_rules.category"),
@@ -39,11 +39,11 @@ _WORDS = {
 
 
 MOST_BYTES = 1000
-"""Of a label in UTF-8: a database server cannot look up longer ones."""
+"""Most bytes of a label in UTF-8: a database server cannot look up longer ones."""
 
 
 def check_text(text: str) -> None:
-    """OptionError for a label or name that not every database can keep."""
+    """Raise OptionError for a label or name that some databases cannot store."""
     shown = text[:40].encode(errors="backslashreplace").decode()
     if "\0" in text:
         raise OptionError("label_rules.zero", text=shown)
@@ -52,7 +52,7 @@ def check_text(text: str) -> None:
 
 
 def check_labels(*labels: object) -> None:
-    """OptionError for an empty label, or one that not every database can keep; None and others are no labels."""
+    """Raise OptionError for an empty label, or one that some databases cannot store; None is no label."""
     if any(isinstance(label, str) and not label.strip() for label in labels):
         raise OptionError("library_clips.empty_label")
     for label in labels:
@@ -61,16 +61,12 @@ def check_labels(*labels: object) -> None:
 
 
 def parse_label_rule(text: str | None, label: str) -> LabelRule:
-    """The rule that a text describes.
+    """Parse a rule into a function of the given PATH and a file, which returns the label or None.
 
     Parameters
     ----------
-    text : see the head of this module; None is ``none``.
-    label : ``"category"``, ``"performer"`` or ``"takes"``, what the rule finds.
-
-    Returns
-    -------
-    A function of the given PATH and a file, which returns the label or None.
+    text : see the module docstring; None is ``none``.
+    label : ``"category"``, ``"performer"`` or ``"takes"``.
 
     Raises
     ------
@@ -93,7 +89,6 @@ def no_label(root: Path, file: Path) -> None:
 
 
 def _below(root: Path, file: Path) -> Path:
-    """Path of the file below the given PATH, its bare name if it is PATH itself."""
     return Path(file.name) if file == root else file.relative_to(root)
 
 
@@ -124,7 +119,7 @@ def _table_rule(path: Path, label: str) -> LabelRule:
     by_text: dict[str, str | None] = {}
     by_place: dict[str, str | None] = {}
     for line, name, value in rows:
-        # Tables are often made on Windows; a name that holds a backslash itself is hardly ever met.
+        # Tables are often made on Windows; names with a real backslash are very rare.
         relative = os.path.normpath(name.replace("\\", "/"))
         if by_text.setdefault(relative, value) != value:
             first, word = by_text[relative], _WORDS[label]
@@ -143,14 +138,14 @@ def _table_rule(path: Path, label: str) -> LabelRule:
         for table, key in ((by_place, str(file)), (by_text, str(_below(root, file)))):
             if key in table:
                 return table[key]
-        # A column called "file" promises no folders.
+        # A column called "file" may lack folders.
         return by_text.get(file.name) if column == "file" else None
 
     return rule
 
 
 def _read_table(path: Path, label: str) -> tuple[str, list[tuple[int, str, str | None]]]:
-    """Name of the column of files, and (line, file, label) of each row."""
+    """Read the name of the file column, and (line, file, label) of each row."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:

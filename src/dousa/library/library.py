@@ -1,4 +1,4 @@
-"""The motion library: one object for everything that is asked of it."""
+"""The motion library: one object for all operations."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 class Library(LibraryChanges):
     """A collection of motion clips that can be trained and searched, made with ``Library.open``.
 
-    Usable in a ``with`` statement, from several threads, and by several programs at once: each sees what the
-    others wrote, and writers wait for each other.
+    Usable in a ``with`` statement, from several threads, and by several programs at once: each sees the writes of the
+    others, and writers wait for each other.
 
     Parameters
     ----------
@@ -63,35 +63,34 @@ class Library(LibraryChanges):
         n_jobs: int | None = None,
         progress: AddProgress | None = None,
     ) -> AddReport:
-        """Add motion files; files that are in the library already are left as they are.
+        """Add motion files; files that are in the library already stay as they are.
 
-        Written in portions: when the program is stopped, what was written stays, and the same call goes on
-        from there. If the library is trained, new clips get their histograms at once, and the leaves of the
-        forest learn from those that have a category; its questions stay until it is trained again.
+        Written in portions: an interrupted call keeps what it wrote, and can be repeated to go on. In a trained library
+        new clips get their histograms at once, and the leaves of the forest learn from labelled ones; its questions
+        stay until the next training.
 
         Parameters
         ----------
         paths : files, and folders that are searched at any depth.
-        kind : ``"clip"``, files that each hold one thing that is done; ``"take"``, uncut recordings: they have no
-            category, ``find`` looks into them, and nothing is learned from them but from labelled segments. A file
-            that is there already stays what it is.
+        kind : ``"clip"``, files of one action each; ``"take"``, uncut recordings: they have no category, ``find``
+            searches them, and only labelled segments are learned from. A file that is there already keeps its kind.
         category_from, performer_from : rules for the labels, see ``dousa.library.labels``.
-        labels_from : of takes, where tables are that say what happens in them when, see
+        labels_from : of takes, their tables of labels: ``"beside"``, ``"folder:DIR"`` or ``"csv:FILE"``, see
             ``dousa.library.annotations.matching``; each segment becomes a clip. Takes that are there already get the
-            labels that their table has now.
+            present labels of their table.
         tier : name of the tier of these tables, None for the first that has labels.
-        options : what the files do not say; a file read with other ones than before is read again.
-        n_jobs : files read at a time; by default every core, or what ``joblib.parallel_config`` says.
+        options : how to read the files; a file read with other options before is read again.
+        n_jobs : files read at a time; by default that of ``joblib.parallel_config``, else every core.
         progress : called with (files done, files, path of the last one).
 
         Returns
         -------
-        What was added and what was not, and why; a file that cannot be used does not stop the others.
+        The files added and not added, with reasons; a file that cannot be used does not stop the others.
 
         Raises
         ------
-        OptionError : a rule that cannot be understood, or another kind; labels of clips, or of no take at all.
-        MotionFileError : a table of labels that cannot be read, or of which nothing lies in its take; nothing is added.
+        OptionError : an invalid rule or kind; labels of clips, or of no take at all.
+        MotionFileError : a table of labels that cannot be read, or has nothing within its take; nothing is added.
         LibraryError : the library cannot be written.
         """
         from dousa.library.add import Adding
@@ -123,10 +122,10 @@ class Library(LibraryChanges):
         options: ReadOptions | None = None,
         n_jobs: int | None = None,
     ) -> AddReport:
-        """Add a motion that is in memory, under a name; a trained forest learns it at once, as from a file.
+        """Add a motion in memory under a name; a trained forest learns it at once, as from a file.
 
-        What is kept, and every answer, is that of a file with the same positions. A motion of the same name is
-        replaced, and its labels stay where none are given; one of the same content is not added a second time.
+        It is stored like a file with the same positions. A motion of the same name is replaced, and keeps its labels if
+        none are given; one of the same content is not added a second time.
 
         Parameters
         ----------
@@ -134,8 +133,8 @@ class Library(LibraryChanges):
         name : takes the place of the path.
         category, performer : its labels, None for none; a take has no category.
         kind : ``"clip"`` or ``"take"``, as in ``add``.
-        options : its ``joint_map``, for what names and shape do not tell.
-        n_jobs : windows of takes that are described anew at a time, as in ``add``.
+        options : its ``joint_map``, if names and shape are ambiguous.
+        n_jobs : windows of takes described at a time, as in ``add``.
 
         Returns
         -------
@@ -183,16 +182,16 @@ class Library(LibraryChanges):
         n_jobs: int | None = None,
         progress: TrainProgress | None = None,
     ) -> TrainReport:
-        """Train a new forest on all clips that have a category, and ask it about every clip and take.
+        """Train a new forest on all labelled clips, and classify every clip and take with it.
 
-        One transaction: stopped at any moment, the library keeps the forest it had.
+        One transaction: if interrupted, the library keeps the forest it had.
 
         Parameters
         ----------
-        feature_set : what it may ask about, a name in ``dousa.retrieval.FEATURE_SETS``: ``"paper"`` or
-            ``"extended"``; None for ``DEFAULT_FEATURE_SET``.
+        feature_set : a name in ``dousa.retrieval.FEATURE_SETS``: ``"paper"`` or ``"extended"``; None for
+            ``DEFAULT_FEATURE_SET``.
         n_trees, max_entropy, bootstrap, random_state : as in ``dousa.retrieval.MotionForest``.
-        n_trials : likewise; None for what suits the features.
+        n_trials : likewise; None for the default of the features.
         n_jobs : trees grown at a time, as in ``add``; the forest does not depend on it.
         progress : called with (steps done, steps, message about the next step).
 
@@ -235,25 +234,24 @@ class Library(LibraryChanges):
         options: ReadOptions | None = None,
         progress: PartProgress | None = None,
     ) -> SearchResult:
-        """The clips most like a motion, the most similar first; takes are left out.
+        """Find the clips most similar to a motion, best first; takes are left out.
 
-        A body of which a part is missing, and clips of such bodies, are compared by the joints that both have. The
-        first time that joints are missing which no query lacked before, a forest for the others is learned, and kept;
-        that of the joints which most of the incomplete clips lack is learned with the training.
+        Bodies that lack joints are compared by the joints that both have. For each new set of missing joints a forest
+        for the others is learned once, and kept; the one for the joints that most incomplete clips lack is learned in
+        the training.
 
         Parameters
         ----------
         query : a motion file, the number of a clip, or a motion.
         k : how many clips at most.
-        ranking : what they are ordered by, one of ``dousa.retrieval.RANKINGS``: ``"histogram"`` (eq. 8 of Hamada,
-            Kuriyama, Mukai), ``"leaves"``, ``"pose"`` or ``"fused"``, which is also what None stands for.
-        same_category : only clips of the category that most trees vote for.
+        ranking : order of the clips, one of ``dousa.retrieval.RANKINGS``: ``"histogram"`` (eq. 8 of Hamada, Kuriyama,
+            Mukai), ``"leaves"``, ``"pose"`` or ``"fused"``; None for ``"fused"``.
+        same_category : only clips of the category with the most votes.
         mirror : search for the mirror image of the query too.
         explain : give the reasons for the predicted category, and for the similarity of each clip.
-        threshold : confidence from which the query gets a category; None for the forest's own, 0
-            for always.
-        among : only clips of these numbers, such as those that ``search_text`` found; None for all.
-        options : what the query file does not say.
+        threshold : confidence from which the query gets a category; None for the forest's own, 0 for always.
+        among : only clips of these numbers, such as those of ``search_text``; None for all.
+        options : how to read the query file.
         progress : called while a forest for a part of the body is learned, with (steps done, steps, message).
 
         Raises
@@ -281,11 +279,11 @@ class Library(LibraryChanges):
         performer: str | None = None,
         kind: Literal["clip", "take"] | None = None,
     ) -> TextResult:
-        """The clips and takes that words describe, in English or Japanese; no forest is needed.
+        """Find the clips and takes described by a text, in English or Japanese; no forest is needed.
 
-        Words are looked for in categories, in names and in what the motions do ("both hands raised above the head"),
-        by their meaning: inflections, synonyms and translations of movement words count, and misspelt words are
-        corrected. Where nothing fits, the answer is empty, with the nearest words that the library has.
+        Words are matched by meaning with categories, names and what the motions do ("both hands raised above the
+        head"): inflections, synonyms and translations of movement words count, and misspelt words are corrected. If
+        nothing fits, the result is empty, with the nearest words of the library.
 
         Parameters
         ----------
@@ -304,8 +302,7 @@ class Library(LibraryChanges):
         return self._text.search(text, k, category=category, performer=performer, kind=kind)
 
     def match_text(self, text: str) -> TextMatches:
-        """Numbers of all clips and takes that words describe, as ``search_text`` without what they are: for lists of
-        very many.
+        """Return only the numbers of all clips and takes that ``search_text`` finds, for very long lists.
 
         Parameters
         ----------
@@ -319,10 +316,10 @@ class Library(LibraryChanges):
         return self._text.match(text)
 
     def review_labels(self, *, n_jobs: int | None = None, progress: ReviewProgress | None = None) -> LabelReview:
-        """Clips whose label is likely wrong, as those that they resemble have another one; the likeliest first.
+        """Find clips whose label is likely wrong because similar clips have another one, the likeliest first.
 
-        Each is judged by trees that have not seen it. Clips with the tag ``checked`` are taken to be right, and are not
-        listed. No forest is needed; nothing is changed.
+        Each is judged by trees trained without it. Clips with the tag ``checked`` count as right, and are not listed.
+        No forest is needed; nothing is changed.
 
         Parameters
         ----------
@@ -340,11 +337,11 @@ class Library(LibraryChanges):
         return review_labels(self.database, n_jobs, progress)
 
     def find_near_duplicates(self, *, near: float = 0.01) -> list[DuplicateGroup]:
-        """Groups of clips that are nearly the same: one recording twice, cleaned, or cut a little differently.
+        """Find groups of nearly equal clips: one recording twice, cleaned, or cut a little differently.
 
         Parameters
         ----------
-        near : body heights that their joints are apart at most.
+        near : largest distance of their joints, body heights.
 
         Raises
         ------
@@ -358,9 +355,9 @@ class Library(LibraryChanges):
         return find_near_duplicates(self.database, near)
 
     def map(self, *, progress: MapProgress | None = None) -> ClipMap:
-        """Where the clips lie on a map: a plane where those are near to each other whose poses are alike.
+        """Compute a map of the clips: a plane with clips of similar poses near each other.
 
-        No forest is needed, and labels play no part. The same clips give the same map. Takes are not on it.
+        No forest is needed, and labels are not used. The same clips give the same map. Takes are left out.
 
         Parameters
         ----------
@@ -386,21 +383,21 @@ class Library(LibraryChanges):
         n_jobs: int | None = None,
         progress: PartProgress | None = None,
     ) -> list[Classification]:
-        """Predict the categories of motion files; they are not added.
+        """Predict the categories of motion files, without adding them.
 
         Parameters
         ----------
         paths : files, and folders that are searched at any depth.
-        mirror : predict the category of the mirror image of each too.
-        explain : say why.
+        mirror : classify the mirror image of each too.
+        explain : give the reasons.
         threshold : as in ``search``.
-        options : what the files do not say.
+        options : how to read the files.
         n_jobs : files read at a time, as in ``add``.
         progress : as in ``search``.
 
         Returns
         -------
-        One answer per file; one that cannot be used has a ``problem`` instead of a category.
+        One result per file; a file that cannot be used has a ``problem`` instead of a category.
 
         Raises
         ------
@@ -429,25 +426,25 @@ class Library(LibraryChanges):
         n_jobs: int | None = None,
         progress: PartProgress | None = None,
     ) -> FindResult:
-        """The places in takes that are most like a motion, at half to twice its tempo.
+        """Find the places in takes most similar to a motion, at half to twice its tempo.
 
         Parameters
         ----------
         query : a motion file, the number of a clip, or a motion.
-        takes : numbers, files and folders, or motions; by default all takes of the library, whose windows are
-            kept. Others are described now.
+        takes : numbers, files and folders, or motions; by default all takes of the library, whose windows are stored.
+            Others are described now.
         k : how many places at most.
-        mirror : look for the mirror image of the query too.
-        exact : compare every window, also of more takes than memory has room for. Of these only windows are compared
-            otherwise whose sketches are nearest.
-        options : what the files do not say.
+        mirror : search for the mirror image of the query too.
+        exact : compare every window, also of more takes than fit in memory. Otherwise only the windows of these with
+            the nearest sketches are compared.
+        options : how to read the files.
         n_jobs : files read, and parts described, at a time; as in ``add``.
-        progress : as in ``search``; of many takes also called while the files are made in which they are searched.
+        progress : as in ``search``; with many takes also called while their search files are made.
 
         Raises
         ------
         NotTrainedError : there is no forest yet.
-        MotionFileError, JointMappingError : the query cannot be used; takes that cannot are named in the answer.
+        MotionFileError, JointMappingError : the query cannot be used; such takes are named in the result.
         InvalidMotionError : the query is shorter than 0.27 s.
         LibraryError : no clip of this number, no takes, or the library cannot be read.
         OptionError : k below 1.
@@ -471,18 +468,17 @@ class Library(LibraryChanges):
         n_jobs: int | None = None,
         progress: LearnProgress | None = None,
     ) -> LabelledTake:
-        """What happens in a take, from beginning to end: which category from when to when, and what is unknown.
+        """Label a take from beginning to end: categories with their times, and what is unknown.
 
-        The first time after a training, what takes are labelled with is learned from the clips; it is kept in the
-        library if that can be written.
+        The labeller is learned from the clips the first time after a training, and kept if the library can be written.
 
         Parameters
         ----------
         take : number, file, or motion.
-        threshold : confidence from which a category is said, 0 to 1; None for what was learned.
-        examples : numbers of clips that were cut out of takes and named by hand. What a take is labelled with learns
-            from each at once, far more than from a clip that is only added.
-        options : what the file does not say.
+        threshold : confidence from which a category is given, 0 to 1; None for the learned one.
+        examples : numbers of clips cut out of takes and named by hand. The labeller learns from each at once, far more
+            than from a clip that is only added.
+        options : how to read the file.
         n_jobs : parts described at a time, as in ``add``.
         progress : of the learning; called with (steps done, steps, message about the next step).
 
@@ -503,7 +499,7 @@ class Library(LibraryChanges):
         n_jobs: int | None = None,
         progress: LearnProgress | None = None,
     ) -> LiveLabeller:
-        """What labels a motion while it happens: ``push`` it a frame, and it answers some times a second.
+        """Return a labeller for a motion in progress: ``push`` a frame at a time; it answers several times a second.
 
         Parameters
         ----------
@@ -518,7 +514,7 @@ class Library(LibraryChanges):
         """
         return self._labellers.live(height, threshold, n_jobs, progress)
 
-    # Made when first needed, as what they import takes a while.
+    # Made when first needed, as their imports are slow.
 
     @cached_property
     def _parts(self) -> PartForests:
@@ -552,14 +548,14 @@ class Library(LibraryChanges):
 
     @cached_property
     def annotations(self) -> Annotations:
-        """Labels of takes: what is known of them, and writing more."""
+        """Labels of takes, to read and write."""
         from dousa.library.annotations.store import Annotations
 
         return Annotations(self.database, self._forests, self._note_number)
 
     @cached_property
     def searches(self) -> SavedSearches:
-        """Searches and selections that are kept under a name."""
+        """Saved searches and selections."""
         from dousa.library.annotations.marks import SavedSearches
 
         return SavedSearches(self.database)
@@ -567,17 +563,17 @@ class Library(LibraryChanges):
     def check(
         self, *, repair: bool = False, salvage: bool = True, progress: CheckProgress | None = None
     ) -> CheckReport:
-        """Whether everything in the library is as it was written: the structure of the file, and every checksum.
+        """Check that the library is as it was written: the structure of the file, and every checksum.
 
-        Rows that an older dousa wrote without checksums get them, where the library can be written.
+        Rows of an older dousa get their missing checksums, if the library can be written.
 
         Parameters
         ----------
-        repair : put right what can be: features, leaves and windows are computed again, positions are read again
-            from the original files, and single flipped bits are put right by their checksums.
-        salvage : whether a file whose structure is damaged is written anew, which nobody else may have open. If not,
-            nothing of such a file is repaired.
-        progress : called with (rows done, rows, message about what is being done).
+        repair : compute features, leaves and windows again, read positions again from the original files, and mend
+            single flipped bits by their checksums.
+        salvage : rewrite a file whose structure is damaged, while no other program has it open. If false, nothing of
+            such a file is repaired.
+        progress : called with (rows done, rows, message about the step).
 
         Raises
         ------
@@ -590,24 +586,24 @@ class Library(LibraryChanges):
         return check_library(self.database, repair, progress, salvage)
 
     def compact(self, *, fragments: str | None = None, progress: CompactProgress | None = None) -> CompactReport:
-        """Make the file as small as what is in it; removed clips leave room that only new ones would use.
+        """Shrink the file to its contents, without the room of removed clips.
 
-        Removed clips that ``undo`` would bring back are forgotten, and changes that need them.
+        Removed clips kept for ``undo`` are deleted, with the changes that need them.
 
-        Needs free space of the size of what is left. Others may read meanwhile, and write when it is done; stopped at
-        any moment, the file is as it was.
+        Needs free space of the final size. Others may read meanwhile, and write afterwards; if interrupted, the file is
+        unchanged.
 
         Parameters
         ----------
-        fragments : where positions and features are moved to, and new ones are written from then on: ``""`` for a
-            folder beside the library file; of a library on a server, a folder that all see, or a URL such as
-            ``s3://bucket/moves``. Stopped, it goes on where it was. None leaves them where they are.
+        fragments : where to move positions and features, and to write new ones: ``""`` for a folder beside the library
+            file; of a library on a server, a shared folder, or a URL such as ``s3://bucket/moves``. If interrupted,
+            repeat the call to go on. None leaves them in place.
         progress : called with (kB done, kB, message about the step).
 
         Raises
         ------
-        LibraryError : cannot be written, too little free space, a database server without fragments, which sees to its
-            room itself, or a place for fragments that does not fit the library.
+        LibraryError : cannot be written, too little free space, a database server without fragments (it manages its own
+            space), or a place for fragments that does not fit the library.
         """
         from dousa.library.care.compact import compact_library
 

@@ -1,4 +1,4 @@
-"""What the library answers about motions: plain values without a connection behind them, each with ``to_json()``."""
+"""Results of the library's methods: plain values without a database connection, each with ``to_json()``."""
 
 from __future__ import annotations
 
@@ -32,20 +32,18 @@ __all__ = [
     "Verdict",
 ]
 
-# Many motions are their own mirror image, so a mirror image must be clearly better: by this share of the votes, this
-# factor of a distance, this much of a score.
+# Many motions equal their mirror image, which must thus be clearly better: share of the votes, distance ratio, score.
 MIRROR_VOTES, MIRROR_DISTANCE, MIRROR_SCORE = 0.1, 0.95, 0.02
-_LEAST_REST = 0.002  # s; less is lost where times are rounded
+_LEAST_REST = 0.002  # s; shorter rests come from rounded times
 
 
 class _Answer:
-    """A plain value that can be written as JSON, under other names where ``_names`` has some."""
+    """A plain value that can be written as JSON; ``_names`` renames keys."""
 
     __slots__ = ()
     _names: ClassVar[dict[str, str]] = {}
 
     def to_json(self) -> dict[str, Any]:
-        """The value as plain lists and dictionaries, messages in the language in use."""
         names = [field.name for field in fields(self)]  # type: ignore[arg-type]
         return {self._names.get(name, name): _to_plain(getattr(self, name)) for name in names}
 
@@ -61,7 +59,7 @@ def _to_plain(value: Any) -> Any:
 
 
 def _without(answer: dict[str, Any], name: str) -> dict[str, Any]:
-    """The same, without a key that has no value."""
+    """Return the dictionary without ``key`` if its value is empty."""
     if answer[name] is None:
         del answer[name]
     return answer
@@ -73,17 +71,15 @@ class Verdict(_Answer):
 
     Parameters
     ----------
-    category : the category; None where the guess is more likely wrong than right, or the motion hardly known, and so
-        called unknown.
-    guess : the category that most trees vote for, whether the motion is known or not.
-    known : probability that the motion is of a category that the forest knows; None where the forest had too few
+    category : the category; None ("unknown") if the guess is more likely wrong than right, or the motion unfamiliar.
+    guess : the category with the most votes, even for an unknown motion.
+    known : probability that the motion is of a category that the forest knows; None if the forest had too few
         categories to learn that, or was trained by an older dousa.
-    confidence : probability that the guess is right, for somebody who does not know whether the library knows the
-        action, one in eleven being of none that it knows; None likewise.
+    confidence : probability that the guess is right, if one motion in eleven is of no known category; None as above.
     histogram : share of the trees that vote for each category, the largest first.
     explanation : the reasons, if requested.
-    perhaps : whether the motion, though it has no category, may be what was guessed: it is less strange to the library
-        than nearly all gestures that nobody named.
+    perhaps : whether a motion without a category may still be what was guessed: it is less strange to the library than
+        nearly all unnamed gestures.
     """
 
     category: str | None
@@ -95,36 +91,36 @@ class Verdict(_Answer):
     perhaps: bool = False
 
     def fits_better_than(self, other: Verdict) -> bool:
-        """Whether the forest is clearly surer of this than of another motion."""
+        """Return whether the forest is clearly surer of this motion than of another."""
         own, others = ((one.category is not None, one.perhaps) for one in (self, other))
         if own != others:
             return own > others
         return self.histogram[self.guess] > other.histogram[other.guess] + MIRROR_VOTES
 
     def to_json(self) -> dict[str, Any]:
-        """The verdict as plain lists and dictionaries; ``explanation`` only where there is one."""
+        """Return plain lists and dictionaries; ``explanation`` only if there is one."""
         return _without({"category": None, "histogram": None, **_Answer.to_json(self)}, "explanation")
 
 
 @dataclass(frozen=True, slots=True)
 class Hit(_Answer):
-    """One clip that a search found.
+    """One clip found by a search.
 
     Parameters
     ----------
-    path : file the clip came from.
-    category : its category; the forest's, where nobody gave it one.
+    path : file of the clip.
+    category : its category; the predicted one if it has no label.
     distance : between the histograms of query and clip, eq. 8; 0 to sqrt(2).
     rank : 1 for the nearest.
     clip_id : number of the clip in the library.
     leaf_share : share of the trees in which query and clip end in the same leaf, 0 to 1.
-    pose_distance : of the poses of both, aligned in time, body heights; None where they were not compared.
-    rank_distance : what the order goes by; None where the poses decide and were not compared.
-    mirrored : whether it is the mirror image of the query that the clip is like.
-    likeness : why they are alike, if requested.
-    hidden : canonical joints that were not compared, as one of both bodies lacks them.
-    alike : whether it is alike at all, as learned from the library; None where that was not learned.
-    probability : that both mean the same, where clips of any meaning are equally likely; None likewise.
+    pose_distance : between the time-aligned poses, body heights; None if they were not compared.
+    rank_distance : the value that results are ordered by; None if that is the poses and they were not compared.
+    mirrored : whether the clip matches the mirror image of the query.
+    likeness : the reasons for the similarity, if requested.
+    hidden : canonical joints that were not compared because one of the bodies lacks them.
+    alike : whether the clip counts as similar, as learned from the library; None if that was not learned.
+    probability : that both mean the same, if clips of any meaning are equally likely; None as above.
     """
 
     path: str
@@ -144,7 +140,7 @@ class Hit(_Answer):
     probability: float | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """The hit as a plain dictionary; ``likeness`` and ``compared_without`` only where there are any."""
+        """Return a plain dictionary; ``likeness`` and ``compared_without`` only if not empty."""
         answer = _without(_Answer.to_json(self), "likeness")
         if not self.hidden:
             del answer["compared_without"]
@@ -153,18 +149,18 @@ class Hit(_Answer):
 
 @dataclass(frozen=True, slots=True)
 class SearchResult:
-    """The answer to a search.
+    """The result of a search.
 
     Parameters
     ----------
     query : name of the query.
     verdict : what the forest predicts for it.
     results : the most similar clips, the most similar first.
-    ranking : what they were ordered by, one of ``dousa.retrieval.RANKINGS``.
-    mirrored : what it predicts for the mirror image, if requested.
-    notes : what came up when the query was read, and what was not compared, where a body lacks joints.
-    alike_count : clips of the library that are alike, of which ``results`` may be the first; the others follow them,
-        alike or not. None where likeness was not learned: the library was not trained since, or is too small.
+    ranking : what they are ordered by, one of ``dousa.retrieval.RANKINGS``.
+    mirrored : prediction for the mirror image, if requested.
+    notes : warnings from reading the query, and joints that were not compared.
+    alike_count : number of similar clips in the library; they come first in ``results``, which may hold fewer or
+        more. None if likeness was not learned: no training since, or too small a library.
     """
 
     query: str
@@ -177,7 +173,7 @@ class SearchResult:
 
     @property
     def category(self) -> str | None:
-        """The predicted category of the query, None if it is of none that the forest knows."""
+        """The predicted category of the query, None if unknown."""
         return self.verdict.category
 
     @property
@@ -186,7 +182,7 @@ class SearchResult:
         return self.verdict.histogram
 
     def to_json(self) -> dict[str, Any]:
-        """The answer as plain lists and dictionaries."""
+        """Return plain lists and dictionaries."""
         return {
             "query": self.query,
             **self.verdict.to_json(),
@@ -205,10 +201,9 @@ class Classification:
     Parameters
     ----------
     path : the file.
-    verdict : what the forest predicts, None if the file cannot be used.
-    mirrored : what it predicts for the mirror image, if requested.
+    verdict, mirrored : the prediction, None if the file cannot be used; that for the mirror image, if requested.
     problem : why the file cannot be used, None if it can.
-    notes : what came up when the file was read, and what was not looked at, where the body lacks joints.
+    notes : warnings from reading the file, and joints that were ignored because the body lacks them.
     """
 
     path: str
@@ -219,7 +214,7 @@ class Classification:
 
     @property
     def category(self) -> str | None:
-        """The category; None if the motion is of none that the forest knows, or the file cannot be used."""
+        """The category; None if it is unknown or the file cannot be used."""
         return None if self.verdict is None else self.verdict.category
 
     @property
@@ -228,7 +223,7 @@ class Classification:
         return {} if self.verdict is None else self.verdict.histogram
 
     def to_json(self) -> dict[str, Any]:
-        """The answer as a plain dictionary; ``problem`` only where there is one."""
+        """Return a plain dictionary; ``problem`` only if there is one."""
         if self.verdict is None:
             nothing = dict.fromkeys(("category", "histogram", "guess", "known", "confidence"))
             return {"path": self.path, **nothing, "histogram": {}, "perhaps": False, "problem": str(self.problem)}
@@ -248,13 +243,7 @@ def _mirrored_json(verdict: Verdict, mirrored: Verdict | None) -> dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Duplicate(_Answer):
-    """A file with the content of a clip that is in the library under another path.
-
-    Parameters
-    ----------
-    path : the file.
-    same_as : path of the stored clip.
-    """
+    """A file whose content is in the library under another path, ``same_as``."""
 
     path: str
     same_as: str
@@ -262,28 +251,23 @@ class Duplicate(_Answer):
 
 @dataclass(frozen=True, slots=True)
 class AddReport(_Answer):
-    """What ``Library.add`` did.
+    """The result of ``Library.add``.
 
     Parameters
     ----------
-    added : paths of the new clips.
+    added, unchanged : paths of the new clips, and of those in the library already.
     replaced : paths of stored clips whose file had changed.
-    unchanged : paths that were in the library already.
-    moved : files that are in the library under a path where there is no file any more; the new path is kept.
+    moved : new paths of stored files whose old path no longer exists.
     duplicates : files whose content is in the library under another path.
     skipped : files that could not be used.
-    passed_over : (suffix, number) of the files in the folders that no reader takes.
-    warnings : (path, message) of clips that were added with a doubt.
-    other_labels : paths that were in the library with another category or performer than the rules give now;
-        their labels stay, ``Library.relabel`` changes them.
-    other_kind : paths that were in the library as clips and were added as takes, or the other way round; they stay
-        what they are.
-    n_learned : clips with a category that the leaves of the forest learned at once.
-    new_categories : categories among them that the forest did not know.
-    labelled : takes whose labels are new, or others than before.
-    n_segments : of these takes, which are clips now.
-    seconds : time it took.
-    bytes : size of the files that were read.
+    passed_over : (suffix, number) of files in the folders that no reader accepts.
+    warnings : (path, message) of clips that were added with a warning.
+    other_labels : stored paths whose category or performer differs from what the rules give now; their labels stay,
+        ``Library.relabel`` changes them.
+    other_kind : paths stored as clips but added as takes, or the reverse; they keep their kind.
+    n_learned, new_categories : labelled clips that the leaves of the forest learned at once; their new categories.
+    labelled, n_segments : takes whose labels are new or changed, and their number of segments, now clips.
+    seconds, bytes : time it took, and size of the files that were read.
     """
 
     added: tuple[str, ...]
@@ -304,7 +288,7 @@ class AddReport(_Answer):
     bytes: int
 
     def to_json(self) -> dict[str, Any]:
-        """The report as plain lists and dictionaries."""
+        """Return plain lists and dictionaries."""
         return {
             **_Answer.to_json(self),
             "moved": [{"path": item.path, "from": item.same_as} for item in self.moved],
@@ -315,21 +299,19 @@ class AddReport(_Answer):
 
 @dataclass(frozen=True, slots=True)
 class TrainReport(_Answer):
-    """What ``Library.train`` did.
+    """The result of ``Library.train``.
 
     Parameters
     ----------
-    feature_set : name of the features that it asks for.
-    n_trees : trees of the forest.
-    n_clips : clips it was trained on.
-    n_unlabelled : clips without a category, which got a histogram only.
+    feature_set, n_trees : name of the features used, and number of trees.
+    n_clips, n_unlabelled : clips it was trained on, and clips without a category, which only get a histogram.
     categories : number of clips of each category.
-    calibration : how well motions of unknown categories are told from known ones, learned by holding some out; None
-        where there were too few clips or categories.
-    single : categories with one clip: the forest has seen too little to tell them apart.
+    calibration : how well unknown categories are separated from known ones, learned by holding some out; None if there
+        were too few clips or categories.
+    single : categories with one clip, too few to separate them.
     seconds : time it took.
-    n_partial : clips that lack joints which it asks about; forests of their own tell them apart.
-    hidden : joints that it does not ask about, as most clips lack them.
+    n_partial : clips that lack joints it uses; separate forests handle them.
+    hidden : joints it does not use because most clips lack them.
     """
 
     feature_set: str
@@ -350,22 +332,18 @@ class ClipInfo(_Answer):
 
     Parameters
     ----------
-    id : number of the clip; never given out twice.
-    path : file it came from.
-    category, performer : labels, None where there are none.
+    id, path : number, never reused, and file.
+    category, performer : labels, or None.
     predicted_category : of the forest, None before the training.
     format : short name of the file's format.
-    n_frames : number of poses.
-    frame_rate : Hz.
-    duration : s.
+    n_frames, frame_rate, duration : poses, Hz, s.
     height : m, of the performer's skeleton.
-    joint_table : where the canonical joints came from, such as ``"CMU/HDM05"``.
-    warnings : doubts that came up when the file was read.
+    joint_table : source of the canonical joints, such as ``"CMU/HDM05"``.
+    warnings : warnings from reading the file.
     kind : ``"clip"`` or ``"take"``.
-    take_id : of a segment, the number of the take that it is a part of; else None.
-    start_s, end_s : where it lies in that take.
+    take_id, start_s, end_s : of a segment, the number of its take and its times in it; else None.
     absent : canonical joints that the body lacks.
-    tags : sorted names that people gave it.
+    tags : sorted tags.
     """
 
     id: int
@@ -390,14 +368,14 @@ class ClipInfo(_Answer):
 
 @dataclass(frozen=True, slots=True)
 class TakeSegment(_Answer):
-    """A part of a take that was given a category: a clip of the library that has no file of its own.
+    """A labelled part of a take: a clip of the library without a file of its own.
 
     Parameters
     ----------
     clip_id : its number.
     start, end : s, from the beginning of the take.
-    category : what happens there; None where its label was taken away.
-    by_hand : whether somebody named it in the take, rather than a table of labels.
+    category : its category; None if the label was removed.
+    by_hand : whether it was named by hand rather than by a table of labels.
     """
 
     clip_id: int
@@ -411,15 +389,15 @@ class TakeSegment(_Answer):
 
 @dataclass(frozen=True, slots=True)
 class TakeAnnotation(_Answer):
-    """What is written down of a take.
+    """The labels of a take.
 
     Parameters
     ----------
     take_id, path, duration : its number, its file, and s.
-    is_complete : whether it was labelled from beginning to end: then nothing that has a name happens in the rest.
+    is_complete : whether it was labelled from beginning to end, so that the rest shows nothing that has a name.
     segments : in the order of time.
-    unclear : (start, end) s of parts of which nobody can say what they are.
-    source, tier : the table of labels that it came from, and the tier of it; empty if there is none.
+    unclear : (start, end) s of parts whose content is undecided.
+    source, tier : its table of labels, and the tier of it; empty if there is none.
     """
 
     take_id: int
@@ -435,14 +413,14 @@ class TakeAnnotation(_Answer):
 
     @property
     def stretches(self) -> tuple[Stretch, ...]:
-        """The take from beginning to end: its segments, and the rest."""
+        """Return the take from beginning to end: its segments and the rest."""
         named = [Stretch(one.start, one.end, one.category) for one in self.segments if one.category is not None]
         unnamed = [(one.start, one.end) for one in self.segments if one.category is None]
         return lay_out(named, [*self.unclear, *unnamed], self.duration, complete=self.is_complete)
 
     @property
     def rows(self) -> list[Stretch]:
-        """What a table says of it: its segments, which may overlap, and the rest."""
+        """Return the rows of a label table: the segments, which may overlap, and the rest."""
         named = [Stretch(one.start, one.end, one.category) for one in self.segments if one.category is not None]
         rest = [one for one in self.stretches if one.category is None and one.stop - one.start >= _LEAST_REST]
         return sorted([*named, *rest], key=lambda one: (one.start, one.stop))
@@ -450,21 +428,17 @@ class TakeAnnotation(_Answer):
 
 @dataclass(frozen=True, slots=True)
 class LibraryStats(_Answer):
-    """A library in numbers.
+    """The library in numbers.
 
     Parameters
     ----------
-    n_clips : clips, takes left out.
-    n_frames : poses of all clips.
-    seconds : duration of all clips.
+    n_clips, n_frames, seconds : clips without takes, their poses, and their duration.
     n_takes, take_seconds : uncut recordings, and their duration.
     n_unlabelled : clips without a category.
-    categories : number of clips of each category.
-    performers : number of clips and takes of each performer.
+    categories, performers : number of clips of each category, and of clips and takes of each performer.
     trained_at : when the forest was trained (ISO 8601, UTC), None if there is none.
-    n_trained : clips the forest was trained on.
-    n_learned : clips that its leaves learned later.
-    parameters : of the forest, with the name of the features it was trained on.
+    n_trained, n_learned : clips the forest was trained on, and those its leaves learned later.
+    parameters : of the forest, with the name of its feature set.
     forest_is_current : false if clips or labels changed after the training, or there is no forest.
     revision : counts the writes.
     """
@@ -487,21 +461,21 @@ class LibraryStats(_Answer):
 
 @dataclass(frozen=True, slots=True)
 class Place(_Answer):
-    """A part of a take that is like the query.
+    """A part of a take that is similar to the query.
 
     Parameters
     ----------
     take : file of the take.
-    clip_id : its number in the library, None for a file that is not there.
+    clip_id : its number in the library, None for a file outside it.
     start, end : s, from the beginning of the take.
-    score : 0 to 1, the larger the more alike.
-    distance : of the poses of both along the best alignment, root mean square in body heights.
+    score : 0 to 1, larger for more similar.
+    distance : between the poses along the best alignment, root mean square in body heights.
     shared_leaves : share of the trees in which both end in the same leaf.
-    tempo : how much faster than the query it goes on; 2 is double speed.
-    mirrored : whether it is the mirror image of the query that it is like.
+    tempo : speed relative to the query; 2 is double speed.
+    mirrored : whether it matches the mirror image of the query.
     rank : 1 for the best.
-    alike : whether it is likelier than not that it shows what the query does; None where that was not learned.
-    probability : of that, for a place that was found; None likewise.
+    alike : whether it probably shows the query's motion; None if that was not learned.
+    probability : that it does, for a place that was found; None as above.
     """
 
     take: str
@@ -522,18 +496,18 @@ class Place(_Answer):
 
 @dataclass(frozen=True, slots=True)
 class FindResult(_Answer):
-    """The answer to a search inside takes.
+    """The result of a search inside takes.
 
     Parameters
     ----------
     query : name of the query.
     duration : s, of the query.
-    n_takes, seconds : takes that were looked into, and their duration.
-    results : the places most like the query, best first, no two of them the same.
+    n_takes, seconds : takes searched, and their duration.
+    results : the places most similar to the query, best first, without repeats.
     skipped : takes that could not be used, and why.
-    notes : what came up when the query and takes that are not in the library were read, with their names; and what was
-        not compared: joints that a body lacks, windows of many takes.
-    alike_count : places among them that are alike, which come first; None where that was not learned.
+    notes : warnings from reading the query and takes outside the library, with their names; and omissions: joints that
+        a body lacks, windows of many takes.
+    alike_count : number of similar places, which come first; None if that was not learned.
     """
 
     query: str
@@ -548,7 +522,7 @@ class FindResult(_Answer):
     _names: ClassVar[dict[str, str]] = {"duration": "duration_s", "seconds": "takes_s"}
 
     def to_json(self) -> dict[str, Any]:
-        """The answer as plain lists and dictionaries; ``notes`` only where there are any."""
+        """Return plain lists and dictionaries, times in s; ``notes`` only if not empty."""
         answer = _Answer.to_json(self)
         if not self.notes:
             del answer["notes"]
@@ -557,14 +531,14 @@ class FindResult(_Answer):
 
 @dataclass(frozen=True, slots=True)
 class LabelledTake:
-    """What happens in a take, from beginning to end.
+    """The timeline of a take.
 
     Parameters
     ----------
     take : its file.
-    clip_id : its number in the library, None for a file that is not there.
-    timeline : its stretches, one after another without gaps, with their categories and how sure they are.
-    notes : what came up when its file was read, and what was not looked at, where the body lacks joints.
+    clip_id : its number in the library, None for a file outside it.
+    timeline : its stretches in order and without gaps, with categories and confidence.
+    notes : warnings from reading the file, and joints that were ignored because the body lacks them.
     """
 
     take: str
@@ -573,5 +547,5 @@ class LabelledTake:
     notes: tuple[Message, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """The timeline as plain lists and dictionaries; times in s."""
+        """Return plain lists and dictionaries; times in s."""
         return {"take": self.take, "clip_id": self.clip_id, **self.timeline.to_json(), **_notes_json(self.notes)}

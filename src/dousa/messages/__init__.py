@@ -1,4 +1,4 @@
-"""What dousa says: a code with values. The words are tables, one a language, rendered where a person reads them."""
+"""Messages as a code with values; the words are tables, one per language, rendered when read."""
 
 from __future__ import annotations
 

@@ -10,14 +10,12 @@ from dousa.messages.tables import render
 
 
 class Message:
-    """A thing that dousa says: which, and about what.
+    """A message of dousa. Messages are equal if code and values are; ``str()`` renders in the language in use.
 
     Parameters
     ----------
     code : ``section.key`` of the tables, as ``bvh.too_few_values``.
-    values : what the sentence names: text, numbers, paths, other messages, errors, or tuples of these.
-
-    Messages are equal if code and values are. ``str()`` renders in the language in use, see `render`.
+    values : of the sentence: text, numbers, paths, other messages, errors, or tuples of these.
     """
 
     __slots__ = ("code", "values")
@@ -27,16 +25,16 @@ class Message:
         self.values: Mapping[str, Any] = {name: _plain(value) for name, value in values.items()}
 
     def render(self, language: str | None = None) -> str:
-        """The sentence, in a language of `LANGUAGES` or in the one in use."""
+        """Return the sentence, in a language of `LANGUAGES` or in the one in use."""
         return render(self.code, self.values, language)
 
     def to_json(self) -> dict[str, Any]:
-        """``code`` and ``values``; messages among the values alike."""
+        """Return ``code`` and ``values``, with messages among the values converted too."""
         return {"code": self.code, "values": {name: _to_json(value) for name, value in self.values.items()}}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Message:
-        """The message whose ``to_json()`` this is."""
+        """Build the message from its ``to_json()``."""
         return cls(data["code"], **{name: _from_json(value) for name, value in data["values"].items()})
 
     def __str__(self) -> str:
@@ -61,7 +59,7 @@ def _rebuild(code: str, values: dict[str, Any]) -> Message:
 
 
 def _plain(value: Any) -> Any:
-    """Values that stay what they are: in another process, in JSON, and when an array changes."""
+    """Values that do not depend on the process, survive JSON, and do not change with an array."""
     if value is None or isinstance(value, str | int | float | Message):
         return value
     if isinstance(value, BaseException):
@@ -76,7 +74,7 @@ def _plain(value: Any) -> Any:
 
 
 def _say_error(error: BaseException) -> Message | str:
-    """What another error says: ours as its message, those of the system by their number, others by their text."""
+    """Message of a dousa error, number and text of a system error, text of any other."""
     message = getattr(error, "message", None)
     if isinstance(message, Message):
         return message

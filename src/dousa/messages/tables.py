@@ -1,4 +1,4 @@
-"""From messages to sentences: the tables of words, and how they are filled in."""
+"""Rendering of messages as sentences from the tables of words."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from importlib import resources
 from typing import Any
 
 LANGUAGES = ("en", "ja")
-"""Languages with a table; the first one is spoken where nobody asked for another."""
+"""Languages with a table; the first one is the default."""
 
 _LANGUAGE: ContextVar[str] = ContextVar("language", default=LANGUAGES[0])
 _JOINTS = {"en": (", ", " and ", " or "), "ja": ("、", "と", "または")}
 
 
 def use_language(language: str) -> None:
-    """From now on, here and in what is begun from here, messages are rendered in this language of `LANGUAGES`."""
+    """Render messages in this language of `LANGUAGES` from now on, in this context and those started from it."""
     _LANGUAGE.set(language if language in LANGUAGES else LANGUAGES[0])
 
 
 def get_language() -> str:
-    """The language in use."""
+    """Return the language in use."""
     return _LANGUAGE.get()
 
 
 @cache
 def load_table(language: str) -> dict[str, str]:
-    """All sentences of a language by code: ``section.key`` of the TOML files of its folder."""
+    """Load all sentences of a language by code: ``section.key`` of the TOML files of its folder."""
     table: dict[str, str] = {}
     for file in sorted(resources.files(__package__).joinpath(language).iterdir(), key=lambda file: file.name):
         if file.name.endswith(".toml"):
@@ -40,48 +40,40 @@ def load_table(language: str) -> dict[str, str]:
 
 
 def load_section(section: str, language: str) -> dict[str, str]:
-    """The templates of one section by key: the words of a page, which are filled in where they stand.
-
-    Parameters
-    ----------
-    section : of the tables, such as ``report``.
-    language : of `LANGUAGES`.
-    """
+    """Load the templates of one section by key, not filled in, as for a page."""
     prefix = f"{section}."
     return {code.removeprefix(prefix): text for code, text in load_table(language).items() if code.startswith(prefix)}
 
 
 def render(code: str, values: Mapping[str, Any], language: str | None = None) -> str:
-    """The sentence of a code with its values.
+    """Render the sentence of a code with its values.
 
-    A template is a format string over the values. Besides the formats of Python it knows ``{n:count frame|frames}``
+    A template is a format string over the values. Besides Python's formats it may have ``{n:count frame|frames}``
     ("1 frame", "3 frames"), ``{n:plural is|are}`` (the word alone), and for tuples ``{names:list}``, ``{names:and}``,
     ``{names:or}``. Values that are messages are rendered in the same language.
 
     Parameters
     ----------
     code : ``section.key``.
-    values : what its template names.
-    language : of `LANGUAGES`; None stands for the one in use.
+    values : of its template.
+    language : of `LANGUAGES`; None for the one in use.
     """
     language = language or get_language()
     if code == "system.error":
         return _say_system_error(language, **values)
     template = load_table(language).get(code) or load_table(LANGUAGES[0]).get(code)
-    if template is None:  # a table without it is a defect that a test finds; what is known is better than nothing
+    if template is None:  # a defect that a test finds; the code is better than nothing
         return f"{code} {dict(values)}"
     return _Filler(language).vformat(template, (), values)
 
 
 def _say_system_error(language: str, number: int, text: str) -> str:
-    """An error of the operating system: in our words where we have some, else in its own."""
+    """An error of the operating system: from the table, else in its own words."""
     name = errno.errorcode.get(number, "")
     return load_table(language).get(f"system.{name}", text)
 
 
 class _Filler(string.Formatter):
-    """Fills the values into a template."""
-
     def __init__(self, language: str) -> None:
         self._language = language
 
@@ -103,7 +95,7 @@ class _Filler(string.Formatter):
         return super().convert_field(value, conversion)
 
     def _join(self, items: tuple[Any, ...], spec: str) -> str:
-        """``list``, ``and`` or ``or``; a format of the items may follow: ``{values:list .2f}``."""
+        """Join by ``list``, ``and`` or ``or``; a format of the items may follow: ``{values:list .2f}``."""
         kind, _, item_spec = spec.partition(" ")
         comma, both, either = _JOINTS[self._language]
         words = [self.format_field(item, item_spec) for item in items]

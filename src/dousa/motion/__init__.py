@@ -1,6 +1,6 @@
-"""What motion is: skeletons, joint rotations, trajectories, canonical joints.
+"""Motion: skeletons, joint rotations, trajectories, canonical joints.
 
-Loaded name by name when first used: the types cost nothing, the kernels load numba.
+Names are loaded when first used, as the kernels load numba.
 """
 
 from __future__ import annotations

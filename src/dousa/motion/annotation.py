@@ -1,4 +1,4 @@
-"""What happens in an uncut recording, as somebody wrote it down: from when to when, and what nobody can say."""
+"""Annotations of a recording: when something happens, and what is unclear."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class Stretch:
     Parameters
     ----------
     start, stop : s.
-    category : what happens there; None where it is nothing that has a name.
-    counted : false where nobody can say what it is.
-    line : of the table that says so, for messages; None where there is none. Stretches are equal without it.
+    category : what happens; None where it has no name.
+    counted : false where it is unclear.
+    line : of its table, for messages; None without one. Ignored by comparisons.
     """
 
     start: float
@@ -30,15 +30,15 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True)
 class Annotation:
-    """All that somebody wrote down of a recording, from beginning to end.
+    """All labels of a recording.
 
     Parameters
     ----------
     segments : with their categories, in the order of time; two may overlap.
-    unclear : (start, stop) s of parts of which nobody can say what they are.
+    unclear : (start, stop) s of unclear parts.
     source : where it was read.
-    tier : the one of several that was chosen; empty where there is only one.
-    is_blank : whether a table says nothing at all, not even that nothing happens: nobody has annotated the recording.
+    tier : the chosen one of several; empty where there is only one.
+    is_blank : whether the table is empty, without even a label for nothing: the recording is not annotated.
     """
 
     segments: tuple[Stretch, ...]
@@ -51,18 +51,14 @@ class Annotation:
 def lay_out(
     segments: Sequence[Stretch], unclear: Sequence[tuple[float, float]], duration: float, *, complete: bool = True
 ) -> tuple[Stretch, ...]:
-    """A recording from beginning to end: what was labelled, and the rest.
+    """Divide a recording into labelled parts and the rest, without gaps; neighbours of one segment or kind join.
 
     Parameters
     ----------
-    segments : labelled parts in any order; where some overlap the shortest is seen: a short action within a long one.
-    unclear : (start, stop) s of parts of which nobody can say what they are; a segment that lies there is seen.
-    duration : s, what lies beyond is cut off.
-    complete : whether everything of note was labelled; if not, nobody can say what the rest is.
-
-    Returns
-    -------
-    Stretches one after another without gaps, neighbours of one segment or one kind of rest being one.
+    segments : labelled parts in any order; of overlapping ones the shortest counts: a short action within a long one.
+    unclear : (start, stop) s of unclear parts; segments within them count.
+    duration : s; later parts are cut off.
+    complete : whether everything of note was labelled; if not, the rest is unclear.
     """
     rest = Stretch(0.0, duration, None, counted=complete)
     spans = [Stretch(start, stop, None, counted=False) for start, stop in unclear]

@@ -40,7 +40,7 @@ def _forward_kinematics(parents, rotations, translations, world, positions):  # 
 def forward_kinematics(
     parents: ArrayLike, rotations: ArrayLike, translations: ArrayLike
 ) -> tuple[FloatArray, FloatArray]:
-    """Positions and rotations in the world of a tree of joints.
+    """Compute positions and rotations in the world of a tree of joints.
 
     Parameters
     ----------
@@ -65,14 +65,14 @@ def forward_kinematics(
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:
-    """The array as a read-only view: numba compiles one version for read-only arrays, not two."""
+    """Read-only view: numba compiles one version for read-only arrays, not two."""
     view = np.ascontiguousarray(array).view()
     view.flags.writeable = False
     return view
 
 
 def compute_rest_positions(skeleton: Skeleton) -> FloatArray:
-    """Positions (J, 3) m of the joints with no rotation: the rest pose, in the skeleton's own axes."""
+    """Compute positions (J, 3) m of the rest pose (no rotation), in the skeleton's own axes."""
     rest = np.array(skeleton.offsets)
     for joint, parent in enumerate(skeleton.parents):
         if parent >= 0:
@@ -81,15 +81,10 @@ def compute_rest_positions(skeleton: Skeleton) -> FloatArray:
 
 
 def compute_trajectories(motion: Motion | Trajectories) -> Trajectories:
-    """Positions in the world of all joints and end sites of a motion (forward kinematics).
+    """Compute positions in the world of all joints and end sites of a motion, by forward kinematics.
 
-    Parameters
-    ----------
-    motion : joint rotations; trajectories are returned as they are.
-
-    Returns
-    -------
-    Trajectories with the joints' names, parents and rest pose; NaN below a joint whose rotation is missing.
+    Names, parents and rest pose are kept; positions are NaN below a joint whose rotation is missing. Trajectories are
+    returned as they are.
     """
     if isinstance(motion, Trajectories):
         return motion

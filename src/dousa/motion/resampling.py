@@ -1,4 +1,4 @@
-"""Motion at other instants: resampling to a frame rate, thinning to a few frames, filling gaps."""
+"""Resampling to a frame rate, thinning to a few frames, filling gaps, smoothing."""
 
 from __future__ import annotations
 
@@ -15,23 +15,19 @@ from dousa.motion.types import Motion, Trajectories, freeze
 _Moving = TypeVar("_Moving", Motion, Trajectories)
 
 _MOST_FRAMES = 20_000_000
-_FRAME_TOLERANCE = 1e-9  # a last frame missed by rounding alone still counts
+_FRAME_TOLERANCE = 1e-9  # a last frame missed only by rounding counts
 
 
 def resample(moving: _Moving, frame_rate: float) -> _Moving:
-    """The same motion at another frame rate.
+    """Resample a motion to another frame rate; the same object if it has this rate already.
 
-    The first frame stays; the new frames go on as long as the old ones do. Positions are interpolated
-    linearly, rotations on the shorter arc. Where either neighbour is missing (NaN) the result is missing.
+    The frames run from the first old frame to at most the last. Positions are interpolated linearly, rotations on the
+    shorter arc. Where either neighbour is missing (NaN) the result is missing.
 
     Parameters
     ----------
     moving : motion or trajectories.
     frame_rate : Hz.
-
-    Returns
-    -------
-    The same type; the very object if it has this frame rate already.
 
     Raises
     ------
@@ -52,16 +48,9 @@ def resample(moving: _Moving, frame_rate: float) -> _Moving:
 
 
 def find_neighbours(n_frames: int, old_rate: float, new_rate: float) -> tuple[IndexArray, IndexArray, FloatArray]:
-    """Old frames before and after each frame at another rate, and where between them it falls.
+    """Find the old frames before and after each frame at another rate, and the fraction between them.
 
-    Parameters
-    ----------
-    n_frames : at the old rate.
-    old_rate, new_rate : Hz.
-
-    Raises
-    ------
-    OptionError : a frame rate that is not above 0, or that makes too many frames.
+    Rates are in Hz, ``n_frames`` at the old rate; OptionError for a new rate not above 0, or too many frames.
     """
     if not (np.isfinite(new_rate) and 0 < new_rate <= 1e6):
         raise OptionError("resampling.rate", rate=new_rate)
@@ -77,7 +66,6 @@ def find_neighbours(n_frames: int, old_rate: float, new_rate: float) -> tuple[In
 
 
 def _blend(values: FloatArray, before: IndexArray, after: IndexArray, fraction: FloatArray) -> FloatArray:
-    """Linear interpolation along the first axis of (T, n, 3)."""
     weight = fraction[:, None, None]
     mixed = values[before] * (1.0 - weight) + values[after] * weight
     exact = fraction == 0
@@ -86,16 +74,12 @@ def _blend(values: FloatArray, before: IndexArray, after: IndexArray, fraction: 
 
 
 def thin(array: ArrayLike, n: int) -> NDArray[Any]:
-    """The frames nearest to n equally spaced instants from the first frame to the last.
+    """Return the (n, ...) frames nearest to n equally spaced instants from the first frame to the last, as a copy.
 
     Parameters
     ----------
     array : (T, ...) anything with frames first; shorter arrays repeat frames.
     n : number of frames wanted; one frame is the first.
-
-    Returns
-    -------
-    (n, ...) copy.
 
     Raises
     ------
@@ -113,18 +97,14 @@ def thin(array: ArrayLike, n: int) -> NDArray[Any]:
 
 
 def fill_gaps(positions: ArrayLike) -> FloatArray:
-    """Positions with their gaps bridged in a straight line.
+    """Fill gaps in positions along a straight line, in a copy.
 
-    A point with any coordinate missing is missing. Before its first and after its last sighting a point stays
-    where it was seen; a point never seen stays NaN.
+    A point with any coordinate missing is missing. The first and last positions are held at the ends; a point that is
+    never seen stays NaN.
 
     Parameters
     ----------
     positions : (T, K, 3) m, NaN where missing.
-
-    Returns
-    -------
-    (T, K, 3) copy.
 
     Raises
     ------
@@ -146,16 +126,9 @@ def fill_gaps(positions: ArrayLike) -> FloatArray:
 
 
 def smooth_gaussian(values: FloatArray, deviation: float) -> FloatArray:
-    """Values over time under a Gaussian of four standard deviations to either side; the ends are repeated.
+    """Smooth values (T, ...) with a Gaussian of four standard deviations (in frames) to either side; ends are repeated.
 
-    Parameters
-    ----------
-    values : (T, ...).
-    deviation : standard deviation, frames.
-
-    Returns
-    -------
-    (T, ...), bit for bit those of ``scipy.ndimage.gaussian_filter1d(values, deviation, axis=0, mode="nearest")``.
+    The result is, bit for bit, ``scipy.ndimage.gaussian_filter1d(values, deviation, axis=0, mode="nearest")``.
     """
     n_frames, reach = len(values), int(4.0 * deviation + 0.5)
     weights = np.exp(-0.5 / (deviation * deviation) * np.arange(-reach, reach + 1) ** 2)

@@ -16,25 +16,25 @@ from dousa.errors import InvalidMotionError
 _AXES = {"X": 0, "Y": 1, "Z": 2}
 _GIMBAL_COSINE = 1e-7  # below this the first and third axes are parallel to double precision
 _SMALL_ANGLE = 1e-8
-_OPPOSITE = 1e-14  # 1 + cosine of two directions with no telling which way round
+_OPPOSITE = 1e-14  # 1 + cosine of two opposite directions, whose axis is undefined
 
 
 def identity(shape: tuple[int, ...] = ()) -> FloatArray:
-    """Quaternions (*shape, 4) of no rotation."""
+    """Return quaternions (*shape, 4) of no rotation."""
     quaternions = np.zeros((*shape, 4))
     quaternions[..., 0] = 1.0
     return quaternions
 
 
 def normalise(quaternions: ArrayLike) -> FloatArray:
-    """Quaternions (..., 4) of any length but zero -> unit length; a zero quaternion becomes NaN."""
+    """Scale quaternions (..., 4) to unit length; a zero quaternion becomes NaN."""
     q = np.asarray(quaternions, np.float64)
     length = np.linalg.norm(q, axis=-1, keepdims=True)
     return q / np.where(length > 0, length, np.nan)
 
 
 def multiply(first: ArrayLike, second: ArrayLike) -> FloatArray:
-    """Hamilton product (..., 4): the rotation that does ``second``, then ``first``."""
+    """Compute the Hamilton product (..., 4): first ``second``, then ``first``."""
     a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
     aw, ax, ay, az = np.moveaxis(a, -1, 0)
     bw, bx, by, bz = np.moveaxis(b, -1, 0)
@@ -50,13 +50,13 @@ def multiply(first: ArrayLike, second: ArrayLike) -> FloatArray:
 
 
 def conjugate(quaternions: ArrayLike) -> FloatArray:
-    """The inverse rotation (..., 4) of unit quaternions (..., 4)."""
+    """Invert unit quaternions (..., 4)."""
     conjugated: FloatArray = np.asarray(quaternions, np.float64) * np.array([1.0, -1.0, -1.0, -1.0])
     return conjugated
 
 
 def rotate(quaternions: ArrayLike, vectors: ArrayLike) -> FloatArray:
-    """Vectors (..., 3) turned by unit quaternions (..., 4)."""
+    """Turn vectors (..., 3) by unit quaternions (..., 4)."""
     q, v = np.asarray(quaternions, np.float64), np.asarray(vectors, np.float64)
     axis = q[..., 1:]
     twice = 2.0 * np.cross(axis, v)
@@ -64,7 +64,7 @@ def rotate(quaternions: ArrayLike, vectors: ArrayLike) -> FloatArray:
 
 
 def from_axis_angle(vectors: ArrayLike) -> FloatArray:
-    """Unit quaternions (..., 4) of rotation vectors (..., 3), axis times angle in rad."""
+    """Compute unit quaternions (..., 4) of rotation vectors (..., 3), axis times angle in rad."""
     v = np.asarray(vectors, np.float64)
     angle = np.linalg.norm(v, axis=-1, keepdims=True)
     half = 0.5 * angle
@@ -75,7 +75,7 @@ def from_axis_angle(vectors: ArrayLike) -> FloatArray:
 
 
 def to_axis_angle(quaternions: ArrayLike) -> FloatArray:
-    """Rotation vectors (..., 3), angle in [0, pi], of unit quaternions (..., 4)."""
+    """Compute rotation vectors (..., 3), angle in [0, pi], of unit quaternions (..., 4)."""
     q = np.asarray(quaternions, np.float64)
     q = np.where(q[..., :1] < 0, -q, q)
     sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
@@ -85,7 +85,7 @@ def to_axis_angle(quaternions: ArrayLike) -> FloatArray:
 
 
 def to_matrix(quaternions: ArrayLike) -> FloatArray:
-    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4)."""
+    """Compute rotation matrices (..., 3, 3) of unit quaternions (..., 4)."""
     w, x, y, z = np.moveaxis(np.asarray(quaternions, np.float64), -1, 0)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -96,7 +96,7 @@ def to_matrix(quaternions: ArrayLike) -> FloatArray:
 
 
 def from_matrix(matrices: ArrayLike) -> FloatArray:
-    """Unit quaternions (..., 4), w >= 0, of rotation matrices (..., 3, 3).
+    """Compute unit quaternions (..., 4), w >= 0, of rotation matrices (..., 3, 3).
 
     Takes the largest of the four squared components first, so that no angle loses digits (Shepperd 1978).
     """
@@ -126,7 +126,7 @@ def _axis_numbers(order: str) -> list[int]:
 
 
 def from_euler(angles: ArrayLike, order: str) -> FloatArray:
-    """Unit quaternions (..., 4) of intrinsic Euler angles.
+    """Compute unit quaternions (..., 4) of intrinsic Euler angles.
 
     Parameters
     ----------
@@ -152,11 +152,10 @@ def from_euler(angles: ArrayLike, order: str) -> FloatArray:
 
 
 def to_euler(quaternions: ArrayLike, order: str) -> FloatArray:
-    """Intrinsic Euler angles (..., k) rad of unit quaternions (..., 4).
+    """Compute intrinsic Euler angles (..., k) rad of unit quaternions (..., 4).
 
-    With three letters the rotation is reproduced exactly, also where the first and third axes fall together
-    (gimbal lock; the third angle is then 0). With fewer letters the angles are those of the three-letter
-    solution whose missing angles are dropped.
+    With three letters the rotation is reproduced exactly, also in gimbal lock, where the third angle is 0. With fewer
+    letters the missing angles of the three-letter solution are dropped.
 
     Raises
     ------
@@ -178,10 +177,10 @@ def to_euler(quaternions: ArrayLike, order: str) -> FloatArray:
 
 
 def unwrap_euler(angles: ArrayLike) -> FloatArray:
-    """Euler angles (T, ..., 3) of three different axes made continuous along time.
+    """Make Euler angles (T, ..., 3) of three different axes continuous along time.
 
-    Of the two triples that mean the same rotation, (a, b, c) and (a + pi, pi - b, c + pi), each frame takes
-    the one nearer to the frame before, whole turns included. Rotations do not change.
+    (a, b, c) and (a + pi, pi - b, c + pi) are the same rotation; each frame takes the one nearer to the frame before,
+    whole turns included.
     """
     a = np.array(angles, np.float64)
     turn = 2 * np.pi
@@ -196,7 +195,7 @@ def unwrap_euler(angles: ArrayLike) -> FloatArray:
 
 
 def between(start: ArrayLike, end: ArrayLike) -> FloatArray:
-    """Shortest rotations (..., 4) that turn the directions (..., 3) ``start`` into ``end``.
+    """Compute the shortest rotations (..., 4) that turn the directions (..., 3) ``start`` into ``end``.
 
     Opposite directions turn by pi about an axis across them; a zero vector gives no rotation.
     """
@@ -211,7 +210,7 @@ def between(start: ArrayLike, end: ArrayLike) -> FloatArray:
 
 
 def _directions(vectors: ArrayLike) -> FloatArray:
-    """Vectors (..., 3) at length one, however short or long they were; zero stays zero."""
+    """Unit vectors of vectors (..., 3) of any length; zero stays zero."""
     v = np.asarray(vectors, np.float64)
     largest = np.abs(v).max(-1, keepdims=True)
     scaled = v / np.where(largest > 0, largest, 1.0)
@@ -220,12 +219,9 @@ def _directions(vectors: ArrayLike) -> FloatArray:
 
 
 def slerp(start: ArrayLike, end: ArrayLike, fraction: ArrayLike) -> FloatArray:
-    """Quaternions (..., 4) on the shorter arc from ``start`` (fraction 0) to ``end`` (fraction 1).
+    """Interpolate unit quaternions (..., 4) on the shorter arc from ``start`` (fraction 0) to ``end`` (fraction 1).
 
-    Parameters
-    ----------
-    start, end : (..., 4) unit quaternions.
-    fraction : (...) position on the arc.
+    ``fraction`` : (...) position on the arc.
     """
     a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
     s = np.asarray(fraction, np.float64)[..., None]

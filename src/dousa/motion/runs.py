@@ -11,13 +11,13 @@ from dousa.arrays import BoolArray, IndexArray
 
 
 def find_runs(mask: BoolArray) -> IndexArray:
-    """(N, 2) first index and one past the last of each run of true in a mask (T,)."""
+    """Find the first index and one past the last of each run of true in a mask (T,), as (N, 2)."""
     edges: IndexArray = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False]))))
     return edges.reshape(-1, 2)
 
 
 def find_equal_runs(values: NDArray[Any]) -> IndexArray:
-    """(N, 2) first index and one past the last of each run of one value in an array (T,); they cover the array."""
+    """Find the first index and one past the last of each run of one value in an array (T,), as (N, 2)."""
     if len(values) == 0:
         return np.zeros((0, 2), np.intp)
     cuts = np.flatnonzero(values[1:] != values[:-1]) + 1

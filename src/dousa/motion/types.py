@@ -1,7 +1,7 @@
-"""The central types: Skeleton, Motion, Trajectories, and where they came from.
+"""The central types: Skeleton, Motion, Trajectories, and Provenance.
 
-Frozen and slotted; their arrays are read-only and checked once, at construction. Units inside are
-metres, seconds and radians, right-handed, Y up.
+Frozen and slotted; their arrays are read-only and checked once, at construction. Units are metres, seconds and
+radians, right-handed, Y up.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _UNIT_TOLERANCE = 1e-6
 
 
 def freeze(array: NDArray[Any]) -> NDArray[Any]:
-    """Mark an array that nobody else holds as read-only: constructors take it without a copy, kernels compile once."""
+    """Mark an array without other references as read-only, so that constructors do not copy it."""
     array.flags.writeable = False
     return array
 
@@ -37,7 +37,7 @@ def _frozen_array(values: ArrayLike, dtype: type, shape: tuple[int | None, ...],
         wanted = ", ".join("any" if n is None else str(n) for n in shape)
         raise InvalidMotionError("motion.shape", what=what, wanted=wanted, shape=array.shape)
     if array.flags.writeable:
-        # A view of somebody's buffer could still be changed through the buffer.
+        # A view could still be changed through its buffer.
         array = array.copy() if array is values or array.base is not None else array
         array.flags.writeable = False
     return array
@@ -59,7 +59,7 @@ def _check_parents(parents: IndexArray, what: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """Where a motion came from and how the file's numbers became metres with Y up.
+    """Source of a motion, and the conversion of the file's numbers to metres with Y up.
 
     Parameters
     ----------
@@ -69,10 +69,9 @@ class Provenance:
     unit_source : ``"declared"``, ``"inferred"`` (from body height), ``"given"`` or ``"assumed"``.
     up : axis of the file that points up: ``"x"``, ``"y"``, ``"z"``, or with a minus ``"-y"`` ...
     up_source : as ``unit_source``.
-    layout : what only this format knows (channel order, declared frame time ...); see the format's module.
-    values : the file's own numbers, kept so that an unchanged motion is written back to the last digit;
-        motions derived from this one drop them.
-    notes : what a person should know of how the file was understood: what it declares wrongly, what was assumed.
+    layout : of this format only (channel order, declared frame time ...); see the format's module.
+    values : the file's own numbers, for writing an unchanged motion to the last digit; None in derived motions.
+    notes : for the user, on the reading of the file: wrong declarations, assumptions.
     """
 
     path: str
@@ -95,8 +94,7 @@ class Skeleton:
     names : (J,) joint names as the file spells them.
     parents : (J,) index of each joint's parent, which stands before it; -1 for a root.
     offsets : (J, 3) m, position in the parent's axes at rest.
-    end_sites : (J,) true for the tips of chains that carry no rotation of their own (BVH ``End Site``);
-        none by default.
+    end_sites : (J,) true for tips of chains without their own rotation (BVH ``End Site``); none by default.
 
     Raises
     ------
@@ -132,7 +130,7 @@ class Skeleton:
         return len(self.names)
 
     def index(self, name: str) -> int:
-        """Index of the first joint of that name; InvalidMotionError if there is none."""
+        """Return the index of the first joint of that name; InvalidMotionError if there is none."""
         try:
             return self.names.index(name)
         except ValueError:
@@ -149,12 +147,11 @@ class Motion:
     rotations : (T, J, 4) local unit quaternions, w x y z; a row of NaN where the file has none.
     translations : (T, J, 3) m, local positions in the parent's axes (real files animate them).
     frame_rate : Hz.
-    provenance : where it came from, if it was read.
+    provenance : source, if it was read.
 
     Raises
     ------
-    InvalidMotionError : zero frames, shapes that disagree, quaternions that are not of unit length,
-        infinite values.
+    InvalidMotionError : zero frames, shapes that disagree, quaternions not of unit length, infinite values.
     """
 
     skeleton: Skeleton
@@ -192,7 +189,7 @@ class Motion:
         return self.n_frames / self.frame_rate
 
     def replace(self, **changes: Any) -> Motion:
-        """A copy with some fields changed; the file's own numbers are dropped, as they no longer hold."""
+        """Return a copy with some fields changed, without the file's own numbers."""
         if "provenance" not in changes and self.provenance is not None:
             changes["provenance"] = dataclasses.replace(self.provenance, values=None)
         return dataclasses.replace(self, **changes)
@@ -200,16 +197,16 @@ class Motion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectories:
-    """Positions of named points over time: the meeting point of all formats.
+    """Positions of named points over time, common to all formats.
 
     Parameters
     ----------
     names : (K,) names of the points (joints or markers).
     positions : (T, K, 3) m, world, Y up; NaN where missing.
     frame_rate : Hz.
-    parents : (K,) the tree the points hang in, if they come from a skeleton; -1 for a root, None if unknown.
+    parents : (K,) tree of the points of a skeleton; -1 for a root, None if unknown.
     rest_positions : (K, 3) m, the skeleton's rest pose in its own axes, if known.
-    provenance : where it came from, if it was read.
+    provenance : source, if it was read.
 
     Raises
     ------
@@ -255,14 +252,14 @@ class Trajectories:
         return self.n_frames / self.frame_rate
 
     def select(self, names: Sequence[str]) -> FloatArray:
-        """Positions (T, len(names), 3) of the points of these names, in this order."""
+        """Return the positions (T, len(names), 3) of the points of these names, in this order."""
         missing = [name for name in names if name not in self.names]
         if missing:
             raise InvalidMotionError("motion.unknown_point", name=missing[0], known=self.names)
         return self.positions[:, [self.names.index(name) for name in names]]
 
     def replace(self, **changes: Any) -> Trajectories:
-        """A copy with some fields changed; the file's own numbers are dropped, as they no longer hold."""
+        """Return a copy with some fields changed, without the file's own numbers."""
         if "provenance" not in changes and self.provenance is not None:
             changes["provenance"] = dataclasses.replace(self.provenance, values=None)
         return dataclasses.replace(self, **changes)

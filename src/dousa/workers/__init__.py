@@ -1,7 +1,4 @@
-"""Work that many machines do together: portions of it go to a cluster of workers, and answers come back in order.
-
-``with use_cluster("tcp://scheduler:8786"):`` around ``Library.add``, ``Library.train`` or an experiment.
-"""
+"""Work on a cluster, ``with use_cluster("tcp://scheduler:8786"):`` around ``Library.add`` or ``Library.train``."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """A cluster of workers behind a scheduler of Dask.
 
-A portion of work is a task of Dask: it is repeated elsewhere when its worker dies. Few portions wait at a time, so that
-neither the scheduler nor the client holds more than they have use for; answers come in the order of the tasks, so that
-what is made of them does not depend on how many workers there were.
+A portion of work is a task of Dask, repeated elsewhere when its worker dies. Few portions wait at a time, to limit
+memory; answers come in the order of the tasks, so that results do not depend on the number of workers.
 """
 
 from __future__ import annotations
@@ -29,26 +28,20 @@ _ALONE = 60.0  # s to wait for workers to come back when all are gone
 _TURN = 2.0  # s between two looks at whether there are workers
 _ATTEMPTS = 5  # of a portion whose data were lost with their workers
 _MOST_BYTES = 1 << 23  # of the files or arrays of a portion
-_INLINE = 1 << 18  # bytes; what is larger is handed out to the workers before they are asked for anything
-_SEEN = 100  # files that every worker is asked for
+_INLINE = 1 << 18  # bytes; larger data are scattered to the workers first
+_SEEN = 100  # files checked on every worker
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cluster:
-    """Workers that are ready.
-
-    Parameters
-    ----------
-    address : of the scheduler.
-    client : of Dask.
-    """
+    """Workers that are ready: ``address`` of the scheduler, ``client`` of Dask."""
 
     address: str
     client: Any
 
     @property
     def n_threads(self) -> int:
-        """Portions that are worked on at a time."""
+        """Number of portions worked on at a time."""
         return sum(int(worker["nthreads"]) for worker in self._workers().values())
 
     def _workers(self) -> dict[str, Any]:
@@ -56,7 +49,7 @@ class Cluster:
         return workers
 
     def check_paths(self, paths: Sequence[str | os.PathLike[str]]) -> None:
-        """ClusterError where a worker does not see the files that it shall read; some of them are asked for."""
+        """Raise ClusterError where a worker cannot see the files to read; a sample of them is checked."""
         step = max(1, len(paths) // _SEEN)
         sizes = {}
         for given in paths[::step]:
@@ -75,14 +68,14 @@ class Cluster:
         most: int = 64,
         sizes: Sequence[int] | None = None,
     ) -> Generator[_Answer, None, None]:
-        """Answers in the order of the tasks.
+        """Yield answers in the order of the tasks.
 
         Parameters
         ----------
-        work : what is done to each; it changes nothing, as it may be done twice.
+        work : function of one task, without side effects, as it may run twice.
         tasks : any number.
         most : tasks in a portion.
-        sizes : bytes that each task reads or brings along; None for few.
+        sizes : bytes that each task reads or carries; None for few.
 
         Raises
         ------
@@ -107,7 +100,7 @@ class Cluster:
                 left.cancel()
 
     def wait(self, future: Any) -> Any:
-        """What a future holds; ClusterError when nobody is left who could work on it."""
+        """Return the result of a future; ClusterError if no worker is left."""
         alone_since = None
         while True:
             try:
@@ -124,14 +117,14 @@ class Cluster:
 
 
 class _Shared:
-    """Work that all portions share, where the workers have it."""
+    """Work shared by all portions, stored on the workers."""
 
     def __init__(self, cluster: Cluster, work: bytes) -> None:
         self._cluster, self._work = cluster, work
         self._held: Any = None
 
     def hold(self, anew: bool = False) -> Any:
-        """The work itself, or what stands for it on the workers."""
+        """Return the work, or a reference to it on the workers."""
         if len(self._work) <= _INLINE:
             return self._work
         if self._held is None or anew:
@@ -140,7 +133,7 @@ class _Shared:
 
 
 class _Portion:
-    """Some tasks that a worker has been given."""
+    """Some tasks sent to a worker."""
 
     def __init__(self, cluster: Cluster, shared: _Shared, tasks: bytes) -> None:
         self._cluster, self._shared, self._tasks = cluster, shared, tasks
@@ -152,7 +145,7 @@ class _Portion:
         return client.submit(run_portion, self._shared.hold(anew), given, list_versions(), pure=False)
 
     def finish(self) -> list[Any]:
-        """The answers, as soon as they are there."""
+        """Wait for the answers."""
         from concurrent.futures import CancelledError
 
         from distributed.scheduler import KilledWorker
@@ -170,17 +163,16 @@ class _Portion:
         raise ClusterError("cluster.lost", address=self._cluster.address)
 
     def cancel(self) -> None:
-        """Nobody asks for the answers any more."""
         self._future.cancel()
 
 
 @contextmanager
 def connect(address: str) -> Iterator[Cluster]:
-    """The cluster of a scheduler, whose workers have been looked at; see ``use_cluster``."""
+    """Connect to the cluster of a scheduler and check its workers; see ``use_cluster``."""
     distributed = require("distributed", "cluster")
     if "://" not in address:
         raise OptionError("cluster.address", address=address)
-    for name in ("distributed", "tornado"):  # what it writes to the terminal is said as an error, or is no matter
+    for name in ("distributed", "tornado"):  # its warnings are raised as errors, or do not matter
         logging.getLogger(name).setLevel(logging.CRITICAL)
     client = None
     with warnings.catch_warnings():
@@ -202,7 +194,7 @@ def _shorten(error: BaseException) -> str:
 
 
 def _check_workers(cluster: Cluster) -> None:
-    """ClusterError where there are no workers, or some that are not as we are."""
+    """Raise ClusterError if there are no workers, or some with other versions."""
     try:
         found = cluster.client.run(list_versions, on_error="return")
     except (OSError, ValueError) as error:

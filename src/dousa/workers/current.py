@@ -1,4 +1,4 @@
-"""The cluster that is in use, if any: whoever has much to do asks for it here, and does without where there is none."""
+"""The cluster in use, if any."""
 
 from __future__ import annotations
 
@@ -14,16 +14,15 @@ _CURRENT: ContextVar[Cluster | None] = ContextVar("dousa_cluster", default=None)
 
 
 def current_cluster() -> Cluster | None:
-    """The cluster of the ``use_cluster`` that this runs in."""
+    """Return the cluster of the enclosing ``use_cluster``."""
     return _CURRENT.get()
 
 
 @contextmanager
 def use_cluster(address: str | None) -> Iterator[Cluster | None]:
-    """Let a cluster read and describe files, and grow trees, as long as this lasts.
+    """Let a cluster read and describe files, and grow trees, within the block.
 
-    What is computed does not depend on it. Reading, describing and growing trees is done by the workers; whatever is
-    written is written here.
+    Results do not depend on it. All writing is done by this process.
 
     Parameters
     ----------

@@ -1,7 +1,6 @@
-"""What runs on a worker: a portion of tasks, and questions about the worker itself.
+"""Code that runs on a worker: portions of tasks, and checks of the worker.
 
-Work and tasks come as bytes, so that work which many portions share (such as the features of all clips) is unpacked
-once by each worker.
+Work and tasks come as bytes, so that each worker unpacks work shared by many portions only once.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ _LOCK = Lock()
 
 
 def list_versions() -> dict[str, str]:
-    """What the numbers depend on, by name."""
+    """Return the versions that the numbers depend on, by name."""
     import dousa
 
     names = ("numpy", "numba")
@@ -36,14 +35,14 @@ def list_versions() -> dict[str, str]:
 
 
 def check_versions(worker: str, found: dict[str, str], expected: dict[str, str]) -> None:
-    """ClusterError where a worker has other versions than the client."""
+    """Raise ClusterError where a worker has other versions than the client."""
     for name, version in expected.items():
         if found.get(name) != version:
             raise ClusterError("cluster.versions", worker=worker, name=name, found=found.get(name), expected=version)
 
 
 def find_hidden(sizes: dict[str, int]) -> str | None:
-    """The first of some files that is not there, or has another size (bytes)."""
+    """Return the first file that is missing or has another size (bytes)."""
     for path, size in sizes.items():
         try:
             if os.stat(path).st_size != size:
@@ -54,12 +53,9 @@ def find_hidden(sizes: dict[str, int]) -> str | None:
 
 
 def run_portion(work: bytes, tasks: bytes, expected: dict[str, str]) -> list[Any]:
-    """Answers to a portion of tasks, in their order.
+    """Compute the answers to a portion of tasks, in their order, from a pickled function and a pickled list.
 
-    Parameters
-    ----------
-    work, tasks : a function of one task, and a list, pickled.
-    expected : versions of the client; a worker may have come after it asked for them.
+    ``expected`` : versions of the client; checked here because workers may join later.
     """
     check_versions(platform.node(), list_versions(), expected)
     function = _unpack(work)
@@ -78,7 +74,7 @@ def _unpack(work: bytes) -> Callable[[Any], Any]:
 
 
 def cut(sizes: Sequence[int], most: int, most_bytes: int) -> list[slice]:
-    """Portions of at most so many tasks and bytes, in order; one task at least in each."""
+    """Cut tasks into portions of at most so many tasks and bytes, in order; one task at least in each."""
     cuts, start, total = [], 0, 0
     for number, size in enumerate(sizes):
         if number > start and (number - start >= most or total + size > most_bytes):

@@ -1,7 +1,7 @@
-"""Small pieces of work side by side, in threads: a few of them at a time, as handing one over costs time too.
+"""Small pieces of work in threads, a few pieces at a time, as handing one over costs time too.
 
-Threads are those of the standard library: ``joblib.Parallel`` looks every 10 ms whether they are done, which is as long
-as some of what is done here. How many there are is asked of joblib.
+Threads are those of the standard library: ``joblib.Parallel`` polls every 10 ms, as long as some of the work takes.
+Their number comes from joblib.
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ _One = TypeVar("_One")
 _Answer = TypeVar("_Answer")
 
 _AT_A_TIME = 16
-"""Pieces that a thread does before it asks for more: handing over takes as long as half of a segment of a take."""
+"""Pieces that a thread takes at once: handing over takes as long as half of a segment of a take."""
 
 
 def map_pieces(
     work: Callable[[_One], _Answer], pieces: Sequence[_One], n_jobs: int | None = None, at_a_time: int = _AT_A_TIME
 ) -> list[_Answer]:
-    """The answers to all pieces, in their order.
+    """Compute the answers to all pieces, in their order.
 
     Parameters
     ----------
-    work : called with one piece; compiled loops, transforms and linear algebra run side by side, Python does not.
-    pieces : what to do.
-    n_jobs : threads as for joblib: with None one, unless ``joblib.parallel_config`` says otherwise.
-    at_a_time : pieces that a thread does before it asks for more.
+    work : called with one piece; compiled loops, transforms and linear algebra run in parallel, Python does not.
+    pieces : arguments of ``work``.
+    n_jobs : threads as for joblib: one for None, unless set by ``joblib.parallel_config``.
+    at_a_time : pieces that a thread takes at once.
 
     Raises
     ------
-    Whatever the work raises first.
+    The first error of ``work``.
     """
     from joblib import effective_n_jobs
 
@@ -54,11 +54,11 @@ def map_together(
     n_jobs: int | None = None,
     at_a_time: int = _AT_A_TIME,
 ) -> list[_Answer]:
-    """The answers to all pieces, in their order, of work that is cheaper for several of one size together.
+    """Compute the answers to all pieces, in their order, for work that is cheaper on several of one size together.
 
     Parameters
     ----------
-    work : called with some pieces, of sizes as near to each other as can be; gives an answer to each.
+    work : called with some pieces of similar sizes; returns an answer to each.
     sizes : of the pieces.
     n_jobs, at_a_time : as for `map_pieces`.
     """

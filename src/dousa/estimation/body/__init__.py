@@ -1,1 +1,1 @@
-"""The body: a tree of rigid parts, its poses, and how it is made from stature, skeletons or files."""
+"""The body: a tree of rigid parts, its poses, and its construction from stature, skeletons or files."""

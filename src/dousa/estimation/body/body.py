@@ -1,8 +1,7 @@
 """The body: a tree of rigid parts whose joint angles fix the pose (Kameda, Minoh and Ikeda, section 2).
 
 A part is a convex solid: the hull of a few spheres (two make a tapered capsule, more a trunk or a foot, spheres
-without radius a polyhedron). Its joint has one to three axes. The tracker, the renderer and the writers see nothing
-but this description, so that a robot, an animal or a costume is tracked as a person is: the body is data.
+without radius a polyhedron). Its joint has one to three axes. Robots, animals or costumes are tracked as people are.
 """
 
 from __future__ import annotations
@@ -24,31 +23,30 @@ class BodyModel:
     A pose is one row of 7 + A numbers: position (3) m and orientation (4, unit quaternion w x y z) of the root
     part, then the joint angles (A) rad, part after part, axis after axis. The rotation of a part's axes in its
     parent's is ``rest`` times: R(axis 1, angle 1) for one axis; R(axis 1, angle 1) R(axis 2, angle 2) for two; for
-    three the swing exp(angle 1 axis 1 + angle 2 axis 2) times the twist R(axis 3, angle 3). With the rest direction in
-    the middle of the reach no pose of a person comes near the swing's one singularity, 180 degrees.
+    three the swing exp(angle 1 axis 1 + angle 2 axis 2) times the twist R(axis 3, angle 3), which is singular at 180
+    degrees.
 
     Parameters
     ----------
     names : (P,) names of the parts; the root comes first.
-    joints : (P,) name of the joint by which each part hangs on its parent (the root's is the body's place).
-    parents : (P,) index of the parent part, which stands before it; -1 for the root and only for it.
+    joints : (P,) name of the joint between each part and its parent (the root's is the body's place).
+    parents : (P,) index of the parent part, before the part itself; -1 for the root only.
     offsets : (P, 3) m, place of the part's joint in the parent's axes; zeros for the root.
     rest : (P, 4) unit quaternions, the rotation of the part's axes in the parent's at angle zero.
-    n_axes : (P,) number of axes of the joint, 0 to 3 (0 for the root, which is free, and for parts that are stuck).
+    n_axes : (P,) number of axes of the joint, 0 to 3 (0 for the root, which is free, and for fixed parts).
     axes : (P, 3, 3) unit vectors in the part's axes, one per row; unused rows are zero. Of three axes the third is
         the twist, along the part.
     limits : (P, 3, 2) rad, least and greatest angle of each axis.
     spheres : (S, 4) m, centre in the part's axes and radius.
     sphere_starts : (P + 1,) the spheres of part p are ``spheres[sphere_starts[p]:sphere_starts[p + 1]]``.
-    tips : names of further points that are written out, such as ``"left_hand"``.
-    tip_parts : (K,) the part that each of these points belongs to.
+    tips : names of further output points, such as ``"left_hand"``.
+    tip_parts : (K,) the part of each of these points.
     tip_offsets : (K, 3) m, in that part's axes.
-    stature : m, height of the body standing upright; what scales it.
-    agility : (P,) how far each joint may leave its prediction from frame to frame, as a share of the tracker's dR
-        (an arm more, a trunk less; the root's is that of its turning); ones by default.
+    stature : m, height of the body standing upright.
+    agility : (P,) range of each joint about its prediction from frame to frame, as a share of the tracker's dR (the
+        root's is that of its turning); ones by default.
     neutral : (P, 3) rad, the angles at which each joint is at ease; zeros by default.
-    stiffness : (P,) what it costs the tracker to hold a joint at the end of its range, as a share of the usual; zeros
-        by default, so that nothing is preferred.
+    stiffness : (P,) cost of a joint at the end of its range, as a share of the tracker's usual; zeros by default.
 
     Raises
     ------
@@ -193,21 +191,17 @@ _SHORT = 0.02  # statures: a bone with less than this along an axis does not str
 def reshape(
     body: BodyModel, offsets: FloatArray, tip_offsets: FloatArray, girths: FloatArray | None = None
 ) -> BodyModel:
-    """Move the joints and tips of a body and let its solids follow.
+    """Move the joints and tips of a body and stretch its solids with them; stature stays.
 
-    Each part is stretched along its three axes, both ways apart, as the points that hang on it (the joints of its
-    children, its tips) move away from or towards its own joint. Radii stay, unless a girth says otherwise.
+    Each part is stretched along its three axes, both directions separately, as the joints of its children and its tips
+    move relative to its own joint. Radii stay unless ``girths`` change them.
 
     Parameters
     ----------
     body : the body to start from.
-    offsets : (P, 3) m, where the joints shall be in their parents' axes.
-    tip_offsets : (K, 3) m, where the tips shall be in their parts' axes.
-    girths : (S,) what the spheres' radii and their distances from the part's Y axis grow by; ones by default.
-
-    Returns
-    -------
-    The new body, of the same stature.
+    offsets : (P, 3) m, new places of the joints in their parents' axes.
+    tip_offsets : (K, 3) m, new places of the tips in their parts' axes.
+    girths : (S,) factors of the spheres' radii and distances from the part's Y axis; ones by default.
     """
     spheres = body.spheres.copy()
     for part in range(body.n_parts):
@@ -230,17 +224,9 @@ def _stretch(before: FloatArray, after: FloatArray, stature: float) -> FloatArra
 
 
 def widen(body: BodyModel, shares: ArrayLike) -> BodyModel:
-    """Make the solids of a body thicker or thinner, its joints and tips stay.
+    """Scale the girth of each part by ``shares`` (P,) or a number; joints and tips stay.
 
-    Parameters
-    ----------
-    body : any tree of parts.
-    shares : (P,) or a number, what each part's girth grows by. Parts that no other part hangs on (head, hands, feet)
-        grow in length too.
-
-    Returns
-    -------
-    The new body.
+    Parts without children (head, hands, feet) grow in length too.
     """
     grown = np.broadcast_to(np.asarray(shares, np.float64), body.n_parts)
     owner = np.repeat(np.arange(body.n_parts), np.diff(body.sphere_starts))

@@ -1,9 +1,9 @@
-"""Body files: any tree of parts, or a person in three lines, as TOML.
+"""Body files in TOML: any tree of parts, or a person in a few lines.
 
 A person:
 
     stature = 1.65          # metres
-    sex = "female"          # "average" if left out
+    sex = "female"          # optional, "average" by default
     [measures]              # metres, any of dousa.estimation.body.human.MEASURES
     thigh = 0.41
 
@@ -16,14 +16,14 @@ Any tree, root first (metres, radians, axes of the part; see `BodyModel`):
     [[part]]
     name = "arm"
     parent = "base"
-    joint = "shoulder"                                  # the part's name if left out
+    joint = "shoulder"                                  # by default the part's name
     offset = [0, 0.5, 0]
-    axes = [[1, 0, 0], [0, 0, 1]]                       # none: the part is stuck
+    axes = [[1, 0, 0], [0, 0, 1]]                       # without axes the part is fixed
     limits = [[-1.5, 1.5], [-0.5, 0.5]]                 # or limits_degrees
-    rest = [1, 0, 0, 0]                                 # quaternion w, x, y, z; no turn if left out
-    agility = 1.5                                       # how freely it moves from frame to frame; 1 if left out
-    neutral = [0.2, 0]                                  # angles at ease, one for each axis; 0 if left out
-    stiffness = 1                                       # what leaving them costs; 0 if left out
+    rest = [1, 0, 0, 0]                                 # quaternion w, x, y, z; no turn by default
+    agility = 1.5                                       # 1 by default
+    neutral = [0.2, 0]                                  # angles at ease, one for each axis; 0 by default
+    stiffness = 1                                       # cost of leaving them; 0 by default
     spheres = [[0, 0, 0, 0.05], [0, 0.4, 0, 0.03]]
     [[tip]]
     name = "gripper"
@@ -63,20 +63,12 @@ _UNIT_SLACK = 1e-3  # typed quaternions and axes are a few digits long
 
 
 def read_body(path: str | os.PathLike[str]) -> BodyModel:
-    """Read a body.
-
-    Parameters
-    ----------
-    path : TOML as the module's docstring says.
-
-    Returns
-    -------
-    The body.
+    """Read a body from a TOML file of this module.
 
     Raises
     ------
     MotionFileError : the file is missing, unreadable or empty.
-    BodyModelError : it is no TOML, has unknown or missing entries, or they make no body; with the line where known.
+    BodyModelError : no TOML, unknown or missing entries, or an invalid body; with the line where known.
     """
     data = read_bytes(path)
     if len(data) > _MOST_BYTES:
@@ -102,7 +94,7 @@ def read_body(path: str | os.PathLike[str]) -> BodyModel:
 
 
 class _Source:
-    """The text of a file, to say where something is wrong."""
+    """The text of a file, for line numbers in errors."""
 
     def __init__(self, text: str) -> None:
         self._lines = text.splitlines()
@@ -114,12 +106,12 @@ class _Source:
         return float(value)
 
     def find(self, pattern: str, number: int = 0, after: int = 0) -> int | None:
-        """1-based line of the match of that number, from a line on."""
+        """Return the 1-based line of the match of that number, from a line on."""
         found = [i for i, line in enumerate(self._lines, 1) if i >= after and re.match(pattern, line)]
         return found[number] if number < len(found) else None
 
     def key(self, key: str, after: int | None = 0) -> int | None:
-        """1-based line of a key, at or after a line."""
+        """Return the 1-based line of a key, at or after a line."""
         return self.find(rf"\s*[\"']?{re.escape(key)}[\"']?\s*=", 0, after or 0)
 
 
@@ -165,7 +157,7 @@ def _read_tree(source: _Source, content: Mapping[str, Any]) -> BodyModel:
     try:
         return _build(parts, tips, names, source.stature(content))
     except BodyModelError as error:
-        part_name = error.message.values.get("part")  # from BodyModel itself, which knows no file
+        part_name = error.message.values.get("part")  # from BodyModel itself, which has no file
         error.at(line=parts[names.index(part_name)].line if part_name in names else None)
         raise
 
@@ -195,7 +187,7 @@ def _build(parts: Sequence[_Table], tips: Sequence[_Table], names: Sequence[str]
 
 
 def _list_tables(source: _Source, content: Mapping[str, Any], kind: str, keys: Sequence[str]) -> list[_Table]:
-    """All [[part]] or [[tip]] of a file, without unknown entries."""
+    """Return all [[part]] or [[tip]] of a file, without unknown entries."""
     tables = content.get(kind, [])
     if not isinstance(tables, list) or not all(isinstance(table, Mapping) for table in tables):
         raise BodyModelError("body_file.tables", key=kind).at(line=source.find(rf"\s*\[?{kind}\b"))
@@ -206,7 +198,7 @@ def _list_tables(source: _Source, content: Mapping[str, Any], kind: str, keys: S
 
 
 class _Table:
-    """One [[part]] or [[tip]]; every complaint says which and where."""
+    """One [[part]] or [[tip]]; errors have its title and line."""
 
     def __init__(self, source: _Source, kind: str, number: int, entries: Mapping[str, Any]) -> None:
         self._source, self.entries = source, dict(entries)
@@ -238,7 +230,7 @@ class _Table:
     def numbers(
         self, key: str, shape: tuple[int | None, ...], default: Sequence[float] | float | None = None
     ) -> FloatArray:
-        """Finite numbers of a shape, in which None stands for any size."""
+        """Return finite numbers of a shape, in which None stands for any size."""
         value = self.entries.get(key, default)
         wanted = " x ".join("n" if size is None else str(size) for size in shape)
         try:
@@ -259,7 +251,7 @@ class _Table:
         return array
 
     def unit(self, key: str, shape: tuple[int | None, ...], default: Sequence[float] | None = None) -> FloatArray:
-        """Rows of unit length; those that are so to a few digits are made so."""
+        """Return rows of unit length, normalised if they are so to a few digits."""
         array = self.numbers(key, shape, default)
         with np.errstate(over="ignore"):  # then they are not of unit length
             lengths = np.linalg.norm(array, axis=-1, keepdims=True)
@@ -271,7 +263,7 @@ class _Table:
 
 
 def _read_joint(part: _Table) -> tuple[FloatArray, FloatArray]:
-    """Axes (n, 3) and limits (n, 2) rad."""
+    """Return axes (n, 3) and limits (n, 2) rad."""
     axes = part.unit("axes", (None, 3)) if "axes" in part.entries else np.zeros((0, 3))
     if not len(axes):
         return axes, np.zeros((0, 2))
@@ -283,7 +275,7 @@ def _read_joint(part: _Table) -> tuple[FloatArray, FloatArray]:
 
 
 def _neutral(part: _Table, count: int) -> FloatArray:
-    """(3,) rad, padded with zeros."""
+    """Return neutral angles (3,) rad, padded with zeros."""
     angles = part.numbers("neutral", (count,), (0.0,) * count)
     return np.pad(angles[:3], (0, max(0, 3 - count)))
 
@@ -303,12 +295,7 @@ def _padded(rows: FloatArray) -> FloatArray:
 
 
 def write_body(body: BodyModel, path: str | os.PathLike[str]) -> None:
-    """Write a body so that `read_body` reads the same numbers; the file appears whole or not at all.
-
-    Parameters
-    ----------
-    body : any tree of parts.
-    path : TOML file to write or replace.
+    """Write a body as TOML so that `read_body` reads the same numbers; the file appears whole or not at all.
 
     Raises
     ------

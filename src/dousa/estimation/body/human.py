@@ -1,4 +1,4 @@
-"""A person as a body model: fifteen parts from stature, sex and what was measured.
+"""A person as a body model: fifteen parts from stature, sex and measures.
 
 The tables and their sources are in ``anthropometry.toml``.
 """
@@ -53,7 +53,7 @@ class PartTable:
 
 
 def _tuple(value: Any) -> Any:
-    """Lists within lists as tuples."""
+    """Convert nested lists to tuples."""
     return tuple(_tuple(item) for item in value) if isinstance(value, list) else value
 
 
@@ -108,29 +108,20 @@ _SCALED: dict[str, tuple[tuple[str, tuple[int, ...]], ...]] = {
 
 
 def make_human(stature: float = 1.72, sex: str = "average", measures: Mapping[str, float] | None = None) -> BodyModel:
-    """Make a person from anthropometric tables.
+    """Make a person of fifteen parts with the twenty canonical joints from anthropometric tables.
 
     The pose of zeros is not a standing one: shoulders and hips have their zero in the middle of their reach, see
-    `standing_state`. Angles of the same value on both sides are mirror images.
+    `standing_state`, where joints are at ease. Equal angles on both sides are mirror images. See also `fit_girths`.
 
     Parameters
     ----------
     stature : m, from the floor to the crown.
-    sex : ``"average"``, ``"female"`` or ``"male"``; moves breadths and girths.
-    measures : name of `MEASURES` -> m, for what was measured on the person.
-
-    Returns
-    -------
-    Fifteen parts; joints and tips together bear the names of the twenty canonical joints.
+    sex : ``"average"``, ``"female"`` or ``"male"``; changes breadths and girths.
+    measures : name of `MEASURES` -> m, measured on the person.
 
     Raises
     ------
     BodyModelError : a stature no person has, an unknown sex or measure, a measure far from any person's.
-
-    Notes
-    -----
-    Sources of the tables: see ``anthropometry.toml``. `fit_girths` fits the solids to a person. Joints are at ease as
-    in `standing_state`.
     """
     stature = _check_stature(stature)
     if sex not in SEXES:
@@ -170,14 +161,14 @@ def _number(name: str, value: float) -> float:
 
 
 def _unit_remedy(value: float, least: float, greatest: float) -> Message | str:
-    """What to write instead if the number is one of a smaller unit."""
+    """Suggest metres if the number is in a smaller unit."""
     if least <= 0.01 * value <= greatest:
         return Message("person.centimetres", metres=0.01 * value)
     return Message("person.millimetres", metres=0.001 * value) if least <= 0.001 * value <= greatest else ""
 
 
 def _average(stature: float) -> BodyModel:
-    """The average of both sexes, scaled."""
+    """Return the average of both sexes, scaled."""
     rows = [(name, _TABLE[name.removeprefix(_side(name))]) for name in _ORDER]
     solids = [np.array([sphere[:4] for sphere in _solid(row, name)]) + 0.0 for name, row in rows]  # no -0.0
     tips = [(name, side) for name in TIPS for side in (("",) if name == "head" else ("left_", "right_"))]
@@ -202,7 +193,7 @@ def _average(stature: float) -> BodyModel:
 
 
 def _ease(body: BodyModel) -> BodyModel:
-    """Every joint at ease as it is in the standing body."""
+    """Set the neutral angles to those of the standing body."""
     angles, starts = standing_state(body)[7:], body.angle_starts
     neutral = np.zeros((body.n_parts, 3))
     for part, count in enumerate(body.n_axes):
@@ -234,7 +225,7 @@ def _padded(rows: object, width: int) -> FloatArray:
 
 
 def _solid(row: PartTable, name: str) -> list[tuple[float, float, float, float, str]]:
-    """Spheres in statures, each with the girth that widens it."""
+    """Return spheres in statures, each with the girth that widens it."""
     spheres = [(*sphere, girth) for sphere, girth in zip(row.spheres, row.girths, strict=True)]
     mirrored = [(-x, y, z, radius, girth) for x, y, z, radius, girth in spheres]
     if _side(name) == "right_":
@@ -246,7 +237,7 @@ def _solid(row: PartTable, name: str) -> list[tuple[float, float, float, float, 
 
 
 def _apply(body: BodyModel, factors: Mapping[str, float]) -> BodyModel:
-    """Lengths and girths as shares of what the body has."""
+    """Scale lengths and girths of the body."""
     offsets, tip_offsets = body.offsets.copy(), body.tip_offsets.copy()
     for measure, moved in _SCALED.items():
         for point, axes in moved:

@@ -1,4 +1,4 @@
-"""Where the parts of a body lie in a pose, and poses as a motion with canonical joint names."""
+"""Forward kinematics of a body, and poses as a motion with the body's joint names."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Tree = tuple[IndexArray, FloatArray, FloatArray, IndexArray, FloatArray, IndexAr
 
 
 def tree_arrays(body: BodyModel) -> Tree:
-    """The body as the compiled kernels take it: parents, offsets, rest, n_axes, axes, angle_starts."""
+    """Return the body as arrays of the kernels: parents, offsets, rest, n_axes, axes, angle_starts."""
     starts = body.angle_starts
     starts.flags.writeable = False
     return body.parents, body.offsets, body.rest, body.n_axes, body.axes, starts
@@ -32,7 +32,7 @@ def _checked_poses(body: BodyModel, poses: ArrayLike) -> FloatArray:
 
 
 def place_parts(body: BodyModel, poses: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """World rotations and places of all parts (forward kinematics).
+    """Compute world rotations and places of all parts (forward kinematics).
 
     Parameters
     ----------
@@ -55,12 +55,12 @@ def place_parts(body: BodyModel, poses: ArrayLike) -> tuple[FloatArray, FloatArr
 
 
 def point_names(body: BodyModel) -> tuple[str, ...]:
-    """Names (P + K,) of the points of `compute_points`: the joints, then the tips."""
+    """Return the names (P + K,) of the points of `compute_points`: the joints, then the tips."""
     return (*body.joints, *body.tips)
 
 
 def compute_points(body: BodyModel, poses: ArrayLike) -> FloatArray:
-    """Places (..., P + K, 3) m of the joints and tips of a body in poses (..., 7 + A)."""
+    """Compute places (..., P + K, 3) m of the joints and tips of a body in poses (..., 7 + A)."""
     rotations, positions = place_parts(body, poses)
     tips = positions[..., body.tip_parts, :] + np.einsum(
         "...kij,kj->...ki", rotations[..., body.tip_parts, :, :], body.tip_offsets
@@ -69,18 +69,10 @@ def compute_points(body: BodyModel, poses: ArrayLike) -> FloatArray:
 
 
 def to_motion(body: BodyModel, poses: ArrayLike, frame_rate: float) -> Motion:
-    """Poses as a motion: a joint for every part, named as the body names it, and a joint without turn for every tip.
+    """Convert poses (T, 7 + A) to a motion in metres with a joint for every part and every tip.
 
-    Parameters
-    ----------
-    body : with P parts, K tips and A joint angles.
-    poses : (T, 7 + A).
-    frame_rate : Hz.
-
-    Returns
-    -------
-    Motion of P + K joints, metres, whose rest pose is the body at angle zero with no rest rotation taken in: the
-    rest rotations are part of the local rotations.
+    The rest pose is the body at angle zero without rest rotations, which are part of the local rotations; tips do not
+    turn. ``frame_rate`` is in Hz.
     """
     array = _checked_poses(body, poses).reshape(-1, 7 + body.n_angles)
     rotations, positions = place_parts(body, array)
@@ -122,7 +114,7 @@ def turn_root(pose, x, y, z):  # type: ignore[no-untyped-def]
 
 @inlined
 def turn_part(part, pose, tree, local):  # type: ignore[no-untyped-def]
-    """Rotation matrix ``local[part]`` (3, 3) of a part in its parent's axes; of the root in the world's.
+    """Compute the rotation matrix ``local[part]`` (3, 3) of a part in its parent's axes; of the root in the world's.
 
     ``tree`` is (parents, offsets, rest, n_axes, axes, angle_starts). Of three axes the first two are one rotation
     vector, the third follows.
@@ -169,7 +161,7 @@ def turn_part(part, pose, tree, local):  # type: ignore[no-untyped-def]
 
 @inlined
 def hang_part(part, pose, tree, local, rotations, positions):  # type: ignore[no-untyped-def]
-    """World rotation matrix (3, 3) and place (3,) of a part that was turned, below a parent that was hung."""
+    """Compute world rotation matrix (3, 3) and place (3,) of a turned part below a placed parent."""
     parent = tree[0][part]
     if parent < 0:
         for i in range(3):
@@ -187,7 +179,7 @@ def hang_part(part, pose, tree, local, rotations, positions):  # type: ignore[no
 
 @compiled
 def hang_parts(parts, n_turned, pose, tree, local, rotations, positions):  # type: ignore[no-untyped-def]
-    """Place parts, parents first, of which only the first ``n_turned`` have angles other than when last placed."""
+    """Place parts, parents first; only the first ``n_turned`` have new angles."""
     for i in range(len(parts)):
         if i < n_turned:
             turn_part(parts[i], pose, tree, local)
@@ -196,6 +188,6 @@ def hang_parts(parts, n_turned, pose, tree, local, rotations, positions):  # typ
 
 @compiled
 def place_all(poses, parts, tree, local, rotations, positions):  # type: ignore[no-untyped-def]
-    """Rotations (T, P, 3, 3) and places (T, P, 3) of all parts in all poses (T, 7 + A); ``local`` is scratch."""
+    """Compute rotations (T, P, 3, 3) and places (T, P, 3) of all parts in poses (T, 7 + A); ``local`` is scratch."""
     for t in range(len(poses)):
         hang_parts(parts, len(parts), poses[t], tree, local, rotations[t], positions[t])

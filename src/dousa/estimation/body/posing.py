@@ -1,4 +1,4 @@
-"""Poses that are not searched for: standing, and the pose nearest to given places of the joints."""
+"""The standing pose, and inverse kinematics to given places of the joints."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dousa.motion.canonical.joints import CANONICAL_JOINTS
 
 _PLACE = 0.5  # what a metre off a joint's place costs
 _DIRECTION = 0.3  # what a radian off a limb's direction costs per metre of stature: bones may differ in length
-_NEUTRAL = 0.003  # what a radian off the start costs, likewise: for what the given joints do not tell
+_NEUTRAL = 0.003  # cost of a radian off the start, likewise: for undetermined angles
 _LIMIT = 0.5  # what a radian beyond a limit costs, likewise
 _SHORT = 0.02  # statures: a shorter bone has no direction worth the name
 _MOST_STEPS = 60
@@ -26,10 +26,10 @@ _LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e6
 
 
 def find_bones(body: BodyModel, rows: IndexArray) -> IndexArray:
-    """Pairs (B, 2) of places in ``rows`` whose direction says how a part lies.
+    """Return pairs (B, 2) of places in ``rows`` whose direction determines the orientation of a part.
 
-    A part with one point attached is determined by the vector to it from its joint; one with several by the ways from
-    right to left, because bodies differ in where a pelvis or a chest has its joint and how shoulders lie to the neck.
+    A part with one point attached takes the vector to it from its joint; one with several takes those from right to
+    left, because bodies differ in the joints of pelvis and chest.
     """
     owners = np.concatenate((body.parents, body.tip_parts))
     points = point_names(body)
@@ -50,13 +50,13 @@ def find_bones(body: BodyModel, rows: IndexArray) -> IndexArray:
 
 
 def turn_onto(source: FloatArray, target: FloatArray) -> FloatArray:
-    """The rotation matrix (3, 3) that turns directions (N, 3) best onto others (Kabsch 1976)."""
+    """Return the rotation matrix (3, 3) that turns directions (N, 3) best onto others (Kabsch 1976)."""
     u, _, vt = np.linalg.svd(target.T @ source)
     return np.asarray(u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt)
 
 
 def solve_pose(body: BodyModel, places: FloatArray, rows: IndexArray, start: FloatArray) -> tuple[FloatArray, float]:
-    """The pose (7 + A,) near ``start`` whose points ``rows`` come nearest to ``places`` (N, 3), and its cost."""
+    """Return the pose (7 + A,) near ``start`` whose points ``rows`` fit ``places`` (N, 3) best, and its cost."""
     costs = _Costs(body, places, rows, start)
     pose, damping = start.copy(), 1e-3
     residuals = costs.evaluate(pose[None])[0]
@@ -83,7 +83,7 @@ def solve_pose(body: BodyModel, places: FloatArray, rows: IndexArray, start: Flo
 
 
 def _step(pose: FloatArray, steps: FloatArray) -> FloatArray:
-    """Poses (N, 7 + A) moved by steps (N, 6 + A): place, turn in the root's axes, angles."""
+    """Move a pose by steps (N, 6 + A): place, turn in the root's axes, angles."""
     moved = np.repeat(pose[None], len(steps), axis=0)
     moved[:, :3] += steps[:, :3]
     moved[:, 3:7] = rot.normalise(rot.multiply(pose[3:7], rot.from_axis_angle(steps[:, 3:6])))
@@ -92,7 +92,7 @@ def _step(pose: FloatArray, steps: FloatArray) -> FloatArray:
 
 
 class _Costs:
-    """Residuals of poses; their squares add up to what is made small."""
+    """Residuals of poses, for least squares."""
 
     def __init__(self, body: BodyModel, places: FloatArray, rows: IndexArray, start: FloatArray) -> None:
         self._body, self._places, self._rows, self._start = body, places, rows, start
@@ -103,7 +103,7 @@ class _Costs:
         self._bones, self._ways = bones[long], ways[long] / lengths[long, None]
 
     def evaluate(self, poses: FloatArray) -> FloatArray:
-        """(N, R) of poses (N, 7 + A)."""
+        """Compute residuals (N, R) of poses (N, 7 + A)."""
         body, stature = self._body, self._body.stature
         points = compute_points(body, poses)[:, self._rows]
         ways = points[:, self._bones[:, 1]] - points[:, self._bones[:, 0]]
@@ -120,23 +120,21 @@ class _Costs:
 
 
 _CAUGHT = 1.5  # times the best residual so far: such a frame is fitted again
-_FLAT = 0.01  # statures: joints that are no farther from one line tell no rotation about it
-_STRAIGHT = 0.1  # sine of a bend that says nothing about which way a hinge folds
+_FLAT = 0.01  # statures: joints this near to one line determine no rotation about it
+_STRAIGHT = 0.1  # sine of a bend too small to show which way a hinge folds
 _ARMS_OUT = 0.14  # rad, off the trunk: clothed arms hang so
 
 
 def compute_angles(body: BodyModel, part: int, rotation: FloatArray) -> FloatArray:
-    """Joint angles of one part that come nearest to a rotation in its parent's axes, within the limits.
+    """Return joint angles (n,) rad of one part nearest to a rotation in its parent's axes, within the limits.
+
+    Three axes reach every rotation; with fewer the rest is dropped.
 
     Parameters
     ----------
     body : any tree of parts.
     part : index of a part with n axes.
     rotation : (4,) unit quaternion, the part's axes in its parent's, rest rotation included.
-
-    Returns
-    -------
-    (n,) rad. Three axes reach every rotation; of fewer what lies off them is dropped.
     """
     count, axes = int(body.n_axes[part]), body.axes[part]
     if count == 0:
@@ -160,16 +158,10 @@ def _two_angles(rotation: FloatArray, first: FloatArray, second: FloatArray) -> 
 
 
 def standing_state(body: BodyModel) -> FloatArray:
-    """The body upright, facing +Z, on the floor y = 0.
+    """Return the upright pose (7 + A,), facing +Z, on the floor y = 0, the root above the origin, within the limits.
 
-    Parameters
-    ----------
-    body : any tree of parts. Of a person, whose shoulders are called ``left_shoulder`` and ``right_shoulder``, all
-        axes are parallel to the world's and the arms hang a little off the trunk; other bodies keep angles of zero.
-
-    Returns
-    -------
-    Pose (7 + A,), as near to this as the limits allow, the root above the origin.
+    A person (joints ``left_shoulder`` and ``right_shoulder``) has all axes parallel to the world's and the arms a
+    little off the trunk; other bodies have angles of zero.
     """
     pose = np.zeros(7 + body.n_angles)
     pose[3] = 1.0
@@ -193,30 +185,23 @@ def standing_state(body: BodyModel) -> FloatArray:
 def fit_pose(
     body: BodyModel, positions: ArrayLike | Mapping[str, ArrayLike], start: ArrayLike | None = None
 ) -> tuple[FloatArray, float]:
-    """Inverse kinematics: the pose whose joints come nearest to given places.
+    """Fit the pose (7 + A,) nearest to given places of the joints, within the limits (inverse kinematics).
+
+    Also returns the residual (m), root of the mean squared distance from joint to place. Levenberg-Marquardt over
+    places, directions of limbs, and a penalty beyond the limits, the root turned first onto trunk and hips. Directions
+    outweigh places, so that another person's bones bend no joint.
 
     Parameters
     ----------
-    body : any tree of parts whose joints and tips have names.
-    positions : (20, 3) m in the order of `CANONICAL_JOINTS`, or name -> (3,) m; NaN where unknown. What the body has
-        no joint or tip for is passed over. They may be those of a person with other bones.
-    start : pose (7 + A,) to begin with and to stay near to where the joints do not tell, such as the frame before;
-        by default standing.
-
-    Returns
-    -------
-    pose : (7 + A,), within the limits of the body.
-    residual : m, root of the mean squared distance from joint to place.
+    body : any tree of parts with named joints and tips.
+    positions : (20, 3) m in the order of `CANONICAL_JOINTS`, or name -> (3,) m; NaN where unknown. Other names are
+        ignored; the bones may be those of another person.
+    start : pose (7 + A,) to begin with and to stay near where undetermined; by default standing.
 
     Raises
     ------
     BodyModelError : fewer than three joints of the body are given, or all lie in one line or point; a pose or
         positions of another shape.
-
-    Notes
-    -----
-    Levenberg-Marquardt over places, directions of limbs, and a penalty beyond the limits, the root turned first so
-    that trunk and hips lie as they should. Directions outweigh places, so that another person's bones bend no joint.
     """
     places, rows = _match_points(body, positions)
     if start is None:
@@ -233,19 +218,10 @@ def fit_pose(
 
 
 def lead_pose(body: BodyModel, positions: ArrayLike | Mapping[str, ArrayLike]) -> FloatArray:
-    """A pose near to given places of the joints, a few times faster and a little rougher than `fit_pose`.
+    """Return a pose (7 + A,) near to given places of the joints, faster and rougher than `fit_pose`.
 
-    Parameters
-    ----------
-    body, positions : see `fit_pose`.
-
-    Returns
-    -------
-    Pose (7 + A,) within the limits: the root laid onto the trunk, each limb led along its bones.
-
-    Raises
-    ------
-    BodyModelError : see `fit_pose`.
+    The root is laid onto the trunk and each limb led along its bones, within the limits; arguments and errors are those
+    of `fit_pose`.
     """
     pose = _first_guesses(body, *_match_points(body, positions))[0]
     limits = body.angle_limits
@@ -256,22 +232,19 @@ def lead_pose(body: BodyModel, positions: ArrayLike | Mapping[str, ArrayLike]) -
 def fit_poses(
     body: BodyModel, positions: ArrayLike, names: Sequence[str] = CANONICAL_JOINTS
 ) -> tuple[FloatArray, FloatArray]:
-    """Inverse kinematics of a whole motion, each frame starting from the one before.
+    """Fit the poses (T, 7 + A) of a whole motion, each frame starting from the one before (inverse kinematics).
+
+    Also returns residuals (T,) m. An undetermined frame keeps the pose of the one before, with a residual of NaN.
 
     Parameters
     ----------
-    body : any tree of parts whose joints and tips have names.
+    body : any tree of parts with named joints and tips.
     positions : (T, K, 3) m, NaN where unknown.
     names : (K,) of the joints.
 
-    Returns
-    -------
-    poses : (T, 7 + A); a frame that tells too little keeps the pose of the one before.
-    residuals : (T,) m, NaN for such frames.
-
     Raises
     ------
-    BodyModelError : no frame tells enough, or positions of another shape; see `fit_pose`.
+    BodyModelError : no frame determines a pose, or positions of another shape; see `fit_pose`.
     """
     array = np.asarray(positions, np.float64)
     if array.ndim != 3 or array.shape[1:] != (len(names), 3) or not len(array):
@@ -301,7 +274,7 @@ def fit_poses(
 
 
 def _match_points(body: BodyModel, positions: ArrayLike | Mapping[str, ArrayLike]) -> tuple[FloatArray, IndexArray]:
-    """Places (N, 3) that are known and the points (N,) of the body they belong to."""
+    """Return known places (N, 3) and their points (N,) of the body."""
     if not isinstance(positions, Mapping):
         array = np.asarray(positions, np.float64)
         if array.shape != (len(CANONICAL_JOINTS), 3):
@@ -320,7 +293,7 @@ def _match_points(body: BodyModel, positions: ArrayLike | Mapping[str, ArrayLike
 
 
 def _first_guesses(body: BodyModel, places: FloatArray, rows: IndexArray) -> list[FloatArray]:
-    """Standing, the root turned and moved onto the points; the same with every limb led along its bone."""
+    """Return standing with the root moved onto the points, with every limb led along its bone and without."""
     pose = standing_state(body)
     points = compute_points(body, pose)[rows]
     owners = np.concatenate((body.parents, body.tip_parts))[rows]
@@ -336,12 +309,12 @@ def _first_guesses(body: BodyModel, places: FloatArray, rows: IndexArray) -> lis
 
 
 def _core_parts(body: BodyModel) -> list[int]:
-    """The root and the parts that carry several others: which determine the body's front."""
+    """Return the root and the parts with several children, which determine the body's front."""
     return [part for part in range(body.n_parts) if part == 0 or (body.parents == part).sum() > 1]
 
 
 def _lead_limbs(body: BodyModel, pose: FloatArray, places: FloatArray, rows: IndexArray) -> None:
-    """From the root outwards, swing each part with one bone onto its direction, in place."""
+    """Swing each part with one bone onto its direction from the root outwards, in place."""
     place_of = {int(row): places[index] for index, row in enumerate(rows)}
     owners = np.concatenate((body.parents, body.tip_parts))
     bones = {int(rows[a]): int(rows[b]) for a, b in find_bones(body, rows) if owners[rows[b]] == rows[a]}
@@ -364,7 +337,7 @@ def _lead_limbs(body: BodyModel, pose: FloatArray, places: FloatArray, rows: Ind
 def _turn_hinge(
     body: BodyModel, part: int, child: int, led: FloatArray, beyond: FloatArray, own: FloatArray
 ) -> FloatArray:
-    """Turn a part about itself so that the hinge below it folds the way that the bone beyond it goes."""
+    """Turn a part about itself so that the hinge below it folds towards the next bone."""
     if body.n_axes[child] != 1:
         return led
     axis = body.axes[part, 2]

@@ -36,7 +36,7 @@ class Torso:
     ----------
     hip_breadth, shoulder_breadth : between the joints of both sides.
     root, spine, neck, shoulders : heights over the middle of the hips, of a straight person.
-    hips_ahead, shoulders_ahead : of the hips before the line from the root to the neck, and of the shoulders.
+    hips_ahead, shoulders_ahead : of hips and shoulders before the line from the root to the neck.
     """
 
     hip_breadth: float
@@ -50,7 +50,7 @@ class Torso:
 
 
 def body_torso(body: BodyModel) -> Torso | None:
-    """The sizes of a body whose joints have the names of a person's; None for others."""
+    """Return the torso of a body with a person's joint names; None for others."""
     if not set(_NEEDED) <= set(body.joints):
         return None
     place = {name: body.offsets[body.joints.index(name)] for name in _NEEDED}
@@ -69,7 +69,7 @@ def body_torso(body: BodyModel) -> Torso | None:
 
 
 def measure_torso(tracks: Mapping[str, FloatArray]) -> Torso:
-    """The sizes of whom joint places (T, 3) were recorded of."""
+    """Measure the torso of the recorded joint places (T, 3)."""
     points = dict(tracks)
     unseen = np.full((1, 3), np.nan)
     for middle in ("hip", "shoulder"):
@@ -103,7 +103,7 @@ def measure_torso(tracks: Mapping[str, FloatArray]) -> Torso:
 
 
 def _typical(values: FloatArray, percentile: float | None = None) -> float:
-    """A percentile, by default the median, of what is known; NaN if nothing is."""
+    """Return a percentile, by default the median, of the known values; NaN without any."""
     known = values[np.isfinite(values)]
     if not len(known):
         return np.nan
@@ -111,7 +111,7 @@ def _typical(values: FloatArray, percentile: float | None = None) -> float:
 
 
 def _ahead(points: Mapping[str, FloatArray], middle: FloatArray, percentile: float) -> float:
-    """How far a middle lies before the line from the root to the neck."""
+    """Compute how far a middle lies before the line from the root to the neck."""
     unseen = np.full((1, 3), np.nan)
     root, neck = points.get("pelvis", unseen), points.get("neck", unseen)
     left = points.get("left_shoulder", unseen) - points.get("right_shoulder", unseen)
@@ -121,14 +121,14 @@ def _ahead(points: Mapping[str, FloatArray], middle: FloatArray, percentile: flo
 
 
 def _fall(neck: FloatArray, shoulders: FloatArray, hips: FloatArray) -> float:
-    """How far the shoulders' middle lies below the neck, along the way to the hips."""
+    """Compute how far the shoulders' middle lies below the neck, along the direction to the hips."""
     down = hips - neck
     falls = ((shoulders - neck) * down).sum(axis=1) / (np.linalg.norm(down, axis=1) + 1e-12)
     return _typical(falls)
 
 
 def apply_torso(body: BodyModel, measured: Torso) -> BodyModel:
-    """Move hips, spine, neck and shoulders to their measured places and keep the solids about them."""
+    """Move hips, spine, neck and shoulders to their measured places, with the solids about them."""
     own = body_torso(body)
     if own is None:
         return body
@@ -166,35 +166,31 @@ def apply_torso(body: BodyModel, measured: Torso) -> BodyModel:
 
 
 def _plausible_size(value: float, usual: float, otherwise: float | None = None) -> float:
-    """A measured size if it can be one, else what is known of it otherwise, else the body's own."""
+    """Return the first plausible size, else the usual one."""
     for tried in (value, otherwise):
         if tried is not None and _LEAST_SIZE * usual <= tried <= _GREATEST_SIZE * usual:
             return float(tried)
     return usual
 
 
-_LEAST, _GREATEST = 0.6, 1.6  # of what the whole body says: a bone beyond is a wrong point, not a person
+_LEAST, _GREATEST = 0.6, 1.6  # of the scale of the whole body: a bone beyond is a wrong point
 _SIDES_AGREE = 0.10  # left and right that differ by less are one length, seen twice
 _MOST_FRAMES = 200
 _OVER_JOINTS = 1.085  # stature over the height of the joints: three people of HDM05, within 1 %
 
 
 def fit_body(body: BodyModel, positions: ArrayLike | Mapping[str, ArrayLike]) -> BodyModel:
-    """The same body with the bones of the person that joint places were recorded of.
+    """Return the body with the bones of the person of the recorded joint places.
 
     Limbs take the median distance of their joints over the frames; left and right are one where they agree within
-    10 %. Hips and shoulders take breadth and height, root and tips the places that the recording has them at (what is
-    called pelvis, head, hand or toe differs from one to the next). Girths and stature follow the bones in the mean.
+    10 %. Hips and shoulders take breadth and height, root and tips their recorded places. Girths and stature follow the
+    bones in the mean.
 
     Parameters
     ----------
-    body : any tree of parts whose joints and tips have names.
+    body : any tree of parts with named joints and tips.
     positions : (20, 3) or (T, 20, 3) m in the order of `CANONICAL_JOINTS`, or name -> (3,) or (T, 3); NaN where
-        unknown. What is missing keeps the body's own proportion.
-
-    Returns
-    -------
-    The new body.
+        unknown. Missing bones keep the body's own proportion.
 
     Raises
     ------
@@ -219,7 +215,7 @@ def fit_body(body: BodyModel, positions: ArrayLike | Mapping[str, ArrayLike]) ->
 
 
 def _overall(body: BodyModel, ratios: FloatArray, torso: Torso) -> float:
-    """How much larger than the body the person is: the bones that make up the height, in the mean by length."""
+    """Compute the scale of the person by the mean of the bones that make up the height."""
     lengths = np.linalg.norm(body.offsets, axis=1)
     sizes = [(lengths[row], ratios[row]) for row in range(body.n_parts)]
     own = body_torso(body)
@@ -239,14 +235,14 @@ def _is_measured(ratio: float) -> bool:
 
 
 def _believable(body: BodyModel, ratios: FloatArray) -> FloatArray:
-    """Joints that no person has are wrong points; tips are landmarks and may lie anywhere near."""
+    """Drop implausible ratios of joints; ratios of tips are clipped."""
     joints = np.arange(len(ratios)) < body.n_parts
     wrong = joints & ~((ratios >= _LEAST) & (ratios <= _GREATEST))
     return np.where(wrong, np.nan, np.clip(ratios, _LEAST, _GREATEST))
 
 
 def _even_sides(names: tuple[str, ...], ratios: FloatArray) -> FloatArray:
-    """Left and right made one where they agree, or where one of them is unknown."""
+    """Average left and right where they agree, or where one of them is unknown."""
     even = ratios.copy()
     for row, name in enumerate(names):
         if not name.startswith("left_") or (other := "right_" + name[5:]) not in names:
@@ -269,7 +265,7 @@ def _grow(body: BodyModel, scale: float) -> BodyModel:
 
 
 def _tracks(body: BodyModel, positions: ArrayLike | Mapping[str, ArrayLike]) -> dict[str, FloatArray]:
-    """Name -> (T, 3) of the body's joints and tips, at most so many frames of them."""
+    """Return name -> (T, 3) of the body's joints and tips, with a limited number of frames."""
     if not isinstance(positions, Mapping):
         array = np.asarray(positions, np.float64)
         if array.ndim not in (2, 3) or array.shape[-2:] != (len(CANONICAL_JOINTS), 3):
@@ -292,28 +288,26 @@ def _distance(tracks: Mapping[str, FloatArray], one: str, other: str) -> float:
 
 
 def _is_limb(body: BodyModel, row: int) -> bool:
-    """Whether a point alone, or a tip, tells how long the part is that it hangs on."""
+    """Return whether a point determines the length of its parent part: a tip, or a joint without siblings."""
     if row >= body.n_parts:
         return True
     return row > 0 and int((body.parents == body.parents[row]).sum()) == 1
 
 
 def body_from_motion(motion: Motion | Trajectories | CanonicalMotion, sex: str = "average") -> BodyModel:
-    """The body of a recorded person: bones from the skeleton, girths from the tables.
+    """Return the body of a recorded person: bones from the skeleton, girths from the tables, see `make_human`.
+
+    Missing joints keep the tables' proportions.
 
     Parameters
     ----------
     motion : any motion whose joints can be identified (BVH, ASF/AMC, C3D, TRC ...), in m, or its canonical joints.
-    sex : as in `make_human`; moves girths, since the bones are measured.
-
-    Returns
-    -------
-    Fifteen parts, see `make_human`. Joints that the recording lacks keep the tables' proportions.
+    sex : as in `make_human`; changes girths only.
 
     Raises
     ------
     JointMappingError : the joints cannot be distinguished.
-    BodyModelError : the person is no size that people are; is the unit right?
+    BodyModelError : an implausible size, perhaps by a wrong unit.
     """
     canonical = require_whole(motion if isinstance(motion, CanonicalMotion) else canonicalise(motion))
     frames = slice(None, None, max(1, canonical.n_frames // _MOST_FRAMES))

@@ -1,1 +1,1 @@
-"""Cameras from a film: of a person who moves, or of a board."""
+"""Camera calibration from films of a moving person or of a board."""

@@ -1,8 +1,8 @@
-"""Cameras from films of a chessboard or a ChArUco board that is carried about: lenses and places, by OpenCV.
+"""Calibration of cameras from films of a moving chessboard or ChArUco board, by OpenCV.
 
-The corners are followed like the points of a person, so that `sync` takes them too. The lens of each camera is
-calibrated from its own film (Zhang, A flexible new technique for camera calibration, 2000) unless it is known; the
-cameras are joined where two of them see the board at one moment, and all are improved together.
+Corners are keypoints like those of a person, so that `sync` takes them too. The lens of each camera is calibrated from
+its own film (Zhang, A flexible new technique for camera calibration, 2000) unless it is known; cameras are joined where
+two of them see the board at one moment, and all are refined together.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Board:
         return tuple(f"corner_{number}" for number in range(self.shape[0] * self.shape[1]))
 
     def limbs(self) -> tuple[Limb, ...]:
-        """Neighbouring corners, all equally far apart."""
+        """Return pairs of neighbouring corners, all equally far apart."""
         columns, rows = self.shape
         across = [(r * columns + c, r * columns + c + 1) for r in range(rows) for c in range(columns - 1)]
         down = [(r * columns + c, (r + 1) * columns + c) for r in range(rows - 1) for c in range(columns)]
@@ -83,12 +83,7 @@ class Board:
 
 
 def parse_board(text: str) -> Board:
-    """The board of ``chessboard:9x6:25mm`` or ``charuco:5x7:40mm:30mm[:DICT_4X4_50]``.
-
-    Raises
-    ------
-    OptionError : something else, or a board that cannot be.
-    """
+    """Parse ``chessboard:9x6:25mm`` or ``charuco:5x7:40mm:30mm[:DICT_4X4_50]``; OptionError for anything else."""
     from dousa.extras import cv2
 
     chess, charuco = _CHESS.fullmatch(text), _CHARUCO.fullmatch(text)
@@ -126,17 +121,13 @@ def _make_detector(board: Board) -> Any:
 
 
 def find_corners(image: Image, board: Board, detector: Any = None) -> tuple[IndexArray, FloatArray] | None:
-    """The corners of a board in a picture; None where it is not seen.
+    """Return the visible corners of a board in an image: places (N,) and px (N, 2); None if it is not seen.
 
     Parameters
     ----------
     image : (H, W, 3) or (H, W).
-    board : what to look for.
-    detector : for many pictures of one ChArUco board; made where it is None.
-
-    Returns
-    -------
-    Places among the board's corners (N,), and px (N, 2).
+    board : the board.
+    detector : for many images of one ChArUco board; by default a new one.
     """
     from dousa.extras import cv2
 
@@ -153,7 +144,7 @@ def find_corners(image: Image, board: Board, detector: Any = None) -> tuple[Inde
 
 
 def _begin_at_dark(grey: Image, corners: FloatArray, board: Board) -> FloatArray:
-    """The corners (K, 2) from the end at which the first square between corners is black, whatever way up it is."""
+    """Order the corners (K, 2) from the end whose first square between corners is black."""
     grid = corners.reshape(board.rows, board.columns, 2)
     middles = [grid[:2, place : place + 2].mean(axis=(0, 1)).round().astype(int) for place in (0, 1)]
     first, second = (int(grey[y, x]) for x, y in middles)
@@ -161,12 +152,12 @@ def _begin_at_dark(grey: Image, corners: FloatArray, board: Board) -> FloatArray
 
 
 def find_board(film: str | os.PathLike[str], board: Board, progress: Progress | None = None) -> ViewKeypoints:
-    """The corners of a board in a film, as the points of one person.
+    """Find the corners of a board in a film, as the points of one person.
 
     Parameters
     ----------
-    film : whatever FFmpeg reads.
-    board : what to look for; of long films some 900 frames are looked at.
+    film : any format of FFmpeg.
+    board : the board; of long films some 900 frames are used.
     progress : called with (frames done, frames in all, what).
 
     Raises
@@ -207,20 +198,18 @@ def calibrate_from_board(
     focals: Sequence[float] | None = None,
     offsets: Sequence[float] | None = None,
 ) -> Calibration:
-    """Find lenses and places of cameras from films of a board.
+    """Calibrate cameras from films of a board.
+
+    The floor is the board at the first common moment if it lies flat there; otherwise the cameras stand upright and the
+    board's middle has height 0, with a note.
 
     Parameters
     ----------
     views : (V,) of `find_board`.
-    board : its size gives the metres.
-    cameras : (V,) whose lenses are known; where they stand does not count.
+    board : its size sets the metres.
+    cameras : (V,) with known lenses; their poses are ignored.
     focals : (V,) px, of lenses without distortion. Without either the lenses are calibrated too.
     offsets : (V,) s, added to the time of each film to get the common time; 0 by default.
-
-    Returns
-    -------
-    The cameras and how well they fit. The floor is the board at the first common moment if it lies flat there,
-    otherwise the cameras stand upright and the board's middle has height 0, which a note says.
 
     Raises
     ------
@@ -268,7 +257,7 @@ def calibrate_from_board(
 
 
 def calibrate_lens(view: ViewKeypoints, board: Board, name: str) -> Camera:
-    """Focal length, principal point and distortion of one camera, from its own film of a board.
+    """Calibrate focal length, principal point and distortion of one camera from its own film of a board.
 
     Raises
     ------
@@ -298,7 +287,7 @@ def calibrate_lens(view: ViewKeypoints, board: Board, name: str) -> Camera:
 
 
 def _chain(sightings: Sightings, focals: FloatArray, board: Board, names: Sequence[str]) -> Rig:
-    """The rig in the axes of its first camera, in metres: from view to view by the moments that both see."""
+    """Return the rig in metres in the axes of its first camera, joined by moments that two views share."""
     n_views = len(focals)
     poses = [
         [_find_pose(sightings, focals, board, view, moment) for moment in range(sightings.points.shape[1])]
@@ -331,7 +320,7 @@ def _chain(sightings: Sightings, focals: FloatArray, board: Board, names: Sequen
 def _find_pose(
     sightings: Sightings, focals: FloatArray, board: Board, view: int, moment: int
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Rotation and translation from the board's axes to a camera's; None where it does not see enough."""
+    """Return rotation and translation from the board's axes to a camera's; None with too few corners."""
     from dousa.extras import cv2
 
     good = sightings.weights[view, moment] > 0
@@ -346,7 +335,7 @@ def _find_pose(
 
 
 def _find_floor(rig: Rig, points: FloatArray, board: Board) -> tuple[Rig, FloatArray, bool]:
-    """The rig and the points with Y up and the floor at 0, and whether the board lay on it."""
+    """Return the rig and the points with Y up and the floor at 0, and whether the board lay on it."""
     first = next(frame for frame in points if np.isfinite(frame).all(axis=-1).sum() >= _LEAST_CORNERS)
     known = first[np.isfinite(first).all(axis=-1)]
     centre = known.mean(axis=0)

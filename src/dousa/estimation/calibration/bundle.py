@@ -1,14 +1,12 @@
 """Bundle adjustment of a moving body: cameras, points, limb lengths, focal lengths and times in one least-squares fit.
 
-The unknowns are the rig (a pose, a focal length and a time offset of each camera), the length of each limb, and the
-place of each point at each moment. Residuals are distances in the images by the spread expected there, and how far a
-limb is from its length, which ties the scale of the points at different moments together. Both are weighted by a
-robust function (Cauchy's), so that left and right exchanged, or a wrong point, pull little.
+The unknowns are a pose, a focal length and a time offset of each camera, the length of each limb, and the place of
+each point at each moment. Residuals are distances in the images by their expected spread, and deviations of limbs from
+their lengths, which tie the scale of different moments together. Both have robust weights (Cauchy's), so that
+exchanged sides or wrong points pull little.
 
-The points of one moment meet those of another only through the rig, so the normal equations are solved by eliminating
-them moment by moment (Schur's complement; Triggs et al., Bundle adjustment - a modern synthesis, 2000, section 6.1):
-the cost of a step grows linearly with the number of moments. `scipy.optimize.least_squares` with the same residuals is
-the oracle of the tests.
+The normal equations are solved by eliminating the points moment by moment (Schur's complement; Triggs et al., Bundle
+adjustment - a modern synthesis, 2000, section 6.1): the cost of a step grows linearly with the number of moments.
 """
 
 from __future__ import annotations
@@ -40,7 +38,7 @@ class Rig:
     rotations : (V, 3, 3) from the world to the camera's axes (x right, y down, z forward).
     translations : (V, 3) x_camera = R x_world + t, in the unit of the world.
     focals : (V,) px.
-    offsets : (V,) s, what is added to a camera's own time to get the common time.
+    offsets : (V,) s, added to a camera's own time to get the common time.
     """
 
     rotations: FloatArray
@@ -55,15 +53,15 @@ class Rig:
 
     @property
     def positions(self) -> FloatArray:
-        """(V, 3) where the cameras stand."""
+        """(V, 3) the camera positions."""
         return np.asarray(-np.einsum("vij,vi->vj", self.rotations, self.translations))
 
     def to_camera(self, points: FloatArray) -> FloatArray:
-        """Points (T, K, 3) of the world along the axes of each camera, (V, T, K, 3)."""
+        """Transform points (T, K, 3) of the world to the axes of each camera, (V, T, K, 3)."""
         return np.asarray(np.einsum("vij,tkj->vtki", self.rotations, points) + self.translations[:, None, None])
 
     def project(self, points: FloatArray) -> FloatArray:
-        """Where points (T, K, 3) are seen, (V, T, K, 2) px from the principal points; nan behind a camera."""
+        """Project points (T, K, 3) to (V, T, K, 2) px from the principal points; nan behind a camera."""
         local = self.to_camera(points)
         depth = np.where(local[..., 2:] > _NEAR, local[..., 2:], np.nan)
         return np.asarray(self.focals[:, None, None, None] * local[..., :2] / depth)
@@ -71,14 +69,14 @@ class Rig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sightings:
-    """What the cameras saw at common moments.
+    """The points seen by the cameras at common moments.
 
     Parameters
     ----------
-    points : (V, T, K, 2) px from the principal points, without distortion; anything where the weight is 0.
-    weights : (V, T, K) 0 to 1, how much a point counts; 0 where it was not seen.
-    spreads : (V,) px, by how far a point is expected to be off.
-    velocities : (V, T, K, 2) px/s, by which the points follow a change of the time offset.
+    points : (V, T, K, 2) px from the principal points, without distortion; arbitrary where the weight is 0.
+    weights : (V, T, K) 0 to 1; 0 where a point was not seen.
+    spreads : (V,) px, expected error of a point.
+    velocities : (V, T, K, 2) px/s, change of the points with the time offset.
     offsets : (V,) s, the time offsets with which the points were read.
     """
 
@@ -96,13 +94,13 @@ class Sightings:
 
 @dataclass(frozen=True, slots=True)
 class Limb:
-    """Two points whose distance hardly changes.
+    """Two points at a nearly constant distance.
 
     Parameters
     ----------
     first, second : places among the points.
     kind : limbs of one kind are equally long (left and right).
-    spread : relative; how much the distance of the points as they are seen changes.
+    spread : relative change of the seen distance.
     """
 
     first: int
@@ -113,14 +111,14 @@ class Limb:
 
 @dataclass(frozen=True, slots=True)
 class Freedom:
-    """What may change, besides points and limb lengths.
+    """The free unknowns, besides points and limb lengths.
 
     Parameters
     ----------
-    poses : the poses of all cameras but the first, which stays where it is.
+    poses : the poses of all cameras but the first.
     focals : the focal lengths.
     offsets : the time offsets of all cameras but the first.
-    focal_spread : relative; how far the focal lengths are expected to be from their first values.
+    focal_spread : relative; expected deviation of the focal lengths from their first values.
     """
 
     poses: bool = True
@@ -129,7 +127,7 @@ class Freedom:
     focal_spread: float = 0.3
 
     def mask(self, n_views: int) -> BoolArray:
-        """(V * 8,) True where a camera's unknown may change."""
+        """Return (V * 8,) True where a camera's unknown may change."""
         free = np.zeros((n_views, CAMERA_UNKNOWNS), bool)
         free[1:, :6] = self.poses
         free[:, _FOCAL] = self.focals
@@ -147,8 +145,7 @@ class Fit:
     points : (T, K, 3) in the unit of the world; nan where fewer than two cameras saw a point.
     lengths : (L,) of each kind of limb.
     cost : half the sum of the robust squares.
-    covariance : (V * 8, V * 8) of the cameras' unknowns for independent residuals of the expected spread; 0 where one
-        was not free.
+    covariance : (V * 8, V * 8) of the cameras' unknowns for independent residuals of the expected spread.
     """
 
     rig: Rig
@@ -171,15 +168,11 @@ def adjust(
     Parameters
     ----------
     sightings : V views, T moments, K points.
-    rig : first guess.
+    rig : first guess; its first camera stays.
     points : (T, K, 3) first guess; nan where there is none.
-    limbs : what keeps its length; those with an end that is not there do not count.
+    limbs : of constant length.
     freedom : what may change.
     steps : at most.
-
-    Returns
-    -------
-    The fitted scene; its first camera is where it was.
     """
     known = sightings.seen_twice & np.isfinite(points).all(axis=-1)
     problem = _Problem(sightings, known, tuple(limbs), freedom, np.log(rig.focals))
@@ -204,7 +197,7 @@ def adjust(
 
 
 def _measure_limbs(points: FloatArray, known: BoolArray, limbs: Sequence[Limb]) -> FloatArray:
-    """(L,) logarithms of the middle lengths of the kinds of limbs; of one never seen the middle of the others."""
+    """Return (L,) logarithms of the median lengths of the kinds of limbs; unseen ones take the median of the others."""
     n_kinds = 1 + max((limb.kind for limb in limbs), default=-1)
     found: list[list[FloatArray]] = [[] for _ in range(n_kinds)]
     for limb in limbs:
@@ -225,8 +218,6 @@ class _State:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Problem:
-    """Residuals, and their derivatives."""
-
     sightings: Sightings
     known: BoolArray
     limbs: tuple[Limb, ...]
@@ -246,7 +237,7 @@ class _Problem:
         return 0.5 * total
 
     def _image_residuals(self, state: _State) -> tuple[FloatArray, FloatArray]:
-        """Residuals (V, T, K, 2) in spreads, and how much each counts (V, T, K)."""
+        """Return residuals (V, T, K, 2) in spreads, and their weights (V, T, K)."""
         seen = self.sightings
         local = state.rig.to_camera(state.points)
         depth = local[..., 2:]
@@ -258,7 +249,7 @@ class _Problem:
         return np.where(counts[..., None] > 0, off, 0.0), counts
 
     def _limb_residuals(self, state: _State, limb: Limb) -> tuple[FloatArray, BoolArray, FloatArray, FloatArray]:
-        """Residuals (T,) in spreads, where they are known, the vectors along the limb (T, 3) and their lengths."""
+        """Return residuals (T,) in spreads, where they are known, and the limb vectors (T, 3) and their lengths."""
         both = self.known[:, limb.first] & self.known[:, limb.second]
         along = state.points[:, limb.first] - state.points[:, limb.second]
         length = np.maximum(np.linalg.norm(along, axis=-1), 1e-9)
@@ -266,7 +257,7 @@ class _Problem:
         return rest, both, along, length
 
     def linearise(self, state: _State) -> _System:
-        """Normal equations about a state."""
+        """Return the normal equations about a state."""
         n_views, n_frames, n_points = self.sightings.weights.shape
         n_cameras, n_kinds = n_views * CAMERA_UNKNOWNS, len(state.lengths)
         system = _System(
@@ -305,7 +296,7 @@ class _Problem:
             system.mixed[:, here] += np.einsum("tkia,tkib->takb", weighted, by_point)
 
     def _derivatives(self, rig: Rig, view: int, local: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Of one view's residuals, by the camera's unknowns (T, K, 2, 8) and by the points (T, K, 2, 3)."""
+        """Differentiate one view's residuals by the camera's unknowns (T, K, 2, 8) and by the points (T, K, 2, 3)."""
         spread, focal = self.sightings.spreads[view], rig.focals[view]
         depth = np.maximum(local[..., 2], _NEAR)
         by_local = np.zeros((*local.shape[:2], 2, 3))
@@ -340,7 +331,7 @@ class _Problem:
         system.mixed[:, place, j] += cross
 
     def move(self, state: _State, step: FloatArray, shifts: FloatArray) -> _State:
-        """The state after a step of the global unknowns and of the points."""
+        """Return the state after a step of the global unknowns and of the points."""
         rig = state.rig
         n_cameras = rig.n_views * CAMERA_UNKNOWNS
         cameras = step[:n_cameras].reshape(-1, CAMERA_UNKNOWNS)
@@ -356,7 +347,7 @@ class _Problem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _System:
-    """Normal equations: global unknowns (G,), points (T, K, 3), and what couples them."""
+    """Normal equations: global unknowns (G,), points (T, K, 3), and their coupling."""
 
     hessian: FloatArray  # (G, G)
     gradient: FloatArray  # (G,)
@@ -367,7 +358,7 @@ class _System:
     n_cameras: int  # of the global unknowns, those of the cameras; the rest are limbs
 
     def solve(self, damping: float) -> tuple[FloatArray, FloatArray]:
-        """The step (G,) of the global unknowns and (T, K, 3) of the points."""
+        """Return the step (G,) of the global unknowns and (T, K, 3) of the points."""
         n_frames, n_points = self.forces.shape[:2]
         reduced, force, solved_forces, solved_mixed = self._reduce(damping)
         step = np.zeros(len(self.gradient))
@@ -376,7 +367,7 @@ class _System:
         return step, shifts.reshape(n_frames, n_points, 3)
 
     def _reduce(self, damping: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Schur's complement of the points: (F, F) and (F,) of the free unknowns, and what gives the points."""
+        """Return Schur's complement (F, F) and (F,) of the free unknowns, and the solutions for the points."""
         n_frames, size = len(self.forces), 3 * self.forces.shape[1]
         blocks = self.blocks.reshape(n_frames, size, size).copy()
         diagonal = np.arange(size)
@@ -393,7 +384,7 @@ class _System:
         return reduced, force, solved[..., -1], solved[..., :-1]
 
     def covariance(self) -> FloatArray:
-        """Of the cameras' unknowns, (V * 8, V * 8)."""
+        """Return the covariance (V * 8, V * 8) of the cameras' unknowns."""
         reduced = self._reduce(0.0)[0]
         whole = np.zeros((len(self.free), len(self.free)))
         whole[np.ix_(self.free, self.free)] = np.linalg.pinv(reduced, hermitian=True)

@@ -1,9 +1,9 @@
-"""Calibrates cameras from films of a person who moves: from keypoints, and a stature for the metres.
+"""Calibration of cameras from keypoints of a moving person of known stature.
 
-Metres: ankle to knee to hip to shoulder is 0.775 of a person's stature, and hardly depends on the posture or on where
-networks put hips, which are between (Winter, Biomechanics and Motor Control of Human Movement: 0.779; on films of a man
-of 1.72 m: 0.768). Up: the centre of mass is above the feet that carry it, most cameras stand upright (their
-rows are level), and feet that rest are on one plane. The first camera looks from +Z.
+Scale: ankle to knee to hip to shoulder is 0.775 of a person's stature, nearly independent of posture and of where
+networks put hips (Winter, Biomechanics and Motor Control of Human Movement: 0.779; on films of a man of 1.72 m:
+0.768). Up: the centre of mass is above the feet that carry it, most cameras stand upright (their rows are level), and
+resting feet are on one plane. The first camera looks from +Z.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _LIFTED = 0.08  # m, by which the foot that does not carry is above the other
 # Shares of the body's mass between two points (Winter), arms and head by the trunk's ends.
 _MASSES = {("hip", "shoulder"): 0.6, ("hip", "knee"): 0.2, ("knee", "ankle"): 0.093, ("shoulder", "elbow"): 0.06,
            ("elbow", "wrist"): 0.047}  # fmt: skip
-_FOOT_SPREAD, _FEET = 0.03, 10.0  # m that feet are off the plane, and how many of them tell something of their own
+_FOOT_SPREAD, _FEET = 0.03, 10.0  # m that feet are off the plane, and how many of them are independent
 _RESTING = 0.25  # m/s
 _NEAR_FLOOR = 0.12  # m
 _LOW = 0.15  # quantile of a foot's heights at which it rests
@@ -45,7 +45,7 @@ _HEIGHTS = {"heel": 0.025, "foot_index": 0.005, "big_toe": 0.005, "ankle": 0.06}
 
 
 def measure_stature(points: FloatArray, names: Sequence[str]) -> float | None:
-    """The stature in the unit of points (T, K, 3) that are nan where unknown; None where no limb tells it."""
+    """Measure the stature in the unit of points (T, K, 3), nan where unknown; None without the limbs."""
     chain = [
         _length(points, names, "ankle", "knee"),
         _length(points, names, "knee", "hip"),
@@ -60,7 +60,7 @@ def measure_stature(points: FloatArray, names: Sequence[str]) -> float | None:
 
 
 def _length(points: FloatArray, names: Sequence[str], first: str, second: str) -> float | None:
-    """The middle length of a limb over both sides."""
+    """Return the median length of a limb, averaged over both sides."""
     sides = [(f"{side}_{first}", f"{side}_{second}") for side in ("left", "right")]
     there = [(names.index(a), names.index(b)) for a, b in sides if a in names and b in names]
     lengths = [np.linalg.norm(points[:, a] - points[:, b], axis=-1) for a, b in there]
@@ -75,7 +75,7 @@ def _middle_length(points: FloatArray, names: Sequence[str], first: str, second:
 
 
 def find_middle(points: FloatArray, names: Sequence[str], name: str) -> FloatArray:
-    """(T, 3) the middle between the left and the right point; nan where one is unknown."""
+    """Return (T, 3) the middle between the left and the right point; nan where one is unknown."""
     pair = [f"{side}_{name}" for side in ("left", "right")]
     if not all(one in names for one in pair):
         return np.full((len(points), 3), np.nan)
@@ -85,7 +85,9 @@ def find_middle(points: FloatArray, names: Sequence[str], name: str) -> FloatArr
 def find_world(
     rig: Rig, points: FloatArray, names: Sequence[str], stature: float, moments: FloatArray
 ) -> tuple[Rig, FloatArray] | None:
-    """The rig and the points in metres, Y up, the floor at 0, the person about the origin.
+    """Return the rig and the points in metres, Y up, the floor at 0, the person about the origin.
+
+    Returns None without a limb for the scale.
 
     Parameters
     ----------
@@ -94,10 +96,6 @@ def find_world(
     names : (K,) of the points.
     stature : m.
     moments : (T,) s.
-
-    Returns
-    -------
-    Both, moved, turned and scaled; None where no limb tells the scale.
     """
     measured = measure_stature(points, names)
     if measured is None or not measured > 0:
@@ -122,7 +120,7 @@ def find_world(
 
 
 def _find_up(rig: Rig, points: FloatArray, names: Sequence[str], moments: FloatArray) -> FloatArray:
-    """The unit vector from the feet that carry people to their centres of mass, and square to rows and resting feet."""
+    """Find the up vector from centres of mass above carrying feet, level image rows and resting feet."""
     level, cameras = rig.rotations[:, 0], -rig.rotations[:, 1].mean(axis=0)
     along = find_middle(points, names, "shoulder") - find_middle(points, names, "ankle")
     along = along[np.isfinite(along).all(axis=-1)]
@@ -142,10 +140,7 @@ def _find_up(rig: Rig, points: FloatArray, names: Sequence[str], moments: FloatA
 
 
 def _find_load(points: FloatArray, names: Sequence[str], moments: FloatArray, up: FloatArray) -> FloatArray | None:
-    """The unit vector from the feet that carry the body to its centre of mass, over all moments; None if unknown.
-
-    Who does not fall has the centre of mass above the feet that carry it, whatever the posture.
-    """
+    """Return the unit vector from the carrying feet to the centre of mass, over all moments; None if unknown."""
     mass, total = np.zeros((len(points), 3)), 0.0
     for (first, second), share in _MASSES.items():
         mass += share * (find_middle(points, names, first) + find_middle(points, names, second)) / 2.0
@@ -168,7 +163,7 @@ def _find_load(points: FloatArray, names: Sequence[str], moments: FloatArray, up
 
 
 def _find_foot(points: FloatArray, names: Sequence[str], side: str) -> FloatArray | None:
-    """(T, 3) the middle of the foot's points."""
+    """Return (T, 3) the middle of the foot's points."""
     there = [names.index(f"{side}_{kind}") for kind in _HEIGHTS if f"{side}_{kind}" in names]
     return np.asarray(points[:, there].mean(axis=1)) if there else None
 
@@ -179,7 +174,7 @@ def _smallest(form: FloatArray, about: FloatArray) -> FloatArray:
 
 
 def _find_resting(points: FloatArray, names: Sequence[str], moments: FloatArray, up: FloatArray) -> FloatArray:
-    """(N, 3) feet that rest near the floor, each less the middle height of its kind."""
+    """Return (N, 3) resting feet near the floor, each less the median height of its kind."""
     kept = []
     for kind in _HEIGHTS:
         for side in ("left", "right"):
@@ -198,7 +193,7 @@ def _find_resting(points: FloatArray, names: Sequence[str], moments: FloatArray,
 
 
 def _find_heights(points: FloatArray, names: Sequence[str], stature: float) -> float:
-    """The height of the floor among points whose Y is up."""
+    """Return the height of the floor among points with Y up."""
     found = []
     for kind, share in _HEIGHTS.items():
         both = [names.index(f"{side}_{kind}") for side in ("left", "right") if f"{side}_{kind}" in names]
@@ -222,15 +217,15 @@ _STATURES = (0.5, 2.6)  # m
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibratedView:
-    """How well one camera fits.
+    """The quality of one camera.
 
     Parameters
     ----------
     name : of the view.
-    residual : px, middle distance of the points from where they are seen.
+    residual : px, median reprojection error.
     share : of the points that are within three expected spreads.
-    turn : rad, standard deviation of the camera's direction; 0 of the first, relative to which the others are given.
-    n_points : how many were looked at.
+    turn : rad, standard deviation of the camera's direction relative to the first, whose is 0.
+    n_points : number of points used.
     """
 
     name: str
@@ -247,11 +242,11 @@ class Calibration:
     Parameters
     ----------
     cameras : (V,) in metres with Y up and the floor at 0.
-    views : (V,) how well each fits.
-    parallax : rad, middle angle between the lines of sight to a point.
-    points : (T, K, 3) m, what was seen; nan where unknown.
+    views : (V,) quality of each.
+    parallax : rad, median angle between the lines of sight to a point.
+    points : (T, K, 3) m, the points seen; nan where unknown.
     names : (K,) of the points; none for a board.
-    warnings : what a person should know.
+    warnings : notes for the user.
     """
 
     cameras: tuple[Camera, ...]
@@ -271,20 +266,16 @@ def calibrate_from_person(
     offsets: Sequence[float] | None = None,
     people: Sequence[int] | None = None,
 ) -> Calibration:
-    """Find where cameras stand from the keypoints of one person who moves before them.
+    """Calibrate cameras from the keypoints of one person who moves before them.
 
     Parameters
     ----------
     views : (V,) two films or more; the camera of each stands still.
     stature : m, of the person.
-    cameras : (V,) whose focal length, principal point and distortion are known; where they stand does not count.
-    focals : (V,) px, where nothing else is known. Without either, focal lengths are found too, near those of phones.
+    cameras : (V,) with known focal length, principal point and distortion; their poses are ignored.
+    focals : (V,) px, if nothing else is known. Without either, focal lengths are found too, near those of phones.
     offsets : (V,) s, added to the time of each film to get the common time; 0 by default. See `sync`.
     people : (V,) places of the person among those of each view; the first by default.
-
-    Returns
-    -------
-    The cameras and how well they fit.
 
     Raises
     ------
@@ -327,12 +318,12 @@ def _check_numbers(views: Sequence[ViewKeypoints], stature: float, **given: Sequ
 
 
 def guess_lenses(views: Sequence[ViewKeypoints], focals: Sequence[float] | None = None) -> tuple[Camera, ...]:
-    """Cameras of given or of usual focal lengths, with the principal point in the middle; where they stand is a guess.
+    """Return cameras of given or usual focal lengths, with the principal point in the middle and an arbitrary pose.
 
     Parameters
     ----------
-    views : of their pictures' sizes.
-    focals : (V,) px; by default 0.85 times the longer side of the picture.
+    views : for the image sizes.
+    focals : (V,) px; by default 0.85 times the longer side of the image.
     """
     known = focals or [USUAL_FOCAL * max(view.size) for view in views]
     return tuple(
@@ -399,7 +390,7 @@ def _finish(
 
 
 def _fill(points: FloatArray) -> FloatArray:
-    """Points that are never known are of no use for a spread."""
+    """Drop points that are never known."""
     known = np.isfinite(points).any(axis=(0, 2))
     return points[:, known]
 
@@ -426,7 +417,7 @@ def rate_views(fit: Fit, sightings: Sightings, names: Sequence[str]) -> tuple[Ca
 
 
 def measure_parallax(fit: Fit, sightings: Sightings) -> float:
-    """rad, the middle over the points of the widest angle between two lines of sight."""
+    """Compute the median (rad) over the points of the widest angle between two lines of sight."""
     rays = fit.points[None] - fit.rig.positions[:, None, None]
     rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     widest = np.full(fit.points.shape[:2], np.nan)

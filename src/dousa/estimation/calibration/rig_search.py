@@ -1,9 +1,8 @@
-"""Finds a first guess of a rig: a pair of views by its essential matrix, the others by the points of that pair.
+"""First guess of a rig: a pair of views by its essential matrix, the others by the points of that pair.
 
-Essential matrices come from the points of all moments (Nister's five points and MAGSAC++, as OpenCV has them) in
-normalised coordinates: x / z and y / z along the camera's axes. The result depends on chance where cameras face each
-other or the body is flat, so several poses are tried, each improved by a few steps of the bundle adjustment, and the
-one with the least cost is kept.
+Essential matrices come from the points of all moments (Nister's five points and MAGSAC++, as in OpenCV) in
+normalised coordinates: x / z and y / z along the camera's axes. As chance matters where cameras face each other or the
+body is flat, several poses are tried, each improved by a few steps of the bundle adjustment, and the best is kept.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import numpy as np
 from dousa.arrays import BoolArray, FloatArray
 from dousa.estimation.calibration.bundle import Fit, Freedom, Limb, Rig, Sightings, adjust
 
-_MOST_PAIRS = 1500  # points that RANSAC looks at: more of the same person tell it nothing new
+_MOST_PAIRS = 1500  # points for RANSAC: more of the same person add nothing
 _LEAST_PAIRS = 30
 _SURE = 0.999
 _MOST_TRIALS = 1000
@@ -27,14 +26,14 @@ _SEED = 7
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelativePose:
-    """A second camera as the first one sees it.
+    """The pose of a second camera relative to a first.
 
     Parameters
     ----------
     rotation : (3, 3) from the first camera's axes to the second's.
     translation : (3,) of length 1.
     share : of the points that agree, 0 to 1.
-    parallax : rad, middle angle between the two lines of sight of a point that agrees.
+    parallax : rad, median angle between the two lines of sight of an agreeing point.
     """
 
     rotation: FloatArray
@@ -44,16 +43,12 @@ class RelativePose:
 
 
 def find_relative_poses(first: FloatArray, second: FloatArray, spread: float) -> list[RelativePose]:
-    """How two cameras may stand to each other, by estimators that fail in different cases.
+    """Return different possible poses of two cameras; none with too few points, or none before both cameras.
 
     Parameters
     ----------
     first, second : (N, 2) normalised coordinates of the same points.
-    spread : by how far a point is off, normalised; twice as far still agrees.
-
-    Returns
-    -------
-    Different poses; none where there are too few points, or no pose puts them before both cameras.
+    spread : normalised error of a point; twice as far still agrees.
     """
     from dousa.extras import cv2
 
@@ -71,7 +66,7 @@ def find_relative_poses(first: FloatArray, second: FloatArray, spread: float) ->
 
 
 def _turn_between(first: FloatArray, second: FloatArray) -> float:
-    """Angle between two rotations, rad."""
+    """Compute the angle between two rotations, rad."""
     return float(np.arccos(np.clip((np.trace(first @ second.T) - 1.0) / 2.0, -1.0, 1.0)))
 
 
@@ -101,17 +96,15 @@ def _find_relative_pose(first: FloatArray, second: FloatArray, method: int, thre
 
 
 def triangulate(sightings: Sightings, rig: Rig, views: Sequence[int] | None = None) -> FloatArray:
-    """Places of points: nearest to the lines of sight of all views that saw them, in the sense of least squares.
+    """Triangulate points (T, K, 3) by least squares from all views that saw them.
+
+    They are nan where fewer than two views saw a point, or where it would be behind one of them.
 
     Parameters
     ----------
     sightings : V views, T moments, K points.
     rig : the cameras.
     views : those to use; all by default.
-
-    Returns
-    -------
-    (T, K, 3); nan where fewer than two views saw a point, or where it would be behind one that did.
     """
     used = list(range(rig.n_views)) if views is None else list(views)
     weights = np.where(sightings.weights[used] > 0, sightings.weights[used], 0.0)
@@ -133,7 +126,7 @@ def triangulate(sightings: Sightings, rig: Rig, views: Sequence[int] | None = No
 
 
 def _is_well_placed(weights: FloatArray, normal: FloatArray) -> BoolArray:
-    """(T, K) True where at least two lines of sight meet that are not parallel."""
+    """Return (T, K) True where at least two lines of sight meet that are not parallel."""
     least = np.linalg.eigvalsh(normal)[..., 0]
     return np.asarray(((weights > 0).sum(axis=0) >= 2) & (least > 1e-5 * weights.sum(axis=0)))
 
@@ -146,17 +139,15 @@ _MOST_OFF = 2.5  # spreads by which a point may be off for a further view's pose
 
 
 def find_rig(sightings: Sightings, focals: FloatArray, limbs: Sequence[Limb]) -> Fit | None:
-    """Where the cameras stand, in the axes of the first and an arbitrary unit.
+    """Find a first guess of the cameras, in the axes of the first and an arbitrary unit, from at most 40 moments.
+
+    Returns None where no two views agree, or a further view agrees with none.
 
     Parameters
     ----------
     sightings : V views, T moments, K points.
     focals : (V,) px.
-    limbs : what keeps its length.
-
-    Returns
-    -------
-    The best guess, over at most 40 of the moments; None where no two views agree on any, or a view agrees with none.
+    limbs : of constant length.
     """
     some = _pick_moments(sightings)
     starts: list[tuple[float, int, int, RelativePose]] = []
@@ -190,7 +181,7 @@ def _pick_moments(sightings: Sightings) -> Sightings:
 
 
 def _chain(sightings: Sightings, focals: FloatArray, one: int, other: int, pose: RelativePose) -> Rig | None:
-    """A rig that begins with a pair; its first view has the world's axes."""
+    """Return a rig that begins with a pair; its first view has the world's axes."""
     n_views = len(focals)
     rotations, translations = np.tile(np.eye(3), (n_views, 1, 1)), np.zeros((n_views, 3))
     rotations[other], translations[other] = pose.rotation, pose.translation
@@ -215,7 +206,7 @@ def _chain(sightings: Sightings, focals: FloatArray, one: int, other: int, pose:
 def _find_pose(
     sightings: Sightings, points: FloatArray, focal: float, view: int
 ) -> tuple[float, FloatArray, FloatArray]:
-    """Share of the points that agree with a further view's pose, and that pose; 0 where there is none."""
+    """Return the share of points that agree with a further view's pose, and that pose; 0 where there is none."""
     from dousa.extras import cv2
 
     both = np.isfinite(points[..., 0]) & (sightings.weights[view] > 0)
@@ -238,7 +229,7 @@ def _find_pose(
 
 
 def _about_first(rig: Rig) -> Rig:
-    """The same rig in the axes of its first camera."""
+    """Return the same rig in the axes of its first camera."""
     rotation, translation = rig.rotations[0], rig.translations[0]
     turned = rig.rotations @ rotation.T
     return replace(rig, rotations=turned, translations=rig.translations - turned @ translation)

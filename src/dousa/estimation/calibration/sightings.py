@@ -1,8 +1,7 @@
-"""What several films saw at common moments: keypoints between the frames, without distortion, from the principal point.
+"""Keypoints of several films at common moments, without distortion, from the principal point.
 
-A film has its own clock and rate, and its frames may come at unsteady intervals. A point is read at any time by a local
-quadratic fit under a Gaussian window of some 25 ms, which gives its velocity too and takes out the jitter of networks
-that look at each frame alone.
+Films have their own clocks and rates, perhaps uneven. A point is read at any time by a local quadratic fit under a
+Gaussian window of some 25 ms, which yields its velocity too and removes the jitter of networks.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ _FINEST = 1.0 / 60.0  # s, between two moments
 _LEAST_FRAMES = 3
 _JUMP = 0.4  # of the middle distance of points from the person's middle: some 20 cm, farther than a hand in a frame
 
-# Points that tell something of their own: of a face with eleven points a nose and two ears.
+# Distinctive points: of a face with eleven points a nose and two ears.
 _POINTS = (
     "nose", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist",
     "right_wrist", "left_index", "right_index", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle",
@@ -77,12 +76,12 @@ class Track:
 
     @property
     def interval(self) -> float:
-        """s, middle distance between two frames."""
+        """Median distance (s) between two frames."""
         return float(np.median(np.diff(self.times))) if len(self.times) > 1 else 1.0
 
     @property
     def height(self) -> float:
-        """px, middle extent of the person in the picture."""
+        """Median extent (px) of the person in the image."""
         seen = np.where(self.weights[..., None] > 0, self.points, np.nan)
         seen = seen[(self.weights > 0).sum(axis=1) >= 4]
         if not len(seen):
@@ -90,16 +89,9 @@ class Track:
         return float(np.median((np.nanmax(seen, axis=1) - np.nanmin(seen, axis=1)).max(axis=1)))
 
     def read(self, moments: FloatArray, window: float = WINDOW) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Points between the frames.
+        """Read points (M, K, 2) px, velocities (M, K, 2) px/s, and weights (M, K), 0 where undetermined.
 
-        Parameters
-        ----------
-        moments : (M,) s of the film's own clock.
-        window : s, in which points are smoothed; more where frames are far apart.
-
-        Returns
-        -------
-        Points (M, K, 2) px, velocities (M, K, 2) px/s, and weights (M, K), 0 where nothing can be said.
+        ``moments`` (M,) are s of the film's own clock; ``window`` (s) smooths, more where frames are far apart.
         """
         window = max(window, 0.7 * self.interval)
         frames, inside = self._find_frames(moments, _REACH * window)
@@ -120,7 +112,7 @@ class Track:
         return found[..., 0, :], found[..., 1, :] / window, np.where(good & (sure >= LEAST_VISIBILITY), sure, 0.0)
 
     def _find_frames(self, moments: FloatArray, reach: float) -> tuple[IndexArray, BoolArray]:
-        """Frames (M, W) about each moment, and whether each is within reach."""
+        """Return frames (M, W) about each moment, and whether each is within reach."""
         first = np.searchsorted(self.times, moments - reach)
         last = np.searchsorted(self.times, moments + reach, side="right")
         frames = first[:, None] + np.arange(max(1, int((last - first).max(initial=1))))
@@ -128,13 +120,13 @@ class Track:
 
 
 def choose_points(names: Sequence[str]) -> list[int]:
-    """The places among names of points that tell something of their own; all where none of them is known."""
+    """Return the places of distinctive points among names; all places if fewer than eight are known."""
     found = [names.index(name) for name in _POINTS if name in names]
     return found if len(found) >= 8 else list(range(len(names)))
 
 
 def list_limbs(names: Sequence[str]) -> tuple[Limb, ...]:
-    """The limbs between points of these names."""
+    """Return the limbs between points of these names."""
     pairs = [
         [(f"{side}_{first}", f"{side}_{second}") for side in ("left", "right")] for first, second, _ in _SIDED_LIMBS
     ] + [[(first, second)] for first, second, _ in _MIDDLE_LIMBS]
@@ -149,7 +141,7 @@ def list_limbs(names: Sequence[str]) -> tuple[Limb, ...]:
 
 
 def make_track(times: FloatArray, points: FloatArray, visibility: FloatArray, camera: Camera) -> Track:
-    """A track from keypoints in a picture.
+    """Make a track from keypoints in an image.
 
     Parameters
     ----------
@@ -171,7 +163,7 @@ def make_track(times: FloatArray, points: FloatArray, visibility: FloatArray, ca
 
 
 def _find_jumps(points: FloatArray) -> BoolArray:
-    """(T, K) True where a point (T, K, 2) jumps away and back: far from the median of the five frames about it."""
+    """Return (T, K) True where a point (T, K, 2) is far from the median of the five frames about it."""
     if points.shape[1] < 4 or not np.isfinite(points).any():
         return np.zeros(points.shape[:2], bool)
     apart = np.linalg.norm(points - _median(points, axis=1)[:, None], axis=-1)
@@ -182,13 +174,13 @@ def _find_jumps(points: FloatArray) -> BoolArray:
 
 
 def _median(values: FloatArray, axis: int) -> FloatArray:
-    """The median of what is known; 0 where nothing is."""
+    """Compute the median without nan; 0 without values."""
     nothing = np.isnan(values).all(axis=axis, keepdims=True)
     return np.asarray(np.nanmedian(np.where(nothing, 0.0, values), axis=axis))
 
 
 def choose_moments(tracks: Sequence[Track], offsets: FloatArray, most: int) -> FloatArray:
-    """Moments (M,) s of the common time at which at least two films saw the person, evenly spread."""
+    """Choose moments (M,) s of the common time inside at least two films, evenly spread."""
     starts = np.array([track.times[0] for track in tracks]) + offsets
     ends = np.array([track.times[-1] for track in tracks]) + offsets
     grid: FloatArray = np.arange(starts.min(), ends.max() + _FINEST, _FINEST)
@@ -200,12 +192,12 @@ def choose_moments(tracks: Sequence[Track], offsets: FloatArray, most: int) -> F
 
 
 def read_sightings(tracks: Sequence[Track], offsets: FloatArray, moments: FloatArray) -> Sightings:
-    """What the films saw at common moments.
+    """Read the points of the films at common moments.
 
     Parameters
     ----------
     tracks : V films of one person, with the same points.
-    offsets : (V,) s, what is added to each film's own time to get the common time.
+    offsets : (V,) s, added to each film's own time to get the common time.
     moments : (M,) s of the common time.
     """
     read = [track.read(moments - offset) for track, offset in zip(tracks, offsets, strict=True)]

@@ -1,1 +1,1 @@
-"""Cameras, and the files that calibrations come in."""
+"""Cameras and calibration files."""

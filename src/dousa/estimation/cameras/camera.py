@@ -29,14 +29,13 @@ _NEWTON_STEPS = 20  # quadratic convergence: real lenses need four
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:
-    """One calibrated view; `dataclasses.replace` gives a changed copy.
+    """One calibrated view; `dataclasses.replace` returns a changed copy.
 
     Parameters
     ----------
     name : of the view, such as ``"cam01"``.
     width, height : px, size of the image.
-    matrix : (3, 3) px, rows (fx, skew, cx), (0, fy, cy), (0, 0, 1); for an orthographic camera fx and fy are px
-        per metre.
+    matrix : (3, 3) px, rows (fx, skew, cx), (0, fy, cy), (0, 0, 1); px per metre for an orthographic camera.
     rotation : (3, 3) from world axes to camera axes (x right, y down, z forward).
     translation : (3,) m: x_camera = R x_world + t.
     distortion : (5,) k1, k2, p1, p2, k3 as in OpenCV; none by default.
@@ -100,20 +99,14 @@ class Camera:
         return self.width, self.height
 
     def compute_depths(self, points: ArrayLike) -> FloatArray:
-        """Depths (...) m of points (..., 3) m of the world, along the camera's z axis; negative behind the camera."""
+        """Compute depths (...) m of points (..., 3) m along the camera's z axis; negative behind the camera."""
         return np.asarray(np.asarray(points, np.float64) @ self.rotation[2] + self.translation[2])
 
     def project(self, points: ArrayLike) -> FloatArray:
-        """Image coordinates of points of the world, distortion included.
+        """Project points (..., 3) m of the world to image coordinates (..., 2) px, distortion included.
 
-        Parameters
-        ----------
-        points : (..., 3) m, in the world.
-
-        Returns
-        -------
-        (..., 2) px, column and row; NaN for points that are not in front of a pinhole camera. Points far outside
-        the field of view may come out inside the image where the distortion's polynomial folds back, as in OpenCV.
+        NaN for points that are not in front of a pinhole camera. As in OpenCV, points far outside the field of view may
+        fall inside the image where the distortion's polynomial folds back.
         """
         local = np.asarray(points, np.float64) @ self.rotation.T + self.translation
         plane = local[..., :2]
@@ -125,15 +118,9 @@ class Camera:
         return np.stack((k[0, 0] * x + k[0, 1] * y + k[0, 2], k[1, 1] * y + k[1, 2]), axis=-1)
 
     def distort(self, normalised: ArrayLike) -> FloatArray:
-        """Where the lens puts the points (x / z, y / z).
+        """Distort points (..., 2) = (x / z, y / z) on the plane at depth 1 (Brown 1966 in OpenCV's form).
 
-        Parameters
-        ----------
-        normalised : (..., 2) coordinates on the plane at depth 1.
-
-        Returns
-        -------
-        (..., 2) on the same plane, distorted (Brown 1966 in OpenCV's form); unchanged for an orthographic camera.
+        An orthographic camera leaves them unchanged.
         """
         plane = np.asarray(normalised, np.float64)
         if self.kind == "orthographic" or not self.distortion.any():
@@ -151,16 +138,9 @@ class Camera:
         )
 
     def undistort(self, distorted: ArrayLike) -> FloatArray:
-        """The inverse of `distort`.
+        """Invert `distort` for points (..., 2) on the plane at depth 1; NaN where no point is imaged there.
 
-        Parameters
-        ----------
-        distorted : (..., 2) coordinates on the plane at depth 1.
-
-        Returns
-        -------
-        (..., 2) on the same plane; NaN where no point is imaged there. By Newton's method to rounding error, where
-        OpenCV stops after a few fixed-point steps.
+        Newton's method to rounding error, where OpenCV stops after a few fixed-point steps.
         """
         goal = np.asarray(distorted, np.float64)
         if self.kind == "orthographic" or not self.distortion.any():
@@ -179,7 +159,7 @@ class Camera:
         return np.where(settled, found, np.nan)
 
     def _slope(self, plane: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Derivative of `distort`: dx'/dx, dx'/dy = dy'/dx, dy'/dy."""
+        """Compute the derivative of `distort`: dx'/dx, dx'/dy = dy'/dx, dy'/dy."""
         k1, k2, p1, p2, k3 = self.distortion
         x, y = plane[..., 0], plane[..., 1]
         square = x * x + y * y
@@ -192,16 +172,10 @@ class Camera:
         )
 
     def compute_rays(self, pixels: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """The lines of the world that are imaged in pixels.
+        """Compute the lines of sight of pixels (..., 2), column and row; NaN where the lens images nothing.
 
-        Parameters
-        ----------
-        pixels : (..., 2) px, column and row.
-
-        Returns
-        -------
-        Origins (..., 3) m, the camera's centre or a point of an orthographic camera's image plane, and directions
-        (..., 3) of unit length, away from the camera; NaN where the lens images nothing.
+        Returns origins (..., 3) m, the camera's centre or a point of an orthographic camera's image plane, and unit
+        directions (..., 3) away from the camera.
         """
         image = np.asarray(pixels, np.float64)
         k = self.matrix
@@ -217,11 +191,7 @@ class Camera:
         return np.broadcast_to(self.position, directions.shape).copy(), directions
 
     def resized(self, width: int, height: int) -> Camera:
-        """The camera of the image stretched to another size: u' = (u + 1/2) s - 1/2.
-
-        Parameters
-        ----------
-        width, height : px, new size of the image.
+        """Return the camera of the image stretched to another size (px): u' = (u + 1/2) s - 1/2.
 
         Raises
         ------
@@ -234,16 +204,15 @@ class Camera:
         return dataclasses.replace(self, width=width, height=height, matrix=matrix)
 
     def scaled(self, factor_x: float, factor_y: float | None = None) -> Camera:
-        """The camera of the image at another scale.
+        """Return the camera of the image at another scale, rounded to whole pixels.
 
         Parameters
         ----------
-        factor_x, factor_y : new size by old size, above 0; ``factor_y`` is ``factor_x`` by default. The new size is
-            rounded to whole pixels, and the matrix fits the rounded size.
+        factor_x, factor_y : new size by old size, above 0; ``factor_y`` is ``factor_x`` by default.
 
         Raises
         ------
-        CalibrationError : factors that leave no pixel.
+        CalibrationError : factors outside 0 to 1e5, or that leave no pixel.
         """
         factor_y = factor_x if factor_y is None else factor_y
         if not (0 < factor_x < 1e5 and 0 < factor_y < 1e5):
@@ -251,7 +220,7 @@ class Camera:
         return self.resized(round(self.width * factor_x), round(self.height * factor_y))
 
     def in_world(self, rotation: ArrayLike, offset: ArrayLike = (0.0, 0.0, 0.0)) -> Camera:
-        """Express the camera in other axes of the world: x_new = A x_old + b.
+        """Return the camera in other axes of the world: x_new = A x_old + b.
 
         Parameters
         ----------
@@ -267,7 +236,7 @@ class Camera:
         return dataclasses.replace(self, rotation=turned, translation=moved)
 
     def to_row(self) -> FloatArray:
-        """The camera as the kernels take it: (24,), see `CAMERA_ROW`."""
+        """Return the camera as a row (24,) of the kernels, see `CAMERA_ROW`."""
         k = self.matrix
         return np.concatenate(
             (
@@ -281,12 +250,12 @@ class Camera:
 
 
 def format_size(size: Sequence[int]) -> str:
-    """Width and height in pixels as people write them."""
+    """Format width and height in pixels."""
     return f"{size[0]} x {size[1]}"
 
 
 def pack_cameras(cameras: Sequence[Camera]) -> FloatArray:
-    """Cameras as the kernels take them: (V, 24)."""
+    """Return cameras as rows (V, 24) of the kernels."""
     return np.stack([camera.to_row() for camera in cameras])
 
 
@@ -302,19 +271,17 @@ def make_view(
     focal: float | None = None,
     name: str = "view1",
 ) -> Camera:
-    """A camera that stands upright and looks at a point.
+    """Create an upright pinhole camera without distortion that looks at a point.
+
+    Looking straight up or down, the world's +X is to the right.
 
     Parameters
     ----------
-    position : (3,) m, where it stands; Y is up.
-    target : (3,) m, what it looks at, in the middle of the image.
+    position : (3,) m, of the camera; Y is up.
+    target : (3,) m, in the middle of the image.
     size : px, width and height.
     focal : px; by default 1.25 times the shorter side.
     name : of the view.
-
-    Returns
-    -------
-    A pinhole camera without distortion. Looking straight up or down, the world's +X is to the right.
 
     Raises
     ------
@@ -345,24 +312,20 @@ def make_ring(
     focal: float | None = None,
     first_angle: float = 0.0,
 ) -> tuple[Camera, ...]:
-    """Cameras around a person, the first in front.
+    """Create cameras ``"view1"``, ``"view2"`` and so on around a person at equal angles, the first in front.
 
-    They stand at equal angles, except that an even number takes the places of a ring with one camera more and leaves
-    the last out: two cameras that face each other see the same outline mirrored, and tell hardly more than one.
+    An even number takes a ring with one camera more and leaves the last out: two cameras that face each other see the
+    same outline mirrored.
 
     Parameters
     ----------
     n_views : number of cameras, 1 to 100.
-    target : (3,) m, what they look at.
+    target : (3,) m, in the middle of the images.
     distance : m, from the target, over the floor.
     height : m, of the cameras over the floor.
     size : px, width and height.
     focal : px; by default 1.25 times the shorter side.
-    first_angle : rad, where the first camera stands, from +Z (the front) towards +X (the person's left).
-
-    Returns
-    -------
-    Cameras ``"view1"``, ``"view2"`` and so on.
+    first_angle : rad, of the first camera, from +Z (the front) towards +X (the person's left).
 
     Raises
     ------
@@ -384,17 +347,15 @@ def make_ring(
 def fit_cameras(
     cameras: Sequence[Camera], sizes: Sequence[tuple[int, int]]
 ) -> tuple[tuple[Camera, ...], tuple[Message, ...]]:
-    """Cameras for images of other sizes than those they were calibrated with.
+    """Fit cameras to images of other sizes than those of the calibration.
+
+    Returns the stretched cameras, and a note for each image whose shape changes by more than 2 %: it was probably
+    cropped or turned, which no scale corrects.
 
     Parameters
     ----------
     cameras : V cameras.
     sizes : (V,) width and height of the actual images, px.
-
-    Returns
-    -------
-    The cameras stretched to these sizes, and a note for each whose image changes its shape by more than 2 %:
-    such an image was probably cropped or turned, which no scale makes good.
 
     Raises
     ------
@@ -418,7 +379,7 @@ def fit_cameras(
 
 
 def check_cameras(cameras: Sequence[Camera], names: Sequence[str], sizes: Sequence[tuple[int, int]]) -> None:
-    """CalibrationError unless there is one camera for each view, of the size (px) of its masks."""
+    """Raise CalibrationError unless there is one camera for each view, of the size (px) of its masks."""
     if len(cameras) != len(names):
         raise CalibrationError("camera.count", cameras=len(cameras), views=len(names))
     for camera, name, size in zip(cameras, names, sizes, strict=True):
@@ -428,20 +389,15 @@ def check_cameras(cameras: Sequence[Camera], names: Sequence[str], sizes: Sequen
 
 
 def match_cameras(cameras: Sequence[Camera], names: Sequence[str]) -> tuple[tuple[Camera, ...], tuple[Message, ...]]:
-    """The camera of each view, by name.
+    """Return the camera of each view by name, and notes for the user.
 
-    Upper and lower case, spaces, dashes and leading zeros do not count; where that finds none, a camera is taken whose
-    name holds the view's or is held by it (``int_cam01_img`` for ``cam01``). If no view finds any and there are as many
-    cameras as views, they are taken in order, and a note says so.
+    Case, spaces, dashes and leading zeros do not count; otherwise one name may contain the other (``int_cam01_img`` for
+    ``cam01``). If no view has a match and there are as many cameras as views, they are taken in order, with a note.
 
     Parameters
     ----------
     cameras : of the calibration.
     names : (V,) of the views, such as the names of the videos without suffix.
-
-    Returns
-    -------
-    (V,) cameras, each with its own name, and what a person should know.
 
     Raises
     ------
@@ -457,7 +413,7 @@ def match_cameras(cameras: Sequence[Camera], names: Sequence[str]) -> tuple[tupl
 
 
 def find_views(cameras: Sequence[str], names: Sequence[str]) -> list[int]:
-    """Index of the camera of each view, from the names of both; CalibrationError where that is not one camera."""
+    """Return the index of the camera of each view by name; CalibrationError unless there is exactly one."""
     picked = []
     for name in names:
         found = _find(cameras, name)
@@ -479,7 +435,7 @@ def _plain(name: str) -> str:
 
 
 def _find(cameras: Sequence[str], name: str) -> list[int]:
-    """Indices of the cameras that answer to a name, by the strictest rule that finds any."""
+    """Return the indices of the cameras that match a name, by the strictest rule with a match."""
 
     def holds(outer: str, inner: str) -> bool:
         # not cam1 in cam12
@@ -500,7 +456,7 @@ def _find(cameras: Sequence[str], name: str) -> list[int]:
 
 
 def check_names(names: Sequence[str]) -> None:
-    """CalibrationError if two cameras have one name."""
+    """Raise CalibrationError if two cameras have one name."""
     seen: set[str] = set()
     for name in names:
         if name in seen:

@@ -1,11 +1,11 @@
-"""Reads and writes calibration files: Qualisys XML, Pose2Sim TOML, OpenCV, and the cameras of an npz sequence.
+"""Calibration files: Qualisys XML, Pose2Sim TOML, OpenCV, and the cameras of an npz sequence.
 
-A file is known by its content, not by its suffix. To add a format, write a `CameraFormat` and name it in ``_FORMATS``.
+The content determines the format. To add one, write a `CameraFormat` and add it to ``_FORMATS``.
 
 OpenCV's FileStorage is YAML, XML or JSON, one camera for each file, document or section, with the keys of OpenCV's
 calibration sample (``camera_matrix``, ``distortion_coefficients``, ``image_width``, ``image_height``) or usual ones;
-upper and lower case and underscores do not count. The sample writes one pose for each view of the board; a camera's
-place needs one: ``R`` and ``T``, ``rvec`` and ``tvec``, or ``extrinsic_matrix``.
+case and underscores do not count. The sample writes one pose for each view of the board; a camera needs one: ``R``
+and ``T``, ``rvec`` and ``tvec``, or ``extrinsic_matrix``.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _DEEPEST = 20
 
 
 def read_json(text: str) -> dict[str, Any]:
-    """The document; CalibrationError if it is no JSON object."""
+    """Parse a JSON object, else raise CalibrationError."""
     try:
         found = json.loads(text)
     except json.JSONDecodeError as error:
@@ -64,7 +64,7 @@ def read_json(text: str) -> dict[str, Any]:
 
 
 def read_xml(root: ET.Element) -> dict[str, Any]:
-    """The document below ``<opencv_storage>``."""
+    """Return the document below ``<opencv_storage>``."""
     return {child.tag: _read_element(child, 0) for child in root}
 
 
@@ -83,7 +83,7 @@ def _read_element(element: ET.Element, depth: int) -> Any:
 
 
 def _scalar(text: str) -> Any:
-    """A number, or the text; None where there is none."""
+    """Return a number, or the text; None if empty."""
     text = text.strip()
     if text.lower() in (".nan", ".inf", "-.inf", "+.inf"):
         return float(text.lower().replace(".", "", 1))
@@ -94,12 +94,12 @@ def _scalar(text: str) -> Any:
 
 
 def read_yaml(text: str) -> list[dict[str, Any]]:
-    """The documents of a YAML file; tags do not count.
+    """Parse the documents of a YAML file; tags are ignored.
 
     Raises
     ------
-    CalibrationError : no YAML, anchors or aliases, a key that stands twice or is no text, a document that is no
-        mapping, deep nesting; with the line.
+    CalibrationError : no YAML, anchors or aliases, a repeated or non-text key, a document that is no mapping, deep
+        nesting; with the line.
     """
     bare = re.sub(r"^%.*$", "", text, flags=re.MULTILINE)  # OpenCV's "%YAML:1.0" is no directive of YAML
     found = []
@@ -119,7 +119,7 @@ def read_yaml(text: str) -> list[dict[str, Any]]:
 
 
 def _read_node(event: Any, events: Iterator[Any], depth: int) -> Any:
-    """The value that begins with an event."""
+    """Return the value that begins with an event."""
     line = event.start_mark.line + 1
     if depth > _DEEPEST:
         raise CalibrationError("opencv.deep").at(line=line)
@@ -202,7 +202,7 @@ def _plain(tree: dict[Any, Any]) -> _Keys:
 
 
 def _find_cameras(tree: dict[str, Any], name: str) -> Iterator[tuple[str, _Keys]]:
-    """Name and keys of each mapping that has a camera matrix."""
+    """Yield name and keys of each mapping with a camera matrix."""
     keys = _plain(tree)
     if _pick(keys, _MATRIX) is not None:
         given = next((keys[key] for key in _NAME if isinstance(keys.get(key), (str, int, float))), None)
@@ -218,7 +218,7 @@ def _find_cameras(tree: dict[str, Any], name: str) -> Iterator[tuple[str, _Keys]
 
 
 def _word(value: Any) -> str:
-    """A serial number is a word, though it looks like a number."""
+    """Format a serial number, which may be parsed as a number."""
     return f"{value:.0f}" if isinstance(value, float) and value == round(value) else str(value)
 
 
@@ -227,7 +227,7 @@ def _pick(keys: _Keys, names: tuple[str, ...]) -> Any:
 
 
 def _array(value: Any, what: Message) -> Any:
-    """The numbers of a value; OpenCV's matrices and those of ROS are mappings with rows, cols and data."""
+    """Return the numbers of a value; matrices of OpenCV and ROS are mappings with rows, cols and data."""
     if not isinstance(value, dict):
         return value
     keys = _plain(value)
@@ -268,7 +268,7 @@ def _read_size(keys: _Keys, name: str) -> tuple[int, int] | None:
 
 
 def _read_pose(keys: _Keys, name: str) -> tuple[FloatArray, FloatArray]:
-    """Rotation (3, 3) and translation (3,) from world to camera."""
+    """Return rotation (3, 3) and translation (3,) from world to camera."""
     turned, moved = _pick(keys, _ROTATION), _pick(keys, _TRANSLATION)
     if turned is not None and moved is not None:
         what = entry(name, "rotation")
@@ -314,28 +314,25 @@ def read_cameras(
     unit: float | str | None = None,
     up: str | None = None,
 ) -> tuple[Camera, ...]:
-    """Read calibrated cameras.
+    """Read calibrated cameras, in metres with Y up.
+
+    A world with Z up is turned by (x, y, z) -> (y, z, x), as Pose2Sim does.
 
     Parameters
     ----------
     path : a calibration file, or a folder with one for each camera.
-    names : (V,) which cameras, in which order, found as `match_cameras` does but never by their order; by default
-        all, in the order of the file (in a folder, of the names of the files).
-    sizes : (V,) width and height in pixels for cameras whose file tells none, in the order of ``names``. Other
+    names : (V,) which cameras, in which order, matched as by `match_cameras` but never by order; by default all, in
+        the order of the file (in a folder, of the names of the files).
+    sizes : (V,) width and height in pixels for cameras without a size in the file, in the order of ``names``. Other
         cameras keep the size of their calibration, see `fit_cameras`.
     unit : metres per unit of the file, or its name; by default Qualisys in mm, others in m.
-    up : axis of the file's world that points up; by default Z for Qualisys and Pose2Sim, Y for npz. OpenCV has no
-        habit: the axis that the cameras' own up directions are nearest to on average.
-
-    Returns
-    -------
-    Cameras in metres with Y up. A world with Z up is turned by (x, y, z) -> (y, z, x), as Pose2Sim does.
+    up : axis of the file's world that points up; by default Z for Qualisys and Pose2Sim, Y for npz, and for OpenCV the
+        axis nearest to the cameras' own mean up direction.
 
     Raises
     ------
-    CalibrationError : no such file, of no known format, damaged, numbers that make no camera, two cameras of one name,
-        no size, no clear up axis, cameras further than 100 m from the origin with no unit given, a name without
-        camera.
+    CalibrationError : no such file, an unknown format, damaged, invalid numbers, two cameras of one name, no size, no
+        clear up axis, cameras further than 100 m from the origin with no unit given, a name without camera.
     OptionError : no such unit or axis.
     """
     metres = None if unit is None else parse_unit(unit)
@@ -361,7 +358,7 @@ def read_cameras(
 
 
 def _tame(value: Any) -> Any:
-    """A message in one short line, though names and values in it come from the file."""
+    """Shorten a message to one line, as names and values in it come from the file."""
     if isinstance(value, Message):
         return Message(value.code, **{name: _tame(part) for name, part in value.values.items()})
     if isinstance(value, tuple):
@@ -373,11 +370,11 @@ def _tame(value: Any) -> Any:
 
 
 class _NoCalibrationError(CalibrationError):
-    """The content is of no format that is known."""
+    """The content has no known format."""
 
 
 def _read_folder(folder: Path) -> list[_Found]:
-    """What the files of a folder hold; files that are no calibration are passed over."""
+    """Read the calibration files of a folder; other files are skipped."""
     try:
         paths = [entry for entry in folder.iterdir() if entry.suffix.lower() in _SUFFIXES]
     except OSError as error:
@@ -401,7 +398,7 @@ def _read_folder(folder: Path) -> list[_Found]:
 
 
 def _natural_key(path: Path) -> list[tuple[int, str]]:
-    """cam2 before cam10."""
+    """Sort cam2 before cam10."""
     return [(int(word), "") if word.isdecimal() else (-1, word) for word in re.split(r"(\d+)", path.name.lower())]
 
 
@@ -422,7 +419,7 @@ def _read_file(path: str | os.PathLike[str]) -> _Found:
 
 
 def _read_content(path: str | os.PathLike[str]) -> bytes | None:
-    """The bytes of a file of text; None for an npz, which may be large and is read in parts."""
+    """Return the bytes of a text file; None for an npz, which may be large and is read in parts."""
     size = 0
     with suppress(OSError, ValueError):  # what cannot be opened is for read_bytes to name
         status = os.stat(path)
@@ -442,8 +439,8 @@ def _read_content(path: str | os.PathLike[str]) -> bytes | None:
 def write_cameras(path: str | os.PathLike[str], cameras: Sequence[Camera]) -> None:
     """Write cameras as a Pose2Sim TOML; the file appears whole or not at all.
 
-    `read_cameras` reads the same cameras to rounding error. The world is written with Z up, (x, y, z) -> (z, x, y).
-    Pose2Sim does not know orthographic cameras; they carry a key of their own.
+    `read_cameras` reads the same cameras to rounding error. The world has Z up, (x, y, z) -> (z, x, y). Orthographic
+    cameras, unknown to Pose2Sim, have a key of their own.
 
     Parameters
     ----------

@@ -1,17 +1,16 @@
-"""Calibration formats: what they have in common, Qualisys XML, Pose2Sim TOML, and arrays of an npz file.
+"""Calibration formats: common functions, Qualisys XML, Pose2Sim TOML, and arrays of an npz file.
 
 Qualisys Track Manager exports XML (``.qca.txt``, ``.xml``). Intrinsic numbers are in 1/64 pixel, from the middle of the
 sensor's first pixel; the image is the cut-out ``fov_video`` of the sensor. Positions are in mm, Z up. The camera's own
-axes are x right, y up, z backwards: x_camera = diag(1, -1, -1) R (X - C). The distortion is OpenCV's; it belongs to
-normalised coordinates and is no pixel number (some converters divide it by 64 too).
+axes are x right, y up, z backwards: x_camera = diag(1, -1, -1) R (X - C). The distortion is OpenCV's, for normalised
+coordinates and not in pixels (some converters divide it by 64 too).
 
 Pose2Sim (and Anipose) write TOML, one section for each camera: ``size``, ``matrix``, ``distortions`` (k1, k2, p1, p2),
 ``rotation`` (Rodrigues vector) and ``translation`` (m), from a world with Z up to OpenCV's camera axes. Sections
-without a matrix (``metadata``) are not cameras. An orthographic camera, which Pose2Sim does not know, carries
-``kind = "orthographic"``.
+without a matrix (``metadata``) are not cameras. An orthographic camera has ``kind = "orthographic"``.
 
 Arrays beside the masks of an npz sequence: ``camera_matrix`` (V, 3, 3), ``world_to_camera_rotation`` (V, 3, 3),
-``world_to_camera_translation`` (V, 3) m with Y up, ``width`` and ``height`` of the largest image; where needed
+``world_to_camera_translation`` (V, 3) m with Y up, ``width`` and ``height`` of the largest image; optional
 ``camera_distortion`` (V, 5), ``camera_kind`` (V,), ``view_names`` (V,) and, for images of several sizes, ``view_sizes``
 (V, 2). See also `mask_npz`.
 """
@@ -54,7 +53,7 @@ _Y_UP: dict[str, FloatArray] = {
 
 @dataclass(frozen=True, slots=True)
 class RawCamera:
-    """A camera as its file has it.
+    """A camera in the units of its file.
 
     Parameters
     ----------
@@ -81,11 +80,11 @@ class CameraFormat:
 
     Parameters
     ----------
-    name : what people call it.
+    name : for messages.
     parse : (content, name of the file without suffix) -> cameras, or None if the content is of another format.
     unit : metres per unit.
-    up : axis that points up; None if the format has no habit.
-    unit_is_sure : the format fixes the unit, so that great distances are believed.
+    up : axis that points up; None if the format has no convention.
+    unit_is_sure : the format fixes the unit, so that great distances are accepted.
     """
 
     name: str
@@ -96,12 +95,12 @@ class CameraFormat:
 
 
 def entry(camera: str, key: str) -> Message:
-    """An entry of a file, for errors about it."""
+    """Return an entry of a file, for errors about it."""
     return Message("camera_files.entry", camera=camera, key=key)
 
 
 def parse_number(text: object, what: str | Message) -> float:
-    """A finite number, or a CalibrationError about ``what``."""
+    """Return a finite number, or raise CalibrationError about ``what``."""
     value = np.nan
     if isinstance(text, (int, float, str, np.number)) and not isinstance(text, bool) and "_" not in str(text):
         try:  # float() would take 1_000
@@ -114,7 +113,7 @@ def parse_number(text: object, what: str | Message) -> float:
 
 
 def read_numbers(values: Any, shape: tuple[int, ...], what: str | Message) -> FloatArray:
-    """Finite numbers of a shape, from nested lists; a CalibrationError is about ``what``."""
+    """Return finite numbers of a shape from nested lists, or raise CalibrationError about ``what``."""
     flat = flatten(values, what)
     if len(flat) != np.prod(shape):
         size = " x ".join(map(str, shape))
@@ -123,7 +122,7 @@ def read_numbers(values: Any, shape: tuple[int, ...], what: str | Message) -> Fl
 
 
 def flatten(values: Any, what: str | Message) -> list[float]:
-    """Finite numbers of nested lists, however uneven; a CalibrationError is about ``what``."""
+    """Return finite numbers of nested lists, however uneven, or raise CalibrationError about ``what``."""
     if isinstance(values, np.ndarray):
         values = values.ravel().tolist()
     if not isinstance(values, (list, tuple)):
@@ -132,7 +131,7 @@ def flatten(values: Any, what: str | Message) -> list[float]:
 
 
 def read_distortion(values: Any, what: str | Message) -> FloatArray:
-    """(5,) k1, k2, p1, p2, k3 from four or five numbers, or from more whose rest is zero."""
+    """Return (5,) k1, k2, p1, p2, k3 from four or five numbers, or from more whose rest is zero."""
     flat = flatten(values, what)
     if flat and not any(flat):
         return np.zeros(5)
@@ -142,17 +141,12 @@ def read_distortion(values: Any, what: str | Message) -> FloatArray:
 
 
 def rotation_from_vector(vector: FloatArray) -> FloatArray:
-    """(3, 3) of a rotation vector (3,): axis times angle in rad (Rodrigues)."""
+    """Return the matrix (3, 3) of a rotation vector (3,): axis times angle in rad (Rodrigues)."""
     return to_matrix(from_axis_angle(vector))
 
 
 def find_up(raws: Sequence[RawCamera]) -> str:
-    """The axis of the file's world that points up, if cameras stand upright on average.
-
-    Raises
-    ------
-    CalibrationError : the cameras do not agree on an axis.
-    """
+    """Return the axis of the file's world nearest to the cameras' mean up direction; CalibrationError if unclear."""
     mean = np.mean([-raw.rotation[1] for raw in raws], axis=0)
     mean = mean / max(float(np.linalg.norm(mean)), 1e-12)
     axis = int(np.argmax(np.abs(mean)))
@@ -163,7 +157,7 @@ def find_up(raws: Sequence[RawCamera]) -> str:
 
 
 def check_distance(raws: Sequence[RawCamera]) -> None:
-    """CalibrationError where the cameras stand so far away that the numbers cannot be metres."""
+    """Raise CalibrationError if the cameras are too far away for metres."""
     if not raws:
         return
     distance = float(np.median([np.linalg.norm(raw.translation) for raw in raws]))
@@ -172,12 +166,7 @@ def check_distance(raws: Sequence[RawCamera]) -> None:
 
 
 def settle_camera(raw: RawCamera, size: tuple[int, int] | None, unit: float, up: str) -> Camera:
-    """A camera in metres with Y up.
-
-    Raises
-    ------
-    CalibrationError : no size, or numbers that make no camera.
-    """
+    """Return a camera in metres with Y up; CalibrationError without a size or for invalid numbers."""
     size = raw.size or size
     if size is None:
         raise CalibrationError("camera_files.no_size", camera=raw.name)
@@ -189,7 +178,7 @@ def settle_camera(raw: RawCamera, size: tuple[int, int] | None, unit: float, up:
 
 
 def _nearest_rotation(matrix: FloatArray) -> FloatArray:
-    """The rotation that a file with few digits means; what is no rotation stays as it is."""
+    """Return the rotation nearest to a matrix of few digits; other matrices stay unchanged."""
     off = np.abs(matrix @ matrix.T - np.eye(3)).max()
     if not 1e-12 < off <= 1e-3 or np.linalg.det(matrix) < 0:
         return matrix
@@ -259,7 +248,7 @@ def _attribute(element: ET.Element, key: str, camera: str, otherwise: float | No
 
 
 def _read_view(element: ET.Element, intrinsic: ET.Element, camera: str) -> tuple[tuple[int, int], tuple[float, float]]:
-    """Size of the image in pixels, and the sensor's pixel at its upper left corner."""
+    """Return the size of the image in pixels, and the sensor's pixel at its upper left corner."""
     first = [_attribute(intrinsic, f"sensorMin{axis}", camera, 0.0) / _PER_PIXEL for axis in "UV"]
     last = [_attribute(intrinsic, f"sensorMax{axis}", camera, 0.0) / _PER_PIXEL for axis in "UV"]
     sensor = all(high > low for low, high in zip(first, last, strict=True))
@@ -327,7 +316,7 @@ POSE2SIM = CameraFormat("Pose2Sim TOML", _parse_pose2sim, unit=1.0, up="z")
 
 
 def format_cameras(cameras: Sequence[Camera]) -> bytes:
-    """The file's content, in metres with Z up; the numbers are written to the last digit."""
+    """Format cameras in metres with Z up; the numbers keep all digits."""
     lines: list[str] = []
     for number, camera in enumerate(cameras, 1):
         rotation = camera.rotation @ _Y_UP["z"]
@@ -361,7 +350,7 @@ _MOST_BYTES = 1_000_000  # of one array; a thousand cameras need less
 
 
 def read_npz_cameras(path: str | os.PathLike[str]) -> list[RawCamera]:
-    """Cameras of an npz file; nothing but their arrays is loaded.
+    """Read the cameras of an npz file; no other arrays are loaded.
 
     Raises
     ------
@@ -374,7 +363,6 @@ def read_npz_cameras(path: str | os.PathLike[str]) -> list[RawCamera]:
 
 
 def _raw_from_arrays(arrays: Mapping[str, Any]) -> list[RawCamera]:
-    """Cameras from arrays by name."""
     for key in _NEEDED:
         if key not in arrays:
             raise CalibrationError("camera_files.no_array", array=key)
@@ -409,12 +397,7 @@ def _texts(arrays: Mapping[str, Any], key: str, otherwise: list[str]) -> list[st
 
 
 def cameras_to_arrays(cameras: Sequence[Camera]) -> dict[str, np.ndarray]:
-    """Arrays by name that `read_cameras` understands in an npz file.
-
-    Parameters
-    ----------
-    cameras : one or more; distortion and kind are left out where no camera has any but the usual.
-    """
+    """Return arrays by name for `read_cameras` in an npz file; default distortion and kind are left out."""
     sizes = np.array([camera.size for camera in cameras], np.int64)
     arrays = {
         "camera_matrix": np.stack([camera.matrix for camera in cameras]),

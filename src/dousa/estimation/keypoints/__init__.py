@@ -1,1 +1,1 @@
-"""Learned evidence: the points of a person's body in the pictures of a film, and whose points they are."""
+"""Keypoints of people in films, found by networks or read from files."""

@@ -1,7 +1,6 @@
-"""Frames of a film with the time of each, upright.
+"""Upright frames of a film with their time stamps.
 
-Phones do not film at a steady rate, and turn their pictures by a flag: here every frame comes with its own time stamp
-and as it is meant to be seen. Frames are decoded one at a time, in the order in which they are shown.
+Phones film at an uneven rate and store rotation as a flag. Frames are decoded one at a time in the order of display.
 """
 
 from __future__ import annotations
@@ -29,18 +28,14 @@ Frame = tuple[int, float, Image]
 
 
 class FilmFrames:
-    """A film that is read once from its beginning to its end.
+    """A film read once from beginning to end.
 
-    Parameters
-    ----------
-    path : the film.
-
-    ``size`` is width and height in px, upright; ``n_stated`` the number of frames by the header, 0 where it does not
-    say; ``nominal_rate`` Hz; ``n_damaged`` packets that could not be decoded so far.
+    ``size`` is width and height in px, upright; ``n_stated`` the number of frames in the header, 0 if absent;
+    ``nominal_rate`` Hz; ``n_damaged`` packets that could not be decoded so far.
 
     Raises
     ------
-    KeypointError : missing, no film, a codec that is lacking, nothing that can be decoded.
+    KeypointError : missing, no film, an unsupported codec, no frame that can be decoded.
     MissingExtraError : PyAV is not installed.
     """
 
@@ -94,7 +89,7 @@ class FilmFrames:
         return max(0, round(seconds * self.nominal_rate))
 
     def _decode(self) -> Iterator[Any]:
-        """Decoded frames; packets that are damaged are left out."""
+        """Yield decoded frames; damaged packets are left out."""
         error_kinds = (self._av.error.FFmpegError, ValueError)
         packets = self._container.demux(self._stream)
         while True:
@@ -111,15 +106,13 @@ class FilmFrames:
                 self.n_damaged += 1
 
     def read(self, skip: int = 0) -> Iterator[Frame]:
-        """Frame number, s since the first frame, and picture (H, W, 3) red, green, blue; only once.
+        """Yield frame number, s since the first frame, and image (H, W, 3) red, green, blue; only once.
 
-        Parameters
-        ----------
-        skip : frames at the beginning that are not given.
+        The first ``skip`` frames are not yielded.
 
         Raises
         ------
-        KeypointError : the size of the pictures changes.
+        KeypointError : the size of the images changes.
         """
         start, last = None, -np.inf
         frame, waiting = 0, self._first
@@ -143,7 +136,7 @@ class FilmFrames:
         return np.ascontiguousarray(np.rot90(picture, self._turns)) if self._turns else picture
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._container.close()
 
     def __enter__(self) -> Self:
@@ -157,7 +150,7 @@ class FilmFrames:
 
 @contextmanager
 def read_ahead(frames: Iterator[Frame]) -> Iterator[Iterator[Frame]]:
-    """The same frames, of which a thread decodes the next while one is looked at."""
+    """Yield the same frames while a thread decodes the next ones."""
     waiting: deque[Future[Frame | None]] = deque()
     with ThreadPoolExecutor(1) as pool:
 
@@ -171,5 +164,5 @@ def read_ahead(frames: Iterator[Frame]) -> Iterator[Iterator[Frame]]:
 
 
 def count_turns(frame: Any) -> int:
-    """Quarter turns against the clock, 0 to 3, that make a decoded frame upright, by its display matrix."""
+    """Return the quarter turns counter-clockwise, 0 to 3, that make a decoded frame upright, by its display matrix."""
     return round(int(getattr(frame, "rotation", 0)) / 90) % 4

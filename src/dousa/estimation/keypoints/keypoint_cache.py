@@ -1,9 +1,8 @@
-"""What was found in a film is kept in the user's cache: finished, to be read again; unfinished, to go on from.
+"""The cache of keypoints: finished films to read again, unfinished ones to continue.
 
-A film is known by its content, so that it may be moved or renamed. While a film is looked at, sightings go to the disk
-frame by frame in a folder of this process; where that is interrupted, the folder is left for the next one that looks
-at the same film in the same way. Nothing of it grows in memory with the film. Films that were used least lately are
-forgotten where all of them take more than `MOST_BYTES`.
+Films are identified by content, so they may be moved or renamed. During a search sightings are written frame by frame
+into a folder of this process; an interrupted search leaves it to the next one with the same film and settings. The
+least recently used films are removed beyond `MOST_BYTES`.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ _POINTS, _MASKS, _CROPS, _DAMAGED = "keypoints.npz", "masks.npy", "crops.npy", "
 
 
 def fingerprint_film(path: str | os.PathLike[str], settings: Mapping[str, Any]) -> str:
-    """A short text for a film's content and the settings: of a large film, its size and samples of its bytes."""
+    """Compute a hash of a film and the settings: of its size and samples of its bytes."""
     digest = hashlib.sha256(json.dumps(dict(settings), sort_keys=True, default=str).encode())
     try:
         with open(path, "rb") as file:
@@ -56,14 +55,14 @@ def fingerprint_film(path: str | os.PathLike[str], settings: Mapping[str, Any]) 
 
 
 class KeypointCache:
-    """The place of one film's keypoints.
+    """The cached keypoints of one film.
+
+    ``n_damaged`` is the number of packets that could not be decoded, after loading or finishing.
 
     Parameters
     ----------
     folder : of all films; None keeps nothing.
     key : of the film and the settings, see `fingerprint_film`.
-
-    ``n_damaged`` is how many packets of the film could not be decoded, once keypoints were loaded or finished.
     """
 
     def __init__(self, folder: Path | None, key: str) -> None:
@@ -74,7 +73,7 @@ class KeypointCache:
         self.n_damaged = 0
 
     def load(self, source: str) -> ViewKeypoints | None:
-        """The finished keypoints, with masks that stay in the file; None where there are none, or damaged ones."""
+        """Load the finished keypoints, with masks mapped from the file; None if missing or damaged."""
         if self._final is None or not self._final.is_dir():
             return None
         try:
@@ -87,7 +86,7 @@ class KeypointCache:
             return None
 
     def open(self) -> tuple[NDArray[np.void], FloatArray]:
-        """Begin, or go on: sightings and times (T,) of the frames that an earlier run looked at."""
+        """Begin or continue: return sightings and times (T,) of the frames of an earlier run."""
         self._work = self._take_folder()
         times, sightings = self._work / _TIMES, self._work / _SIGHTINGS
         for path in (times, sightings):
@@ -102,7 +101,7 @@ class KeypointCache:
         return _map(sightings), np.fromfile(times, np.float64)
 
     def _take_folder(self) -> Path:
-        """A folder of this thread's own: one that was left, else a new one, else one that is not kept."""
+        """Return a folder of this thread: one left by another, else a new one, else a temporary one."""
         if self._final is not None:
             with suppress(OSError):
                 self._final.parent.mkdir(parents=True, exist_ok=True)
@@ -119,7 +118,7 @@ class KeypointCache:
         return Path(tempfile.mkdtemp(prefix="dousa-keypoints-"))
 
     def add(self, seconds: float, sightings: NDArray[np.void]) -> None:
-        """Keep one more frame."""
+        """Store one more frame."""
         try:
             self._files[0].write(sightings.tobytes())
             self._files[1].write(np.float64(seconds).tobytes())
@@ -134,7 +133,7 @@ class KeypointCache:
         self._last_flush = time.monotonic()
 
     def read(self) -> tuple[NDArray[np.void], FloatArray]:
-        """All sightings, which stay in the file, and the times (T,)."""
+        """Return all sightings, mapped from the file, and the times (T,)."""
         assert self._work is not None
         self._flush()
         return _map(self._work / _SIGHTINGS), np.fromfile(self._work / _TIMES, np.float64)
@@ -171,7 +170,7 @@ class KeypointCache:
             self._work = None
 
     def _move(self) -> bool:
-        """Put the finished folder where it will be found; whether that was possible."""
+        """Move the finished folder to its final place and return whether that was possible."""
         assert self._work is not None and self._final is not None
         for name in (_SIGHTINGS, _TIMES):
             with suppress(OSError):  # on some systems a mapped file cannot be removed
@@ -191,7 +190,7 @@ class KeypointCache:
         self._files = []
 
     def leave(self) -> None:
-        """Leave an unfinished folder to the next process; nothing is left where nothing is kept."""
+        """Leave an unfinished folder to the next process; remove it if nothing is cached."""
         self._close()
         if self._work is None:
             return
@@ -205,7 +204,7 @@ class KeypointCache:
 
 @dataclass(frozen=True, slots=True)
 class KeptFilm:
-    """The folder of a film's keypoints, how many bytes it takes, and when it was used (s since 1970)."""
+    """A cached film: its folder, its size in bytes, and its last use (s since 1970)."""
 
     path: Path
     n_bytes: int
@@ -213,7 +212,7 @@ class KeptFilm:
 
 
 def list_kept(folder: Path) -> list[KeptFilm]:
-    """What is kept of films, what was used last first; unfinished searches are among them."""
+    """List the cached films and unfinished searches, latest use first."""
     kept = []
     for path in folder.iterdir() if folder.is_dir() else ():
         with suppress(OSError):
@@ -224,17 +223,13 @@ def list_kept(folder: Path) -> list[KeptFilm]:
 
 
 def clear_kept(folder: Path, most_bytes: int = 0, but: Path | None = None) -> list[KeptFilm]:
-    """Remove what was used least lately until the rest takes at most so many bytes.
+    """Remove the least recently used films until the rest takes at most so many bytes; return the removed ones.
 
     Parameters
     ----------
     folder : of all films.
     most_bytes : that may stay.
-    but : a film that stays; so does what another process is writing.
-
-    Returns
-    -------
-    What was removed.
+    but : a film to keep; films being written by another process stay as well.
     """
     removed, total = [], 0
     for film in list_kept(folder):
@@ -248,7 +243,7 @@ def clear_kept(folder: Path, most_bytes: int = 0, but: Path | None = None) -> li
 
 
 def _map(path: Path) -> NDArray[np.void]:
-    """The whole sightings in a file, which stay in the file."""
+    """Map the whole sightings of a file."""
     n_sightings = path.stat().st_size // SIGHTING.itemsize
     if not n_sightings:
         return np.zeros(0, SIGHTING)

@@ -1,13 +1,13 @@
-"""Reads the keypoints of one view from any supported program, and writes them to npz files.
+"""Keypoints of one view: files of any supported program, and npz files of dousa:
 
 names         (K,) text
 points        (P, T, K, 2) px, nan where not seen
 visibility    (P, T, K) 0 to 1
-world         (P, T, K, 3) m about the hips, axes of the camera; nan where not known; may be lacking
+world         (P, T, K, 3) m about the hips, axes of the camera; nan where unknown; optional
 times         (T,) s since the first frame
 size          (2,) width and height in px
 source        (1,) text
-mask_packed   (P, T, S, S / 8) uint8, may be lacking
+mask_packed   (P, T, S, S / 8) uint8; optional
 mask_crops    (P, T, 2, 3) see `PersonMasks`
 """
 
@@ -33,17 +33,11 @@ _MOST_POINTS, _MOST_PEOPLE = 1000, 200
 
 
 def write_keypoints(path: str | os.PathLike[str], keypoints: ViewKeypoints, *, masks: bool = True) -> None:
-    """Write the keypoints of one view as an npz file.
-
-    Parameters
-    ----------
-    path : the file to write.
-    keypoints : of one view.
-    masks : write the people's masks too, where they are known.
+    """Write the keypoints of one view as an npz file, with ``masks`` the people's masks too, if known.
 
     Raises
     ------
-    MotionWriteError : the disk refuses; nothing is left behind.
+    MotionWriteError : the file cannot be written; no partial file stays.
     """
     people = keypoints.people
     shape = (len(people), keypoints.n_frames, len(keypoints.names))
@@ -71,11 +65,11 @@ def write_keypoints(path: str | os.PathLike[str], keypoints: ViewKeypoints, *, m
 
 
 def read_keypoint_npz(path: str | os.PathLike[str]) -> ViewKeypoints:
-    """Read the keypoints of one view from an npz file that `write_keypoints` wrote.
+    """Read the keypoints of one view from an npz file of `write_keypoints`.
 
     Raises
     ------
-    KeypointError : missing, damaged, or arrays that do not make keypoints.
+    KeypointError : missing, damaged, or inconsistent arrays.
     """
     try:
         with open_npz(path, KeypointError) as file:
@@ -126,19 +120,16 @@ _LOST_FOR = 60  # frames
 def read_keypoints(
     path: str | os.PathLike[str], *, size: tuple[int, int] | None = None, frame_rate: float | None = None
 ) -> ViewKeypoints:
-    """Read the keypoints of one view.
+    """Read the keypoints of one view; the people come most seen first.
+
+    Without numbers of persons in the file, people are linked by their places.
 
     Parameters
     ----------
-    path : an npz file of dousa (see `keypoint_files`); or the JSON of another program, one file for the view or a
-        folder of one for each frame: OpenPose BODY_25, Halpe 26, COCO 17, MediaPipe 33 and more (see
-        `keypoint_json`), recognised by their number of points.
-    size : width and height of the pictures in px; needed for JSON that does not say it.
+    path : an npz file of dousa; or the JSON of another program, one file for the view or a folder of one for each
+        frame, recognised by the number of points (see `keypoint_json`).
+    size : width and height of the images in px; needed for JSON without it.
     frame_rate : Hz of JSON; by default 30 with a warning.
-
-    Returns
-    -------
-    The people, most seen first; without numbers of persons in the file, they are linked by their places.
 
     Raises
     ------
@@ -167,19 +158,19 @@ def read_keypoints(
 
 
 def _find_names(numbers: set[int]) -> tuple[str, ...]:
-    """Names of points cut from a larger scheme; those of COCO if no person is there."""
+    """Return the names of points cut from a larger scheme; those of COCO if no person is there."""
     if not numbers:
         return SCHEMES[17]
     return next(names for names in SCHEMES.values() if len(names) in numbers)
 
 
 def link_people(frames: Sequence[Sequence[ReadPerson]], n_points: int) -> list[PersonTrack]:
-    """Tracks (T, K) of the people of all frames.
+    """Return tracks (T, K) of the people of all frames.
 
     Parameters
     ----------
-    frames : the people of each frame. Where each has a number of its own in every frame, that says who is who; else
-        everybody is who was nearest in the frame before, such that the sum of the distances is least.
+    frames : the people of each frame. If each has a unique number in every frame, the numbers decide; else people are
+        matched to the last frames such that the sum of the distances is least.
     n_points : K.
     """
     everybody = [person for people in frames for person in people]
@@ -200,7 +191,7 @@ def link_people(frames: Sequence[Sequence[ReadPerson]], n_points: int) -> list[P
 
 
 def _find_owners(frame: int, people: Sequence[ReadPerson], last: dict[int, tuple[int, FloatArray]]) -> list[int]:
-    """Numbers of the tracks that the people of a frame belong to; of new ones where none is near."""
+    """Return the track numbers of the people of a frame; new ones where no track is near."""
     known = [(number, points) for number, (seen, points) in last.items() if frame - seen <= _LOST_FOR]
     costs = np.full((len(people), len(known) + len(people)), _FARTHEST)
     for row, person in enumerate(people):
@@ -217,7 +208,7 @@ def _find_owners(frame: int, people: Sequence[ReadPerson], last: dict[int, tuple
 
 
 def _measure_distance(one: FloatArray, other: FloatArray) -> float:
-    """Mean distance of the points that both have, in sizes of the person."""
+    """Compute the mean distance of common points, in sizes of the person."""
     both = np.isfinite(one[:, 0]) & np.isfinite(other[:, 0])
     if not both.any():
         return 1e3

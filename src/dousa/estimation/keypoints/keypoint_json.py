@@ -1,8 +1,8 @@
-"""Reads keypoints that other programs found: JSON, one file for each frame or one for a view.
+"""Keypoints of other programs in JSON, one file for each frame or one for a view.
 
 Supported for each person of a frame: OpenPose and Pose2Sim (``people``, ``pose_keypoints_2d``), results of
 COCO and AlphaPose (``image_id``, ``keypoints``), annotations of COCO, MMPose (``instance_info``, ``instances``), and
-landmarks of MediaPipe as lists of ``x, y, visibility``, whose unit may be the size of the picture. The number of points
+landmarks of MediaPipe as lists of ``x, y, visibility``, perhaps in units of the image size. The number of points
 determines their scheme. Left is the person's left.
 """
 
@@ -24,7 +24,7 @@ from dousa.files.frame_names import natural_key, number_frames
 
 
 def _pairs(words: str) -> tuple[str, ...]:
-    """Names for a left and a right point each."""
+    """Return names for a left and a right point each."""
     return tuple(f"{side}_{word}" for word in words.split() for side in ("left", "right"))
 
 
@@ -71,7 +71,7 @@ class ReadPerson:
     Parameters
     ----------
     points : (K, 3) x, y, confidence.
-    number : that the program gave to the person; None where it gave none.
+    number : of the person in the file; None if absent.
     """
 
     points: FloatArray
@@ -80,7 +80,7 @@ class ReadPerson:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadFrames:
-    """The people of every frame (T,), and the size of the pictures in px where the file says it."""
+    """The people of every frame (T,), and the size of the images in px if the file has it."""
 
     frames: list[list[ReadPerson]]
     size: tuple[int, int] | None
@@ -132,7 +132,7 @@ def _read_folder(folder: str) -> ReadFrames:
 
 
 def _read_file(path: str) -> ReadFrames:
-    """The frames of a single file: a list of frames, or a list of people who say which frame they are of."""
+    """Read a single file: a list of frames, or a list of people with their frames."""
     content = _parse(path)
     size = None
     if isinstance(content, Mapping):
@@ -161,7 +161,7 @@ def _read_size(node: Mapping[str, Any]) -> tuple[int, int] | None:
 
 
 def _group_by_image(entries: list[Mapping[str, Any]]) -> list[list[ReadPerson]]:
-    """People by the picture that they are in; pictures without anybody are known by their numbers only."""
+    """Group people by image; frames without people follow from the numbers."""
     by_image: dict[str, list[ReadPerson]] = {}
     for entry in entries:
         by_image.setdefault(str(entry["image_id"]), []).append(_read_person(entry))
@@ -172,7 +172,7 @@ def _group_by_image(entries: list[Mapping[str, Any]]) -> list[list[ReadPerson]]:
 
 
 def _list_people(node: Any) -> list[ReadPerson]:
-    """The people of a frame, in whatever of the known forms."""
+    """Return the people of a frame in any known form."""
     if node is None or node == []:
         return []
     if isinstance(node, Mapping):
@@ -195,7 +195,7 @@ def _list_people(node: Any) -> list[ReadPerson]:
 
 
 def _is_person(node: Mapping[str, Any]) -> bool:
-    """Whether these are the points of one person, not of several."""
+    """Return whether these are the points of one person, not of several."""
     points = next((node[key] for key in _POINT_KEYS if isinstance(node.get(key), list)), None)
     return points is not None and len(points) > 0 and (_is_number(points[0]) or any(key in node for key in _SCORE_KEYS))
 
@@ -258,15 +258,7 @@ def _to_points(values: list[tuple[float, ...]]) -> FloatArray:
 
 
 def settle_units(frames: list[list[ReadPerson]], size: tuple[int, int] | None) -> Iterator[list[ReadPerson]]:
-    """The people with points in px and confidences from 0 to 1, nan where a point was not seen.
-
-    Coordinates that all lie within the unit square are shares of the picture's size, as MediaPipe has them; a
-    confidence of 0, 1 or 2 throughout is COCO's flag, of which 1 means hidden.
-
-    Raises
-    ------
-    KeypointError : shares of an unknown size.
-    """
+    """Return the people with points in px and confidences from 0 to 1, nan where a point was not seen."""
     everybody = [person.points for people in frames for person in people]
     places = np.concatenate([points[:, :2] for points in everybody]) if everybody else np.zeros((0, 2))
     sure = np.concatenate([points[:, 2] for points in everybody]) if everybody else np.zeros(0)

@@ -1,4 +1,4 @@
-"""Finding the keypoints of the people in a film."""
+"""The search for the keypoints of the people in a film."""
 
 from __future__ import annotations
 
@@ -36,36 +36,31 @@ def find_keypoints(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> ViewKeypoints:
-    """Find the keypoints and masks of the people in a film, with learned networks.
+    """Find the 33 points of `MEDIAPIPE_NAMES` and masks of the people in a film, most seen (long, large) first.
 
-    Every person is followed in a crop that the last frame's landmarks place; the detector runs when a person is lost
-    and twice a second or so. Who is who is settled over the whole film (`people.find_identities`). The models are
-    those of `dousa keypoints --install`; nothing is fetched here. The results are kept in the user's cache, so that a
-    film is searched once, and an interrupted search goes on where it stopped.
+    Every person is followed in a crop placed by the last frame's landmarks; the detector runs for lost people and about
+    twice a second. Identities are settled over the whole film (`people.find_identities`). The models must be installed
+    (`dousa keypoints --install`). Results are cached, and an interrupted search continues. Without people there is a
+    warning.
 
     Parameters
     ----------
-    film : whatever FFmpeg reads; turned and with unsteady frame rates too.
+    film : any format of FFmpeg, also turned or with an uneven frame rate.
     model : ``"lite"``, ``"full"`` or ``"heavy"``: the more precise the slower.
-    most_people : that are followed at a time, 1 to 16.
-    cache : keep the result in the user's cache, in another folder, or not at all (False).
-    threads : of the processor for the networks; by default up to four.
+    most_people : followed at a time, 1 to 16.
+    cache : True for the user's cache, another folder, or False for none.
+    threads : for the networks; by default up to four.
     progress : called with (frames done, frames in all, what).
-
-    Returns
-    -------
-    The 33 points of `MEDIAPIPE_NAMES` of each person, who is seen most (for long, large) first; ``people`` is empty
-    if no person is found, with a warning.
 
     Raises
     ------
     KeypointError : a model is not installed; the film is missing, damaged, or none.
     MissingExtraError : PyAV, LiteRT or OpenCV is not installed: ``pip install 'dousa[film]'``.
-    OptionError : an unknown model, or a number of people that cannot be.
+    OptionError : an unknown model, or an invalid number of people.
 
     Source: Bazarevsky and others, "BlazePose: On-device Real-time Body Pose tracking" (2020), and MediaPipe's graphs
-    pose_detection and pose_landmark. Other than these we smooth nothing, look for small people in parts of the
-    picture, and paint over other people in a person's crop.
+    pose_detection and pose_landmark; but without smoothing, with a search for small people in parts of the image, and
+    with other people painted over in a person's crop.
     """
     if model not in LANDMARK_MODELS:
         raise OptionError("keypoints.model", found=str(model), known=LANDMARK_MODELS)
@@ -79,7 +74,7 @@ def find_keypoints(
         kept = KeypointCache(_choose_folder(cache), key)
         known = kept.load(frames.path)
         if known is None:
-            # before the work: a missing model is said at once
+            # before the work, to report a missing model at once
             paths = [find_pose_model(name) for name in (DETECTOR, model)]
             assert all(path.is_file() for path in paths)
             follower = PeopleFollower(PersonDetector(threads), LandmarkNetwork(model, threads), most_people)

@@ -1,7 +1,7 @@
-"""Keypoints: where the points of people's bodies are in the frames of one view.
+"""Keypoints of people in the frames of one view.
 
 Pixels: x to the right, y down, the centre of the first pixel at (0, 0), as in `dousa.estimation.cameras.camera`. A
-point that was not seen is nan with visibility 0. Who is who is settled: a person has one track over the whole film.
+point not seen is nan with visibility 0. A person has one track over the whole film.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ _DEFAULT_RATE = 30.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PersonMasks:
-    """Which pixels show a person: small masks, each of a square cut out of the picture, one bit a pixel.
+    """Small masks of a person, each of a square cut out of the image, one bit a pixel.
 
     Parameters
     ----------
     packed : (T, S, S / 8) uint8, ``np.packbits`` along the width; may be mapped from a file.
-    crops : (T, 2, 3) from pixels of the square (x, y, 1) to pixels of the picture; nan where there is no mask.
+    crops : (T, 2, 3) from pixels of the square (x, y, 1) to pixels of the image; nan where there is no mask.
     """
 
     packed: NDArray[np.uint8]
@@ -55,13 +55,13 @@ class PersonMasks:
         return np.asarray(np.isfinite(self.crops).all(axis=(1, 2)))
 
     def read(self, frame: int, size: tuple[int, int], of: tuple[int, int] | None = None) -> Mask | None:
-        """The mask (height, width) of a frame in the whole picture; None where there is none.
+        """Return the mask (height, width) of a frame in the whole image; None where there is none.
 
         Parameters
         ----------
         frame : from 0.
         size : width and height of the mask.
-        of : width and height of the film's pictures, where these differ from ``size``.
+        of : width and height of the film's images, if other than ``size``.
         """
         from dousa.extras import cv2
 
@@ -85,10 +85,10 @@ class PersonTrack:
     Parameters
     ----------
     points : (T, K, 2) px, nan where not seen.
-    visibility : (T, K) 0 to 1: how sure it is that the point is there and not hidden; becomes 0 where the point is nan.
+    visibility : (T, K) 0 to 1, that the point is there and not hidden; set to 0 where the point is nan.
     world : (T, K, 3) m about the middle of the hips, along the axes of the camera: x right, y down, z forward; nan
-        where not seen. None where it is not known.
-    masks : the person's pixels; None where they are not known.
+        where not seen. None if unknown.
+    masks : the person's pixels; None if unknown.
     """
 
     points: FloatArray
@@ -128,7 +128,7 @@ class PersonTrack:
         return np.asarray(np.isfinite(self.points[..., 0]).any(axis=1))
 
     def boxes(self, least: float = 0.0) -> FloatArray:
-        """(T, 4) left, top, right, bottom in px around the points with more than this visibility; nan without any."""
+        """Return boxes (T, 4) left, top, right, bottom px around the points above this visibility; nan without any."""
         used = self.visibility > least
         low = np.where(used[..., None], self.points, np.inf).min(axis=1, initial=np.inf)
         high = np.where(used[..., None], self.points, -np.inf).max(axis=1, initial=-np.inf)
@@ -144,11 +144,11 @@ class ViewKeypoints:
     Parameters
     ----------
     names : (K,) of the points, `MEDIAPIPE_NAMES` or those of another scheme, spelled the same.
-    people : one track each; who is seen most comes first where dousa finds or reads them.
-    times : (T,) s of each frame since the first of the film, rising; phones do not film at a steady rate.
-    size : width and height of the upright picture in px.
-    source : the file, or what else tells where this is from.
-    warnings : what a person should know about it.
+    people : one track each; most seen first where dousa finds or reads them.
+    times : (T,) s of each frame since the first of the film, rising, perhaps unevenly.
+    size : width and height of the upright image in px.
+    source : the file or another origin.
+    warnings : notes for the user.
     """
 
     names: tuple[str, ...]
@@ -181,21 +181,16 @@ class ViewKeypoints:
 
     @property
     def n_people(self) -> int:
-        """How many people there are."""
+        """Number of people."""
         return len(self.people)
 
     @property
     def frame_rate(self) -> float:
-        """Hz, nominal: of the middle distance between two frames; 30 for a single frame."""
+        """Hz, from the median distance between two frames; 30 for a single frame."""
         return _DEFAULT_RATE if len(self.times) < 2 else float(1.0 / np.median(np.diff(self.times)))
 
     def find(self, names: Sequence[str]) -> list[int]:
-        """The places of points among ``names``.
-
-        Raises
-        ------
-        KeypointError : a name that is not there.
-        """
+        """Return the places of points among ``names``; KeypointError for an unknown name."""
         missing = [name for name in names if name not in self.names]
         if missing:
             raise KeypointError("keypoints.no_point", missing=missing, names=self.names)
@@ -203,7 +198,7 @@ class ViewKeypoints:
 
 
 def sort_people(people: Sequence[PersonTrack]) -> tuple[PersonTrack, ...]:
-    """Who is seen most first: by the sum of all visibilities, which counts hidden people less."""
+    """Sort people by the sum of all visibilities, greatest first."""
     return tuple(sorted(people, key=lambda person: -float(person.visibility.sum())))
 
 

@@ -1,9 +1,9 @@
-"""Follows people from frame to frame, and joins the stretches of each into one person over the whole film.
+"""Tracking of people from frame to frame, and their identities over the whole film.
 
-Crops follow their landmarks; the detector runs only now and then. A person followed without a break is one stretch. A
-stretch is cut where two people touch and where its points jump, because there a crop may have slid from one to the
-other. Pieces are assigned to people in the order of time, all that begin at about the same moment together, with the
-least sum of costs (Kuhn 1955): difference of colours, distance from the expected place, difference of size.
+Crops follow their landmarks; the detector runs only at times. A person followed without a break is one stretch. A
+stretch is cut where two people touch and where its points jump, because there a crop may slide from one to the other.
+Pieces that begin at about the same time are assigned to people together, with the least sum of costs (Kuhn 1955):
+difference of colours, distance from the expected place, difference of size.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ _MASK_STEP = 256 // MASK_SIDE
 
 @dataclass(slots=True)
 class _Followed:
-    """Somebody who was seen a short time ago."""
+    """A person seen a short time ago."""
 
     stretch: int
     frame: int
@@ -84,13 +84,7 @@ _Found = tuple[_Followed | None, Landmarks]
 
 
 class PeopleFollower:
-    """Finds the people in frames that come in turn.
-
-    Parameters
-    ----------
-    detector, landmarks : the networks.
-    most_people : that are followed at a time.
-    """
+    """Find the people in consecutive frames, at most ``most_people`` at a time."""
 
     def __init__(self, detector: PersonDetector, landmarks: LandmarkNetwork, most_people: int) -> None:
         self._detector, self._landmarks, self._most = detector, landmarks, most_people
@@ -99,12 +93,12 @@ class PeopleFollower:
         self._n_stretches = 0
 
     def resume(self, sightings: NDArray[np.void], last_frame: int) -> None:
-        """Go on after what was kept of earlier frames, as if there had been no break.
+        """Continue after stored frames.
 
         Parameters
         ----------
         sightings : of `SIGHTING`, all, in their order.
-        last_frame : that was looked at.
+        last_frame : the last processed frame.
         """
         self._n_stretches = 1 + int(sightings["stretch"].max(initial=-1))
         recent = sightings[sightings["frame"] > last_frame - _LOST_FOR - 2]
@@ -113,7 +107,7 @@ class PeopleFollower:
             self._keep(recent[recent["frame"] == frame], frame)
 
     def _keep(self, rows: NDArray[np.void], frame: int) -> None:
-        """Remember who was seen in a frame, and for a while who was not."""
+        """Store the people seen in a frame, and recently lost ones."""
         before = {one.stretch: one for one in self._followed}
         self._followed = []
         for row in rows:
@@ -127,7 +121,7 @@ class PeopleFollower:
         self._lost = [one for one in (*self._lost, *before.values()) if frame - one.frame < _LOST_FOR]
 
     def see(self, frame: int, picture: Image) -> NDArray[np.void]:
-        """The people (P,) of `SIGHTING` in the next frame (H, W, 3) red, green, blue."""
+        """Return the people (P,) of `SIGHTING` in the next frame (H, W, 3) red, green, blue."""
         shrinker = Shrinker(picture)
         found: list[_Found] = []
         for one in self._followed:
@@ -149,7 +143,7 @@ class PeopleFollower:
         return rows
 
     def _drop_doubles(self, found: list[_Found]) -> list[_Found]:
-        """Where two crops have slid onto one person, the one is dropped that jumped."""
+        """Where two crops show one person, drop the one that jumped."""
         kept: list[_Found] = []
         for one in sorted(found, key=lambda pair: _measure_jump(*pair)):
             if not any(are_same(one[1], other) for _, other in kept):
@@ -157,7 +151,7 @@ class PeopleFollower:
         return sorted(kept, key=lambda pair: pair[0].stretch if pair[0] else 0)
 
     def _detect(self, picture: Shrinker, frame: int, found: list[_Found]) -> None:
-        """Add the people that the detector finds besides those that are followed, or who are where they were lost."""
+        """Add people from the detector or at places of lost people, unless they are already found."""
         crops = [one.crop for one in self._lost if (frame - one.frame) % _TRY_EVERY == 0]
         if not found or frame % _DETECT_EVERY == 0 or len(found) < len(self._followed):
             crops += self._list_detections(picture, frame)
@@ -176,9 +170,9 @@ class PeopleFollower:
                 found.append((None, landmarks))
 
     def _list_detections(self, picture: Shrinker, frame: int) -> list[PersonCrop]:
-        """What the detector finds, the surest first.
+        """Return the detector's crops, highest scores first.
 
-        It sees a picture at 224 pixels only: at times parts of the picture are looked at for people who are small.
+        The detector works at 224 pixels, so at times it also searches parts of the image for small people.
         """
         detections = self._detector.find(picture)
         n_looks, is_look = divmod(frame, _DETECT_EVERY)
@@ -199,7 +193,7 @@ def _is_near(crop: PersonCrop, other: PersonCrop | None) -> bool:
 
 
 def _is_person(landmarks: Landmarks, size: tuple[int, int]) -> bool:
-    """Whether landmarks are of a person in the picture, of more than a few pixels."""
+    """Return whether landmarks are of a person inside the image and not too small."""
     if landmarks.score < _LEAST_SCORE or landmarks.crop.size < _SMALLEST:
         return False
     inside = ((landmarks.points >= -0.5) & (landmarks.points <= np.array(size) - 0.5)).all(axis=1)
@@ -207,7 +201,7 @@ def _is_person(landmarks: Landmarks, size: tuple[int, int]) -> bool:
 
 
 def are_same(one: Landmarks, other: Landmarks) -> bool:
-    """Whether two sets of landmarks are of one person."""
+    """Return whether two sets of landmarks are of one person."""
     seen = np.minimum(one.visibility, other.visibility)[list(CORE)] > 0.3
     core = np.array(CORE)[seen] if seen.sum() >= 3 else np.array(CORE)
     distance = np.linalg.norm(one.points[core] - other.points[core], axis=1).mean()
@@ -215,14 +209,14 @@ def are_same(one: Landmarks, other: Landmarks) -> bool:
 
 
 def hides(one: Landmarks, other: Landmarks) -> bool:
-    """Whether most of the other's pixels are those of the one."""
+    """Return whether most of the second person's pixels belong to the first."""
     area = other.mask.sum()
     covered = other.mask & redraw_mask((one.mask, one.crop), other.crop, MASK_SIDE)
     return bool(area == 0 or covered.sum() > _HIDDEN * area)
 
 
 def _measure_jump(known: _Followed | None, landmarks: Landmarks) -> float:
-    """Distance of a person from the expected place, in sizes of the crop."""
+    """Compute the distance of a person from the expected place, in sizes of the crop."""
     if known is None:
         return math.inf
     off = measure_middle(landmarks.points) - known.middle - known.speed
@@ -230,7 +224,7 @@ def _measure_jump(known: _Followed | None, landmarks: Landmarks) -> float:
 
 
 def measure_middle(points: NDArray[np.floating[Any]]) -> FloatArray:
-    """(..., 2) the middle of the landmarks (..., 33, 2) that distinguish people."""
+    """Compute the middle (..., 2) of the core landmarks of (..., 33, 2)."""
     return np.asarray(points[..., list(CORE), :].astype(np.float64).mean(axis=-2))
 
 
@@ -252,7 +246,7 @@ def _to_row(crop: PersonCrop) -> Sequence[float]:
 
 
 def count_colours(colours: Image, mask: NDArray[np.bool_]) -> FloatArray:
-    """(2, bins) shares of the colours of a person's upper and lower half, in the crop; zeros where there is nothing.
+    """Compute colour shares (2, bins) of a person's upper and lower half in the crop; zeros without pixels.
 
     Parameters
     ----------
@@ -275,7 +269,7 @@ def count_colours(colours: Image, mask: NDArray[np.bool_]) -> FloatArray:
 _TOUCH = 0.2  # of the crop's size between the middles of two people
 _JUMP = 0.2  # of the crop's size, off the place where the person was expected
 _TOGETHER_S = 0.3  # pieces that begin within this time are given to people together
-_NEW = 1.1  # cost of a person who was not seen before
+_NEW = 1.1  # cost of a new person
 _COLOUR, _PLACE, _SIZE, _SAME_STRETCH = 2.0, 0.5, 0.25, 0.6  # weights of the costs
 _REACH, _SPEED = 0.15, 1.5  # crop sizes that a person may be off at once, and more per second
 _MOST = 3.0
@@ -286,7 +280,7 @@ _VISIBLE, _NEAR, _MOST_LOOKED_AT = 0.5, 2, 200  # visibility, px of the mask, si
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Piece:
-    """A part of a stretch that is surely of one person.
+    """A part of a stretch that is of one person.
 
     Parameters
     ----------
@@ -308,17 +302,14 @@ class _Person:
 
 
 def find_identities(sightings: NDArray[np.void], times: FloatArray) -> list[IntArray]:
-    """The people of a film.
+    """Return for each person of a film the places among the sightings, most seen first.
+
+    A person has at most one sighting a frame; those with low quality or below a third of a second are left out.
 
     Parameters
     ----------
     sightings : of `people.SIGHTING`, rising in time.
     times : (T,) s of the frames.
-
-    Returns
-    -------
-    For each person the places among the sightings, at most one for each frame; who is seen most comes first. Who is
-    seen for less than a third of a second, or only doubtfully, is left out.
     """
     pieces = cut_stretches(sightings)
     people: list[_Person] = []
@@ -338,13 +329,13 @@ def find_identities(sightings: NDArray[np.void], times: FloatArray) -> list[IntA
 
 
 def _measure_presence(sightings: NDArray[np.void], rows: IntArray) -> float:
-    """Frames in which a person is seen, weighted by visibility and size."""
+    """Sum the frames of a person, weighted by visibility and size."""
     visible = sightings["visibility"][rows][:, list(CORE)].astype(np.float64).mean(axis=1)
     return float((visible * np.sqrt(sightings["crop"][rows, 2])).sum())
 
 
 def is_somebody(sightings: NDArray[np.void], rows: IntArray, step: float, least: float = _LEAST_S) -> bool:
-    """Whether the sightings at these places, ``step`` s apart, are of a person at all, who is there for ``least`` s."""
+    """Return whether the sightings at these places, ``step`` s apart, are of a person visible for ``least`` s."""
     if len(rows) * step < least and step < _LEAST_S:
         return False
     visible = sightings["visibility"][rows][:, list(CORE)].astype(np.float64)
@@ -356,7 +347,7 @@ def is_somebody(sightings: NDArray[np.void], rows: IntArray, step: float, least:
 
 
 def measure_inside(row: np.void) -> float:
-    """Share of the visible landmarks of a sighting that lie on its mask: nearly all do, if there is a person."""
+    """Compute the share of the visible landmarks of a sighting that lie on its mask: nearly all, if it is a person."""
     points = row["points"][list(CORE)][row["visibility"][list(CORE)] > _VISIBLE].astype(np.float64)
     side = len(row["mask"])
     x, y, size, angle = row["crop"].tolist()
@@ -372,7 +363,7 @@ def measure_inside(row: np.void) -> float:
 
 
 def cut_stretches(sightings: NDArray[np.void]) -> list[Piece]:
-    """The pieces of all stretches, in the order in which they begin."""
+    """Return the pieces of all stretches, in the order in which they begin."""
     middles, sizes = measure_middle(sightings["points"]), sightings["crop"][:, 2]
     touching = np.zeros(len(sightings), bool)
     for start, stop in find_equal_runs(sightings["frame"]):
@@ -391,7 +382,7 @@ def cut_stretches(sightings: NDArray[np.void]) -> list[Piece]:
 
 
 def _give(pieces: Sequence[Piece], people: list[_Person], sightings: NDArray[np.void], times: FloatArray) -> None:
-    """Give pieces that begin at about the same time to people, and make new people for the others."""
+    """Assign pieces that begin at about the same time to known or new people."""
     left = list(pieces)
     while left:
         # pieces of one person may follow each other within the group: one round for each
@@ -427,7 +418,7 @@ def _mean_colours(piece: Piece, sightings: NDArray[np.void]) -> FloatArray:
 
 
 def _measure_cost(piece: Piece, person: _Person, sightings: NDArray[np.void], times: FloatArray) -> float:
-    """What it costs that a piece is of a person; infinite (a large number) where they are seen at the same time."""
+    """Compute the cost of assigning a piece to a person; 1e6 where both are seen at the same time."""
     last = person.pieces[-1]
     begin, end = sightings[piece.rows[0]], sightings[last.rows[-1]]
     if begin["frame"] <= end["frame"]:

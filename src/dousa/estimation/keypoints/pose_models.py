@@ -1,10 +1,9 @@
-"""The models that find people and their keypoints: their names, folder, checks and installation.
+"""The pose models: their names, folder, checks and installation.
 
-They are Google's BlazePose models (Bazarevsky and others, 2020), Apache-2.0, and lie inside published packages of
-MediaPipe. dousa ships none of them: on request `install_models` takes them out of a package, which a package client of
-this machine fetches (``npm pack``, else ``pip download``) or which is a local file. No package is run or unpacked
-to the disk: its members are read in turn within limits, and only bytes whose SHA-256 is that of a known model are
-written, under our own names. ``DOUSA_MODELS`` names another folder than the user's cache.
+They are Google's BlazePose models (Bazarevsky and others, 2020), Apache-2.0, from published packages of MediaPipe.
+`install_models` takes them from a local archive or from a package fetched by ``npm pack``, else ``pip download``. No
+package is run or unpacked to the disk: members are read within limits, and only bytes with the SHA-256 of a known model
+are written. ``DOUSA_MODELS`` sets another folder than the user's cache.
 """
 
 from __future__ import annotations
@@ -59,7 +58,7 @@ class PoseModel:
     ----------
     name : ``"detector"``, or one of `LANDMARK_MODELS`.
     file_name : in the folder of the models.
-    forms : published files that are this model, any of which will do.
+    forms : published files of this model; each is accepted.
     """
 
     name: str
@@ -95,7 +94,7 @@ POSE_MODELS = (
 
 
 def user_cache() -> Path:
-    """The folder of this user's cache that is dousa's."""
+    """Return dousa's folder in the user's cache."""
     if sys.platform == "win32":
         base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
         return base / "dousa" / "Cache"
@@ -105,18 +104,13 @@ def user_cache() -> Path:
 
 
 def models_folder() -> Path:
-    """Where models are kept: ``DOUSA_MODELS``, else a folder of the user's cache."""
+    """Return the folder of the models: ``DOUSA_MODELS``, else a folder of the user's cache."""
     named = os.environ.get(FOLDER_VARIABLE)
     return Path(named) if named else user_cache() / "models"
 
 
 def get_pose_model(name: str) -> PoseModel:
-    """The model of a name.
-
-    Raises
-    ------
-    OptionError : there is none.
-    """
+    """Return the model of a name; OptionError if it is unknown."""
     for model in POSE_MODELS:
         if model.name == name:
             return model
@@ -124,13 +118,13 @@ def get_pose_model(name: str) -> PoseModel:
 
 
 def is_model(model: PoseModel, data: bytes) -> bool:
-    """Whether bytes are one of the published forms of a model."""
+    """Return whether bytes are one of the published forms of a model."""
     sizes = [form.n_bytes for form in model.forms]
     return len(data) in sizes and hashlib.sha256(data).hexdigest() in [form.sha256 for form in model.forms]
 
 
 def choose_pose_model() -> LandmarkModel:
-    """The most precise landmark model that is installed; ``"full"`` where none is, so that its error is said."""
+    """Return the most precise installed landmark model; ``"full"`` if none is."""
     for name in reversed(LANDMARK_MODELS):
         if check_pose_model(get_pose_model(name)) == "installed":
             return name
@@ -138,7 +132,7 @@ def choose_pose_model() -> LandmarkModel:
 
 
 def check_pose_model(model: PoseModel) -> ModelState:
-    """Whether a model is there, and whole."""
+    """Return whether a model is installed, missing or damaged."""
     path = models_folder() / model.file_name
     try:
         if path.stat().st_size not in [form.n_bytes for form in model.forms]:
@@ -149,7 +143,7 @@ def check_pose_model(model: PoseModel) -> ModelState:
 
 
 def find_pose_model(name: str) -> Path:
-    """The file of a model that is installed.
+    """Return the file of an installed model.
 
     Parameters
     ----------
@@ -157,8 +151,8 @@ def find_pose_model(name: str) -> Path:
 
     Raises
     ------
-    OptionError : there is no such model.
-    KeypointError : it is not installed, or its file is damaged; the message has the command that installs it.
+    OptionError : an unknown model.
+    KeypointError : it is missing or damaged; the message has the command that installs it.
     """
     model = get_pose_model(name)
     state = check_pose_model(model)
@@ -191,22 +185,18 @@ _PIP_OPTIONS = (  # a wheel is only opened here, so that of any platform will do
 def install_models(
     names: Sequence[str] = (), source: str | os.PathLike[str] | None = None, progress: Progress | None = None
 ) -> tuple[Path, ...]:
-    """Put models into the folder of the models.
+    """Install models and return their files, also those already there.
 
     Parameters
     ----------
-    names : of the models wanted; by default all that the source has.
+    names : of the models wanted; by default all in the source.
     source : an archive (.tgz, .tar.gz, .whl, .zip) or a model itself (.tflite); by default a package is fetched.
     progress : called with (done, total, what).
 
-    Returns
-    -------
-    The files of the models, those that were there already among them.
-
     Raises
     ------
-    OptionError : a model that there is not.
-    KeypointError : no package client, one that fails, an archive that is damaged, hostile, or has no model in it.
+    OptionError : an unknown model.
+    KeypointError : no package client, one that fails, an archive that is damaged, hostile, or without models.
     MotionWriteError : the folder cannot be written to.
     """
     report = progress or (lambda done, total, what: None)
@@ -237,7 +227,7 @@ def _check_found(lacking: Sequence[PoseModel], source: str | os.PathLike[str]) -
 
 
 def _fetch(missing: Sequence[PoseModel], named: bool, folder: Path, report: Progress) -> Path:
-    """Let a package client put a package into a folder; the file."""
+    """Fetch a package into a folder with npm or pip and return its file."""
     npm = shutil.which("npm")
     if npm is not None:
         words, package = [npm, "pack", "--silent", "--pack-destination", str(folder), NPM_PACKAGE], NPM_PACKAGE
@@ -264,7 +254,7 @@ def _fetch(missing: Sequence[PoseModel], named: bool, folder: Path, report: Prog
 
 
 def _take(source: Path, wanted: Sequence[PoseModel], report: Progress) -> dict[str, Path]:
-    """Write the wanted models that an archive has; their files by name."""
+    """Write the wanted models of an archive and return their files by name."""
     found: dict[str, Path] = {}
     report(0, len(wanted), Message("models.unpacking", path=source.name))
     try:
@@ -300,7 +290,7 @@ def _write(model: PoseModel, data: bytes) -> Path:
 
 
 def _list_candidates(source: Path) -> Iterator[bytes]:
-    """The members of an archive that have the size of a model; or the file itself."""
+    """Yield the members of an archive that have the size of a model; or the file itself."""
     with open(source, "rb") as file:
         head = file.read(8)
     if head[:2] == b"\x1f\x8b":
@@ -316,7 +306,7 @@ def _list_candidates(source: Path) -> Iterator[bytes]:
 
 
 class _Limited:
-    """A stream that says so when more comes out of it than any package of models has."""
+    """A stream that raises KeypointError beyond a limit of bytes."""
 
     def __init__(self, stream: gzip.GzipFile) -> None:
         self._stream, self._left = stream, _MOST_UNPACKED
@@ -348,7 +338,7 @@ def _list_zip(archive: zipfile.ZipFile) -> Iterator[bytes]:
 
 
 def _check_member(count: int, name: str) -> None:
-    """No package of models has members without number, or names that lead out of it."""
+    """Raise KeypointError for too many members, or a name outside the package."""
     path = PurePosixPath(name.replace("\\", "/"))
     if count >= _MOST_MEMBERS:
         raise KeypointError("models.many_members", most=_MOST_MEMBERS)

@@ -1,9 +1,9 @@
-"""Runs the pose networks: a picture in, people and their landmarks out; letterboxes, turned crops and anchors.
+"""The pose networks: people and their landmarks in an image; letterboxes, turned crops and anchors.
 
 The geometry is that of MediaPipe's pose graphs (Bazarevsky and others, "BlazePose", 2020): a square around the
-person, turned so that the body stands upright in it, given by the middle of the hips and a second point such that the
-circle around the first through the second encloses the body. Pixel centres are at whole numbers here and in the
-picture; the networks' own coordinates have pixel 0 from 0 to 1, which is half a pixel more.
+person, turned so that the body is upright in it, given by the middle of the hips and a second point whose circle
+around the first encloses the body. Pixel centres are whole numbers here; the networks' coordinates are half a pixel
+more.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ Part = tuple[int, int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class PersonCrop:
-    """A turned square of the picture with a person in it.
+    """A turned square of the image with a person in it.
 
     Parameters
     ----------
     x, y : px, the middle.
     size : px, the side.
-    angle : rad, by which the body is turned clockwise in the picture.
+    angle : rad, by which the body is turned clockwise in the image.
     """
 
     x: float
@@ -52,7 +52,7 @@ class PersonCrop:
     angle: float
 
     def matrix(self, side: int = LANDMARK_SIDE) -> FloatArray:
-        """(2, 3) from pixels of the square at this resolution to pixels of the picture."""
+        """Return the matrix (2, 3) from pixels of the square at this resolution to pixels of the image."""
         scale = self.size / side
         cos, sin = scale * math.cos(self.angle), scale * math.sin(self.angle)
         middle = (side - 1) / 2
@@ -65,12 +65,9 @@ class PersonCrop:
 
 
 def crop_around(middle: FloatArray, end: FloatArray) -> PersonCrop | None:
-    """The square of MediaPipe's two alignment points, in px; None where they are no square of use.
+    """Return the square of MediaPipe's two alignment points (2,) px; None if it is not finite or too small.
 
-    Parameters
-    ----------
-    middle : (2,) of the hips.
-    end : (2,) a point that lies above the middle in the body's own frame, as far away as the body reaches.
+    ``middle`` is that of the hips; ``end`` lies above it in the body's own frame, as far away as the body reaches.
     """
     across, down = (end - middle).tolist()
     size = _ENLARGED * 2 * math.hypot(across, down)
@@ -81,24 +78,19 @@ def crop_around(middle: FloatArray, end: FloatArray) -> PersonCrop | None:
 
 
 def transform(matrix: FloatArray, points: FloatArray) -> FloatArray:
-    """Points (..., 2) by a matrix (2, 3)."""
+    """Transform points (..., 2) by a matrix (2, 3)."""
     return np.asarray(points @ matrix[:, :2].T + matrix[:, 2])
 
 
 class Shrinker:
-    """A picture at halved resolutions, so that crops of large people are sampled without aliasing.
-
-    Parameters
-    ----------
-    picture : (H, W, 3).
-    """
+    """An image (H, W, 3) at halved resolutions, so that crops of large people have no aliasing."""
 
     def __init__(self, picture: Image) -> None:
         self._levels = [picture]
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the picture."""
+        """Width and height of the image."""
         return self._levels[0].shape[1], self._levels[0].shape[0]
 
     def _level(self, level: int) -> Image:
@@ -112,7 +104,7 @@ class Shrinker:
         return self._levels[level]
 
     def cut(self, crop: PersonCrop, side: int = LANDMARK_SIDE) -> Image:
-        """The pixels (side, side, 3) of a crop; beyond the picture its edge is repeated."""
+        """Return the pixels (side, side, 3) of a crop; the edge of the image is repeated outside."""
         from dousa.extras import cv2
 
         smallest = min(self.size)
@@ -128,12 +120,9 @@ class Shrinker:
         )
 
     def letterbox(self, part: Part | None = None, side: int = DETECTOR_SIDE) -> tuple[Image, FloatArray]:
-        """A part of the picture in a black square (side, side, 3), and the (2, 3) from its pixels to the picture's.
+        """Return a part of the image in a black square (side, side, 3), and the matrix (2, 3) from it to the image.
 
-        Parameters
-        ----------
-        part : left, top, width and height in px, within the picture; the whole by default.
-        side : px of the square.
+        ``part`` is within the image, by default all of it; ``side`` is in px.
         """
         from dousa.extras import cv2
 
@@ -153,7 +142,7 @@ class Shrinker:
 
 
 def list_parts(size: tuple[int, int], side: int) -> list[Part]:
-    """Squares of a side that cover a picture of this width and height, overlapping by 40 % at least."""
+    """List squares of a side that cover an image of this width and height, overlapping by at least 40 %."""
     side = min(side, *size)
     starts = []
     for length in size:
@@ -164,7 +153,7 @@ def list_parts(size: tuple[int, int], side: int) -> list[Part]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detection:
-    """A person that the detector found.
+    """A detected person.
 
     Parameters
     ----------
@@ -179,7 +168,7 @@ class Detection:
 
 
 def make_anchors() -> FloatArray:
-    """(2254, 2) centres of the detector's anchors, of its square with sides of 1: two a cell and layer."""
+    """Return the centres (2254, 2) of the detector's anchors in a unit square, two by cell and layer."""
     rows = []
     for stride, layers in {stride: _STRIDES.count(stride) for stride in _STRIDES}.items():
         n_cells = math.ceil(DETECTOR_SIDE / stride)
@@ -192,14 +181,14 @@ def make_anchors() -> FloatArray:
 def decode_detections(
     raw: NDArray[np.float32], logits: NDArray[np.float32], anchors: FloatArray, matrix: FloatArray
 ) -> list[Detection]:
-    """People from what the detector returns, overlapping ones averaged, the surest first.
+    """Decode the detector's output into people, overlapping ones averaged, highest scores first.
 
     Parameters
     ----------
     raw : (N, 12) per anchor middle, width and height of the box, and four points x, y, in its square's pixels.
     logits : (N,) of the scores.
     anchors : (N, 2) see `make_anchors`.
-    matrix : (2, 3) from the square's pixels to the picture's.
+    matrix : (2, 3) from the square's pixels to the image's.
     """
     scores = 1 / (1 + np.exp(-np.clip(logits.astype(np.float64), -_LARGEST_LOGIT, _LARGEST_LOGIT)))
     kept = np.flatnonzero(scores >= _LEAST_SCORE)
@@ -225,7 +214,7 @@ def decode_detections(
 
 
 def measure_overlap(box: FloatArray, boxes: FloatArray) -> FloatArray:
-    """(N,) intersection over union of a box (4,) with boxes (N, 4): left, top, right, bottom."""
+    """Compute intersection over union (N,) of a box (4,) with boxes (N, 4): left, top, right, bottom."""
     low, high = np.maximum(box[:2], boxes[:, :2]), np.minimum(box[2:], boxes[:, 2:])
     common = np.prod(np.clip(high - low, 0, None), axis=1)
     areas = np.prod(np.clip(boxes[:, 2:] - boxes[:, :2], 0, None), axis=1)
@@ -247,16 +236,16 @@ _LEAST_CONFIDENT = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landmarks:
-    """What the landmark network says about one crop.
+    """The landmarks of the person in one crop.
 
     Parameters
     ----------
     score : 0 to 1, that there is a person in the crop.
-    points : (33, 2) px of the picture.
-    visibility : (33,) 0 to 1, that the point is in the picture and not hidden.
+    points : (33, 2) px of the image.
+    visibility : (33,) 0 to 1, that the point is in the image and not hidden.
     world : (33, 3) m about the middle of the hips, axes of the camera.
     crop : the crop.
-    next_crop : around the same person, for the next picture; None where there is no telling.
+    next_crop : around the same person, for the next image; None if it is unusable.
     mask : (128, 128) bool, the person in the crop.
     colours : (256, 256, 3) the crop's pixels, red, green, blue.
     """
@@ -272,12 +261,12 @@ class Landmarks:
 
 
 def sigmoid(values: NDArray[np.floating[Any]]) -> FloatArray:
-    """1 / (1 + exp(-values)), for large values too."""
+    """Compute 1 / (1 + exp(-values)), for large values too."""
     return np.asarray(1 / (1 + np.exp(-np.clip(values.astype(np.float64), -60, 60))))
 
 
 class _Network:
-    """A tflite file that is ready to run."""
+    """A loaded tflite model."""
 
     def __init__(self, path: Path, threads: int | None) -> None:
         module = require("ai_edge_litert.interpreter", "film")
@@ -294,18 +283,14 @@ class _Network:
         }
 
     def run(self, square: NDArray[np.float32]) -> dict[tuple[int, ...], NDArray[np.float32]]:
-        """Outputs by their shape, without the axis of the batch."""
+        """Return the outputs by shape, without the batch axis."""
         self._interpreter.set_tensor(self._input, square[None])
         self._interpreter.invoke()
         return {shape: self._interpreter.get_tensor(index)[0] for shape, index in self._outputs.items()}
 
 
 class PersonDetector:
-    """Finds people in a whole picture.
-
-    Parameters
-    ----------
-    threads : of the processor; by default up to four.
+    """Detect people in an image with ``threads`` threads, by default up to four.
 
     Raises
     ------
@@ -318,7 +303,7 @@ class PersonDetector:
         self._anchors = make_anchors()
 
     def find(self, picture: Shrinker, part: Part | None = None) -> list[Detection]:
-        """The people in a picture or a part of it, the surest first."""
+        """Return the people in an image or a part of it, highest scores first."""
         square, matrix = picture.letterbox(part)
         outputs = self._network.run(square.astype(np.float32) / np.float32(127.5) - np.float32(1))
         n_anchors = len(self._anchors)
@@ -326,12 +311,12 @@ class PersonDetector:
 
 
 class LandmarkNetwork:
-    """Finds the landmarks of the person in a crop.
+    """Find the landmarks of the person in a crop.
 
     Parameters
     ----------
     model : ``"lite"``, ``"full"`` or ``"heavy"``.
-    threads : of the processor; by default up to four.
+    threads : by default up to four.
 
     Raises
     ------
@@ -345,14 +330,13 @@ class LandmarkNetwork:
     def find(
         self, picture: Shrinker, crop: PersonCrop, others: Sequence[CroppedMask] = (), own: CroppedMask | None = None
     ) -> Landmarks:
-        """The landmarks of the person in a crop.
+        """Return the landmarks of the person in a crop.
 
         Parameters
         ----------
         picture : with the person.
         crop : around the person.
-        others : people who are known to be in the picture. Where they stand beside the person they are painted over, as
-            the network would mix them up.
+        others : other people in the image, painted over because the network would mix them up.
         own : the person's own pixels, which are not painted over.
         """
         from dousa.extras import cv2
@@ -384,7 +368,7 @@ class LandmarkNetwork:
 def paint_over(
     colours: Image, crop: PersonCrop, others: Sequence[CroppedMask], own: CroppedMask | None = None
 ) -> Image:
-    """A crop (256, 256, 3) in which other people's pixels, not the person's own, have the mean colour of the rest."""
+    """Return a crop (256, 256, 3) with other people's pixels in the mean colour of the rest."""
     hidden = np.zeros(colours.shape[:2], bool)
     for other in others:
         hidden |= redraw_mask(other, crop)
@@ -398,7 +382,7 @@ def paint_over(
 
 
 def redraw_mask(mask: CroppedMask, crop: PersonCrop, side: int = LANDMARK_SIDE) -> NDArray[np.bool_]:
-    """A mask as it is seen in another crop, (side, side)."""
+    """Return a mask (side, side) as seen in another crop."""
     from dousa.extras import cv2
 
     whole = np.concatenate([mask[1].matrix(MASK_SIDE), [[0.0, 0.0, 1.0]]])
@@ -407,7 +391,7 @@ def redraw_mask(mask: CroppedMask, crop: PersonCrop, side: int = LANDMARK_SIDE) 
 
 
 def refine_landmarks(places: FloatArray, heatmaps: NDArray[np.float32]) -> FloatArray:
-    """Landmarks moved to the centre of their heatmaps around them, where these are sure.
+    """Move landmarks to the local centre of their heatmaps, where these are confident.
 
     Parameters
     ----------

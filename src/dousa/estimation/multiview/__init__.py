@@ -1,1 +1,1 @@
-"""From keypoints in several views to poses: sides put right, triangulation, a body fitted over the whole film."""
+"""Poses from keypoints in several views: sides, triangulation, and a body fitted over the whole film."""

@@ -1,12 +1,12 @@
-"""Fits one body and its poses to the keypoints of a whole film.
+"""One body and its poses fitted to the keypoints of a whole film.
 
 Stature, lengths and the shifts of groups of points (a network's hips lie beside the joints) are found together with
-poses from all over the film; each frame's pose is eliminated (Schur complement). Lengths that the film does not
-determine stay at the tables of body measures.
+poses from all over the film; each frame's pose is eliminated (Schur complement). Undetermined lengths stay at the
+tables of body measures.
 
 The most likely trajectory follows by Gauss-Newton steps over all frames (the iterated Kalman smoother: Bell, "The
-iterated Kalman smoother as a Gauss-Newton method", 1994), whose equations are banded; they also yield the covariance
-of each pose. A joint that no view shows follows its neighbours in time, and its uncertainty grows.
+iterated Kalman smoother as a Gauss-Newton method", 1994), whose equations are banded and yield the covariance of each
+pose. A hidden joint follows its neighbours in time, and its uncertainty grows.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ BuildBody = Callable[[FloatArray], BodyModel]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyParameters:
-    """How a body may differ from what is expected.
+    """The parameters of a body and their spread.
 
     Parameters
     ----------
-    build : makes the body of parameters (N,), zeros being what is expected.
-    sigmas : (N,) how far each may be from zero.
-    groups : of landmarks whose places may be shifted, three parameters each after those of the body.
+    build : makes the body of parameters (N,), zeros being the expected body.
+    sigmas : (N,) standard deviations.
+    groups : of shifted landmarks, three parameters each after those of the body.
     """
 
     build: BuildBody
@@ -55,11 +55,11 @@ class BodyParameters:
 
     @property
     def all_sigmas(self) -> FloatArray:
-        """(N + 3 G,) of everything."""
+        """Standard deviations (N + 3 G,) of all parameters."""
         return np.concatenate((self.sigmas, np.repeat([SHIFTS[group] for group in self.groups], 3)))
 
     def split(self, values: FloatArray) -> tuple[FloatArray, dict[str, FloatArray]]:
-        """Parameters of the body, and shifts of the groups."""
+        """Split values into parameters of the body and shifts of the groups."""
         count = len(self.sigmas)
         shifts = values[count:].reshape(-1, 3)
         return values[:count], dict(zip(self.groups, shifts, strict=True))
@@ -68,14 +68,14 @@ class BodyParameters:
 def fit_body_parameters(
     parameters: BodyParameters, place: Callable[[BodyModel], Landmarks], poses: FloatArray, terms: Terms
 ) -> tuple[BodyModel, Landmarks, FloatArray]:
-    """Body, landmarks and poses (T, 7 + A) that explain a choice of frames best.
+    """Fit body, landmarks and poses (T, 7 + A) to a choice of frames.
 
     Parameters
     ----------
     parameters : what may change.
     place : puts the landmarks on a body.
     poses : (T, 7 + A) to begin with.
-    terms : of these frames, which need not follow each other; each counts as one independent picture.
+    terms : of these frames, not necessarily consecutive; each counts as one independent image.
     """
     values = np.zeros(len(parameters.all_sigmas))
     body, landmarks = _make(parameters, place, values)
@@ -133,7 +133,7 @@ def _parameter_equations(
     poses: FloatArray,
     terms: Terms,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Curvature between poses and parameters (T, D, N), of the parameters (N, N), and their gradient (N,)."""
+    """Compute curvature between poses and parameters (T, D, N), of the parameters (N, N), and their gradient (N,)."""
     share = min(1.0, 1.0 / (terms.frame_rate * CORRELATED_S))
     places, slopes = point_slopes(body, poses, landmarks)
     grown = []
@@ -168,7 +168,7 @@ def _eliminate(
     pull: FloatArray,
     damping: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Steps of the poses (T, D) and change of the parameters (N,)."""
+    """Return steps of the poses (T, D) and change of the parameters (N,)."""
     size = np.arange(square.shape[1])
     damped = square.copy()
     damped[:, size, size] *= 1.0 + damping
@@ -204,19 +204,15 @@ class Trajectory:
 def fit_trajectory(
     body: BodyModel, start: FloatArray, landmarks: Landmarks, terms: Terms, tell: Tell | None = None
 ) -> Trajectory:
-    """The most likely poses of a film.
+    """Fit the most likely poses of a film, within the joints' limits but for hundredths of a radian.
 
     Parameters
     ----------
     body : the model.
     start : (T, 7 + A) to begin with.
     landmarks : on the body, those of ``terms``.
-    terms : what is known.
+    terms : the observations.
     tell : called with steps done and steps at most.
-
-    Returns
-    -------
-    The trajectory within the joints' limits, but for hundredths of a radian.
     """
     poses, damping = start.copy(), 1e-3
     force = force_weights(body, terms.frame_rate)
@@ -241,7 +237,7 @@ def fit_trajectory(
 
 
 def force_weights(body: BodyModel, frame_rate: float) -> FloatArray:
-    """(D,) what a squared second difference costs."""
+    """Compute the cost (D,) of a squared second difference."""
     sigma = [np.full(3, _ROOT_FORCE), np.full(3, _TURN_FORCE)]
     sigma += [np.full(count, _JOINT_FORCE * body.agility[part]) for part, count in enumerate(body.n_axes)]
     second = np.concatenate(sigma) / frame_rate**2
@@ -264,7 +260,7 @@ def _evaluate(
 
 
 def _second_differences(poses: FloatArray) -> FloatArray:
-    """(T - 2, D) how each pose goes off the straight way between its neighbours."""
+    """Compute second differences (T - 2, D) of poses."""
     moves = np.concatenate(
         (
             np.diff(poses[:, :3], axis=0),
@@ -277,7 +273,7 @@ def _second_differences(poses: FloatArray) -> FloatArray:
 
 
 def _couplings(n_frames: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Diagonals (T,), (T - 1,), (T - 2,) of the square of second differences."""
+    """Return diagonals (T,), (T - 1,), (T - 2,) of the square of second differences."""
     own, one, two = np.zeros(n_frames), np.zeros(max(n_frames - 1, 0)), np.zeros(max(n_frames - 2, 0))
     if n_frames > 2:
         own[:-2] += 1.0
@@ -294,7 +290,7 @@ Blocks = tuple[FloatArray, FloatArray]
 
 
 def _assemble(square: FloatArray, force: FloatArray, damping: float) -> Blocks:
-    """The banded equations as block tridiagonal ones; an odd last frame is filled up with ones."""
+    """Return the banded equations as block tridiagonal ones; an odd last frame is padded with the identity."""
     n_frames, size = square.shape[:2]
     own, one, two = _couplings(n_frames)
     n_blocks = (n_frames + 1) // 2
@@ -317,7 +313,7 @@ def _assemble(square: FloatArray, force: FloatArray, damping: float) -> Blocks:
 
 
 def _solve(square: FloatArray, gradient: FloatArray, force: FloatArray, damping: float) -> FloatArray:
-    """(T, D) the damped step: elimination forward, then backward."""
+    """Return the damped step (T, D) by forward and backward elimination."""
     n_frames, size = gradient.shape
     diagonals, uppers = _assemble(square, force, damping)
     right = np.zeros((2 * len(diagonals), size))
@@ -340,10 +336,7 @@ def _solve(square: FloatArray, gradient: FloatArray, force: FloatArray, damping:
 
 
 def find_covariance(square: FloatArray, force: FloatArray) -> FloatArray:
-    """(T, D, D) blocks on the diagonal of the inverse of the banded equations.
-
-    Eliminated forward, then inverted backward (Rauch, Tung and Striebel 1965).
-    """
+    """Compute the diagonal blocks (T, D, D) of the inverse of the banded equations (Rauch, Tung and Striebel 1965)."""
     n_frames, size = square.shape[:2]
     diagonals, uppers = _assemble(square, force, 0.0)
     inverses: list[FloatArray] = []

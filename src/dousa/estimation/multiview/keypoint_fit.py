@@ -1,8 +1,8 @@
-"""From keypoints of one person in calibrated views to a motion: the whole way.
+"""The fit of a motion to keypoints of one person in calibrated views.
 
-Sides put right, points triangulated without the views that disagree, stature and bones from the whole film, then the
-most likely trajectory of the body. No silhouettes, no first pose, no stature are needed; with one view stature and the
-network's own places in space stand in for what one view does not tell.
+Sides are corrected, points triangulated without outlying views, stature and bones found from the whole film, then the
+most likely trajectory of the body. With one view, stature and the network's own places in space replace the missing
+depth.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ from dousa.messages import Message
 from dousa.motion import rotations as rot
 
 USUAL_STATURE = 1.72
-"""m, where nothing tells."""
+"""m, if unknown."""
 
 STATURE_SHARE = 0.04
-"""Share by which a stature that several views tell is off: of 40 made-up people 4 % small, spread 2 %."""
+"""Relative error of a stature from several views: of 40 synthetic people 4 % small, spread 2 %."""
 
 _MEASURES = ("upper_arm", "forearm", "thigh", "shank", "trunk", "shoulder_breadth", "hip_breadth", "head", "foot")
 _STATURE_SIGMA, _GIVEN_SIGMA, _MEASURE_SIGMA = 0.03, 0.01, 0.06  # of logarithms
@@ -51,7 +51,7 @@ _BODY_FRAMES = 60
 _BODY_RATE = 40.0  # Hz: a network's errors are much the same all over a film, so that a frame counts as a quarter
 _BONES = (("hip", "knee", 0.236), ("knee", "ankle", 0.246), ("shoulder", "elbow", 0.162), ("elbow", "wrist", 0.158))
 _WINDOW, _MARGIN = 600, 60  # frames that are fitted at once, and that are shared with the next
-_ONE_VIEW_EASE = 4.0  # times the ease of joints that several views need: what one view does not tell is at ease
+_ONE_VIEW_EASE = 4.0  # times the ease with several views, as one view leaves more undetermined
 _LOST_SIGMA = 0.10  # m, mean uncertainty of the joints of a frame that is lost
 _LOST_SEEN = 0.35  # share of the landmarks that two views, or the only one, must show
 _LOST_ERROR = 3.0  # sigmas, middle error of a frame's points
@@ -65,9 +65,9 @@ class KeypointFit:
 
     Parameters
     ----------
-    estimate : the motion and how far to trust it.
+    estimate : the motion and its expected error.
     landmarks : on its body.
-    seen : (V, T, L) what was fitted, sides put right.
+    seen : (V, T, L) the fitted landmarks, sides corrected.
     exchanged : (V, T, G) where left and right were exchanged.
     errors : (V, T, L) px, reprojection errors; nan where a point is not seen.
     depth_doubt : (T,) m, mean uncertainty of the joints along the first view's axis.
@@ -99,21 +99,18 @@ def fit_keypoints(
 ) -> KeypointFit:
     """Fit a body to one person's keypoints.
 
+    Frames with joints more uncertain than 100 mm, with too few points, or with points far off the body are ``lost``.
+
     Parameters
     ----------
-    cameras : (V,) calibrated, one at least, for pictures of the keypoints' size.
-    tracks : (V,) of the person, of T frames at the same moments; None where a view does not show them.
+    cameras : (V,) calibrated, one at least, for images of the keypoints' size.
+    tracks : (V,) of the person, of T frames at the same moments; None where a view does not show the person.
     names : (K,) of the keypoints, such as `MEDIAPIPE_NAMES`.
     frame_rate : Hz.
-    body : whose lengths are known; by default they are found.
-    stature : m; by default several views tell it, and one view assumes `USUAL_STATURE`.
-    sex : of the proportions, where there is no body.
-    progress : called with steps done, steps in all and what is being done.
-
-    Returns
-    -------
-    The motion. Frames whose joints are not known within 100 mm, that too few points are seen in, or whose points the
-    body does not meet, are ``lost``.
+    body : with known lengths; by default they are found.
+    stature : m; by default from several views, or `USUAL_STATURE` with one view.
+    sex : of the proportions, without a body.
+    progress : called with steps done, steps in all and the current step.
 
     Raises
     ------
@@ -148,7 +145,7 @@ def fit_keypoints(
 
 
 def _first_places(cameras: Sequence[Camera], seen: SeenLandmarks, shown: Sequence[int]) -> FloatArray:
-    """(T, L, 3) m, nan where unknown."""
+    """Return first places (T, L, 3) m, nan where unknown."""
     if not shown:
         raise KeypointError("multiview.nobody")
     if len(shown) > 1:
@@ -160,7 +157,7 @@ def _first_places(cameras: Sequence[Camera], seen: SeenLandmarks, shown: Sequenc
 
 
 def _place_world(camera: Camera, points: FloatArray, visibility: FloatArray, world: FloatArray) -> FloatArray:
-    """The network's own places in space, moved to where they are seen: linear in the way there."""
+    """Move the network's own places in space to their image points, by linear least squares."""
     if not np.isfinite(world).any():
         raise KeypointError("multiview.one_view")
     _, ways = camera.compute_rays(np.nan_to_num(points))
@@ -178,7 +175,7 @@ def _place_world(camera: Camera, points: FloatArray, visibility: FloatArray, wor
 
 
 def _guess_stature(places: FloatArray, names: tuple[str, ...], n_views: int) -> float:
-    """By the limbs' middle lengths, which tables know in statures."""
+    """Estimate the stature from median limb lengths and the tables."""
     if n_views < 2:
         return USUAL_STATURE
     ratios = []
@@ -195,7 +192,7 @@ def _guess_stature(places: FloatArray, names: tuple[str, ...], n_views: int) -> 
 def _first_poses(
     body: BodyModel, places: FloatArray, names: tuple[str, ...], frame_rate: float
 ) -> tuple[FloatArray, BoolArray]:
-    """Poses (T, 7 + A) to begin with, and (T,) whether the frame determines the pose."""
+    """Return first poses (T, 7 + A), and (T,) whether the frame determines the pose."""
     known = set(point_names(body))
     rows = [row for row, name in enumerate(names) if name in known and not name.endswith("neck")]
     determined = np.isfinite(places[:, rows, 0])
@@ -215,7 +212,7 @@ def _first_poses(
 
 
 def _fill_between(poses: FloatArray, frames: IndexArray, n_frames: int) -> FloatArray:
-    """Poses (T, 7 + A) of all frames, between those at ``frames`` in straight lines."""
+    """Interpolate poses (T, 7 + A) linearly between those at ``frames``."""
     poses = poses.copy()
     for t in range(1, len(poses)):
         if poses[t, 3:7] @ poses[t - 1, 3:7] < 0:
@@ -234,7 +231,7 @@ def _find_body(
     determined: BoolArray,
     terms: Terms,
 ) -> tuple[BodyModel, Landmarks, FloatArray]:
-    """The body, its landmarks, and the poses to begin with, from frames of the whole film."""
+    """Return the body, its landmarks, and the first poses, from frames of the whole film."""
     chosen = np.flatnonzero(determined)
     if not len(chosen):
         chosen = np.arange(len(poses))
@@ -260,7 +257,7 @@ def _find_body(
 
 
 def _usual_body(stature: float, sex: str, sizes: Mapping[str, float] | None = None) -> BodyModel:
-    """The body of the tables, its joints as far apart as anatomists say, with measures that are times the usual."""
+    """Return the body of the tables with anatomical breadths, its measures scaled by ``sizes``."""
     factors, shares = SEX_FACTORS[sex], LENGTHS | BREADTHS
     measures = {name: stature * share * factors.get(name, 1.0) * (sizes or {}).get(name, 1.0)
                 for name, share in shares.items() if name in BREADTHS or sizes}  # fmt: skip
@@ -270,8 +267,7 @@ def _usual_body(stature: float, sex: str, sizes: Mapping[str, float] | None = No
 def _fit_in_windows(
     body: BodyModel, start: FloatArray, landmarks: Landmarks, terms: Terms, tell: Progress
 ) -> tuple[FloatArray, FloatArray]:
-    """Poses (T, 7 + A) and covariance (T, P + K, 3, 3) m^2 of the joints; stretches with some frames beside them, so
-    that long films need no more memory at a time."""
+    """Return poses (T, 7 + A) and covariance (T, P + K, 3, 3) m^2 of the joints, by windows to limit memory."""
     n_frames, seen = len(start), terms.seen
     poses, covariance = [], []
     edges = [*range(0, max(n_frames - _WINDOW // 2, 1), _WINDOW), n_frames]
@@ -329,7 +325,7 @@ def _answer(
 
 
 def _doubt_distance(fit: KeypointFit, camera: Camera, sigma: float) -> KeypointFit:
-    """The fit with joints as unsure as its distance: what one view shows is as far away as its stature is tall."""
+    """Add the uncertainty of the distance, which in one view is that of the stature."""
     centre = -camera.rotation.T @ camera.translation
     away = np.linalg.norm(joint_places(fit) - centre, axis=-1)
     uncertainty = np.hypot(fit.estimate.uncertainty, sigma * away)
@@ -337,7 +333,7 @@ def _doubt_distance(fit: KeypointFit, camera: Camera, sigma: float) -> KeypointF
 
 
 def _joint_covariance(body: BodyModel, poses: FloatArray, covariance: FloatArray) -> FloatArray:
-    """(T, P + K, 3, 3) m^2."""
+    """Compute the covariance (T, P + K, 3, 3) m^2 of joints and tips."""
     parts = np.concatenate((np.arange(body.n_parts), body.tip_parts))
     places = np.concatenate((np.zeros((body.n_parts, 3)), body.tip_offsets))
     points = Landmarks(point_names(body), parts, places, np.ones(len(parts)), ("",) * len(parts))
@@ -346,7 +342,7 @@ def _joint_covariance(body: BodyModel, poses: FloatArray, covariance: FloatArray
 
 
 def _find_hidden(body: BodyModel, landmarks: Landmarks, seen: SeenLandmarks) -> BoolArray:
-    """(T, P) parts none of whose points a view shows, their own or those of the part beyond."""
+    """Find (T, P) parts without any visible point of their own or of the part beyond."""
     shown = np.asarray((seen.visibility > 0.3).any(axis=0))
     hidden = np.ones((shown.shape[0], body.n_parts), bool)
     for row, part in enumerate(landmarks.parts):
@@ -357,5 +353,5 @@ def _find_hidden(body: BodyModel, landmarks: Landmarks, seen: SeenLandmarks) -> 
 
 
 def joint_places(fit: KeypointFit) -> FloatArray:
-    """Places (T, P + K, 3) m of the joints and tips."""
+    """Return places (T, P + K, 3) m of the joints and tips."""
     return compute_points(fit.estimate.body, fit.estimate.poses)

@@ -1,10 +1,8 @@
-"""Where keypoints lie on the body: the part that each hangs on, its place there, and how well networks find it.
+"""Landmarks: the places of keypoints on the body, and their spread in networks.
 
-Places are in statures in the axes of the part (see ``anthropometry.toml``). They were measured on made-up films of
-made-up people, whose joints are known (``lab/trials/made_people.py``: BlazePose's heavy model, meshes of MakeHuman in
-poses of HDM05 and Bandai Namco): such as that the point of a shoulder lies above the joint and goes with the trunk, and
-that of an ankle above the ankle. Nothing was fitted to a film of a real person; how far off the points of a group are
-in a film is estimated (`body_fit`).
+Places are in statures in the axes of the part (see ``anthropometry.toml``). They were measured on synthetic films of
+synthetic people with known joints (``lab/trials/made_people.py``: BlazePose's heavy model, meshes of MakeHuman in poses
+of HDM05 and Bandai Namco). The shift of a group of points in a film is estimated (`body_fit`).
 """
 
 from __future__ import annotations
@@ -71,8 +69,8 @@ class Landmarks:
     names : (L,), such as ``"left_hip"``.
     parts : (L,) of the body.
     places : (L, 3) m in the part's axes.
-    spread : (L,) m, how far off a network puts them, one sigma, where they are seen well.
-    groups : (L,) name of the group that is off together, "" for points that are joints.
+    spread : (L,) m, one sigma of a network's errors where points are seen well.
+    groups : (L,) name of the group with a common shift, "" for points that are joints.
     """
 
     names: tuple[str, ...]
@@ -83,12 +81,12 @@ class Landmarks:
 
     @property
     def mirrored(self) -> IndexArray:
-        """(L,) the place of each point's mirror image."""
+        """(L,) the index of each point's mirror image."""
         return np.array([self.names.index(_mirror(name)) if _mirror(name) in self.names else row
                          for row, name in enumerate(self.names)])  # fmt: skip
 
     def shifted(self, shifts: dict[str, FloatArray]) -> Landmarks:
-        """The same with groups moved by (3,) m to the left, up and ahead; the right side's by the mirror image."""
+        """Return landmarks with groups shifted by (3,) m to the left, up and ahead, mirrored on the right."""
         places = self.places.copy()
         for row, (name, group) in enumerate(zip(self.names, self.groups, strict=True)):
             if group in shifts:
@@ -104,12 +102,7 @@ def _mirror(name: str) -> str:
 
 
 def find_sources(names: Sequence[str]) -> dict[str, tuple[int, ...]]:
-    """Landmark -> the keypoints whose mean it is, of those that a network gives.
-
-    Raises
-    ------
-    KeypointError : too few of them are points of a body.
-    """
+    """Return for each landmark the keypoints whose mean it is; KeypointError for too few points of a body."""
     place = {name: row for row, name in enumerate(names)}
     found: dict[str, tuple[int, ...]] = {}
     for name in _MIDDLE:
@@ -132,7 +125,7 @@ def _choices(table: dict[str, tuple[tuple[str, ...], ...]], point: str, number: 
 
 
 def place_landmarks(body: BodyModel, names: Sequence[str]) -> Landmarks:
-    """The landmarks of these names on a person's body.
+    """Return the landmarks of these names on a person's body.
 
     Parameters
     ----------
@@ -162,15 +155,14 @@ def place_landmarks(body: BodyModel, names: Sequence[str]) -> Landmarks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenLandmarks:
-    """Landmarks in the pictures of V views at T moments.
+    """Landmarks in the images of V views at T moments.
 
     Parameters
     ----------
     names : (L,).
     points : (V, T, L, 2) px, nan where not seen.
     visibility : (V, T, L) 0 to 1.
-    world : (V, T, L, 3) m, what the network says of the place in space, about the hips along the camera's axes; nan
-        where it does not.
+    world : (V, T, L, 3) m, the network's places in space about the hips along the camera's axes; nan without.
     """
 
     names: tuple[str, ...]
@@ -180,16 +172,16 @@ class SeenLandmarks:
 
     @property
     def seen(self) -> NDArray[np.bool_]:
-        """(V, T, L) whether there is a point at all."""
+        """(V, T, L) whether there is a point."""
         return np.asarray(np.isfinite(self.points[..., 0]))
 
 
 def gather(tracks: Sequence[PersonTrack | None], names: Sequence[str], n_frames: int) -> SeenLandmarks:
-    """The landmarks of one person in all views.
+    """Return the landmarks of one person in all views.
 
     Parameters
     ----------
-    tracks : (V,) of the person, of T frames at the same moments; None where a view does not show them.
+    tracks : (V,) of the person, of T frames at the same moments; None where a view does not show the person.
     names : (K,) of the keypoints.
     n_frames : T.
     """

@@ -1,9 +1,8 @@
-"""Matches people across views and corrects exchanged left and right sides.
+"""People matched across views, and corrected exchanges of left and right.
 
-People whose rays meet in all frames are one person (epipolar geometry). Seen from behind or from the side, networks
-exchange the legs, the arms or all of a person. For arms and for legs the sequence of exchanges over all views is found
-that makes the rays of the views meet and the points move steadily with few exchanges (dynamic programming over time,
-after Viterbi 1967).
+People whose rays meet in all frames are one person (epipolar geometry). From behind or from the side, networks
+exchange legs, arms or the whole person. For arms and for legs the sequence of exchanges over all views is found that
+makes the rays meet and the points move steadily with few exchanges (dynamic programming over time, after Viterbi 1967).
 """
 
 from __future__ import annotations
@@ -39,8 +38,8 @@ class MatchedPerson:
 
     Parameters
     ----------
-    tracks : (V,) None where a view does not show them.
-    members : (V,) numbers of the people of each view who are this person.
+    tracks : (V,) None where a view does not show the person.
+    members : (V,) numbers of this person among the people of each view.
     """
 
     tracks: tuple[PersonTrack | None, ...]
@@ -48,7 +47,7 @@ class MatchedPerson:
 
     @property
     def seen(self) -> float:
-        """How much is seen of them: visibilities added up, and seen by one view alone counts for little."""
+        """Sum of visibilities; a tenth of it if only one of several views shows the person."""
         shown = [float(track.visibility.sum()) for track in self.tracks if track is not None]
         return sum(shown) if len(shown) > 1 or len(self.tracks) == 1 else 0.1 * sum(shown)
 
@@ -56,10 +55,10 @@ class MatchedPerson:
 def match_people(
     cameras: Sequence[Camera], views: Sequence[Sequence[PersonTrack]], names: Sequence[str]
 ) -> tuple[MatchedPerson, ...]:
-    """The people of several views, each person once, who is seen most first.
+    """Match the people of several views, most seen first.
 
-    Every two people of two views propose a person in space; people of other views who are seen there join. The
-    proposal that most views agree with, and best, is a person; then the next among those that are left.
+    Every two people of two views propose a person in space; matching people of other views join. The best proposal with
+    most views becomes a person; then the next among the rest.
 
     Parameters
     ----------
@@ -94,7 +93,7 @@ def _propose(
     left: Sequence[Node],
     pair: tuple[Node, Node],
 ) -> tuple[list[Node], float] | None:
-    """Who is seen where the two meet, and by how many metres they are off; None where these two are not one person."""
+    """Return the members of a proposed person and their mean error in metres; None if the pair is not one person."""
     (v, i), (w, j) = pair
     one, other = views[v][i], views[w][j]
     common = np.flatnonzero(one.present & other.present)
@@ -122,7 +121,7 @@ def _propose(
 
 
 def _distance(camera: Camera, track: PersonTrack, place: FloatArray, pick: tuple[IndexArray, ...]) -> float:
-    """m by which points of space are off where a view sees them, in the middle; infinite where they are not seen."""
+    """Compute the median error (m) of points of space in a view; infinite where they are not seen."""
     points, visibility = track.points[pick], track.visibility[pick]
     off = np.linalg.norm(camera.project(place) - points, axis=-1) / pixels_per_metre(camera, place)
     known = np.isfinite(points[..., 0]) & (visibility > _LEAST_VISIBLE) & np.isfinite(place[..., 0])
@@ -132,13 +131,13 @@ def _distance(camera: Camera, track: PersonTrack, place: FloatArray, pick: tuple
 
 
 def _overlap(one: PersonTrack, other: PersonTrack) -> bool:
-    """Whether two tracks of one view are there at once, so that they are two people."""
+    """Return whether two tracks of one view coexist, so that they are two people."""
     both = (one.present & other.present).sum()
     return bool(both > _TOGETHER * max(1, min(one.present.sum(), other.present.sum())))
 
 
 def _is_body(place: FloatArray, names: Sequence[str]) -> bool:
-    """Whether the trunk is as long as trunks are: rays of two people can meet in empty space."""
+    """Return whether the trunk has a plausible length, as rays of two people can meet in empty space."""
     wanted = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
     if not set(wanted) <= set(names):
         return True
@@ -159,7 +158,7 @@ def _merge(nodes: Sequence[tuple[int, int]], views: Sequence[Sequence[PersonTrac
 
 
 def _join(tracks: Sequence[PersonTrack]) -> PersonTrack:
-    """Tracks of one person in one view, who was lost between them."""
+    """Join tracks of one person in one view."""
     if len(tracks) == 1:
         return tracks[0]
     chosen = np.stack([np.where(track.present, track.visibility.sum(axis=1), -1.0) for track in tracks]).argmax(axis=0)
@@ -173,17 +172,15 @@ def _join(tracks: Sequence[PersonTrack]) -> PersonTrack:
 
 
 def resample_track(track: PersonTrack, times: FloatArray, moments: FloatArray) -> PersonTrack:
-    """A track at other moments, between its frames in straight lines.
+    """Resample a track at other moments by linear interpolation, without masks.
+
+    A point is not seen where either neighbouring frame lacks it, and outside the film.
 
     Parameters
     ----------
     track : of frames at ``times``.
     times : (T,) s, rising.
     moments : (S,) s.
-
-    Returns
-    -------
-    S frames without masks; not seen where either frame beside is not, and outside the film.
     """
     after = np.clip(np.searchsorted(times, moments), 1, max(len(times) - 1, 1))
     before = after - 1
@@ -221,16 +218,14 @@ _LEAST_SEEN = 0.2
 
 
 def repair_sides(cameras: Sequence[Camera], seen: SeenLandmarks) -> tuple[SeenLandmarks, BoolArray]:
-    """Exchange left and right where the views say so.
+    """Exchange left and right where the views require it.
+
+    Returns the corrected landmarks, and (V, T, G) where arms and legs (`GROUPS`) were exchanged.
 
     Parameters
     ----------
     cameras : (V,).
     seen : (V, T, L) landmarks.
-
-    Returns
-    -------
-    The landmarks put right, and (V, T, G) where arms and legs (`GROUPS`) were exchanged.
     """
     n_views, n_frames = seen.points.shape[:2]
     exchanged = np.zeros((n_views, n_frames, len(GROUPS)), bool)
@@ -253,7 +248,7 @@ def repair_sides(cameras: Sequence[Camera], seen: SeenLandmarks) -> tuple[SeenLa
 
 
 def _measure_scale(cameras: Sequence[Camera], seen: SeenLandmarks) -> FloatArray:
-    """(V, T) px a metre about the person: by where the rays of their middles meet, else by their height."""
+    """Compute (V, T) px per metre at the person, from where the rays of the middles meet, else from the height."""
     middles = known_mean(np.where(seen.visibility[..., None] > _LEAST_SEEN, seen.points, np.nan), axis=2)
     rays = [camera.compute_rays(np.nan_to_num(middle)) for camera, middle in zip(cameras, middles, strict=True)]
     places = [meet([rays[a], rays[b]]) for a, b in combinations(range(len(cameras)), 2)]
@@ -270,7 +265,7 @@ def _measure_scale(cameras: Sequence[Camera], seen: SeenLandmarks) -> FloatArray
 def _search(
     cameras: Sequence[Camera], seen: SeenLandmarks, left: IndexArray, right: IndexArray, scale: FloatArray
 ) -> BoolArray:
-    """(V, T) where the sides of one group are exchanged."""
+    """Find (V, T) where the sides of one group are exchanged."""
     n_views, n_frames = scale.shape
     pairs = {
         pair: np.stack([_disagree(cameras, seen, pair, rows, (left, right), scale) for rows in
@@ -295,7 +290,7 @@ def _disagree(
     usual: tuple[IndexArray, IndexArray],
     scale: FloatArray,
 ) -> FloatArray:
-    """(T,) how far the rays of two views pass each other, the one's ``usual`` points against the other's ``rows``."""
+    """Compute (T,) the distance of two views' rays, ``usual`` points of the first against ``rows`` of the second."""
     total = np.zeros(seen.points.shape[1])
     for own, other in zip(usual, rows, strict=True):
         a, b = seen.points[pair[0]][:, own], seen.points[pair[1]][:, other]
@@ -313,7 +308,7 @@ def _disagree(
 
 
 def _move(seen: SeenLandmarks, view: int, left: IndexArray, right: IndexArray, scale: FloatArray) -> FloatArray:
-    """(T, 2) how far points move since the frame before, as they are and exchanged; nothing before the first."""
+    """Compute (T, 2) the movement since the frame before, unchanged and exchanged; 0 in the first."""
     moves = np.zeros((seen.points.shape[1], 2))
     points, visibility = seen.points[view], seen.visibility[view]
     for way, (one, other) in enumerate((((left, left), (right, right)), ((left, right), (right, left)))):
@@ -333,7 +328,7 @@ def _decode(
     known: BoolArray,
     n_points: int,
 ) -> IndexArray:
-    """(B, T) the exchanges of some views, those of the others given."""
+    """Find (B, T) the exchanges of some views, with those of the others given."""
     n_frames = moves.shape[1]
     choices = np.array(np.meshgrid(*[(0, 1)] * len(block), indexing="ij")).reshape(len(block), -1)
     costs = np.zeros((n_frames, choices.shape[1]))

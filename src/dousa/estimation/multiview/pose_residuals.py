@@ -1,11 +1,11 @@
 """Costs of a pose: reprojection of landmarks, limits of the joints, rest, and the network's own places in space.
 
-Every term is a normal distribution in metres or radians, so that a pose's uncertainty follows from how sharply its
-terms rise. Errors of keypoints last for several frames: a picture counts as `1 / (rate * CORRELATED_S)` of an
-independent one, so that results do not depend on the frame rate.
+Every term is a normal distribution in metres or radians, so that a pose's uncertainty follows from the curvature.
+Errors of keypoints last for several frames: an image counts as `1 / (rate * CORRELATED_S)` of an independent one, so
+that results do not depend on the frame rate.
 
-A network's errors in space add up from bone to bone, and it does not know a person's size, so the vectors from joint
-to joint are compared, in statures. Their biases and spreads across the view and in depth were measured on made-up films
+A network's errors in space add up from bone to bone and its scale is unknown, so vectors from joint to joint are
+compared, in statures. Their biases and spreads across the view and in depth were measured on synthetic films
 (``lab/trials/made_people.py``).
 """
 
@@ -25,7 +25,7 @@ from dousa.estimation.multiview.triangulation import pixels_per_metre, project_s
 from dousa.motion import rotations as rot
 
 NETWORK_STATURE = 1.73
-"""m, of the person as whom a network sees everybody."""
+"""m, stature of every person in a network's places in space."""
 
 _ACROSS = (("hip", 0.018, 0.038), ("shoulder", 0.040, 0.060), ("ear", 0.050, 0.060))
 """Point -> the way from its right to its left: statures by which it is off across the view and in depth."""
@@ -50,13 +50,13 @@ _SIDES = ("left_", "right_")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bones:
-    """Ways between landmarks that a network knows something of.
+    """Vectors between landmarks in the network's own places.
 
     Parameters
     ----------
-    ways : (B, L) what is added up of the landmarks' places.
-    sigmas : (B, 3) statures, how far each is off along the camera's axes.
-    biases : (B, 3) statures, how far each is off always.
+    ways : (B, L) weights of the landmarks' places.
+    sigmas : (B, 3) statures, spread along the camera's axes.
+    biases : (B, 3) statures, constant error.
     """
 
     ways: FloatArray
@@ -65,7 +65,7 @@ class Bones:
 
 
 def list_bones(names: Sequence[str]) -> Bones:
-    """The bones that these landmarks have."""
+    """Return the bones of these landmarks."""
     ways, sigmas, biases = [], [], []
 
     def add(one: FloatArray | None, other: FloatArray | None, row: tuple[float, float], bias: Sequence[float]) -> None:
@@ -83,7 +83,7 @@ def list_bones(names: Sequence[str]) -> Bones:
 
 
 def _pick(names: Sequence[str], name: str) -> FloatArray | None:
-    """(L,) what is added up to get a point; None where the landmarks do not have it."""
+    """Return the weights (L,) of a point; None where the landmarks lack it."""
     some = [side + _MIDDLES[name] for side in _SIDES] if name in _MIDDLES else [name]
     if not set(some) <= set(names):
         return None
@@ -93,7 +93,7 @@ def _pick(names: Sequence[str], name: str) -> FloatArray | None:
 def world_terms(
     camera: Camera, world: FloatArray, names: Sequence[str], places: FloatArray, slopes: FloatArray, stature: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Errors in sigmas, and how they change with the pose.
+    """Compute errors in sigmas (T, B, 3), nan where unknown, and their derivative by the pose (T, B, 3, D).
 
     Parameters
     ----------
@@ -103,10 +103,6 @@ def world_terms(
     places : (T, L, 3) m, those of the body.
     slopes : (T, L, 3, D) their slopes.
     stature : m, of the body.
-
-    Returns
-    -------
-    (T, B, 3), nan where the network says nothing, and (T, B, 3, D).
     """
     bones = list_bones(names)
     expected = np.einsum("bl,tli->tbi", bones.ways, np.nan_to_num(world))
@@ -128,20 +124,20 @@ _LEAST_VISIBLE = 0.05
 _LIMIT = 0.05  # rad beyond a limit, one sigma
 _REST = 0.8  # of half a joint's range, one sigma about the angle at ease, for stiffness 1
 WORLD_CORRELATED_S = 0.3
-"""s, likewise of what it says of depth."""
+"""s, likewise of its depths."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Terms:
-    """What is known of T poses.
+    """The observations of T poses.
 
     Parameters
     ----------
     cameras : (V,).
     seen : (V, T, L).
     frame_rate : Hz.
-    world_weight : how much the network's own places in space count, 0 to 1.
-    ease : times how much joints are drawn to where they are at ease.
+    world_weight : weight of the network's own places in space, 0 to 1.
+    ease : factor of the pull of joints to their neutral angles.
     """
 
     cameras: Sequence[Camera]
@@ -152,7 +148,7 @@ class Terms:
 
 
 def step_poses(poses: FloatArray, steps: FloatArray) -> FloatArray:
-    """Poses (..., 7 + A) moved by (..., 6 + A): place, turn in the root's axes, angles."""
+    """Move poses (..., 7 + A) by (..., 6 + A): place, turn in the root's axes, angles."""
     moved = np.concatenate(
         (
             poses[..., :3] + steps[..., :3],
@@ -165,14 +161,14 @@ def step_poses(poses: FloatArray, steps: FloatArray) -> FloatArray:
 
 
 def place_points(body: BodyModel, poses: FloatArray, landmarks: Landmarks) -> FloatArray:
-    """Places (..., L, 3) m of landmarks in poses (..., 7 + A)."""
+    """Return places (..., L, 3) m of landmarks in poses (..., 7 + A)."""
     rotations, positions = place_parts(body, poses)
     turned = np.einsum("...lij,lj->...li", rotations[..., landmarks.parts, :, :], landmarks.places)
     return np.asarray(positions[..., landmarks.parts, :] + turned)
 
 
 def point_slopes(body: BodyModel, poses: FloatArray, landmarks: Landmarks) -> tuple[FloatArray, FloatArray]:
-    """Places (T, L, 3) and their slopes (T, L, 3, 6 + A)."""
+    """Return places (T, L, 3) and their slopes (T, L, 3, 6 + A)."""
     n_steps = 6 + body.n_angles
     tried = step_poses(poses[:, None], np.broadcast_to(_STEP * np.eye(n_steps), (len(poses), n_steps, n_steps)))
     here = place_points(body, poses, landmarks)
@@ -183,7 +179,7 @@ def point_slopes(body: BodyModel, poses: FloatArray, landmarks: Landmarks) -> tu
 def image_weights(
     terms: Terms, landmarks: Landmarks, places: FloatArray, share: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Errors (V, T, L, 2) px, and what a squared pixel costs (V, T, L); the cost of all, robust, (T,)."""
+    """Return errors (V, T, L, 2) px, the cost of a squared pixel (V, T, L), and the robust total cost (T,)."""
     errors, weights, costs = [], [], np.zeros(len(places))
     for view, camera in enumerate(terms.cameras):
         visibility = terms.seen.visibility[view]
@@ -202,7 +198,7 @@ def image_weights(
 def normal_equations(
     body: BodyModel, poses: FloatArray, landmarks: Landmarks, terms: Terms
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Curvature (T, D, D), gradient (T, D) and cost (T,) of the frames' own terms, at poses (T, 7 + A); D = 6 + A."""
+    """Return curvature (T, D, D), gradient (T, D) and cost (T,) of the frames' own terms; D = 6 + A."""
     share = min(1.0, 1.0 / (terms.frame_rate * CORRELATED_S))
     places, slopes = point_slopes(body, poses, landmarks)
     errors, weights, costs = image_weights(terms, landmarks, places, share)
@@ -229,7 +225,7 @@ def _add_world(
     gradient: FloatArray,
     costs: FloatArray,
 ) -> None:
-    """The network's own ways from joint to joint, in place."""
+    """Add the network's own vectors from joint to joint, in place."""
     share = terms.world_weight * min(1.0, 1.0 / (terms.frame_rate * WORLD_CORRELATED_S))
     for view, camera in enumerate(terms.cameras):
         off, ways = world_terms(camera, terms.seen.world[view], landmarks.names, places, slopes, body.stature)
@@ -245,7 +241,7 @@ def _add_world(
 
 
 def angle_rest(body: BodyModel) -> tuple[FloatArray, FloatArray]:
-    """(A,) angles at ease, and what a squared radian off them costs."""
+    """Return neutral angles (A,), and the cost of a squared radian off them."""
     ease, cost = [], []
     for part, count in enumerate(body.n_axes):
         half = 0.5 * np.ptp(body.limits[part, :count], axis=1)
@@ -263,7 +259,7 @@ def _add_angles(
     gradient: FloatArray,
     costs: FloatArray,
 ) -> None:
-    """Limits and ease of the joints, in place."""
+    """Add limits and ease of the joints, in place."""
     angles, limits = poses[:, 7:], body.angle_limits
     beyond = angles - np.clip(angles, limits[:, 0], limits[:, 1])
     ease, rest = angle_rest(body)

@@ -1,4 +1,4 @@
-"""Points of space from points in several pictures, wrong ones left out (Hartley and Zisserman, section 12).
+"""Robust triangulation of points from several images (Hartley and Zisserman, section 12).
 
 Each pair of views proposes a point (linear triangulation); the proposal that the other views agree with best is kept,
 views that disagree are left out, and the point is refined on its reprojection errors by Gauss-Newton steps.
@@ -18,21 +18,21 @@ from dousa.estimation.cameras.camera import Camera
 
 
 def known_mean(values: FloatArray, axis: int) -> FloatArray:
-    """The mean of the values that are not nan along an axis."""
+    """Compute the mean along an axis without nan."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # all nan, whose mean is nan
         return np.asarray(np.nanmean(values, axis=axis))
 
 
 def known_median(values: FloatArray, axis: int) -> FloatArray:
-    """The median of the values that are not nan along an axis."""
+    """Compute the median along an axis without nan."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         return np.asarray(np.nanmedian(values, axis=axis))
 
 
 def known_span(values: FloatArray, axis: int) -> FloatArray:
-    """Greatest less least of the values that are not nan along an axis."""
+    """Compute greatest less least along an axis without nan."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         return np.asarray(np.nanmax(values, axis=axis) - np.nanmin(values, axis=axis))
@@ -51,9 +51,9 @@ class Triangulated:
     Parameters
     ----------
     points : (..., 3) m, nan where fewer than two views agree.
-    covariance : (..., 3, 3) m^2, of the pictures' errors; nan likewise.
+    covariance : (..., 3, 3) m^2, of the image errors; nan likewise.
     used : (V, ...) the views that agree.
-    errors : (V, ...) px, how far the point is from each view's; nan where there is none.
+    errors : (V, ...) px, reprojection errors; nan where there is none.
     """
 
     points: FloatArray
@@ -73,10 +73,6 @@ def triangulate(
     points : (V, ..., 2) px, nan where not seen.
     visibility : (V, ...) 0 to 1, weights; ones by default.
     spread : m, one sigma of the points' errors at the distance of the person.
-
-    Returns
-    -------
-    The points of space.
     """
     batch = points.shape[1:-1]
     flat = points.reshape(len(cameras), -1, 2)
@@ -98,7 +94,7 @@ def triangulate(
 
 
 def meet(rays: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
-    """(N, 3) the point nearest to two rays; nan where these are nearly parallel or it lies behind a camera."""
+    """Return the points (N, 3) nearest to two rays; nan where these are nearly parallel or meet behind a camera."""
     (start, way), (other_start, other_way) = rays
     cosine = (way * other_way).sum(axis=1)
     between = other_start - start
@@ -112,7 +108,7 @@ def meet(rays: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
 
 
 def pixels_per_metre(camera: Camera, points: FloatArray) -> FloatArray:
-    """(...) px that a metre square to the view has at points (..., 3) m."""
+    """Compute px per metre across the view at points (..., 3) m."""
     focal = float(0.5 * (camera.matrix[0, 0] + camera.matrix[1, 1]))
     if camera.kind == "orthographic":
         return np.full(points.shape[:-1], focal)
@@ -123,7 +119,7 @@ def pixels_per_metre(camera: Camera, points: FloatArray) -> FloatArray:
 def _reproject(
     cameras: Sequence[Camera], found: FloatArray, flat: FloatArray, spread: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Errors (V, N) px, and px of one sigma."""
+    """Return errors (V, N) px, and px of one sigma."""
     errors = np.stack([np.linalg.norm(camera.project(found) - own, axis=1)
                        for camera, own in zip(cameras, flat, strict=True)])  # fmt: skip
     return errors, spread * np.stack([pixels_per_metre(camera, found) for camera in cameras])
@@ -137,7 +133,7 @@ def _refine(
     spread: float,
     batch: tuple[int, ...],
 ) -> Triangulated:
-    """Gauss-Newton on the views that agree, with the views chosen again at each step."""
+    """Refine points by Gauss-Newton on the agreeing views, chosen again at each step."""
     points = best.copy()
     n_points = len(points)
     identity = np.eye(3)
@@ -172,7 +168,7 @@ def _refine(
 
 
 def project_slope(camera: Camera, points: FloatArray) -> FloatArray:
-    """(..., 2, 3) px per metre that the image of points (..., 3) moves as they do."""
+    """Compute the derivative (..., 2, 3) px per metre of the image of points (..., 3)."""
     steps = points[..., None, :] + _DIFFERENCE * np.eye(3)
     here = camera.project(points)
     return np.asarray(np.swapaxes(camera.project(steps) - here[..., None, :], -1, -2) / _DIFFERENCE)

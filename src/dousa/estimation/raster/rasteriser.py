@@ -1,8 +1,7 @@
-"""Drawing a body into an image: which pixels its parts cover.
+"""Drawing of a body into an image.
 
 A pixel belongs to a part if its centre lies in the hull of the discs that the part's spheres project to (a sphere of
-radius r at depth z becomes the disc of radius r sqrt(fx fy) / z about its projected centre). Tracker, renderer and the
-slow oracle of the tests share this convention.
+radius r at depth z becomes the disc of radius r sqrt(fx fy) / z about its projected centre).
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ Bits = NDArray[np.uint64]
 
 
 def pack_bits(masks: NDArray[np.bool_]) -> Bits:
-    """Masks (..., H, W) as rows of bits (..., H, ceil(W / 64)): column i is bit i % 64 of word i // 64."""
+    """Pack masks (..., H, W) into bits (..., H, ceil(W / 64)): column i is bit i % 64 of word i // 64."""
     width = masks.shape[-1]
     n_words = -(-width // 64)
     if width != n_words * 64:
@@ -35,13 +34,13 @@ def pack_bits(masks: NDArray[np.bool_]) -> Bits:
 
 
 def unpack_bits(bits: Bits, width: int) -> Mask:
-    """The inverse of `pack_bits`: (..., H, words) to (..., H, width)."""
+    """Invert `pack_bits`: (..., H, words) to (..., H, width)."""
     flat = np.ascontiguousarray(bits.astype("<u8", copy=False)).view(np.uint8)
     return np.unpackbits(flat, axis=-1, count=width, bitorder="little").view(np.bool_)
 
 
 def outline_scratch(body: BodyModel, height: int) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
-    """Scratch arrays with which the kernels outline any part of a body in an image of this height or less."""
+    """Return scratch arrays of the kernels for any part of a body in an image of at most this height."""
     most = int(np.diff(body.sphere_starts).max())
     return (
         np.empty((most, 3)),
@@ -52,23 +51,12 @@ def outline_scratch(body: BodyModel, height: int) -> tuple[FloatArray, FloatArra
 
 
 def draw_body(body: BodyModel, poses: ArrayLike, camera: Camera) -> Mask:
-    """Silhouettes of a body, as this camera would see it before a plain wall.
-
-    Parameters
-    ----------
-    body : with A joint angles.
-    poses : (T, 7 + A).
-    camera : the view.
-
-    Returns
-    -------
-    (T, height, width), true on the body; parts behind the camera are not drawn.
-    """
+    """Draw silhouettes (T, height, width) of a body in poses (T, 7 + A); parts behind the camera are not drawn."""
     return _draw(body, poses, camera, np.zeros(body.n_parts, np.intp), 1)[:, 0]
 
 
 def draw_parts(body: BodyModel, poses: ArrayLike, camera: Camera) -> Mask:
-    """Masks (T, P, height, width) of each part on its own, as if the others were of glass."""
+    """Draw masks (T, P, height, width) of each part on its own, regardless of the others."""
     return _draw(body, poses, camera, np.arange(body.n_parts, dtype=np.intp), body.n_parts)
 
 
@@ -89,7 +77,7 @@ _FAR = 1e12
 
 
 def _popcount(_context, word):  # type: ignore[no-untyped-def]
-    """Number of bits that are set in a 64-bit word: the processor's own instruction."""
+    """Count the set bits of a 64-bit word by the processor's own instruction."""
 
     def generate(_context, builder, _signature, arguments):  # type: ignore[no-untyped-def]
         return builder.ctpop(arguments[0])
@@ -102,7 +90,7 @@ popcount: Any = intrinsic(_popcount)
 
 @inlined
 def project_sphere(camera, x, y, z, radius):  # type: ignore[no-untyped-def]
-    """Image column, row and radius (px) of a sphere, radius -1 behind the camera; ``camera`` as in `CAMERA_ROW`."""
+    """Return column, row and radius (px) of a sphere, radius -1 behind the camera; ``camera`` as in `CAMERA_ROW`."""
     cx = camera[6] * x + camera[7] * y + camera[8] * z + camera[15]
     cy = camera[9] * x + camera[10] * y + camera[11] * z + camera[16]
     cz = camera[12] * x + camera[13] * y + camera[14] * z + camera[17]
@@ -125,11 +113,10 @@ def project_sphere(camera, x, y, z, radius):  # type: ignore[no-untyped-def]
 
 @inlined
 def outline_discs(discs, count, width, height, pairs, low, high):  # type: ignore[no-untyped-def]
-    """First and last column of the hull of discs in each row.
+    """Compute first and last column of the hull of discs in each row and return the half-open range of rows.
 
     ``discs`` (count, 3) column, row, radius; ``pairs`` (n, n, 2) with n >= count is scratch. Fills ``low`` and ``high``
-    (height,) with whole columns clipped to the image, high < low where a row has none, and returns the half-open
-    range of rows.
+    (height,) with whole columns clipped to the image, high < low where a row has none.
     """
     top, bottom = _FAR, -_FAR
     for i in range(count):
@@ -152,9 +139,9 @@ def outline_discs(discs, count, width, height, pairs, low, high):  # type: ignor
 
 @inlined
 def _measure_pairs(discs, count, pairs):  # type: ignore[no-untyped-def]
-    """For each pair: length of its outer tangents and 1 / squared distance; ``pairs[i, i, 0]`` is -1 of a held disc.
+    """Compute for each pair the length of its outer tangents and 1 / squared distance.
 
-    A disc that lies in another one adds nothing to the hull.
+    ``pairs[i, i, 0]`` is -1 for a disc inside another, which adds nothing to the hull.
     """
     for i in range(count):
         pairs[i, i, 0] = 0.0
@@ -177,7 +164,7 @@ _LEVEL = 1e-18  # share of a normal that points sideways: a tangent with less ha
 
 @inlined
 def _find_start(side, discs, count, pairs, top):  # type: ignore[no-untyped-def]
-    """Of the discs that reach as high as any and lie in no other, the outermost: there the walk begins."""
+    """Return the outermost of the highest discs that lie in no other, where the walk begins."""
     here, outmost = 0, -np.inf
     for i in range(count):
         high = discs[i, 1] - discs[i, 2] <= top + _AS_HIGH * (abs(top) if abs(top) > 1.0 else 1.0)
@@ -188,9 +175,9 @@ def _find_start(side, discs, count, pairs, top):  # type: ignore[no-untyped-def]
 
 @merged
 def _trace_side(side, discs, count, pairs, top, first, last, width, columns):  # type: ignore[no-untyped-def]
-    """Walk down one side of the hull (gift wrapping over discs) and note its column in every row.
+    """Walk down one side of the hull (gift wrapping over discs) and store its column in every row.
 
-    From the disc at hand the next is the one whose outer tangent turns least, that is, whose normal points up most.
+    The next disc is the one whose outer tangent turns least, that is, whose normal points up most.
     """
     here = _find_start(side, discs, count, pairs, top)
     row, up_here = first, -1.0
@@ -229,7 +216,7 @@ def _trace_side(side, discs, count, pairs, top, first, last, width, columns):  #
 
 @inlined
 def _to_column(side, x, width):  # type: ignore[no-untyped-def]
-    """The outermost whole column within a boundary at ``side * x``, clipped to the image before it is converted."""
+    """Return the outermost whole column within a boundary at ``side * x``, clipped to the image."""
     if side > 0.0:
         x += 1.0
         return int(x if x < width else width) - 1 if x > 0.0 else -1
@@ -242,7 +229,7 @@ _ONES = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 @inlined
 def interval_mask(word, start, stop):  # type: ignore[no-untyped-def]
-    """Bits of a word that lie in the columns from start to stop, both inclusive."""
+    """Return the bits of a word in the columns from start to stop, both inclusive."""
     mask = _ONES
     if word == start >> 6:
         mask &= _ONES << np.uint64(start & 63)
@@ -263,7 +250,7 @@ def draw_intervals(bits, low, high, first, last):  # type: ignore[no-untyped-def
 
 @compiled
 def outline_part(part, camera, width, height, solids, rotations, positions, work):  # type: ignore[no-untyped-def]
-    """Row intervals of one part, placed by ``rotations`` (P, 3, 3) and ``positions`` (P, 3); none behind the camera.
+    """Compute row intervals of one part, placed by ``rotations`` (P, 3, 3) and ``positions`` (P, 3).
 
     ``solids`` is (spheres, sphere_starts); ``work`` is (discs, pairs, low, high), of which the last two are filled.
     """

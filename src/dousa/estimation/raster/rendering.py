@@ -1,7 +1,4 @@
-"""Silhouettes of a body in motion: what cameras would see, for tests, experiments and demonstrations.
-
-The inverse of estimation. What comes out is clean; `spoil` makes it as bad as a real segmentation.
-"""
+"""Synthetic silhouettes of a body in motion, clean or with the errors of a real segmentation (`spoil`)."""
 
 from __future__ import annotations
 
@@ -31,11 +28,11 @@ _SHADOW_LOSS = 0.25  # share of a shadow that segmentation notices and removes
 
 @dataclass(frozen=True, slots=True)
 class Spoiling:
-    """How much of each error, all of them in the image and 0 for none.
+    """The amounts of errors in the image, 0 for none.
 
     Parameters
     ----------
-    ragged : px, root mean square distance that the edge is moved by, bump by bump.
+    ragged : px, root mean square shift of the edge, bump by bump.
     holes : share of the silhouette that is missing inside.
     speckle : share of the background that is marked wrongly, specks of a few pixels.
     shadow : length of the shadow on the floor, in heights of the silhouette.
@@ -61,17 +58,15 @@ NOISY = Spoiling(ragged=1.0, holes=0.02, speckle=0.002, shadow=0.4, jitter=0.5)
 
 
 def spoil(masks: Mask, rng: np.random.Generator, amounts: Spoiling = NOISY) -> Mask:
-    """Make the clean silhouettes of one view as bad as a real segmentation's.
+    """Add errors of a real segmentation to the clean silhouettes (T, H, W) of one view.
+
+    Errors last a few frames; an empty mask gets speckle only.
 
     Parameters
     ----------
     masks : (T, H, W) bool.
-    rng : where the errors come from; the same generator gives the same errors.
+    rng : source of the errors.
     amounts : of each error.
-
-    Returns
-    -------
-    (T, H, W) bool. Errors last a few frames, as those of a segmentation do; an empty mask gets speckle only.
 
     Raises
     ------
@@ -103,12 +98,12 @@ def spoil(masks: Mask, rng: np.random.Generator, amounts: Spoiling = NOISY) -> M
 
 
 def _follow(before: FloatArray, new: FloatArray) -> FloatArray:
-    """An error of unit variance that keeps some of what it was."""
+    """Update an error of unit variance that persists in part."""
     return np.asarray(_PERSISTENCE * before + np.sqrt(1.0 - _PERSISTENCE**2) * new)
 
 
 class _Field:
-    """A smooth random picture of unit variance that changes slowly."""
+    """A smooth random image of unit variance that changes slowly."""
 
     def __init__(self, size: tuple[int, int], grain: float, rng: np.random.Generator) -> None:
         self._size, self._grain, self._rng = size, grain, rng
@@ -128,12 +123,12 @@ class _Field:
 
 
 def _quantile(share: float) -> float:
-    """Below which this share of a unit normal lies."""
+    """Return the quantile of a unit normal."""
     return NormalDist().inv_cdf(min(max(share, 1e-12), 1.0 - 1e-12))
 
 
 def _depths(mask: Mask) -> FloatArray:
-    """Distance (px) to the edge, negative outside."""
+    """Compute the distance (px) to the edge, negative outside."""
     from dousa.extras import cv2
 
     if mask.all() or not mask.any():
@@ -144,7 +139,7 @@ def _depths(mask: Mask) -> FloatArray:
 
 
 def _cast_shadow(mask: Mask, length: float, side: float) -> Mask:
-    """The silhouette laid flat on the floor from its lowest row, to one side."""
+    """Lay the silhouette flat on the floor from its lowest row, to one side."""
     from dousa.extras import cv2
 
     rows = np.flatnonzero(mask.any(axis=1))
@@ -160,7 +155,7 @@ def _cast_shadow(mask: Mask, length: float, side: float) -> Mask:
 
 
 def _shift(mask: Mask, shift: FloatArray) -> Mask:
-    """The image moved by (columns, rows) px; what comes in from outside is background."""
+    """Shift the image by (columns, rows) px; the rest is background."""
     from dousa.extras import cv2
 
     affine = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
@@ -172,17 +167,13 @@ _PIXELS_AT_ONCE = 8_000_000  # of one view: bounds the memory, long enough that 
 
 
 def render(body: BodyModel, poses: ArrayLike, cameras: Sequence[Camera]) -> list[Mask]:
-    """Silhouettes of a body in every view, whole.
+    """Render silhouettes of a body, (V,) masks (T, height, width) as of `draw_body`.
 
     Parameters
     ----------
     body : with A joint angles.
     poses : (T, 7 + A), see `BodyModel`.
     cameras : (V,) the views.
-
-    Returns
-    -------
-    (V,) masks (T, height, width), true on the body, as `draw_body` draws it.
 
     Raises
     ------
@@ -193,16 +184,7 @@ def render(body: BodyModel, poses: ArrayLike, cameras: Sequence[Camera]) -> list
 
 
 def render_frames(body: BodyModel, poses: ArrayLike, cameras: Sequence[Camera]) -> Iterator[tuple[Mask, ...]]:
-    """Silhouettes frame by frame, so that the memory does not grow with the length.
-
-    Parameters
-    ----------
-    body, poses, cameras : as for `render`.
-
-    Yields
-    ------
-    (V,) masks (height, width) of one frame.
-    """
+    """Yield silhouettes (V,) of (height, width) frame by frame to save memory; the arguments are those of `render`."""
     rows = _checked_poses(body, poses)
     largest = max((camera.width * camera.height for camera in cameras), default=1)
     step = max(1, _PIXELS_AT_ONCE // largest)
@@ -213,17 +195,12 @@ def render_frames(body: BodyModel, poses: ArrayLike, cameras: Sequence[Camera]) 
 
 
 def poses_from_motion(body: BodyModel, motion: Motion | Trajectories) -> FloatArray:
-    """Poses of a body that follow the joints of a motion.
+    """Return poses (T, 7 + A) of a body that follow a motion, by inverse kinematics from frame to frame.
 
     Parameters
     ----------
     body : any tree of parts; the nearer its bones to the motion's, the nearer the joints.
-    motion : whose joints bear the names of the body's joints and tips, or, for a person, can be mapped to the
-        canonical ones; of T frames.
-
-    Returns
-    -------
-    (T, 7 + A) within the limits of the body, by inverse kinematics, each frame starting from the one before.
+    motion : of T frames, with the body's names of joints and tips, or, for a person, mapped to the canonical ones.
 
     Raises
     ------

@@ -1,1 +1,1 @@
-"""Silhouettes: from masks, images and films to one mask a view and frame."""
+"""Silhouettes from videos, images and npz files, their cleaning and repair."""

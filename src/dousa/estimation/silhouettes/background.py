@@ -1,10 +1,7 @@
-"""Background subtraction: what the scene looks like without the person, and which pixels of a frame differ from it.
+"""Background subtraction: learns the scene without the person, and finds the pixels of a frame that differ from it.
 
-Three ways to know the background:
-
-- ``plate``: an image of the empty scene, which may be from another moment. It is shifted and its exposure fitted to the
-  video; where the video is static the video's own median is used, so the plate counts only where a person moves; and
-  where the plate shows a person, the video's colours replace it if they are seen (see `choose_sources`).
+- ``plate``: an image of the empty scene, shifted and fitted in exposure to the video. Static areas take the video's
+  median, so the plate counts only where a person moves; see `choose_sources` where it shows a person itself.
 - ``median``: the median over frames spread over the video. Fails where the person stays.
 - ``mog2``: a mixture of Gaussians by pixel (Zivkovic 2004, as in OpenCV), learnt on the same frames.
 
@@ -38,19 +35,15 @@ _SEEN_EDGE = 0.1  # share of an edge's cost inside a colour of the video; edges 
 def choose_sources(
     sources: FloatArray, costs: FloatArray, open_pixels: BoolArray, known: FloatArray
 ) -> NDArray[np.uint8]:
-    """The source of each open pixel.
+    """Return the source (H, W) of each open pixel: 0, 1 or 2; undefined elsewhere.
 
     Parameters
     ----------
     sources : (3, H, W, 3) grey levels: plate, first and second colour of the video.
-    costs : (3, H, W) grey levels, what speaks against a source at a pixel, in the coin of an edge; `UNUSABLE` where
-        it has nothing to offer. The first colour of the video is usable everywhere.
+    costs : (3, H, W) grey levels, comparable to the cost of an edge; `UNUSABLE` where a source has no value. The first
+        colour of the video is usable everywhere.
     open_pixels : (H, W) where to choose.
     known : (H, W, 3) grey levels, the background elsewhere.
-
-    Returns
-    -------
-    (H, W) 0, 1 or 2; without meaning outside the open pixels.
     """
     from dousa.extras import cv2
 
@@ -75,7 +68,7 @@ def choose_sources(
 
 
 def _propagate(sources: FloatArray, prices: FloatArray, open_pixels: BoolArray, known: FloatArray) -> NDArray[np.intp]:
-    """Labels (H, W) of least cost, by min-sum belief propagation on the grid."""
+    """Return labels (H, W) of least cost by min-sum belief propagation on the grid."""
     unary = np.where(open_pixels, prices, np.float32(0))
     sources = np.where(open_pixels[..., None], sources, known)
     across = _edge_costs(sources[:, :, :-1], sources[:, :, 1:], open_pixels[:, :-1] & open_pixels[:, 1:])
@@ -95,7 +88,7 @@ def _propagate(sources: FloatArray, prices: FloatArray, open_pixels: BoolArray, 
 
 
 def _edge_costs(one: FloatArray, other: FloatArray, both_open: BoolArray) -> FloatArray:
-    """Cost (3, 3, H, W) of an edge between neighbours by the sources of both."""
+    """Compute costs (3, 3, H, W) of edges between neighbours by the sources of both."""
     costs = np.minimum(np.abs(one[:, None] - other[None]).max(axis=4), np.float32(_EDGE_LIMIT))
     for label in range(len(one)):
         costs[label, label][both_open] *= 0.0 if label == 0 else _SEEN_EDGE
@@ -120,7 +113,7 @@ _NOT_SCENIC, _WAVERING = 12.0, 4.0  # grey levels; costs of the sources, see `_c
 
 
 def smooth_image(image: NDArray[Any]) -> NDArray[Any]:
-    """An image without the noise of single pixels; of frames and background, or their edges would differ."""
+    """Remove the noise of single pixels; use it on frames and background, or their edges differ."""
     from dousa.extras import cv2
 
     side = 3 if max(image.shape) <= _SMALL else 5
@@ -130,7 +123,10 @@ def smooth_image(image: NDArray[Any]) -> NDArray[Any]:
 def complete_plate(
     smooth: NDArray[np.uint8], median: FloatImage, moving: Mask, plate: Image, warnings: list[Message]
 ) -> FloatImage:
-    """The background of a video from its own frames and an image of the empty scene.
+    """Return the background (H, W, 3) float32 from a video's frames and an image of the empty scene.
+
+    It is the median where the video is static, the plate where a person moves, the video's colours where the plate is
+    wrong.
 
     Parameters
     ----------
@@ -138,12 +134,7 @@ def complete_plate(
     median : (H, W, 3) their median.
     moving : (H, W) bool, where a person moves.
     plate : (H, W, 3) uint8, the empty scene, perhaps from another moment.
-    warnings : what a person should know is added.
-
-    Returns
-    -------
-    (H, W, 3) float32: the median where the video is static, the plate where a person moves, the video's colours where
-    the plate is wrong.
+    warnings : notes for the user are added.
     """
     placed = _align(plate, median, moving, warnings)
     fitted = np.asarray(smooth_image(_fit_exposure(placed, median, moving, warnings)), np.float32)
@@ -173,10 +164,9 @@ def complete_plate(
 
 
 def _standing_parts(median: FloatImage, plate: FloatImage, moving: Mask) -> Mask:
-    """Parts of the moving person that stay where they are, such as a foot: there the plate is the background.
+    """Find parts of the moving person that stay, such as a foot.
 
-    They differ from the plate, touch what moves, and their outline is an edge of the video and not of the plate. (What
-    only the plate shows, a ghost, is the other way round.)
+    They differ from the plate, touch moving pixels, and their outline is an edge of the video and not of the plate.
     """
     from dousa.extras import cv2
 
@@ -202,7 +192,6 @@ def _standing_parts(median: FloatImage, plate: FloatImage, moving: Mask) -> Mask
 
 
 def _edges(image: FloatImage) -> FloatImage:
-    """Strength of the edges (H, W) in grey levels per pixel."""
     from dousa.extras import cv2
 
     across, down = (cv2.Sobel(image, cv2.CV_32F, *axes, scale=0.125) for axes in ((1, 0), (0, 1)))
@@ -216,11 +205,11 @@ def _choose(
     noise: float,
     where: tuple[NDArray[np.intp], NDArray[np.intp]],
 ) -> FloatImage:
-    """The background with the pixels that the video never agreed on filled in."""
+    """Return the background with the pixels filled in where the video never agreed with the plate."""
     from dousa.extras import cv2
 
     colours, shares, spreads = _frequent_colours(smooth[:, where[0], where[1]].astype(np.float32))
-    # A colour that stays within the noise of the scene is scenery; one that wavers is a person who stands there.
+    # A colour that stays within the noise of the scene is scenery; one that wavers is a standing person.
     wavers = np.clip(spreads / max(noise, 1.0) - 1.0, 0.0, 2.0)
     sources = np.stack((plate, image, image))
     costs = np.zeros(sources.shape[:3], np.float32)
@@ -241,7 +230,7 @@ def _choose(
 def _frequent_colours(
     colours: FloatImage,
 ) -> tuple[FloatImage, NDArray[np.float32], NDArray[np.float32]]:
-    """The two most frequent colours (2, K, 3) of each pixel's series (N, K, 3), their shares and spreads (2, K)."""
+    """Return the two most frequent colours (2, K, 3) of series (N, K, 3), their shares and spreads (2, K)."""
     counts = np.zeros(colours.shape[:2], np.int32)
     for colour in colours:
         counts += np.abs(colours - colour).max(axis=2) < _SAME_COLOUR
@@ -263,9 +252,9 @@ def _frequent_colours(
 
 
 def _align(plate: Image, median: FloatImage, moving: Mask, warnings: list[Message]) -> Image:
-    """The plate shifted, turned and stretched onto the video by at most a few percent.
+    """Return the plate placed on the video by an affine transform that moves it by at most 5 %.
 
-    Enhanced correlation (Evangelidis and Psarakis 2008) over what is static; a fit that is worse than none is dropped.
+    Enhanced correlation (Evangelidis and Psarakis 2008) over static pixels; a fit that is worse than none is dropped.
     """
     from dousa.extras import cv2
 
@@ -296,7 +285,7 @@ def _align(plate: Image, median: FloatImage, moving: Mask, warnings: list[Messag
 
 
 def _fit_exposure(plate: Image, median: FloatImage, moving: Mask, warnings: list[Message]) -> FloatImage:
-    """The plate with gain and offset of each colour as in the video, fitted where both show the same."""
+    """Return the plate with gain and offset of each colour fitted where plate and video agree."""
     fitted = plate.astype(np.float32)
     usable = ~moving & (plate.max(axis=2) < 250) & (np.abs(median - fitted).max(axis=2) < 80)
     if usable.sum() < 0.05 * usable.size:
@@ -316,7 +305,7 @@ def _fit_exposure(plate: Image, median: FloatImage, moving: Mask, warnings: list
 
 
 def _fit_line(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float]:
-    """Gain and offset by least squares, outliers left out in five rounds."""
+    """Compute gain and offset by least squares, outliers left out in five rounds."""
     kept = np.ones(len(x), bool)
     gain, offset = 1.0, 0.0
     for _ in range(5):
@@ -351,7 +340,7 @@ class Background:
     noise : (H, W) float32, standard deviation of the static scene in grey levels.
     still : (H, W) bool, where nothing moved in the frames it was learnt on.
     mixture : the model of OpenCV for ``mog2``, else None.
-    warnings : what a person should know.
+    warnings : notes for the user.
     """
 
     image: FloatImage
@@ -374,7 +363,7 @@ def learn_background(
 
     Raises
     ------
-    OptionError : a method that is none, ``"plate"`` without a plate.
+    OptionError : unknown method, ``"plate"`` without a plate.
     SilhouetteError : too few frames, images of another size.
     """
     if method not in ("plate", "median", "mog2"):
@@ -400,7 +389,7 @@ def learn_background(
 
 
 def _ellipse(share: float, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """A round structuring element of an odd size that is a share of the image's longer side."""
+    """Return a round structuring element of an odd size, a share of the image's longer side."""
     from dousa.extras import cv2
 
     side = max(3, 2 * round(0.5 * share * max(shape[:2])) + 1)
@@ -408,7 +397,7 @@ def _ellipse(share: float, shape: tuple[int, ...]) -> NDArray[np.uint8]:
 
 
 def _movement(smooth: NDArray[np.uint8], median: FloatImage) -> tuple[NDArray[np.float32], Mask]:
-    """Noise (H, W) of each pixel, and whether something moved there."""
+    """Compute the noise (H, W) of each pixel, and where something moved."""
     from dousa.extras import cv2
 
     deviation = np.stack([np.abs(frame - median).max(axis=2).astype(np.uint8) for frame in smooth])
@@ -449,19 +438,15 @@ def subtract_background(
     low: float = 9.0,
     shadow: float = 0.35,
 ) -> Mask:
-    """The pixels of a frame that differ from the background, before cleaning.
+    """Return the pixels (H, W) of a frame that differ from the background, before cleaning.
 
     Parameters
     ----------
     frame : (H, W, 3) uint8, blue, green, red.
     background : of this view and size.
-    threshold : grey levels that a piece must reach somewhere; more where the scene is noisy.
+    threshold : grey levels that a fifth of a piece must exceed; more where the scene is noisy.
     low : grey levels to which the piece then extends.
-    shadow : darkening in shares of the background that counts as shadow as long as the colour stays; 0 for none.
-
-    Returns
-    -------
-    (H, W) bool.
+    shadow : darkening in shares of the background that counts as shadow if the colour stays; 0 for none.
     """
     from dousa.extras import cv2
 
@@ -482,7 +467,7 @@ def subtract_background(
 
 
 def _difference(frame: Image, background: Background, shadow: float) -> FloatImage:
-    """Difference of colour and brightness in grey levels, shadow taken off, (H, W)."""
+    """Compute the difference (H, W) of colour and brightness in grey levels, without shadow."""
     image = smooth_image(frame).astype(np.float32)
     image *= _exposure(image, background)
     scene = background.image
@@ -501,7 +486,7 @@ def _difference(frame: Image, background: Background, shadow: float) -> FloatIma
 
 
 def _exposure(image: FloatImage, background: Background) -> FloatImage:
-    """Factors (3,) that give a frame the exposure of the background, from pixels that no person hides."""
+    """Compute factors (3,) that match a frame's exposure to the background, from static pixels."""
     step = max(1, max(image.shape) // 100)
     part = (slice(None, None, step), slice(None, None, step))
     scene, values = background.image[part], image[part]
@@ -513,7 +498,7 @@ def _exposure(image: FloatImage, background: Background) -> FloatImage:
 
 
 def _trim(mask: Mask, difference: FloatImage) -> Mask:
-    """The outermost pixels go where they differ by less than half of what is beside them: they are mostly background.
+    """Remove outermost pixels that differ by less than half of their neighbours' difference.
 
     A low threshold on smoothed images makes a figure up to a pixel fatter all round.
     """
@@ -526,16 +511,14 @@ def _trim(mask: Mask, difference: FloatImage) -> Mask:
 
 
 def _close(mask: Mask) -> Mask:
-    """Cracks where the person has the colour of the background are closed."""
+    """Close cracks where the person has the colour of the background."""
     from dousa.extras import cv2
 
     return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, _ellipse(0.008, mask.shape)), bool)
 
 
 def fill_camouflage(mask: Mask, frame: Image, most: float = 0.08) -> None:
-    """Fill holes whose rim is no edge in the frame, in place: clothes before something of their colour.
-
-    A hole that is seen through, between an arm and the trunk, has an edge nearly all round.
+    """Fill holes without an edge in the frame, in place: clothes before something of their colour.
 
     Parameters
     ----------

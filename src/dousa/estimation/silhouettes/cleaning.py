@@ -1,4 +1,4 @@
-"""Cleans masks (specks off, holes filled, one person kept) and finds frames whose mask looks doubtful."""
+"""Cleaning of masks (specks, holes, other people), and detection of doubtful masks."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ NEARLY_FULL = 0.9  # of the image: a mask that covers so much shows no person
 
 @dataclass(frozen=True, slots=True)
 class MaskState:
-    """What a mask looks like before anything is fitted to it.
+    """The state of a mask.
 
     Parameters
     ----------
     area_share : foreground in shares of the image, 0 to 1.
     n_components : connected pieces of foreground (8 neighbours).
     largest_share : the largest piece in shares of the foreground; 0 if there is none.
-    touches_border : foreground reaches the edge of the image at (left, top, right, bottom), so limbs may be cut off.
+    touches_border : foreground reaches the image edge at (left, top, right, bottom), so limbs may be cut off.
     """
 
     area_share: float
@@ -37,12 +37,12 @@ class MaskState:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing is foreground."""
+        """Whether the mask has no foreground."""
         return self.n_components == 0
 
     @property
     def is_full(self) -> bool:
-        """Whether (nearly) everything is foreground."""
+        """Whether at least 0.9 of the image is foreground."""
         return self.area_share >= NEARLY_FULL
 
     @property
@@ -52,12 +52,7 @@ class MaskState:
 
 
 def describe_mask(mask: Mask) -> MaskState:
-    """Describe a mask: empty, full, in pieces, cut off by the edge of the image.
-
-    Parameters
-    ----------
-    mask : (H, W) bool.
-    """
+    """Describe a mask (H, W): area, pieces, contact with the image edge."""
     from dousa.extras import cv2
 
     image = np.ascontiguousarray(mask).view(np.uint8)
@@ -83,12 +78,10 @@ def clean_mask(
     limb_share: float = 0.03,
     previous: Mask | None = None,
 ) -> Mask:
-    """Keep the person of a mask: without specks, without small holes, without other people.
+    """Return the person (H, W) of a mask, without specks, small holes and other people.
 
-    The main piece is the largest, or the one that covers most of the last frame's. A piece stays with it if it lies
-    within ``reach``, so that a hand behind a gap of a few pixels is not lost, or if it is a larger one within
-    ``limb_reach``. Everything else goes. Holes fill up to an area; larger ones are seen through, such as
-    between an arm on the hip and the trunk.
+    The main piece is the largest, or the one that covers most of the last frame's. Pieces within ``reach`` stay, as a
+    hand behind a small gap, and larger ones within ``limb_reach``. Large holes stay, as between an arm and the trunk.
 
     Parameters
     ----------
@@ -101,13 +94,9 @@ def clean_mask(
     limb_share : see ``limb_reach``.
     previous : (H, W) bool, the cleaned mask of the frame before: the nearest piece is the person.
 
-    Returns
-    -------
-    (H, W) bool, a new array; empty if the mask is.
-
     Raises
     ------
-    OptionError : a share or reach that is negative.
+    OptionError : a negative share or reach.
     """
     for name, value in (
         ("speck_share", speck_share),
@@ -145,7 +134,7 @@ def clean_mask(
 
 
 def _around(boxes: NDArray[np.int32], reach: float, shape: tuple[int, ...]) -> tuple[slice, slice]:
-    """The part of the image that pieces may be kept from: a chain of three pieces away, and a border."""
+    """Return the image area from which pieces may be kept: three times the reach, and a border."""
     left, top = int(boxes[:, 0].min()), int(boxes[:, 1].min())
     right, bottom = int((boxes[:, 0] + boxes[:, 2]).max()), int((boxes[:, 1] + boxes[:, 3]).max())
     margin = int(3 * max(_LEAST_REACH, reach * max(right - left, bottom - top))) + 2
@@ -156,7 +145,7 @@ def _around(boxes: NDArray[np.int32], reach: float, shape: tuple[int, ...]) -> t
 
 
 def count_people(mask: Mask) -> int:
-    """Pieces of a mask that are large enough to be a person each: at least 0.4 of the largest one."""
+    """Count the pieces of a mask with at least 0.4 of the area of the largest."""
     from dousa.extras import cv2
 
     image = np.ascontiguousarray(mask, bool).view(np.uint8)
@@ -176,7 +165,7 @@ def _main_piece(labels: NDArray[np.int32], areas: NDArray[np.int32], previous: M
 
 
 def _nearest_piece(labels: NDArray[np.int32], areas: NDArray[np.int32], previous: Mask) -> int:
-    """The piece nearest to the last mask among those of a size that a person may have."""
+    """Return the piece nearest to the last mask among those large enough for a person."""
     from dousa.extras import cv2
 
     distance = cv2.distanceTransform((~previous).view(np.uint8), cv2.DIST_L2, 3)
@@ -225,7 +214,7 @@ def _keep_near(
 
 
 def _held_pieces(labels: NDArray[np.int32], areas: NDArray[np.int32], previous: Mask | None) -> NDArray[np.bool_]:
-    """Which pieces lie mostly where the person was."""
+    """Return which pieces lie mostly where the person was."""
     if previous is None or previous.shape != labels.shape:
         return np.zeros(len(areas), bool)
     overlap = np.bincount(labels[previous], minlength=len(areas))
@@ -234,14 +223,14 @@ def _held_pieces(labels: NDArray[np.int32], areas: NDArray[np.int32], previous: 
 
 
 def _share_columns(one: NDArray[np.int32], other: NDArray[np.int32]) -> bool:
-    """Whether two boxes stand one above the other: a person cut in two by clothes of the background's colour."""
+    """Return whether two boxes are stacked: a person cut in two by clothes of the background's colour."""
     shared = min(one[0] + one[2], other[0] + other[2]) - max(one[0], other[0])
     stacked = one[1] >= other[1] + 0.6 * other[3] or other[1] >= one[1] + 0.6 * one[3]
     return bool(shared >= 0.6 * min(one[2], other[2]) and stacked)
 
 
 def _fill_holes(mask: Mask, most: float) -> None:
-    """Fill holes of at most so many pixels, in place."""
+    """Fill holes of at most ``most`` pixels, in place."""
     from dousa.extras import cv2
 
     background = (~mask).view(np.uint8)
@@ -267,7 +256,7 @@ _AROUND = 7  # frames on each side
 
 @dataclass(frozen=True, slots=True)
 class MaskMeasure:
-    """What is kept of a mask to doubt it.
+    """The numbers of a mask for `doubt_masks`.
 
     Parameters
     ----------
@@ -280,7 +269,7 @@ class MaskMeasure:
 
 
 def measure_mask(mask: Mask | None) -> MaskMeasure:
-    """Measure a mask (H, W); None is measured like an empty one whose area is unknown."""
+    """Measure a mask (H, W); for None the area is NaN."""
     from dousa.extras import cv2
 
     if mask is None:
@@ -293,16 +282,12 @@ def measure_mask(mask: Mask | None) -> MaskMeasure:
 
 
 def doubt_masks(areas: FloatArray, seconds: FloatArray) -> list[tuple[int, DoubtReason]]:
-    """The frames of one view whose mask looks doubtful, and why.
+    """Return (frame, reason) of the doubtful masks of one view, in the order of frames.
 
     Parameters
     ----------
     areas : (T,) px of foreground, NaN where there is no image.
     seconds : (T,) as of `MaskMeasure`.
-
-    Returns
-    -------
-    (frame, reason) in the order of frames.
     """
     found: list[tuple[int, DoubtReason]] = []
     for frame, (area, second) in enumerate(zip(areas, seconds, strict=True)):

@@ -1,4 +1,4 @@
-"""Images in and out of OpenCV: quiet, resized, and as masks."""
+"""Images read by OpenCV, masks from images, and folders of masks."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _STRETCHED = 0.02  # change of the aspect ratio worth a word
 
 @contextmanager
 def quiet_opencv() -> Iterator[None]:
-    """OpenCV and FFmpeg print nothing meanwhile: the error that follows says it in one line."""
+    """Silence OpenCV and FFmpeg; the error that follows is enough."""
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read by OpenCV when it first opens a video
     require("cv2", "film")
     from cv2.utils import logging
@@ -42,7 +42,7 @@ def quiet_opencv() -> Iterator[None]:
 
 
 def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
-    """An image as it is stored: (H, W) or (H, W, channels), 8 or 16 bit or float; blue, green, red.
+    """Read an image as it is stored: (H, W) or (H, W, channels), 8 or 16 bit or float; blue, green, red.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
 
 
 def read_colour_image(path: str | os.PathLike[str]) -> NDArray[np.uint8]:
-    """An image as (H, W, 3) uint8 blue, green, red; alpha is ignored."""
+    """Read an image as (H, W, 3) uint8 blue, green, red; alpha is ignored."""
     image = read_image(path)
     if image.dtype == np.uint16:
         image = (image // 257).astype(np.uint8)
@@ -81,12 +81,12 @@ def read_colour_image(path: str | os.PathLike[str]) -> NDArray[np.uint8]:
 
 
 def mask_from_image(image: NDArray[Any], lossless: bool = True) -> Mask:
-    """Foreground of an image of a mask: brighter than half, or not 0 where the values are labels (0, 1, 2 ...).
+    """Return the foreground of a mask image: brighter than half, or not 0 where the values are labels (0, 1, 2 ...).
 
     Parameters
     ----------
     image : (H, W) or (H, W, channels); alpha is ignored, the brightest colour counts.
-    lossless : whether small values can be trusted; JPEG makes them up.
+    lossless : whether small values are reliable; in JPEG they are not.
     """
     if image.ndim == 3:
         colours = image[..., :3] if image.shape[2] >= 3 else image[..., :1]
@@ -101,7 +101,7 @@ def mask_from_image(image: NDArray[Any], lossless: bool = True) -> Mask:
 
 
 def resize_mask(mask: Mask, size: tuple[int, int]) -> Mask:
-    """A mask at another width and height: a pixel is foreground if more than half of what it covers is."""
+    """Resize a mask to (width, height): a pixel is foreground if more than half of its area is."""
     if (mask.shape[1], mask.shape[0]) == size:
         return mask
     from dousa.extras import cv2
@@ -111,19 +111,14 @@ def resize_mask(mask: Mask, size: tuple[int, int]) -> Mask:
 
 
 def fit_frame(size: tuple[int, int], target: tuple[int, int], sample: NDArray[np.uint8]) -> tuple[slice, slice]:
-    """The part of a frame that becomes the target: black bars that a change of format added are cut off.
+    """Return the rows and columns of a frame without the black bars of a format conversion.
 
-    A video of 1080 x 1920 made from images of 1088 x 1920 has 7 black rows above and below; stretching it as it is
-    would put everything up to 7 rows off.
+    A video of 1080 x 1920 made from images of 1088 x 1920 has such bars; stretching it shifts rows by up to 7.
 
     Parameters
     ----------
     size, target : width and height of the frames, and wanted.
     sample : (H, W, 3) grey levels, a typical frame.
-
-    Returns
-    -------
-    Rows and columns to keep.
     """
     (width, height), (wide, high) = size, target
     whole = (slice(0, height), slice(0, width))
@@ -137,7 +132,7 @@ def fit_frame(size: tuple[int, int], target: tuple[int, int], sample: NDArray[np
 
 
 def _has_bars(profile: NDArray[np.floating[Any]], depth: int) -> bool:
-    """Whether so many lines at both ends are black and the scene behind them is not."""
+    """Return whether ``depth`` lines at both ends are black and the scene behind them is not."""
     if 4 * depth > len(profile):
         return False
     sure = max(1, depth - 1)  # the last line of a bar is blurred by compression
@@ -147,7 +142,7 @@ def _has_bars(profile: NDArray[np.floating[Any]], depth: int) -> bool:
 
 
 def is_stretched(size: tuple[int, int], target: tuple[int, int]) -> bool:
-    """Whether going from one size to the other changes the proportions of what is seen."""
+    """Return whether a resize changes the aspect ratio by more than 2 %."""
     return abs(size[0] * target[1] / (size[1] * target[0]) - 1) > _STRETCHED
 
 
@@ -166,15 +161,13 @@ def _list(path: str | os.PathLike[str]) -> list[str]:
 
 
 def list_images(path: str | os.PathLike[str]) -> list[str]:
-    """Names of the images in a folder in natural order."""
+    """List the images in a folder in natural order."""
     return [name for name in _list(path) if not name.startswith(".") and name.lower().endswith(IMAGE_ENDINGS)]
 
 
 def find_mask_folders(path: str | os.PathLike[str]) -> list[str]:
-    """The views in a folder: itself if it holds images, else its folders that do, in natural order.
+    """List the views in a folder: itself if it holds images, else its subfolders with images, in natural order.
 
-    Raises
-    ------
     SilhouetteError : no images in it.
     """
     base = os.fspath(path)
@@ -190,8 +183,8 @@ def find_mask_folders(path: str | os.PathLike[str]) -> list[str]:
 class MaskFolder(View):
     """A folder of mask images: the person is brighter than half of the range, or has a label other than 0.
 
-    Numbers in the names are frames: where frame_0001 and frame_0003 exist, frame 2 is missing. If all are multiples of
-    a step, the step is a frame.
+    Numbers in the names are frames: with frame_0001 and frame_0003, frame 2 is missing. A common step of all numbers
+    counts as one frame.
 
     Parameters
     ----------
@@ -234,7 +227,7 @@ class MaskFolder(View):
         self.warnings = tuple(notes)
 
     def read(self, frame: int) -> Mask | None:
-        """The mask (height, width) of a frame; None where there is no image."""
+        """Return the mask (height, width) of a frame; None where there is no image."""
         name = self._frames.get(checked_frame(frame, self.n_frames))
         if name is None:
             return None

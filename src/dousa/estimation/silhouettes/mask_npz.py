@@ -4,19 +4,19 @@
                                  the width
     mask or masks                instead: (V, T, H, W) or (T, H, W) of bool or numbers, not packed
     width, height                px; needed with mask_packed
-    frame_rate                   Hz; 30 if lacking
-    view_names                   (V,) may be lacking
-    view_sizes                   (V, 2) width and height of views that are smaller than the array; may be lacking
-    present                      (V, T) bool, False where a view has no image; may be lacking
+    frame_rate                   Hz; optional, 30 by default
+    view_names                   (V,); optional
+    view_sizes                   (V, 2) width and height of views smaller than the array; optional
+    present                      (V, T) bool, False where a view has no image; optional
     camera_matrix                (V, 3, 3) px; `dousa.estimation.cameras.camera_files` reads the cameras
     world_to_camera_rotation     (V, 3, 3)
     world_to_camera_translation  (V, 3) m
-    camera_distortion            (V, 5) k1 k2 p1 p2 k3; may be lacking
-    camera_kind                  (V,) "pinhole" or "orthographic"; may be lacking
-    stature                      m, of the person; may be lacking
-    joint_names, joint_positions (K,), (T, K, 3) m, where the truth is known
+    camera_distortion            (V, 5) k1 k2 p1 p2 k3; optional
+    camera_kind                  (V,) "pinhole" or "orthographic"; optional
+    stature                      m, of the person; optional
+    joint_names, joint_positions (K,), (T, K, 3) m, the true joints; optional
 
-Nothing is pickled, and no size is believed before it is compared with a limit.
+Nothing is pickled, and every size is compared with a limit.
 """
 
 from __future__ import annotations
@@ -53,26 +53,26 @@ def write_silhouettes(
     truth: tuple[Sequence[str], ArrayLike] | None = None,
     progress: Progress | None = None,
 ) -> None:
-    """Write silhouettes, and what is known beside them, as one npz file.
+    """Write silhouettes and optional data as one npz file.
 
-    Frames are read and packed one at a time, so the length does not matter. Views of different sizes are filled up at
-    the right and below, which changes no camera, and `read_silhouettes` cuts them again.
+    Frames are read and packed one at a time. Smaller views are padded at the right and below; `read_silhouettes` crops
+    them again.
 
     Parameters
     ----------
     path : the file to write.
     masks : silhouettes; or (V, T, H, W) bool, or one (T, H, W) per view, with ``frame_rate``.
-    cameras : (V,) one per view, of the size of its masks; may be left out.
+    cameras : (V,) one per view, of the size of its masks; optional.
     frame_rate : Hz; by default that of the silhouettes.
     stature : m, of the person.
-    truth : names (K,) and positions (T, K, 3) m of the true joints, where they are known.
+    truth : names (K,) and positions (T, K, 3) m of the true joints.
     progress : called with (frames done, frames in all, what).
 
     Raises
     ------
-    SilhouetteError : numbers that do not fit each other.
+    SilhouetteError : inconsistent shapes, or no frame rate.
     CalibrationError : not one camera per view, or of another size.
-    MotionWriteError : the disk refuses; nothing is left behind.
+    MotionWriteError : the file cannot be written; no partial file stays.
     """
     if isinstance(masks, Silhouettes):
         source = masks
@@ -104,7 +104,6 @@ def _collect(
     stature: float | None,
     truth: tuple[Sequence[str], ArrayLike] | None,
 ) -> dict[str, NDArray[np.generic]]:
-    """The arrays beside the masks."""
     arrays: dict[str, NDArray[np.generic]] = {
         "frame_rate": np.array(source.frame_rate if frame_rate is None else checked_rate(frame_rate)),
         "view_names": np.array(source.names),
@@ -129,7 +128,7 @@ def _collect(
 def _spool(
     source: Silhouettes, spools: Sequence[str], size: tuple[int, int], progress: Progress | None
 ) -> NDArray[np.bool_]:
-    """Pack every frame into one file per view: the array is stored view by view, but read frame by frame."""
+    """Pack every frame into one file per view, as the array is stored by view but read by frame."""
     width, height = size
     present = np.ones((source.n_views, source.n_frames), bool)
     files: list[IO[bytes]] = []
@@ -173,14 +172,8 @@ _DEFAULT_RATE = 30.0
 def read_silhouettes(path: str | os.PathLike[str], frame_rate: float | None = None) -> PackedSilhouettes:
     """Read the silhouettes of an npz file into memory, one bit a pixel.
 
-    Parameters
-    ----------
-    path : a file as the module's docstring says.
-    frame_rate : Hz; by default what the file says, or 30 with a warning.
-
-    Returns
-    -------
-    The silhouettes; a single view is named after the file unless it has a name.
+    A single view without a name takes the name of the file. ``frame_rate`` (Hz) is by default that of the file, or 30
+    with a warning.
 
     Raises
     ------
@@ -219,7 +212,7 @@ def read_silhouettes(path: str | os.PathLike[str], frame_rate: float | None = No
 
 @contextmanager
 def _open(path: str | os.PathLike[str]) -> Iterator[NpzFile]:
-    """The arrays of a file; every error that leaves the block names the file."""
+    """Open the arrays of a file; errors inside the block name the file."""
     try:
         with open_npz(path, SilhouetteError) as file:
             yield file
@@ -229,10 +222,8 @@ def _open(path: str | os.PathLike[str]) -> Iterator[NpzFile]:
 
 
 def read_stature(path: str | os.PathLike[str]) -> float | None:
-    """The stature of the person in an npz file of silhouettes, in m; None where it does not say.
+    """Return the stature (m) of the person in an npz file of silhouettes; None if absent.
 
-    Raises
-    ------
     SilhouetteError : missing or damaged, or a stature outside 0.2 m to 3 m.
     """
     with _open(path) as file:
@@ -247,11 +238,9 @@ def read_stature(path: str | os.PathLike[str]) -> float | None:
 def read_true_joints(
     path: str | os.PathLike[str],
 ) -> tuple[tuple[str, ...], NDArray[np.float64]] | None:
-    """The true joints in an npz file of silhouettes: names (K,) and positions (T, K, 3) m; None where it has none.
+    """Return names (K,) and positions (T, K, 3) m of the true joints in an npz file of silhouettes; None if absent.
 
-    Raises
-    ------
-    SilhouetteError : missing or damaged, or names and positions that do not fit.
+    SilhouetteError : missing or damaged, or inconsistent names and positions.
     """
     with _open(path) as file:
         if "joint_names" not in file or "joint_positions" not in file:
@@ -269,7 +258,7 @@ def read_true_joints(
 
 
 def _read_masks(file: NpzFile) -> tuple[list[PackedMasks], list[tuple[int, int]]]:
-    """Per view the packed masks (T, H, bytes), and width and height."""
+    """Return per view the packed masks (T, H, bytes), and width and height."""
     if "mask_packed" in file:
         width, height = (_read_side(file, side) for side in ("width", "height"))
         with file.open("mask_packed") as (header, stream):
@@ -303,7 +292,7 @@ def _read_side(file: NpzFile, side: str) -> int:
 
 
 def _view_shape(name: str, header: Header) -> tuple[int, int, int, int]:
-    """(V, T, H, W) of an array that may lack the axis of the views."""
+    """Return (V, T, H, W) of an array that may lack the axis of the views."""
     shape = header.shape if len(header.shape) == 4 else (1, *header.shape)
     if len(shape) != 4:
         raise SilhouetteError("mask_npz.axes", array=name, found=str(header.shape))
@@ -315,7 +304,7 @@ def _view_shape(name: str, header: Header) -> tuple[int, int, int, int]:
 
 
 def _check_amount(n_bytes: int, header: Header) -> None:
-    """SilhouetteError for more packed masks than are read, or than the file can hold of a person."""
+    """Raise SilhouetteError for more packed masks than the limit, or than the file can plausibly hold."""
     if n_bytes > _MOST_PACKED_BYTES:
         raise SilhouetteError("mask_npz.amount", size=n_bytes / 1e9, most=_MOST_PACKED_BYTES / 1e9)
     if n_bytes > max(_HARMLESS_BYTES, _MOST_DENSE * header.n_packed):
@@ -323,7 +312,7 @@ def _check_amount(n_bytes: int, header: Header) -> None:
 
 
 def _pack_stream(name: str, header: Header, stream: IO[bytes]) -> tuple[list[PackedMasks], list[tuple[int, int]]]:
-    """Pack an array of whole pixels an image at a time, so that memory holds one bit a pixel."""
+    """Pack an array of whole pixels one image at a time, to save memory."""
     n_views, n_frames, height, width = _view_shape(name, header)
     if header.dtype.kind not in "buif":
         raise SilhouetteError("mask_npz.kind", array=name, found=str(header.dtype))
@@ -352,7 +341,7 @@ def _read_names(file: NpzFile, path: str | os.PathLike[str], n_views: int) -> tu
 
 
 def _read_sizes(file: NpzFile, sizes: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """The sizes of views that were filled up to that of the largest."""
+    """Return the original sizes of padded views."""
     if "view_sizes" not in file:
         return sizes
     own = file.read("view_sizes", "iu", 2)

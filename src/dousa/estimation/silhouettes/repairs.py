@@ -1,7 +1,6 @@
-"""Repairs of silhouettes by hand: strokes of a brush, and connected parts that are not the person.
+"""Repairs of silhouettes by hand: brush strokes, and excluded parts that are not the person.
 
-A repair never changes what it repairs: `RepairedSilhouettes` reads the silhouettes and applies a list of repairs, in
-their order, to each frame. Undoing one is leaving it out.
+`RepairedSilhouettes` applies a list of repairs in order to each frame it reads; the source stays unchanged.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ class MaskStroke:
     view, frame : counted from 0.
     points : (N, 2) x and y in px, at least one; pixel centres are whole numbers.
     radius : of the brush, px.
-    adds : it becomes foreground; otherwise background.
+    adds : true for foreground, false for background.
     """
 
     view: int
@@ -57,7 +56,7 @@ class MaskStroke:
 
     @property
     def frames(self) -> tuple[int, ...]:
-        """The frames that it changes."""
+        """The changed frames."""
         return (self.frame,)
 
     def apply(self, mask: Mask, frame: int) -> None:
@@ -75,7 +74,7 @@ class MaskStroke:
         mask[canvas.view(bool)] = self.adds
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values, for `repair_from_json`."""
+        """Return plain values for `repair_from_json`."""
         points = [[round(value, 2) for value in point] for point in self.points]
         return {
             "kind": "stroke",
@@ -102,7 +101,7 @@ class ExcludedPart:
 
     @property
     def frames(self) -> tuple[int, ...]:
-        """The frames that it changes."""
+        """The changed frames."""
         return tuple(self.seeds)
 
     def apply(self, mask: Mask, frame: int) -> None:
@@ -114,7 +113,7 @@ class ExcludedPart:
             mask[_part_at(mask, (x, y))] = False
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values, for `repair_from_json`."""
+        """Return plain values for `repair_from_json`."""
         return {"kind": "exclude", "view": self.view, "seeds": [[frame, *self.seeds[frame]] for frame in self.seeds]}
 
 
@@ -123,12 +122,7 @@ MaskRepair = MaskStroke | ExcludedPart
 
 
 def repair_from_json(given: Mapping[str, Any]) -> MaskRepair:
-    """A repair from the plain values of its ``to_json``.
-
-    Raises
-    ------
-    SilhouetteError : they are none of a repair.
-    """
+    """Return a repair from the plain values of its ``to_json``; SilhouetteError if they are invalid."""
     try:
         if given["kind"] == "stroke":
             points = tuple((float(x), float(y)) for x, y in given["points"])
@@ -143,16 +137,11 @@ def repair_from_json(given: Mapping[str, Any]) -> MaskRepair:
 
 
 class RepairedSilhouettes(Silhouettes):
-    """Silhouettes with repairs, applied as they are read.
-
-    Parameters
-    ----------
-    source : what is repaired.
-    repairs : in the order in which they were made.
+    """Silhouettes with repairs, applied in order as frames are read.
 
     Raises
     ------
-    SilhouetteError : a repair of a view or frame that there is not.
+    SilhouetteError : a repair outside the views or frames.
     """
 
     def __init__(self, source: Silhouettes, repairs: Sequence[MaskRepair]) -> None:
@@ -167,15 +156,15 @@ class RepairedSilhouettes(Silhouettes):
 
     @property
     def warnings(self) -> tuple[Message, ...]:  # type: ignore[override]
-        """Of the source."""
+        """The warnings of the source."""
         return self._source.warnings
 
     def read(self, frame: int) -> tuple[Mask | None, ...]:
-        """The masks (height, width) of all views in one frame, repaired; None where a view has no image then."""
+        """Return the repaired masks (height, width) of all views in one frame; None where a view has no image."""
         return tuple(self._repair(view, frame, mask) for view, mask in enumerate(self._source.read(frame)))
 
     def read_view(self, view: int, frame: int) -> Mask | None:
-        """The mask of one view."""
+        """Return the mask of one view."""
         _check_view(self._source, view)
         return self._repair(view, frame, self._source.read_view(view, frame))
 
@@ -189,11 +178,11 @@ class RepairedSilhouettes(Silhouettes):
         return mask
 
     def look(self, frame: int) -> tuple[Image | None, ...]:
-        """The pictures behind the masks."""
+        """Return the images behind the masks."""
         return self._source.look(frame)
 
     def close(self) -> None:
-        """Let go of open files."""
+        """Close open files."""
         self._source.close()
 
 
@@ -203,17 +192,17 @@ def _check_view(silhouettes: Silhouettes, view: int) -> None:
 
 
 def find_part(silhouettes: Silhouettes, view: int, frame: int, point: tuple[float, float]) -> ExcludedPart:
-    """The connected part (8 neighbours) at a point of a frame, or within 4 px of it.
+    """Return the connected part (8 neighbours) of a mask at a point of a frame, or within 4 px of it.
 
     Parameters
     ----------
-    silhouettes : with the repairs that were made before.
+    silhouettes : with all earlier repairs.
     view, frame : counted from 0.
     point : x and y, px.
 
     Raises
     ------
-    SilhouetteError : there is nothing at this point.
+    SilhouetteError : no foreground at this point.
     """
     return ExcludedPart(view, {frame: _find_seed(silhouettes, view, frame, point)})
 
@@ -225,20 +214,20 @@ def follow_part(
     point: tuple[float, float],
     progress: Progress | None = None,
 ) -> ExcludedPart:
-    """The same part in all frames: from frame to frame, what covers most of it and is about as large.
+    """Follow a part through all frames by shared area and similar size.
 
-    Where the part has grown together with another one, such as the person, these frames are left as they are; after 15
-    frames in a row without it, it is not looked for any more.
+    Frames where it has merged with another part, such as the person, stay unchanged; the search in one direction ends
+    after more than 15 such frames in a row.
 
     Parameters
     ----------
-    silhouettes : with the repairs that were made before.
-    view, frame, point : as of `find_part`.
+    silhouettes : with all earlier repairs.
+    view, frame, point : see `find_part`.
     progress : called with (frames done, frames in all, what).
 
     Raises
     ------
-    SilhouetteError : there is nothing at this point.
+    SilhouetteError : no foreground at this point.
     """
     seeds = {frame: _find_seed(silhouettes, view, frame, point)}
     mask = silhouettes.read_view(view, frame)
@@ -275,7 +264,7 @@ def _find_seed(silhouettes: Silhouettes, view: int, frame: int, point: tuple[flo
 
 
 def _part_at(mask: Mask, seed: tuple[int, int]) -> Mask:
-    """The connected part (H, W) of a mask that a foreground pixel belongs to."""
+    """Return the connected part (H, W) of a mask at a foreground pixel."""
     labels = _label(mask)
     return np.asarray(labels == labels[seed[1], seed[0]])
 
@@ -288,7 +277,7 @@ def _label(mask: Mask) -> NDArray[np.int32]:
 
 
 def _find_again(mask: Mask | None, part: Mask) -> tuple[tuple[int, int], Mask] | None:
-    """A pixel of the part in another mask, and the part there."""
+    """Return a pixel of the part in another mask, and the part there."""
     if mask is None or not (mask & part).any():
         return None
     labels = _label(mask)

@@ -1,4 +1,4 @@
-"""Silhouettes from whatever there is: an npz sequence, folders of masks, videos."""
+"""Silhouettes from npz files, folders of masks and videos."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Progress = Callable[[int, int, Message], None]
 
 
 class _LatestFrame:
-    """Silhouettes whose views are asked one after the other for the same frame, which is read once."""
+    """A cache of the last frame of silhouettes."""
 
     def __init__(self, source: Silhouettes) -> None:
         self.source = source
@@ -33,7 +33,7 @@ class _LatestFrame:
 
 
 class _ViewOf(View):
-    """One view of silhouettes that are read together."""
+    """One view of silhouettes."""
 
     def __init__(self, latest: _LatestFrame, view: int, size: tuple[int, int] | None) -> None:
         source = latest.source
@@ -59,31 +59,27 @@ def open_silhouettes(
     progress: Progress | None = None,
     longest_side: int = LONGEST_SIDE,
 ) -> Silhouettes:
-    """Open the silhouettes of one or more views.
+    """Open the silhouettes of one or more views; close them, or use ``with``.
 
     Parameters
     ----------
-    sources : one npz file with all views (see `mask_npz`); or per view an npz file, a folder of mask
-        images, or a video; a folder of such folders stands for them all.
+    sources : one npz file with all views (see `mask_npz`); or per view an npz file, a folder of mask images, or a
+        video; a folder of such folders stands for them all.
     backgrounds : of videos, an image of the empty scene per view, in the order of the views.
-    method : how the background of videos is known: ``"plate"``, ``"median"`` or ``"mog2"``; plate by default where
-        ``backgrounds`` are given, else median.
-    kind : ``"mask"`` or ``"video"``, what videos show; by default recognised from their frames.
-    frame_rate : Hz of sources that do not say theirs (or say it wrongly).
+    method : background of videos: ``"plate"``, ``"median"`` or ``"mog2"``; plate by default with ``backgrounds``, else
+        median.
+    kind : ``"mask"`` or ``"video"``, the content of videos; by default recognised from their frames.
+    frame_rate : Hz of sources without a (correct) frame rate.
     sizes : (V,) width and height of the masks, such as those of the (scaled) cameras; or one for all. By default
         as masks are stored, and for videos of a scene that of the background or the video, reduced.
     offsets : (V,) s from the start of each view to one common moment.
     frames : first frame and the one after the last; all by default.
     progress : called with (done, total, what) while backgrounds are learnt.
-    longest_side : px to which videos of a scene are reduced where ``sizes`` are not given.
-
-    Returns
-    -------
-    Silhouettes; ``warnings`` says what was assumed. Close them, or use ``with``.
+    longest_side : px to which videos of a scene are reduced without ``sizes``.
 
     Raises
     ------
-    SilhouetteError : a source that cannot be read or is none, views that do not go together.
+    SilhouetteError : an unreadable or unknown source, views that do not fit together.
     OptionError : options that do not fit the sources.
     """
     paths = [sources] if isinstance(sources, str | os.PathLike) else list(sources)
@@ -157,7 +153,7 @@ def _plates(
     places: Sequence[tuple[str, str]],
     n_views: int,
 ) -> tuple[BackgroundMethod, list[Path | None]]:
-    """The method, and the plate of each view."""
+    """Return the method, and the plate of each view."""
     if method not in (None, "plate", "median", "mog2"):
         raise OptionError("background.method", found=str(method))
     given = list(backgrounds)

@@ -1,4 +1,4 @@
-"""Silhouettes S(t): which pixels of each view show the person, frame by frame; several views put on one clock."""
+"""Silhouettes S(t) of one or more views, and views synchronised to one clock."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _HIGHEST_RATE = 100_000.0
 
 
 class Silhouettes(ABC):
-    """Masks of one or more views over time, read a frame at a time so that long recordings need no memory.
+    """Masks of one or more views over time, read one frame at a time to save memory.
 
     Attributes
     ----------
     names : (V,) names of the views.
     sizes : (V,) width and height of each view in pixels.
-    n_frames : number of frames (of the shortest view, once the views are on one clock).
+    n_frames : number of frames (of the shortest view after synchronisation).
     frame_rate : Hz.
-    warnings : what a person should know; some are known only after frames were read.
+    warnings : notes for the user; may grow while frames are read.
     """
 
     names: tuple[str, ...]
@@ -41,9 +41,9 @@ class Silhouettes(ABC):
 
     @abstractmethod
     def read(self, frame: int) -> tuple[Mask | None, ...]:
-        """The masks (height, width) of all views in one frame; None where a view has no image then.
+        """Return the masks (height, width) of all views in one frame; None where a view has no image.
 
-        Cheapest in rising order of frames; any order works.
+        Rising order of frames is cheapest; any order works.
 
         Raises
         ------
@@ -51,18 +51,18 @@ class Silhouettes(ABC):
         """
 
     def read_view(self, view: int, frame: int) -> Mask | None:
-        """The mask of one view, where the others are not wanted."""
+        """Return the mask of one view."""
         return self.read(frame)[view]
 
     def look(self, frame: int) -> tuple[Image | None, ...]:
-        """The pictures (height, width, 3) blue, green, red behind the masks; None where there is none.
+        """Return the images (height, width, 3) blue, green, red behind the masks; None where there is none.
 
-        Costs little right after the masks of the same frame were read.
+        Cheap right after `read` of the same frame.
         """
         return (None,) * self.n_views
 
     def close(self) -> None:  # noqa: B027 - most kinds hold nothing open
-        """Let go of open files; reading again opens them again."""
+        """Close open files; reading opens them again."""
 
     @property
     def n_views(self) -> int:
@@ -79,7 +79,7 @@ class Silhouettes(ABC):
 
 
 def checked_frame(frame: int, n_frames: int) -> int:
-    """The frame if it is one of n_frames, else a SilhouetteError."""
+    """Return the frame if it is one of n_frames, else raise SilhouetteError."""
     try:
         index = operator.index(frame)
     except TypeError:
@@ -90,7 +90,7 @@ def checked_frame(frame: int, n_frames: int) -> int:
 
 
 def checked_rate(rate: float, where: str = "") -> float:
-    """The frame rate in Hz if it is one, else a SilhouetteError that names ``where``."""
+    """Return the frame rate in Hz if it is valid, else raise SilhouetteError with ``where``."""
     try:
         value = float(rate)
     except (TypeError, ValueError):
@@ -105,15 +105,15 @@ class PackedSilhouettes(Silhouettes):
 
     Parameters
     ----------
-    masks : (V, T, H, W) bool; or one (T, H, W) bool per view, whose sizes and lengths may differ: the shortest
-        counts, and a warning says so. Numbers count as foreground where they are not 0.
+    masks : (V, T, H, W) bool, or one (T, H, W) bool per view: sizes and lengths may differ, the shortest counts (with
+        a warning). Numbers other than 0 are foreground.
     frame_rate : Hz.
     names : (V,) names of the views; view1, view2 ... by default.
     missing : (V, T) bool, True where a view has no image; none by default.
 
     Raises
     ------
-    SilhouetteError : no views, frames or pixels, arrays of another shape, a frame rate that is none.
+    SilhouetteError : no views, frames or pixels, arrays of another shape, an invalid frame rate.
     """
 
     def __init__(
@@ -142,13 +142,12 @@ class PackedSilhouettes(Silhouettes):
         names: Sequence[str] | None = None,
         missing: ArrayLike | None = None,
     ) -> PackedSilhouettes:
-        """Silhouettes from masks that are packed already.
+        """Create silhouettes from packed masks; the other arguments are those of the class.
 
         Parameters
         ----------
-        packed : per view (T, H, ceil(W / 8)) uint8, as ``np.packbits(masks, axis=2)`` gives.
+        packed : per view (T, H, ceil(W / 8)) uint8, as ``np.packbits(masks, axis=2)`` returns.
         sizes : (V,) width and height in pixels.
-        frame_rate, names, missing : as for the class.
         """
         made = cls.__new__(cls)
         made._fill(list(packed), list(sizes), frame_rate, names, missing)
@@ -189,7 +188,7 @@ class PackedSilhouettes(Silhouettes):
             self.warnings = (Message("masks.frame_counts", counts=lengths, used=self.n_frames),)
 
     def read(self, frame: int) -> tuple[Mask | None, ...]:
-        """The masks (height, width) of all views in one frame; None where a view has no image then."""
+        """Return the masks (height, width) of all views in one frame; None where a view has no image."""
         frame = checked_frame(frame, self.n_frames)
         return tuple(
             None if missing else np.unpackbits(array[frame], axis=1, count=width).view(bool)
@@ -201,7 +200,7 @@ _SAME_RATE = 1e-3  # 29.97 and 30 Hz drift by a frame in half a minute; 29.97 an
 
 
 class View(ABC):
-    """The silhouettes of one camera, from whatever source.
+    """The silhouettes of one camera, from any source.
 
     Attributes
     ----------
@@ -209,7 +208,7 @@ class View(ABC):
     size : width and height in pixels.
     n_frames : number of frames.
     frame_rate : Hz.
-    warnings : what a person should know; may grow while frames are read.
+    warnings : notes for the user; may grow while frames are read.
     """
 
     name: str
@@ -220,18 +219,18 @@ class View(ABC):
 
     @abstractmethod
     def read(self, frame: int) -> Mask | None:
-        """The mask (height, width) of a frame; None where there is no image."""
+        """Return the mask (height, width) of a frame; None where there is no image."""
 
     def look(self, frame: int) -> Image | None:
-        """The picture (height, width, 3) behind the mask of a frame; None where there is none."""
+        """Return the image (height, width, 3) behind the mask of a frame; None where there is none."""
         return None
 
     def close(self) -> None:  # noqa: B027 - most kinds hold nothing open
-        """Let go of open files; reading again opens them again."""
+        """Close open files; reading opens them again."""
 
 
 class _ViewsOnOneClock(Silhouettes):
-    """Views read side by side; frame k is the time start + k / frame_rate of each."""
+    """Views on a common clock; frame k is the time start + k / frame_rate of each."""
 
     def __init__(
         self,
@@ -256,15 +255,15 @@ class _ViewsOnOneClock(Silhouettes):
         return (*self._own_warnings, *(text for view, _, _ in self._views for text in view.warnings))
 
     def read(self, frame: int) -> tuple[Mask | None, ...]:
-        """The masks (height, width) of all views in one frame; None where a view has no image then."""
+        """Return the masks (height, width) of all views in one frame; None where a view has no image."""
         return tuple(view.read(place) for view, place in self._places(frame))
 
     def look(self, frame: int) -> tuple[Image | None, ...]:
-        """The pictures (height, width, 3) behind the masks; None where there is none."""
+        """Return the images (height, width, 3) behind the masks; None where there is none."""
         return tuple(view.look(place) for view, place in self._places(frame))
 
     def _places(self, frame: int) -> list[tuple[View, int]]:
-        """Each view, and which of its own frames is nearest."""
+        """Return each view with the nearest of its own frames."""
         moment = (checked_frame(frame, self.n_frames) + self._first) / self.frame_rate
         return [
             (view, min(math.floor((moment + start) * rate + 0.5), view.n_frames - 1))
@@ -272,13 +271,13 @@ class _ViewsOnOneClock(Silhouettes):
         ]
 
     def close(self) -> None:
-        """Let go of open files; reading again opens them again."""
+        """Close open files; reading opens them again."""
         for view, _, _ in self._views:
             view.close()
 
 
 def _distinct(names: object) -> tuple[str, ...]:
-    """The names, with a number behind one that occurred before."""
+    """Return the names, with a number added to repeated ones."""
     seen: list[str] = []
     for name in names:  # type: ignore[attr-defined]
         candidate, count = name, 1
@@ -295,18 +294,14 @@ def synchronise(
     offsets: Sequence[float] | None = None,
     frames: tuple[int, int] | None = None,
 ) -> Silhouettes:
-    """Put views on one clock: each frame takes the nearest image of every view.
+    """Synchronise views: each frame takes the nearest image of every view, as long as the shortest view lasts.
 
     Parameters
     ----------
     views : at least one.
     frame_rate : Hz of the common clock; by default that of the slowest view, so that no image is used twice.
-    offsets : (V,) s from the start of each recording to one common moment, such as a clap; 0 by default.
+    offsets : (V,) s from the start of each recording to a common moment, such as a clap; 0 by default.
     frames : first frame and the one after the last, on the common clock; all by default.
-
-    Returns
-    -------
-    Silhouettes as long as the shortest view, with warnings where rates or lengths differ.
 
     Raises
     ------
@@ -343,7 +338,7 @@ def synchronise(
 
 
 def _starts(views: Sequence[View], offsets: Sequence[float] | None) -> list[float]:
-    """Seconds of each view at the first common moment."""
+    """Compute the time (s) of each view at the first common moment."""
     if offsets is None:
         return [0.0] * len(views)
     values = [float(value) for value in offsets]

@@ -1,4 +1,4 @@
-"""Silhouettes from video: of a person before a fixed camera, or of masks that another program made."""
+"""Silhouettes from videos of a person before a fixed camera, or of masks."""
 
 from __future__ import annotations
 
@@ -43,19 +43,18 @@ _LEAST_BINARY = 0.97  # share of black and white pixels in a video of masks
 
 
 class VideoFile:
-    """Frames of a video file, decoded one at a time.
+    """Frames of a video file, decoded one at a time; going back or far ahead seeks.
 
-    Rising frames are decoded in turn; going back or far ahead seeks. The number of frames is what can be decoded, not
-    what the header says.
+    ``n_frames`` counts the frames that can be decoded, not those that the header states.
 
     Parameters
     ----------
     path : the file.
-    frame_rate : Hz; by default what the file says.
+    frame_rate : Hz; by default that of the file.
 
     Raises
     ------
-    SilhouetteError : missing, no video, a codec that is lacking, no frames, no frame rate.
+    SilhouetteError : missing, no video, an unsupported codec, no frames, no frame rate.
     """
 
     def __init__(self, path: str | os.PathLike[str], frame_rate: float | None = None) -> None:
@@ -96,7 +95,7 @@ class VideoFile:
         return self._capture
 
     def _decode(self) -> Image | None:
-        """The next frame, or None at the end or where the data are damaged."""
+        """Return the next frame, or None at the end or where the data are damaged."""
         from dousa.extras import cv2
 
         try:
@@ -112,7 +111,7 @@ class VideoFile:
         return np.asarray(image[..., :3], np.uint8)
 
     def _count_frames(self, stated: int) -> tuple[int, int]:
-        """Frames that can be decoded, and how many the header states (0 if it does not)."""
+        """Return the number of frames that can be decoded, and the number in the header (0 if absent)."""
         from dousa.extras import cv2
 
         stated = max(0, stated)
@@ -147,7 +146,7 @@ class VideoFile:
         self._open()
 
     def read(self, frame: int) -> Image | None:
-        """A frame (H, W, 3) uint8 blue, green, red; None where the data are damaged."""
+        """Return a frame (H, W, 3) uint8 blue, green, red; None where the data are damaged."""
         frame = checked_frame(frame, self.n_frames)
         if self._latest is not None and self._latest[0] == frame:
             return self._latest[1]
@@ -166,7 +165,7 @@ class VideoFile:
         return image
 
     def close(self) -> None:
-        """Let go of the file; reading again opens it again."""
+        """Close the file; reading opens it again."""
         if self._capture is not None:
             self._capture.release()
             self._capture = None
@@ -174,7 +173,7 @@ class VideoFile:
 
 
 def guess_video_kind(images: Sequence[Image]) -> VideoKind:
-    """Whether frames (H, W, 3) are masks (nearly all pixels black or white) or pictures of a scene."""
+    """Return whether frames (H, W, 3) are masks (nearly all pixels black or white) or a scene."""
     for image in images:
         low, high = image.min(axis=2), image.max(axis=2)
         binary = (high <= 40) | (low >= 215)
@@ -185,7 +184,7 @@ def guess_video_kind(images: Sequence[Image]) -> VideoKind:
 
 
 def reduce_size(size: tuple[int, int], longest: int) -> tuple[int, int]:
-    """Width and height with at most ``longest`` pixels on the longer side, of the same proportions if possible."""
+    """Return width and height with at most ``longest`` pixels on the longer side, in proportion if possible."""
     long, short = max(size), min(size)
     if long <= longest:
         return size
@@ -199,7 +198,7 @@ def _spread(count: int, n_frames: int) -> list[int]:
 
 
 class _VideoBased(View):
-    """What videos of masks and of scenes share: a file, a size, and frames that fit it."""
+    """Common base of videos of masks and of scenes."""
 
     def __init__(self, file: VideoFile, size: tuple[int, int] | None = None) -> None:
         self._file = file
@@ -216,21 +215,15 @@ class _VideoBased(View):
         return tuple(self._notes)
 
     def close(self) -> None:
-        """Let go of the file; reading again opens it again."""
+        """Close the file; reading opens it again."""
         self._file.close()
 
 
 class MaskVideo(_VideoBased):
-    """A video of masks: bright on dark.
-
-    Parameters
-    ----------
-    file : the video.
-    size : width and height of the masks; by default those of the video.
-    """
+    """A video of masks, bright on dark, resized to ``size`` (width, height) if given."""
 
     def read(self, frame: int) -> Mask | None:
-        """The mask (height, width) of a frame; None where the data are damaged."""
+        """Return the mask (height, width) of a frame; None where the data are damaged."""
         image = self._file.read(frame)
         return None if image is None else resize_mask(np.asarray(image.max(axis=2) > 127), self.size)
 
@@ -238,14 +231,14 @@ class MaskVideo(_VideoBased):
 class VideoView(_VideoBased):
     """A video of one person before a fixed camera; the background is learnt when it is opened.
 
-    The person is followed from frame to frame, so among several people the answer may depend on the order of reading.
+    The person is followed from frame to frame, so with several people the masks may depend on the order of reading.
 
     Parameters
     ----------
     file : the video.
-    size : width and height of the masks. Frames are brought to that size first, so smaller is faster. By default that
-        of the plate, or else of the video, reduced to ``longest_side`` with the same proportions.
-    method : how the background is known, see `dousa.estimation.silhouettes.background`.
+    size : width and height of the masks and of the resized frames; by default that of the plate, or of the video,
+        reduced to ``longest_side`` in proportion.
+    method : of the background, see `dousa.estimation.silhouettes.background`.
     plate : image file of the scene without the person, for ``"plate"``.
     progress : called with (frames done, frames in all, what) while the background is learnt.
     longest_side : px, see ``size``.
@@ -280,11 +273,11 @@ class VideoView(_VideoBased):
 
     @property
     def background(self) -> Background:
-        """The scene without the person, as it was learnt."""
+        """The learnt background."""
         return self._background
 
     def _find_part(self) -> None:
-        """Black bars that a change of format added are left out, where that gives the proportions of the masks."""
+        """Crop black bars of a format conversion, where the rest has the proportions of the masks."""
         file = self._file
         if file.size == self.size:
             return
@@ -301,7 +294,7 @@ class VideoView(_VideoBased):
             self._notes.append(Message("film.stretched", view=self.name, **sizes))
 
     def look(self, frame: int) -> Image | None:
-        """The picture (height, width, 3) behind the mask of a frame; None where the data are damaged."""
+        """Return the image (height, width, 3) behind the mask of a frame; None where the data are damaged."""
         image = self._file.read(frame)
         return None if image is None else self._resize(image[self._part])
 
@@ -326,7 +319,7 @@ class VideoView(_VideoBased):
         return np.stack(samples)
 
     def read(self, frame: int) -> Mask | None:
-        """The mask (height, width) of a frame; None where the data are damaged."""
+        """Return the mask (height, width) of a frame; None where the data are damaged."""
         image = self.look(frame)
         if image is None:
             return None
@@ -354,7 +347,7 @@ def open_video(
     progress: Progress | None = None,
     longest_side: int = LONGEST_SIDE,
 ) -> View:
-    """A video of masks or of a scene as one view; the kind is recognised from a few frames unless it is given."""
+    """Open a video of masks or of a scene as one view; by default the kind is recognised from a few frames."""
     if kind not in (None, "mask", "video"):
         raise OptionError("film.kind", found=str(kind))
     file = VideoFile(path, frame_rate)

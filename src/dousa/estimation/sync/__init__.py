@@ -1,1 +1,1 @@
-"""The time between films, by the movement of people in them and by their sound."""
+"""The time offsets of films, by the movement of people and by sound."""

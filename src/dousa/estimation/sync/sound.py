@@ -1,8 +1,8 @@
 """The sound of films, and the time between two recordings of it.
 
 Generalised cross-correlation with the phase transform (Knapp and Carter, The generalized correlation method for
-estimation of time delay, 1976): all frequencies of a voice or a room count equally, so that the peak is sharp whatever
-made the sound. Bands in which a recording is silent would be noise made loud, and count less.
+estimation of time delay, 1976): all frequencies count equally, so that the peak is sharp for any sound. Bands in which
+a recording is silent would amplify noise and count less.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Sound:
     Parameters
     ----------
     samples : (N,) -1 to 1, one channel at `SOUND_RATE`.
-    start : s, of the first sample, since the first picture of the film.
+    start : s, of the first sample, since the first image of the film.
     """
 
     samples: FloatArray
@@ -49,7 +49,7 @@ class SoundLag:
 
     Parameters
     ----------
-    lag : s, what is added to the second film's own time to get that of the first.
+    lag : s, added to the second film's own time to get that of the first.
     clarity : height of the peak by that of the next one elsewhere; about 1 by chance.
     """
 
@@ -58,11 +58,7 @@ class SoundLag:
 
 
 def read_sound(path: str | os.PathLike[str]) -> Sound | None:
-    """The sound of a film, None where it has none or none that can be heard.
-
-    Parameters
-    ----------
-    path : the film; half an hour of it is read.
+    """Read the sound of a film, at most half an hour; None if it has none or is silent.
 
     Raises
     ------
@@ -85,7 +81,7 @@ def read_sound(path: str | os.PathLike[str]) -> Sound | None:
 
 
 def _find_first_picture(container: object) -> float:
-    """s of the container's clock at which the first picture is shown."""
+    """Return the time (s) of the first image on the container's clock."""
     if not container.streams.video:  # type: ignore[attr-defined]
         return 0.0
     for frame in container.decode(video=0):  # type: ignore[attr-defined]
@@ -115,12 +111,7 @@ def _decode(av: object, container: object, first: float) -> Sound | None:
 
 
 def find_sound_lag(first: Sound, second: Sound) -> SoundLag | None:
-    """The time between two recordings of one sound; None where they have no clear common sound.
-
-    Parameters
-    ----------
-    first, second : recordings of half a second or more.
-    """
+    """Find the time between two recordings of one sound; None if one is under 0.5 s or without a clear common sound."""
     if min(len(first.samples), len(second.samples)) < _LEAST * SOUND_RATE:
         return None
     size = 1 << (len(first.samples) + len(second.samples) - 1).bit_length()
@@ -148,7 +139,7 @@ def find_sound_lag(first: Sound, second: Sound) -> SoundLag | None:
 
 
 def _refine(values: FloatArray, peak: int) -> float:
-    """Where between the samples the top of a parabola is, -0.5 to 0.5."""
+    """Return the top of a parabola between the samples, -0.5 to 0.5."""
     if not 0 < peak < len(values) - 1:
         return 0.0
     before, top, after = values[peak - 1 : peak + 2]

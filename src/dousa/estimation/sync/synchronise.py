@@ -1,7 +1,7 @@
-"""Finds time offsets of films of one scene, by the movement of people and by sound, and keeps them in TOML files.
+"""Time offsets of films of one scene, by the movement of people and by sound, and their TOML files.
 
 A file has one table ``[[film]]`` for each film: ``offset`` (s) is added to the film's own time, which begins with its
-first picture, to get the time of the first film; ``spread`` (s) is its standard deviation; ``basis`` its evidence.
+first image, to get the time of the first film; ``spread`` (s) is its standard deviation; ``basis`` its evidence.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from dousa.messages import Message
 
 Progress = Callable[[int, int, Message], None]
 
-_MOST_PEOPLE = 3  # of a view, who are tried
+_MOST_PEOPLE = 3  # of a view that are tried
 _MOST_LAGS = 5  # of a pair
 _BEAM = 60
 _MOST_STARTS = 3  # sets of offsets whose geometry is tried
@@ -53,17 +53,17 @@ _DIFFERS = 0.06  # s, between sound and movement
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Synchronisation:
-    """How films lie to each other in time.
+    """The time offsets of films.
 
     Parameters
     ----------
     offsets : (V,) s: a film's own time plus its offset is the time of the first film, whose offset is 0.
     spreads : (V,) s, standard deviations of the offsets.
-    basis : (V,) by what each was found: ``"movement"``, ``"sound"``, ``"both"`` or, for the first, ``"reference"``.
-    people : (V,) place of the person by whom the films were compared among those of each view.
+    basis : (V,) evidence: ``"movement"``, ``"sound"``, ``"both"`` or, for the first, ``"reference"``.
+    people : (V,) place of the compared person among those of each view.
     by_sound : (V,) s, the offsets by sound alone; nan where there is none.
     misfit : cost of a sighting, see `TimedRig`; nan without geometry.
-    warnings : what a person should know.
+    warnings : notes for the user.
     """
 
     offsets: FloatArray
@@ -77,7 +77,7 @@ class Synchronisation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Start:
-    """A first guess: offsets (V,) s, people (V,), and how well the movements agree."""
+    """A first guess: offsets (V,) s, people (V,), and the score of their movements."""
 
     offsets: FloatArray
     people: tuple[int, ...]
@@ -96,13 +96,9 @@ def sync(
     Parameters
     ----------
     views : (V,) keypoints of the films with their time stamps; their rates may differ and change.
-    cameras : (V,) calibrated, in one world: makes it more exact. Unknown cameras are found on the way.
+    cameras : (V,) calibrated, in one world, for a more exact result; unknown cameras are found as well.
     sounds : (V,) of the films, None for one without.
     progress : called with (done, total, what).
-
-    Returns
-    -------
-    Offsets, their standard deviations, and by what they were found.
 
     Raises
     ------
@@ -147,7 +143,7 @@ def _name(view: ViewKeypoints, place: int) -> str:
 
 
 def _make_tracks(view: ViewKeypoints, shared: Sequence[str], camera: Camera) -> list[Track]:
-    """The first people of a view with the points that all views have and that tell something of their own."""
+    """Return the first people of a view with the distinctive points common to all views."""
     places = [view.find([shared[place]])[0] for place in choose_points(shared)]
     return [
         make_track(view.times, person.points[:, places], person.visibility[:, places], camera)
@@ -156,7 +152,7 @@ def _make_tracks(view: ViewKeypoints, shared: Sequence[str], camera: Camera) -> 
 
 
 def _find_problem(tracks: Sequence[Sequence[Track]], names: Sequence[str], n_shared: int) -> CalibrationError | None:
-    """Why the movement of people cannot tell the time."""
+    """Return the reason why the movement of people cannot determine the time; None without one."""
     if n_shared < 4:
         return CalibrationError("sync.few_points", found=n_shared)
     for some, name in zip(tracks, names, strict=True):
@@ -169,7 +165,7 @@ def _find_problem(tracks: Sequence[Sequence[Track]], names: Sequence[str], n_sha
 
 
 def _listen(sounds: Sequence[Sound | None] | None, n_views: int) -> tuple[FloatArray, bool]:
-    """Offsets by sound (V,) s, nan where there is none, and whether all are there."""
+    """Return offsets by sound (V,) s, nan where there is none, and whether all are known."""
     offsets = np.full(n_views, np.nan)
     offsets[0] = 0.0
     if sounds is None:
@@ -206,7 +202,7 @@ def _by_sound_only(by_sound: FloatArray, heard: bool, problem: CalibrationError)
 
 
 def _find_starts(tracks: Sequence[Sequence[Track]]) -> list[_Start]:
-    """Sets of offsets with which the movements agree, the best first; different ones."""
+    """Return different sets of offsets for which the movements agree, best first."""
     step = choose_step([track for some in tracks for track in some])
     movements = [[describe_movement(track, step) for track in some] for some in tracks]
     agreements: dict[tuple[int, int, int, int], Agreement] = {}
@@ -235,7 +231,7 @@ def _grow(
     movements: Sequence[Sequence[Movement]],
     agreements: dict[tuple[int, int, int, int], Agreement],
 ) -> list[_Start]:
-    """Offsets of all films from those of one, film by film; the best partial sets are kept."""
+    """Grow sets of offsets from those of one film, film by film, and keep the best."""
 
     def score(one: int, p: int, other: int, q: int, lag: float) -> float:
         if one < other:
@@ -266,7 +262,7 @@ def _grow(
 
 
 class _Judge:
-    """Compares sets of offsets by the geometry."""
+    """Compare sets of offsets by the geometry."""
 
     def __init__(
         self,
@@ -288,13 +284,13 @@ class _Judge:
         return fit_times(tracks, offsets, self._limbs, focals, self._rig, known, _FEW_MOMENTS, _FEW_ROUNDS)
 
     def refine(self, best: TimedRig, start: _Start) -> TimedRig:
-        """The same answer from more moments."""
+        """Refine an answer with more moments."""
         tracks = [some[person] for some, person in zip(self._tracks, start.people, strict=True)]
         known = self._rig is not None
         return fit_times(tracks, best.offsets, self._limbs, best.rig.focals, best.rig, known) or best
 
     def compare(self, starts: Sequence[_Start]) -> tuple[TimedRig, _Start, TimedRig | None] | None:
-        """The best of some starts, its start, and another answer that fits hardly worse; None where none fits."""
+        """Return the best answer, its start, and another answer hardly worse; None where none fits."""
         found = [(timed, start) for start in starts for timed in [self._fit(start, start.offsets)] if timed]
         if not found:
             return None
@@ -307,7 +303,7 @@ class _Judge:
         return best, start, None
 
     def is_told_by_movement(self, best: TimedRig, start: _Start) -> bool:
-        """Whether other times fit clearly worse, or lead back to the same answer."""
+        """Return whether other times fit clearly worse, or lead back to the same answer."""
         shifts = np.where(np.arange(len(best.offsets)) % 2 == 1, _OTHER_TIME, 0.0)
         for sign in (1.0, -1.0):
             other = self._fit(start, best.offsets + sign * shifts)
@@ -320,7 +316,7 @@ class _Judge:
 
 
 def rig_of(cameras: Sequence[Camera]) -> Rig:
-    """Calibrated cameras as the bundle adjustment takes them."""
+    """Return calibrated cameras as a rig of the bundle adjustment."""
     return Rig(
         np.stack([camera.rotation for camera in cameras]),
         np.stack([camera.translation for camera in cameras]),
@@ -376,16 +372,12 @@ def write_offsets(path: str | os.PathLike[str], names: Sequence[str], found: Syn
 
 
 def read_offsets(path: str | os.PathLike[str], names: Sequence[str]) -> list[float]:
-    """Read the time offsets of films.
+    """Read the time offsets (V,) s of films.
 
     Parameters
     ----------
-    path : as `write_offsets` writes it, or by hand: of each film ``name`` and ``offset``.
-    names : (V,) of the films, without suffix, in the order in which their offsets are wanted.
-
-    Returns
-    -------
-    (V,) s.
+    path : a file of `write_offsets`, or one by hand with ``name`` and ``offset`` of each film.
+    names : (V,) of the films, without suffix, in the wanted order.
 
     Raises
     ------

@@ -1,11 +1,11 @@
-"""Finds the time between films by the speed of a person's points, and refines it by geometry.
+"""The time between films, by the speed of a person's points and then by geometry.
 
-Cameras that stand upright see rising and falling equally from all sides, and fast and slow equally from most. Both are
-correlated at every lag: the vertical velocity of each point, the speed of each (its root, which tames jumps), and the
-mean speed. Only moments that both films show count at a lag (Padfield, Masked object registration in the Fourier
-domain, 2012). A short overlap agrees easily by chance, so lags are compared by Fisher's z of the correlation.
+Upright cameras see vertical movement equally from all sides, and speed equally from most. Both are correlated at every
+lag: the vertical velocity of each point, the root of its speed (which tames jumps), and the mean speed. Only moments
+that both films show count at a lag (Padfield, Masked object registration in the Fourier domain, 2012). A short overlap
+agrees easily by chance, so lags are compared by Fisher's z of the correlation.
 
-Then cameras, points and time offsets are fitted together (`bundle`): a moving point is off in every picture by its
+Then cameras, points and time offsets are fitted together (`bundle`): a moving point is off in every image by its
 velocity times the error of the offset, which no camera can compensate. This resolves fractions of a frame; at wrong
 times the residuals are half as large again.
 """
@@ -23,7 +23,7 @@ from dousa.estimation.calibration.rig_search import find_rig, triangulate
 from dousa.estimation.calibration.sightings import Track, choose_moments, read_sightings
 
 INDEPENDENT = 8.0
-"""Hz; so many moments of a second tell something of their own: people hardly move faster than 4 Hz."""
+"""Hz; number of independent moments in a second, as people hardly move faster than 4 Hz."""
 
 _SHORTEST_STEP, _LONGEST_STEP = 1.0 / 60.0, 1.0 / 20.0  # s
 _MOST_SAMPLES = 60_000  # of a film: a quarter of an hour at 60 Hz
@@ -36,15 +36,15 @@ _QUICK = 1.0  # heights per second: faster is squashed
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Movement:
-    """How a person moves in one film, at steady intervals.
+    """The movement of a person in one film, at steady intervals.
 
     Parameters
     ----------
     start : s of the film's own clock, of the first sample.
     step : s.
-    values : (C, N) signals in heights of the person per second (or their roots); 0 where nothing is known.
-    known : (C, N) 1 where something is known.
-    families : (C,) which signals are of one kind: 0 vertical velocities, 1 speeds, 2 the mean speed.
+    values : (C, N) signals in heights of the person per second (or their roots); 0 where unknown.
+    known : (C, N) 1 where known.
+    families : (C,) kind of each signal: 0 vertical velocities, 1 speeds, 2 the mean speed.
     """
 
     start: float
@@ -55,7 +55,7 @@ class Movement:
 
     @property
     def speed(self) -> float:
-        """Heights of the person per second: what the fastest points reach now and then."""
+        """Heights of the person per second: the 0.9 quantile over the points."""
         speeds = self.values[self.families == 1]
         there = speeds[self.known[self.families == 1] > 0]
         return float(np.quantile(there, 0.9) ** 2) if len(there) else 0.0
@@ -67,7 +67,7 @@ class Candidate:
 
     Parameters
     ----------
-    lag : s, what is added to the second film's own time to get that of the first.
+    lag : s, added to the second film's own time to get that of the first.
     score : Fisher's z by its spread: a chance agreement is about 1.
     correlation : -1 to 1.
     """
@@ -79,7 +79,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Agreement:
-    """How well two films agree at every lag.
+    """The agreement of two films at every lag.
 
     Parameters
     ----------
@@ -92,14 +92,14 @@ class Agreement:
     correlations: FloatArray
 
     def at(self, lag: float) -> float:
-        """The score at a lag, the greatest within two steps, at least -1; 0 where the films overlap too little."""
+        """Return the greatest score within two steps of a lag, at least -1; 0 where the films overlap too little."""
         place = int(np.searchsorted(self.lags, lag))
         near = self.scores[max(0, place - 2) : place + 3]
         near = near[np.isfinite(near)]
         return max(-1.0, float(near.max())) if len(near) else 0.0
 
     def find(self, most: int) -> list[Candidate]:
-        """The best lags that are 0.1 s or more apart, the best first."""
+        """Return the best lags that are more than 0.1 s apart, best first."""
         scores = self.scores
         inner = np.flatnonzero((scores[1:-1] >= scores[:-2]) & (scores[1:-1] >= scores[2:])) + 1
         ends = [0, len(scores) - 1]
@@ -114,14 +114,14 @@ class Agreement:
 
 
 def choose_step(tracks: Sequence[Track]) -> float:
-    """A step in s fine enough for films and coarse enough for long ones."""
+    """Choose a step in s, fine enough for films and coarse enough for long ones."""
     finest = min(track.interval for track in tracks)
     longest = max(float(track.times[-1] - track.times[0]) for track in tracks)
     return max(min(max(finest, _SHORTEST_STEP), _LONGEST_STEP), longest / _MOST_SAMPLES)
 
 
 def describe_movement(track: Track, step: float) -> Movement:
-    """How a person moves, sampled every ``step`` s."""
+    """Compute the movement of a person, sampled every ``step`` s."""
     start = float(track.times[0])
     moments = np.arange(start, float(track.times[-1]) + 1e-9, step)
     _, velocities, weights = track.read(moments, _WINDOW)
@@ -138,7 +138,7 @@ def describe_movement(track: Track, step: float) -> Movement:
 
 
 def correlate(first: Movement, second: Movement) -> Agreement:
-    """How well two films of the same step agree at every lag of the second."""
+    """Compute the agreement of two films of the same step at every lag of the second."""
     n_first, n_second = first.values.shape[1], second.values.shape[1]
     size = 1 << (n_first + n_second - 1).bit_length()
     # Shift s pairs sample i + s of the first with sample i of the second.
@@ -159,7 +159,7 @@ def correlate(first: Movement, second: Movement) -> Agreement:
 
 
 def _sum_family(first: Movement, second: Movement, family: int, size: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Covariance and product of the spreads of one kind of signals by shift (size,), and how many pairs there are."""
+    """Compute covariance, product of the spreads and number of pairs of one kind of signals by shift (size,)."""
     covariance, squares, pairs = np.zeros(size), np.zeros((2, size)), np.zeros(size)
     for row in np.flatnonzero(first.families == family):
         values = [movement.values[row] for movement in (first, second)]
@@ -217,23 +217,19 @@ def fit_times(
     most: int = _MOST_MOMENTS,
     rounds: int = 5,
 ) -> TimedRig | None:
-    """Improve time offsets by the geometry.
+    """Improve time offsets by the geometry; None where the films hardly overlap or no cameras fit them.
 
     Parameters
     ----------
     tracks : (V,) one person in V films.
     offsets : (V,) s, first guess, good to some 0.3 s.
-    limbs : what keeps its length.
+    limbs : of constant length.
     focals : (V,) px; a guess, unless the cameras are calibrated.
-    start : cameras to begin with: calibrated, or found already.
-    calibrated : the focal lengths are known. The cameras' poses are fitted in any case: what a network takes for a hip
-        is seen a little differently from each side, and fixed cameras would make that a matter of time.
-    most : moments to look at.
-    rounds : at most; in each the points are read again at the offsets of the last.
-
-    Returns
-    -------
-    The offsets; None where the films hardly overlap or no cameras fit them.
+    start : cameras to begin with, calibrated or found.
+    calibrated : the focal lengths are known. The cameras' poses are fitted in any case, because a network's hips differ
+        a little between sides, which fixed cameras would turn into time.
+    most : moments used.
+    rounds : at most; each reads the points again at the last offsets.
     """
     freedom = Freedom(focals=not calibrated, offsets=True, focal_spread=0.2)
     fit: Fit | None = None

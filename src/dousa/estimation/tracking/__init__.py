@@ -1,1 +1,1 @@
-"""From silhouettes to poses: the start, the search frame after frame, and what is said of trust."""
+"""Pose estimation from silhouettes: the start, the search frame by frame, the diagnosis."""

@@ -1,7 +1,4 @@
-"""Carries several poses from frame to frame, settles them, and tracks single stretches again.
-
-A pose is settled when the frames after it agree.
-"""
+"""The beam search over frames, and repeated tracking of single stretches."""
 
 from __future__ import annotations
 
@@ -25,7 +22,7 @@ _APART = 0.12  # rad: poses nearer to a better one in all angles are the same po
 
 
 def move_pose(pose: FloatArray, steps: FloatArray) -> FloatArray:
-    """A pose (7 + A,) moved by steps (6 + A,): place, turn in the root's own axes, angles."""
+    """Return a pose (7 + A,) moved by steps (6 + A,): place, turn in the root's own axes, angles."""
     moved = pose.copy()
     moved[:3] += steps[:3]
     moved[3:7] = rot.normalise(rot.multiply(pose[3:7], rot.from_axis_angle(steps[3:6])))
@@ -34,15 +31,13 @@ def move_pose(pose: FloatArray, steps: FloatArray) -> FloatArray:
 
 
 def pose_difference(before: FloatArray, after: FloatArray) -> FloatArray:
-    """The steps (6 + A,) that `move_pose` takes from one pose to the other."""
+    """Compute the steps (6 + A,) by which `move_pose` takes one pose to the other."""
     turn = rot.to_axis_angle(rot.multiply(rot.conjugate(before[3:7]), after[3:7]))
     return np.concatenate((after[:3] - before[:3], turn, after[7:] - before[7:]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Track:
-    """One pose of the beam in one frame."""
-
     score: float
     pose: FloatArray
     velocity: FloatArray
@@ -59,13 +54,13 @@ class Settled:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamState:
-    """All that a beam must know to go on as if it had never stopped, as plain arrays.
+    """The state of a beam as plain arrays, complete enough to continue from.
 
     Parameters
     ----------
     scores, beam_poses, velocities : (b,), (b, 7 + A), (b, 6 + A) of the newest frame.
     pending_poses : (L, B, 7 + A) of the frames not yet settled, NaN where the beam was narrower.
-    pending_parents : (L, B) which track of the frame before each came from.
+    pending_parents : (L, B) index of the parent track in the frame before.
     """
 
     scores: FloatArray
@@ -76,13 +71,13 @@ class BeamState:
 
 
 class Beam:
-    """Carries the best poses from frame to frame.
+    """Keep the best poses from frame to frame.
 
     Parameters
     ----------
     setup : body, cameras and settings.
     start : (7 + A,) the pose of the first frame.
-    n_threads : predictions are followed side by side; the result does not depend on how many at a time.
+    n_threads : threads; the result does not depend on their number.
     """
 
     def __init__(self, setup: SearchSetup, start: FloatArray, n_threads: int = 1) -> None:
@@ -93,17 +88,17 @@ class Beam:
         self._pending: deque[tuple[list[_Track], Frame]] = deque()
 
     def close(self) -> None:
-        """Let the threads go."""
+        """Stop the threads."""
         if self.pool is not None:
             self.pool.shutdown(wait=True, cancel_futures=True)
 
     @property
     def best(self) -> FloatArray:
-        """(7 + A,) the best pose of the newest frame, which may still change."""
+        """The best pose (7 + A,) of the newest frame; it may still change."""
         return self._tracks[0].pose
 
     def own_scratch(self) -> tuple[Any, ...]:
-        """Scratch of the thread that asks."""
+        """Return the scratch of the calling thread."""
         if not hasattr(self._scratch, "arrays"):
             self._scratch.arrays = self.setup.make_scratch()
         arrays: tuple[Any, ...] = self._scratch.arrays
@@ -135,7 +130,7 @@ class Beam:
 
     @property
     def line(self) -> list[Settled]:
-        """The frames not yet settled, oldest first, each with the pose that the best present one came from."""
+        """The frames not yet settled, oldest first, each with the ancestor of the present best pose."""
         chosen, found = 0, []
         for tracks, frame in reversed(self._pending):
             found.append(Settled(tracks[chosen].pose, frame))
@@ -143,7 +138,7 @@ class Beam:
         return found[::-1]
 
     def replace_newest(self, poses: FloatArray) -> None:
-        """Give up the poses of the newest frames for others (n, 7 + A), oldest first."""
+        """Replace the poses of the newest frames by others (n, 7 + A), oldest first."""
         kept = []
         parent = 0
         for _ in poses:
@@ -157,7 +152,7 @@ class Beam:
             self._pending.append((self._tracks, frame))
 
     def settle(self, lag: int) -> Iterator[Settled]:
-        """Frames older than ``lag``, each with the pose from which the best present one came."""
+        """Yield the frames older than ``lag``, each with the ancestor of the present best pose."""
         while len(self._pending) > lag:
             chosen = 0
             line = [0]
@@ -170,7 +165,6 @@ class Beam:
             yield Settled(tracks[settled].pose, frame)
 
     def _forget_others(self, settled: int) -> None:
-        """Drop the tracks that do not come from the settled pose, frame by frame."""
         alive = {settled}
         for number, (tracks, frame) in enumerate(self._pending):
             kept = [i for i, track in enumerate(tracks) if track.parent in alive]
@@ -191,7 +185,7 @@ class Beam:
         return predicted
 
     def _search(self, task: tuple[int, float, Frame]) -> tuple[float, int, FloatArray, FloatArray]:
-        """First pass of one prediction of one track."""
+        """Run the first pass from one prediction of one track."""
         number, damping, frame = task
         setup, track, scratch = self.setup, self._tracks[number], self.own_scratch()
         pose, shift = self._predict(track, damping), np.zeros(setup.n_axes)
@@ -200,7 +194,7 @@ class Beam:
         return score, number, pose, shift
 
     def _revisit(self, task: tuple[float, int, FloatArray, FloatArray, Frame]) -> _Track:
-        """The finer passes over a pose that was kept."""
+        """Run the finer passes over a kept pose."""
         _, number, pose, shift, frame = task
         setup, track, scratch = self.setup, self._tracks[number], self.own_scratch()
         for factor in setup.settings.passes[1:]:
@@ -210,12 +204,12 @@ class Beam:
         return _Track(score, pose, pose_difference(track.pose, pose), number)
 
     def _coast(self, number: int, track: _Track) -> _Track:
-        """Inertia alone, slowing down: nothing is seen."""
+        """Move a track by its damped velocity alone."""
         damping = self.setup.settings.damping[0]
         return _Track(track.score, self._predict(track, damping), damping * track.velocity, number)
 
     def save(self) -> BeamState:
-        """The state to go on from; the frames not yet settled must be read again."""
+        """Return the state; the frames not yet settled are not part of it."""
         widest, n_numbers = max(len(tracks) for tracks, _ in self._pending), len(self.best)
         poses = np.full((len(self._pending), widest, n_numbers), np.nan)
         parents = np.zeros((len(self._pending), widest), np.int64)
@@ -231,7 +225,7 @@ class Beam:
         )
 
     def load(self, state: BeamState, frames: list[Frame]) -> None:
-        """Go on from a saved state; ``frames`` are those not yet settled, oldest first."""
+        """Continue from a saved state; ``frames`` are those not yet settled, oldest first."""
         self._pending.clear()
         rest = np.zeros(self.setup.n_axes)
         for poses, parents, frame in zip(state.pending_poses, state.pending_parents, frames, strict=True):
@@ -254,7 +248,7 @@ _JUMP = 30.0  # log score that a metre costs by which the joints jump where one 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Replay:
-    """A stretch that was tracked from its first pose.
+    """A stretch tracked from its first pose.
 
     Parameters
     ----------
@@ -267,13 +261,13 @@ class Replay:
 
 
 def narrow(setup: SearchSetup, area: float) -> SearchSetup:
-    """The same search with a beam of one pose."""
+    """Return the same search with a beam of one pose."""
     settings = replace(setup.settings, beam=1)
     return SearchSetup(setup.body, setup.cameras, settings, setup.frame_rate, area)
 
 
 def replay(setup: SearchSetup, pose: FloatArray, frames: Sequence[Frame], n_threads: int = 1) -> Replay:
-    """Track frames from the pose of the first of them, in whichever direction of time they are given."""
+    """Track frames in the given order from the pose of the first of them."""
     beam = Beam(setup, pose, n_threads)
     try:
         beam.begin(frames[0])
@@ -286,7 +280,7 @@ def replay(setup: SearchSetup, pose: FloatArray, frames: Sequence[Frame], n_thre
 
 
 def score_frames(setup: SearchSetup, poses: FloatArray, frames: Sequence[Frame]) -> FloatArray:
-    """(n,) log scores of poses, each in its own frame and without inertia; 0 if no person is seen."""
+    """Compute log scores (n,) of poses without inertia; 0 for a frame without a person."""
     scratch, still = setup.make_scratch(), np.zeros(setup.n_axes)
     return np.array(
         [
@@ -297,23 +291,16 @@ def score_frames(setup: SearchSetup, poses: FloatArray, frames: Sequence[Frame])
 
 
 def choose_track(tracks: Sequence[Replay]) -> int:
-    """Which of several tracks of the same frames fits best, frame by frame and no frame counting much."""
+    """Return the index of the best of several tracks of the same frames; one bad frame counts little."""
     scores = np.array([track.scores for track in tracks])
     behind = np.minimum(scores.max(axis=0) - scores, _MOST)
     return int(np.argmin(behind.mean(axis=1)))
 
 
 def choose_switch(setup: SearchSetup, old: Replay, new: Replay) -> int:
-    """From which frame on the new track is to stand instead of the old one, by score and the jump between them.
+    """Return the frame, 0 to n, from which track ``new`` replaces ``old``; n keeps the old one.
 
-    Parameters
-    ----------
-    setup : whose body the poses are of.
-    old, new : of the same frames, in order of time.
-
-    Returns
-    -------
-    0 to n: the frames from this one on are the new track's; n keeps the old one.
+    Weighs the scores against the jump of the joints of the body between the tracks, both in order of time.
     """
     n = len(old.poses)
     before, after = (compute_points(setup.body, track.poses) for track in (old, new))

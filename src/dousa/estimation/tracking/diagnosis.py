@@ -1,9 +1,8 @@
-"""Diagnoses every settled pose: overlap with the silhouettes, hidden parts, probable error.
+"""The diagnosis of settled poses: overlap with the silhouettes, hidden parts, expected error.
 
-Outlines differ by a few centimetres because bodies and segmentations do; a missed limb leaves a patch behind, and a
-misplaced one sticks out, so only pixels deeper than such a rim count. The expected error of a frame is a product of
-powers of patches and overhang, and the error's logarithm is distributed normally about it; the constants are those of a
-regression, see docs/estimation.md. Joints share it by how far each can be moved unnoticed.
+The expected error of a frame is a product of powers of patches and overhang; its logarithm is normally distributed.
+The constants are those of a regression, see docs/estimation.md. Joints share the error by how far each can move
+unnoticed. Pixels within a narrow rim of the outline do not count, as bodies and segmentations differ by that much.
 """
 
 from __future__ import annotations
@@ -45,11 +44,11 @@ _ONE_VIEW = 1.5  # of the logarithm, where lines of sight do not meet
 _SPREAD, _SPREAD_ONE_VIEW = 0.387, 0.671  # of the logarithm
 _LOST = 0.2  # probability of an error above `LOST_ERROR`
 _USUAL_STATURE = 1.72  # m
-_RIGID = 0.03  # m: what a joint is off by that no movement of its own tells
+_RIGID = 0.03  # m: error of a joint without any movement of its own
 
 
 def erode(bits: NDArray[np.uint64], steps: int) -> NDArray[np.uint64]:
-    """Pictures of bits (..., H, words) without what lies within ``steps`` rows and columns of a rim, like a diamond."""
+    """Erode bit images (..., H, words) by ``steps`` pixels with a diamond."""
     one, last = np.uint64(1), np.uint64(63)
     for _ in range(steps):
         left = bits << one
@@ -66,21 +65,16 @@ def erode(bits: NDArray[np.uint64], steps: int) -> NDArray[np.uint64]:
 
 
 class PatchMeasure:
-    """Measures what of the silhouettes no part covers, and what of the body lies outside them.
-
-    Parameters
-    ----------
-    area : px, mean area of a silhouette at the working size.
-    """
+    """Measure patches and overhang; ``area`` (px) is the mean area of a silhouette at the working size."""
 
     def __init__(self, area: float) -> None:
         self.area = max(area, 1.0)
         self.steps = max(1, round(_RIM * float(np.sqrt(self.area / _ASPECT))))
 
     def measure(self, drawn: NDArray[np.uint64], frame: Frame) -> FloatArray:
-        """Patches and overhang (2,) of the drawn body (V, H, words): shares of a usual silhouette, means of the views.
+        """Compute patches and overhang (2,) of the drawn body (V, H, words) as shares of a usual silhouette.
 
-        They are nan in a frame without a person.
+        Patches are silhouette pixels that no part covers, overhang is body outside; NaN if no view sees a person.
         """
         seen = frame.seen
         if not seen.any():
@@ -93,7 +87,7 @@ class PatchMeasure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Doubt:
-    """How far to trust a track.
+    """The expected error of a track.
 
     Parameters
     ----------
@@ -106,13 +100,7 @@ class Doubt:
 
 
 class ErrorModel:
-    """Tells how far off poses probably are.
-
-    Parameters
-    ----------
-    setup : body, cameras and settings.
-    meet : whether the lines of sight of the views meet, so that they tell depth.
-    """
+    """Estimate the error of poses; ``meet`` is true if the lines of sight of the views meet, so that depth is known."""
 
     def __init__(self, setup: SearchSetup, meet: bool) -> None:
         self.scale = setup.body.stature / _USUAL_STATURE
@@ -120,12 +108,12 @@ class ErrorModel:
         self.shift, self.spread = (0.0, _SPREAD) if meet else (_ONE_VIEW, _SPREAD_ONE_VIEW)
 
     def judge(self, patches: FloatArray, widths: FloatArray, habit: float | None = None) -> Doubt:
-        """Doubt of frames in succession.
+        """Compute the doubt of consecutive frames.
 
         Parameters
         ----------
         patches : (T, 2) patches and overhang, nan if no person is seen.
-        widths : (T, P + K) m, how far each point can be moved unnoticed.
+        widths : (T, P + K) m, how far each point can move unnoticed.
         habit : see `find_habit`; of these frames by default.
         """
         seen = np.asarray(np.isfinite(patches).all(axis=1))
@@ -140,32 +128,32 @@ class ErrorModel:
 
 
 def find_habit(patches: FloatArray) -> float:
-    """What patches (T, 2) have in nearly every frame, so that it tells of shadows or clothes and not of an error."""
+    """Compute the share of patches (T, 2) present in nearly every frame: shadows or clothes, no error."""
     seen = patches[np.isfinite(patches[:, 0]), 0]
     return _HABIT * float(np.quantile(seen, _OFTEN)) if len(seen) >= _ENOUGH else 0.0
 
 
 def _average(values: FloatArray, known: BoolArray, reach: int) -> FloatArray:
-    """Means (T, n) over the known frames within ``reach``; 0 where there is none."""
+    """Average (T, n) over the known frames within ``reach``; 0 where there is none."""
     window = np.ones(2 * reach + 1)
     count = np.convolve(known, window)[reach : reach + len(known)]
     columns = [np.convolve(np.where(known, column, 0.0), window)[reach : reach + len(known)] for column in values.T]
     return np.asarray(np.stack(columns, axis=1) / np.maximum(count, 1.0)[:, None])
 
 
-_RECENT = 300  # frames whose habit counts for a frame that has just come
-_HIDDEN = 0.1  # share of a part's own pixels below which the image does not tell where it is
+_RECENT = 300  # frames whose habit counts for a new frame
+_HIDDEN = 0.1  # share of a part's own pixels below which the image does not determine its place
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Note:
-    """What was measured of one pose.
+    """The measurements of one pose.
 
     Parameters
     ----------
     overlap : (V,) intersection over union; nan where nothing is seen.
-    widths : (P + K,) m, how far each point can be moved while the image stays nearly as well explained.
-    occluded : (P,) parts that no view shows.
+    widths : (P + K,) m, how far each point can move while the image score stays nearly the same.
+    occluded : (P,) parts hidden in every view.
     patches : (2,) see `PatchMeasure`.
     """
 
@@ -186,8 +174,8 @@ class Diagnosis:
     ----------
     setup : body, cameras and settings.
     area : px, mean area of a silhouette at the size of the setup's cameras.
-    meet : whether the lines of sight of the views meet, so that they tell depth.
-    pool : whose threads take the notes while the search goes on; None takes them at once.
+    meet : whether the lines of sight of the views meet, so that depth is known.
+    pool : threads that take the notes during the search; None takes them at once.
     """
 
     def __init__(self, setup: SearchSetup, area: float, meet: bool, pool: Executor | None = None) -> None:
@@ -197,59 +185,56 @@ class Diagnosis:
         self._notes: list[Note | Future[Note]] = []
 
     def cover(self, pose: FloatArray, frame: Frame) -> tuple[float, float]:
-        """Mean overlap of a pose over the views that see a person, and the share of the silhouettes that it leaves in
-        patches; 0 and 1 if none sees a person."""
+        """Return mean overlap and share of patches over the views that see a person; 0 and 1 if none does."""
         overlap, _, patches = self._cover(pose, frame)
         seen = overlap[np.isfinite(overlap)]
         return (float(seen.mean()), float(patches[0])) if len(seen) else (0.0, 1.0)
 
     def _cover(self, pose: FloatArray, frame: Frame) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Overlap (V,), share of each part (P,) that no other covers, and patches (2,)."""
+        """Compute overlap (V,), share of each part (P,) that no other covers, and patches (2,)."""
         overlap, visible = np.empty(len(self.setup.cameras)), np.empty(self.setup.body.n_parts)
         scratch = self._own_scratch()
         cover_views(pose, self.setup.model, self.setup.views(frame), scratch, overlap, visible)
         return overlap, visible, self._patch_measure.measure(scratch[2], frame)
 
     def look(self, pose: FloatArray, frame: Frame) -> Note:
-        """What there is to note about a pose."""
+        """Measure a pose."""
         overlap, visible, patches = self._cover(pose, frame)
         return Note(overlap, self._measure_spread(pose, frame), visible < _HIDDEN, patches)
 
     @property
     def latest(self) -> Note:
-        """The note of the pose that was written down last."""
+        """The note of the last pose."""
         return _await(self._notes[-1])
 
     def write(self, pose: FloatArray, frame: Frame) -> None:
-        """Note down a settled pose."""
+        """Add the note of a settled pose."""
         self._notes.append(self.look(pose, frame) if self.pool is None else self.pool.submit(self.look, pose, frame))
 
     def finish(self) -> None:
-        """Wait for the notes that are being taken."""
+        """Wait for the notes in progress."""
         self._notes = [_await(note) for note in self._notes]
 
     def is_lost(self, note: Note) -> bool:
-        """Whether a frame by itself is probably lost; `judge` looks at its neighbours too."""
+        """Return whether a frame by itself is probably lost; `judge` includes its neighbours."""
         before = np.array([_await(old).patches for old in self._notes[-_RECENT:]]).reshape(-1, 2)
         return bool(self._model.judge(note.patches[None], note.widths[None], find_habit(before)).lost[0])
 
     def judge(self) -> Doubt:
-        """How far off the poses noted down probably are."""
+        """Compute the doubt of all noted poses."""
         _, widths, _, patches = self.arrays()
         return self._model.judge(patches, widths)
 
     def _own_scratch(self) -> tuple[Any, ...]:
-        """Scratch of the thread that asks."""
         if not hasattr(self._own, "arrays"):
             self._own.arrays = self.setup.make_scratch()
         arrays: tuple[Any, ...] = self._own.arrays
         return arrays
 
     def _measure_spread(self, pose: FloatArray, frame: Frame) -> FloatArray:
-        """How far (P + K,) m each point moves while the image stays nearly as well explained.
+        """Compute how far (P + K,) m each point moves while the image score stays nearly the same.
 
-        Each degree of freedom is moved by itself to where the image's score has dropped by one, at most dR; what that
-        moves the points by adds up in squares.
+        Each degree of freedom moves by itself, at most dR, until the image score drops by one; effects add in squares.
         """
         setup = self.setup
         low, high = np.zeros(setup.n_axes), np.zeros(setup.n_axes)
@@ -270,7 +255,7 @@ class Diagnosis:
         return np.asarray(np.sqrt((away * away).sum(axis=0)))
 
     def arrays(self) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], FloatArray]:
-        """Overlap (T, V), widths (T, P + K) m, hidden parts (T, P), and patches and overhang (T, 2)."""
+        """Return overlap (T, V), widths (T, P + K) m, hidden parts (T, P), and patches and overhang (T, 2)."""
         self.finish()
         body, n_views, notes = self.setup.body, len(self.setup.cameras), [_await(note) for note in self._notes]
         return (
@@ -281,7 +266,7 @@ class Diagnosis:
         )
 
     def load(self, overlap: FloatArray, widths: FloatArray, occluded: NDArray[np.bool_], patches: FloatArray) -> None:
-        """Take up the notes of an earlier run."""
+        """Load the notes of an earlier run."""
         self._notes = [Note(*row) for row in zip(overlap, widths, occluded, patches, strict=True)]
 
 
@@ -290,7 +275,7 @@ _TIE = 1.0  # log score: what drops by less is as good
 
 @inlined
 def _compare(ours, theirs):  # type: ignore[no-untyped-def]
-    """Intersection over union of two bit images (H, words), NaN where both are empty."""
+    """Compute intersection over union of two bit images (H, words); NaN where both are empty."""
     both, either = np.int64(0), np.int64(0)
     for row in range(ours.shape[0]):
         for word in range(ours.shape[1]):
@@ -301,7 +286,7 @@ def _compare(ours, theirs):  # type: ignore[no-untyped-def]
 
 @compiled
 def cover_views(pose, model, views, scratch, overlap, visible):  # type: ignore[no-untyped-def]
-    """Overlap of body and silhouette in each view, and how much of each part no other part covers.
+    """Compute overlap of body and silhouette in each view, and the share of each part that no other part covers.
 
     Fills ``overlap`` (V,), intersection over union, NaN where nothing is seen, and ``visible`` (P,), the greatest share
     over the views of a part's pixels that are its own alone.
@@ -342,7 +327,7 @@ def cover_views(pose, model, views, scratch, overlap, visible):  # type: ignore[
 
 @compiled
 def measure_widths(pose, weights, bounds, model, views, scratch, low, high):  # type: ignore[no-untyped-def]
-    """How far each degree of freedom can be moved either way before the image's score drops by one.
+    """Compute how far each degree of freedom moves either way before the image score drops by one.
 
     Fills ``low`` and ``high`` (D,), amounts of 0 or more, dR / 32, / 8 or / 2.
     """

@@ -1,4 +1,4 @@
-"""How tall the person is, from the silhouettes of one frame in several calibrated views."""
+"""The stature and the girths of a person from silhouettes in calibrated views."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from dousa.estimation.tracking.start import StartSearch, find_start
 from dousa.messages import Message
 
 USUAL_STATURE = 1.72
-"""m, assumed where nothing tells."""
+"""m, assumed if unknown."""
 
 _STATURES = np.round(np.arange(1.40, 2.051, 0.05), 2)
 _EXTENT = 130.0  # px
@@ -30,12 +30,12 @@ _SWEEPS = (0.5, 0.5, 0.25)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scale:
-    """How tall a person is.
+    """The stature of a person.
 
     Parameters
     ----------
     stature : m.
-    measured : whether it follows from the silhouettes; else it is the usual one.
+    measured : whether it follows from the silhouettes; else it is `USUAL_STATURE`.
     body : of that stature.
     pose : (7 + A,) of the body in the frame.
     iou : overlap of body and silhouettes.
@@ -55,20 +55,17 @@ def fit_scale(
     make_body: Callable[[float], BodyModel] = make_human,
     progress: Callable[[int, int, Message], None] | None = None,
 ) -> Scale:
-    """Find stature and pose together from one frame, best one in which the person stands.
+    """Find stature (1.40 to 2.05 m) and pose together from one frame, best one in which the person stands.
+
+    With one view, or views from about one side, the stature is undetermined: it is then `USUAL_STATURE` and
+    ``measured`` is false.
 
     Parameters
     ----------
     cameras : (V,) calibrated views.
     masks : (V,) of one frame; None where a view has no image.
-    make_body : gives the body of a stature (m).
-    progress : called with steps done, steps in all and what is being done.
-
-    Returns
-    -------
-    The stature of 1.40 to 2.05 m whose body covers the silhouettes best, its pose refined for each. One view, or
-    several from about one side, do not tell it (a tall person far away looks like a short one nearby): then it is
-    `USUAL_STATURE` and ``measured`` is false.
+    make_body : returns the body of a stature (m).
+    progress : called with steps done, steps in all and the current step.
 
     Raises
     ------
@@ -106,7 +103,7 @@ def _try_stature(
     cameras: Sequence[Camera],
     masks: Sequence[Mask | None],
 ) -> tuple[float, FloatArray, StartSearch]:
-    """Score, pose and search of a body that is ``growth`` times as tall as the one whose pose it begins with."""
+    """Return score, pose and search of a body ``growth`` times as tall as that of the given pose."""
     setup = SearchSetup(body, cameras, TrackerSettings(), 30.0, 1.0)
     search = StartSearch(setup, setup.pack(masks), [measure_outline(mask) for mask in masks])
     begun = pose.copy()
@@ -121,7 +118,7 @@ def _choose(
     cameras: Sequence[Camera],
     masks: Sequence[Mask | None],
 ) -> Scale:
-    """The top of the parabola through the best stature and its neighbours."""
+    """Return the top of the parabola through the best stature and its neighbours."""
     order = sorted(scores)
     best = max(order, key=lambda stature: scores[stature])
     place = order.index(best)
@@ -143,25 +140,21 @@ _WORTH = 5e-4  # of the silhouette: a change that gains fewer pixels is not made
 
 
 def fit_girths(body: BodyModel, poses: ArrayLike, masks: Sequence[Mask], cameras: Sequence[Camera]) -> BodyModel:
-    """Thicken or thin the parts of a body until its outline fits silhouettes whose pose is known.
+    """Fit the girths of a body to silhouettes of known poses.
 
-    First the whole body, then part by part, left and right together. Lengths stay: `fit_body` has those.
+    First the whole body, then part by part, left and right together; lengths stay, see `fit_body`.
 
     Parameters
     ----------
     body : any tree of parts.
-    poses : (T, 7 + A) or (7 + A,), a frame or a few: one where the limbs are off the trunk tells most.
+    poses : (T, 7 + A) or (7 + A,), one frame or a few, best with the limbs off the trunk.
     masks : (V,) one (T, height, width) or (height, width) for each camera, true on the body.
     cameras : (V,).
 
-    Returns
-    -------
-    The new body; the same where the silhouettes tell nothing.
-
     Raises
     ------
-    SilhouetteError : masks that are not as many as the cameras or not of their size, or of no body at all.
-    BodyModelError : poses of another body, or not as many as the masks.
+    SilhouetteError : masks that are not as many as the cameras or not of their size, or empty.
+    BodyModelError : poses of another body.
     """
     rows = np.atleast_2d(np.asarray(poses, np.float64))
     if rows.shape[1] != 7 + body.n_angles:
@@ -202,7 +195,7 @@ def _check_masks(masks: Sequence[Mask], cameras: Sequence[Camera], n_frames: int
 
 
 def _groups(body: BodyModel) -> list[IndexArray]:
-    """Parts that share a girth: left and right."""
+    """Group left and right parts, which share a girth."""
     plain = [name.removeprefix("left_").removeprefix("right_") for name in body.names]
     return [np.flatnonzero([name == one for name in plain]) for one in dict.fromkeys(plain)]
 
@@ -214,7 +207,7 @@ def _search(
     bounds: tuple[float, float],
     worth: float,
 ) -> FloatArray:
-    """Coordinate descent with shrinking steps over the shares (P,) of groups of parts."""
+    """Minimise the mismatch over shares (P,) of groups of parts by coordinate descent with shrinking steps."""
     best = mismatch(shares)
     for step in _STEPS:
         for group in groups:

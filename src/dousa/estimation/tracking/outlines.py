@@ -1,4 +1,4 @@
-"""Where a body stands: poses moved so that their outlines lie on the silhouettes."""
+"""Boxes and centres of silhouettes, and poses moved onto them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Outline:
     Parameters
     ----------
     box : (4,) px, left, right, top, bottom.
-    whole : (4,) whether that side lies inside the image, so that it says where the body ends.
+    whole : (4,) whether that side lies inside the image.
     centre : (2,) px, centre of gravity.
     """
 
@@ -44,7 +44,7 @@ class Outline:
 
 
 def measure_outline(mask: Mask | None) -> Outline | None:
-    """Box and centre of a mask without its specks; None if it shows no person."""
+    """Compute box and centre of a mask without its specks; None if it shows no person."""
     if mask is None or not mask.any():
         return None
     from dousa.extras import cv2
@@ -64,7 +64,7 @@ def measure_outline(mask: Mask | None) -> Outline | None:
 def shrink_views(
     cameras: Sequence[Camera], masks: Sequence[Mask | None], share: float
 ) -> tuple[tuple[Camera, ...], list[Mask | None]]:
-    """Cameras and masks at ``share`` of their size; a pixel is kept that is covered by more than half."""
+    """Return cameras and masks at ``share`` of their size; a pixel stays if more than half covered."""
     from dousa.extras import cv2
 
     small = tuple(camera.scaled(share) for camera in cameras) if share < 1.0 else tuple(cameras)
@@ -79,28 +79,28 @@ def shrink_views(
 
 
 def _trace(pairs: Sequence[tuple[Camera, Outline]]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Lines of sight through the centres of gravity: origins, directions, projections across them (V, 3, 3)."""
+    """Return lines of sight through the centres of gravity: origins, directions, projections across them (V, 3, 3)."""
     rays = [camera.compute_rays(found.centre) for camera, found in pairs]
     origins, ways = np.array([ray[0] for ray in rays]), np.array([ray[1] for ray in rays])
     return origins, ways, np.eye(3) - ways[:, :, None] * ways[:, None, :]
 
 
 def do_meet(across: FloatArray) -> bool:
-    """Whether lines, given by projections (N, 3, 3) across them, are far enough from parallel to meet in a point."""
+    """Return whether lines, given by projections (N, 3, 3) across them, are far enough from parallel to meet."""
     return bool(np.linalg.eigvalsh(across.sum(axis=0))[0] > _PARALLEL * len(across))
 
 
 def lines_meet(cameras: Sequence[Camera], outlines: Sequence[Outline | None]) -> bool:
-    """Whether the views that see a person look from directions different enough to determine the distance."""
+    """Return whether the views that see a person look from different enough directions to determine distance."""
     pairs = [(camera, found) for camera, found in zip(cameras, outlines, strict=True) if found is not None]
     return do_meet(_trace(pairs)[2])
 
 
 def guess_place(cameras: Sequence[Camera], outlines: Sequence[Outline | None], stature: float) -> FloatArray:
-    """About where the middle of the body is (3,) m.
+    """Estimate the middle of the body (3,) m.
 
-    The point nearest to the lines of sight through the centres of gravity, views that disagree counting less; with
-    one view, or views from nearly one side, at the depth where the body is as tall as the silhouettes.
+    The point nearest to the lines of sight, outlying views weighed less; with one view, or views from nearly one side,
+    at the depth where the body is as tall as the silhouettes.
     """
     pairs = [(camera, found) for camera, found in zip(cameras, outlines, strict=True) if found is not None]
     origins, ways, across = _trace(pairs)
@@ -121,7 +121,7 @@ def guess_place(cameras: Sequence[Camera], outlines: Sequence[Outline | None], s
 
 
 def turn_about(poses: FloatArray, yaw: float) -> FloatArray:
-    """Poses (N, 7 + A) turned by ``yaw`` rad about the vertical through the origin."""
+    """Turn poses (N, 7 + A) by ``yaw`` rad about the vertical through the origin."""
     turn = rot.from_axis_angle(np.array([0.0, yaw, 0.0]))
     turned = poses.copy()
     turned[:, :3] = rot.rotate(turn, poses[:, :3])
@@ -136,19 +136,17 @@ def move_onto(
     cameras: Sequence[Camera],
     outlines: Sequence[Outline | None],
 ) -> FloatArray:
-    """Shift poses so that boxes and centres of their projections come to those of the silhouettes.
+    """Shift poses so that boxes and centres of their projections match those of the silhouettes.
+
+    Runs a few damped Gauss-Newton steps. Sides cut off by the image do not count; with a single view the height of the
+    box determines the depth.
 
     Parameters
     ----------
     body : with A joint angles.
     poses : (N, 7 + A), anywhere.
-    place : (3,) m, where their middles begin.
+    place : (3,) m, first guess of their middles.
     cameras, outlines : (V,); None if no person is seen.
-
-    Returns
-    -------
-    Poses (N, 7 + A) after a few damped Gauss-Newton steps. Sides of the box that the image cuts off do not count; the
-    depth in a single view follows from the height of the box.
     """
     moved = poses.copy()
     rotations, positions = place_parts(body, moved)
@@ -181,7 +179,7 @@ def _add_view(
     square: FloatArray,
     gradient: FloatArray,
 ) -> None:
-    """Add one view's normal equations, in place; all in shares of the silhouette's extent."""
+    """Add one view's normal equations in place, in shares of the silhouette's extent."""
     focal = np.array([camera.matrix[0, 0], camera.matrix[1, 1]])
     depths = camera.compute_depths(centres)
     ahead = np.maximum(depths, 0.05) if camera.kind == "pinhole" else np.ones_like(depths)

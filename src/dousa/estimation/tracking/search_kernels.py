@@ -1,21 +1,16 @@
-"""Compiled search: candidates of one joint axis are posed, projected, drawn and counted in one go.
+"""The compiled search: candidates of one joint axis are posed, projected, drawn and counted together.
 
-The mismatch of eq. 2 is, for every reading, ``|minus| + |P & plus| - |P & minus|`` with P the pixels of the parts that
-move and two bit images that do not depend on the candidate; see `fill_evidence`. Numbers of degrees of freedom: 0 to 2
-place of the root, 3 to 5 turn of the root in its own axes, then the joint angles.
+For every reading the mismatch of eq. 2 is ``|minus| + |P & plus| - |P & minus|`` with P the pixels of the moving parts
+and two bit images independent of the candidate; see `fill_evidence`. Degrees of freedom: 0 to 2 place of the root,
+3 to 5 turn of the root in its own axes, then the joint angles. Common arguments:
 
-Arguments that come together in every function:
-
-- ``model``: (tree, solids, subtrees, subtree_starts); ``tree`` as in `turn_part`, ``solids`` as in
-  `outline_part`; the parts below part p, itself first, are
-  ``subtrees[subtree_starts[p]:subtree_starts[p + 1]]``.
+- ``model``: (tree, solids, subtrees, subtree_starts); ``tree`` as in `turn_part`, ``solids`` as in `outline_part`; the
+  parts below part p, itself first, are ``subtrees[subtree_starts[p]:subtree_starts[p + 1]]``.
 - ``views``: (cameras (V, 24), sizes (V, 2) width and height, seen (V,), silhouettes (V, H, words)).
-- ``weights``: (reading, evidence, image, inertia, floor): the first two are places in `READINGS` and `EVIDENCES`,
-  image is 1 / lambda per pixel, inertia the weight of log W, floor (3,) its height in m, 1 / sigma^2 and the most it
-  may cost.
+- ``weights``: (reading, evidence, image, inertia, floor): indices into `READINGS` and `EVIDENCES`, 1 / lambda per
+  pixel, weight of log W, and floor (3,): height in m, 1 / sigma^2 and greatest cost.
 - ``reach``: (factor, half, stride): share of dR, candidates to either side, 1 for all of them or 2 for every other.
-- ``bounds``: (spread (D,), ease (D, 2), limits (A, 2)): dR of each degree of freedom, neutral value and inverse
-  stiffness, least and greatest angle.
+- ``bounds``: (spread (D,), ease (D, 2), limits (A, 2)): dR, neutral value and inverse stiffness, angle limits.
 - ``scratch``: see `SearchSetup.make_scratch`.
 """
 
@@ -48,13 +43,13 @@ def move_axis(pose, axis, amount):  # type: ignore[no-untyped-def]
 
 @inlined
 def place_parts(parts, n_turned, pose, tree, scratch):  # type: ignore[no-untyped-def]
-    """`hang_parts` into the scratch."""
+    """Call `hang_parts` with the scratch."""
     hang_parts(parts, n_turned, pose, tree, scratch[12], scratch[5], scratch[6])
 
 
 @inlined
 def count_alone(plus, minus, low, high, first, last):  # type: ignore[no-untyped-def]
-    """Bits of plus less bits of minus under the intervals of one part."""
+    """Count bits of plus less bits of minus under the intervals of one part."""
     total = np.int64(0)
     for row in range(first, last):
         if low[row] > high[row]:
@@ -74,7 +69,7 @@ def count_alone(plus, minus, low, high, first, last):  # type: ignore[no-untyped
 
 @inlined
 def count_unseen(plus, minus, drawn, low, high, first, last):  # type: ignore[no-untyped-def]
-    """The same for what is not yet in ``drawn``, which takes it up: several parts count each pixel once."""
+    """Count as `count_alone`, but only pixels not yet in ``drawn``, which are added to it."""
     total = np.int64(0)
     for row in range(first, last):
         if low[row] > high[row]:
@@ -96,10 +91,10 @@ def count_unseen(plus, minus, drawn, low, high, first, last):  # type: ignore[no
 
 @compiled
 def count_parts(parts, model, views, plus, minus, scratch, spare):  # type: ignore[no-untyped-def]
-    """``|P & plus| - |P & minus|`` over all views, P the union of parts that have been placed.
+    """Compute ``|P & plus| - |P & minus|`` over all views, P the union of placed parts.
 
-    ``scratch[7]`` has ``-|minus|`` of each view, the least that it can add. As soon as what the views left over can
-    make good leaves more than ``spare``, the number so far is returned, which is then above ``spare`` too.
+    ``scratch[7]`` has ``-|minus|`` of each view, the least that it can add. Counting stops once the result must exceed
+    ``spare``; the returned bound then exceeds it too.
     """
     cameras, sizes, seen = views[0], views[1], views[2]
     work, drawn, rotations, positions, least = scratch[0], scratch[1], scratch[5], scratch[6], scratch[7]
@@ -132,7 +127,7 @@ def count_parts(parts, model, views, plus, minus, scratch, spare):  # type: igno
 
 @compiled
 def draw_parts_into(bits, parts, model, views, scratch):  # type: ignore[no-untyped-def]
-    """Add parts that have been placed to bits (V, H, words) of the views that are seen."""
+    """Add placed parts to bits (V, H, words) of the views that are seen."""
     cameras, sizes = views[0], views[1]
     work = scratch[0]
     for view in range(len(cameras)):
@@ -156,7 +151,7 @@ def clear_bits(bits):  # type: ignore[no-untyped-def]
 
 @compiled
 def fill_evidence(reading, silhouettes, fixed, plus, minus, least):  # type: ignore[no-untyped-def]
-    """The two images that tell the mismatch of any candidate, for each reading of eq. 2; -|minus| of each view.
+    """Fill ``plus``, ``minus`` and ``least`` (-|minus| of each view) for a reading of eq. 2.
 
     The mismatch is the number of pixels of X xor P_c that count: X and what counts is, by reading, masked: S, outside
     P_fixed; residual: S minus P_fixed; union: S or P_fixed; plain: S; literal: S and P_fixed, as printed.
@@ -194,7 +189,7 @@ def _count_bits(bits, mask, masked):  # type: ignore[no-untyped-def]
 
 @inlined
 def _find_lowest(parts, solids, scratch):  # type: ignore[no-untyped-def]
-    """Height m of the lowest point of parts that have been placed."""
+    """Return the height m of the lowest point of placed parts."""
     spheres, starts = solids
     rotations, positions = scratch[5], scratch[6]
     lowest = 1e30
@@ -210,7 +205,7 @@ def _find_lowest(parts, solids, scratch):  # type: ignore[no-untyped-def]
 
 @inlined
 def _price_floor(lowest, floor):  # type: ignore[no-untyped-def]
-    """What it costs that the lowest point is off the floor; capped, so that people may jump."""
+    """Compute the cost of a lowest point off the floor; capped, so that people may jump."""
     off = lowest - floor[0]
     price = off * off * floor[1]
     return price if price < floor[2] else floor[2]
@@ -218,12 +213,11 @@ def _price_floor(lowest, floor):  # type: ignore[no-untyped-def]
 
 @compiled
 def sweep(pose, shift, order, whole, reach, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
-    """One pass over the parts in ``order``, axis by axis; moves ``pose`` and ``shift``, its way from the prediction.
+    """Run one pass over the parts in ``order``, axis by axis, and return the log score of the whole pose.
 
-    Each axis takes the best of 2 ``half`` + 1 candidates within ``factor`` dR of where it is. With ``whole`` false a
-    part is judged alone, before those already placed (the paper; the root, which has none before it, with the whole
-    body as predicted); else it carries all parts below it, and all others stand still around them. Returns the log
-    score of the whole pose that it leaves, which is all that there is to do where ``order`` is empty.
+    Moves ``pose`` and ``shift``, its way from the prediction. Each axis takes the best of 2 ``half`` + 1 candidates
+    within ``factor`` dR. With ``whole`` false a part is judged alone, before those already placed (the paper; the root
+    with the whole body as predicted); else it carries all parts below it, and all others stay.
     """
     tree, subtrees, starts = model[0], model[2], model[3]
     n_parts, half = len(tree[0]), reach[1]
@@ -254,7 +248,7 @@ def sweep(pose, shift, order, whole, reach, weights, bounds, model, views, scrat
 
 @compiled
 def select_fixed(part, end, below, chosen):  # type: ignore[no-untyped-def]
-    """How many parts before ``end`` do not hang on ``part``; they come first in ``chosen``."""
+    """Write the parts before ``end`` that are not below ``part`` into ``chosen`` and return their number."""
     count, place = np.int64(0), np.int64(0)
     for q in range(end):
         while place < len(below) and below[place] < q:
@@ -268,11 +262,10 @@ def select_fixed(part, end, below, chosen):  # type: ignore[no-untyped-def]
 
 @inlined
 def _search_axis(axis, moved, lowest, known, pose, shift, reach, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
-    """Number (-half to half) of the best candidate of one axis.
+    """Return the number (-half to half) of the best candidate of one axis.
 
-    All candidates, or every other one and then the two beside the best: few axes hide a second hill between. The middle
-    comes first: it is mostly the best, and what cannot be better than the best so far is given up after some views.
-    ``known`` is the mismatch of the middle, if the axis before has left it there.
+    Tries all candidates, or every other one and then the neighbours of the best. The middle comes first, as it is
+    mostly the best; a candidate that cannot win is dropped early. ``known`` is the mismatch of the middle, if counted.
     """
     half, stride, priors, trial = reach[1], reach[2], scratch[11], scratch[8]
     for k in range(2 * half + 1):
@@ -317,7 +310,7 @@ def _search_axis(axis, moved, lowest, known, pose, shift, reach, weights, bounds
 
 @inlined
 def _weigh(k, axis, amount, pose, shift, weights, bounds):  # type: ignore[no-untyped-def]
-    """Inertia and ease of candidate k of an axis; -inf where it is out of reach."""
+    """Compute inertia and ease of candidate k of an axis; -inf where it is out of reach."""
     spread, ease, limits = bounds
     off = (shift[axis] + amount) / spread[axis]
     w = 1.0 - 0.25 * off * off
@@ -336,7 +329,7 @@ def _weigh(k, axis, amount, pose, shift, weights, bounds):  # type: ignore[no-un
 
 @inlined
 def _choose(half, weights, scratch):  # type: ignore[no-untyped-def]
-    """The best of the candidates tried so far; the nearer one where two are equal."""
+    """Return the best candidate so far; the nearer one where two are equal."""
     evidence, mismatches, priors = weights[1], scratch[10], scratch[11]
     ground = 0.0
     if evidence > 0:
@@ -359,14 +352,14 @@ def _choose(half, weights, scratch):  # type: ignore[no-untyped-def]
 
 @inlined
 def _price_strain(axis, angle, ease):  # type: ignore[no-untyped-def]
-    """What it costs to hold an angle away from where the joint is at ease."""
+    """Compute the cost of an angle away from its neutral value."""
     strain = (angle - ease[axis, 0]) * ease[axis, 1]
     return strain * strain
 
 
 @inlined
 def _score(pose, shift, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
-    """Log score of a whole pose: image, inertia, ease and floor, up to a constant that all poses of a frame share."""
+    """Compute the log score of a whole pose: image, inertia, ease and floor, up to a constant of the frame."""
     n_parts = len(model[0][0])
     every = model[2][:n_parts]  # the subtree of the root
     place_parts(every, n_parts, pose, model[0], scratch)

@@ -1,4 +1,4 @@
-"""What the compiled search works on: a body, its views and a frame's silhouettes as plain arrays."""
+"""The arrays of the compiled search: a body, its views and the silhouettes of a frame."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Frame:
 
 
 class SearchSetup:
-    """A body before cameras, ready for the compiled search of `search_kernels`.
+    """A body and its cameras as arrays for `search_kernels`.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class SearchSetup:
         self.weights = self.make_weights(area)
 
     def make_weights(self, area: float) -> tuple[Any, ...]:
-        """The weights of the kernels for silhouettes of this mean area (px)."""
+        """Return the kernels' weights for silhouettes of this mean area (px)."""
         settings = self.settings
         floor = np.zeros(3)
         if settings.floor is not None:
@@ -94,7 +94,7 @@ class SearchSetup:
         )
 
     def make_scratch(self) -> tuple[Any, ...]:
-        """Scratch of the kernels; each thread needs its own.
+        """Return scratch arrays of the kernels, one set per thread.
 
         0 outline work, 1 drawn bits, 2 plus, 3 minus, 4 fixed, 5 rotations, 6 positions, 7 -|minus| by view,
         8 trial pose, 9 fixed parts, 10 mismatches, 11 priors, 12 rotations in the parents' axes.
@@ -117,7 +117,7 @@ class SearchSetup:
         )
 
     def pack(self, masks: Sequence[NDArray[np.bool_] | None]) -> Frame:
-        """Masks of one frame, of the sizes of the cameras, as bits; an empty mask counts as not seen."""
+        """Pack masks of one frame, of the sizes of the cameras, into bits; an empty mask counts as not seen."""
         bits = np.zeros((len(self.cameras), self.height, self.n_words), np.uint64)
         seen = np.zeros(len(self.cameras), np.bool_)
         for view, mask in enumerate(masks):
@@ -128,7 +128,7 @@ class SearchSetup:
         return Frame(bits, seen)
 
     def views(self, frame: Frame) -> tuple[Any, ...]:
-        """The ``views`` of the kernels."""
+        """Return the ``views`` of the kernels."""
         return self.rows, self.sizes, frame.seen, frame.bits
 
     def sweep(
@@ -140,11 +140,11 @@ class SearchSetup:
         scratch: tuple[Any, ...],
         half: int | None = None,
     ) -> float:
-        """One pass over the whole body, in place, and the log score it leads to; see `search_kernels.sweep`."""
+        """Run one pass over the whole body, in place, and return its log score; see `search_kernels.sweep`."""
         return self._run(self.order, pose, shift, (factor, half or self.half, self.settings.thinning), frame, scratch)
 
     def score(self, pose: FloatArray, shift: FloatArray, frame: Frame, scratch: tuple[Any, ...]) -> float:
-        """Log score of a whole pose."""
+        """Compute the log score of a whole pose."""
         return self._run(self.order[:0], pose, shift, (1.0, self.half, self.settings.thinning), frame, scratch)
 
     def _run(
@@ -162,7 +162,7 @@ class SearchSetup:
 
 
 def _list_subtrees(parents: NDArray[np.intp]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The parts below each part, itself first, one list after the other, and where each list starts."""
+    """Return the parts below each part, itself first, concatenated, and the start of each list."""
     lists: list[list[int]] = []
     for part in range(len(parents)):
         below = [part]
@@ -175,7 +175,7 @@ def _list_subtrees(parents: NDArray[np.intp]) -> tuple[NDArray[np.int64], NDArra
 
 
 def _spread(body: BodyModel, settings: TrackerSettings, frame_rate: float) -> FloatArray:
-    """dR of every degree of freedom, (6 + A,) m and rad."""
+    """Compute dR of every degree of freedom, (6 + A,) m and rad."""
     agility = body.agility if settings.agility == "body" else np.ones(body.n_parts)
     angles = np.repeat(agility, body.n_axes) * settings.max_change
     root = np.repeat((settings.root_change * body.stature, agility[0] * settings.max_change), 3)
@@ -184,7 +184,7 @@ def _spread(body: BodyModel, settings: TrackerSettings, frame_rate: float) -> Fl
 
 
 def _ease(body: BodyModel, stiffness: float) -> FloatArray:
-    """Neutral value and root of the price per square radian of every degree of freedom, (6 + A, 2)."""
+    """Return neutral value and root of the price per square radian of every degree of freedom, (6 + A, 2)."""
     ease = np.zeros((6 + body.n_angles, 2))
     limits = body.angle_limits
     half = np.maximum(0.5 * (limits[:, 1] - limits[:, 0]), _LEAST_RANGE)
@@ -198,14 +198,7 @@ _ASPECT = 0.22  # area of a standing person's silhouette over the square of its 
 
 
 class Shrinker:
-    """Shrinks masks by a whole factor, and the cameras with them.
-
-    Parameters
-    ----------
-    cameras : (V,) of the masks as they come.
-    area : px, mean area of a silhouette.
-    height : px, how tall a silhouette may stay.
-    """
+    """Shrink masks and cameras by a whole factor to about ``height`` px per silhouette; ``area`` is their mean, px."""
 
     def __init__(self, cameras: Sequence[Camera], area: float, height: int) -> None:
         tall = np.sqrt(max(area, 1.0) / _ASPECT)
@@ -225,7 +218,7 @@ class Shrinker:
         return 1.0 / self.factor**2
 
     def shrink(self, masks: Sequence[Mask | None]) -> list[Mask | None]:
-        """Masks of one frame at the working size; full ones count as not seen."""
+        """Return masks of one frame at the working size; full ones count as not seen."""
         small: list[Mask | None] = []
         for mask, size in zip(masks, self.sizes, strict=True):
             if mask is None or mask.mean() >= NEARLY_FULL:
@@ -240,7 +233,7 @@ class Shrinker:
         return small
 
     def unpack(self, frame: Frame) -> list[Mask | None]:
-        """The shrunk masks of a packed frame."""
+        """Return the shrunk masks of a packed frame."""
         return [
             unpack_bits(frame.bits[view, :height], width) if frame.seen[view] else None
             for view, (width, height) in enumerate(self.sizes)

@@ -37,31 +37,29 @@ MOST_CANDIDATES = 63
 
 @dataclass(frozen=True, slots=True)
 class TrackerSettings:
-    """How the tracker searches; `PAPER` is the method as published, the defaults go beyond it.
+    """Settings of the search; `PAPER` is the method as published, the defaults extend it.
 
     Parameters
     ----------
     reading, evidence : how eq. 2 is read and weighed, see `READINGS` and `EVIDENCES`.
-    max_change : rad at 30 frames/s, the dR of eq. 1: how far an angle may be from its prediction. At other rates it is
-        scaled by 30 / rate.
-    agility : ``"body"`` scales dR joint by joint as the body says, ``"uniform"`` does not (the paper).
+    max_change : rad at 30 frames/s, dR of eq. 1; scaled by 30 / rate at other rates.
+    agility : ``"body"`` scales dR by joint as the body model has it, ``"uniform"`` does not (the paper).
     root_change : statures at 30 frames/s, dR of the root's place.
     n_candidates : per axis, odd; the paper's 13 are 2 dR / s + 1.
     n_candidates_later : the same for the passes after the first.
     thinning : 1 tries all candidates, 2 every other one and then the neighbours of the best.
     candidates : ``"part"`` judges a candidate by its own part before those already placed (the paper), ``"subtree"``
-        by the part and all that hangs on it, with everything else in place.
+        by the part and all below it, with everything else in place.
     passes : of each frame, share of dR that the candidates span; the first is the search, the others are revisits.
     inertia : weight of log W against the image; 0 is the previous method (W = 1).
     image_scale : lambda of the evidence ``"log"``, as a share of the mean area of a silhouette.
-    damping : shares of the last velocity that predictions keep, one prediction each; 1 is constant velocity.
+    damping : shares of the last velocity, one prediction each; 1 is constant velocity.
     stiffness : log score that a joint at the end of its range costs, times the body's own stiffness.
-    beam : number of poses kept from frame to frame; None for 12 over the number of views, but 3 at least: what one view
-        leaves open takes more poses, and a frame costs the same.
+    beam : poses kept from frame to frame; None for 12 over the number of views, at least 3.
     lag : frames after which a pose is settled.
-    smoothing : Hz, cut-off of the forward-backward smoothing; 0 for none.
-    height : px, silhouettes taller than this are shrunk before the search.
-    floor : m, height of the floor on which the lowest point of the body mostly stands; None if unknown.
+    smoothing : Hz, cut-off of the final smoothing; 0 for none.
+    height : px, taller silhouettes are shrunk before the search.
+    floor : m, height of the floor; None if unknown.
     """
 
     reading: Reading = field(default="masked", metadata={"choices": READINGS})
@@ -122,12 +120,12 @@ PAPER = TrackerSettings(
 )
 """The method as published: dR = 6 degrees, s = 1 degree, one pass from the root to the leaves.
 
-Of the root's place the paper says nothing: it moves by at most 3 % of the stature beyond the prediction."""
+The paper has no limit for the root's place: here it moves at most 3 % of the stature beyond the prediction."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedFrame:
-    """A frame on the way to an `Estimate`.
+    """A frame during tracking.
 
     Parameters
     ----------
@@ -136,8 +134,8 @@ class TrackedFrame:
     overlap : (V,) as `Estimate.iou`.
     occluded : (P,) as `Estimate.occluded`.
     lost : no person is seen, or the pose is probably wrong.
-    settled : whether the search is done with it; a later frame may still change the pose of one that is not.
-    body : the body that is tracked, its girths fitted.
+    settled : false if a later frame may still change the pose.
+    body : the tracked body with fitted girths.
     """
 
     frame: int
@@ -151,19 +149,19 @@ class TrackedFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """A motion estimated from silhouettes, and how far to trust it.
+    """A motion estimated from silhouettes, with its expected error.
 
     Parameters
     ----------
-    body : the body that was tracked, with P parts, K tips and A joint angles.
+    body : the tracked body, with P parts, K tips and A joint angles.
     poses : (T, 7 + A) pose rows, see `BodyModel`.
     frame_rate : Hz.
-    iou : (T, V) overlap of model and silhouette, intersection over union; NaN where a view has no image.
+    iou : (T, V) intersection over union of model and silhouette; NaN where a view has no image.
     uncertainty : (T, P + K) m, expected error of each joint and tip.
-    occluded : (T, P) true where a part's outline is hidden in every view, so that inertia alone places it.
-    lost : (T,) true where no person is seen, or the joints are too likely off by more than 150 mm in the mean.
-    warnings : what a person should know.
-    frames_per_second : frames tracked in a second of wall-clock time.
+    occluded : (T, P) true where a part is hidden in every view, so that inertia alone places it.
+    lost : (T,) true without a person, or where the mean joint error is too likely above 150 mm.
+    warnings : notes for the user.
+    frames_per_second : tracking speed in wall-clock time.
     """
 
     body: BodyModel
@@ -183,12 +181,12 @@ class Estimate:
 
     @property
     def expected_error(self) -> FloatArray:
-        """(T,) m, mean expected error of the joints and tips of each frame."""
+        """Mean expected error (T,) m of the joints and tips of each frame."""
         return np.asarray(self.uncertainty.mean(axis=1))
 
     @property
     def motion(self) -> Motion:
-        """The estimate as a motion with the body's joint names (a person's are the canonical ones)."""
+        """The estimate as a motion with the body's joint names."""
         from dousa.estimation.body.kinematics import to_motion
 
         return to_motion(self.body, self.poses, self.frame_rate)
@@ -202,7 +200,7 @@ class Estimate:
         return Trajectories(point_names(self.body), compute_points(self.body, self.poses), self.frame_rate)
 
     def to_json(self) -> dict[str, Any]:
-        """The summary that ``dousa estimate --json`` prints."""
+        """Return the summary that ``dousa estimate --json`` prints."""
         with np.errstate(invalid="ignore"):
             per_view = [
                 float(np.nanmean(column)) if np.isfinite(column).any() else float("nan") for column in self.iou.T

@@ -1,8 +1,7 @@
-"""The pose in one frame from its silhouettes alone: where tracking begins, and begins again when it was lost.
+"""The search for the pose in one frame from its silhouettes alone, for the start and after a lost track.
 
-The paper is given its first pose. Here templates in all headings are laid onto the silhouettes, the best are refined by
-the tracker's own sweeps without inertia, each limb is tried as it is in every template, and the poses that cast
-nearly the same silhouettes with left and right exchanged are tried as well.
+Templates in all headings are laid onto the silhouettes; the best are refined by the tracker's sweeps without inertia,
+each limb is tried as in every template, and poses with left and right exchanged are tried as well.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ from dousa.motion import CANONICAL_JOINTS, canonicalise
 from dousa.motion import rotations as rot
 
 _COUNT = 56  # templates of a person, before standing, T-pose, arms up and lying
-_CROUCH = 0.14  # statures from ankles to hips of a person who crouches
+_CROUCH = 0.14  # statures from ankles to hips of a crouching person
 _REACHES = (0.0, -0.9)
 _RANDOM = 48  # templates of another body
 _RATE = 3.0  # Hz at which the synthetic motions are looked at
@@ -47,15 +46,15 @@ _HIPS, _FRONT = ("left_hip", "right_hip"), (2, 0)
 
 
 def is_person(body: BodyModel) -> bool:
-    """Whether joints and tips bear the canonical names."""
+    """Return whether joints and tips have the canonical names."""
     return set(CANONICAL_JOINTS) <= set(point_names(body))
 
 
 def list_templates(body: BodyModel) -> FloatArray:
-    """Poses (N, 7 + A) facing about +Z, of which one is near to nearly any pose.
+    """Return template poses (N, 7 + A) that face about +Z, cached by body.
 
-    A person: frames of the package's synthetic motions, as different from each other as can be, and standing, arms to
-    the sides, arms up and lying. Another body: at ease, and drawn at random within the limits. Made once per body.
+    A person: varied frames of the package's synthetic motions, and standing, arms to the sides, arms up, crouching and
+    lying. Another body: at ease, and drawn at random within the limits.
     """
     arrays = (
         *(body.parents, body.offsets, body.rest, body.n_axes, body.axes, body.limits),
@@ -92,7 +91,7 @@ def _person_poses(body: BodyModel) -> FloatArray:
 
 
 def _raise_arms(body: BodyModel, standing: FloatArray, height: float) -> FloatArray:
-    """Canonical points of standing with both arms stretched out to the sides or, with ``height``, up."""
+    """Return canonical points of standing with both arms stretched to the sides or, with ``height``, up."""
     names = point_names(body)
     points = compute_points(body, standing)[[names.index(name) for name in CANONICAL_JOINTS]]
     for side, sign in (("left", 1.0), ("right", -1.0)):
@@ -105,7 +104,7 @@ def _raise_arms(body: BodyModel, standing: FloatArray, height: float) -> FloatAr
 
 
 def _crouch(body: BodyModel, standing: FloatArray, reach: float) -> FloatArray:
-    """Canonical points of crouching with the heels down, knees apart, arms forward and, with ``reach`` < 0, down."""
+    """Return canonical points of crouching, knees apart, arms forward and, with ``reach`` < 0, down."""
     names = point_names(body)
     points = compute_points(body, standing)[[names.index(name) for name in CANONICAL_JOINTS]]
     place = {name: row for row, name in enumerate(CANONICAL_JOINTS)}
@@ -127,7 +126,7 @@ def _crouch(body: BodyModel, standing: FloatArray, reach: float) -> FloatArray:
 
 @lru_cache(maxsize=1)
 def _natural_points() -> FloatArray:
-    """Canonical points (N, 20, 3) m of a person of 1.72 m in everyday poses, at the origin, facing +Z."""
+    """Return canonical points (N, 20, 3) m of a person of 1.72 m in everyday poses, at the origin, facing +Z."""
     from dousa.motion.synthetic.performers import CATEGORIES, Performer, make_motion
 
     performer = Performer()
@@ -153,7 +152,7 @@ def _other_side(name: str) -> str:
 
 
 def _spread_out(points: FloatArray, count: int) -> IndexArray:
-    """Indices of the frames farthest from each other: each next one is the farthest from those before."""
+    """Return indices of frames by farthest-point sampling."""
     flat = points.reshape(len(points), -1)
     chosen = [int(np.argmin(((flat - flat.mean(axis=0)) ** 2).sum(axis=1)))]
     nearest = ((flat - flat[chosen[0]]) ** 2).sum(axis=1)
@@ -164,7 +163,7 @@ def _spread_out(points: FloatArray, count: int) -> IndexArray:
 
 
 def _random_poses(body: BodyModel) -> FloatArray:
-    """At ease, and angles drawn from the limits, nearer to ease in the first half."""
+    """Draw angles within the limits, the first half nearer to ease."""
     rng = np.random.default_rng(0)
     limits = body.angle_limits
     used = np.arange(3) < body.n_axes[:, None]
@@ -178,7 +177,7 @@ def _random_poses(body: BodyModel) -> FloatArray:
 
 
 def find_limbs(body: BodyModel) -> list[tuple[IndexArray, IndexArray]]:
-    """Numbers in the pose row of the angles of each limb, and its parts: a branch that does not branch again."""
+    """Return for each unbranched end branch the pose-row indices of its angles, and its parts."""
     parents, starts = body.parents, body.angle_starts
     children = [np.flatnonzero(parents == part) for part in range(body.n_parts)]
     limbs = []
@@ -198,18 +197,10 @@ def find_limbs(body: BodyModel) -> list[tuple[IndexArray, IndexArray]]:
 
 
 def mirror_twins(body: BodyModel, pose: FloatArray, towards: FloatArray) -> list[FloatArray]:
-    """Poses that cast nearly the same silhouettes with left and right exchanged.
+    """Return two poses of a person with nearly the same silhouettes and left and right exchanged.
 
-    Parameters
-    ----------
-    body : a person.
-    pose : (7 + A,).
-    towards : (3,) unit vector, the way the cameras look.
-
-    Returns
-    -------
-    The joints where they are with the names of the sides exchanged, so that the body faces the other way; and the
-    joints mirrored along ``towards`` with the sides exchanged, which one distant camera cannot tell from the pose.
+    The first has the joints in place with left and right names exchanged, so that the body faces the other way; the
+    second has them mirrored along ``towards``, the unit vector (3,) of the view, the same to one distant camera.
     """
     names = point_names(body)
     points = compute_points(body, pose)[[names.index(name) for name in CANONICAL_JOINTS]]
@@ -220,7 +211,7 @@ def mirror_twins(body: BodyModel, pose: FloatArray, towards: FloatArray) -> list
 
 
 def _turn_feet(points: FloatArray) -> FloatArray:
-    """Feet and head of a body that was turned about: toes point the new way, folded knees stay where they are."""
+    """Point the toes of a turned body the new way."""
     turned = points.copy()
     for side in ("left", "right"):
         ankle, toe = (CANONICAL_JOINTS.index(f"{side}_{joint}") for joint in ("ankle", "toe"))
@@ -240,15 +231,15 @@ _LIMBS_TRIED, _LIMBS_APART = 5, 0.35  # templates searched for each limb; rad
 # dR of the sweeps of each step.
 _WIDE, _NARROW, _TWIN, _LIMB, _FINE = (1.5, 1.0), (1.0, 0.5), (1.5, 1.0, 0.5), (1.5, 0.75, 0.4), (0.5, 0.25)
 _STEPS = 5
-_LEVEL = 0.1  # a camera that looks straight down or up tells no front from back
+_LEVEL = 0.1  # a camera that looks straight down or up cannot distinguish front and back
 
 
 class StartSearch:
-    """The silhouettes of one frame, and a body that is looked for in them.
+    """The search for a body in the silhouettes of one frame.
 
     Parameters
     ----------
-    setup : the body before its cameras.
+    setup : body, cameras and settings.
     frame : the silhouettes as the setup packs them.
     outlines : (V,) box and centre of each silhouette; None if no person is seen.
     """
@@ -263,7 +254,7 @@ class StartSearch:
         self.limbs = find_limbs(self.body)
 
     def run(self, near: FloatArray | None, tell: Progress) -> list[Scored]:
-        """From nothing (or a pose of some time ago) to a few refined poses, best first."""
+        """Return a few refined poses, best first; ``near`` adds a pose to the templates."""
         what = Message("tracker.first_pose")
         tell(0, _STEPS, what)
         found = self.keep([(self.score(pose), pose) for pose in self._list_candidates(near)], _FIRST)
@@ -281,15 +272,15 @@ class StartSearch:
         return found
 
     def finish(self, found: Sequence[Scored], count: int) -> list[Scored]:
-        """The last fine sweeps, and the ``count`` best of what is then still different."""
+        """Run the last fine sweeps and return the ``count`` best different poses."""
         return self.keep([self.refine(pose, _FINE) for _, pose in found], count)
 
     def score(self, pose: FloatArray) -> float:
-        """Log score of image, ease and floor."""
+        """Compute the log score of image, ease and floor."""
         return self.setup.score(pose, self.still, self.frame, self.scratch)
 
     def refine(self, pose: FloatArray, factors: Sequence[float]) -> Scored:
-        """Score and pose after sweeps of these widths, none held back by those before."""
+        """Return score and pose after sweeps of these widths."""
         pose = pose.copy()
         for factor in factors:
             self._sweep(pose, factor)
@@ -297,7 +288,7 @@ class StartSearch:
         return self.score(pose), pose
 
     def keep(self, found: Sequence[Scored], count: int) -> list[Scored]:
-        """The best ``count`` that are not nearly the same."""
+        """Return the best ``count`` different poses."""
         ordered = sorted(found, key=lambda pair: -pair[0])
         points = compute_points(self.body, np.array([pose for _, pose in ordered]))
         kept: list[int] = []
@@ -310,7 +301,7 @@ class StartSearch:
         return [ordered[index] for index in kept]
 
     def measure_overlap(self, pose: FloatArray) -> float:
-        """Mean intersection over union of the views that see a person."""
+        """Compute the mean intersection over union of the views that see a person."""
         shares = []
         for view in np.flatnonzero(self.frame.seen):
             drawn = pack_bits(draw_body(self.body, pose, self.cameras[view])[0])
@@ -323,7 +314,7 @@ class StartSearch:
         self.setup.sweep(pose, np.zeros(self.setup.n_axes), factor, self.frame, self.scratch)
 
     def _list_candidates(self, near: FloatArray | None) -> FloatArray:
-        """Templates (N, 7 + A) in all headings, laid onto the silhouettes."""
+        """Return templates (N, 7 + A) in all headings, moved onto the silhouettes."""
         place = guess_place(self.cameras, self.outlines, self.body.stature)
         templates = list_templates(self.body)
         templates = templates if near is None else np.concatenate((templates, near[None]))
@@ -332,7 +323,7 @@ class StartSearch:
         return moved if near is None else np.concatenate((moved, near[None]))
 
     def _exchange_limbs(self, pose: FloatArray) -> FloatArray:
-        """Each limb as it is in the template where it fits best after a search of its own."""
+        """Set each limb to its best template after a search of its own, where that improves the score."""
         pose, templates = pose.copy(), list_templates(self.body)
         whole = self.setup.order
         for limb, parts in self.limbs:
@@ -354,7 +345,6 @@ class StartSearch:
         return pose
 
     def _list_twins(self, pose: FloatArray) -> list[FloatArray]:
-        """What the first view that sees a person could mistake for the pose."""
         seen = [camera for camera, found in zip(self.cameras, self.outlines, strict=True) if found]
         towards = seen[0].rotation[2] * (1.0, 0.0, 1.0)
         length = float(np.linalg.norm(towards))
@@ -362,7 +352,7 @@ class StartSearch:
 
 
 def _pick_limbs(limbs: FloatArray, scores: FloatArray) -> list[int]:
-    """Numbers of the templates whose limbs (N, n) rad fit best, all different."""
+    """Return the numbers of the best templates with different limbs (N, n) rad."""
     chosen: list[int] = []
     for number in np.argsort(-scores, kind="stable"):
         if len(chosen) == _LIMBS_TRIED:
@@ -373,7 +363,7 @@ def _pick_limbs(limbs: FloatArray, scores: FloatArray) -> list[int]:
 
 
 def _own_settings(settings: TrackerSettings) -> TrackerSettings:
-    """The default tracker without inertia, whatever tracks afterwards."""
+    """Return the default settings without inertia, with the given floor and stiffness."""
     usual = TrackerSettings()
     return dataclasses.replace(
         usual, inertia=0.0, floor=settings.floor, stiffness=max(settings.stiffness, usual.stiffness)
@@ -393,7 +383,7 @@ class Start:
     ----------
     pose : (7 + A,), see `BodyModel`.
     score : log score; comparable only between starts of one call.
-    iou : mean overlap of body and silhouette over the views that see a person, intersection over union.
+    iou : mean intersection over union of body and silhouette over the views that see a person.
     """
 
     pose: FloatArray
@@ -411,31 +401,24 @@ def find_start(
     later: Sequence[Frame] = (),
     progress: Progress | None = None,
 ) -> list[Start]:
-    """Find the pose in one frame from its silhouettes alone.
+    """Find the pose in one frame from its silhouettes alone: at most ``n_best`` different ones, best first.
+
+    One view hardly shows distance, the lean of a limb, or in a side view left from right; only feet and knees show
+    front from back. The first call compiles the search kernels (cached on disk) and creates the templates.
 
     Parameters
     ----------
-    setup : the body before its cameras. Of the settings only the floor and the stiffness count here.
+    setup : body, cameras and settings; only the floor and the stiffness of the settings count.
     frame : the silhouettes as the setup packs them.
     masks : (V,) the same as masks; None where a view has no image.
-    n_best : how many different poses are wanted.
-    near : (7 + A,) pose that the body had some time ago, one more template.
-    later : following frames: the best poses are tracked through them and their mean scores decide.
-    progress : called with steps done, steps in all and what is being done.
-
-    Returns
-    -------
-    At most ``n_best`` different poses, best first.
+    n_best : number of different poses wanted.
+    near : (7 + A,) an earlier pose of the body, one more template.
+    later : following frames; the best poses are tracked through them and ranked by mean score.
+    progress : called with steps done, steps in all and the current step.
 
     Raises
     ------
     SilhouetteError : no person is seen in any view.
-
-    Notes
-    -----
-    With one view the answer is a guess: how far away, which way a limb leans, and of a body seen from the side which
-    leg is the left one, hardly show; feet that point forward and knees that bend one way are all that tells front from
-    back. The first call compiles the search kernels (cached on disk) and makes the templates of the body.
     """
     tell = progress or (lambda done, total, what: None)
     outlines = [measure_outline(mask) for mask in masks]
@@ -455,7 +438,7 @@ def find_start(
 
 
 def _follow(setup: SearchSetup, pose: FloatArray, score: float, later: Sequence[Frame]) -> float:
-    """Mean score of a pose tracked through later frames, each searched for about the one before."""
+    """Compute the mean score of a pose tracked through later frames."""
     scratch, pose = setup.make_scratch(), pose.copy()
     scores = [score]
     for frame in later:
@@ -471,7 +454,7 @@ _FIRST_FRAMES = 150  # looked through for the first one with a person in it
 
 
 def checked_start(body: BodyModel, start: ArrayLike) -> FloatArray:
-    """The pose (7 + A,) within the body's limits; BodyModelError if it is none of this body."""
+    """Return the pose (7 + A,) clipped to the body's limits; BodyModelError if it does not fit this body."""
     pose = np.array(start, np.float64)
     if pose.shape != (7 + body.n_angles,) or not np.isfinite(pose).all():
         raise BodyModelError("pose.start", expected=7 + body.n_angles, found=str(pose.shape))
@@ -485,7 +468,7 @@ def checked_start(body: BodyModel, start: ArrayLike) -> FloatArray:
 
 
 def find_first(silhouettes: Silhouettes) -> tuple[int, tuple[NDArray[np.bool_] | None, ...]]:
-    """The first frame with a person in it: in as many views as any of the first frames has."""
+    """Return the first frame with a person in as many views as any of the first frames has, and its masks."""
     best, best_count, best_masks, full = -1, 0, None, 0
     for frame in range(min(silhouettes.n_frames, _FIRST_FRAMES)):
         masks = silhouettes.read(frame)

@@ -1,10 +1,9 @@
-"""From silhouettes to a motion: frame after frame the pose that fits best within what inertia allows.
+"""The tracker: estimates a motion from silhouettes, frame by frame.
 
 The search of Kameda, Minoh and Ikeda ("A Human Motion Estimation Method Using a Model - Introduction of Inertia"), from
 the root part to the leaves, one axis at a time, each within dR of its prediction (eq. 1), scored by eqs. 2 and 3.
-`PAPER` is their method. The defaults go beyond it: several views, a part carries what hangs on it while it is
-judged, finer revisits, several predictions and a beam of poses, joints that move as quickly as joints do, girths
-fitted to the first silhouettes, a restart where the track is lost, smoothing forward and backward.
+`PAPER` is their method. The defaults add several views, subtrees judged as a whole, finer revisits, a beam of poses,
+dR by joint, fitted girths, a restart where the track is lost, and smoothing.
 """
 
 from __future__ import annotations
@@ -60,18 +59,18 @@ _DOUBTFUL, _CLEARLY = 0.75, 0.08  # overlap below which a given start is held ag
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartialTrack(BeamState):
-    """What was tracked before an interruption, on top of the beam: arrays only, so that it can be kept in a file.
+    """An interrupted track: the beam and the settled frames, as arrays that a file can keep.
 
     Parameters
     ----------
-    poses : (n, 7 + A) of the frames that are settled; the frames before the first person hold its pose.
+    poses : (n, 7 + A) of the settled frames; the frames before the first person hold its pose.
     overlap, occluded, restarts : of these frames, see `Estimate`.
     widths, patches : of these frames, see `Note`.
-    spheres : (S, 4) of the body, whose girths may have been fitted.
+    spheres : (S, 4) of the body, with fitted girths.
     first : the first frame with a person in it.
-    usual, usual_patches : overlap that this recording usually has, and share of its silhouettes in patches.
+    usual, usual_patches : usual overlap in this recording, and share of its silhouettes in patches.
     area : px, mean area of a silhouette.
-    poor, unseen : how many of the newest frames in a row the model hardly covers, and how many show no person.
+    poor, unseen : number of newest frames in a row with poor cover, and without a person.
     """
 
     poses: FloatArray
@@ -90,7 +89,7 @@ class PartialTrack(BeamState):
 
     @property
     def n_tracked(self) -> int:
-        """Frames looked at so far, settled or not: where the work goes on."""
+        """Number of frames tracked so far, settled or not."""
         return len(self.poses) + len(self.pending_poses)
 
 
@@ -115,25 +114,21 @@ def estimate(
     silhouettes : V views over T frames.
     cameras : (V,) one for each view, of the size of its masks.
     body : the model, with P parts, K tips and A joint angles.
-    start : (7 + A,) pose in the first frame that shows the person well (of the first frames with anybody, the one
-        that most views see); None looks for it.
+    start : (7 + A,) pose in the first frame that shows the person well (see `find_first`); None searches for it.
     settings : how to search; the defaults, or `PAPER`.
-    girths : ``"fit"`` thickens or thins the parts to the silhouettes of the first frame, ``"keep"`` does not.
-    n_threads : workers; by default two, or one on a machine of one core. The result does not depend on it.
-    resume : what an interrupted call with the same arguments had done.
-    on_checkpoint : called now and then with what is done so far.
-    progress : called with frames done, frames in all and what is being done.
+    girths : ``"fit"`` fits the girths of the parts to the first silhouettes, ``"keep"`` does not.
+    n_threads : by default two, or one on a machine of one core; the result does not depend on it.
+    resume : the state of an interrupted call with the same arguments.
+    on_checkpoint : called every 32 frames with the state so far.
+    progress : called with frames done, frames in all and the current step.
     on_frame : called with every frame as soon as it has a pose, and again when that is settled.
-
-    Returns
-    -------
-    The estimate.
 
     Raises
     ------
     CalibrationError : not one camera for each view, or of another size than the masks.
     BodyModelError : a start that is no pose of this body.
     SilhouetteError : no person is seen in the first frames, or every mask is full.
+    OptionError : unknown ``girths``.
     """
     settings = TrackerSettings() if settings is None else settings
     if girths not in ("fit", "keep"):
@@ -153,8 +148,6 @@ def estimate(
 
 
 class _Job:
-    """One estimate at work."""
-
     def __init__(
         self,
         silhouettes: Silhouettes,
@@ -205,7 +198,7 @@ class _Job:
         self._show_newest(frame)
 
     def _find_first_pose(self, frame: Frame, masks: Sequence[NDArray[np.bool_] | None]) -> FloatArray:
-        """Of the poses that fit the first frame, the one that can be tracked best through the frames after it."""
+        """Return the pose, of those that fit the first frame, that tracks best through the frames after it."""
         found = find_start(self.setup, frame, masks, n_best=_STARTS)
         poses = [start.pose for start in found if start.score > found[0].score - _BEHIND]
         if len(poses) < 2 or self.settings.candidates != "subtree":
@@ -218,27 +211,25 @@ class _Job:
         return poses[choose_track(tracks)]
 
     def _look_ahead(self, count: int) -> list[Frame]:
-        """At most ``count`` frames after the first, kept until they are tracked."""
         last = min(self.silhouettes.n_frames, self.first + 1 + count)
         for number in range(self.first + 1 + len(self.ahead), last):
             self.ahead.append(self.setup.pack(self.shrinker.shrink(self.silhouettes.read(number))))
         return list(self.ahead)
 
     def _doubt_start(self, frame: Frame, masks: Sequence[NDArray[np.bool_] | None], covered: float) -> None:
-        """Say so if a pose that is found without the start covers the silhouettes clearly better."""
+        """Add a note if a pose found without the start covers the silhouettes clearly better."""
         found = find_start(self.setup, frame, masks)[0]
         if found.iou > covered + _CLEARLY:
             self.notes.append(Message("tracker.start_doubtful", covered=covered, found=found.iou))
 
     def _set_up(self) -> None:
-        """Everything that depends on the body and on the size of the silhouettes."""
         self.shrinker = Shrinker(self.cameras, self.area, self.settings.height)
         area = self.area * self.shrinker.area_share
         self.setup = SearchSetup(self.body, self.shrinker.cameras, self.settings, self.silhouettes.frame_rate, area)
         self.diagnosis = Diagnosis(self.setup, area, self._views_meet())
 
     def _views_meet(self) -> bool:
-        """Whether the views look from different enough sides to tell depth."""
+        """Return whether the views look from different enough sides to determine depth."""
         ways = np.array([camera.rotation[2] for camera in self.cameras])
         across = np.eye(3) - ways[:, :, None] * ways[:, None, :]
         return do_meet(across)
@@ -250,7 +241,7 @@ class _Job:
         self._set_up()
 
     def resume(self, partial: PartialTrack) -> None:
-        """Take up the work where it was left."""
+        """Continue from a saved state."""
         self.body = replace(self.body, spheres=partial.spheres)
         self.first, self.area = int(partial.first), float(partial.area)
         self.usual, self.usual_patches = float(partial.usual), float(partial.usual_patches)
@@ -293,7 +284,7 @@ class _Job:
         self.seconds = time.perf_counter() - self.clock
 
     def _watch(self, frame: Frame) -> None:
-        """Search for the person again after several frames that the model hardly covers or that show no person."""
+        """Search for the person again after several frames with poor cover or without a person."""
         if not frame.seen.any():
             self.unseen += 1
             return
@@ -311,7 +302,7 @@ class _Job:
             self._search_anew(frame)
 
     def _search_anew(self, frame: Frame) -> None:
-        """Look for the pose from nothing; if another fits better, track back from it to where the track was good."""
+        """Search for the pose without the track; if a better one is found, track back from it."""
         masks = self.shrinker.unpack(frame)
         found = find_start(self.setup, frame, masks, near=self.beam.best)
         line = self.beam.line[-_REPAIRED:]
@@ -338,7 +329,7 @@ class _Job:
             self._show(len(self.poses) - 1, pose, self.diagnosis.latest, settled=True)
 
     def _show_newest(self, frame: Frame) -> None:
-        """Show the newest frame with the best pose so far, which may still change."""
+        """Report the newest frame with its best pose, which may still change."""
         if self.on_frame is not None:
             pose = self.beam.best
             self._show(self.at - 1, pose, self.diagnosis.look(pose, frame), settled=False)
@@ -373,7 +364,7 @@ class _Job:
             self.beam.close()
 
     def finish(self) -> Estimate:
-        """Smooth, and say how far to trust it."""
+        """Smooth the poses and return the estimate."""
         rate = self.silhouettes.frame_rate
         overlap, _, occluded, _ = self.diagnosis.arrays()
         doubt = self.diagnosis.judge()
@@ -404,18 +395,14 @@ class _Job:
 
 
 def smooth_poses(poses: FloatArray, frame_rate: float, cutoff: float, breaks: Sequence[int] = ()) -> FloatArray:
-    """Poses with less jitter.
+    """Smooth poses (T, 7 + A) with a Gaussian, orientations by the mean of quaternions of one sign.
 
     Parameters
     ----------
     poses : (T, 7 + A), see `BodyModel`.
     frame_rate : Hz.
-    cutoff : Hz, at which half of the power is left; the filter is a Gaussian, ends are repeated.
-    breaks : frames at which the track was started again: nothing is smoothed across them.
-
-    Returns
-    -------
-    (T, 7 + A), of the same length; orientations by the mean of quaternions of one sign.
+    cutoff : Hz, where half of the power is left; ends are repeated.
+    breaks : frames where the track was restarted; no smoothing across them.
     """
     sigma = np.sqrt(np.log(2.0)) / (2.0 * np.pi * cutoff) * frame_rate
     smooth = np.array(poses, np.float64)

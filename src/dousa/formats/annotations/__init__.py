@@ -1,4 +1,4 @@
-"""Tables of what happens in a recording: dousa's own CSV, ELAN, Praat, BORIS, and the lists of CMU."""
+"""Label tables of recordings: dousa's own CSV, ELAN, Praat, BORIS, and the lists of CMU."""
 
 from __future__ import annotations
 

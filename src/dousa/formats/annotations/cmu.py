@@ -1,6 +1,7 @@
-"""The lists of actions of CMU's subject 86 (``mocap.txt``): after a line with the numbers of subject and take, a line
-an action: its name and the earliest, likely and latest frame of its end. Where one ends the next begins, so what lies
-between the earliest and the latest end is unclear.
+"""Lists of actions of CMU's subject 86 (``mocap.txt``).
+
+After a line with the numbers of subject and take, each line has the name of an action and the earliest, likely and
+latest frame of its end, where the next begins. The part between the earliest and the latest end is unclear.
 """
 
 from __future__ import annotations
@@ -16,18 +17,13 @@ _ACTION = re.compile(r"\s*(\S*[^\W\d]\S*)\s+(\d+)\s+(\d+)\s+(\d+)\s*")
 
 
 def is_cmu_list(text: str) -> bool:
-    """Whether the first lines of a text are those of such a list."""
+    """Return whether the first lines of a text are those of such a list."""
     lines = [line for line in text.splitlines()[:20] if line.strip()][:2]
     return len(lines) == 2 and bool(_TAKE.fullmatch(lines[0])) and bool(_ACTION.fullmatch(lines[1]))
 
 
 def read_cmu_list(path: str, data: bytes) -> LabelFile:
-    """Labels of several takes, in frames.
-
-    Raises
-    ------
-    MotionFileError : no text, or a line that is neither a take nor an action.
-    """
+    """Read labels of several takes, in frames; MotionFileError for a line that is neither a take nor an action."""
     takes: dict[str, tuple[LabelTier, ...]] = {}
     name, begin = "", 0.0
     spans: list[LabelSpan] = []
@@ -39,7 +35,7 @@ def read_cmu_list(path: str, data: bytes) -> LabelFile:
             name, begin, spans, unclear, warnings = f"{take[1]}_{take[2]}", 0.0, [], [], []
         elif action and name:
             earliest, likely, latest = sorted(float(action[k]) for k in (2, 3, 4))
-            if earliest <= begin < likely:  # a slip of the pen: the likely end is what is left of it
+            if earliest <= begin < likely:  # a typing error: only the likely end is used
                 note = Message("label_files.cmu_order", frame=earliest, before=begin, likely=likely)
                 warnings.append(Message("text.in_line", path=path, line=number, problem=note))
                 earliest = likely

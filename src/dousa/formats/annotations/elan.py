@@ -1,8 +1,7 @@
 """ELAN's .eaf files (EAF 2.7 to 3.0, Max Planck Institute for Psycholinguistics): tiers of annotations in XML.
 
-Times are in slots, in ms; a slot without a time lies evenly between its neighbours that have one, and one at either end
-has none, which matters where an annotation refers to it. An annotation that refers to another has its time, or its
-share of it where several refer to one.
+Times are slots in ms. A slot without a time lies evenly between neighbours with one; at either end it has none. An
+annotation that refers to another has its time, or an equal share of it where several do.
 """
 
 from __future__ import annotations
@@ -19,12 +18,7 @@ _Times = dict[str, tuple[float, float]]
 
 
 def read_eaf(path: str, data: bytes) -> LabelFile:
-    """Labels of an ELAN document.
-
-    Raises
-    ------
-    MotionFileError : no XML, no document of ELAN, times that are none, references that lead nowhere.
-    """
+    """Read the labels of an ELAN document; MotionFileError for invalid XML, times or references."""
     try:
         root = parse_xml(data)
     except CalibrationError as error:
@@ -62,7 +56,7 @@ def read_eaf(path: str, data: bytes) -> LabelFile:
 
 
 def _read_slots(path: str, root: ET.Element) -> dict[str, float | None]:
-    """Seconds by the name of the slot; none before the first and after the last that has a time."""
+    """Seconds by the name of the slot; None before the first and after the last with a time."""
     slots = list(root.iter("TIME_SLOT"))
     known: dict[int, float] = {}
     for place, node in enumerate(slots):
@@ -83,7 +77,7 @@ def _read_slots(path: str, root: ET.Element) -> dict[str, float | None]:
 
 
 def _add_references(path: str, root: ET.Element, times: _Times) -> None:
-    """Times of annotations that refer to others, which may refer to others in turn."""
+    """Add times of annotations that refer to others, at any depth."""
     waiting: dict[str, list[str]] = {}
     for tier in root.iter("TIER"):
         children: dict[str, list[str]] = {}

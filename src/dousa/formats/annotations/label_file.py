@@ -1,4 +1,4 @@
-"""What a table of labels holds: tiers of spans, for one take or for several."""
+"""Content of a table of labels: tiers of spans, for one take or for several."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ class LabelTier:
 
     Parameters
     ----------
-    name : empty where the file has no names for them.
+    name : empty where the file has none.
     spans : in the order of time.
-    unclear : (start, stop) of parts of which nobody can say what they are.
+    unclear : (start, stop) of unclear parts.
     n_points : labels of a moment, which have no length and are not among the spans.
-    n_rest : labels without a category, which say that nothing happens and are not among the spans.
-    warnings : doubts that came up.
+    n_rest : labels without a category (nothing happens), which are not among the spans.
+    warnings : doubts about the file.
     """
 
     name: str
@@ -62,7 +62,7 @@ class LabelTier:
 
     @property
     def is_blank(self) -> bool:
-        """Whether it says nothing at all, not even that nothing happens."""
+        """Whether the tier is empty: without even a label for nothing."""
         return not (self.spans or self.unclear or self.n_rest)
 
 
@@ -74,7 +74,7 @@ class LabelFile:
     ----------
     path : of the file.
     takes : tiers by take: its name as the file writes it, empty where the file is about one take.
-    by_name : whether takes are called by the bare names of their files, in any spelling of numbers.
+    by_name : whether takes are named by the bare names of their files, in any spelling of numbers.
     counts_frames : whether times are frames of the take rather than seconds.
     """
 
@@ -86,18 +86,12 @@ class LabelFile:
     def tiers_of(
         self, take: str | os.PathLike[str], root: str | os.PathLike[str] | None = None
     ) -> tuple[LabelTier, ...] | None:
-        """Tiers of a take, None where the file has none of it.
-
-        Parameters
-        ----------
-        take : its path.
-        root : the folder that was named, which paths of the file may be relative to.
-        """
+        """Return the tiers of a take by its path, None without any; paths of the file may be relative to ``root``."""
         name = self.name_of(take, root)
         return None if name is None else self.takes[name]
 
     def name_of(self, take: str | os.PathLike[str], root: str | os.PathLike[str] | None = None) -> str | None:
-        """What the file calls a take, None where it has nothing of it; as ``tiers_of``."""
+        """Return the name of a take in the file, None where it has none; parameters as of ``tiers_of``."""
         if "" in self.takes:
             return ""
         path = os.path.abspath(take)
@@ -116,22 +110,16 @@ class LabelFile:
 
 
 def _bare(path: str) -> str:
-    """The name of a file without folder and suffix."""
     return Path(path.replace("\\", "/")).name.partition(".")[0]
 
 
 def _plain(path: str) -> str:
-    """The same, numbers without zeros in front, words apart by underscores: ``86 01`` is ``86_1``."""
+    """The same without leading zeros of numbers, words joined by underscores: ``86 01`` is ``86_1``."""
     return "_".join(word.lstrip("0") or "0" for word in re.split(r"[\s_]+", _bare(path).lower()))
 
 
 def choose_tier(file: LabelFile, tiers: Sequence[LabelTier], wanted: str | None) -> tuple[LabelTier, list[Message]]:
-    """The tier of this name, by default the first that has labels; and what to say about that.
-
-    Raises
-    ------
-    OptionError : there is no such tier.
-    """
+    """Choose the tier of this name, by default the first that has labels, with notes; OptionError if there is none."""
     if wanted is not None:
         found = [tier for tier in tiers if tier.name == wanted]
         if not found:
@@ -151,17 +139,17 @@ def choose_tier(file: LabelFile, tiers: Sequence[LabelTier], wanted: str | None)
 def to_annotation(
     file: LabelFile, tiers: Sequence[LabelTier], tier: str | None = None, frame_rate: float | None = None
 ) -> tuple[Annotation, list[Message]]:
-    """What a file says of a take, in seconds, and doubts.
+    """Convert the labels of a take to seconds, with doubts.
 
     Parameters
     ----------
     tiers : of the take.
-    tier : name of the one to take; the first that has labels by default.
+    tier : name of the tier; the first that has labels by default.
     frame_rate : Hz, of the take; needed where the file counts frames.
 
     Raises
     ------
-    OptionError : there is no such tier, or no frame rate.
+    OptionError : no such tier, or no frame rate.
     """
     chosen, notes = choose_tier(file, tiers, tier)
     notes = [*chosen.warnings, *notes]
@@ -181,7 +169,7 @@ def to_annotation(
 
 
 def leave_out_twice(segments: Sequence[Stretch]) -> tuple[list[Stretch], list[tuple[Stretch, Message]]]:
-    """Segments, each once: times to the millisecond and category tell them apart; and what to say of the others.
+    """Drop repeated segments: equal times to the millisecond and category.
 
     Returns
     -------
@@ -224,12 +212,12 @@ def _find_overlaps(path: str, spans: Sequence[LabelSpan]) -> list[Message]:
 
 
 def clean_category(text: str) -> str:
-    """A label in one line without space around it; empty if it says nothing."""
+    """Return a label in one line without space around it, possibly empty."""
     return " ".join(text.split())
 
 
 def is_unknown(category: str) -> bool:
-    """Whether it is one of the words that dousa prints where nobody knows what happens."""
+    """Return whether a label is one of dousa's words for an unknown category."""
     return _fold(category) in _list_unknown()
 
 
@@ -244,7 +232,7 @@ def _fold(word: str) -> str:
 
 
 def check_category(path: str, category: str, line: int | None) -> None:
-    """MotionFileError for a label that not every database can keep."""
+    """Raise MotionFileError for a label that not every database can store."""
     n_bytes = len(category.encode(errors="surrogatepass"))
     if n_bytes > MOST_BYTES:
         raise MotionFileError(
@@ -253,12 +241,7 @@ def check_category(path: str, category: str, line: int | None) -> None:
 
 
 def make_span(path: str, start: float, stop: float, category: str, line: int | None) -> LabelSpan:
-    """A label of some length.
-
-    Raises
-    ------
-    MotionFileError : it ends before it begins, or lies nowhere in a recording; a category that is too long.
-    """
+    """Make a label of some length; MotionFileError for invalid times or a category that is too long."""
     check_category(path, category, line)
     if not (isfinite(start) and isfinite(stop) and abs(start) < _LATEST and abs(stop) < _LATEST):
         raise MotionFileError(path, "label_files.no_time", line, found=f"{start:g}, {stop:g}")
@@ -270,12 +253,7 @@ def make_span(path: str, start: float, stop: float, category: str, line: int | N
 
 
 def parse_number(path: str, text: str, column: str, line: int) -> float:
-    """A number of a cell, with a point or, where that is unmistakable, a comma.
-
-    Raises
-    ------
-    MotionFileError : no number.
-    """
+    """Parse the number of a cell, with a point or an unmistakable decimal comma; MotionFileError if it is none."""
     try:
         return float(text.strip().replace(",", "."))
     except ValueError:
@@ -283,12 +261,7 @@ def parse_number(path: str, text: str, column: str, line: int) -> float:
 
 
 def decode_text(path: str, data: bytes, encoding: str = "utf-8-sig") -> str:
-    """The text of a file in UTF-8, or in UTF-16 if it says so.
-
-    Raises
-    ------
-    MotionFileError : bytes that are no text, or zero bytes.
-    """
+    """Decode a file in UTF-8, or in UTF-16 by its mark; MotionFileError if it is no text or has zero bytes."""
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         encoding = "utf-16"
     try:
@@ -302,7 +275,7 @@ def decode_text(path: str, data: bytes, encoding: str = "utf-8-sig") -> str:
 
 
 def finish_tier(path: str, tier: LabelTier) -> LabelTier:
-    """The tier with its spans in the order of time; a category that says "unknown" is none, with a note."""
+    """Sort the spans by time and drop categories that mean "unknown", with a note."""
     spans = sorted(tier.spans, key=lambda one: (one.start, one.stop))
     unknown = [one for one in spans if is_unknown(one.category)]
     if not unknown:

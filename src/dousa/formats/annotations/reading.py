@@ -1,4 +1,4 @@
-"""Read a table of labels of any kind: the suffix says which, for text its head."""
+"""Reading of label tables of any kind, by the suffix or the head of the text."""
 
 from __future__ import annotations
 
@@ -15,15 +15,11 @@ from dousa.formats.annotations.textgrid import read_textgrid
 LABEL_SUFFIXES = (".labels.csv", ".labels.tsv", ".eaf", ".textgrid", ".boris.csv", ".boris.tsv")
 """What a file that can hold nothing but labels ends in, in small letters."""
 
-_MOST_BYTES = 20_000  # that the head of a table of text stands in
+_MOST_BYTES = 20_000  # searched for the head of a table
 
 
 def read_label_file(path: str | os.PathLike[str]) -> LabelFile:
-    """All that a table of labels says.
-
-    Parameters
-    ----------
-    path : ELAN's ``.eaf``, Praat's ``.TextGrid``, else text: a table (dousa's, BORIS's), or a list of CMU.
+    """Read ELAN's ``.eaf``, Praat's ``.TextGrid``, else text: a table (dousa's, BORIS's), or a list of CMU.
 
     Raises
     ------
@@ -42,7 +38,7 @@ def read_label_file(path: str | os.PathLike[str]) -> LabelFile:
 
 
 def is_label_file(path: str | os.PathLike[str]) -> bool:
-    """Whether a file is a table of labels, by its suffix or, for .csv and .tsv, by its head."""
+    """Return whether a file is a table of labels, by its suffix or, for .csv and .tsv, by its head."""
     name = os.fspath(path).lower()
     if name.endswith(LABEL_SUFFIXES):
         return True

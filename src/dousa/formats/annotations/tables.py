@@ -1,10 +1,9 @@
-"""Tables of labels as comma, semicolon or tab separated text, and those that BORIS exports.
+"""Label tables as comma, semicolon or tab separated text, and those that BORIS exports.
 
 dousa's own has the columns ``start_s``, ``end_s`` and ``category``, and may have ``tier``; with ``path`` or ``file`` it
-is about several takes. A row without a category says that nothing happens there, or, with a name in the column
-``perhaps``, that nobody can say what does. BORIS (Friard and Gamba, Methods in
-Ecology and Evolution 7, 2016) exports "tabular events", a row where something starts and one where it stops, and
-"aggregated events", a row a behaviour; its subjects are the tiers.
+is about several takes. A row without a category means that nothing happens, or, with a name in the column ``perhaps``,
+that it is unclear. BORIS (Friard and Gamba, Methods in Ecology and Evolution 7, 2016) exports "tabular events", a row
+for each start and stop, and "aggregated events", a row per behaviour; its subjects are the tiers.
 """
 
 from __future__ import annotations
@@ -55,17 +54,17 @@ class _Table:
     rows: list[_Row]
 
     def find(self, names: Sequence[str]) -> str:
-        """The first of these columns that is there, or nothing."""
+        """Return the first of these columns that is there, or nothing."""
         return next((name for name in names if name in self.columns), "")
 
     def cell(self, row: _Row, name: str) -> str:
-        """Empty where the table has no such column, or the row is short."""
+        """Return a cell; empty where the table has no such column, or the row is short."""
         place = self.columns.get(name)
         return row.cells[place].strip() if place is not None and place < len(row.cells) else ""
 
 
 def find_head(text: str) -> tuple[int, list[str]] | None:
-    """The line (from 0) of the head of a table of labels and its names; None if the text has none."""
+    """Find the line (from 0) of the head of a table of labels and its names; None if the text has none."""
     for number, line in enumerate(text.splitlines()[:_MOST_ABOVE]):
         names = [name.strip().strip('"').strip().lower() for name in line.split(_find_delimiter(line))]
         is_own = any(name in names for name in _START) and any(name in names for name in _STOP)
@@ -80,12 +79,7 @@ def _find_delimiter(head: str) -> str:
 
 
 def read_table(path: str, data: bytes) -> LabelFile:
-    """Labels of a table.
-
-    Raises
-    ------
-    MotionFileError : no text, no such columns, a time that is none, a behaviour that starts and never stops.
-    """
+    """Read the labels of a table; MotionFileError for missing columns, an invalid time, or an event without a stop."""
     text = decode_text(path, data)
     head = find_head(text)
     if head is None:
@@ -125,7 +119,7 @@ def _split(path: str, text: str, number: int, names: list[str]) -> _Table:
 
 
 def _holds_row(cell: str, delimiter: str, n_columns: int) -> bool:
-    """Whether a cell goes on over lines that look like rows of the table."""
+    """Whether a cell continues over lines that look like rows of the table."""
     return any(line.count(delimiter) >= n_columns - 1 for line in cell.splitlines()[1:])
 
 
@@ -158,7 +152,7 @@ def _read_spans(table: _Table) -> LabelFile:
 
 
 def _read_events(table: _Table) -> LabelFile:
-    """BORIS's tabular events: START and STOP in rows of their own."""
+    """Read BORIS's tabular events: START and STOP in rows of their own."""
     kind_in, category_in = table.find(_KIND), table.find(_CATEGORY)
     found = _Found()
     open_ones: dict[tuple[int, str], tuple[float, int]] = {}
@@ -200,14 +194,14 @@ class _Found:
         self._takes: dict[str, dict[str, _Tier]] = {}
 
     def tier(self, table: _Table, row: _Row) -> _Tier:
-        """The one that a row belongs to."""
+        """Return the tier of a row."""
         take = table.cell(row, _name_takes(table))
         tiers = self._takes.setdefault(take, {})
         name = table.cell(row, table.find(_TIER))
         return tiers.setdefault(name, _Tier(name))
 
     def to_file(self, table: _Table) -> LabelFile:
-        """The whole file; one about a single BORIS observation is about any take."""
+        """Return the whole file; one about a single BORIS observation is about any take."""
         takes = {take: tuple(self._finish(table.path, tiers)) for take, tiers in self._takes.items()}
         own = table.find(_TAKE)
         if not own and len(takes) == 1:
@@ -223,12 +217,12 @@ class _Found:
 
 
 def _name_takes(table: _Table) -> str:
-    """The column that names takes: of dousa's table, else BORIS's observation, else its film."""
+    """Column of take names: of dousa's table, else BORIS's observation, else its film."""
     return table.find((*_TAKE, _OBSERVATION, *_MEDIA))
 
 
 def about_one_take(file: LabelFile) -> LabelFile:
-    """A table that lies beside a take is about this one, whatever it calls it, if it is about one at all."""
+    """Assign the table beside a take to it under any name, if the table is about one take."""
     if len(file.takes) != 1:
         return file
     return replace(file, takes={"": next(iter(file.takes.values()))})

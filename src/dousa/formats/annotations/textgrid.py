@@ -1,7 +1,7 @@
 """Praat's TextGrid files, long and short, in UTF-8 or UTF-16: tiers of intervals (Boersma and Weenink, Praat's manual).
 
-Both forms are the same row of texts, numbers and flags; what the long form writes beside them ("xmin =", "intervals
-[1]:") is no such thing and is passed over, as Praat itself does. A tier of points has no lengths, and no segments.
+Both forms are the same row of texts, numbers and flags; other text of the long form ("xmin =", "intervals [1]:") is
+skipped, as in Praat itself. A tier of points has no lengths, and no segments.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class _Reader:
         self.line = line
 
     def take(self, kind: str) -> str:
-        """The next value, which must be of this kind: text, number or flag."""
+        """Return the next value, which must be of this kind: text, number or flag."""
         token = next(self._tokens, None)
         if token is None:
             raise MotionFileError(self.path, "label_files.cut_off", self.line)
@@ -68,11 +68,11 @@ class _Reader:
         return token.value.replace('""', '"') if kind == "text" else token.value
 
     def number(self) -> float:
-        """The next number."""
+        """Return the next number."""
         return parse_number(self.path, self.take("number"), "", self.line)
 
     def count(self) -> int:
-        """The next number, of things that follow."""
+        """Return the next number, of items that follow."""
         value = self.number()
         if value != int(value) or value < 0:
             raise MotionFileError(self.path, "label_files.grid_order", self.line, found=f"{value:g}")
@@ -80,12 +80,7 @@ class _Reader:
 
 
 def read_textgrid(path: str, data: bytes) -> LabelFile:
-    """Labels of a TextGrid.
-
-    Raises
-    ------
-    MotionFileError : no text, no TextGrid, cut off, or a chronological one.
-    """
+    """Read the labels of a TextGrid; MotionFileError if it is no text, cut off, or a chronological one."""
     text = decode_text(path, data)
     head = text[:200]
     if "ooTextFile" not in head or "TextGrid" not in head:

@@ -1,4 +1,4 @@
-"""Write labels: dousa's CSV, which ``read_label_file`` reads, and ELAN's .eaf."""
+"""Writing of labels: dousa's CSV, which ``read_label_file`` reads, and ELAN's .eaf."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ COLUMNS = ("start_s", "end_s", "category")
 
 
 def format_labels_csv(segments: Iterable[Stretch]) -> str:
-    """A row a segment: start_s, end_s, category (empty where nothing happens).
+    """Format a row per segment: start_s, end_s, category (empty where nothing happens).
 
-    Where nobody can say what some of them are, these have a question mark in a column ``perhaps``.
+    If some are unclear, they have a question mark in a column ``perhaps``.
     """
     rows = list(segments)
     doubtful = not all(one.counted for one in rows)
@@ -32,18 +32,13 @@ def format_labels_csv(segments: Iterable[Stretch]) -> str:
 
 
 def write_labels_csv(segments: Iterable[Stretch], path: str | os.PathLike[str]) -> None:
-    """Write ``format_labels_csv``.
-
-    Raises
-    ------
-    MotionWriteError : the file cannot be written.
-    """
+    """Write ``format_labels_csv`` to a file; MotionWriteError if it cannot be written."""
     with atomic_write(path) as file:
         file.write(format_labels_csv(segments).encode())
 
 
 def format_eaf(segments: Sequence[Stretch], tier: str = "category", media: str = "") -> bytes:
-    """An ELAN document (EAF 3.0) with one tier; segments without a category are left out."""
+    """Format an ELAN document (EAF 3.0) with one tier; segments without a category are left out."""
     head = {
         "AUTHOR": "dousa",
         "DATE": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -73,11 +68,6 @@ def format_eaf(segments: Sequence[Stretch], tier: str = "category", media: str =
 
 
 def write_eaf(segments: Sequence[Stretch], path: str | os.PathLike[str], tier: str = "category") -> None:
-    """Write ``format_eaf``.
-
-    Raises
-    ------
-    MotionWriteError : the file cannot be written.
-    """
+    """Write ``format_eaf`` to a file; MotionWriteError if it cannot be written."""
     with atomic_write(path) as file:
         file.write(format_eaf(segments, tier))

@@ -1,7 +1,7 @@
 """Positions of joints as a bare array (T, J, 3), as data sets and methods of machine learning save them.
 
-Such a file says neither names nor unit nor rate. The number of joints tells the layout; where two layouts have the same
-number, the one wins whose bones keep their lengths over the frames and are alike on the left and on the right.
+Such a file has neither names nor unit nor rate. The layout follows from the number of joints; of several layouts, the
+one whose bones have the most constant lengths over time and between left and right.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _MOST_JOINTS = 1000
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """The order of joints of a data set: names, the rate in Hz and the up axis that its files have."""
+    """Joint order of a data set: names, the rate in Hz and the up axis of its files."""
 
     title: str
     names: tuple[str, ...]
@@ -48,7 +48,7 @@ class Layout:
 
 @lru_cache(maxsize=1)
 def list_layouts() -> tuple[Layout, ...]:
-    """The layouts of ``layouts.toml``."""
+    """Return the layouts of ``layouts.toml``."""
     table: dict[str, Any] = tomllib.loads(resources.files(__package__).joinpath("layouts.toml").read_text("utf-8"))
     counts = {"SMPL-H": 52, "SMPL-X": 55}
     return tuple(
@@ -63,14 +63,14 @@ def list_layouts() -> tuple[Layout, ...]:
 
 
 def is_joint_array(shape: tuple[int, ...]) -> bool:
-    """Whether an array of this shape can hold positions of joints over time."""
+    """Return whether an array of this shape can hold positions of joints over time."""
     trimmed = tuple(axis for axis in shape if axis != 1)
     counts = {len(layout.names) for layout in list_layouts()}
     return len(trimmed) == 3 and (trimmed[2] == 3 or (trimmed[0] in counts and trimmed[1] == 3))
 
 
 def find_joints(arrays: Mapping[str, Any]) -> str | None:
-    """The name of the array that holds joints: a usual name, else the only one of such a shape."""
+    """Find the name of the array of joints: a usual name, else the only one of such a shape."""
     fitting = [name for name, array in arrays.items() if is_joint_array(array.shape)]
     return next((name for name in _NAMES if name in fitting), fitting[0] if len(fitting) == 1 else None)
 
@@ -126,14 +126,14 @@ def build_joints(
     frame_rate: float | None,
     names: tuple[str, ...] | None = None,
 ) -> Trajectories:
-    """Trajectories of an array of joints.
+    """Build trajectories from an array of joints.
 
     Parameters
     ----------
     path, format_name : for messages and provenance.
     array : (T, J, 3) or (J, 3, T), with axes of length 1 anywhere.
     unit, up, frame_rate : as for `read_npy`.
-    names : (J,) where the file says them.
+    names : (J,) of the file, if any.
     """
     if not is_joint_array(array.shape):
         raise MotionFileError(path, "arrays.shape", found=str(array.shape))
@@ -159,15 +159,15 @@ def name_joints(
     frame_rate: float | None,
     notes: tuple[Message, ...] = (),
 ) -> Trajectories:
-    """Trajectories of points whose names, unit, axes and rate a file need not say.
+    """Build trajectories of points that may lack names, unit, axes and rate.
 
     Parameters
     ----------
     path, format_name : for messages and provenance.
     points : (T, J, 3) in the file's unit and axes, NaN where missing.
-    names : (J,) where the file says them; else the layout of this number of joints tells.
+    names : (J,) of the file; else those of the layout of this number of joints.
     unit, up, frame_rate : as for `read_npy`.
-    notes : what a person should know of how the file was understood.
+    notes : for the user, on the reading of the file.
 
     Raises
     ------
@@ -194,7 +194,7 @@ def name_joints(
 
 
 def _choose_layout(points: FloatArray) -> Layout | None:
-    """The layout with this number of joints whose limbs are most alike over time and between the sides."""
+    """Layout of this number of joints with the most constant limb lengths over time and between the sides."""
     fitting = [layout for layout in list_layouts() if len(layout.names) == points.shape[1]]
     return min(fitting, key=lambda layout: _unlikeness(points, layout.names)) if fitting else None
 

@@ -1,4 +1,4 @@
-"""What is in an npz file: dousa's own motion, SMPL poses, or positions of joints."""
+"""Reading of npz files by content: dousa's own motion, SMPL poses, or positions of joints."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ def read_any_npz(
     skeleton: str | os.PathLike[str] | None = None,
     frame_rate: float | None = None,
 ) -> Motion | Trajectories:
-    """Read an npz file; its arrays tell of which kind it is.
+    """Read an npz file; its kind follows from its arrays.
 
     Parameters
     ----------
     path : a file that dousa wrote, one of SMPL poses (AMASS), or one with an array (T, J, 3) of joints.
-    unit, up : what the file does not say; dousa's own says both.
+    unit, up : if not in the file; dousa's own has both.
     skeleton : body model of SMPL poses.
-    frame_rate : Hz, of arrays that do not say it.
+    frame_rate : Hz, of arrays without one.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def _is_text(file: NpzFile, name: str) -> bool:
 
 
 class _Shape:
-    """What `find_joints` looks at, of an array that was not read."""
+    """Shape of an unread array, for `find_joints`."""
 
     def __init__(self, shape: tuple[int, ...], kind: str) -> None:
         self.shape, self.is_joints = shape, kind in "iuf" and is_joint_array(shape)

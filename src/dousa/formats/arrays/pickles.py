@@ -1,8 +1,7 @@
 """A pickle of unknown origin: dictionaries, lists, numbers, texts and numpy arrays, and nothing else.
 
-A pickle is a program. This reader runs only the instructions that build plain values, and of the functions that a
-pickle may call it knows stand-ins for those that numpy writes; whatever else is asked for is refused, and no size
-that the file names is believed.
+A pickle is a program. This reader runs only the instructions that build plain values, with stand-ins for the functions
+that numpy's pickles call. It refuses anything else and trusts no size in the file.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ _INSTRUCTIONS = (
 
 
 class _Refused(pickle.UnpicklingError):
-    """The pickle asks for something that no array needs."""
+    """The pickle needs something that no array needs."""
 
 
 class _Type:
@@ -121,7 +120,7 @@ _KNOWN: dict[tuple[str, str], Callable[..., Any]] = {
 
 
 def _load_bytearray(unpickler: Any) -> None:
-    """As the original, but what is not there takes no memory."""
+    """Load a bytearray without allocating missing bytes."""
     (size,) = struct.unpack("<Q", unpickler.read(8))
     unpickler.append(unpickler.read(size))
 
@@ -144,19 +143,9 @@ class _Unpickler(pickle._Unpickler):
 
 
 def load_pickle(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The arrays, numbers, texts and lists of a pickled dictionary.
+    """Load the arrays (read-only), numbers, texts and lists of a pickled dictionary; keys other than text are dropped.
 
-    Parameters
-    ----------
-    path : the file.
-
-    Returns
-    -------
-    The dictionary, arrays read-only; keys that are no texts are left out.
-
-    Raises
-    ------
-    MotionFileError : missing, damaged, something other than a dictionary of plain values.
+    MotionFileError for a file that is missing, damaged, or something other than a dictionary of plain values.
     """
     data = read_bytes(path)
     try:
@@ -186,7 +175,7 @@ def read_pickle(
 
     Parameters
     ----------
-    path : the file; nothing in it is executed, see above.
+    path : the file; nothing in it is executed.
     unit, up, skeleton, frame_rate : as for `read_smpl_npz`; joint positions take no skeleton.
 
     Raises

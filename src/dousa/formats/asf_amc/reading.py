@@ -1,8 +1,8 @@
-"""Acclaim ASF and AMC: a skeleton of bones in one file, its motion in another.
+"""Reading of Acclaim ASF and AMC: a skeleton of bones in one file, its motion in another.
 
-A joint of the motion stands where a bone starts (``lfemur`` at the hip) and turns by C M C^-1: M are the bone's
-channels, C the orientation of its axes. The last bone of a chain gets an end site at its tip. ASF lengths are inches
-times the file's ``length``; an AMC file does not say its frame rate, 120 Hz is the habit of CMU and HDM05.
+A joint is at the start of a bone (``lfemur`` at the hip) and turns by C M C^-1: M are the bone's channels, C the
+orientation of its axes. The last bone of a chain gets an end site at its tip. ASF lengths are inches times the file's
+``length``; an AMC file has no frame rate, 120 Hz is usual for CMU and HDM05.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _LINE = re.compile(rb"[^\r\n]*")
 
 @dataclass(frozen=True, slots=True)
 class AmcHeader:
-    """What stands before the first frame: where that begins, what the file says about angles and rate."""
+    """Header of an AMC file: start of the first frame, angles and rate."""
 
     first_frame_at: int
     degrees: bool | None
@@ -41,7 +41,7 @@ class AmcHeader:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Tables:
-    """A skeleton as the kernel needs it: the letters of all names, their starts, the columns of every bone."""
+    """A skeleton for the kernel: the letters of all names, their starts, the columns of every bone."""
 
     names: tuple[str, ...]
     letters: NDArray[np.uint8]
@@ -100,7 +100,7 @@ def _scan_frames(  # noqa: PLR0911, PLR0912, PLR0915
     """Fill ``out`` (T, C); bone b has the columns ``columns[b]:columns[b + 1]``.
 
     Tokens that are no short decimals go to ``notes`` (M, 2): position, index in out.
-    ``last_seen`` holds -1 per bone, ``follower`` the bone expected next after each: the order is learnt on the way.
+    ``last_seen`` holds -1 per bone, ``follower`` the bone expected next after each, learnt on the way.
     Returns (status, position, frames read, bone, tokens noted).
     """
     bones = len(columns) - 1
@@ -184,7 +184,7 @@ def _tables(asf: AsfSkeleton) -> _Tables:
 
 
 def parse_frames(path: str, data: bytes, start: int, asf: AsfSkeleton) -> FloatArray:
-    """Channel values (T, C) as they stand in the file: root first, then the bones in the skeleton's order.
+    """Parse channel values (T, C): root first, then the bones in the skeleton's order.
 
     Raises
     ------
@@ -254,19 +254,16 @@ def read_amc(
 ) -> Motion:
     """Read an Acclaim motion with its skeleton.
 
+    The rate is ``:SAMPLES-PER-SECOND``, else that of a name ending in ``_120`` as in HDM05, else 120 Hz.
+
     Parameters
     ----------
     path : the ``.amc`` file.
     skeleton : its ``.asf``; by default the one of the same name or of the actor part of the name (``HDM_bd.asf`` for
         ``HDM_bd_squat.amc``, ``86.asf`` for ``86_01.amc``), else the only one, in the same folder or up to three above,
         no further than a folder that holds a file `TOP`.
-    unit : metres per unit of the file; by default what the ASF says if the body is then 0.4 to 3 m tall, else inferred.
+    unit : metres per unit of the file; by default that of the ASF if the body is then 0.4 to 3 m tall, else inferred.
     up : axis of the file that points up; by default y unless the body stands along another.
-
-    Returns
-    -------
-    Motion in metres, Y up, at the rate of ``:SAMPLES-PER-SECOND``, else of a name that ends in ``_120`` as in HDM05,
-    else 120 Hz.
 
     Raises
     ------
@@ -289,7 +286,7 @@ def _rate_of_name(path: str) -> float:
 
 
 def find_skeleton(path: str) -> str:
-    """The ``.asf`` that goes with a motion; names are compared without regard to case."""
+    """Find the ``.asf`` of a motion; names are compared without regard to case."""
     folder, name = os.path.split(os.path.abspath(path))
     folders: list[str] = []
     while len(folders) < _LEVELS and folder not in folders:
@@ -313,7 +310,7 @@ def find_skeleton(path: str) -> str:
 
 
 def _shorter_names(stem: str) -> list[str]:
-    """``hdm_bd_walk``, ``hdm_bd``, ``hdm``: the whole name, then without its last parts."""
+    """The whole name, then without its last parts: ``hdm_bd_walk``, ``hdm_bd``, ``hdm``."""
     parts = re.split(r"([_\-. ])", stem)
     return ["".join(parts[:count]) for count in range(len(parts), 0, -2)]
 
@@ -327,7 +324,7 @@ def _modified(folder: str) -> int:
 
 @functools.lru_cache(maxsize=256)
 def _skeletons_in(folder: str, modified: int) -> dict[str, str]:
-    """The ``.asf`` files of a folder by stem in lower case; kept, as every motion of the folder asks."""
+    """The ``.asf`` files of a folder by stem in lower case; cached for all motions of the folder."""
     try:
         with os.scandir(folder) as entries:
             names = sorted(entry.name for entry in entries if entry.name.lower().endswith(".asf"))

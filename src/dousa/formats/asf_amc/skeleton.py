@@ -64,8 +64,8 @@ class AsfSkeleton:
     root_axis_order : as ``AsfBone.axis_order``.
     root_position : file units, added to the root's translation.
     root_orientation : rad, as ``AsfBone.axis``.
-    unit : metres per file unit as the file says: 0.0254 over its ``length``.
-    degrees : whether angles are in degrees (also those of AMC files that do not say).
+    unit : metres per file unit, 0.0254 over the file's ``length``.
+    degrees : whether angles are in degrees (also in AMC files without a declaration).
     """
 
     path: str
@@ -78,12 +78,12 @@ class AsfSkeleton:
     degrees: bool
 
     def to_skeleton(self) -> Skeleton:
-        """Joints in file units: the root, one at the start of every bone, an end site at the tip of each last bone."""
+        """Return joints in file units: the root, one at the start of every bone, an end site at each last tip."""
         return _build_skeleton(self)
 
     @property
     def declared_unit(self) -> float | None:
-        """The unit if it makes the body between 0.4 and 3 m tall, else None."""
+        """Return the unit if it makes the body between 0.4 and 3 m tall, else None."""
         height = _rest_height(self) * self.unit
         return self.unit if _POSSIBLE_HEIGHT[0] <= height <= _POSSIBLE_HEIGHT[1] else None
 
@@ -122,11 +122,7 @@ def _rest_height(asf: AsfSkeleton) -> float:
 
 
 def read_asf(path: str | os.PathLike[str]) -> AsfSkeleton:
-    """Read an Acclaim skeleton.
-
-    Parameters
-    ----------
-    path : the ``.asf`` file; the last ones read are kept until the file changes.
+    """Read an Acclaim skeleton (``.asf``); cached until the file changes.
 
     Raises
     ------
@@ -135,7 +131,7 @@ def read_asf(path: str | os.PathLike[str]) -> AsfSkeleton:
     try:
         state = os.stat(path)
     except (OSError, ValueError):
-        state = None  # read_bytes says what is wrong
+        state = None  # read_bytes raises the error
     if state is None:
         return _parse(os.fspath(path), read_bytes(path))
     return _read_cached(os.fspath(path), state.st_mtime_ns, state.st_size, state.st_ino)
@@ -154,7 +150,7 @@ class _Line:
 
 @dataclass(slots=True)
 class _BoneText:
-    """A bone as far as it has been read."""
+    """A bone read so far."""
 
     line: int
     name: str = ""
@@ -358,7 +354,7 @@ def _steps(dof: tuple[str, ...], axis_order: str, first_column: int) -> list[tup
 
 @functools.lru_cache(maxsize=64)
 def channel_program(asf: AsfSkeleton, degrees: bool) -> ChannelProgram:
-    """How the columns of an AMC file (root first, bones in the skeleton's order) turn and move the joints."""
+    """Build the program for the columns of an AMC file: root first, bones in the skeleton's order."""
     skeleton = asf.to_skeleton()
     joints = [(asf.root_order, asf.root_axis_order, asf.root_orientation)]
     joints += [(bone.dof, bone.axis_order, bone.axis) for bone in asf.bones]

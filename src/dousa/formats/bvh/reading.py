@@ -1,9 +1,9 @@
-"""Biovision BVH: a tree of joints with Euler angles, one line of channel values a frame.
+"""Reading of Biovision BVH: a tree of joints with Euler angles, one line of channel values a frame.
 
-Read as the files in use are: any order and number (0 to 6) of channels on any joint, position channels
-that replace the OFFSET, several end sites, any line ends, ``nan`` for a missing value. The file's own numbers
-stay with the motion (``motion.provenance``), so that writing an unchanged motion keeps every value. A BVH file says
-neither its unit nor its up axis: both are inferred, or given by the caller.
+Accepts any order and number (0 to 6) of channels on any joint, position channels that replace the OFFSET, several end
+sites, any line ends, ``nan`` for a missing value. The file's own numbers stay with the motion
+(``motion.provenance``), so that writing an unchanged motion keeps every value. A BVH file declares neither unit nor up
+axis: both are inferred, or given by the caller.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _JOINED = re.compile(rb"\s+(?=(?:JOINT|END|ENDSITE|OFFSET|CHANNELS)(?!\S))", re.
 
 
 class BvhSyntaxError(ValueError):
-    """Something at a byte position of the file is not as it should be; turned into a MotionFileError by the reader."""
+    """A fault at a byte position of the file; turned into a MotionFileError by the reader."""
 
     def __init__(self, position: int, code: str | Message, /, **values: Any) -> None:
         self.message = code if isinstance(code, Message) else Message(code, **values)
@@ -51,7 +51,7 @@ class BvhSyntaxError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class BvhLayout:
-    """What only a BVH file knows, kept so that writing gives the same file content.
+    """Layout of a BVH file, kept so that writing gives the same file content.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class BvhLayout:
 
     @property
     def frame_rate(self) -> float:
-        """Hz: the one usual rate whose frame time was rounded or cut off to this one, else one over the time."""
+        """Hz: the only usual rate that rounds to the frame time, else one over the time."""
         seconds, (_, digits, exponent) = float(self.frame_time), Decimal(self.frame_time).as_tuple()
         if len(digits) > 1 and isinstance(exponent, int) and exponent < 0:
             last = 10.0**exponent
@@ -108,7 +108,7 @@ class _Joint:
 
 @dataclass(slots=True)
 class _Parser:
-    """Reads statement after statement; ``open`` are the joints whose braces are open, ``pending`` one without yet."""
+    """Parser of statements; ``open`` are the joints with open braces, ``pending`` one without braces yet."""
 
     encoding: str
     joints: list[_Joint] = field(default_factory=list)
@@ -220,7 +220,7 @@ def _parse_channels(words: list[bytes], position: int) -> tuple[str, ...]:
 
 
 def _statements(section: bytes) -> Iterator[tuple[bytes, int]]:
-    """Braces and statements with their places; mostly a line each, but lines may be split or joined."""
+    """Yield braces and statements with their places; mostly a line each, but lines may be split or joined."""
     held, held_at = b"", 0
     for text, position in _pieces(section):
         if held and text not in (b"{", b"}") and _lacks_words(held) and not _KEYWORD.match(text):
@@ -234,7 +234,7 @@ def _statements(section: bytes) -> Iterator[tuple[bytes, int]]:
 
 
 def _pieces(section: bytes) -> Iterator[tuple[bytes, int]]:
-    """Braces and lines, cut before a keyword that follows numbers or channels (joint names may hold any word)."""
+    """Yield braces and lines, cut before a keyword that follows numbers or channels (joint names may hold any word)."""
     for match in _STATEMENT.finditer(section):
         text = match.group().strip()
         if text and _NUMBERED.match(text):
@@ -245,7 +245,7 @@ def _pieces(section: bytes) -> Iterator[tuple[bytes, int]]:
 
 
 def _lacks_words(statement: bytes) -> bool:
-    """Whether a statement goes on in the next line."""
+    """Whether a statement continues in the next line."""
     words = statement.split()
     keyword = words[0].lower()
     if keyword == b"offset":
@@ -265,12 +265,7 @@ def _encoding(section: bytes) -> str:
 
 @functools.lru_cache(maxsize=32)
 def parse_hierarchy(section: bytes) -> Hierarchy:
-    """Parse the text between HIERARCHY and MOTION; kept for the next file with the same skeleton.
-
-    Raises
-    ------
-    BvhSyntaxError : what is wrong and where in the section.
-    """
+    """Parse the text between HIERARCHY and MOTION, cached by content; BvhSyntaxError with the place in the section."""
     parser = _Parser(_encoding(section))
     for text, position in _statements(section):
         parser.take(text, position)
@@ -322,16 +317,14 @@ _FRAME_TIME = re.compile(rb"\s*Frame[ \t]*Time[ \t]*:?[ \t]*(\S*)", re.IGNORECAS
 def read_bvh(path: str | os.PathLike[str], *, unit: float | None = None, up: str | None = None) -> Motion:
     """Read a BVH file.
 
+    ``provenance.layout`` is a `BvhLayout`, ``provenance.values`` (T, C) the channel values in the file. A frame time
+    that is a usual rate rounded (0.0333333) gives that rate (30).
+
     Parameters
     ----------
     path : the file.
     unit : metres per unit of the file; by default inferred from the height of the body.
     up : axis of the file that points up, such as ``"y"`` or ``"z"``; by default inferred.
-
-    Returns
-    -------
-    Motion in metres, Y up. ``provenance.layout`` is a `BvhLayout`, ``provenance.values`` (T, C) the channel values
-    as they stand in the file. A frame time that is a usual rate rounded (0.0333333) gives that rate (30).
 
     Raises
     ------
@@ -374,7 +367,7 @@ def _find_motion(data: bytes, start: int) -> re.Match[bytes]:
 
 
 def _parse_motion_header(data: bytes, position: int) -> tuple[int, int, str, int]:
-    """Number of frames, where that stands, frame time as spelt, where the values begin."""
+    """Number of frames, its place, frame time as spelt, start of the values."""
     frames = _FRAMES.match(data, position)
     if frames is None or not re.fullmatch(rb"\d{1,18}", frames[1]):
         at = _next_text(data, position)
@@ -393,7 +386,6 @@ def _parse_motion_header(data: bytes, position: int) -> tuple[int, int, str, int
 
 
 def _show_line(data: bytes, start: int) -> str:
-    """The beginning of a line, to be shown in a message."""
     return re.split(rb"[\r\n]", data[start : start + 60])[0].decode("ascii", "backslashreplace").rstrip()
 
 
@@ -405,11 +397,11 @@ def _next_text(data: bytes, position: int) -> int:
 def _read_values(
     data: bytes, start: int, columns: int, n_frames: int, frames_at: int
 ) -> tuple[FloatArray, tuple[Message, ...]]:
-    """Channel values (T, C), no more memory than the bytes at hand can fill; and what was odd about the rows."""
+    """Channel values (T, C), bounded by the bytes of the file, and notes about the rows."""
     # A value takes two bytes, itself and the space after it.
     rows = min(n_frames, (len(data) - start) // (2 * columns) + 1)
     values, status, position, filled = _scan(data, start, columns, rows)
-    if status == FULL:  # more rows than the file says
+    if status == FULL:  # more rows than declared
         values, status, position, filled = _scan(data, start, columns, (len(data) - start) // (2 * columns) + 1)
     found = filled // columns - (status == LONG)  # the first values of a row that is too long were read as a row
     if found == 0 and status == DONE:
@@ -426,7 +418,7 @@ def _read_values(
 
 
 def _scan(data: bytes, start: int, columns: int, rows: int) -> tuple[FloatArray, int, int, int]:
-    """At most so many rows: values (rows, C), how the scan ended, where, and how many values it read."""
+    """Scan at most so many rows: values (rows, C), status, place, and number of values read."""
     values = np.empty((rows, columns))
     tokens = np.empty((rows * columns, 2), np.int64)
     flat = values.reshape(-1)
@@ -438,12 +430,7 @@ def _scan(data: bytes, start: int, columns: int, rows: int) -> tuple[FloatArray,
 
 
 def _explain_rest(data: bytes, position: int, columns: int, found: int, n_frames: int) -> Message:
-    """What stands where a row of another width begins: one row that breaks off, or the rows of another skeleton.
-
-    Raises
-    ------
-    BvhSyntaxError : neither: the file is damaged in the middle.
-    """
+    """Explain a row of another width: a row that breaks off, or another skeleton; BvhSyntaxError if damaged."""
     widths = [len(line.split()) for line in data[position:].splitlines() if line.strip()]
     if found and len(widths) == 1 and widths[0] < columns:
         return Message("bvh.cut_off", declared=n_frames, found=found)

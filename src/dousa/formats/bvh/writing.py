@@ -1,4 +1,4 @@
-"""Writing BVH: the file's own numbers where the motion still has them, else angles and positions made anew."""
+"""Writing of BVH: the file's own numbers where the motion still has them, else new angles and positions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _DEEPEST_INDENT = 64  # deeper ones would make the file grow with the square of 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Content:
-    """What goes into the file: joints in the order of the file, in its unit and axes."""
+    """Content of the file: joints in the order of the file, in its unit and axes."""
 
     skeleton: Skeleton
     order: list[int]
@@ -37,19 +37,13 @@ class _Content:
 def write_bvh(motion: Motion, path: str | os.PathLike[str]) -> None:
     """Write a motion as BVH.
 
-    A motion read from BVH and not changed is written with its own names, channels, offsets and values. One that was
-    changed keeps its channel order, unit and up axis as far as they can hold it. Any other is written in
-    centimetres, Y up, six channels for the root, three for the other joints, six where a joint moves against its
-    parent. Angles run on without jumps.
-
-    Parameters
-    ----------
-    motion : the motion.
-    path : file to write; it appears whole or not at all.
+    An unchanged motion from BVH is written with its own names, channels, offsets and values. A changed one keeps its
+    channel order, unit and up axis as far as they can hold it. Any other is written in centimetres, Y up, six channels
+    for the root, three for the other joints, six where a joint moves against its parent. Angles are continuous.
 
     Raises
     ------
-    MotionWriteError : a joint name that BVH cannot hold, or the disk refuses.
+    MotionWriteError : a joint name that BVH cannot hold, or a disk error.
     """
     content = _kept_content(motion) or _made_content(motion)
     lines = _hierarchy_lines(content, path)
@@ -68,7 +62,7 @@ def write_bvh(motion: Motion, path: str | os.PathLike[str]) -> None:
 
 
 def _layout_of(motion: Motion) -> BvhLayout | None:
-    """The layout of the BVH file that the motion comes from, if its joints are still the same."""
+    """Layout of the BVH file of the motion, if its joints are still the same."""
     layout = motion.provenance.layout if motion.provenance is not None else None
     if not isinstance(layout, BvhLayout) or len(layout.channels) != motion.skeleton.n_joints:
         return None
@@ -117,7 +111,6 @@ def _combine(positions: tuple[str, ...], turns: tuple[str, ...], wanted: tuple[s
 
 
 def _depth_first(skeleton: Skeleton) -> list[int]:
-    """Joints in the order a BVH file nests them."""
     children: list[list[int]] = [[] for _ in skeleton.names]
     roots: list[int] = []
     for joint, parent in enumerate(skeleton.parents.tolist()):

@@ -1,4 +1,4 @@
-"""Formats that another program of the user reads and writes for us: FBX and Collada, through Blender or assimp."""
+"""FBX and Collada, read and written through the user's Blender or assimp."""
 
 from __future__ import annotations
 

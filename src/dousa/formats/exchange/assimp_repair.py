@@ -1,9 +1,9 @@
-"""What assimp loses of an FBX file on the way to GLB, put right: helper nodes and the unit.
+"""Repair of assimp's GLB of an FBX file: helper nodes and the unit.
 
 FBX places a joint by a chain of transformations (pre-rotation, pivots ...), for which assimp adds nodes named
-``JOINT_$AssimpFbx$_PreRotation``. Where it bakes an animation it writes the whole chain into the animation of the
-joint, and leaves the helpers as they are, so that they count twice. Here each chain becomes the rest pose of its joint.
-The unit of FBX is 1 cm times UnitScaleFactor, which the GLB does not say.
+``JOINT_$AssimpFbx$_PreRotation``. A baked animation holds the whole chain, but assimp keeps the helpers, so that they
+count twice. Here each chain becomes the rest pose of its joint. The unit of FBX is 1 cm times UnitScaleFactor, which
+is missing in the GLB.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _TEXT_SCALE = re.compile(rb'"UnitScaleFactor"[^\n]{0,80}?,\s*(\d{1,9}(?:\.\d{0,1
 
 
 def read_unit(data: bytes) -> float:
-    """Metres per unit of an FBX file, binary or text; 0.01 where it does not say."""
+    """Read the metres per unit of an FBX file, binary or text; 0.01 where it has none."""
     factor = 1.0
     place = data.find(b"UnitScaleFactor")
     found = _TEXT_SCALE.search(data)
@@ -38,7 +38,7 @@ def read_unit(data: bytes) -> float:
 
 
 def collapse_helpers(document: GltfDocument) -> None:
-    """Put the transformations of assimp's helper nodes into the joints that they belong to."""
+    """Put the transformations of assimp's helper nodes into their joints."""
     nodes = document.items("nodes")
     animated = _animated_nodes(document)
     for index, node in enumerate(nodes):
@@ -73,7 +73,7 @@ def collapse_helpers(document: GltfDocument) -> None:
 
 
 def _lift(document: GltfDocument, nodes: list[dict[str, Any]]) -> None:
-    """Take the helpers that do nothing any more out of the tree."""
+    """Remove helpers without effect from the tree."""
     for node in nodes:
         children = node.get("children")
         if not isinstance(children, list):

@@ -1,6 +1,6 @@
-"""Runs inside Blender: ``blender --background --python blender_job.py -- read IN OUT.glb`` or ``write IN.glb OUT HZ``.
+"""Script for Blender: ``blender --background --python blender_job.py -- read IN OUT.glb`` or ``write IN.glb OUT HZ``.
 
-Needs nothing of dousa, as Blender has a Python of its own.
+Needs nothing of dousa, as Blender has its own Python.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ def _read(bpy: Any, source: str, target: str) -> None:
     if suffix == "fbx":
         try:
             bpy.ops.import_scene.fbx(filepath=source)
-        except (RuntimeError, AttributeError):  # text, old versions: the newer reader knows some of them
+        except (RuntimeError, AttributeError):  # text, old versions: the newer reader supports some of them
             if "fbx_import" not in dir(bpy.ops.wm):
                 raise
             bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -35,7 +35,7 @@ def _read(bpy: Any, source: str, target: str) -> None:
 
 
 def _round_frames(bpy: Any) -> None:
-    """Keys at frame 1.9999, as times of FBX become, are at frame 2: the glTF exporter would begin at 1."""
+    """Round keys such as 1.9999 (from FBX times) to frame 2: the glTF exporter would begin at 1."""
     render = bpy.context.scene.render
     if abs(render.fps_base - 1.0) < 1e-4:
         render.fps_base = 1.0
@@ -58,7 +58,7 @@ def _list_curves(action: Any) -> Any:
 
 
 def _fit_range(bpy: Any) -> None:
-    """The scene lasts as long as what moves in it: no frame is cut off, and none is held."""
+    """Fit the scene to the motion: no frame is cut off, and none is held."""
     ranges = [action.frame_range for action in bpy.data.actions]
     if ranges:
         bpy.context.scene.frame_start = round(min(begin for begin, _ in ranges))
@@ -85,7 +85,7 @@ def _write(bpy: Any, source: str, target: str, rate: float) -> None:
 
 
 def main() -> None:
-    """Convert one file as the words after ``--`` say."""
+    """Convert one file by the arguments after ``--``."""
     bpy = importlib.import_module("bpy")
     task, *words = sys.argv[sys.argv.index("--") + 1 :]
     bpy.ops.wm.read_factory_settings(use_empty=True)

@@ -1,4 +1,4 @@
-"""Programs of the user: where they are, and running one in a folder of its own, for a limited time."""
+"""Programs of the user: finding one, and running it in its own folder for a limited time."""
 
 from __future__ import annotations
 
@@ -28,28 +28,26 @@ _LONGEST_LINE = 160
 
 
 class ProgramError(DousaError):
-    """The other program did not do what it was asked for."""
+    """The other program failed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A program of this machine: what it is called, and where it is."""
+    """A program of this machine: name and path."""
 
     name: str
     path: str
 
     @property
     def title(self) -> str:
-        """As its makers write it."""
+        """The maker's spelling of the name."""
         return _TITLES[self.name]
 
 
 def find_program(name: str) -> Program | None:
-    """``"blender"`` or ``"assimp"``: named by DOUSA_BLENDER or DOUSA_ASSIMP, on PATH, or where it is usually installed.
+    """Find ``"blender"`` or ``"assimp"``: by DOUSA_BLENDER or DOUSA_ASSIMP, on PATH, or in its usual place.
 
-    Raises
-    ------
-    OptionError : the variable names no program.
+    OptionError if the variable names no program.
     """
     variable = f"DOUSA_{name.upper()}"
     named = os.environ.get(variable)
@@ -65,19 +63,19 @@ def find_program(name: str) -> Program | None:
 
 
 def is_named(name: str) -> bool:
-    """Whether a variable says where the program is."""
+    """Return whether a variable names the program."""
     return bool(os.environ.get(f"DOUSA_{name.upper()}"))
 
 
 def run_program(program: Program, words: Sequence[str], folder: str, result: str) -> None:
-    """Run a program until it ends, and see that it made a file.
+    """Run a program to its end and check that it made a file.
 
     Parameters
     ----------
     program : to run.
     words : after its name.
     folder : where it works and its output is kept; empty.
-    result : path of the file that it shall make.
+    result : path of the file to be made.
 
     Raises
     ------
@@ -128,7 +126,6 @@ def _time_limit() -> float:
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
-    """End a program and all that it started."""
     if process.poll() is None or os.name == "posix":
         with suppress(OSError):
             if os.name == "posix":
@@ -139,7 +136,7 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 
 
 def _last_words(log: str) -> str:
-    """What a program said last, preferably of an error."""
+    """Last line of a program's log, preferably of an error."""
     with open(log, "rb") as file:
         file.seek(max(0, os.path.getsize(log) - 20_000))
         text = file.read().decode("utf-8", "replace")

@@ -1,7 +1,7 @@
-"""FBX and Collada: another program makes a GLB of the file, which our own reader reads.
+"""FBX and Collada: another program converts the file to GLB, which dousa reads.
 
-Blender is asked first, as it knows more of FBX; assimp where there is no Blender, or where Blender gives up. A program
-that is named (DOUSA_ASSIMP, DOUSA_BLENDER) goes before one that is only found.
+Blender, which supports more of FBX, is tried before assimp. A program named by DOUSA_ASSIMP or DOUSA_BLENDER is tried
+before one that is only found.
 """
 
 from __future__ import annotations
@@ -37,17 +37,13 @@ class _Converted:
 
 
 def read_exchange(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Motion:
-    """Read an FBX or Collada file through Blender or assimp.
+    """Read an FBX or Collada file through Blender or assimp; of several animations the longest, with a note.
 
     Parameters
     ----------
     path : the file.
-    unit : metres per unit; by default as the file says, unless the body would have no possible height.
+    unit : metres per unit; by default the declared one, unless the body would have no possible height.
     up : axis that points up; by default Y, into which the other program turns the file.
-
-    Returns
-    -------
-    Motion in metres, Y up; of several animations the longest, with a note.
 
     Raises
     ------
@@ -63,7 +59,7 @@ def read_exchange(path: str | os.PathLike[str], *, unit: float | str | None = No
 def read_exchange_character(
     path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None
 ) -> Motion:
-    """One frame of a file at rest: a character to put motions onto; it needs no animation."""
+    """Read one frame of a file at rest, as a character for other motions; it needs no animation."""
     made = _convert(path)
     return build_character(made.document, unit=unit, up=up, format_name=_format(path), declared_unit=made.unit)
 
@@ -73,7 +69,7 @@ def _format(path: str | os.PathLike[str]) -> str:
 
 
 def _convert(path: str | os.PathLike[str]) -> _Converted:
-    """What the first program that can read the file makes of it."""
+    """Convert a file by the first program that can read it."""
     data = read_bytes(path)
     suffix = f".{_format(path)}"
     if suffix in _SIGNS and not _SIGNS[suffix].search(data[:_HEAD_BYTES]):
@@ -114,6 +110,6 @@ def _run(path: str | os.PathLike[str], program: Program, data: bytes) -> _Conver
 
 
 def blender_words() -> list[str]:
-    """The words by which Blender runs our job, without its own: without a window, without the user's settings."""
+    """Return Blender's options for our job: no window, no user settings."""
     job = str(resources.files("dousa.formats.exchange").joinpath("blender_job.py"))
     return ["--background", "--factory-startup", "--disable-autoexec", "--python-exit-code", "3", "--python", job, "--"]

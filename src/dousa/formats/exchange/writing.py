@@ -1,4 +1,4 @@
-"""FBX out: our GLB, from which the user's Blender makes an FBX file."""
+"""Writing of FBX: the user's Blender converts dousa's GLB."""
 
 from __future__ import annotations
 
@@ -17,16 +17,11 @@ _MAGIC = b"Kaydara FBX Binary"
 
 
 def write_fbx(motion: Motion, path: str | os.PathLike[str]) -> None:
-    """Write a motion as FBX through Blender: skeleton, animation, and the mesh of the character it is on.
-
-    Parameters
-    ----------
-    motion : what to write.
-    path : the file to write; appears whole or not at all.
+    """Write a motion as FBX through Blender: skeleton, animation, and the mesh of its character.
 
     Raises
     ------
-    MotionWriteError : no Blender, or it fails; a joint without any pose; a disk that refuses.
+    MotionWriteError : no Blender, or it fails; a joint without any pose; a disk error.
     """
     program = find_program("blender")
     if program is None:

@@ -1,4 +1,4 @@
-"""The container: JSON with binary buffers, in one file (GLB) or in several (glTF); nothing that it says is believed.
+"""The container of glTF: JSON with binary buffers, in one file (GLB) or in several (glTF); no size in it is trusted.
 
 Reference: Khronos Group, glTF 2.0 specification, sections 3 and 4.4.
 """
@@ -42,25 +42,25 @@ class GltfDocument:
         self.path, self.tree, self.buffers = path, tree, buffers
 
     def fail(self, code: str, **values: Any) -> MotionFileError:
-        """An error about this file."""
+        """Return an error about this file."""
         return MotionFileError(self.path, code, **values)
 
     def items(self, name: str) -> list[dict[str, Any]]:
-        """The list of objects of a name: nodes, skins ...; empty if there is none."""
+        """Return the list of objects of a name: nodes, skins ...; empty if there is none."""
         found = self.tree.get(name, [])
         if not isinstance(found, list) or len(found) > _MOST_ITEMS or not all(isinstance(x, dict) for x in found):
             raise MotionFileError(self.path, "gltf.list", name=name)
         return found
 
     def item(self, name: str, index: object) -> dict[str, Any]:
-        """One object of a list."""
+        """Return one object of a list."""
         found = self.items(name)
         if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(found):
             raise MotionFileError(self.path, "gltf.index", name=name, found=repr(index)[:20], count=len(found))
         return found[index]
 
     def numbers(self, index: object) -> NDArray[Any]:
-        """The numbers (n, width) of an accessor as float64; normalised integers are scaled."""
+        """Return the numbers (n, width) of an accessor as float64; normalised integers are scaled."""
         accessor = self.item("accessors", index)
         kind = _TYPES.get(_whole(accessor.get("componentType")))
         width = _WIDTHS.get(str(accessor.get("type")))
@@ -90,17 +90,12 @@ class GltfDocument:
 
 
 def _whole(value: object) -> int:
-    """A whole number that can be the size of something; -1 for anything else."""
+    """A valid size as a whole number; -1 for anything else."""
     return value if isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**40 else -1
 
 
 def load_document(path: str | os.PathLike[str]) -> GltfDocument:
-    """Parse a GLB or glTF file and load its buffers.
-
-    Raises
-    ------
-    MotionFileError : missing, damaged, another version, buffers that lie outside the folder of the file.
-    """
+    """Parse a GLB or glTF file and load its buffers; MotionFileError if damaged, or buffers lie outside its folder."""
     data = read_bytes(path)
     rest = b""
     if data[:4] == MAGIC:
@@ -122,7 +117,6 @@ def load_document(path: str | os.PathLike[str]) -> GltfDocument:
 
 
 def _split_chunks(path: str | os.PathLike[str], data: bytes) -> tuple[bytes, bytes]:
-    """The JSON and the binary chunk of a GLB."""
     chunks: dict[int, bytes] = {}
     place = 12
     while place + 8 <= len(data):
@@ -154,7 +148,7 @@ def _load_buffer(path: str | os.PathLike[str], uri: object) -> bytes:
 
 
 def pack_document(tree: dict[str, Any], binary: bytes) -> bytes:
-    """The bytes of a GLB file with one buffer."""
+    """Return the bytes of a GLB file with one buffer."""
     text = json.dumps(tree, separators=(",", ":"), ensure_ascii=False).encode()
     text += b" " * (-len(text) % 4)
     binary += b"\0" * (-len(binary) % 4)

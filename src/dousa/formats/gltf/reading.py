@@ -1,9 +1,8 @@
 """glTF 2.0, GLB, VRM, VRM animations: the joints of the skin, moved by the longest animation.
 
-The specification has metres and Y up; files in centimetres are common, so the body must be of a possible height, else
-the unit is inferred. Joints get the axes of the scene, as in a BVH file: at rest nothing is turned. The file's own axes
-and all that is not motion (mesh, materials) stay with the motion in ``provenance.layout``, so that writing puts another
-animation into the same file.
+The specification has metres and Y up; files in centimetres are common, so the unit is inferred if the body would have
+no possible height. Joints get the axes of the scene, as in a BVH file: at rest nothing is turned. The file's own axes,
+mesh and materials stay in ``provenance.layout``, so that another animation can be written into the same file.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ _GROWN = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GltfLayout:
-    """What only a glTF file knows, kept so that a motion can be written into it.
+    """Layout of a glTF file, kept so that a motion can be written into it.
 
     Parameters
     ----------
@@ -49,17 +48,15 @@ class _Clip:
 
 
 def read_gltf(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Motion:
-    """Read the animation of a glTF, GLB, VRM or VRMA file; of several the longest, with a note.
+    """Read the longest animation of a glTF, GLB, VRM or VRMA file, sampled at the rate of the keys.
+
+    A note names the animation if there are several. ``provenance.layout`` is a `GltfLayout`.
 
     Parameters
     ----------
     path : the file.
     unit : metres per unit; by default metres, unless the body would have no possible height.
     up : axis that points up; by default Y.
-
-    Returns
-    -------
-    Motion in metres, Y up; sampled at the rate of the keys. ``provenance.layout`` is a `GltfLayout`.
 
     Raises
     ------
@@ -77,7 +74,7 @@ def build_motion(
     declared_unit: float = 1.0,
     notes: tuple[Message, ...] = (),
 ) -> Motion:
-    """The longest animation of a document; also of one that another program made of a file of another format.
+    """Build the longest animation of a document, also of one converted from another format.
 
     Parameters
     ----------
@@ -85,7 +82,7 @@ def build_motion(
     unit, up : as for `read_gltf`.
     format_name : for the provenance.
     declared_unit : metres per unit of the document.
-    notes : what a person should know of how the file was understood.
+    notes : for the user, on the reading of the file.
     """
     clips = [_read_clip(document, animation, n) for n, animation in enumerate(document.items("animations"))]
     clips = [clip for clip in clips if clip.curves]
@@ -108,7 +105,7 @@ def build_motion(
 def read_gltf_character(
     path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None
 ) -> Motion:
-    """One frame of a file at rest: a character to put motions onto; it needs no animation."""
+    """Read one frame of a file at rest, as a character for other motions; it needs no animation."""
     return build_character(load_document(path), unit=unit, up=up)
 
 
@@ -120,7 +117,7 @@ def build_character(
     format_name: str = "gltf",
     declared_unit: float = 1.0,
 ) -> Motion:
-    """One frame of a document at rest; parameters as of `build_motion`."""
+    """Build one frame of a document at rest; parameters as of `build_motion`."""
     clips = [_read_clip(document, animation, n) for n, animation in enumerate(document.items("animations"))]
     moved = {node for clip in clips for node, _ in clip.curves}
     tree = build_tree(document, moved)

@@ -1,4 +1,4 @@
-"""Keys of an animation: at which times they are looked at, and what lies between them (glTF 2.0, appendix C)."""
+"""Keys of an animation: sampling times, and interpolation (glTF 2.0, appendix C)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Curve:
     turns: bool
 
     def is_sound(self) -> bool:
-        """Whether times and values belong together, and the numbers are such that they can be worked with."""
+        """Whether times and values fit together and are usable numbers."""
         per_key = 3 if self.kind == "CUBICSPLINE" else 1
         width = 4 if self.turns else 3
         if not len(self.times) or self.values.shape != (per_key * len(self.times), width):
@@ -44,7 +44,7 @@ class Curve:
         return self.values[1::3] if self.kind == "CUBICSPLINE" else self.values
 
     def sample(self, times: FloatArray) -> FloatArray:
-        """Values (T, n) at some times; before the first and after the last key the value is held."""
+        """Interpolate values (T, n) at some times; before the first and after the last key the value is held."""
         points = self._points()
         after = np.clip(np.searchsorted(self.times, times, side="right"), 1, max(len(self.times) - 1, 1))
         before = after - 1
@@ -87,9 +87,9 @@ def _slerp(start: FloatArray, end: FloatArray, share: FloatArray) -> FloatArray:
 
 
 def choose_times(inputs: list[FloatArray]) -> tuple[FloatArray, float]:
-    """Even times (T,) that meet the keys of all curves, and their rate in Hz.
+    """Choose even times (T,) that meet the keys of all curves, and their rate in Hz.
 
-    The rate is one over the usual step between keys, a usual rate where it is as near to one as can be told.
+    The rate is one over the usual step between keys, rounded to a usual rate within its precision.
     """
     first, last = min(float(times[0]) for times in inputs), max(float(times[-1]) for times in inputs)
     finest = max(inputs, key=len)

@@ -1,4 +1,4 @@
-"""Which nodes of a glTF file are joints, where they are at rest, and what the humanoid extensions call them."""
+"""Joints of a glTF file, their rest pose, and their names in the humanoid extensions."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Nodes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointTree:
-    """The joints of a file: those of its skins, what is animated, and what lies between.
+    """The joints of a file: those of its skins, animated nodes, and the nodes between.
 
     Parameters
     ----------
@@ -59,12 +59,7 @@ class JointTree:
 
 
 def list_nodes(document: GltfDocument) -> Nodes:
-    """The nodes of a file in the order of their tree.
-
-    Raises
-    ------
-    MotionFileError : a node with two parents or its own ancestor, transformations that are none.
-    """
+    """List the nodes in the order of their tree; MotionFileError for a node with two parents or an invalid pose."""
     nodes = document.items("nodes")
     parent = [-1] * len(nodes)
     for index, node in enumerate(nodes):
@@ -118,16 +113,9 @@ def _vector(document: GltfDocument, values: object, length: int) -> FloatArray:
 
 
 def build_tree(document: GltfDocument, animated: set[int]) -> JointTree:
-    """The joints of a file.
+    """Build the joints of a file with the nodes that an animation turns or moves.
 
-    Parameters
-    ----------
-    document : the file.
-    animated : nodes that an animation turns or moves.
-
-    Raises
-    ------
-    MotionFileError : neither a skin nor anything animated.
+    MotionFileError if there is neither a skin nor anything animated.
     """
     nodes = list_nodes(document)
     skinned = {joint for skin in document.items("skins") for joint in _skin_joints(document, skin)}
@@ -173,11 +161,11 @@ def _skin_joints(document: GltfDocument, skin: dict[str, Any]) -> list[int]:
 
 
 def _choose_members(document: GltfDocument, nodes: Nodes, skinned: set[int], animated: set[int]) -> set[int]:
-    """Nodes that become joints: skinned, else animated; what lies between them; animated ones above; tips below."""
+    """Nodes that become joints: skinned, else animated; nodes between; animated ones above; tips below."""
     core = skinned or animated
     raw = document.items("nodes")
     keep = [index in core for index in nodes.order]
-    # Upwards: whoever has joints below and is a joint, is animated, or lies below one of these.
+    # Upwards: nodes with joints below that are joints, are animated, or lie below one of these.
     below = list(keep)
     for number in range(len(keep) - 1, -1, -1):
         if below[number] and nodes.parents[number] >= 0:
@@ -205,9 +193,9 @@ def _compose(nodes: Nodes) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _bind_pose(document: GltfDocument, nodes: Nodes, positions: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Places and orientations (NaN where the parent's tell) in the pose in which the skins were attached.
+    """Places and orientations (NaN: as the parent's) in the pose in which the skins were attached.
 
-    Nodes often stand in the first frame of an animation; the skin knows the rest pose. None where its bones have other
+    Nodes often stand in the first frame of an animation; the skin has the rest pose. None where its bones have other
     lengths than those of the nodes: then the skin was attached in other units.
     """
     place_of = {index: number for number, index in enumerate(nodes.order)}

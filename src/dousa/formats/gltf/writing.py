@@ -1,7 +1,7 @@
-"""GLB: a skeleton with its animation, and a mesh of bones so that any viewer shows it; or into the file of a character.
+"""Writing of GLB: a skeleton with its animation and a mesh of bones for viewers, or into the file of a character.
 
-A motion that was read from a glTF file, or put onto a character of one, is written into that file: mesh, materials and
-nodes stay, its animations give way to this one.
+A motion from a glTF file, or on a character of one, is written into that file: mesh, materials and nodes stay, its
+animations are replaced.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class _Buffer:
             self.size += rest
 
     def add(self, values: NDArray[Any], kind: str, component: int, *, target: int | None = None) -> int:
-        """Index of a new accessor with these values; floats of one or three columns get their bounds."""
+        """Add values and return the index of their accessor; floats of one or three columns get their bounds."""
         data = np.ascontiguousarray(values).tobytes()
         view: dict[str, Any] = {"buffer": 0, "byteOffset": self.size, "byteLength": len(data)}
         if target is not None:
@@ -66,16 +66,11 @@ class _Buffer:
 
 
 def write_glb(motion: Motion, path: str | os.PathLike[str]) -> None:
-    """Write a motion as GLB, in metres with Y up.
-
-    Parameters
-    ----------
-    motion : what to write; missing values hold the value before them.
-    path : the file to write.
+    """Write a motion as GLB, in metres with Y up; missing values hold the value before them.
 
     Raises
     ------
-    MotionWriteError : no pose at all of a joint, a disk that refuses.
+    MotionWriteError : no pose at all of a joint, a disk error.
     """
     motion = _without_gaps(motion, path)
     layout = motion.provenance.layout if motion.provenance is not None else None
@@ -96,7 +91,7 @@ def write_glb(motion: Motion, path: str | os.PathLike[str]) -> None:
 
 
 def _without_gaps(motion: Motion, path: str | os.PathLike[str]) -> Motion:
-    """Missing poses hold the one before, those at the start the first one."""
+    """Fill missing poses with the one before, those at the start with the first one."""
     if np.isfinite(motion.rotations.sum()) and np.isfinite(motion.translations.sum()):
         return motion
     filled = []
@@ -160,7 +155,7 @@ def _add_skeleton(motion: Motion, tree: dict[str, Any], buffer: _Buffer) -> None
         nodes.append(node)
     roots = np.flatnonzero(skeleton.parents < 0).tolist()
     rest = compute_rest_positions(skeleton)
-    # End sites carry nothing; a reader tells them by that.
+    # End sites carry nothing, which identifies them to a reader.
     bones = np.flatnonzero(~skeleton.end_sites | (skeleton.parents < 0))
     corners, faces, owners = _draw_bones(rest, skeleton.parents.tolist())
     normals = np.cross(corners[faces[:, 1]] - corners[faces[:, 0]], corners[faces[:, 2]] - corners[faces[:, 0]])

@@ -1,4 +1,4 @@
-"""Places of joints in space as JSON, as pose estimators of films write them: one file, or one for each frame."""
+"""Positions of joints in space as JSON from pose estimators of films: one file, or one for each frame."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The forms in which programs write points of people as JSON, brought into one: people by frame, points by person.
+"""JSON forms of points of people, converted to one: people by frame, points by person.
 
-Understood are, for each person of a frame: OpenPose (``people``, ``pose_keypoints_3d``: flat x, y, z, confidence),
+Supported for each person of a frame: OpenPose (``people``, ``pose_keypoints_3d``: flat x, y, z, confidence),
 MMPose (``instance_info``, ``instances``, ``keypoints``, ``keypoint_scores``; names in ``meta_info``), world landmarks
 of MediaPipe (lists of ``x, y, z, visibility``; ``pose_world_landmarks``), TensorFlow.js (``keypoints3D``, with ``name``
 of each), points by name, and bare lists (frames, joints, 3) or (frames, 3 joints).
@@ -41,7 +41,7 @@ _DEEPEST = 6
 
 
 class FormError(DousaError):
-    """The content is in none of the forms; the message says which were expected, or what came instead."""
+    """The content is in none of the forms; the message names those expected, or the one found."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,10 +50,10 @@ class Person:
 
     Parameters
     ----------
-    points : (K, 4) x, y, z, confidence; NaN where the file says nothing; none where there are only points in a picture.
-    key : name under which the points stand, "" of bare lists.
-    names : (K,) of the points, where they say them; else empty.
-    number : that the program gave to the person, else None.
+    points : (K, 4) x, y, z, confidence; NaN where missing; no rows where there are only points in a picture.
+    key : name of the points in the file, "" of bare lists.
+    names : (K,) of the points, if any; else empty.
+    number : of the person by the program, else None.
     """
 
     points: FloatArray
@@ -64,7 +64,7 @@ class Person:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """People of every frame, and what the file says of all of them: rate in Hz, names of the points."""
+    """People of every frame, with their common rate in Hz and names of the points."""
 
     frames: list[list[Person]]
     rate: float | None = None
@@ -72,16 +72,7 @@ class Recording:
 
 
 def list_frames(content: Any) -> Recording:
-    """The people of all frames of a file.
-
-    Parameters
-    ----------
-    content : of a JSON file.
-
-    Raises
-    ------
-    FormError : none of the known forms.
-    """
+    """List the people of all frames of a JSON file's content; FormError if it has none of the known forms."""
     rate: float | None = None
     names: tuple[str, ...] = ()
     if isinstance(content, Mapping):
@@ -118,7 +109,7 @@ def _find_names(content: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _find_frames(content: Mapping[str, Any]) -> Any:
-    """The list of frames of an object: under a usual name, or the arrays of a single take."""
+    """List of frames of an object: under a usual name, or the arrays of a single take."""
     for key in _FRAME_KEYS:
         if isinstance(content.get(key), list):
             # ``people`` at the top is a file of one frame; ``frames`` are frames, and so are arrays.
@@ -135,7 +126,7 @@ def _find_frames(content: Mapping[str, Any]) -> Any:
 
 
 def _depth(value: Any) -> int:
-    """How many lists (or lists and then an object with x) lie inside each other."""
+    """Number of nested lists (or lists and then an object with x)."""
     depth = 0
     while isinstance(value, list) and value and depth < _DEEPEST:
         value, depth = value[0], depth + 1
@@ -153,12 +144,7 @@ def _group_by_image(entries: Sequence[Mapping[str, Any]]) -> list[list[Person]]:
 
 
 def list_people(node: Any, key: str = "", depth: int = 0) -> list[Person]:
-    """The people of one frame, in whatever of the forms.
-
-    Raises
-    ------
-    FormError : none of them, or too many people.
-    """
+    """List the people of one frame in any of the forms; FormError if it is none, or has too many people."""
     if node is None or node in ([], {}):
         return []
     if depth > _DEEPEST:
@@ -226,7 +212,7 @@ def _counts() -> set[int]:
 
 
 def _flat_width(node: list[Any]) -> int:
-    """How many numbers a point has in a list of nothing but numbers; 0 if it is none."""
+    """Number of values per point in a flat list of numbers; 0 if it is none."""
     if len(node) < 6 or not all(map(_is_value, node)):
         return 0
     known = _counts() | set(_BODY_OF)
@@ -255,7 +241,7 @@ def _read_points(node: list[Any], key: str) -> tuple[FloatArray, str, tuple[str,
 
 
 def _read_landmark(entry: Any) -> tuple[float, float, float, float]:
-    """x, y, z and confidence; NaN where there is none, of a point without z the z."""
+    """x, y, z and confidence; NaN where missing, in a point without z only the z."""
     if entry is None:
         return (np.nan,) * 4
     if isinstance(entry, Mapping):

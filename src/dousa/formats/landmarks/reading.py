@@ -1,8 +1,8 @@
 """From people in frames to the trajectories of one person.
 
-What lies in a picture (2D keypoints, the picture's landmarks of MediaPipe) is no motion in space and is refused with
-the command that takes it. A point whose confidence is 0, or that lies in the origin with all its numbers, was not seen.
-World landmarks of MediaPipe (BlazePose GHUM) are metres about the middle of the hips, y down.
+Points in a picture (2D keypoints, MediaPipe's picture landmarks) are refused; the message names the command for them. A
+point with confidence 0, or with all numbers 0, was not seen. World landmarks of MediaPipe (BlazePose GHUM) are metres
+about the middle of the hips, y down.
 """
 
 from __future__ import annotations
@@ -39,21 +39,17 @@ def read_landmarks(
     up: str | None = None,
     frame_rate: float | None = None,
 ) -> Trajectories:
-    """Read 3D points of a person from JSON.
+    """Read 3D points of a person from JSON; of several people the one in most frames, NaN where missing.
 
     Parameters
     ----------
     path : a file, or a folder of one file for each frame.
     unit, up : by default inferred from the body.
-    frame_rate : Hz; by default what the file says, else that of the program that usually writes these points.
-
-    Returns
-    -------
-    Trajectories in metres, Y up, NaN where a point is missing; of several people the one in most frames.
+    frame_rate : Hz; by default that of the file, else that of the program that usually writes these points.
 
     Raises
     ------
-    MotionFileError : missing, damaged, of another form, 2D points, nobody in any frame.
+    MotionFileError : missing, damaged, of another form, 2D points, no person in any frame.
     """
     try:
         recording = _read_folder(path) if os.path.isdir(path) else list_frames(_parse(path))
@@ -109,7 +105,7 @@ def _read_folder(folder: str | os.PathLike[str]) -> Recording:
 
 
 def _choose_person(recording: Recording) -> tuple[list[Person | None], tuple[Message, ...]]:
-    """One person (or None) for each frame: who is in most of them, by number; without numbers the first."""
+    """One person (or None) for each frame: the number in most of them; without numbers the first."""
     frames = [[person for person in people if len(person.points)] for people in recording.frames]
     counts = Counter(person.number for people in frames for person in people)
     if not counts:
@@ -140,7 +136,6 @@ def _stack(path: str | os.PathLike[str], people: list[Person | None]) -> FloatAr
 
 
 def _refuse_pictures(path: str | os.PathLike[str], points: FloatArray, people: list[Person | None]) -> None:
-    """Nothing that lies in a picture is taken for a place in space."""
     keys = {person.key for person in people if person is not None}
     seen = points[np.isfinite(points[..., :2]).all(axis=2)]
     depth = seen[np.isfinite(seen[:, 2]), 2]
@@ -157,7 +152,7 @@ def _refuse_pictures(path: str | os.PathLike[str], points: FloatArray, people: l
 
 
 def _name_points(recording: Recording, people: list[Person | None], count: int) -> tuple[str, ...] | None:
-    """Names that the file says, if they are those of a body; BODY_25 as OpenPose has them; else None."""
+    """Names in the file, if they are those of a body; BODY_25 as OpenPose has them; else None."""
     own = next((person.names for person in people if person is not None), ())
     for names in (own, recording.names):
         match = match_names(names) if len(names) == count and len(set(names)) == count else None
@@ -170,7 +165,7 @@ def _name_points(recording: Recording, people: list[Person | None], count: int) 
 
 
 def _note_hips(places: FloatArray) -> tuple[Message, ...]:
-    """A body that is nailed to the origin by its hips does not travel."""
+    """Note a body with hips fixed at the origin: it does not travel."""
     if places.shape[1] != _LANDMARKS:
         return ()
     middle = places[:, _HIPS].mean(axis=1)

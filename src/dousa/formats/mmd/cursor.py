@@ -1,4 +1,4 @@
-"""Reading a binary file value by value, without believing any of its counts."""
+"""Reading of a binary file value by value, without trust in its counts."""
 
 from __future__ import annotations
 
@@ -29,43 +29,43 @@ class Cursor:
 
     @property
     def left(self) -> int:
-        """Bytes that follow."""
+        """Number of bytes that follow."""
         return len(self.data) - self.place
 
     def fail(self, code: str, **values: Any) -> MotionFileError:
-        """An error about this file."""
+        """Return an error about this file."""
         return MotionFileError(self.path, code, **values)
 
     def take(self, size: int) -> bytes:
-        """The next bytes."""
+        """Return the next bytes."""
         if not 0 <= size <= self.left:
             raise self.fail("mmd.truncated", place=self.place)
         self.place += size
         return self.data[self.place - size : self.place]
 
     def unpack(self, form: str) -> tuple[Any, ...]:
-        """Values of a format of `struct`."""
+        """Return values of a format of `struct`."""
         return struct.unpack("<" + form, self.take(struct.calcsize("<" + form)))
 
     def count(self, form: str, smallest: int) -> int:
-        """A number of items that take at least so many bytes each: as many as the rest of the file can hold."""
+        """Return a number of items of at least so many bytes each; no more than fit in the rest of the file."""
         (number,) = self.unpack(form)
         if number < 0 or number * smallest > self.left:
             raise self.fail("mmd.truncated", place=self.place)
         return int(number)
 
     def rows(self, dtype: np.dtype[Any], form: str = "I") -> NDArray[Any]:
-        """A counted table of rows of one size."""
+        """Return a counted table of rows of one size."""
         number = self.count(form, dtype.itemsize)
         return np.frombuffer(self.take(number * dtype.itemsize), dtype)
 
     def index(self, size: int) -> int:
-        """The number of something, -1 for none, in 1, 2 or 4 bytes."""
+        """Return an index, -1 for none, in 1, 2 or 4 bytes."""
         return int(self.unpack({1: "b", 2: "h", 4: "i"}[size])[0])
 
 
 def decode_name(raw: bytes) -> str:
-    """A name of a VMD or PMD file: Shift-JIS up to the first zero byte; a letter cut in two at the end is left out."""
+    """Decode a name of a VMD or PMD file: Shift-JIS up to the first zero byte; a letter cut at the end is left out."""
     text = raw.split(b"\0", 1)[0]
     try:
         return text.decode("cp932")

@@ -1,4 +1,4 @@
-"""Where the bones of a model are: PMX and PMD files, of which nothing but the bones is kept, and a body of our own.
+"""Bones of PMX and PMD models, and a template body.
 
 Places are in units of the file with z mirrored (right-handed, facing +Z), see `vmd`.
 Reference: PMX 2.0/2.1 and PMD as described with MikuMikuDance and PMX Editor.
@@ -27,7 +27,7 @@ _NO_PARENT = 0xFFFF
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IkChain:
-    """What an IK bone pulls: the target bone, and the links that turn, the one nearest to the target first."""
+    """Target bone of an IK bone, and the links that turn, the one nearest to the target first."""
 
     target: int
     links: tuple[int, ...]
@@ -39,12 +39,12 @@ class Bone:
 
     Parameters
     ----------
-    name : Japanese, as motions name it.
-    parent : number of the bone it hangs on, -1 for none.
+    name : Japanese, as in motions.
+    parent : number of its parent bone, -1 for none.
     place : (3,) at rest.
-    end : (3,) place where it ends, None where another bone says it.
-    source, share : bone whose turns (``turns``) or moves (``moves``) it takes over by a share; -1 for none.
-    ik : what it pulls.
+    end : (3,) place where it ends, None if given by another bone.
+    source, share : bone whose turns (``turns``) or moves (``moves``) it follows by a share; -1 for none.
+    ik : its IK chain.
     """
 
     name: str
@@ -68,7 +68,7 @@ class Model:
 
 
 def find_model(path: str | os.PathLike[str]) -> str | None:
-    """The model beside a motion: the only one of the folder, or the one of the same name."""
+    """Find the model beside a motion: the only one of the folder, or the one of the same name."""
     folder, own = os.path.split(os.path.abspath(path))
     try:
         found = sorted(name for name in os.listdir(folder) if name.lower().endswith(SUFFIXES))
@@ -80,12 +80,7 @@ def find_model(path: str | os.PathLike[str]) -> str | None:
 
 
 def load_model(path: str | os.PathLike[str]) -> Model:
-    """The bones of a PMX or PMD file.
-
-    Raises
-    ------
-    MotionFileError : missing, damaged, no model, bones that form no tree.
-    """
+    """Load the bones of a PMX or PMD file; MotionFileError if damaged, no model, or the bones form no tree."""
     cursor = Cursor(path, read_bytes(path))
     if cursor.data[:4] == b"PMX ":
         return _order(cursor, *_read_pmx(cursor))
@@ -95,7 +90,7 @@ def load_model(path: str | os.PathLike[str]) -> Model:
 
 
 def _order(cursor: Cursor, name: str, bones: list[Bone]) -> Model:
-    """The model with an order in which every bone comes after those that it depends on."""
+    """The model with an order in which every bone follows those that it depends on."""
     if not bones or len(bones) > MOST_BONES:
         raise cursor.fail("mmd.many_bones", found=len(bones), most=MOST_BONES)
     numbers = {number for bone in bones for number in _links(bone)}
@@ -166,7 +161,7 @@ def _read_pmx(cursor: Cursor) -> tuple[str, list[Bone]]:
 
 
 def _skip_vertices(cursor: Cursor, n_extra: int, bone: int) -> None:
-    """Vertices have sizes of their own, by the kind of their weights."""
+    """Skip vertices, whose sizes depend on the kind of their weights."""
     weights = {0: bone, 1: 2 * bone + 4, 2: 4 * bone + 16, 3: 2 * bone + 40, 4: 4 * bone + 16}
     head = 32 + 16 * n_extra
     data, place = cursor.data, 0
@@ -235,7 +230,7 @@ def _read_pmd(cursor: Cursor) -> tuple[str, list[Bone]]:
 
 
 def template() -> Model:
-    """The body of ``template.toml``, for motions whose model is not at hand."""
+    """Return the body of ``template.toml``, for motions without their model."""
     table: dict[str, Any] = tomllib.loads(resources.files(__package__).joinpath("template.toml").read_text("utf-8"))
     rows = [(name, parent, np.array(place)) for name, parent, place in table["bones"]]
     for side, sign in (("左", 1.0), ("右", -1.0)):

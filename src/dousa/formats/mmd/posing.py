@@ -1,9 +1,9 @@
-"""From keys to poses, as MMD does it: turns and moves of bones, shares taken over from others, then IK of the legs.
+"""From keys to poses, as in MMD: turns and moves of bones, shares of other bones, then IK of the legs.
 
-MMD solves IK by cyclic coordinate descent, from the pose of the keys, and so do we for some rounds, as they decide
-which way a knee points; what is left to the goal is then closed exactly: the knee, a hinge about x, bends until the
-ankle is as far from the hip as its goal, and the thigh turns by the shortest way until it points there. The toes' IK
-turns the foot by the shortest way. Chains of other lengths (hair, ties) are no part of a body and are left alone.
+MMD solves IK by cyclic coordinate descent from the pose of the keys; some rounds of it choose the direction of the
+knee. The rest is solved exactly: the knee, a hinge about x, bends until the ankle is as far from the hip as its goal,
+and the thigh turns the shortest way towards it. So does the foot by the toes' IK. Chains of other lengths (hair, ties)
+are ignored.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class Poses:
             self._aim(link, self.places[chain.target] - self.places[link], wanted, on)
 
     def _switched_on(self, number: int) -> BoolArray:
-        """In which frames an IK counts: unless switched off, and unless only the links have keys."""
+        """Frames in which an IK counts: unless switched off, or only the links have keys."""
         name, keys = self.model.bones[number].name, self.motion.bones
         on: BoolArray = np.ones(self.motion.n_frames, bool)
         for frame, states in self.motion.switches:
@@ -133,7 +133,7 @@ class Poses:
         self._orient(link, world, fits)
 
     def _orient(self, link: int, world: FloatArray, where: BoolArray) -> None:
-        """Give a bone an orientation (T, 4) in the world, in some of the frames."""
+        """Set the orientation (T, 4) of a bone in the world, in some of the frames."""
         parent = self.model.bones[link].parent
         turns = multiply(conjugate(self.turns[parent]), world) if parent >= 0 else world
         self._local[link] = np.where(where[:, None], turns, self._local[link])
@@ -172,7 +172,7 @@ def _ik_links(bone: Bone) -> tuple[int, ...]:
 
 
 def find_needed(model: Model, wanted: list[int]) -> set[int]:
-    """Some bones and those that they depend on: what they hang on or follow, and what pulls them by IK."""
+    """Find some bones and all that they depend on: parents, sources, and IK bones that move them."""
     pulls = [(n, b.ik) for n, b in enumerate(model.bones) if b.ik is not None and len(b.ik.links) in (1, 2)]
     closed: set[int] = set()
     waiting = list(wanted)

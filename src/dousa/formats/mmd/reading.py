@@ -1,7 +1,7 @@
-"""A VMD file as a motion: the joints of a body, of the model that the user has or of a mean one.
+"""Reading of a VMD file as a motion of the joints of a body, with the user's model or a mean one.
 
-Of the bones of a model those of a human body are kept, under their Japanese names; what lies between them (twist bones,
-cancelling bones) is put into their turns. A unit of MMD is taken as 0.08 m, which makes the usual model 1.6 m tall.
+The bones of a human body are kept, under their Japanese names; bones between them (twist bones, cancelling bones) are
+put into their turns. A unit of MMD is taken as 0.08 m, which makes the usual model 1.6 m tall.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def read_vmd(
     up: str | None = None,
     skeleton: str | os.PathLike[str] | None = None,
 ) -> Motion:
-    """Read a motion of MikuMikuDance.
+    """Read a motion of MikuMikuDance: metres, Y up, facing +Z at rest, 30 Hz.
 
     Parameters
     ----------
@@ -44,10 +44,6 @@ def read_vmd(
     unit : metres per unit; by default 0.08.
     up : axis that points up; by default Y.
     skeleton : the model (.pmx, .pmd); by default the one beside the file, else a mean body, with a note.
-
-    Returns
-    -------
-    Motion in metres, Y up, facing +Z at rest, 30 Hz.
 
     Raises
     ------
@@ -74,7 +70,7 @@ def read_vmd(
 
 
 def _plain(name: str) -> str:
-    """A name with full-width digits and letters as plain ones."""
+    """A name with plain digits and letters instead of full-width ones."""
     return unicodedata.normalize("NFKC", name)
 
 
@@ -126,7 +122,7 @@ def _build(
 
 
 def _find_root(model: Model, kept: list[int]) -> int | None:
-    """The lowest bone that the upper and the lower body both hang on."""
+    """The lowest common ancestor of upper and lower body."""
     lines = []
     for name in ("上半身", "下半身"):
         number = next((n for n in kept if model.bones[n].name == name), None)

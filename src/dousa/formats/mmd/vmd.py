@@ -46,7 +46,7 @@ class BoneKeys:
     curves: FloatArray
 
     def sample(self, n_frames: int) -> tuple[FloatArray, FloatArray]:
-        """Places (T, 3) and turns (T, 4) at the frames 0 to T - 1."""
+        """Interpolate places (T, 3) and turns (T, 4) at the frames 0 to T - 1."""
         wanted = np.arange(n_frames)
         after = np.clip(np.searchsorted(self.frames, wanted, side="left"), 0, len(self.frames) - 1)
         before = np.maximum(after - (self.frames[after] > wanted), 0)
@@ -60,7 +60,7 @@ class BoneKeys:
 
 
 def ease(share: FloatArray, curves: FloatArray) -> FloatArray:
-    """How far a value is on its way (T,) after a share (T,) of the time, by Bezier curves (T, 4) x1, y1, x2, y2."""
+    """Compute the progress (T,) of a value after a share (T,) of the time, by Bezier curves (T, 4) x1, y1, x2, y2."""
     x1, y1, x2, y2 = curves.T
     result = share.copy()
     bent = ((x1 != y1) | (x2 != y2)) & (share > 0) & (share < 1)
@@ -80,11 +80,11 @@ def ease(share: FloatArray, curves: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VmdFile:
-    """What a VMD file says of a body.
+    """Keys of a body in a VMD file.
 
     Parameters
     ----------
-    model : name of the model that it was made for.
+    model : name of the model of the motion.
     bones : keys by the name of the bone.
     n_frames : at 30 Hz, from frame 0 to the last key of a bone.
     switches : (frame, {name of the IK bone: whether it is on}), frames ascending.
@@ -97,12 +97,7 @@ class VmdFile:
 
 
 def load_vmd(path: str | os.PathLike[str]) -> VmdFile:
-    """Read the keys of bones and of IK.
-
-    Raises
-    ------
-    MotionFileError : missing, damaged, no keys of bones, frames too far apart to be a motion.
-    """
+    """Read the keys of bones and of IK; MotionFileError if damaged, without keys of bones, or too long."""
     data = read_bytes(path)
     if not data.startswith(_MAGIC):
         raise MotionFileError(path, "mmd.no_vmd")
@@ -135,7 +130,7 @@ def _sort_keys(cursor: Cursor, rows: np.ndarray) -> dict[str, BoneKeys]:
 
 
 def _make_keys(rows: np.ndarray) -> BoneKeys:
-    """The keys of one bone from its rows, frames ascending; of several of a frame the last counts."""
+    """Keys of one bone from its rows, frames ascending; of several in a frame the last counts."""
     rows = rows[np.append(rows["frame"][1:] != rows["frame"][:-1], True)]
     turns = rows["turn"].astype(np.float64)[:, [3, 0, 1, 2]] * (1, -1, -1, 1)
     lengths = np.linalg.norm(turns, axis=1, keepdims=True)
@@ -147,7 +142,7 @@ def _make_keys(rows: np.ndarray) -> BoneKeys:
 
 
 def _read_switches(cursor: Cursor) -> tuple[tuple[int, dict[str, bool]], ...]:
-    """Which IK is on from which frame; () where the file ends before, as older programs wrote it."""
+    """Switches of IK by frame; () where the file ends before, as in older programs."""
     switches = []
     try:
         for size in _SIZES.values():

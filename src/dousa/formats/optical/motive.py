@@ -45,17 +45,13 @@ class _Table:
 def read_motive(
     path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None
 ) -> Motion | Trajectories:
-    """Read a CSV file that Motive exported.
+    """Read a CSV file that Motive exported: bones or markers; of several skeletons the first, with a note.
 
     Parameters
     ----------
     path : the file.
-    unit : metres per unit; by default what the header says.
+    unit : metres per unit; by default that of the header.
     up : axis that points up; by default Y unless the body stands along another.
-
-    Returns
-    -------
-    Motion of the bones, or Trajectories of bones or markers, metres, Y up. Of several skeletons the first, with a note.
 
     Raises
     ------

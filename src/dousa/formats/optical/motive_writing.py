@@ -18,14 +18,11 @@ _BONE_AXES = tuple("XYZWXYZ")
 def write_motive(motion: Motion | Trajectories, path: str | os.PathLike[str]) -> None:
     """Write a table as Motive exports it: metres, Y up, rotations of bones as quaternions in the world.
 
-    Parameters
-    ----------
-    motion : a motion, written with the row ``Parent`` of version 1.24, or trajectories.
-    path : the file to write; missing values are blank.
+    A motion is written with the row ``Parent`` of version 1.24; missing values are blank.
 
     Raises
     ------
-    MotionWriteError : a name with a comma, a quote or a line break, a disk that refuses.
+    MotionWriteError : a name with a comma, a quote or a line break, a disk error.
     """
     bones = isinstance(motion, Motion)
     names = motion.skeleton.names if isinstance(motion, Motion) else motion.names

@@ -1,7 +1,7 @@
 """Qualisys TSV: markers (3D), or a skeleton with a quaternion for every segment.
 
 Rows of a key and its values (``NO_OF_FRAMES``, ``FREQUENCY``, ``MARKER_NAMES`` ...), perhaps a row of column titles
-(``Frame  Time  A X ...``), then a row per frame, millimetres, Z up by habit. A marker that is not seen is blank,
+(``Frame  Time  A X ...``), then a row per frame, usually millimetres, Z up. A marker that is not seen is blank,
 ``nan`` or 0, 0, 0. A skeleton has no ``MARKER_NAMES``; its titles name each segment before ``X Y Z QX QY QZ QW``.
 Reference: Qualisys Track Manager, "TSV file formats".
 """
@@ -32,17 +32,13 @@ _MILLIMETRE = 0.001
 def read_qualisys(
     path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None
 ) -> Motion | Trajectories:
-    """Read a TSV file that Qualisys Track Manager exported.
+    """Read markers or a skeleton from a TSV file that Qualisys Track Manager exported.
 
     Parameters
     ----------
     path : the file.
     unit : metres per unit; by default millimetres.
     up : axis that points up; by default Z unless the body stands along another.
-
-    Returns
-    -------
-    Trajectories of the markers, or a Motion of the skeleton, metres, Y up.
 
     Raises
     ------

@@ -11,14 +11,14 @@ from dousa.errors import MotionFileError
 
 
 def read_rows(path: str | os.PathLike[str], rows: list[list[str]], first_line: int, width: int) -> FloatArray:
-    """(T, width) numbers; blank cells and cells that a short row lacks at its end are NaN.
+    """Read (T, width) numbers; blank cells, and cells missing at the end of a row, are NaN.
 
     Parameters
     ----------
     path : for messages.
     rows : cells as text.
     first_line : 1-based line of the first row.
-    width : cells that count; what stands behind them is left out.
+    width : cells read per row.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def _is_number(cell: str) -> bool:
 
 
 def strip_owner(names: list[str]) -> tuple[list[str], list[str]]:
-    """Names without what stands before a colon or, where all share it, an underscore; and the owners in order."""
+    """Strip owners from names, before a colon or a shared underscore; and the owners in order."""
     owners = list(dict.fromkeys(name.rpartition(":")[0] for name in names))
     bare = [name.rpartition(":")[2] for name in names]
     prefix = bare[0].partition("_")[0] + "_" if bare and "_" in bare[0] else ""

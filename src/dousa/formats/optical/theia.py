@@ -1,7 +1,7 @@
-"""Segments of markerless systems (Theia3D): poses as 4 x 4 matrices, which C3D files hold beside or instead of points.
+"""Segments of markerless systems (Theia3D): poses as 4 x 4 matrices in C3D files, beside or instead of points.
 
 A matrix has the axes of a segment in its first three columns and its origin, the joint nearer to the trunk, in the
-fourth; it is stored column by column, and a residual follows, negative where the segment was not found
+fourth. It is stored column by column, then a residual, negative where the segment was not found
 (c3d.org, "Rotation data").
 """
 
@@ -43,16 +43,16 @@ def build_segments(
     up: str | None,
     unit_in_file: str,
 ) -> Motion:
-    """The motion of segments.
+    """Build the motion of segments.
 
     Parameters
     ----------
     path : for the messages.
     labels : (K,) names of the segments.
-    values : (T, K, 17) as the file holds them.
+    values : (T, K, 17) as in the file.
     frame_rate : Hz.
-    unit, up : what the caller says, or None.
-    unit_in_file : the unit that the file names.
+    unit, up : given by the caller, or None.
+    unit_in_file : named in the file.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The trees of the skeletons of optical systems, which their tables of poses leave out."""
+"""Trees of the skeletons of optical systems, which are missing in their tables of poses."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _FBX_CHAINS = [
 
 
 def guess_parents(names: list[str]) -> dict[str, str]:
-    """Name of the parent by name, of the joints of Motive's or Qualisys' skeletons; {} for names of others.
+    """Return the parent of each joint of Motive's or Qualisys' skeletons by name; {} for other names.
 
-    Joints that a skeleton leaves out of a chain are passed over.
+    Joints that a skeleton lacks are skipped.
     """
     present = set(names)
     chains = _MOTIVE_CHAINS if "Hip" in present else _FBX_CHAINS if "Hips" in present else []

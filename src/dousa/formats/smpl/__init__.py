@@ -1,4 +1,4 @@
-"""SMPL, SMPL-H, SMPL-X poses: AMASS npz and what resembles it; the mean body, or the user's own model file."""
+"""SMPL, SMPL-H, SMPL-X poses: AMASS npz and similar files; the mean body, or the user's own model file."""
 
 from __future__ import annotations
 

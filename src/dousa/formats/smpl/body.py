@@ -1,4 +1,4 @@
-"""The trees of SMPL, SMPL-H and SMPL-X, and where their joints are at rest: the mean body, or a model file's."""
+"""Trees and rest joints of SMPL, SMPL-H and SMPL-X: of the mean body, or of a model file."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _MOST_BYTES = 2_000_000_000  # of an array of a model file: the shapes of SMPL-X
 
 @lru_cache(maxsize=4)
 def mean_body(n_joints: int) -> Skeleton:
-    """The skeleton of the mean body with 22, 24 (SMPL), 52 (SMPL-H) or 55 (SMPL-X) joints.
+    """Return the skeleton of the mean body with 22, 24 (SMPL), 52 (SMPL-H) or 55 (SMPL-X) joints.
 
-    Offsets in m; the root's is where the pelvis of the model lies before it is moved.
+    Offsets in m; the root's is the pelvis of the unmoved model.
     """
     table: dict[str, Any] = tomllib.loads(resources.files(__package__).joinpath("body.toml").read_text("utf-8"))
     rows = list(table["body"])
@@ -45,18 +45,18 @@ def mean_body(n_joints: int) -> Skeleton:
 
 
 def model_body(path: str | os.PathLike[str], n_joints: int, betas: FloatArray | None) -> Skeleton:
-    """The skeleton of a body model file in npz form, for a body shape.
+    """Build the skeleton of a body model file in npz form, for a body shape.
 
     Parameters
     ----------
-    path : npz with ``v_template`` (V, 3), ``shapedirs`` (V, 3, B), ``J_regressor`` (J, V), as the makers of SMPL-H and
-        SMPL-X offer them; those of SMPL as pickles must be converted first.
-    n_joints : that the poses have; the model may have more.
+    path : npz with ``v_template`` (V, 3), ``shapedirs`` (V, 3, B), ``J_regressor`` (J, V), as for SMPL-H and SMPL-X;
+        SMPL's pickles must be converted first.
+    n_joints : of the poses; the model may have more.
     betas : (B',) shape; None for the mean body.
 
     Raises
     ------
-    MotionFileError : no such file, arrays that are lacking or do not fit.
+    MotionFileError : no such file, arrays that are missing or do not fit.
     """
 
     def fail(message: Message) -> MotionFileError:

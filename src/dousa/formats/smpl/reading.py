@@ -1,12 +1,11 @@
-"""Poses of SMPL, SMPL-H and SMPL-X: AMASS npz, AIST++ pickles, and what resembles them.
+"""Poses of SMPL, SMPL-H and SMPL-X: AMASS npz, AIST++ pickles, and similar files.
 
 AMASS (Mahmood et al., AMASS: Archive of motion capture as surface shapes, ICCV 2019): ``poses`` (T, 156 or 165)
 axis-angle rotations in rad, ``trans`` (T, 3) m, Z up, ``mocap_framerate``, ``betas``. AIST++ (Li et al., AI
 choreographer, ICCV 2021): ``smpl_poses`` (T, 72), ``smpl_trans`` (T, 3), ``smpl_scaling``: metres are trans / scaling,
 Y up, 60 Hz.
 
-The joints are those of the mean body, or of the body model that the user names (`--read skeleton=FILE`), which knows
-``betas``.
+The joints are those of the mean body, or of the user's body model (`--read skeleton=FILE`) with the ``betas``.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ Get = Callable[[str], NDArray[Any] | None]
 
 
 def find_poses(names: Mapping[str, Any] | tuple[str, ...]) -> bool:
-    """Whether the names of some arrays are those of SMPL poses."""
+    """Return whether the names of some arrays are those of SMPL poses."""
     return any(name in names for name in _POSES) or any(all(part in names for part in parts) for parts in _PARTS)
 
 
@@ -54,19 +53,15 @@ def read_smpl_npz(
     skeleton: str | os.PathLike[str] | None = None,
     frame_rate: float | None = None,
 ) -> Motion:
-    """Read an npz file of SMPL poses, such as those of AMASS.
+    """Read an npz file of SMPL poses, such as those of AMASS, over the 22 to 55 joints of the model.
 
     Parameters
     ----------
     path : the file.
     unit : metres per unit; by default metres.
     up : axis that points up; by default Z unless the body stands along another.
-    skeleton : body model file in npz form; by default the mean body, whatever the file's ``betas`` say.
-    frame_rate : Hz, where the file does not say.
-
-    Returns
-    -------
-    Motion in metres, Y up, over the 22 to 55 joints of the model.
+    skeleton : body model file in npz form; by default the mean body, whatever the file's ``betas``.
+    frame_rate : Hz, if not in the file.
 
     Raises
     ------
@@ -96,12 +91,12 @@ def build_smpl(
     skeleton: str | os.PathLike[str] | None,
     frame_rate: float | None,
 ) -> Motion:
-    """The motion of SMPL poses.
+    """Build the motion of SMPL poses.
 
     Parameters
     ----------
     path : for messages and provenance.
-    get : the array of a name, or None.
+    get : returns the array of a name, or None.
     unit, up, skeleton, frame_rate : as for `read_smpl_npz`.
     """
     poses = _read_poses(path, get)
@@ -172,7 +167,7 @@ def _read_places(path: str | os.PathLike[str], get: Get, n_frames: int, scaling:
 
 
 def read_rate(get: Get) -> float | None:
-    """Hz, under one of the names that files of poses have for it."""
+    """Read the rate in Hz, under one of its names in files of poses."""
     for name in _RATES:
         array = get(name)
         if array is not None and array.size == 1 and 0 < float(array.reshape(-1)[0]) <= 1e6:

@@ -1,4 +1,4 @@
-"""AMASS-like npz: poses of SMPL-H, for the methods of machine learning that read AMASS."""
+"""Writing of AMASS-like npz: poses of SMPL-H, for methods of machine learning that read AMASS."""
 
 from __future__ import annotations
 
@@ -23,16 +23,12 @@ _BETAS = 16
 def write_amass(motion: Motion, path: str | os.PathLike[str]) -> None:
     """Write SMPL poses as AMASS has them: ``poses`` (T, 156), ``trans``, ``betas``, ``gender``; Z up.
 
-    A motion of another skeleton is put onto that of the mean body first (`dousa.motion.retarget`).
-
-    Parameters
-    ----------
-    motion : of any body; hands that it lacks do not move.
-    path : the file to write.
+    A motion of another skeleton is put onto that of the mean body first (`dousa.motion.retarget`); missing hands do not
+    move.
 
     Raises
     ------
-    MotionWriteError : joints that cannot be told apart, missing rotations, a disk that refuses.
+    MotionWriteError : joints that cannot be mapped, missing rotations, a disk error.
     """
     body = mean_body(_JOINTS)
     if not is_smpl(motion):
@@ -64,16 +60,9 @@ def write_amass(motion: Motion, path: str | os.PathLike[str]) -> None:
 
 
 def put_onto_smpl(motion: Motion | Trajectories, joint_map: JointMap | None = None) -> Retargeted:
-    """A motion on the mean body of SMPL, and how well it fits.
+    """Retarget a whole body to the mean body of SMPL; ``joint_map`` : canonical joint -> name in the motion.
 
-    Parameters
-    ----------
-    motion : of any whole body.
-    joint_map : canonical joint -> name in the motion.
-
-    Raises
-    ------
-    JointMappingError : joints that cannot be told apart, or a part of a body.
+    JointMappingError for joints that cannot be mapped, or a part of a body.
     """
     skeleton = mean_body(22)
     still = identity((1, skeleton.n_joints))
@@ -82,7 +71,7 @@ def put_onto_smpl(motion: Motion | Trajectories, joint_map: JointMap | None = No
 
 
 def is_smpl(motion: Motion) -> bool:
-    """Whether the joints of a motion are those of SMPL, with its tree."""
+    """Return whether the joints of a motion are those of SMPL, with its tree."""
     body, skeleton = mean_body(22), motion.skeleton
     if skeleton.names[0] != body.names[0] or any(name not in skeleton.names for name in body.names):
         return False

@@ -1,4 +1,4 @@
-"""USD: skeletons and animations of UsdSkel, read by usd-core (``pip install 'dousa[usd]'``) in a process of its own."""
+"""USD: skeletons and animations of UsdSkel, read by usd-core (``pip install 'dousa[usd]'``) in its own process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Skeletons of USD: what the process of `skeleton_job` found in a stage, as a motion.
+"""Skeletons of USD stages, found by the process of `skeleton_job`, as motions.
 
 Unit (``metersPerUnit``) and up axis are those of the stage. Joints get the axes of the scene, as in a BVH file: at rest
 (the bind pose) nothing is turned.
@@ -31,17 +31,13 @@ _MOST_JOINTS = 10_000
 
 
 def read_usd(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Motion:
-    """Read the animation of the first skeleton of a USD file (text, binary or package) that has one.
+    """Read the animation of the first skeleton with one of a USD file (text, binary or package).
 
     Parameters
     ----------
     path : the file.
     unit : metres per unit; by default that of the stage, unless the body would have no possible height.
     up : axis that points up; by default that of the stage.
-
-    Returns
-    -------
-    Motion in metres, Y up, at the rate of the samples.
 
     Raises
     ------
@@ -70,7 +66,7 @@ def build_usd(
     unit: float | str | None,
     up: str | None,
 ) -> Motion:
-    """The motion of the arrays that `skeleton_job` wrote.
+    """Build a motion from the arrays of `skeleton_job`.
 
     Parameters
     ----------
@@ -108,7 +104,7 @@ def build_usd(
 
 
 def _pose_of(matrices: FloatArray) -> FloatArray:
-    """Orientations (..., 4) of matrices (..., 4, 4) for row vectors, whatever they scale by."""
+    """Orientations (..., 4) of matrices (..., 4, 4) for row vectors, with any scale."""
     axes = matrices[..., :3, :3]
     lengths = np.linalg.norm(axes, axis=-1, keepdims=True)
     axes = np.where(lengths > 1e-12, axes / np.maximum(lengths, 1e-12), np.eye(3))
@@ -118,6 +114,6 @@ def _pose_of(matrices: FloatArray) -> FloatArray:
 
 
 def _shorten(paths: tuple[str, ...]) -> tuple[str, ...]:
-    """The last part of each path of a joint, where these are different."""
+    """Last part of each path of a joint, if these are unique."""
     names = tuple(path.rpartition("/")[2] or path for path in paths)
     return names if len(set(names)) == len(names) else paths

@@ -1,4 +1,4 @@
-"""Runs in a process of its own: ``python skeleton_job.py IN OUT.npz``; usd-core is C++, and damaged files can end it.
+"""Script ``python skeleton_job.py IN OUT.npz`` for its own process: damaged files can crash usd-core, which is C++.
 
 Needs numpy and usd-core, and nothing of dousa. Writes the first skeleton that is animated, else the first one:
 
@@ -20,7 +20,6 @@ _MEMORY = 12 << 30  # bytes
 
 
 def _limit_memory(size: int) -> None:
-    """A damaged count must not take the memory of the machine."""
     try:
         resource: Any = importlib.import_module("resource")
         most = _MEMORY + 50 * size
@@ -68,7 +67,7 @@ def _choose_times(samples: list[float], per_second: float) -> tuple[np.ndarray, 
 
 
 def main() -> None:
-    """Write what is in a stage."""
+    """Write the content of a stage."""
     source, target = sys.argv[1:3]
     _limit_memory(os.path.getsize(source))
     usd, skel, geom = (importlib.import_module(f"pxr.{name}") for name in ("Usd", "UsdSkel", "UsdGeom"))

@@ -1,6 +1,6 @@
-"""Searches that are kept under a name, and selections: clips that somebody chose one by one.
+"""Tags of clips and takes, such as ``fight`` or ``draft``, and saved searches and selections.
 
-Tags of clips and takes: several of each, such as ``fight`` or ``draft``; nothing is learned from them.
+A clip can have several tags; the forest ignores them.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ FAVOURITE = "favourite"
 """The tag that the studio shows as a star."""
 
 CHECKED = "checked"
-"""The tag of clips whose label somebody has looked at and found right."""
+"""The tag of clips whose label was reviewed and found right."""
 
 MOST_TAGS = 100
-"""Of a clip."""
+"""Most tags of a clip."""
 
 
 def check_tags(tags: Iterable[str]) -> tuple[str, ...]:
-    """Names of tags without spaces around them, each once; OptionError for one that is none."""
+    """Return tags stripped and without repeats; OptionError for an invalid one."""
     names = []
     for tag in [tags] if isinstance(tags, str) else tags:
         name = tag.strip()
@@ -45,12 +45,7 @@ def check_tags(tags: Iterable[str]) -> tuple[str, ...]:
 def change_tags(
     connection: sa.Connection, ids: Sequence[int], add: Iterable[str], remove: Iterable[str]
 ) -> dict[int, tuple[str, ...]]:
-    """Give tags to clips and takes and take others away; returns the tags of those that change.
-
-    Raises
-    ------
-    OptionError : more tags than a clip can have.
-    """
+    """Add and remove tags; return the tags of clips and takes that change. OptionError if one gets too many."""
     there = read_tags(connection, ids)
     more, less = set(add), set(remove)
     wanted = {number: tuple(sorted((set(there.get(number, ())) - less) | more)) for number in ids}
@@ -62,7 +57,7 @@ def change_tags(
 
 
 def count_tags(connection: sa.Connection) -> dict[str, int]:
-    """Number of clips and takes that have a tag, by name."""
+    """Return the number of clips and takes of each tag."""
     return dict(sorted(Counter(tag for tags in read_tags(connection).values() for tag in tags).items()))
 
 
@@ -72,7 +67,7 @@ _FILTERS = ("text", "category", "performer", "tag", "kind", "min_s", "max_s", "c
 
 @dataclass(frozen=True, slots=True)
 class SavedSearch:
-    """Something that is looked for again and again.
+    """A saved search or selection.
 
     Parameters
     ----------
@@ -86,38 +81,38 @@ class SavedSearch:
 
     @property
     def is_selection(self) -> bool:
-        """Whether clips were chosen one by one."""
+        """Whether it is a list of clips."""
         return "clips" in self.asked
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         return {"name": self.name, "asked": dict(self.asked)}
 
 
 class SavedSearches:
-    """The searches and selections that a library keeps, ``Library.searches``."""
+    """The saved searches and selections of a library, ``Library.searches``."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
 
     def all(self) -> list[SavedSearch]:
-        """All of them, by name."""
+        """Return all, by name."""
         with self._database.reading() as connection:
             return _read(connection)
 
     def get(self, name: str) -> SavedSearch:
-        """One; LibraryError where there is none of this name."""
+        """Return one; LibraryError if there is none of this name."""
         found = [one for one in self.all() if one.name == name]
         if not found:
             raise LibraryError("library_searches.none", library=self._database.where, name=name)
         return found[0]
 
     def save(self, name: str, asked: Mapping[str, Any]) -> SavedSearch:
-        """Keep one, in the place of another of its name.
+        """Save one, replacing another of its name.
 
         Raises
         ------
-        OptionError : an empty name, or filters that there are not.
+        OptionError : an empty name, or unknown filters.
         LibraryError : the library cannot be written, or there are too many.
         """
         search = _check(name, asked)
@@ -134,7 +129,7 @@ class SavedSearches:
         return search
 
     def remove(self, name: str) -> None:
-        """Forget one; LibraryError where there is none of this name."""
+        """Delete one; LibraryError if there is none of this name."""
         with self._database.writing() as connection:
             next_revision(connection)
             table = schema.saved_searches
@@ -143,7 +138,7 @@ class SavedSearches:
                 raise LibraryError("library_searches.none", library=self._database.where, name=name)
 
     def find(self, name: str) -> list[int]:
-        """Numbers of the clips and takes that fit now, ascending; those of a selection that are still there."""
+        """Return the numbers of the clips and takes that fit now, ascending; of a selection those that still exist."""
         asked = self.get(name).asked
         with self._database.reading() as connection:
             if "clips" in asked:
@@ -173,7 +168,6 @@ def _check(name: str, asked: Mapping[str, Any]) -> SavedSearch:
 
 
 def _fits(clip: Any, asked: Mapping[str, Any]) -> bool:
-    """Whether a clip is what a search asks for, as the Library page of the studio understands it."""
     for name in ("category", "performer"):
         wanted = _as_list(asked.get(name))
         label, below = getattr(clip, name) or "", tuple(one for one in wanted if one.endswith("/"))

@@ -1,8 +1,6 @@
-"""Which labels a take gets: those of its table, or of the table of another file of the same content.
+"""Matching takes with labels: finds their tables, fits segments into takes, and refuses tables that do not fit.
 
-Labels and the take that they are laid onto: what is cut or left out, and tables that do not fit it at all.
-
-Where the labels of takes are found when the takes are added.
+A take without a table of its own gets that of another file with the same content.
 """
 
 from __future__ import annotations
@@ -25,24 +23,16 @@ from dousa.messages import Message
 from dousa.motion.annotation import Annotation, Stretch
 
 LEAST_FRAMES = 2
-"""Of a segment: one pose is no motion."""
+"""Fewest frames of a segment, as one pose is no motion."""
 
-_FAR = 3.0  # durations of the take: whole numbers up to there may be no seconds
-_COVERED = 0.25  # of the take, by times that are whole numbers of something else than seconds
+_FAR = 3.0  # durations of the take: whole numbers up to this may be another unit
+_COVERED = 0.25  # of the take, covered by whole-number times in another unit
 _SLACK = 1.05
 
 
 @dataclass(frozen=True, slots=True)
 class TakeLength:
-    """How long a take is.
-
-    Parameters
-    ----------
-    path : of the take, for messages.
-    duration : s.
-    frame_rate : Hz.
-    n_frames : of the take.
-    """
+    """The length of a take: duration in s, frame rate in Hz, number of frames; and its path, for messages."""
 
     path: str
     duration: float
@@ -51,17 +41,17 @@ class TakeLength:
 
     @classmethod
     def of(cls, row: Any) -> Self:
-        """That of a row of ``clips``."""
+        """Read it from a row of ``clips``."""
         return cls(row.path, row.duration, row.frame_rate, row.n_frames)
 
     def find_frames(self, segment: Stretch) -> tuple[int, int]:
-        """The first frame of a segment, and the one after its last."""
+        """Return the first frame of a segment, and the one after its last."""
         first, stop = round(segment.start * self.frame_rate), round(segment.stop * self.frame_rate)
         return max(first, 0), min(stop, self.n_frames)
 
 
 def fit(take: TakeLength, segments: Iterable[Stretch]) -> tuple[list[Stretch], list[Message]]:
-    """Segments within a take in the order of time, each once; and what was cut or left out."""
+    """Fit segments into a take, sorted by time and without repeats; return them and notes on the others."""
     once, twice = leave_out_twice(sorted(segments, key=lambda one: (one.start, one.stop)))
     kept, cut, beyond, short = [], [], [], []
     for one in once:
@@ -75,7 +65,7 @@ def fit(take: TakeLength, segments: Iterable[Stretch]) -> tuple[list[Stretch], l
             beyond.append(one)
         else:
             short.append(one)
-    # What was cut to the same place counts once, too: the labels say no more of it.
+    # Segments cut to the same place count once, too.
     kept, same = leave_out_twice(kept)
     notes = [note for _, note in twice or same]
     if cut:
@@ -90,13 +80,10 @@ def fit(take: TakeLength, segments: Iterable[Stretch]) -> tuple[list[Stretch], l
 
 
 def check_fit(take: TakeLength, labels: Annotation) -> None:
-    """Find a table that is not about a take, before it empties the take.
+    """Refuse a table of another take, which would remove the take's labels.
 
-    Raises
-    ------
-    MotionFileError : none of the labels of the table lies in the take, or all are too short for it, or they count
-        milliseconds or frames; with the table and the line.
-    OptionError : the same of labels that came from no table.
+    MotionFileError, with table and line, if no label lies in the take, all are too short for it, or they count
+    milliseconds or frames; OptionError for labels without a table.
     """
     if not labels.segments:
         return
@@ -118,12 +105,7 @@ def _about(labels: Annotation, segment: Stretch, problem: Message) -> DousaError
 
 
 def _guess_unit(take: TakeLength, segments: Sequence[Stretch], covered: float) -> Message | None:
-    """What the times look like that are no seconds; None where they may be.
-
-    Parameters
-    ----------
-    covered : share of the take that they cover at least, counted in that unit.
-    """
+    """Guess the unit of times that are not seconds but cover a share of the take; None if they may be seconds."""
     times = [time for one in segments for time in (one.start, one.stop)]
     last = max(times)
     if last < _FAR * take.duration or any(time != int(time) for time in times):
@@ -138,7 +120,7 @@ def _guess_unit(take: TakeLength, segments: Sequence[Stretch], covered: float) -
 
 
 def check_times(start: float, stop: float, category: str | None) -> None:
-    """OptionError for times that are no part of a recording: no numbers, or an end that is not after the beginning."""
+    """Raise OptionError for invalid times: no numbers, or an end that is not after the beginning."""
     if not (_is_time(start) and _is_time(stop)):
         raise OptionError("label_files.no_time", found=f"{start}, {stop}")
     if stop <= start:
@@ -153,7 +135,7 @@ def _is_time(value: object) -> bool:
 
 
 def check_annotation(labels: Annotation) -> None:
-    """OptionError for labels that cannot be: times as in `check_times`, a category that is empty or too long."""
+    """Raise OptionError for invalid labels: times as in `check_times`, an empty or too long category."""
     for one in labels.segments:
         check_labels(one.category)
         check_times(one.start, one.stop, one.category)
@@ -161,19 +143,12 @@ def check_annotation(labels: Annotation) -> None:
         check_times(start, stop, None)
 
 
-_TABLES = (".csv", ".tsv")  # which may be a recording too
+_TABLES = (".csv", ".tsv")  # may also be a recording
 
 
 @dataclass(frozen=True, slots=True)
 class FoundLabels:
-    """Labels of a take.
-
-    Parameters
-    ----------
-    file : that they are in.
-    tiers : of this take.
-    notes : doubts about whether they are of this take.
-    """
+    """The label table of a take, its tiers of this take, and doubts about whether they are of this take."""
 
     file: LabelFile
     tiers: tuple[LabelTier, ...]
@@ -181,24 +156,24 @@ class FoundLabels:
 
 
 def find_labels(files: Sequence[FoundFile], rule: str, tier: str | None) -> dict[str, FoundLabels]:
-    """Labels by the path of the take; every table is read, before anything else is done with them.
+    """Read all tables and return labels by the path of the take.
 
     Parameters
     ----------
     files : the takes.
-    rule : see the head of this module.
-    tier : name of the tier that is wanted, None for the first that has labels.
+    rule : ``beside`` (a table beside each take), ``folder:DIR`` or ``csv:FILE``.
+    tier : name of the tier, None for the first that has labels.
 
     Raises
     ------
-    OptionError : a rule that cannot be understood, no labels of any take, two tables of one take, no such tier.
+    OptionError : an invalid rule, no labels of any take, two tables of one take, no such tier.
     MotionFileError : a table that cannot be read, with its line.
     """
     kind, _, rest = rule.partition(":")
     if (kind, rest) != ("beside", "") and not (kind in ("folder", "csv") and rest):
         raise OptionError("annotations.unknown_rule", text=rule)
     found: dict[str, FoundLabels] = {}
-    called: dict[tuple[str, str], list[str]] = {}  # takes by the table and what it calls them
+    called: dict[tuple[str, str], list[str]] = {}  # takes by table and name in it
     if kind == "csv":
         file = read_label_file(os.path.expanduser(rest))
         for one in files:
@@ -225,15 +200,15 @@ def find_labels(files: Sequence[FoundFile], rule: str, tier: str | None) -> dict
             stem = files[0].path.name.partition(".")[0]
             raise OptionError("annotations.none_beside", folder=rest or files[0].path.parent, stem=stem)
     for labels in found.values():
-        choose_tier(labels.file, labels.tiers, tier)  # whether it is there
+        choose_tier(labels.file, labels.tiers, tier)  # raises if missing
     _note_names(found, called)
     return found
 
 
 def _note_names(found: dict[str, FoundLabels], called: Mapping[tuple[str, str], Sequence[str]]) -> None:
-    """Say of takes in different folders that one name of a table means them all."""
+    """Add a note to takes in different folders that share one name in a table."""
     for (table, name), takes in called.items():
-        if len({os.path.dirname(take) for take in takes}) > 1:  # one take in two formats lies in one folder
+        if len({os.path.dirname(take) for take in takes}) > 1:  # one take in two formats is in one folder
             values = {"n": len(takes), "takes": takes[:4], "name": name or os.path.basename(table)}
             note = Message("annotations.one_name", path=table, **values)
             found.update({take: replace(found[take], notes=(note,)) for take in takes})
@@ -247,7 +222,6 @@ class _Folders:
         self._names: dict[Path, dict[str, str]] = {}
 
     def find(self, take: Path) -> Path | None:
-        """The table of a take, if there is one."""
         folder = self._folder or take.parent
         names = self._list(folder)
         stems = list(dict.fromkeys((take.name.partition(".")[0].lower(), take.stem.lower())))
@@ -271,14 +245,7 @@ class _Folders:
 
 @dataclass(frozen=True, slots=True)
 class ChosenLabels:
-    """What becomes of the labels of a take.
-
-    Parameters
-    ----------
-    labels : that it gets; None where it keeps what it has.
-    notes : about them, to be said if they are new.
-    always : notes that are said in any case.
-    """
+    """The labels chosen for a take, None to keep the present ones; notes about new labels, and permanent notes."""
 
     labels: Annotation | None
     notes: tuple[Message, ...] = ()
@@ -288,15 +255,14 @@ class ChosenLabels:
 def choose_labels(
     row: Any, own: FoundLabels | None, copies: Sequence[FoundLabels], stored: TakeAnnotation, tier: str | None
 ) -> ChosenLabels:
-    """The labels of a take, so that none are lost without a word.
+    """Choose the labels of a take, with a note if any are lost.
 
     Parameters
     ----------
     row : of the take: path, frame_rate, duration, n_frames.
-    own : of its table, None where it has none.
-    copies : of the tables of other files that hold the same; one of them counts where the take has no table of its own.
-    stored : what is written down of it.
-    tier : that is wanted.
+    own : of its table, None if it has none.
+    copies : of the tables of other files with the same content; one is used if ``own`` is None.
+    stored, tier : its present labels, and the name of the tier.
     """
     labels: Annotation | None = None
     notes: tuple[Message, ...] = ()
@@ -306,7 +272,7 @@ def choose_labels(
         notes = (*own.notes, *said)
     source = None if labels is None or labels.is_blank else labels.source
     if source is None and stored.is_complete and stored.segments and (own or _may_be_there(stored.source)):
-        source = stored.source  # which a copy does not replace
+        source = stored.source  # not replaced by a copy
     kept = _list_places(row, labels) if labels is not None and not labels.is_blank else _list_stored(stored)
     for copy in copies:
         other, said = to_annotation(copy.file, copy.tiers, tier, row.frame_rate)
@@ -331,7 +297,7 @@ def choose_labels(
 
 
 def _may_be_there(source: str) -> bool:
-    """Whether a table is there that labels came from, or may be: one of the studio is known by its name alone."""
+    """Return whether the table of labels may still exist; a table of the studio is known by name only."""
     return not os.path.isabs(source) or os.path.exists(source)
 
 

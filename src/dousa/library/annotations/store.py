@@ -1,10 +1,8 @@
-"""Labels of takes in the library: each segment is a clip without positions of its own, a place in those of the take.
+"""Labels of takes in the library: each segment is a clip that refers to a part of the take's positions.
 
-A take with a table of labels has a row in ``take_annotations``: it was labelled from beginning to end, and where no
-segment is, nothing that has a name happens. Segments that somebody named by hand are kept like the others; of a take
-that has only such, nobody can say what the rest is.
-
-What a table of labels says of its take once some of its segments are removed from the library.
+A take with a table of labels has a row in ``take_annotations``: it is labelled from beginning to end, and the rest
+shows nothing that has a name. Segments named by hand are stored like the others; if a take has only such segments, the
+rest is undecided.
 """
 
 from __future__ import annotations
@@ -43,9 +41,9 @@ Spans = Mapping[int, Sequence[tuple[float, float]]]
 
 
 def find_leaving(connection: sa.Connection, ids: Sequence[int]) -> Spans:
-    """Where the segments among some clips lie that tables said, in takes that are not among them.
+    """Return the (start, stop) s, by take, of those clips that are table segments of takes not removed themselves.
 
-    What somebody named by hand is no part of a table: without it there is what the table says.
+    Segments named by hand are not part of a table and are left out.
     """
     table, going = schema.segments.c, set(ids)
     query = sa.select(table.take_id, table.start_s, table.end_s)
@@ -58,13 +56,9 @@ def find_leaving(connection: sa.Connection, ids: Sequence[int]) -> Spans:
 
 
 def leave_open(connection: sa.Connection, removed: Spans) -> None:
-    """Nobody can say what happens where a label was removed: it is not nothing. A take without any has no table.
+    """Mark places of `find_leaving` as undecided, after the removal in the same transaction.
 
-    After the segments are gone, in the same transaction.
-
-    Parameters
-    ----------
-    removed : of `find_leaving`.
+    A take left without segments loses its table.
     """
     segments, tables = schema.segments.c, schema.take_annotations
     there = {row.take_id for row in fetch_in(connection, sa.select(segments.take_id), segments.take_id, list(removed))}
@@ -84,14 +78,12 @@ _TAKES_AT_ONCE = 16  # in one transaction
 
 @dataclass(frozen=True, slots=True)
 class AnnotationChanges:
-    """What became of the labels of takes.
+    """Changes to the labels of takes.
 
     Parameters
     ----------
-    takes : paths of those whose labels changed, or had none before.
-    unchanged : paths of those whose labels are the same.
-    n_segments : that are new.
-    n_removed : that are no longer there.
+    takes, unchanged : paths of takes with new or changed labels, and with the same ones.
+    n_segments, n_removed : new and removed segments.
     warnings : (path of the take, what was cut or left out).
     n_learned, new_categories : as in ``AddReport``.
     """
@@ -119,23 +111,18 @@ def annotate_takes(
     change: int | None = None,
     note: Callable[[int | None], None] = lambda number: None,
 ) -> tuple[StoredForest | None, AnnotationChanges]:
-    """Give takes the labels of tables, in the place of those that they have.
+    """Replace the labels of takes by those of tables; return the forest after learning, and the changes.
 
     Parameters
     ----------
-    wanted : by number of the take; those that are not there are left out. Blank ones take all labels away: nobody
-        has annotated the take then.
+    wanted : by number of the take; missing takes are left out. Blank labels remove all labels.
     forest : of the library, if it is loaded.
-    change : number in the journal, of what this belongs to.
-    note : told that number, or the one that this has there; None where nothing changed.
-
-    Returns
-    -------
-    The forest as it has learned, and what changed; takes with the same labels as before are not touched.
+    change : number in the journal of the change that this belongs to.
+    note : called with the number of the change in the journal; None if nothing changed.
 
     Raises
     ------
-    OptionError, MotionFileError : labels that cannot be, or that do not fit their take; then nothing has changed.
+    OptionError, MotionFileError : invalid labels, or labels that do not fit their take; nothing changes.
     """
     for labels in wanted.values():
         check_annotation(labels)
@@ -156,19 +143,18 @@ def annotate_takes(
 def _learn(
     database: Database, forest: StoredForest | None, changes: AnnotationChanges
 ) -> tuple[StoredForest | None, AnnotationChanges]:
-    """Let the forest learn from segments that were written."""
     forest, learned = learn_new(database, forest)
     return forest, changes + AnnotationChanges(n_learned=learned.n_clips, new_categories=learned.new_categories)
 
 
 def _find_missing(row: Any, labels: Annotation, there: Iterable[TakeSegment]) -> list[Stretch]:
-    """Segments of a table that were removed since, but for those in whose place something was named by hand."""
+    """Return segments of a table that were removed since, unless a segment named by hand took their place."""
     there = list(there)
     n_there = Counter((one.start, one.end) for one in there)
     known = {(one.start, one.end, one.category) for one in there}
     by_hand = [one for one in there if one.by_hand]
     kept, _ = fit(TakeLength.of(row), labels.segments)
-    # One that was relabelled is there: as many go as come of those that share their times.
+    # A relabelled segment is there: at equal times as many go as come.
     n_missing = Counter((one.start, one.stop) for one in kept) - n_there
     missing = []
     for one in kept:
@@ -187,15 +173,10 @@ def name_segment(
     note: Callable[[int | None], None] = lambda number: None,
     instead_of: str | None = None,
 ) -> tuple[StoredForest | None, int | None, AnnotationChanges]:
-    """Name a part of a take by hand; one of about the same place (half, intersection over union) gives way.
+    """Name a part of a take by hand; a segment at about the same place (half, intersection over union) is replaced.
 
-    Of several at one time only that of the category ``instead_of`` does, where that is not None.
-
-    ``note`` is told the number of the change in the journal, as by `annotate_takes`.
-
-    Returns
-    -------
-    The forest as it has learned, the number of the clip (None where the part is no motion), and what changed.
+    With ``instead_of``, only a segment of that category is replaced. ``note`` is called as in `annotate_takes`. Returns
+    the forest after learning, the number of the clip (None if the part has no motion), and the changes.
     """
 
     def plan(connection: sa.Connection, known: _Exchange | None) -> _Exchange:
@@ -241,17 +222,13 @@ def _hash_labels(labels: Annotation) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Exchange:
-    """Segments that take the place of others, worked out before they are written.
+    """New segments that replace others, planned before they are written.
 
     Parameters
     ----------
-    forest : of the library.
-    tables : takes and the tables of labels that are written down.
-    records : new segments.
-    gone : numbers of those that go.
-    arrival : what follows from the records; None where there are none.
-    changes : what is reported.
-    by_hand : whether somebody named the segments in the take.
+    tables : takes and their tables of labels.
+    gone : numbers of the segments to remove.
+    arrival : what follows from the records; None if there are none.
     """
 
     forest: StoredForest | None
@@ -270,7 +247,6 @@ def _plan_tables(
     connection: sa.Connection,
     known: _Exchange | None,
 ) -> _Exchange:
-    """What tables of labels change for their takes."""
     rows = _read_takes(connection, list(wanted))
     hashes = _read_hashes(connection, [row.id for row in rows])
     before = _read_segments(connection, [row.id for row in rows])
@@ -285,7 +261,7 @@ def _plan_tables(
             places.append(place)
             changes += own
         elif missing := _find_missing(row, labels, there):
-            tables.append((row, labels))  # nobody could say what happens where they were
+            tables.append((row, labels))  # removed segments would be undecided
             places.append((row, missing, []))
         else:
             changes += AnnotationChanges(unchanged=(row.path,))
@@ -296,7 +272,7 @@ def _plan_tables(
 def _compare(
     row: Any, labels: Annotation, there: Iterable[TakeSegment]
 ) -> tuple[tuple[Any, list[Stretch], list[int]], AnnotationChanges]:
-    """What a new table adds to the segments of a take, and the numbers of those that go."""
+    """Return the segments that a new table adds to a take, and the numbers of those to remove."""
     there = list(there)
     kept, notes = fit(TakeLength.of(row), labels.segments)
     known = {(one.start, one.end, one.category): one for one in there}
@@ -319,12 +295,12 @@ def _plan(
     exchange: _Exchange,
     known: _Exchange | None,
 ) -> _Exchange:
-    """The records of new segments, and what follows from them."""
+    """Build the records of new segments, and their consequences."""
     gone = [clip_id for _, _, ids in places for clip_id in ids]
     records: list[ClipRecord] = []
     for row, new, _ in places:
         if new:
-            (motion,) = load_motions(connection, [row.id])  # one at a time: they are long
+            (motion,) = load_motions(connection, [row.id])  # one at a time: takes are long
             taken = _read_paths(connection, row.id) - _read_paths(connection, row.id, gone)
             for one in new:
                 number, path = 1, name_path(row.path, one.start, one.stop)
@@ -346,10 +322,7 @@ def _plan(
 def _exchange(
     connection: sa.Connection, planned: _Exchange, change: int | None = None
 ) -> tuple[AnnotationChanges, list[int], StoredForest | None, int | None]:
-    """Write new segments in the place of others.
-
-    Returned are what changed, their numbers, the forest, and the number of the change in the journal.
-    """
+    """Replace segments; return the changes, their numbers, the forest, and the number of the change in the journal."""
     if not (planned.tables or planned.records or planned.gone):
         return planned.changes, [], planned.forest, change
     revision = next_revision(connection)
@@ -363,7 +336,7 @@ def _exchange(
 
 
 def _write_exchange(connection: sa.Connection, planned: _Exchange) -> list[int]:
-    """Write it, and return the numbers of the new segments."""
+    """Write the exchange and return the numbers of the new segments."""
     delete_clips(connection, planned.gone)
     table = schema.take_annotations
     if planned.tables:
@@ -391,15 +364,14 @@ def _write_exchange(connection: sa.Connection, planned: _Exchange) -> list[int]:
 
 
 def name_path(take: str, start: float, stop: float, number: int = 1) -> str:
-    """What a segment is called: the take's path with the time, as media fragments of the W3C have it.
+    """Return the name of a segment: the take's path with the time as a W3C media fragment.
 
-    Of several at the same time each has a number, from 2 it is told.
+    Segments at the same time get a number, from 2.
     """
     return f"{take}{_TIME}{start:.3f},{stop:.3f}" + (f"&id={number}" if number > 1 else "")
 
 
 def _read_paths(connection: sa.Connection, take_id: int, among: Sequence[int] | None = None) -> set[str]:
-    """Paths of the segments of a take, of those among some clips."""
     clips, table = schema.clips.c, schema.segments.c
     query = sa.select(clips.path).join(schema.segments, clips.id == table.clip_id).where(table.take_id == take_id)
     if among is not None:
@@ -408,7 +380,7 @@ def _read_paths(connection: sa.Connection, take_id: int, among: Sequence[int] | 
 
 
 def rename_segments(connection: sa.Connection, take: str) -> None:
-    """Segments of a take that lies elsewhere now are called after its new path."""
+    """Rename the segments of a take after its new path."""
     clips, table = schema.clips.c, schema.segments.c
     owner = sa.select(clips.id).where(clips.path == take)
     query = sa.select(clips.id, clips.path).join(schema.segments, clips.id == table.clip_id)
@@ -421,7 +393,7 @@ def _make_record(row: Any, motion: StoredMotion, segment: Stretch, path: str, nu
     first, stop = TakeLength.of(row).find_frames(segment)
     part = StoredMotion(motion.positions[first:stop], motion.frame_rate, motion.height)
     named = f"{row.content_hash} {row.id} {segment.start} {segment.stop} {segment.category}"
-    named += f" {number}" if number > 1 else ""  # one of the same name may have been called otherwise since
+    named += f" {number}" if number > 1 else ""  # one of the same name may have been renamed since
     values = {
         "path": path,
         "content_hash": hashlib.sha256(named.encode()).hexdigest(),
@@ -441,7 +413,7 @@ def _make_record(row: Any, motion: StoredMotion, segment: Stretch, path: str, nu
 
 
 def _read_segments(connection: sa.Connection, take_ids: Sequence[int]) -> dict[int, list[TakeSegment]]:
-    """Segments of takes by their numbers, in the order of time."""
+    """Read segments by number of their take, in the order of time."""
     clips, table = schema.clips.c, schema.segments.c
     query = sa.select(*SEGMENTS.columns, clips.category)
     query = query.join(schema.clips, clips.id == table.clip_id)
@@ -456,7 +428,7 @@ def _read_segments(connection: sa.Connection, take_ids: Sequence[int]) -> dict[i
 
 
 def read_annotations(connection: sa.Connection, take_ids: Sequence[int] | None = None) -> list[TakeAnnotation]:
-    """What is written down of takes, in the order of their numbers; of all that have labels by default."""
+    """Read the labels of takes, in the order of their numbers; by default of all takes with labels."""
     table, parts = schema.take_annotations.c, schema.segments.c
     if take_ids is None:
         some = sa.union(sa.select(table.take_id), sa.select(parts.take_id))
@@ -478,12 +450,7 @@ def read_annotations(connection: sa.Connection, take_ids: Sequence[int] | None =
 
 
 def load_annotated_takes(connection: sa.Connection, take_ids: Sequence[int] | None = None) -> Iterator[AnnotatedTake]:
-    """Takes that have labels, with their motion; one at a time is in memory.
-
-    Parameters
-    ----------
-    take_ids : these; by default all that have a table of labels or a segment named by hand.
-    """
+    """Yield takes with labels and their motion, one in memory at a time; by default all takes with labels."""
     found = read_annotations(connection, take_ids)
     rows = {row.id: row for row in _read_takes(connection, [one.take_id for one in found])}
     for one in found:
@@ -503,53 +470,41 @@ class Annotations:
         self._note = note
 
     def read(self, takes: Iterable[int] | None = None) -> list[TakeAnnotation]:
-        """What is written down of takes: their segments, which are clips, and what the rest is.
-
-        Parameters
-        ----------
-        takes : numbers; by default all takes that have labels. Numbers that are not there are left out.
-        """
+        """Read the labels of takes by their numbers, by default of all with labels; missing takes are left out."""
         with self._database.reading() as connection:
             return read_annotations(connection, _known_ids(takes))
 
     def load(self, takes: Iterable[int] | None = None) -> Iterator[AnnotatedTake]:
-        """Takes with their motion and what happens in them from beginning to end; one at a time is in memory.
+        """Yield takes with their motion and their labels from beginning to end, one in memory at a time.
 
-        Parameters
-        ----------
-        takes : as in ``read``.
-
-        Raises
-        ------
-        LibraryDamagedError : the numbers of one are damaged.
+        Takes as in ``read``. LibraryDamagedError if the numbers of one are damaged.
         """
         with self._database.reading() as connection:
             yield from load_annotated_takes(connection, _known_ids(takes))
 
     def write(self, take: int, labels: Annotation, *, n_jobs: int | None = None) -> AnnotationChanges:
-        """Give a take labels from beginning to end, in the place of those that it has.
+        """Replace the labels of a take from beginning to end.
 
-        Its segments become clips; a trained forest learns them at once, as clips that are added.
+        Its segments become clips; a trained forest learns them at once.
 
         Parameters
         ----------
         take : number.
-        labels : what goes beyond the end of the take is cut there, what lies beyond it is left out. Two may lie on the
-            same stretch. None at all say that nothing happens in the take; blank ones (``is_blank``) that nobody has
-            annotated it: they take all labels away.
-        n_jobs : takes described anew at a time, as in ``Library.add``.
+        labels : cut at the end of the take, and left out beyond it; they may overlap. Empty labels state that the take
+            shows nothing; blank ones (``is_blank``) remove all labels.
+        n_jobs : takes described at a time, as in ``Library.add``.
 
         Raises
         ------
-        OptionError : times that are no numbers, an end that is not after its beginning, an empty category or one that
-            is too long; labels without a source of which none lies in the take. Then nothing changes.
-        MotionFileError : the same of labels that came from a table: none of them lies in the take.
+        OptionError : times that are no numbers, an end that is not after its beginning, an empty or too long category;
+            labels without a source of which none lies in the take. Nothing changes.
+        MotionFileError : labels of a table, none of which lies in the take.
         LibraryError : no take of this number, or the library cannot be written.
         """
         return self.write_all({take: labels}, n_jobs=n_jobs)
 
     def write_all(self, labels: Mapping[int, Annotation], *, n_jobs: int | None = None) -> AnnotationChanges:
-        """The same of several takes, by number; takes with the same labels as before are not touched."""
+        """Replace the labels of several takes, by number; takes with the same labels are not touched."""
         for take in labels:
             self._check_take(take)
         self._forests.last, changes = annotate_takes(self._database, labels, self._forests.last, note=self._note)
@@ -566,24 +521,24 @@ class Annotations:
         instead_of: str | None = None,
         n_jobs: int | None = None,
     ) -> int | None:
-        """Say what a part of a take shows, by hand; what is there about the same time is replaced.
+        """Name a part of a take by hand, and replace the segment at about the same time.
 
         Parameters
         ----------
         take : number.
         start, end : s.
-        category : what happens there.
-        instead_of : category of what alone is replaced, where several things happen at one time.
+        category : of the part.
+        instead_of : replace only a segment of this category, if several overlap.
         n_jobs : as in ``write``.
 
         Returns
         -------
-        The number of the clip that the part is now; None for a part of less than two frames.
+        The number of the new clip; None for a part of less than two frames.
 
         Raises
         ------
-        OptionError : an empty category; times that are no numbers, an end that is not after the beginning, a part that
-            lies outside of the take.
+        OptionError : an empty category; times that are no numbers, an end that is not after the beginning, a part
+            outside the take.
         LibraryError : no take of this number, or the library cannot be written.
         """
         if not category.strip():
@@ -605,7 +560,7 @@ class Annotations:
             raise LibraryError("annotations.not_a_take", library=self._database.where, number=number, path=row.path)
 
     def _refresh(self, changes: AnnotationChanges, n_jobs: int | None) -> None:
-        """Describe takes anew where the leaves of the forest have learned."""
+        """Describe takes again if the leaves of the forest have learned."""
         if self._forests.last is not None:
             refresh_windows(self._database, self._forests.last, n_jobs)
 

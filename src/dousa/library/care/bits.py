@@ -1,6 +1,6 @@
-"""A single flipped bit, found by its checksum: the checksum of what was written says which bit it was.
+"""Single flipped bits, found by the checksum of the original bytes.
 
-Of random damage to a block of 61,440 bytes, one in nine thousand looks like a flipped bit; so this comes last.
+Of random damage to a block of 61,440 bytes, one in nine thousand looks like a flipped bit; so this is a last resort.
 """
 
 from __future__ import annotations
@@ -15,23 +15,20 @@ import sqlalchemy as sa
 
 from dousa.library.store.checksums import Seal
 
-_LONGEST_TEXT = 4000  # bytes of a value; longer ones take too long
+_LONGEST_TEXT = 4000  # bytes of a value; longer ones are too slow
 
 
 def is_one_bit(first: int, second: int) -> bool:
-    """Whether two checksums differ in one bit, so that the checksum is what was damaged."""
+    """Return whether two checksums differ in one bit, so that the checksum itself is damaged."""
     return (first ^ second).bit_count() == 1
 
 
 def mend_bytes(data: bytes, difference: int) -> bytes | None:
-    """The bytes before one of their bits flipped; None where no single bit explains it.
+    """Return the bytes before one bit flipped; None if no single bit explains the damage.
 
-    Parameters
-    ----------
-    data : as they are.
-    difference : their CRC-32 exclusive-or the one that was kept.
+    ``difference`` is their CRC-32 exclusive-or the stored one.
     """
-    # A flipped bit changes the checksum by what only depends on its distance from the end.
+    # The checksum changes by a value that only depends on the bit's distance from the end.
     table = np.array([zlib.crc32(bytes([n])) ^ zlib.crc32(b"\0") for n in range(256)], np.uint32)
     effects = table[1 << np.arange(8)]
     for place in range(len(data) - 1, -1, -1):
@@ -43,11 +40,9 @@ def mend_bytes(data: bytes, difference: int) -> bytes | None:
 
 
 def mend_values(seal: Seal, stored: Sequence[Any]) -> list[Any] | None:
-    """The values of a row before one bit of them flipped; None where no single bit explains it.
+    """Return the values of a row before one bit flipped; None if no single bit explains the damage.
 
-    Parameters
-    ----------
-    stored : of the columns of the seal, texts as bytes; the checksum last.
+    ``stored`` has the columns of the seal, texts as bytes, the checksum last.
     """
     columns = [*map(_kind_of, seal.covered)]
     *raw, checksum = stored
@@ -85,7 +80,6 @@ def _read(kind: type[Any], value: Any) -> Any:
 
 
 def _flip(kind: type[Any], value: Any) -> Iterator[Any]:
-    """Every value that one bit makes of a value."""
     if isinstance(value, bytes) and len(value) <= _LONGEST_TEXT:
         for place in range(len(value)):
             for bit in range(8):

@@ -1,10 +1,9 @@
-"""A map of all clips: points in a plane, of which those lie together whose poses are alike.
+"""A map of all clips: points in a plane, near each other if their poses are similar.
 
-Clips are compared by their pose sequences, as near duplicates are: how far the joints are apart, in body heights. These
-are reduced to their principal components and laid out by t-SNE (van der Maaten, Hinton, "Visualizing Data using t-SNE",
-JMLR 9, 2008; the approximation of van der Maaten, JMLR 15, 2014), both of scikit-learn. Labels play no part in it, so
-that a clip with a wrong one lies among those that it resembles. On the map only what is near means something: distances
-between groups and sizes of groups do not.
+Clips are compared by their pose sequences, as near duplicates are, in body heights. These are reduced to principal
+components and laid out by t-SNE (van der Maaten, Hinton, "Visualizing Data using t-SNE", JMLR 9, 2008; approximation of
+van der Maaten, JMLR 15, 2014), both of scikit-learn. Labels are not used, so that a mislabelled clip lies among similar
+ones. Only nearness has a meaning: distances between groups and sizes of groups have none.
 """
 
 from __future__ import annotations
@@ -29,26 +28,26 @@ MapProgress = Callable[[int, int, Message], None]
 """Called with (steps done, steps, message about the next step)."""
 
 MOST_LAID_OUT = 5_000
-"""Clips that are laid out together; the others of a larger library are placed beside those that they resemble."""
+"""Most clips laid out together; the others of a larger library are placed beside similar ones."""
 
 _COMPONENTS = 50
-_PERPLEXITY = 30.0  # neighbours that a clip is drawn to, about
-_EXAGGERATION = 12.0  # of attraction at first, so that groups form
-_PARTS, _STEPS = 3, 250  # of t-SNE; between two parts progress is told
-_NEIGHBOURS = 3  # between which a clip is placed that was not laid out
-_FEWEST = 4  # clips of which neighbours can be told
+_PERPLEXITY = 30.0  # approximate neighbours of a clip in t-SNE
+_EXAGGERATION = 12.0  # early exaggeration of t-SNE, so that groups form
+_PARTS, _STEPS = 3, 250  # of t-SNE; progress is reported between parts
+_NEIGHBOURS = 3  # for placing a clip that was not laid out
+_FEWEST = 4  # clips with meaningful neighbours
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClipMap:
-    """Where clips lie on a map.
+    """The places of clips on a map.
 
     Parameters
     ----------
     clip_ids : (N,) numbers of the clips, in the order of their contents.
-    points : (N, 2) where each lies: x to the right, y up, from -1 to 1.
-    n_laid_out : of them, how many were laid out together; the others were placed beside those that they resemble.
-    left_out : numbers of clips that are not on it, as their bodies lack joints that the others have.
+    points : (N, 2) x to the right, y up, from -1 to 1.
+    n_laid_out : number of clips laid out together; the others were placed beside similar ones.
+    left_out : numbers of clips without a place because their bodies lack joints that the others have.
     """
 
     clip_ids: NDArray[np.int64]
@@ -58,14 +57,14 @@ class ClipMap:
 
 
 def map_clips(database: Database, progress: MapProgress | None) -> ClipMap:
-    """The map of a library; as ``Library.map``."""
-    for name in ("sklearn", "sklearn.manifold"):  # before the limit, which holds for what is loaded
+    """Compute the map of a library; as ``Library.map``."""
+    for name in ("sklearn", "sklearn.manifold"):  # loaded before the limit, which only affects loaded libraries
         require(name, "map")
     limits = require("threadpoolctl", "map")
     steps = _PARTS + 2
     tell = progress or (lambda done, total, what: None)
     tell(0, steps, Message("library_map.reading"))
-    # One thread: sums of several are in no fixed order, and the map would be another one each time.
+    # One thread: the order of sums over several varies, and the map would vary with it.
     with limits.threadpool_limits(1):
         with database.reading() as connection:
             ids, left_out, feature_set = _list(connection)
@@ -85,19 +84,19 @@ def map_clips(database: Database, progress: MapProgress | None) -> ClipMap:
 
 
 def _reduce(connection: sa.Connection, ids: Sequence[int], chosen: IndexArray, feature_set: str) -> NDArray[np.float32]:
-    """(N, C) principal components of the clips' poses, found by those that are chosen."""
+    """Return (N, C) principal components of the clips' poses, fitted to the chosen clips."""
     decomposition = require("sklearn.decomposition", "map")
     poses = _read_poses(connection, [ids[row] for row in chosen], feature_set)
     n_components = min(_COMPONENTS, *poses.shape)
     found = decomposition.PCA(n_components, svd_solver="randomized", random_state=0)
-    with np.errstate(invalid="ignore", divide="ignore"):  # all clips are the same: shares of no variance
+    with np.errstate(invalid="ignore", divide="ignore"):  # all clips are the same: no variance
         found.fit(poses)
     reduced = [found.transform(_read_poses(connection, some, feature_set)) for some in portions(ids)]
     return np.concatenate(reduced).astype(np.float32)
 
 
 def _list(connection: sa.Connection) -> tuple[list[int], list[int], str]:
-    """Clips that can be compared, those that cannot, and the features with which their poses are stored."""
+    """Return the clips that can be compared, those that cannot, and the feature set of the stored poses."""
     parameters = connection.execute(sa.select(schema.forests.c.parameters)).scalar()
     feature_set = str((parameters or {}).get("feature_set", DEFAULT_FEATURE_SET))
     clips = schema.clips.c
@@ -114,13 +113,13 @@ def _read_poses(connection: sa.Connection, ids: Sequence[int], feature_set: str)
 
 
 def _in_a_row(count: int) -> NDArray[np.float32]:
-    """Points of so few clips that there is nothing to compare."""
+    """Place clips in a row if there are too few to compare."""
     across = np.linspace(-1, 1, count) if count > 1 else np.zeros(count)
     return np.stack([across, np.zeros(count)], axis=1).astype(np.float32)
 
 
 def _lay_out(known: NDArray[np.float32], tell: Callable[[int], None]) -> NDArray[np.float32]:
-    """(N, 2) points by t-SNE, from where the first two principal components (N, C) lead."""
+    """Compute (N, 2) points by t-SNE, started from the first two of the principal components (N, C)."""
     manifold = require("sklearn.manifold", "map")
     points = np.zeros((len(known), 2), np.float32)
     points[:, : known.shape[1]] = known[:, :2]
@@ -128,7 +127,7 @@ def _lay_out(known: NDArray[np.float32], tell: Callable[[int], None]) -> NDArray
     if spread <= 0 or not np.isfinite(spread):  # all clips are the same
         return points
     points *= np.float32(1e-4 / spread)
-    rate = max(len(known) / _EXAGGERATION / 4, 50.0)  # as scikit-learn chooses it for all parts together
+    rate = max(len(known) / _EXAGGERATION / 4, 50.0)  # scikit-learn's choice for a single run
     for part in range(_PARTS):
         tell(part)
         exaggeration = 1.0 if part else _EXAGGERATION
@@ -146,7 +145,7 @@ def _lay_out(known: NDArray[np.float32], tell: Callable[[int], None]) -> NDArray
 
 
 def _place(others: NDArray[np.float32], known: NDArray[np.float32], points: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(M, 2) points between those of the nearest clips, the nearer the more."""
+    """Compute (M, 2) points as means of the nearest clips, weighted by nearness."""
     neighbours = require("sklearn.neighbors", "map")
     nearest = neighbours.NearestNeighbors(n_neighbors=min(_NEIGHBOURS, len(known)), n_jobs=1).fit(known)
     distances, rows = nearest.kneighbors(others)
@@ -157,7 +156,7 @@ def _place(others: NDArray[np.float32], known: NDArray[np.float32], points: NDAr
 
 
 def _fit(points: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The same points about the middle of their extent, from -1 to 1 along the longer side."""
+    """Centre the points on their extent and scale the longer side to -1 to 1."""
     low, high = points.min(axis=0), points.max(axis=0)
     half = float((high - low).max()) / 2
     fitted: NDArray[np.float32] = (points - (low + high) / 2) / np.float32(half or 1.0)

@@ -1,7 +1,4 @@
-"""Giving back the room that removed clips have left, in a library file and in fragments, and moving arrays there.
-
-Moving arrays between rows and fragments, and leaving out blocks that no row names any more.
-"""
+"""Reclaiming unused space of a library file and its fragments, and moving arrays from rows to fragments."""
 
 from __future__ import annotations
 
@@ -40,22 +37,22 @@ MoveProgress = Callable[[int, int], None]
 """Called with (bytes moved, bytes to move)."""
 
 _ROWS_AT_ONCE = 500
-_BYTES_AT_ONCE = 2**25  # of one transaction
-_SMALL = MOST_BYTES // 8  # fragments below are joined
-_PAUSE = 0.1  # s between two looks at whether somebody reads an earlier state
+_BYTES_AT_ONCE = 2**25  # in one transaction
+_SMALL = MOST_BYTES // 8  # bytes; smaller fragments are joined
+_PAUSE = 0.1  # s between checks for readers of an earlier state
 
 BEGIN_AT = 100_000
-"""Clips of a library file from which on new arrays go to fragments."""
+"""Number of clips of a library file from which new arrays go to fragments."""
 
 
 def begin_where_large(database: Database) -> bool:
-    """Let new arrays go to fragments beside a large library file; whether that has begun now."""
+    """Let new arrays of a large library file go to fragments beside it; return whether this call began that."""
     if database.engine.dialect.name != "sqlite" or database.is_read_only:
         return False
     with database.reading() as connection:
         if find_store(connection) is not None:
             return False
-        # All but segments have positions; to count these themselves reads through the whole file.
+        # All but segments have positions, and counting positions directly would read the whole file.
         n_clips, n_segments = (
             connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one()
             for table in (schema.clips, schema.segments)
@@ -69,11 +66,9 @@ def begin_where_large(database: Database) -> bool:
 
 
 def choose_place(database: Database, place: str) -> None:
-    """Let new arrays go to fragments at a place that is asked for; empty for beside a library file.
+    """Let new arrays go to fragments at a given place; empty for beside a library file.
 
-    Raises
-    ------
-    LibraryError : a library file with fragments elsewhere, a server without a place, or another one than it has.
+    LibraryError for a library file with fragments elsewhere, a server without a place, or another place than before.
     """
     on_server = database.engine.dialect.name != "sqlite"
     if bool(place) != on_server:
@@ -84,7 +79,7 @@ def choose_place(database: Database, place: str) -> None:
         if known is None:
             chosen = f"{_as_url(place)}/{secrets.token_hex(8)}" if place else ""
             begin_store(connection, chosen)
-            find_store(connection)  # says if it cannot be opened, before anything is moved
+            find_store(connection)  # fails before anything is moved
         elif place and not known.startswith(f"{_as_url(place)}/"):
             raise LibraryError("library_fragments.other_place", library=database.where, place=known)
 
@@ -94,13 +89,13 @@ def _as_url(place: str) -> str:
 
 
 def measure_rows(connection: sa.Connection) -> int:
-    """Bytes of arrays that stand in their rows."""
+    """Return the bytes of arrays stored in their rows."""
     sizes = (sa.select(sa.func.sum(sa.func.length(column))) for column in ARRAYS)
     return sum(int(connection.execute(query).scalar() or 0) for query in sizes)
 
 
 def move_arrays(database: Database, progress: MoveProgress | None = None) -> int:
-    """Move the arrays that stand in rows to fragments; returns their bytes."""
+    """Move arrays from rows to fragments; return their bytes."""
     report = progress or (lambda done, total: None)
     with database.reading() as connection:
         total = measure_rows(connection)
@@ -125,7 +120,7 @@ def _key_of(column: sa.Column[Any]) -> sa.Column[Any]:
 
 
 def _move_some(database: Database, column: sa.Column[Any], keys: Sequence[Any]) -> tuple[int, Sequence[Any]]:
-    """Move rows in one transaction; returns the bytes, and those that are left for the next."""
+    """Move rows in one transaction; return their bytes, and the rows left for the next."""
     key, table = _key_of(column), column.table
     with database.writing() as connection:
         lock_for_writing(connection)
@@ -154,7 +149,7 @@ def _move_some(database: Database, column: sa.Column[Any], keys: Sequence[Any]) 
 
 
 def _seal(column: sa.Column[Any], row: Any) -> dict[str, Any]:
-    """The checksum of bytes, also where an older dousa wrote none: without one nothing would tell their fragment."""
+    """Return the checksum of bytes; computed if an older dousa wrote none, as fragments need one."""
     if column.table is schema.clip_features:
         sums = row.checksum if row.checksum is not None else FEATURES.compute(row[: len(FEATURES.covered)])
         return {"checksum": sums}
@@ -163,7 +158,7 @@ def _seal(column: sa.Column[Any], row: Any) -> dict[str, Any]:
 
 
 def rewrite_fragments(database: Database, progress: MoveProgress | None = None) -> None:
-    """Write fragments anew that have blocks which no row names, and join small ones."""
+    """Rewrite fragments that have unused blocks, and join small ones."""
     report = progress or (lambda done, total: None)
     with database.reading() as connection:
         store, used = find_store(connection), measure_used(connection)
@@ -188,7 +183,7 @@ def rewrite_fragments(database: Database, progress: MoveProgress | None = None) 
 
 
 def _rewrite_some(database: Database, column: sa.Column[Any], name: str, into: str) -> int:
-    """Move some blocks out of a fragment in one transaction; returns their bytes, 0 where none was left."""
+    """Move some blocks out of a fragment in one transaction; return their bytes, 0 if none was left."""
     key, table = _key_of(column), column.table
     with database.writing() as connection:
         lock_for_writing(connection)
@@ -210,7 +205,7 @@ def _rewrite_some(database: Database, column: sa.Column[Any], name: str, into: s
 
 
 def measure_used(connection: sa.Connection) -> Counter[str]:
-    """Bytes of each fragment that rows name."""
+    """Return the used bytes of each fragment."""
     used: Counter[str] = Counter()
     for column in ARRAYS:
         table = column.table.c
@@ -221,9 +216,9 @@ def measure_used(connection: sa.Connection) -> Counter[str]:
 
 
 def drop_unused(database: Database, timeout: float) -> int:
-    """Delete fragments that no row names, once nobody reads an earlier state of the library; returns their bytes.
+    """Delete unused fragments once no reader sees an earlier state of the library; return their bytes.
 
-    They are left for the next time where somebody still reads after the timeout, s.
+    If there still is such a reader after the timeout, s, they are left for the next time.
     """
     deadline = time.monotonic() + timeout
     while not _is_read_by_nobody(database):
@@ -231,7 +226,7 @@ def drop_unused(database: Database, timeout: float) -> int:
             return 0
         time.sleep(_PAUSE)
     freed = 0
-    # Nobody writes meanwhile: a block is written before the row that names it.
+    # Under the write lock: a block is written before the row that names it.
     with database.writing() as connection:
         lock_for_writing(connection)
         store, used = find_store(connection), measure_used(connection)
@@ -245,7 +240,7 @@ def drop_unused(database: Database, timeout: float) -> int:
 
 
 def _is_read_by_nobody(database: Database) -> bool:
-    """Whether no transaction is going on that began before."""
+    """Return whether no earlier transaction is still open."""
     if database.engine.dialect.name == "sqlite":
         with database.alone() as connection:
             # Busy if a reader still needs the log.
@@ -256,30 +251,28 @@ def _is_read_by_nobody(database: Database) -> bool:
 
 
 def measure_fragments(connection: sa.Connection) -> tuple[int, int]:
-    """Number and bytes of the fragments."""
+    """Return the number and bytes of the fragments."""
     store: FragmentStore | None = find_store(connection)
     sizes = {} if store is None else store.sizes()
     return len(sizes), sum(sizes.values())
 
 
-_STEPS = 10_000  # of the database between two looks at whether somebody wants to stop
+_STEPS = 10_000  # SQLite steps between checks for an interrupt
 
 CompactProgress = Callable[[int, int, Message], None]
-"""Called with (kB done, kB, what is being done)."""
+"""Called with (kB done, kB, message about the step)."""
 
 
 @dataclass(frozen=True, slots=True)
 class CompactReport:
-    """The answer of ``Library.compact``.
+    """The result of ``Library.compact``.
 
     Parameters
     ----------
-    library : its path.
-    before, after : bytes of its file and its fragments; of a database server only those of fragments.
-    forgotten : bytes of removed clips that were kept for an undo.
-    moved : bytes of arrays that were moved from the file, or the tables, to fragments.
-    n_fragments : how many there are.
-    swept : bytes of files of takes, beside the library, that no search would use.
+    before, after : bytes of its file and its fragments; of a database server only of fragments.
+    forgotten, moved : bytes of removed clips kept for an undo, and of arrays moved to fragments.
+    n_fragments : number of fragments.
+    swept : bytes of unused take files beside the library.
     """
 
     library: str
@@ -291,7 +284,7 @@ class CompactReport:
     swept: int = 0
 
     def to_messages(self) -> Iterator[Message]:
-        """What was moved, what is forgotten, and what the file was and is."""
+        """Return messages about moved arrays, deleted clips, and the size before and after."""
         if self.moved:
             yield Message("library_compact.moved", megabytes=self.moved / 1e6, n=self.n_fragments)
         if self.forgotten:
@@ -302,7 +295,7 @@ class CompactReport:
             yield Message("library_compact.done", before=self.before / 1e6, after=self.after / 1e6)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         return {
             "library": self.library,
             "before": self.before,
@@ -321,7 +314,7 @@ def _go_on() -> int:
 def compact_library(
     database: Database, fragments: str | None = None, progress: CompactProgress | None = None
 ) -> CompactReport:
-    """Leave out what nobody needs, and move arrays to fragments where that is asked for; as ``Library.compact``."""
+    """Delete what is not needed, and move arrays to fragments if asked; as ``Library.compact``."""
     report = progress or (lambda done, total, what: None)
 
     def tell(what: Message) -> Callable[[int, int], None]:
@@ -339,7 +332,7 @@ def compact_library(
         needed, free = _measure_room(database)
         if needed > free:
             raise LibraryError("library_compact.disk", library=database.where, needed=needed / 1e6, free=free / 1e6)
-    with database.writing() as writing:  # not before the space is known to be there
+    with database.writing() as writing:  # only after the check for free space
         forgotten = forget_kept(writing)
     rewrite_fragments(database, tell(Message("library_compact.rewriting")))
     if in_file:
@@ -353,7 +346,6 @@ def compact_library(
 
 
 def _measure(database: Database) -> tuple[int, int]:
-    """Bytes of a library, and how many fragments it has."""
     with database.reading() as connection:
         n_fragments, size = measure_fragments(connection)
     if database.engine.dialect.name == "sqlite":
@@ -362,7 +354,7 @@ def _measure(database: Database) -> tuple[int, int]:
 
 
 def _check_room(database: Database, place: str) -> None:
-    """LibraryError where the arrays that are going to be moved find no room."""
+    """Raise LibraryError if there is no room for the arrays to move."""
     if "://" in place:
         return
     folder = os.path.abspath(place or os.path.dirname(os.path.abspath(database.where)))
@@ -376,20 +368,20 @@ def _check_room(database: Database, place: str) -> None:
 
 
 def _measure_room(database: Database) -> tuple[int, int]:
-    """Bytes that a library file without its unused room needs, and those that are free on its disk."""
+    """Return the bytes of a library file without its unused room, and the free bytes of its disk."""
     with database.reading() as reading:
         kept = measure_kept(reading)
     with database.alone() as connection:
         pages, unused, size = (
             connection.execute(f"PRAGMA {name}").fetchone()[0] for name in ("page_count", "freelist_count", "page_size")
         )
-    # What is left is written beside the file, and then over it.
+    # SQLite writes a copy beside the file, then overwrites it.
     free = shutil.disk_usage(os.path.dirname(os.path.abspath(database.where))).free
     return (pages - unused) * size - kept, free
 
 
 def _vacuum(database: Database) -> None:
-    """Write a library file anew without its unused room, all or nothing."""
+    """Rewrite a library file without its unused room, all or nothing."""
     with database.alone() as connection:
         # Called while SQLite works, so that Ctrl-C is noticed.
         connection.set_progress_handler(_go_on, _STEPS)

@@ -1,8 +1,4 @@
-"""What of a library is damaged: the structure of its file, rows that do not agree with their checksums, numbers that
-cannot be, and what does not go together.
-
-What a check of a library found, and what became of it: plain values.
-"""
+"""Damage of a library: its file structure, checksums of rows, impossible numbers and contradictions."""
 
 from __future__ import annotations
 
@@ -30,13 +26,13 @@ from dousa.messages import Message
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """Something that is damaged.
+    """A damaged part of a library.
 
     Parameters
     ----------
     what : names the part.
-    clip_id, path : of the clip or take; None where the library as a whole is meant.
-    remedy : what was done, can be done, or has to be done by hand.
+    clip_id, path : of the clip or take; None for the library as a whole.
+    remedy : what was done, can be done, or must be done by hand.
     repaired : whether it is whole again.
     """
 
@@ -47,7 +43,7 @@ class Damage:
     repaired: bool
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values, messages in the language in use."""
+        """Return plain values, with messages in the current language."""
         return {
             "what": str(self.what),
             "clip_id": self.clip_id,
@@ -59,17 +55,16 @@ class Damage:
 
 @dataclass(frozen=True, slots=True)
 class CheckReport:
-    """The answer of ``Library.check``.
+    """The result of ``Library.check``.
 
     Parameters
     ----------
-    library : its path or URL.
     n_clips : clips and takes.
-    n_rows : rows that were compared with their checksums.
-    n_sealed : rows of an older dousa that had none, and got them now.
-    n_unsealed : those that have none still, as the library cannot be written.
-    damage : what is damaged, or was.
-    seconds : that it took.
+    n_rows : rows compared with their checksums.
+    n_sealed : rows of an older dousa that now got a checksum.
+    n_unsealed : those still without one because the library cannot be written.
+    damage : what is, or was, damaged.
+    seconds : time it took.
     """
 
     library: str
@@ -82,11 +77,11 @@ class CheckReport:
 
     @property
     def is_sound(self) -> bool:
-        """Whether nothing is damaged, any more."""
+        """Whether all damage is repaired."""
         return all(one.repaired for one in self.damage)
 
     def to_messages(self) -> Iterator[Message]:
-        """A line for each thing that is or was damaged, then one of the whole."""
+        """Return a line for each damaged part, then a summary."""
         for one in self.damage:
             where = {"what": one.what, "remedy": one.remedy}
             if one.clip_id is None:
@@ -104,7 +99,7 @@ class CheckReport:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values, messages in the language in use."""
+        """Return plain values, with messages in the current language."""
         return {
             "library": self.library,
             "sound": self.is_sound,
@@ -122,27 +117,20 @@ Tell = Callable[[int, int], None]
 
 _POSITIONS = (schema.clip_trajectories, schema.removed_positions)
 _ARRAYS_AT_ONCE = 64
-_MOST_SAID = 20  # by SQLite about the structure
+_MOST_SAID = 20  # messages of SQLite about the structure
 REMOVED_POSITIONS = Message("library_damage.removed_positions")
 """Names positions of a removed clip."""
 
 _WINDOWS = Message("library_damage.windows")
 WINDOW_FILE = "library_damage.window_file"
-"""Code of a file of windows; its key is where it is."""
+"""Code of a damaged window file; the key is its path."""
 
 _LABELLER = Message("library_damage.labeller")
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Something that is damaged.
-
-    Parameters
-    ----------
-    what : names the part.
-    key : of its row; None for the whole library.
-    seal : of the row, if it is one with a checksum of its own.
-    """
+    """A damaged part: its name, key (None for the whole library), and seal if it is a row with its own checksum."""
 
     what: Message
     key: Any = None
@@ -151,14 +139,13 @@ class Fault:
 
 @dataclass(slots=True)
 class Findings:
-    """What a look at the whole library found.
+    """Results of checking a whole library.
 
     Parameters
     ----------
-    faults : what is damaged, each once.
+    faults : the damaged parts, each once.
     unsealed : keys of rows without a checksum, by table.
-    n_rows : rows that were looked at.
-    n_clips : clips and takes.
+    n_rows, n_clips : rows checked; clips and takes.
     """
 
     faults: dict[Fault, None] = field(default_factory=dict)
@@ -167,12 +154,12 @@ class Findings:
     n_clips: int = 0
 
     def add(self, fault: Fault) -> None:
-        """Note a fault, if it is a new one."""
+        """Add a fault, if it is new."""
         self.faults[fault] = None
 
 
 def find_damage(database: Database, tell: Tell | None = None) -> Findings:
-    """Look at everything that a library keeps."""
+    """Check everything in a library."""
     findings = Findings()
     report = tell or (lambda done, total: None)
     with _noting(findings), database.reading() as connection:
@@ -208,7 +195,7 @@ def find_damage(database: Database, tell: Tell | None = None) -> Findings:
 
 @contextmanager
 def _noting(findings: Findings) -> Iterator[None]:
-    """What cannot be read at all is a fault of the structure."""
+    """Record a failure to read as a fault of the structure."""
     try:
         yield
     except LibraryDamagedError as error:
@@ -220,7 +207,7 @@ def _key_of(table: sa.Table) -> sa.Column[Any]:
 
 
 def _check_structure(connection: sa.Connection) -> Iterator[str]:
-    """What the database says of its own file, and tables that are not those of a library."""
+    """Check the columns of all tables and, in SQLite, the integrity of the file; yield the faults."""
     inspector = sa.inspect(connection)
     for table in schema.metadata.sorted_tables:
         there = {column["name"] for column in inspector.get_columns(table.name)}
@@ -255,12 +242,12 @@ def _check_rows(connection: sa.Connection, table: sa.Table, keys: Sequence[Any],
                 findings.unsealed.setdefault(table.name, []).append(row[0])
             elif not seal.is_whole(row):
                 findings.add(Fault(seal.what, row[0], seal))
-        for number in set(keys) - {row[0] for row in rows}:  # an index knows it, the table does not
+        for number in set(keys) - {row[0] for row in rows}:  # in an index but not in the table
             findings.add(Fault(seal.what, number, seal))
 
 
 def _check_positions(connection: sa.Connection, number: int, findings: Findings) -> None:
-    """Positions against their checksums; those that have none, against what can be."""
+    """Check positions by their checksums, or by their plausibility if they have none."""
     table = schema.clip_trajectories
     row = connection.execute(sa.select(table).where(table.c.clip_id == number)).first()
     if row is not None and row.block_checksums is None:
@@ -279,7 +266,6 @@ def _check_positions(connection: sa.Connection, number: int, findings: Findings)
 
 
 def _check_removed_positions(connection: sa.Connection, number: int, findings: Findings) -> None:
-    """Positions that an undo would bring back."""
     table = schema.removed_positions
     row = connection.execute(sa.select(table).where(table.c.number == number)).first()
     data = b"" if row is None else look_at_blocks(connection, [row], "positions")[0]
@@ -289,7 +275,6 @@ def _check_removed_positions(connection: sa.Connection, number: int, findings: F
 
 
 def _check_fragments(connection: sa.Connection, findings: Findings) -> None:
-    """Whether the fragments that rows name are there; the clips that lack them are found too."""
     used = measure_used(connection)
     store = find_store(connection) if used else None
     if used and store is None:
@@ -301,7 +286,7 @@ def _check_fragments(connection: sa.Connection, findings: Findings) -> None:
 
 
 def are_positions(number: int, data: bytes, sums: bytes | None, n_frames: int) -> bool:
-    """Whether positions have their length and their checksums, and are finite where there are none."""
+    """Return whether positions have the right length and checksums, or are finite if they have none."""
     if len(data) != n_frames * schema.FRAME_BYTES:
         return False
     if sums is None:
@@ -310,7 +295,6 @@ def are_positions(number: int, data: bytes, sums: bytes | None, n_frames: int) -
 
 
 def _check_state(connection: sa.Connection, findings: Findings) -> None:
-    """Whether the numbers that count clips and writes fit what is there."""
     clips, segments, stored = schema.clips.c, schema.segments.c, schema.clip_trajectories.c
     state = connection.execute(sa.select(*STATE.columns)).one_or_none()
     highest = connection.execute(sa.select(sa.func.max(clips.id))).scalar() or 0
@@ -324,7 +308,7 @@ def _check_state(connection: sa.Connection, findings: Findings) -> None:
 
 
 def _check_forest(connection: sa.Connection, where: str, findings: Findings) -> None:
-    """Whether the forest, its leaves, the windows of takes and the labeller can be used."""
+    """Check that the forest, its leaves, the windows of takes and the labeller can be used."""
     from dousa.retrieval import MotionForest
     from dousa.retrieval.forest.calibration import Calibration
     from dousa.retrieval.takes.label import TakeLabeller
@@ -338,7 +322,7 @@ def _check_forest(connection: sa.Connection, where: str, findings: Findings) -> 
         findings.add(Fault(checksums.FOREST.what, 1, checksums.FOREST))
     asked = connection.execute(sa.select(schema.clip_leaves.c.clip_id).limit(1)).first()
     if asked is not None and connection.execute(sa.select(table.id)).first() is None:
-        findings.add(Fault(checksums.FOREST.what, 1, checksums.FOREST))  # it is gone
+        findings.add(Fault(checksums.FOREST.what, 1, checksums.FOREST))  # the forest is missing
     labeller = connection.execute(sa.select(table.labeller)).scalar()
     if labeller is not None and not _is_readable(TakeLabeller.from_bytes, labeller):
         findings.add(Fault(_LABELLER, 1))
@@ -356,7 +340,7 @@ def _check_forest(connection: sa.Connection, where: str, findings: Findings) -> 
 
 
 def _check_leaves(connection: sa.Connection, n_trees: int, n_leaves: int, findings: Findings) -> None:
-    """Leaves that the forest does not have, where an older dousa wrote no checksum."""
+    """Check rows without a checksum for leaves that the forest does not have."""
     table = schema.clip_leaves.c
     for row in connection.execute(sa.select(table.clip_id, table.leaves).where(table.checksum.is_(None))):
         leaves = np.frombuffer(row.leaves, "<i4") if len(row.leaves) == 4 * n_trees else np.array([-1])

@@ -1,6 +1,6 @@
-"""Checking a library, and putting right what can be: computed again, read again from the files, or by its checksum.
+"""Checking and repairing a library: values are computed again, read again from files, or mended by their checksums.
 
-Saving what can be read of a library whose file is damaged in its structure: row by row, into a new file.
+If the structure of the file is damaged, its readable rows are copied to a new file.
 """
 
 from __future__ import annotations
@@ -46,21 +46,16 @@ from dousa.library.store.selection import portions
 from dousa.library.takes.windows import refresh_windows
 from dousa.messages import Message
 
-# Forests for parts of bodies are learned again, examples of leaves chosen again, the state is counted again. What was
-# changed cannot be undone any more.
+# Forests for parts of bodies, examples of leaves and the state are computed again; the undo journal is lost.
 _LEFT_OUT = (
     schema.migrations, schema.library_state, schema.part_forests, schema.leaf_examples, *schema.JOURNAL_TABLES,
 )  # fmt: skip
 
 
 def salvage_library(database: Database) -> dict[int, str]:
-    """Copy every row that can be read into a new file, which takes the place of the old one.
+    """Copy every readable row into a new file, which replaces the old one, kept beside it as ``.damaged``.
 
-    The old one is kept beside it, its name followed by ``.damaged``.
-
-    Returns
-    -------
-    Names of clips that could not be saved, by number, where an index still has them.
+    Returns the names of lost clips, by number, if an index still has them.
     """
     path = Path(database.where)
     with suppress(sqlite3.Error), database.alone() as connection:
@@ -86,7 +81,7 @@ def salvage_library(database: Database) -> dict[int, str]:
 
 
 def _copy(source: sqlite3.Connection, fresh: Database) -> tuple[set[int], dict[int, str]]:
-    """Copy the rows; returns the numbers of the clips that are there now, and of all that an index knows."""
+    """Copy the rows; return the numbers of the clips saved, and of all clips in an index."""
     known = _read_names(source)
     last = max([_read_next(source), *(number + 1 for number in known)])
     saved: set[int] = set()
@@ -108,7 +103,7 @@ def _copy(source: sqlite3.Connection, fresh: Database) -> tuple[set[int], dict[i
 
 
 def _insert(fresh: Database, table: sa.Table, rows: list[dict[str, Any]]) -> None:
-    """Write raw values; a row that breaks a rule of the tables (two of one name) is left out."""
+    """Write raw values; rows that break a table constraint (two of one name) are left out."""
     names = [column.name for column in table.c]
     statement = f"INSERT OR IGNORE INTO {table.name} ({', '.join(names)}) VALUES ({', '.join('?' * len(names))})"
     with fresh.alone() as connection:
@@ -134,7 +129,6 @@ def _read_next(source: sqlite3.Connection) -> int:
 
 
 def _read_rows(source: sqlite3.Connection, table: sa.Table, keys: range) -> Iterator[list[dict[str, Any]]]:
-    """The rows that can be read, a few at a time."""
     names = [column.name for column in table.c]
     key = next(iter(table.primary_key)).name
     statement = f"SELECT {', '.join(names)} FROM {table.name} WHERE {key} = ?"
@@ -149,7 +143,7 @@ def _read_rows(source: sqlite3.Connection, table: sa.Table, keys: range) -> Iter
 
 
 CheckProgress = Callable[[int, int, Message], None]
-"""Called with (rows done, rows, what is being done)."""
+"""Called with (rows done, rows, message about the step)."""
 
 _COMPUTED = {
     "library_damage.features": schema.clip_features,
@@ -160,7 +154,7 @@ _COMPUTED = {
     "library_damage.part_forest": schema.part_forests,
     "library_damage.examples": schema.leaf_examples,
 }
-"""What follows from positions and forest: it is thrown away and computed anew."""
+"""Parts that follow from positions and forest, and are computed again."""
 
 _MENDED = ("library_damage.labels", "library_damage.numbers", "library_damage.segment", "library_damage.annotation",
            "library_damage.forest", "library_damage.state", "library_damage.store")  # fmt: skip
@@ -178,7 +172,7 @@ _POSITIONS_AT_ONCE = 16
 def check_library(
     database: Database, repair: bool, progress: CheckProgress | None, salvage: bool = True
 ) -> CheckReport:
-    """Look at everything, and put right what can be; as ``Library.check``."""
+    """Check everything, and repair what can be; as ``Library.check``."""
     start = time.perf_counter()
     report = progress or (lambda done, total, what: None)
 
@@ -220,7 +214,7 @@ def _find_broken(findings: Findings) -> list[Fault]:
 
 
 def _salvage(database: Database, findings: Findings) -> list[Damage]:
-    """Where the structure of the file is damaged, save what can be read; empty where it is not."""
+    """Salvage a file whose structure is damaged; empty if it is not."""
     broken = _find_broken(findings)
     if not broken or database.engine.dialect.name != "sqlite":
         return []
@@ -250,14 +244,13 @@ def _name(connection: sa.Connection, number: int) -> str:
 
 
 def _as_bytes(connection: sa.Connection, column: sa.Column[Any]) -> sa.ColumnElement[Any]:
-    """A text as it is stored: it may not be one any more."""
+    """Select a text as bytes, as it may no longer be valid text."""
     if connection.dialect.name == "sqlite":
         return sa.cast(column, sa.LargeBinary)
     return sa.func.convert_to(sa.cast(column, sa.Text), "UTF8", type_=sa.LargeBinary)
 
 
 def _foresee(database: Database, fault: Fault) -> Message:
-    """What a repair would do."""
     code = fault.what.code
     if code in _FORESEEN:
         return _FORESEEN[code]
@@ -269,14 +262,14 @@ def _foresee(database: Database, fault: Fault) -> Message:
 
 
 def _repair(database: Database, fault: Fault) -> Message | None:
-    """Put one thing right; returns how, or None where that cannot be."""
+    """Repair one fault; return how, or None if it cannot be repaired."""
     code, done = fault.what.code, None
     try:
         if code in _COMPUTED:
             _throw_away(database, _COMPUTED[code], fault.key)
             done = Message("library_check.computed")
         elif code == "library_damage.fragment":
-            done = Message("library_check.replaced")  # whether it is so is seen when all is looked at again
+            done = Message("library_check.replaced")  # verified by the second check
         elif code == WINDOW_FILE:
             with suppress(OSError):
                 os.unlink(fault.key)
@@ -295,7 +288,7 @@ def _repair(database: Database, fault: Fault) -> Message | None:
                 done = _count_again(database)
             elif done is None and code == "library_damage.store" and database.engine.dialect.name == "sqlite":
                 with database.writing() as connection:
-                    begin_store(connection, "")  # they lie nowhere else
+                    begin_store(connection, "")  # the only possible place
                 done = Message("library_check.computed")
             elif done is None and code == "library_damage.numbers":
                 done = _read_numbers(database, fault.key)
@@ -309,14 +302,13 @@ def _repair(database: Database, fault: Fault) -> Message | None:
 def _throw_away(database: Database, table: sa.Table, key: Any) -> None:
     with database.writing() as connection:
         if table is schema.clip_leaves:
-            load_forest(connection, database.where)  # a clip without leaves is not found: only if they can be had again
+            load_forest(connection, database.where)  # first make sure that leaves can be computed again
         connection.execute(sa.delete(table).where(next(iter(table.primary_key)) == key))
         if table is schema.clip_features:
             connection.execute(sa.delete(schema.clip_poses).where(schema.clip_poses.c.clip_id == key))
 
 
 def _mend_row(database: Database, seal: Seal, key: Any) -> Message | None:
-    """Put one flipped bit of a row right."""
     table, own = seal.checksum.table, seal.covered[0]
     with database.writing() as connection:
         raw = [
@@ -334,14 +326,14 @@ def _mend_row(database: Database, seal: Seal, key: Any) -> Message | None:
 
 
 def _forget_row(database: Database, seal: Seal, key: Any) -> Message:
-    """Throw away what people can do without: tags of a clip, a search that is kept, a change that can be undone."""
+    """Delete a dispensable row: tags of a clip, a saved search, an undoable change."""
     with database.writing() as connection:
         connection.execute(sa.delete(seal.checksum.table).where(seal.covered[0] == key))
     return Message("library_check.forgotten")
 
 
 def _count_again(database: Database) -> Message:
-    """The numbers that count clips and writes, from what is there; the forest is no longer called current."""
+    """Recompute the counters of clips and writes; the forest no longer counts as current."""
     with database.writing() as connection:
         highest = connection.execute(sa.select(sa.func.max(schema.clips.c.id))).scalar() or 0
         learned = connection.execute(sa.select(sa.func.max(schema.forests.c.learned))).scalar() or 0
@@ -352,7 +344,7 @@ def _count_again(database: Database) -> Message:
 
 
 def _look_at_file(database: Database, number: int) -> tuple[Message, ClipRecord | None]:
-    """What the file of a clip has to give: a message, and where it is as it was the record of it."""
+    """Return a message about the file of a clip, and its record if the content is unchanged."""
     clips = schema.clips.c
     columns = (clips.path, clips.content_hash, clips.read_options, clips.kind, clips.format)
     try:
@@ -371,7 +363,7 @@ def _look_at_file(database: Database, number: int) -> tuple[Message, ClipRecord 
 
 
 def _read_file(task: ReadTask, content: str, number: int, sums: bytes | None) -> tuple[Message, ClipRecord | None]:
-    # Which axis is up may have been decided by other files of the folder: the checksum says which it was.
+    # The up axis may have been elected by other files of the folder: the checksum identifies it.
     for up, unit in product((None, "y", "z"), (None, 1.0, 0.01, 0.001)):
         record = read_clip(replace(task, voted=(up, unit, ())))
         if isinstance(record, Skipped):
@@ -386,7 +378,7 @@ def _read_file(task: ReadTask, content: str, number: int, sums: bytes | None) ->
 
 
 def _restore_positions(database: Database, number: int) -> Message | None:
-    """Positions from the file, else with one bit put right."""
+    """Restore positions from the file, else by mending one bit."""
     table = schema.clip_trajectories
     _, record = _look_at_file(database, number)
     with database.writing() as connection:
@@ -410,7 +402,6 @@ def _restore_positions(database: Database, number: int) -> Message | None:
 
 
 def _mend_removed(database: Database, number: int) -> Message | None:
-    """One flipped bit of positions that an undo would bring back."""
     table = schema.removed_positions
     with database.writing() as connection:
         row = connection.execute(sa.select(table).where(table.c.number == number)).first()
@@ -427,7 +418,7 @@ def _mend_removed(database: Database, number: int) -> Message | None:
 
 
 def _mend_positions(number: int, data: bytes, sums: bytes) -> bytes:
-    """Positions with at most one flipped bit in each block put right; empty where that does not explain them."""
+    """Mend positions with at most one flipped bit in each block; empty if that does not explain the damage."""
     size = BLOCK_FRAMES * schema.FRAME_BYTES
     found, kept = np.frombuffer(seal_positions(number, data), "<u4"), np.frombuffer(sums[: len(sums) // 4 * 4], "<u4")
     if len(found) != len(kept):
@@ -443,7 +434,7 @@ def _mend_positions(number: int, data: bytes, sums: bytes) -> bytes:
 
 
 def _read_numbers(database: Database, number: int) -> Message | None:
-    """What is known of a clip, from its file, where its positions say that it is the same."""
+    """Read the numbers of a clip again from its file, if its positions are the same."""
     _, record = _look_at_file(database, number)
     if record is None:
         return None
@@ -459,7 +450,6 @@ def _read_numbers(database: Database, number: int) -> Message | None:
 
 
 def _compute_again(database: Database) -> None:
-    """What follows from positions and forest, where it is lacking."""
     with suppress(LibraryError):
         keep_all_relations(database)
         with database.reading() as connection:
@@ -490,7 +480,7 @@ def _lack_nothing(connection: sa.Connection, feature_set: str, ids: Sequence[int
 
 
 def _seal_rows(database: Database, findings: Findings) -> int:
-    """Give checksums to rows that an older dousa wrote; returns to how many."""
+    """Add checksums to rows of an older dousa; return their number."""
     broken = {(fault.what.code, fault.key) for fault in findings.faults}
     count = 0
     table = schema.clip_trajectories

@@ -1,12 +1,10 @@
-"""Clips whose label is likely wrong: those that resemble clips of another category more than those of their own.
+"""Clips whose label is likely wrong, and groups of near duplicates.
 
-A forest that has learned a wrong label repeats it, so no clip is judged by trees that have seen it. The clips are dealt
-into parts; for each part a forest is grown of all others and votes on it, as in cross-validation. A clip is doubted as
-far as another category has more votes than its own: the normalised margin of confident learning (Northcutt, Jiang,
-Chuang, "Confident Learning: Estimating Uncertainty in Dataset Labels", JAIR 70, 2021). Categories whose names mean the
-same count as one.
-
-Groups of clips that are nearly the same: one recording twice, at another rate, cut a little differently, or cleaned.
+A forest that has learned a wrong label repeats it, so each clip is judged by trees trained without it: the clips are
+split into parts, and for each part a forest is grown of the others, as in cross-validation. A clip is in doubt if
+another category has more votes than its own: the normalised margin of confident learning (Northcutt, Jiang, Chuang,
+"Confident Learning: Estimating Uncertainty in Dataset Labels", JAIR 70, 2021). Categories of the same meaning count as
+one.
 """
 
 from __future__ import annotations
@@ -32,20 +30,17 @@ from dousa.messages import Message
 from dousa.retrieval import DEFAULT_FEATURE_SET, MotionForest
 
 NEAR = 0.01
-"""Body heights that the joints of near duplicates are apart, root mean square over joints and time."""
+"""Largest distance of the joints of near duplicates, root mean square over joints and time, body heights."""
 
-_LONGER = 1.15  # times as long as the other
+_LONGER = 1.15  # largest ratio of the durations of near duplicates
 _BLOCK = 1024
 
 
 @dataclass(frozen=True, slots=True)
 class DuplicateGroup:
-    """Clips that are nearly the same.
+    """Clips that are nearly the same, in the order of their paths.
 
-    Parameters
-    ----------
-    clip_ids, paths, categories : of them, in the order of their paths.
-    distance : the largest of the distances that hold them together, body heights.
+    ``distance`` is the largest of the distances that link them, body heights.
     """
 
     clip_ids: tuple[int, ...]
@@ -54,14 +49,14 @@ class DuplicateGroup:
     distance: float
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         clips = zip(self.clip_ids, self.paths, self.categories, strict=True)
         listed = [{"clip_id": number, "path": path, "category": category} for number, path, category in clips]
         return {"distance": self.distance, "clips": listed}
 
 
 def find_near_duplicates(database: Database, near: float) -> list[DuplicateGroup]:
-    """Groups of clips that are nearly the same, the largest first; as ``Library.find_near_duplicates``."""
+    """Find groups of nearly equal clips, the largest first; as ``Library.find_near_duplicates``."""
     with database.reading() as connection:
         parameters = connection.execute(sa.select(schema.forests.c.parameters)).scalar()
         feature_set = str((parameters or {}).get("feature_set", DEFAULT_FEATURE_SET))
@@ -115,7 +110,7 @@ def find_pairs(poses: NDArray[np.float32], durations: FloatArray, near: float) -
             first, second = start + one, start + other
             if second <= first or lengths[second] > _LONGER * lengths[first]:
                 continue
-            # Once more, as little is left of the difference of large numbers.
+            # Computed again directly: the difference of large numbers is imprecise.
             distance = float(np.linalg.norm(flat[first] - flat[second]))
             if distance < near:
                 rows = int(order[first]), int(order[second])
@@ -128,7 +123,7 @@ ReviewProgress = Callable[[int, int, Message], None]
 
 _PARTS = 5
 _TREES = 50
-_LEAST = 3  # clips of a category, so that there are others to be compared with
+_LEAST = 3  # fewest clips of a judged category, so that there are others to compare
 _NEIGHBOURS = 3
 
 
@@ -138,11 +133,11 @@ class LabelDoubt:
 
     Parameters
     ----------
-    clip_id, path, category : of it, as in ``ClipInfo``.
-    suggested : the category that its neighbours have.
-    votes, own_votes : share of the trees that vote for the suggestion and for the label, 0 to 1; none of them has seen
-        the clip.
-    alike, same : numbers of the clips of the suggested and of its own category that it meets in the most leaves, the
+    clip_id, path, category : as in ``ClipInfo``.
+    suggested : the category of its neighbours.
+    votes, own_votes : share of the trees, none trained on the clip, that vote for the suggestion and for the label,
+        0 to 1.
+    alike, same : numbers of the clips of the suggested and of its own category that share the most leaves with it, the
         nearest first.
     """
 
@@ -156,21 +151,21 @@ class LabelDoubt:
     same: tuple[int, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         names = ("clip_id", "path", "category", "suggested", "votes", "own_votes")
         return {name: getattr(self, name) for name in names} | {"alike": list(self.alike), "same": list(self.same)}
 
 
 @dataclass(frozen=True, slots=True)
 class LabelReview:
-    """What came of looking through the labels of a library.
+    """The result of reviewing the labels of a library.
 
     Parameters
     ----------
     doubts : clips whose label is likely wrong, the likeliest first.
-    n_judged : clips that were looked at.
-    n_few : clips that were not: fewer than three have their category.
-    n_checked : clips that somebody has looked at before: they have the tag ``checked``.
+    n_judged : clips that were judged.
+    n_few : clips not judged because fewer than three have their category.
+    n_checked : clips with the tag ``checked``, reviewed before.
     """
 
     doubts: tuple[LabelDoubt, ...]
@@ -179,13 +174,13 @@ class LabelReview:
     n_checked: int
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         counts = {"n_judged": self.n_judged, "n_few": self.n_few, "n_checked": self.n_checked}
         return counts | {"doubts": [one.to_json() for one in self.doubts]}
 
 
 def review_labels(database: Database, n_jobs: int | None, progress: ReviewProgress | None) -> LabelReview:
-    """Which labels of a library are likely wrong; as ``Library.review_labels``."""
+    """Find the labels of a library that are likely wrong; as ``Library.review_labels``."""
     tell = progress or (lambda done, total, what: None)
     tell(0, _PARTS + 1, Message("library_training.describing_clips"))
     with database.reading() as connection:
@@ -221,7 +216,7 @@ def _judge(
     n_jobs: int | None,
     tell: Callable[[int], None],
 ) -> list[_Found]:
-    """Number, label, suggestion, votes for both and neighbours of both, of each clip in doubt; the likeliest first."""
+    """Return number, label, suggestion, votes and neighbours of each clip in doubt, the likeliest first."""
     kind, named = find_feature_set(feature_set), find_meanings(set(labels.tolist()))
     means = np.array([named[label] for label in labels.tolist()], dtype=np.str_)
     ids = np.array([clips.ids[row] for row in rows])
@@ -257,7 +252,7 @@ def _judge(
 
 
 def deal(labels: NDArray[np.str_]) -> IndexArray:
-    """(N,) which part each clip is in; every category is spread over all parts, at random but always the same."""
+    """Assign each clip to a part, (N,); every category is spread over all parts, with a fixed seed."""
     chance = np.random.default_rng(0)
     order = np.lexsort((chance.permutation(len(labels)), labels))
     parts = np.empty(len(labels), np.intp)
@@ -266,7 +261,7 @@ def deal(labels: NDArray[np.str_]) -> IndexArray:
 
 
 def _compare(shares: FloatArray, meant: NDArray[np.str_], own: str) -> tuple[str, float, float]:
-    """The other meaning with the most votes, its votes, and those of a clip's own."""
+    """Return the other meaning with the most votes, its votes, and those of the clip's own."""
     votes: dict[str, float] = {}
     for meaning, share in zip(meant.tolist(), shares.tolist(), strict=True):
         votes[meaning] = votes.get(meaning, 0.0) + share

@@ -1,10 +1,8 @@
-"""Removed clips that are kept for an undo: put away before they are removed, and brought back as they were.
+"""The journal of changes, and the removed clips kept for undo.
 
-Kept are the rows that nobody can compute again, and those that are small: labels and numbers, positions, the place in a
-take, tables of labels, tags, words, poses, and the leaves, which hold while the forest is the same. Features are
-computed again when they are needed, windows of takes at once.
-
-The changes that are written down: reading them, naming them, and how many are kept.
+Kept are rows that cannot be computed again, and small ones: labels and numbers, positions, the place in a take, tables
+of labels, tags, words, poses, and leaves, which hold while the forest is the same. Features are computed again when
+needed, windows of takes at once.
 """
 
 from __future__ import annotations
@@ -25,10 +23,10 @@ from dousa.library.store.selection import fetch_in, portions
 from dousa.messages import Message
 
 MOST_CHANGES = 1000
-"""That are written down; the oldest are forgotten."""
+"""Most recorded changes; the oldest are deleted."""
 
 MOST_KEPT_BYTES = 1 << 30
-"""Of removed clips: the oldest changes are forgotten with theirs. Those of the last change are kept in any case."""
+"""Most bytes of removed clips: beyond it the oldest changes are deleted, but never the last one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +36,12 @@ class JournalEntry:
     Parameters
     ----------
     number : of the change; later ones have higher numbers.
-    made_at : when, ISO 8601, UTC.
+    made_at : ISO 8601, UTC.
     kind : ``"add"``, ``"remove"``, ``"relabel"``, ``"tag"``, ``"label"`` (tables of labels of takes) or ``"name"`` (a
         part of a take, by hand).
-    n_clips : clips and takes that it concerns.
-    what : tells it.
-    is_undone : whether it was undone, and can be done again.
+    n_clips : number of clips and takes.
+    what : description.
+    is_undone : whether it was undone and can be redone.
     kept_bytes : of removed clips that are kept for it.
     """
 
@@ -56,7 +54,7 @@ class JournalEntry:
     kept_bytes: int
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         return {
             "number": self.number,
             "made_at": self.made_at,
@@ -69,7 +67,7 @@ class JournalEntry:
 
 
 def read_row(connection: sa.Connection, number: int) -> Any:
-    """A row of the table, None if there is no such change; LibraryDamagedError where it is not as it was written."""
+    """Read a change, None if there is none of this number; LibraryDamagedError if its checksum is wrong."""
     row = connection.execute(sa.select(*JOURNAL.columns).where(schema.journal.c.number == number)).one_or_none()
     if row is not None:
         JOURNAL.check(connection, row)
@@ -77,7 +75,7 @@ def read_row(connection: sa.Connection, number: int) -> Any:
 
 
 def find_next(connection: sa.Connection, *, undone: bool) -> int | None:
-    """Number of the change that is undone next, or done again next."""
+    """Return the number of the next change to undo or redo."""
     table = schema.journal.c
     if undone:
         query = sa.select(table.number).where(table.undone.is_not(None)).order_by(table.undone.desc(), table.number)
@@ -88,7 +86,7 @@ def find_next(connection: sa.Connection, *, undone: bool) -> int | None:
 
 
 def list_entries(connection: sa.Connection, numbers: Sequence[int] | None = None) -> list[JournalEntry]:
-    """The changes that are written down, the last first; all, or those of these numbers."""
+    """Return the recorded changes, the last first; all, or those of these numbers."""
     table, kept = schema.journal.c, schema.removed_clips.c
     query = sa.select(*JOURNAL.columns).order_by(table.number.desc())
     if numbers is not None:
@@ -107,13 +105,10 @@ def list_entries(connection: sa.Connection, numbers: Sequence[int] | None = None
 
 
 def describe(kind: str, n: int, told: dict[str, Any]) -> Message:
-    """A change in words.
+    """Describe a change of n clips in words.
 
-    Parameters
-    ----------
-    kind, n : of the change, and clips that it concerns.
-    told : ``category`` and ``performer`` of a relabelling, ``tags`` that were given and taken, as ``["+a", "-b"]``, or
-        the ``category`` of a part that was named.
+    ``told`` has ``category`` and ``performer`` of a relabelling, added and removed ``tags`` as ``["+a", "-b"]``, or the
+    ``category`` of a named part.
     """
     if kind == "relabel":
         return _describe_labels(n, told)
@@ -143,17 +138,17 @@ def _describe_labels(n: int, told: dict[str, Any]) -> Message:
 
 
 def measure_kept(connection: sa.Connection) -> int:
-    """Bytes of the removed clips that are kept."""
+    """Return the bytes of the removed clips that are kept."""
     return int(connection.execute(sa.select(sa.func.sum(schema.removed_clips.c.size))).scalar() or 0)
 
 
 def forget_undone(connection: sa.Connection) -> None:
-    """What was undone cannot be done again any more."""
+    """Delete undone changes, which can then not be redone."""
     connection.execute(sa.delete(schema.journal).where(schema.journal.c.undone.is_not(None)))
 
 
 def forget_kept(connection: sa.Connection) -> int:
-    """Forget all removed clips, and the changes that cannot be undone without them; returns the bytes of these."""
+    """Delete all kept clips, and the changes that cannot be undone without them; return the bytes."""
     size = measure_kept(connection)
     forget_undone(connection)
     last = connection.execute(sa.select(sa.func.max(schema.removed_clips.c.change))).scalar()
@@ -163,7 +158,7 @@ def forget_kept(connection: sa.Connection) -> int:
 
 
 def keep_within_bounds(connection: sa.Connection, newest: int) -> None:
-    """Forget the oldest changes where there are too many, or where they keep too much."""
+    """Delete the oldest changes if there are too many, or if they keep too many bytes."""
     table, kept = schema.journal.c, schema.removed_clips.c
     numbers = list(connection.execute(sa.select(table.number).order_by(table.number.desc())).scalars())
     bound = numbers[MOST_CHANGES] if len(numbers) > MOST_CHANGES else 0
@@ -179,7 +174,7 @@ def keep_within_bounds(connection: sa.Connection, newest: int) -> None:
 
 
 def pack_ids(ids: Iterable[int]) -> list[list[int]]:
-    """Numbers as [[first, last], ...]: those of clips that were added together follow each other."""
+    """Pack numbers as [[first, last], ...]."""
     spans: list[list[int]] = []
     for number in sorted(set(ids)):
         if spans and spans[-1][1] == number - 1:
@@ -190,24 +185,24 @@ def pack_ids(ids: Iterable[int]) -> list[list[int]]:
 
 
 def unpack_ids(spans: Iterable[Sequence[int]]) -> list[int]:
-    """The numbers that ``pack_ids`` wrote, ascending."""
+    """Return the numbers of ``pack_ids``, ascending."""
     return [number for first, last in spans for number in range(first, last + 1)]
 
 
-# In this order they are brought back: a segment after the clip that it is.
+# Order of restoring: a segment after its clip.
 _TABLES = (
     schema.clips, schema.segments, schema.take_annotations, schema.clip_tags, schema.clip_relations, schema.clip_poses,
     schema.clip_leaves,
 )  # fmt: skip
-_COPIED = ("positions", "block_checksums", *schema.PLACE)  # blocks in fragments stay where they are
+_COPIED = ("positions", "block_checksums", *schema.PLACE)  # blocks in fragments stay in place
 _BYTES = "base64"
 _STAMP = "forest"
 
 
 def put_away(connection: sa.Connection, ids: Sequence[int], change: int) -> None:
-    """Keep clips and takes, with their segments among these numbers, that are about to be removed.
+    """Keep clips and takes, with their segments among these numbers, before they are removed.
 
-    Damaged rows that cannot be read are not kept: such a clip cannot be brought back.
+    Clips with unreadable rows are not kept, and cannot be restored.
     """
     for some in portions(ids):
         try:
@@ -256,7 +251,7 @@ def _write(connection: sa.Connection, kept: dict[int, dict[str, Any]], change: i
 
 
 def list_kept(connection: sa.Connection, ids: Sequence[int], change: int) -> dict[int, dict[str, Any]]:
-    """What is kept of clips for a change, by number; LibraryDamagedError where it is not as it was written."""
+    """Read the kept clips of a change, by number; LibraryDamagedError if a checksum is wrong."""
     table = schema.removed_clips.c
     found = {}
     for row in fetch_in(connection, sa.select(*REMOVED.columns).where(table.change == change), table.number, ids):
@@ -266,22 +261,15 @@ def list_kept(connection: sa.Connection, ids: Sequence[int], change: int) -> dic
 
 
 def list_kept_paths(connection: sa.Connection) -> list[str]:
-    """Paths of all removed clips that are kept."""
+    """Return the paths of all kept clips."""
     path = schema.removed_clips.c.kept[schema.clips.name]["path"].as_string()
     return [str(found) for found in connection.execute(sa.select(path)).scalars()]
 
 
 def bring_back(connection: sa.Connection, where: str, kept: dict[int, dict[str, Any]]) -> None:
-    """Put removed clips back as they were, with what the present forest says of them.
+    """Restore removed clips of ``list_kept``, with their leaves in the present forest.
 
-    Parameters
-    ----------
-    where : name of the library, for messages.
-    kept : as ``list_kept`` has it.
-
-    Raises
-    ------
-    LibraryDamagedError : the positions of one are gone.
+    ``where`` is the library's name in messages. LibraryDamagedError if the positions of one are gone.
     """
     stamp = _read_stamp(connection)
     fresh = [number for number, own in kept.items() if own[_STAMP] == stamp]
@@ -303,7 +291,7 @@ def bring_back(connection: sa.Connection, where: str, kept: dict[int, dict[str, 
 
 
 def _ask_forest(connection: sa.Connection, where: str, ids: Sequence[int]) -> None:
-    """The leaves of clips in a forest that has learned since they were removed; takes have none."""
+    """Return the leaves of clips in a forest that learned since they were removed; takes have none."""
     stored = load_forest(connection, where) if ids else None
     if stored is None:
         return

@@ -1,8 +1,6 @@
-"""Undoing a change, and doing it again: both put what was, or what became, in the place of the other.
+"""Recording changes, and undo and redo: both swap the state before a change with the state after it.
 
-Nothing is done by halves, and nothing is done where the clips are not as the change left them.
-
-Writing a change down while it is made: what its clips were before, and what they are afterwards.
+A step is all or nothing, and refused if the clips are not as the change left them.
 """
 
 from __future__ import annotations
@@ -42,25 +40,14 @@ Marks = dict[int, dict[str, Any]]
 
 @dataclass(slots=True)
 class Recorded:
-    """A change that is being written down.
-
-    Parameters
-    ----------
-    number : of the change; None where nothing changed.
-    """
+    """A change in progress, and its number; None if nothing changed."""
 
     number: int | None = None
 
 
 @dataclass(slots=True)
 class _Together(Recorded):
-    """Several steps that are one change.
-
-    Parameters
-    ----------
-    engine : of the library.
-    kind, told : of the change; those of the first step where there are none.
-    """
+    """Several steps that form one change; by default with the ``kind`` and message of the first."""
 
     engine: sa.Engine | None = None
     kind: str | None = None
@@ -72,12 +59,9 @@ _TOGETHER: ContextVar[_Together | None] = ContextVar("together", default=None)
 
 @contextmanager
 def recording_together(engine: sa.Engine, kind: str | None, told: dict[str, Any]) -> Iterator[Recorded]:
-    """What this thread records of a library inside the block is one change, even in several transactions.
+    """Record this thread's changes of a library inside the block as one change, even over several transactions.
 
-    Parameters
-    ----------
-    engine : of the library.
-    kind, told : as in `recording`, of the whole.
+    ``kind`` and message values as in `recording`, of the whole.
     """
     together = _Together(engine=engine, kind=kind, told=told)
     token = _TOGETHER.set(together)
@@ -89,14 +73,7 @@ def recording_together(engine: sa.Engine, kind: str | None, told: dict[str, Any]
 
 @dataclass(slots=True)
 class Changes:
-    """What a change did, as it is kept.
-
-    Parameters
-    ----------
-    labels : (column, before, after, numbers).
-    gone, new : numbers.
-    annotations : (take, before, after).
-    """
+    """A recorded change: labels (column, before, after, numbers), gone and new numbers, tables before and after."""
 
     labels: list[tuple[str, Any, Any, list[int]]] = field(default_factory=list)
     gone: list[int] = field(default_factory=list)
@@ -105,7 +82,7 @@ class Changes:
 
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> Changes:
-        """From what ``to_json`` wrote."""
+        """Read the result of ``to_json``."""
         return cls(
             [(name, before, after, unpack_ids(spans)) for name, before, after, spans in values["labels"]],
             unpack_ids(values["gone"]),
@@ -114,7 +91,7 @@ class Changes:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         return {
             "labels": [[name, before, after, pack_ids(ids)] for name, before, after, ids in self.labels],
             "gone": pack_ids(self.gone),
@@ -124,7 +101,7 @@ class Changes:
 
     @property
     def clips(self) -> set[int]:
-        """Numbers of all clips and takes that it concerns."""
+        """Return the numbers of all clips and takes in the change."""
         labelled = {number for *_, ids in self.labels for number in ids}
         return labelled | {*self.gone, *self.new} | {take for take, _, _ in self.annotations}
 
@@ -141,17 +118,16 @@ def recording(
     told: dict[str, Any] | None = None,
     into: int | None = None,
 ) -> Iterator[Recorded]:
-    """Write down what is changed inside the block, after ``next_revision`` in the same transaction.
+    """Record the changes inside the block, after ``next_revision`` in the same transaction.
 
     Parameters
     ----------
     revision : of the library in this transaction.
-    kind : see ``JournalEntry``.
+    kind, told : see ``JournalEntry``; values of the change's message.
     marked : clips whose labels or tags may change.
-    gone : clips that are going to be removed; they are put away, with the segments of the takes among them.
+    gone : clips to be removed; they are kept, with the segments of takes among them.
     takes : whose tables of labels may change.
-    told : values of the message that tells it.
-    into : number of a change that goes on; another one is begun where it is not there any more.
+    into : number of a change to extend; a new one is begun if it no longer exists.
     """
     together = _TOGETHER.get()
     if together is not None and together.engine is not connection.engine:
@@ -201,7 +177,7 @@ def _begin(connection: sa.Connection, number: int, kind: str, told: dict[str, An
 
 
 def _finish(connection: sa.Connection, number: int, made: Changes, known: Any) -> None:
-    # Of files that replace others, each once; of segments that go, without the takes whose tables change with them.
+    # Replacing files count once; removed segments count without the takes whose tables change.
     changes, n_clips = made.to_json(), len(made.new) or len(made.gone) or len(made.clips)
     if known is not None:
         changes = {name: join_spans(known.changes[name], changes[name]) for name in changes}
@@ -211,7 +187,7 @@ def _finish(connection: sa.Connection, number: int, made: Changes, known: Any) -
 
 
 def join_spans(before: list[Any], more: list[Any]) -> list[Any]:
-    """Two lists, whose spans of numbers become one where the second goes on where the first ends."""
+    """Join two lists of number spans; the last and first become one if they are adjacent."""
     if before and more and len(before[-1]) == 2 and len(more[0]) == 2 and before[-1][1] + 1 == more[0][0]:
         return [*before[:-1], [before[-1][0], more[0][1]], *more[1:]]
     return before + more
@@ -222,7 +198,7 @@ def _next_number(connection: sa.Connection) -> int:
 
 
 def read_marks(connection: sa.Connection, ids: Sequence[int]) -> Marks:
-    """What people say of clips: their category, performer and tags."""
+    """Read the category, performer and tags of clips."""
     clips, tags = schema.clips.c, schema.clip_tags.c
     query = sa.select(clips.id, clips.category, clips.performer, tags.tags)
     query = query.join(schema.clip_tags, tags.clip_id == clips.id, isouter=True)
@@ -231,7 +207,7 @@ def read_marks(connection: sa.Connection, ids: Sequence[int]) -> Marks:
 
 
 def _compare(before: Marks, after: Marks) -> list[tuple[str, Any, Any, list[int]]]:
-    """What changed, clips with the same change together."""
+    """Return what changed, grouped by equal change."""
     groups: dict[str, tuple[str, Any, Any, list[int]]] = {}
     for number, old in before.items():
         new = after.get(number)
@@ -243,7 +219,7 @@ def _compare(before: Marks, after: Marks) -> list[tuple[str, Any, Any, list[int]
 
 
 def read_tables(connection: sa.Connection, takes: Iterable[int]) -> dict[int, dict[str, Any] | None]:
-    """The rows of ``take_annotations`` of takes, None of those that have none."""
+    """Read the rows of ``take_annotations`` of takes; None for takes without one."""
     table = schema.take_annotations
     names = [column.name for column in table.c if column.name != "checksum"]
     found: dict[int, dict[str, Any] | None] = dict.fromkeys(takes)
@@ -253,7 +229,7 @@ def read_tables(connection: sa.Connection, takes: Iterable[int]) -> dict[int, di
 
 
 def step(database: Database, number: int | None, *, redo: bool) -> JournalEntry:
-    """Undo a change, or do it again, in one transaction; as ``Library.undo`` and ``Library.redo``."""
+    """Undo or redo a change in one transaction, as ``Library.undo`` and ``Library.redo``."""
     with database.writing() as connection:
         revision = next_revision(connection)
         wanted = find_next(connection, undone=redo) if number is None else number
@@ -276,13 +252,7 @@ def _no_such(where: str, number: int | None, row: Any, redo: bool) -> LibraryErr
 
 
 class _Step:
-    """One step back or forth.
-
-    Parameters
-    ----------
-    number, changes : of the change.
-    redo : forth.
-    """
+    """One undo or redo of a change."""
 
     def __init__(self, connection: sa.Connection, where: str, number: int, changes: Changes, redo: bool) -> None:
         self.connection, self.where, self.number, self.changes = connection, where, number, changes
@@ -291,7 +261,6 @@ class _Step:
         self.leaving, self.coming = leaving, coming
 
     def run(self) -> None:
-        """Check everything, then change everything."""
         self._check_later()
         self._check_labels()
         self._check_tables()
@@ -306,7 +275,7 @@ class _Step:
         self._set_tables()
 
     def _check_later(self) -> None:
-        """Later changes of the same clips come first."""
+        """Refuse if later changes of the same clips must be undone first."""
         if self.redo:
             return
         table = schema.journal.c
@@ -329,7 +298,7 @@ class _Step:
     def _check_tables(self) -> None:
         there = read_tables(self.connection, [take for take, _, _ in self.changes.annotations])
         for take, before, after in self.changes.annotations:
-            # Of a take that comes or goes with it, they come and go too.
+            # Segments come and go with their take.
             if take not in self.leaving and take not in self.coming:
                 self._refuse([take] if there[take] != (before if self.redo else after) else [])
 
@@ -338,10 +307,10 @@ class _Step:
         there = set(self._fetch(clips.id, clips.id, self.leaving))
         self._refuse(number for number in self.leaving if number not in there)
         more = set(with_segments(self.connection, self.leaving) if self.leaving else ()) - set(self.leaving)
-        self._refuse(more)  # segments that were named since
+        self._refuse(more)  # segments named since
 
     def _check_coming(self) -> dict[int, dict[str, Any]]:
-        """What is kept of the clips that come back; a name, content or take that is another's now is refused."""
+        """Return the kept data of the clips to restore; refuse if their name, content or take is in use."""
         kept = list_kept(self.connection, self.coming, self.number)
         if len(kept) < len(self.coming):
             raise LibraryError(
@@ -361,7 +330,7 @@ class _Step:
         return [row[0] for row in fetch_in(self.connection, sa.select(column), key, values)]
 
     def _refuse(self, numbers: Iterable[int]) -> None:
-        """LibraryError where clips are not as the change left them."""
+        """Raise LibraryError because the clips are not as the change left them."""
         others = sorted(set(numbers))
         if others:
             paths = self._fetch(schema.clips.c.path, schema.clips.c.id, others[:1])

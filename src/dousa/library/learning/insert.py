@@ -1,7 +1,4 @@
-"""Writing new clips, takes and segments with everything that belongs to them.
-
-What follows from new motions before the forest learns from them: what it says of them as it is.
-"""
+"""Insertion of new clips, takes and segments, with relations, tree answers and windows."""
 
 from __future__ import annotations
 
@@ -26,16 +23,16 @@ from dousa.library.takes.windows import describe_windows, save_windows
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arrival:
-    """What is kept of new clips, segments and takes beside what was read.
+    """The derived data of new clips, segments and takes.
 
     Parameters
     ----------
-    stored : the forest that was asked; None in a library that is not trained.
-    names : of the motions, with all that this depends on.
-    described : place among the motions, and features and poses, of the clips that the forest is asked about.
-    answers : what it says of these.
-    windows : by place, of takes.
-    relations : by place, as JSON.
+    stored : the forest of the answers; None in an untrained library.
+    names : path, content hash and kind of each motion.
+    described : features and poses of clips with all joints of the forest, by place among the motions.
+    answers : tree answers about these.
+    windows : of takes, by place.
+    relations : of all motions, as JSON.
     """
 
     stored: StoredForest | None
@@ -47,12 +44,12 @@ class Arrival:
 
 
 def describe_arrival(stored: StoredForest | None, fresh: Sequence[ClipRecord], known: Arrival | None = None) -> Arrival:
-    """What follows from new motions, with the labels in their rows.
+    """Compute the derived data of new motions.
 
     Parameters
     ----------
-    stored : the forest of the library, None before the training.
-    known : what was found out before; returned where it holds.
+    stored : the forest of the library; None before the training.
+    known : earlier data, returned if it is still valid.
     """
     names = tuple((record.path, record.row["content_hash"], record.row["kind"]) for record in fresh)
     if known is not None and known.names == names and known.stored is stored:
@@ -60,7 +57,7 @@ def describe_arrival(stored: StoredForest | None, fresh: Sequence[ClipRecord], k
     relations = [describe_relations(record.motion) for record in fresh]
     if stored is None:
         return Arrival(None, names, relations=relations)
-    # Bodies that lack joints that it asks about are told apart by forests of their own, when they are needed.
+    # Bodies that lack joints of the forest have their own forests, learned when needed.
     whole = [place for place, record in enumerate(fresh) if not lacks(stored.feature_set, record.row["absent"])]
     described = {p: _describe(stored, fresh[p]) for p in whole if fresh[p].row["kind"] == schema.CLIP}
     answers = None
@@ -75,7 +72,7 @@ def describe_arrival(stored: StoredForest | None, fresh: Sequence[ClipRecord], k
 
 
 def _describe(stored: StoredForest, record: ClipRecord) -> Description:
-    """Features and poses of a clip; computed here only if the forest changed while the file was read."""
+    """Return features and poses of a clip, computed only if the forest changed while the file was read."""
     known = record.description
     if known is not None and known.feature_set == stored.feature_set:
         return known
@@ -83,13 +80,9 @@ def _describe(stored: StoredForest, record: ClipRecord) -> Description:
 
 
 def insert_clips(connection: sa.Connection, fresh: Sequence[ClipRecord], arrival: Arrival) -> None:
-    """Write new clips, takes and segments, with the labels in their rows, and everything that belongs to them.
+    """Write new clips, takes and segments with their derived data, as of this transaction.
 
-    The forest has those that have a category still to learn: ``lesson.learn_new`` follows in a transaction of its own.
-
-    Parameters
-    ----------
-    arrival : what follows from them, in the library as it is in this transaction.
+    The forest learns from them later (``lesson.learn_new``), in a transaction of its own.
     """
     numbers = list(take_clip_ids(connection, len(fresh)))
     _insert_rows(connection, numbers, fresh)

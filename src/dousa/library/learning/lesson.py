@@ -1,11 +1,8 @@
-"""What a forest learns from clips that were added: worked out beside other writers, then written at once.
+"""Learning from added clips, and the examples that leaves of a large forest grow from.
 
-Clips are written first, with what the forest says of them as it is, and noted in ``unlearned``; whoever adds clips lets
-the forest learn from all that are noted, once, when the last is written. A program that is stopped in between loses
-nothing: the next one learns from what it wrote. What comes out depends on the clips, and neither on their order nor on
-how many were learned at a time.
-
-The examples that leaves of a large forest grow from: kept with the training, or made when they are first needed.
+Clips are first written with the present tree answers and noted in ``unlearned``; the forest then learns from all noted
+clips in one transaction, so a stopped program loses nothing. The result depends neither on the order of the clips nor
+on how many are learned at a time.
 """
 
 from __future__ import annotations
@@ -42,12 +39,12 @@ _ID = 1
 def choose_trained(
     stored: StoredForest, ids: IntArray, categories: NDArray[np.int32], answers: TreeAnswers
 ) -> NDArray[np.int32] | None:
-    """Numbers of the clips that are examples, of each leaf (L, E), -1 for none; None where the forest needs none.
+    """Choose the clips (L, E) that are examples of each leaf, -1 for none; None if the forest needs no examples.
 
     Parameters
     ----------
-    ids, categories : (N,), in the order of their contents; -1 for a clip without a category.
-    answers : what the trees say of them.
+    ids, categories : (N,), in the order of their contents; category -1 for none.
+    answers : tree answers about the clips.
     """
     if not stored.forest.trees_.pooled:
         return None
@@ -61,7 +58,7 @@ def _choose(
     rows: IndexArray,
     read_leaves: Callable[[IndexArray], NDArray[np.int32]],
 ) -> NDArray[np.int32]:
-    """Examples among some rows of clips (numbers, categories), whose leaves are read in portions."""
+    """Choose examples among some rows of clips (numbers, categories), whose leaves are read in portions."""
     ids, categories = clips
     portions = (rows[start : start + _TAKEN_AT_ONCE] for start in range(0, len(rows), _TAKEN_AT_ONCE))
     handed = ((ids[some], categories[some].astype(np.int32), read_leaves(some)) for some in portions)
@@ -71,13 +68,7 @@ def _choose(
 def make_examples(
     connection: sa.Connection, stored: StoredForest, ids: IntArray, categories: IntArray, leaves: StandingLeaves
 ) -> NDArray[np.int32]:
-    """The same of the clips of a library that an older dousa trained, or whose examples are gone.
-
-    Parameters
-    ----------
-    ids, categories : (N,) ascending numbers, and categories, -1 for none.
-    leaves : of these clips.
-    """
+    """Choose examples as in ``choose_trained`` where none are stored; ``ids`` (N,) ascend, category -1 is none."""
     table, homes = schema.clips.c, stored.forest.trees_.home_leaves
     query = sa.select(table.id).where(table.id < stored.first_later).order_by(table.content_hash)
     ordered = np.fromiter(connection.execute(query).scalars(), np.int64)
@@ -87,7 +78,7 @@ def make_examples(
 
 
 def find_places(kept: NDArray[np.int32], leaves: IndexArray, ids: IntArray) -> IntArray:
-    """(n, E) places among ids (N,), ascending, of the examples of some leaves (n,); -1 for those that are not there."""
+    """Return (n, E) places among ascending ids (N,) of the examples of some leaves (n,), -1 for missing ones."""
     wanted = kept[leaves]
     if not len(ids):
         return np.full(wanted.shape, -1)
@@ -97,7 +88,7 @@ def find_places(kept: NDArray[np.int32], leaves: IndexArray, ids: IntArray) -> I
 
 
 def load_examples(connection: sa.Connection, stored: StoredForest) -> NDArray[np.int32] | None:
-    """Those that are kept for a forest; None where there are none, or damaged ones."""
+    """Load the examples of a forest; None if they are missing or damaged."""
     row = connection.execute(sa.select(*EXAMPLES.columns)).first()
     if row is None or row.revision != stored.revision:
         return None
@@ -106,12 +97,12 @@ def load_examples(connection: sa.Connection, stored: StoredForest) -> NDArray[np
     except LibraryDamagedError:
         return None
     kept = np.frombuffer(row.clips, "<i4")
-    # Leaves that grew since the training have none: they are numbered behind those that it made.
+    # Leaves that grew after the training have no examples, and higher numbers.
     return kept.reshape(-1, MOST_EXAMPLES) if len(kept) and not len(kept) % MOST_EXAMPLES else None
 
 
 def save_examples(connection: sa.Connection, revision: int, kept: NDArray[np.int32] | None) -> None:
-    """Keep the examples of a forest, whose training was of a revision, in the place of those before."""
+    """Replace the stored examples by those of the forest of a revision."""
     table = schema.leaf_examples
     connection.execute(sa.delete(table))
     if kept is not None:
@@ -120,19 +111,12 @@ def save_examples(connection: sa.Connection, revision: int, kept: NDArray[np.int
 
 
 Stamp = tuple[int, int, int, tuple[int, ...]]
-"""Of what a forest learns from: its ``revision`` and ``learned``, the ``clips_revision`` of the library, and the clips
-that it has still to learn."""
+"""``revision`` and ``learned`` of the forest, ``clips_revision`` of the library, and numbers of unlearned clips."""
 
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """What a forest learned from clips that were added.
-
-    Parameters
-    ----------
-    n_clips : clips that have a category.
-    new_categories : those that the forest did not know.
-    """
+    """The number of added clips with a category from which a forest learned, and the new categories among theirs."""
 
     n_clips: int = 0
     new_categories: tuple[str, ...] = ()
@@ -140,15 +124,14 @@ class Learned:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Lesson:
-    """What follows from the clips that a forest has still to learn.
+    """The planned changes when a forest learns.
 
     Parameters
     ----------
-    stamp : of the library for which it was worked out.
-    stored : the forest as it has learned; None in a library that is not trained.
-    learned : what it learned.
-    rows : what it says of all clips then.
-    examples : of its leaves, where they had to be made.
+    stamp : of the library when they were planned.
+    stored : the forest after learning; None in an untrained library.
+    rows : all clips after learning.
+    examples : of the leaves, if they had to be made.
     """
 
     stamp: Stamp
@@ -159,15 +142,9 @@ class _Lesson:
 
 
 def learn_new(database: Database, known: StoredForest | None) -> tuple[StoredForest | None, Learned]:
-    """Let the forest learn from the clips that it has still to learn.
+    """Let the forest (``known`` if it is loaded) learn from all unlearned clips.
 
-    Parameters
-    ----------
-    known : the forest as it was loaded before, if it was.
-
-    Returns
-    -------
-    The forest as it is then, None before the training, and what it learned.
+    Return the forest after learning, None before the training, and what it learned.
     """
     with database.reading() as connection:
         forest = load_forest(connection, database.where, known)
@@ -215,14 +192,12 @@ def _read_stamp(connection: sa.Connection) -> Stamp:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Clips:
-    """Clips that have leaves, in the order of their numbers.
+    """N clips that have leaves, sorted by number.
 
     Parameters
     ----------
-    ids : (N,).
-    given : (N,) places in ``names`` of their categories, -1 for none.
-    names : categories.
-    leaves : (N, n_trees), which may lie in a file.
+    given : (N,) places in ``names`` of the given categories, -1 for none.
+    leaves : (N, n_trees), possibly in a file.
     """
 
     ids: IntArray
@@ -239,7 +214,7 @@ def _work_out(connection: sa.Connection, where: str, stored: StoredForest, stamp
     if not len(new):
         return _Lesson(stamp, stored)
     known = set(stored.categories)
-    # Clips that were given a category later that the forest does not know stand in no leaf of theirs.
+    # Clips with a category that was given later and is unknown to the forest do not count in leaves.
     stands = np.array([*(name in known for name in clips.names), False])[clips.given] & ~waiting
     labels = np.array([clips.names[number] for number in clips.given[new]], dtype=np.str_)
     features = load_features(connection, stored.feature_set, clips.ids[new].tolist()).features
@@ -262,7 +237,7 @@ def _work_out(connection: sa.Connection, where: str, stored: StoredForest, stamp
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Keys:
-    """Numbers that stand for the contents of clips, read when they are asked for."""
+    """Keys of the contents of clips, read when needed."""
 
     connection: sa.Connection
     ids: IntArray
@@ -282,11 +257,9 @@ def _grow(
     there: tuple[BoolArray, NDArray[np.int32] | None],
     new: tuple[FloatArray, NDArray[np.str_], IntArray],
 ) -> Growth:
-    """The forest with new clips (features, categories, numbers), beside those that it knows.
+    """Grow the forest by new clips (features, categories, numbers).
 
-    Parameters
-    ----------
-    there : which clips these are, and the examples of its leaves, if they have some.
+    ``there`` is which clips it has learned, and the examples of its leaves, if there are any.
     """
     from dousa.retrieval.forest.growth import StandingClips, grow_forest
 
@@ -339,18 +312,16 @@ def _find_moved(
     taught: tuple[BoolArray, IntArray],
     growth: Growth,
 ) -> tuple[IntArray, NDArray[np.int32]]:
-    """Numbers of the clips that have come into other leaves, ascending, and their leaves.
+    """Return the ascending numbers of the clips that moved to other leaves, and these.
 
-    Parameters
-    ----------
-    taught : which clips stand in leaves, and which are new.
+    ``taught`` is which clips the forest has learned, and the rows of the new ones.
     """
     stands, new = taught
     rows = [np.flatnonzero(stands)[growth.moved], new]
     leaves = [growth.moved_leaves, growth.leaves]
     others = ~stands
     others[new] = False
-    if growth.stay is not None:  # clips of the training go nowhere, but where an older dousa moved them
+    if growth.stay is not None:  # clips of the training stay, unless an older dousa moved them
         trained = others & (clips.ids < grown.first_later)
         others &= ~trained
         where = np.flatnonzero(trained)

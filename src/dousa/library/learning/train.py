@@ -1,7 +1,4 @@
-"""Training: one forest over all labelled clips, leaves for every clip, and windows for every take.
-
-Clips that are added later teach it too: `dousa.library.learning`.
-"""
+"""Training: one forest over all labelled clips, leaves for every clip, and windows for every take."""
 
 from __future__ import annotations
 
@@ -49,7 +46,7 @@ from dousa.retrieval.takes.label import TakeLabeller
 TrainProgress = Callable[[int, int, Message], None]
 
 _STEPS = 6
-_ENOUGH_WHOLE = 1 / 3  # of the clips: then the forest is one of whole bodies
+_ENOUGH_WHOLE = 1 / 3  # share of whole bodies from which the forest is one of whole bodies
 
 LearnLabeller = Callable[[sa.Connection, StoredForest, int | None], TakeLabeller | None]
 """Called with a connection, the forest, and the number of threads."""
@@ -63,15 +60,15 @@ def train_forest(
     n_jobs: int | None = None,
     progress: TrainProgress | None = None,
 ) -> tuple[StoredForest, TrainReport]:
-    """Fit a forest to the clips of a library and store it with all that it says, in one transaction.
+    """Fit a forest to the clips of a library and store it with its answers, in one transaction.
 
-    Windows of very many takes are written afterwards, one take after the other.
+    Windows of very many takes are written afterwards, take by take.
 
     Parameters
     ----------
-    forest : not yet fitted.
-    kind : features that it asks for; those that are not stored are computed.
-    learn_labeller : learns what takes are labelled with.
+    forest : unfitted forest.
+    kind : features of the forest, computed where they are not stored.
+    learn_labeller : learns the labeller of takes.
     n_jobs : clips and takes described at a time.
     progress : called with (steps done, steps, message about the next step).
 
@@ -129,10 +126,7 @@ def train_forest(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Answers:
-    """What a forest says of the library at a revision: of all clips, and the windows of takes, if not of too many.
-
-    The features of the clips are left out: they are most of what a training has in memory.
-    """
+    """Tree answers about all clips at a revision, and windows of takes; without features, to save memory."""
 
     revision: int
     clips: ClipFeatures
@@ -143,7 +137,7 @@ class _Answers:
 def _learn(
     database: Database, forest: MotionForest, kind: FeatureSet, n_jobs: int | None, report: TrainProgress
 ) -> tuple[StoredForest, _Answers, dict[str, int]]:
-    """Grow the trees and calibrate them; what they say of the clips, and how many clips each category has."""
+    """Grow and calibrate the trees; return them, their answers, and the number of clips in each category."""
 
     def tell_clips(done: int, total: int) -> None:
         report(0, _STEPS, Message("library_training.describing_clips_done", done=done, total=total))
@@ -168,7 +162,7 @@ def _learn(
 
 
 def make_likeness_learner(held: HeldBack, kind: FeatureSet) -> LikenessLearner:
-    """What learns, while the calibration holds its rounds, which clips are alike; categories of one meaning are."""
+    """Make the learner of likeness, which watches the calibration; categories of one meaning count as the same."""
     means = find_meanings(set(held.categories.tolist()))
     meanings = np.array([means[label] for label in held.categories.tolist()], dtype=np.str_)
     performers = np.array(held.performers, dtype=np.str_)
@@ -181,7 +175,7 @@ def _store(
     answers: _Answers,
     labeller: TakeLabeller | None,
 ) -> StoredForest:
-    """Write the forest, what it says of clips and takes, and what takes are labelled with."""
+    """Write the forest, its answers about clips and takes, and the labeller of takes."""
     seen = answers.revision
     n_clips = sum(category is not None for category in answers.clips.categories)
 
@@ -200,7 +194,7 @@ def _store(
         own = stored.with_revision(next_revision(connection))
         if known.revision != seen:
             next_revision(connection)
-            note_changed_clips(connection)  # the forest has not learned from what they did: it is not current
+            note_changed_clips(connection)  # the forest has not learned from their changes, so it is not current
         replace_forest(connection, own, n_clips, None if labeller is None else labeller.to_bytes())
         save_descriptions(connection, list(known.clips.computed), list(known.clips.computed.values()))
         connection.execute(sa.delete(schema.clip_leaves))
@@ -216,17 +210,17 @@ def _store(
 
 
 def _choose_examples(stored: StoredForest, known: _Answers) -> NDArray[np.int32] | None:
-    """Of each leaf of a large forest, some clips that it may grow from later."""
+    """Choose example clips for each leaf of a large forest."""
     numbers = {name: number for number, name in enumerate(stored.categories)}
     own = np.array([-1 if name is None else numbers.get(name, -1) for name in known.clips.categories], np.int32)
     return choose_trained(stored, np.array(known.clips.ids, np.int64), own, known.answers)
 
 
 def _choose_joints(where: str, connection: sa.Connection, kind: FeatureSet) -> tuple[FeatureSet, int]:
-    """The features that the forest of a library asks for, without joints that most of its clips lack.
+    """Choose the features of a forest, and count the clips that lack joints of these.
 
-    Those of whole bodies, if whole ones are a third of the clips that have a category, and of two categories; else
-    those of the parts that are the most. Returned with the number of clips that have fewer joints.
+    They are those of whole bodies if these are a third of the labelled clips and have two categories, else those of
+    the most frequent set of joints.
     """
     table = schema.clips.c
     rows = connection.execute(sa.select(table.category, table.absent).where(table.kind == schema.CLIP)).all()

@@ -1,1 +1,1 @@
-"""The index of leaves, and searches by motion and by words."""
+"""The index of leaves, and search by motion and by words."""

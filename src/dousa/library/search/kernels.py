@@ -1,7 +1,7 @@
-"""Compiled loops over what the trees say of very many clips.
+"""Compiled loops over the tree answers of very many clips.
 
-Leaves are kept as codes: the number of a leaf among those of its tree that clips stand in. Votes are kept sparsely: of
-each clip the categories that trees name (``starts`` (N + 1,), ``categories`` and ``votes`` (E,)).
+The code of a leaf is its number among the occupied leaves of its tree. Votes are sparse: ``starts`` (N + 1,), and
+``categories`` (``found``) and ``votes`` (E,).
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ import numpy as np
 from numba import njit
 
 _BUCKETS = 1 << 14
-_FARTHEST = 4.0  # no bound is larger
+_FARTHEST = 4.0  # the largest finite bound
 
 
 @njit(cache=True, nogil=True)
 def find_owners(leaves, owners):
-    """The tree of each leaf (L,) that occurs in leaves (N, n_trees), -1 before; False if one occurs in two trees."""
+    """Write the tree of each leaf of leaves (N, n_trees) into ``owners`` (L,); False if one is in two trees."""
     for clip in range(leaves.shape[0]):
         for tree in range(leaves.shape[1]):
             leaf = leaves[clip, tree]
@@ -28,7 +28,7 @@ def find_owners(leaves, owners):
 
 @njit(cache=True, nogil=True)
 def encode_leaves(leaves, ranks, codes):
-    """``ranks[leaves]`` (N, n_trees), without a copy in another type."""
+    """Write ``ranks[leaves]`` into ``codes`` (N, n_trees), without a copy in another type."""
     for clip in range(leaves.shape[0]):
         for tree in range(leaves.shape[1]):
             codes[clip, tree] = ranks[leaves[clip, tree]]
@@ -36,7 +36,7 @@ def encode_leaves(leaves, ranks, codes):
 
 @njit(cache=True, nogil=True)
 def recode(codes, rows, offsets, ranks, places, out):
-    """``ranks`` of the leaves of some clips, from the rows of ``codes`` into the places of ``out``."""
+    """Write the ``ranks`` of the leaves of some rows of ``codes`` into places of ``out``."""
     for number in range(len(rows)):
         for tree in range(codes.shape[1]):
             out[places[number], tree] = ranks[offsets[tree] + codes[rows[number], tree]]
@@ -44,7 +44,7 @@ def recode(codes, rows, offsets, ranks, places, out):
 
 @njit(cache=True, nogil=True)
 def copy_runs(values, starts, rows, ends, out):
-    """The values of some clips, which begin at ``starts`` (N + 1,), so that they end at ``ends`` (M,) in ``out``."""
+    """Copy the values of some rows, from ``starts`` (N + 1,), into ``out``, where they end at ``ends`` (M,)."""
     for number in range(len(rows)):
         first, last = starts[rows[number]], starts[rows[number] + 1]
         for step in range(last - first):
@@ -53,7 +53,7 @@ def copy_runs(values, starts, rows, ends, out):
 
 @njit(cache=True, nogil=True)
 def find_most(starts, found, votes, out):
-    """The category with most votes of each clip, between equals the first in order, into ``out`` (N,)."""
+    """Write the category with most votes of each clip, the first of equals, into ``out`` (N,)."""
     for clip in range(len(out)):
         best, most = 0, 0
         for entry in range(starts[clip], starts[clip + 1]):
@@ -67,13 +67,12 @@ def count_sparsely(
     codes, offsets, begins, stops, classes, weights, parts, meanings, n_meanings, first, shares, ends, found, votes,
     squares, lengths,
 ):  # fmt: skip
-    """Votes of clips from ``first`` on, as many as ``ends`` has room for; returns how many entries were written.
+    """Count the votes of ``len(ends)`` clips from ``first`` on; return the number of written entries.
 
-    The sums are those of ``tree_kernels.count_leaves``, in the same order, so that they are equal to the last bit; but
-    one tree after the other is looked at for as many clips as ``shares`` (B, C) has room for, since the leaves of one
-    are near enough to each other to stay in the processor. ``begins`` and ``stops`` (K,) are where the entries of the
-    leaves of the table are. ``squares`` are the sums of the squared votes, ``lengths`` the Euclidean lengths of the
-    votes for meanings.
+    Sums run in the order of ``tree_kernels.count_leaves``, so they are equal to the last bit; trees are the outer loop
+    over blocks of clips (``shares`` (B, C)), as the leaves of one tree fit the cache. ``begins`` and ``stops`` (K,)
+    bound the entries of each leaf of the table; ``squares`` are the sums of the squared votes, ``lengths`` the
+    Euclidean lengths of the votes for meanings.
     """
     n_classes, n_trees = len(meanings), codes.shape[1]
     merged = np.zeros(n_meanings, np.int64)
@@ -111,18 +110,15 @@ def count_sparsely(
 def bound_clips(
     starts, found, votes, squares, lengths, query, told, numbers, weights, n_trees, bounds, cosines
 ):  # fmt: skip
-    """For each clip the least that its distance can be, and the cosine of its votes and those of a query.
+    """Bound the distance of each clip from below, and compute the cosine of its votes with those of a query.
 
-    Two clips that share a leaf of a tree share that tree's vote, so what their votes have in common says how many
-    leaves they share at most.
+    Clips that share a leaf share the vote of its tree, so the votes in common limit how many leaves they share.
 
     Parameters
     ----------
-    starts, found, votes, squares, lengths : of the clips.
     query, told : (C,) votes of the query for each category, and for its meaning.
     numbers : sum of the query's votes, of their squares, length of its votes for meanings, and parts of a vote.
-    weights : of the distance of the histograms, and of the share of other leaves; the rest counts nothing.
-    n_trees : of the forest.
+    weights : of the distance of the histograms, and of the share of other leaves.
     bounds, cosines : (N,), filled.
     """
     total, square, length, parts = numbers
@@ -143,7 +139,7 @@ def bound_clips(
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
 def _multiply(one, other):
-    """The product of two float32 vectors, summed in float64."""
+    """Return the dot product of two float32 vectors, summed in float64."""
     total = 0.0
     for place in range(len(one)):
         total += np.float64(one[place]) * np.float64(other[place])
@@ -155,14 +151,13 @@ def compare_clips(
     rows, starts, found, votes, squares, codes, directions, query, query_codes, direction, total, square, histograms,
     leaves, cosines,
 ):  # fmt: skip
-    """Distances of some clips from a query: of histograms, and in how many trees the leaf is another; and the cosines.
+    """Compare the clips of some rows (M,) with a query.
 
     Parameters
     ----------
-    rows : (M,) of the clips.
     query, query_codes, direction : (C,) votes, (n_trees,) and (K,) of the query; no directions if K is 0.
     total, square : sum of the query's votes, and of their squares.
-    histograms, leaves, cosines : (M,), filled.
+    histograms, leaves, cosines : (M,), filled: distances, trees with other leaves, cosines of the directions.
     """
     for place in range(len(rows)):
         clip = rows[place]
@@ -180,7 +175,7 @@ def compare_clips(
 
 @njit(cache=True, nogil=True)
 def find_limit(bounds, least):
-    """A number that at least so many bounds (N,) are not above, if there are as many; infinity if not."""
+    """Return a limit that at least ``least`` of the bounds (N,) do not exceed; infinity if there are fewer."""
     counts = np.zeros(_BUCKETS, np.int64)
     for clip in range(len(bounds)):
         if bounds[clip] < _FARTHEST:

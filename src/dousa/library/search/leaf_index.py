@@ -1,11 +1,7 @@
-"""The index of a library as it is now: from the one of before, reading only clips that have changed.
+"""The index of the tree answers about all clips of a library, and its refresh, which reads only changed clips.
 
-Nobody has to say what has changed: numbers of clips are divided into blocks, and the checksums of the rows of a block,
-which lie in an index of the database, are added up. Where a sum is another one the checksums are compared one by one,
-and clips whose own are others are read. So it makes no difference who changed the library, with what, or whether it was
-put back from a copy.
-
-What the trees say of all clips of a library, at one of its revisions.
+Changes are found by checksums: those of the rows are summed for each block of clip numbers, and compared one by one
+where a sum differs. So any change of the library is found, also a copy that was put back.
 """
 
 from __future__ import annotations
@@ -35,12 +31,12 @@ from dousa.retrieval.forest.likeness import Likeness
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IndexedRows:
-    """What an index was read from.
+    """The rows that an index was read from.
 
     Parameters
     ----------
-    sums : (B, 6) int64 for each block: rows of clips, how many have a checksum, the sum of these; and of their leaves.
-    partial : by number, the joints that clips lack, of all that lack some.
+    sums : (B, 6) int64 for each block: rows of clips, rows with a checksum, sum of these; and the same of their leaves.
+    partial : by number, the joints that clips lack.
     """
 
     sums: IntArray
@@ -48,19 +44,19 @@ class IndexedRows:
 
     @property
     def is_sealed(self) -> bool:
-        """Whether all rows have checksums; those of an older dousa may have none."""
+        """Whether all rows have checksums; an older dousa wrote none."""
         return bool((self.sums[:, 0] == self.sums[:, 1]).all() and (self.sums[:, 3] == self.sums[:, 4]).all())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IndexQuery:
-    """What is known of a motion that is searched for.
+    """A motion to search for.
 
     Parameters
     ----------
     votes, leaves : (C,) and (n_trees,) of its ``TreeAnswers``.
-    poses : its pose sequence.
-    direction : (K,) of ``Likeness.place``; None where it is not known.
+    poses : pose sequence.
+    direction : (K,) of ``Likeness.place``; None if unknown.
     """
 
     votes: NDArray[np.int32]
@@ -71,13 +67,13 @@ class IndexQuery:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Compared:
-    """How far M clips are from a query.
+    """Distances of M clips from a query.
 
     Parameters
     ----------
     histograms : (M,) eq. 8 between shares.
     leaves : (M,) share of the trees with other leaves.
-    cosines : (M,) of the angle to the query; 0 where that is not known.
+    cosines : (M,) of the angle to the query; 0 if unknown.
     """
 
     histograms: FloatArray
@@ -87,19 +83,17 @@ class Compared:
 
 @dataclass(frozen=True, eq=False)
 class LeafIndex:
-    """What the trees of a library say of its clips: parts one after the other, in rows that are numbered through.
+    """The tree answers about the clips of a library, in parts whose rows are numbered through.
 
     Parameters
     ----------
     revision, learned : of the library and of its forest when it was read.
     categories : names, in the order of the votes.
-    likeness : tells which clips are alike; None where that was not learned.
-    meanings : (C,) number of what each category means; categories of one meaning have the same.
-    parts, votes : the clips, and their votes.
-    alive : for each part (N,) which of its clips are as they were; None for all.
-    partial : by number, the joints that clips lack which the forest asks about: they are not among the above.
-    source : what it was read from; None where nobody asks.
-    n_kept : of the parts, the first, that were read from all rows or from files; the others are of what changed since.
+    likeness : finds clips of the same meaning; None if not learned.
+    meanings : (C,) number of each category's meaning.
+    alive : for each part (N,) which clips are unchanged; None for all.
+    partial : by number, absent joints of the clips that are left out because they lack joints of the forest.
+    n_kept : number of first parts that were read from all rows or from files; the others hold later changes.
     """
 
     revision: int
@@ -116,7 +110,7 @@ class LeafIndex:
 
     @cached_property
     def starts(self) -> IntArray:
-        """Row at which each part begins, and the number of all rows."""
+        """The first row of each part, and the number of all rows."""
         return np.cumsum([0, *map(len, self.parts)])
 
     @cached_property
@@ -126,17 +120,17 @@ class LeafIndex:
 
     @cached_property
     def living(self) -> BoolArray:
-        """(N,) rows of clips that are as they were."""
+        """(N,) whether the clip of each row is unchanged."""
         own = [np.ones(len(p), np.bool_) if a is None else a for p, a in zip(self.parts, self.alive, strict=True)]
         return np.concatenate(own) if own else np.zeros(0, np.bool_)
 
     @cached_property
     def n_clips(self) -> int:
-        """How many."""
+        """The number of unchanged clips."""
         return int(self.living.sum())
 
     def find(self, clip_id: int) -> int | None:
-        """The row of a clip; None if it is not among them."""
+        """Return the row of a clip; None if it is not in the index."""
         for part, start in zip(self.parts, self.starts, strict=False):
             row = int(np.searchsorted(part.ids, clip_id))
             if row < len(part) and part.ids[row] == clip_id and self.living[start + row]:
@@ -144,17 +138,17 @@ class LeafIndex:
         return None
 
     def clip_id(self, row: int) -> int:
-        """The number of a clip."""
+        """Return the number of a clip."""
         part, own = self._locate(row)
         return int(part.ids[own])
 
     def path(self, row: int) -> bytes:
-        """The path of a clip, in UTF-8."""
+        """Return the path of a clip in UTF-8."""
         part, own = self._locate(row)
         return part.path(own)
 
     def label(self, row: int) -> str:
-        """The category of a clip; the forest's, where nobody gave it one."""
+        """Return the given category of a clip, else the predicted one."""
         part, own = self._locate(row)
         return part.label(own)
 
@@ -163,7 +157,7 @@ class LeafIndex:
         return self.parts[number], row - int(self.starts[number])
 
     def choose(self, category: str | None, among: Collection[int] | None) -> BoolArray:
-        """(N,) the rows of a category, and of clips of some numbers; of all where that is None."""
+        """Return (N,) which unchanged rows are of a category and among some clip numbers; None for any."""
         chosen = self.living
         if category is not None:
             chosen = chosen & np.concatenate([part.are_labelled(category) for part in self.parts])
@@ -173,7 +167,7 @@ class LeafIndex:
         return chosen
 
     def answers_of(self, clip_id: int) -> TreeAnswers:
-        """What the trees say of one clip."""
+        """Return the tree answers about one clip."""
         row = self.find(clip_id)
         assert row is not None
         number = int(np.searchsorted(self.starts, row, side="right")) - 1
@@ -187,11 +181,9 @@ class LeafIndex:
         return zip(self.parts, self.votes, places, strict=True)
 
     def bound(self, query: IndexQuery, weights: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
-        """For all rows the least that their distance can be, and the cosine of their votes for meanings.
+        """Compute lower bounds of the distances of all rows, and the cosines of their votes for meanings.
 
-        Parameters
-        ----------
-        weights : of the distance of the histograms and of the share of other leaves.
+        ``weights`` are those of the distance of the histograms and of the share of other leaves.
         """
         merged = np.bincount(self.meanings, query.votes, minlength=1) if len(self.meanings) else np.zeros(1)
         told = merged[self.meanings].astype(np.int64)
@@ -213,7 +205,7 @@ class LeafIndex:
         return bounds, cosines
 
     def compare(self, query: IndexQuery, rows: IndexArray) -> Compared:
-        """How far some clips are from a query; rows ascend."""
+        """Compute the distances of some clips, of ascending rows, from a query."""
         votes = query.votes.astype(np.int64)
         total, square = _total(query), float((votes * votes).sum())
         found = Compared(np.empty(len(rows)), np.empty(len(rows)), np.zeros(len(rows)))
@@ -242,7 +234,7 @@ _MOST_THREADS = 4
 
 
 def _share_out(count: int, work: Callable[[int, int], None]) -> None:
-    """Do some work on clips from a first to a last one, in several threads where they are many."""
+    """Call ``work(first, last)`` for all clips, in several threads if they are many."""
     n_threads = min(count // _FEWEST, os.cpu_count() or 1, _MOST_THREADS)
     if n_threads < 2:
         work(0, count)
@@ -257,14 +249,14 @@ def _total(query: IndexQuery) -> float:
 
 
 def number_meanings(categories: Sequence[str]) -> IndexArray:
-    """(C,) number of what each category means."""
+    """Return (C,) number of each category's meaning."""
     named = find_meanings(categories)
     numbers: IndexArray = np.unique([named[name] for name in categories], return_inverse=True)[1]
     return numbers
 
 
 class KnownRows(Protocol):
-    """Clips as they were read once: a ``LeafIndex``, or anything like it."""
+    """Clips that were read earlier, such as a ``LeafIndex``."""
 
     @property
     def parts(self) -> Sequence[ClipPart]:
@@ -272,22 +264,22 @@ class KnownRows(Protocol):
 
     @property
     def alive(self) -> Sequence[BoolArray | None]:
-        """For each part (N,) which of its clips are as they were; None for all."""
+        """For each part (N,) which clips are unchanged; None for all."""
 
     @property
     def source(self) -> IndexedRows | None:
-        """What they were read from."""
+        """The rows that they were read from."""
 
 
 BLOCK = 16_384
-"""Numbers of clips whose checksums are added up."""
+"""Clip numbers of a block, over which checksums are summed."""
 
 _MOST_PARTS = 6
-_MOST_CHANGED = 0.1  # of the clips: of more the whole library is read
+_MOST_CHANGED = 0.1  # share of the clips beyond which the whole library is read
 
 
 def add_checksums(connection: sa.Connection) -> IntArray:
-    """The ``sums`` of ``IndexedRows`` as they are now."""
+    """Compute the ``sums`` of ``IndexedRows`` as they are now."""
     clips, leaves = schema.clips.c, schema.clip_leaves.c
     queries = []
     for key, checksum in ((clips.id, clips.label_checksum), (leaves.clip_id, leaves.checksum)):
@@ -301,7 +293,7 @@ def add_checksums(connection: sa.Connection) -> IntArray:
 
 
 def read_lacking(connection: sa.Connection, blocks: Iterable[int] | None = None) -> dict[int, str]:
-    """By number, the joints that clips lack; of those that lack some, in all blocks or in some."""
+    """Read the absent joints, by clip number, of the clips in all or some blocks that lack any."""
     clips = schema.clips.c
     query = sa.select(clips.id, clips.absent).where(clips.kind == schema.CLIP, clips.absent != "")
     if blocks is None:
@@ -314,7 +306,7 @@ def read_lacking(connection: sa.Connection, blocks: Iterable[int] | None = None)
 
 
 def renew_lacking(connection: sa.Connection, known: KnownRows, changed: Sequence[int]) -> dict[int, str]:
-    """The ``partial`` of ``IndexedRows`` as it is now, where something has changed in some blocks."""
+    """Return the ``partial`` of ``IndexedRows`` as it is now, where some blocks have changed."""
     before = {} if known.source is None else known.source.partial
     blocks = set(changed)
     kept = {number: absent for number, absent in before.items() if number // BLOCK not in blocks}
@@ -322,19 +314,14 @@ def renew_lacking(connection: sa.Connection, known: KnownRows, changed: Sequence
 
 
 def change_sums(sums: IntArray, ids: IntArray, differences: IntArray) -> IntArray:
-    """The ``sums`` of ``IndexedRows`` where the checksums of the leaves of clips are others, by differences (M,)."""
+    """Return the ``sums`` of ``IndexedRows`` after the checksums of leaves of clips changed by differences (M,)."""
     changed = sums.copy()
     np.add.at(changed[:, 5], ids // BLOCK, differences)
     return changed
 
 
 def read_index(connection: sa.Connection, revision: int, stored: StoredForest) -> LeafIndex:
-    """Read what the trees say of all clips, at a revision of the library.
-
-    Raises
-    ------
-    LibraryDamagedError : as of ``read_part``.
-    """
+    """Read the tree answers about all clips; LibraryDamagedError as in ``read_part``."""
     clips = schema.clips.c
     rows = IndexedRows(add_checksums(connection), read_lacking(connection))
     starts = range(0, len(rows.sums) * BLOCK, BLOCK)
@@ -349,7 +336,7 @@ def make_index(
     parts: tuple[ClipPart, ...],
     votes: tuple[SparseVotes, ...] | None = None,
 ) -> LeafIndex:
-    """The index of clips that are all as they were; their votes are counted where they are not known."""
+    """Make the index of clips that are all unchanged, and count the votes if they are not given."""
     meanings = number_meanings(stored.categories)
     return LeafIndex(
         revision,
@@ -366,12 +353,7 @@ def make_index(
 
 
 def refresh_index(connection: sa.Connection, revision: int, stored: StoredForest, known: LeafIndex) -> LeafIndex | None:
-    """The index at a later revision; None where so much has changed that all is read anew.
-
-    Parameters
-    ----------
-    known : of a time before, with the same trees but for what they have learned since.
-    """
+    """Update an earlier index of the same trees; None if so much has changed that all must be read."""
     rows = known.source
     if rows is None or known.learned[0] != stored.revision:
         return None
@@ -408,14 +390,14 @@ def refresh_index(connection: sa.Connection, revision: int, stored: StoredForest
 def compare_rows(
     connection: sa.Connection, known: KnownRows
 ) -> tuple[IntArray, list[int], IntArray, list[BoolArray]] | None:
-    """What has changed since clips were read; None where rows have no checksums that would tell.
+    """Find the changes since clips were read; None if rows lack checksums.
 
     Returns
     -------
     sums : of ``IndexedRows``, as they are now.
-    changed : blocks in which something has.
-    fresh : numbers of the clips that have changed or come.
-    alive : which clips of each part are as they were.
+    changed : blocks with changes.
+    fresh : numbers of changed and added clips.
+    alive : which clips of each part are unchanged.
     """
     rows = known.source
     if rows is None or not rows.is_sealed:
@@ -431,7 +413,7 @@ def compare_rows(
 def _compare_blocks(
     connection: sa.Connection, known: KnownRows, blocks: Sequence[int]
 ) -> tuple[IntArray, list[BoolArray]]:
-    """Numbers of the clips in some blocks that have changed or come, and which clips of each part are as they were."""
+    """Return the numbers of changed and added clips in some blocks, and which clips of each part are unchanged."""
     clips, leaves = schema.clips.c, schema.clip_leaves.c
     query = sa.select(clips.id, clips.label_checksum, leaves.checksum)
     query = query.join(schema.clip_leaves, leaves.clip_id == clips.id).order_by(clips.id)
@@ -460,7 +442,7 @@ def _compare_blocks(
 
 
 def _fold(known: LeafIndex, alive: list[BoolArray]) -> tuple[list[BoolArray], IntArray]:
-    """All clips of the small parts as if they were gone, and their numbers."""
+    """Mark all clips of the small parts as changed, and return their numbers."""
     n_kept = known.n_kept
     again = [part.ids[own] for part, own in zip(known.parts[n_kept:], alive[n_kept:], strict=True)]
     return [*alive[:n_kept], *(np.zeros_like(own) for own in alive[n_kept:])], np.concatenate(again)

@@ -1,10 +1,7 @@
-"""Forests for parts of bodies: learned from the clips of the library, described as if all lacked the same joints.
+"""Forests for bodies that lack joints, learned from the clips of a library as if all lacked the same ones.
 
-Such a forest is learned when a body without these joints is first asked about, or with the training where clips of the
-library lack them (``learning``). It is kept in the library with what it says of the clips, grows by clips that are
-added, and is learned anew when others, their categories or the parameters change.
-
-What a forest for a part of bodies learns from the clips of a library.
+A forest is learned when it is first needed, or with the training. The library keeps it with its answers about the
+clips. It grows by added clips, and is learned again when other clips, their categories or the parameters change.
 """
 
 from __future__ import annotations
@@ -48,14 +45,14 @@ if TYPE_CHECKING:
     from dousa.retrieval.features.feature_sets import FeatureSet
 
 STEPS = 4
-"""Of learning such a forest, as progress is told."""
+"""Steps of learning a forest, for the progress."""
 
-_LEARNED_BY = "copies"  # what is learned otherwise than by an earlier dousa is learned anew
+_LEARNED_BY = "copies"  # the way of learning: a forest learned in another way is learned again
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answers:
-    """What a forest says of clips: leaves (n_trees,) and poses of each, by number."""
+    """Leaves (n_trees,) and poses of clips, by clip number."""
 
     leaves: dict[int, NDArray[np.int32]]
     poses: dict[int, NDArray[np.float32]]
@@ -63,13 +60,13 @@ class Answers:
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """The clips that have a part.
+    """The clips from which a forest for a part of the body learns.
 
     Parameters
     ----------
-    rows : of the table of clips, by number.
-    first_later : number from which on clips came after the training of the library.
-    taught_by : of the forest, what decides what is learned from clips: name of the features, parameters.
+    rows : rows of the table of clips, by number.
+    first_later : number of the first clip that was added after the training.
+    taught_by : name of the features and parameters of the forest.
     """
 
     rows: list[Any]
@@ -78,12 +75,12 @@ class Material:
 
     @property
     def ids(self) -> list[int]:
-        """Numbers of the clips."""
+        """The numbers of the clips."""
         return [row.id for row in self.rows]
 
     @cached_property
     def by_path(self) -> list[Any]:
-        """The clips in the order of their paths."""
+        """The clips, sorted by path."""
         return sorted(self.rows, key=lambda row: str(row.path))
 
     @cached_property
@@ -93,17 +90,17 @@ class Material:
 
     @cached_property
     def first(self) -> list[Any]:
-        """Those of them with which a forest is trained: of the library's training, if these have two categories."""
+        """The clips to train with: those of the library's training if they have two categories, else all."""
         there = [row for row in self.taught if row.id < self.first_later]
         return there if count_categories(there) > 1 else self.taught
 
     @cached_property
     def learned_from(self) -> str:
-        """Stands for what a forest learns from them."""
+        """The hash of all that a forest learns from."""
         return self.stand_for(self.ids)
 
     def stand_for(self, ids: Collection[int]) -> str:
-        """Stands for what a forest learns from some of them."""
+        """Hash what a forest learns from some of the clips."""
         among = set(ids)
         taught = [(row.id, row.category, row.performer) for row in self.taught if row.id in among]
         parts: list[Any] = [*self.taught_by, taught, _LEARNED_BY]
@@ -114,12 +111,12 @@ class Material:
 
 
 def count_categories(rows: Sequence[Any]) -> int:
-    """Different categories of clips."""
+    """Count the different categories of clips."""
     return len({row.category for row in rows if row.category is not None})
 
 
 def read_material(connection: sa.Connection, main: StoredForest, kind: FeatureSet) -> Material:
-    """The clips that have what some features look at."""
+    """Read the clips that have all joints of a feature set."""
     clips = schema.clips.c
     columns = clips.id, clips.path, clips.category, clips.performer, clips.height, clips.absent, clips.content_hash
     rows = connection.execute(sa.select(*columns).where(clips.kind == schema.CLIP).order_by(clips.id))
@@ -130,16 +127,7 @@ def read_material(connection: sa.Connection, main: StoredForest, kind: FeatureSe
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lesson:
-    """Learning a forest for a part of bodies.
-
-    Parameters
-    ----------
-    connection : to the library.
-    main : the forest of the library: its parameters are taken.
-    kind : features that look at the part.
-    material : the clips.
-    n_jobs, progress : as in ``PartForests.load``.
-    """
+    """Learns a forest for a part of the body, with the parameters of the library's forest ``main``."""
 
     connection: sa.Connection
     main: StoredForest
@@ -150,16 +138,12 @@ class Lesson:
     _described: dict[int, Description] = field(default_factory=dict)
 
     def learn(self, stored: StoredForest | None, answers: Answers) -> tuple[StoredForest, bool]:
-        """The forest as it has learned from all clips, and what it says of them.
+        """Learn from all clips; return the forest, and whether it or its answers have changed.
 
         Parameters
         ----------
-        stored : a forest that knows some of the clips; None before there is one.
-        answers : what it says of these, to which that of the others is added.
-
-        Returns
-        -------
-        The forest, and whether it or its answers have changed.
+        stored : a forest that has learned from some of the clips; None for a new one.
+        answers : its answers about these; those about the other clips are added.
         """
         missing = [number for number in self.material.ids if number not in answers.leaves]
         if not missing and stored is not None:
@@ -186,14 +170,14 @@ class Lesson:
         self._described.update(describe_stored(self.connection, ids, self.kind.name, self.n_jobs, tell))
 
     def _read(self, ids: Sequence[int]) -> FloatArray:
-        """Features as those of a training: float32, of which precision they are: the same loops are compiled."""
+        """Read features as float32, as a training does, so that the same compiled loops are used."""
         lacking = sorted({number for number in ids if number not in self._described})
         if lacking:
             self._described.update(describe_stored(self.connection, lacking, self.kind.name, self.n_jobs))
         return np.stack([self._described[number].features.astype(np.float32) for number in ids])
 
     def _ask(self, stored: StoredForest, answers: Answers, ids: Sequence[int]) -> None:
-        """Add what a forest says of clips, whose poses are kept where they are known."""
+        """Add the leaves of clips, and the poses that are missing."""
         if not ids:
             return
         answers.leaves.update(zip(ids, find_leaves(stored, self._read(ids)), strict=True))
@@ -201,7 +185,7 @@ class Lesson:
         answers.poses.update((number, self._described[number].poses) for number in lacking)
 
     def _train(self) -> StoredForest:
-        """A forest with the parameters of the library's, over clips of its training, and their disturbed copies."""
+        """Train a forest with the first clips and their disturbed copies."""
         from dousa.retrieval import MotionForest
 
         rows = self.material.first
@@ -225,7 +209,7 @@ class Lesson:
         return replace(self.main, forest=forest, categories=categories, feature_set=self.kind.name, assessor=assessor)
 
     def _grow(self, stored: StoredForest, answers: Answers, new: Sequence[Any]) -> StoredForest:
-        """The forest as it has learned from clips that were added; answers of those that it moves are changed."""
+        """Grow the forest by added clips, and update the answers of clips that move to other leaves."""
         from dousa.retrieval.forest.growth import StandingClips, grow_forest
 
         self._tell(1, Message("library_training.growing_trees"))
@@ -267,16 +251,14 @@ class Lesson:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartIndex:
-    """A forest for a part of the body, and what it says of the clips that have this part.
+    """A forest for a part of the body, and its answers about the N clips that have this part, sorted by path.
 
     Parameters
     ----------
-    stored : the forest.
-    learned_from : stands for what it has learned.
-    ids, paths : of N clips, in the order of their paths.
-    labels : category of each; the forest's, where nobody gave it one.
-    answers : what the trees say of the clips.
-    poses : (N, cells, columns) their pose sequences.
+    learned_from : hash of all that it has learned from.
+    labels : given category of each clip, else the predicted one.
+    answers : tree answers about the clips.
+    poses : (N, cells, columns) pose sequences.
     """
 
     stored: StoredForest
@@ -298,11 +280,11 @@ class PartForests:
     def choose(
         self, main: StoredForest, absent: Collection[str], progress: PartProgress | None = None
     ) -> tuple[StoredForest | None, Message | None]:
-        """The forest that is asked about a body, and a note of what it leaves out; or None, and why there is none.
+        """Choose the forest for a body, with a note on the joints that it ignores; or None, with the reason.
 
         Parameters
         ----------
-        main : the forest of the library; it is asked, and nothing noted, about a body that lacks nothing of it.
+        main : the forest of the library; returned without a note if the body has all of its joints.
         absent : canonical joints that the body lacks.
         progress : as in ``load``.
         """
@@ -319,15 +301,7 @@ class PartForests:
         return part.stored, Message(code, parts=name_parts(kind.hidden))
 
     def prepare(self, main: StoredForest, n_jobs: int | None = None, progress: PartProgress | None = None) -> None:
-        """Learn the forest by which most of the clips that lack joints are compared with whole ones.
-
-        One only, as it takes a quarter of the time of a training.
-
-        Parameters
-        ----------
-        main : the forest of the library.
-        n_jobs, progress : as in ``load``.
-        """
+        """Learn the forest that most clips with absent joints need, in about a quarter of the time of a training."""
         clips, whole = schema.clips.c, find_feature_set(main.feature_set)
         counted = sa.select(clips.absent, sa.func.count().label("n")).where(clips.kind == schema.CLIP)
         with self._database.reading() as connection:
@@ -348,18 +322,18 @@ class PartForests:
         n_jobs: int | None = None,
         progress: PartProgress | None = None,
     ) -> PartIndex | None:
-        """The forest for bodies without some joints; None where fewer than two categories could teach it.
+        """Load or learn the forest for bodies without some joints; None if its clips have fewer than two categories.
 
         Parameters
         ----------
-        main : the forest of the library: its features and parameters are taken.
-        hidden : canonical joints that are not looked at.
+        main : the forest of the library, whose features and parameters are used.
+        hidden : canonical joints to ignore.
         n_jobs : clips described at a time.
-        progress : called while it is learned.
+        progress : called while the forest is learned.
 
         Raises
         ------
-        LibraryDamagedError : what is stored of it, or of the clips, is damaged.
+        LibraryDamagedError : the stored forest or the clips are damaged.
         """
         kind = find_feature_set(find_feature_set(main.feature_set).base).without(hidden)
         with self._database.reading() as connection:
@@ -383,7 +357,7 @@ class PartForests:
     def _read(
         self, connection: sa.Connection, main: StoredForest, kind: FeatureSet, material: Material
     ) -> tuple[StoredForest | None, Answers]:
-        """The forest and its answers as the library keeps them, if all that it has learned from is as it was."""
+        """Read the forest and its answers from the library; None if there is none or its clips have changed."""
         from dousa.retrieval import MotionForest
         from dousa.retrieval.forest.calibration import Assessor, Calibration
         from dousa.retrieval.ranking.ranking import POSE_CELLS, POSE_COLUMNS
@@ -411,7 +385,7 @@ class PartForests:
         return stored, Answers(dict(zip(ids, leaves, strict=True)), dict(zip(ids, poses, strict=True)))
 
     def read_labeller(self, part: StoredForest) -> bytes | None:
-        """What takes are labelled with by a forest that was loaded last, where the library has it."""
+        """Read the take labeller of the loaded forest; None if the library has none."""
         table, known = schema.part_forests.c, self._kept[part.feature_set]
         query = sa.select(table.labeller).where(table.feature_set == part.feature_set)
         with self._database.reading() as connection:
@@ -419,7 +393,7 @@ class PartForests:
         return None if known.stored is not part or data is None else bytes(data)
 
     def keep_labeller(self, part: StoredForest, labeller: bytes) -> None:
-        """Write what takes are labelled with, unless the library has another forest by now or cannot be written."""
+        """Write the take labeller, unless the library has another forest by now or cannot be written."""
         table, known = schema.part_forests, self._kept[part.feature_set]
         if known.stored is not part:
             return

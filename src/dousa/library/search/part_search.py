@@ -1,10 +1,7 @@
-"""Searching where bodies lack joints: each clip is compared by the joints that it has in common with the query.
+"""Search where bodies lack joints: each clip is compared by the joints that it shares with the query.
 
-Clips that lack the same joints form a group, for which there is one forest. Distances of different groups are
-brought together by counting what was not compared as no more alike than the median clip is: who has only legs is
-never nearer than a whole body that moves alike.
-
-Clips with all their votes, for searches that need to know how far every clip is.
+Clips with the same joints form a group with one forest. To compare groups, the share of the body that was not
+compared counts as the median distance, so legs alone are not nearer than a whole body with the same motion.
 """
 
 from __future__ import annotations
@@ -44,18 +41,17 @@ from dousa.retrieval.ranking.ranking import DEFAULT_RANKING, RankedClips, Rankin
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchIndex:
-    """What the trees say of clips, in the order of their paths, with the votes of all.
+    """N clips, sorted by path, with all votes of the trees.
 
     Parameters
     ----------
-    ids, paths : of the clips.
-    labels : category of each clip; the forest's, where nobody gave it one.
-    answers : what the trees say of the clips.
-    rows : place of each clip number in the above.
-    likeness : tells which clips are alike; None where that was not learned, as the next two.
-    meanings : (C,) number of what each category means; categories of one meaning have the same.
+    labels : given category of each clip, else the predicted one.
+    answers : tree answers about the clips.
+    rows : place of each clip by number.
+    likeness : finds clips of the same meaning; None if not learned, as the next three.
+    meanings : (C,) number of each category's meaning.
     told : (N, M) share of the trees that vote for each meaning.
-    lengths : (N,) Euclidean lengths of these.
+    lengths : (N,) Euclidean lengths of ``told``.
     """
 
     ids: tuple[int, ...]
@@ -70,7 +66,7 @@ class SearchIndex:
 
 
 def make_dense(index: LeafIndex) -> SearchIndex:
-    """The clips of an index with all their votes."""
+    """Return the clips of an index with all their votes."""
     chosen = np.flatnonzero(index.living)
     rows = np.array(sorted(chosen.tolist(), key=index.path), np.intp)
     votes, leaves, directions = [], [], []
@@ -99,7 +95,7 @@ def make_dense(index: LeafIndex) -> SearchIndex:
 
 
 def find_alike(index: SearchIndex, asked: Asked) -> FloatArray | None:
-    """Probabilities (N,) that the clips mean the same as a motion; None where that was not learned."""
+    """Compute the probabilities (N,) that the clips mean the same as a motion; None if not learned."""
     directions, own = index.answers.directions, asked.answers.directions
     if index.likeness is None or index.meanings is None or index.told is None or directions is None or own is None:
         return None
@@ -115,7 +111,7 @@ def rank_places(
     places: NDArray[np.intp] | None,
     read_poses: PoseReader,
 ) -> tuple[list[Hit], FloatArray]:
-    """The first k clips for one motion, among those at some places of the index, and how far each of these is."""
+    """Return the first k clips for a motion among some places of the index, and the distances of all of these."""
     votes, leaves = index.answers.votes, index.answers.leaves
     directions, own = index.answers.directions, asked.answers.directions
     rows = np.arange(len(index.ids)) if places is None else places
@@ -123,7 +119,7 @@ def rank_places(
         votes if places is None else votes[places],
         leaves if places is None else leaves[places],
         lambda chosen: read_poses([index.ids[row] for row in rows[chosen]]),
-        # Rounded, so that a clip is no distance from itself.
+        # Rounded, so that a clip has distance 0 from itself.
         None if directions is None or own is None else np.round(directions[rows] @ own[0].astype(np.float64), 6),
     )
     ranking = rank_clips(by, RankingQuery(asked.answers.votes[0], asked.answers.leaves[0], asked.poses), clips)
@@ -154,15 +150,7 @@ def rank_places(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Group:
-    """Clips that are compared with a query by the same joints.
-
-    Parameters
-    ----------
-    stored : the forest that asks about these joints.
-    index : what it says of clips.
-    places : (N,) those of the index that are in the group.
-    read_poses : pose sequences of clips of the index.
-    """
+    """Clips (``places`` (N,) of ``index``) that share the same joints with a query, and the forest for these joints."""
 
     stored: StoredForest
     index: SearchIndex
@@ -171,7 +159,7 @@ class Group:
 
 
 class PartSearcher(Searcher):
-    """Answers about whole motions, and about parts of bodies."""
+    """Searches and classifies, also for bodies that lack joints."""
 
     def __init__(self, database: Database, forests: ForestCache, parts: PartForests) -> None:
         super().__init__(database, forests)
@@ -205,18 +193,17 @@ def search_parts(
     wanted: Wanted,
     progress: PartProgress | None = None,
 ) -> SearchResult:
-    """The clips nearest to a motion, where it or some of the clips lack joints.
+    """Find the clips nearest to a motion, where it or some of the clips lack joints.
 
     Parameters
     ----------
-    library : its forest, and what that says of the clips that lack none of its joints; with all votes too.
-    query : its name, and the motion.
-    wanted : what to give.
+    library : its forest, and the clips that have all joints of this, sparse and with all votes.
+    query : name and motion.
     progress : called while forests for parts are learned.
 
     Raises
     ------
-    InvalidMotionError : a body of which too little is there, or that no clip can teach anything about.
+    InvalidMotionError : the body lacks too many joints, or too few clips have those that are left.
     """
     main, (name, motion) = library[0], query
     stored, note = parts.choose(main, motion.absent, progress)
@@ -247,7 +234,7 @@ def _group_clips(
     absent: Sequence[str],
     progress: PartProgress | None,
 ) -> tuple[list[Group], int]:
-    """The clips by the joints that they share with a body, and how many share too few."""
+    """Group the clips by the joints that they share with a body, and count those that share too few."""
     main, leaf_index, index = library
     whole = find_feature_set(find_feature_set(main.feature_set).base)
     members: dict[tuple[str, ...], list[int]] = defaultdict(list)
@@ -288,7 +275,7 @@ def _make_group(part: PartIndex, ids: Sequence[int]) -> Group:
 def _rank_groups(
     groups: Sequence[Group], motions: Sequence[StoredMotion], wanted: Wanted, category: str | None
 ) -> list[Hit]:
-    """The first k clips of every group, with distances that can be compared between the groups."""
+    """Return the first k clips of every group, with distances that are comparable between groups."""
     found: list[Hit] = []
     for number, motion in enumerate(motions):
         ranked = []

@@ -1,4 +1,4 @@
-"""Clips as a search reads them: in a few flat arrays that can lie in a file, and as few bytes a clip as it takes."""
+"""Clips as a search reads them: a few flat arrays, which can lie in a file."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from dousa.library.store.checksums import LABELS, LEAVES
 from dousa.library.store.forests import PARTS_OF_A_VOTE, StoredForest, check_leaves
 from dousa.library.store.schema import stack
 
-_MOST_CODES = 2**16 - 1  # the last one stands for a leaf that no clip is in
-_ROOM = 2**22  # entries of votes that are counted at a time
-_CLIPS_AT_ONCE = 1024  # in the leaves of one tree
+_MOST_CODES = 2**16 - 1  # the last code is for leaves without clips
+_ROOM = 2**22  # entries of votes counted at a time
+_CLIPS_AT_ONCE = 1024  # counted in one tree at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClipPart:
-    """N clips of a library, in the order of their numbers, with what the trees say of them.
+    """N clips of a library, sorted by number, with the answers of the trees.
 
     Parameters
     ----------
     ids : (N,) int64.
-    sums : (N, 2) int64, checksums of their labels and leaves; -1 where there is none.
-    given, predicted : (N,) int32, places in ``names``: their category, -1 for none, and the forest's.
+    sums : (N, 2) int64, checksums of labels and leaves; -1 for none.
+    given, predicted : (N,) int32, places in ``names`` of the given category, -1 for none, and of the predicted one.
     names : categories.
-    path_ends, path_bytes : (N,) where the path of each ends in (B,) uint8.
-    codes : (N, n_trees) uint16, leaves as numbers among those of their tree.
-    table, offsets : (L,) int32 leaves, and (n_trees,) where those of each tree begin.
-    directions : (N, K) float32 of ``Likeness.place``; None where they are not known.
+    path_ends, path_bytes : (N,) ends of the paths in (B,) uint8.
+    codes : (N, n_trees) uint16 or int32, number of each leaf within its tree.
+    table, offsets : (L,) int32 leaves, and (n_trees,) start of each tree in it.
+    directions : (N, K) float32 of ``Likeness.place``; None if unknown.
     """
 
     ids: IntArray
@@ -55,20 +55,20 @@ class ClipPart:
 
     @property
     def is_by_trees(self) -> bool:
-        """Whether leaves are numbered by their trees; those of damaged rows cannot be."""
+        """Whether leaves are numbered within their trees; those of damaged rows are not."""
         return bool(self.offsets.any()) or len(self.offsets) == 1
 
     def path(self, row: int) -> bytes:
-        """The path of a clip, in UTF-8: their order is that of the texts."""
+        """Return the path of a clip in UTF-8, which sorts as the text does."""
         start = self.path_ends[row - 1] if row else 0
         return self.path_bytes[start : self.path_ends[row]].tobytes()
 
     def label(self, row: int) -> str:
-        """The category of a clip; the forest's, where nobody gave it one."""
+        """Return the given category of a clip, else the predicted one."""
         return self.names[int(self.predicted[row] if self.given[row] < 0 else self.given[row])]
 
     def are_labelled(self, category: str) -> BoolArray:
-        """(N,) whether clips are of a category, as ``label`` says."""
+        """Return (N,) whether clips are of a category, as in ``label``."""
         if category not in self.names:
             return np.zeros(len(self), np.bool_)
         number = self.names.index(category)
@@ -76,12 +76,12 @@ class ClipPart:
         return chosen
 
     def leaves(self, rows: IndexArray | slice) -> NDArray[np.int32]:
-        """(M, n_trees) leaves of clips."""
+        """Return (M, n_trees) leaves of clips."""
         leaves: NDArray[np.int32] = self.table[self.offsets + self.codes[rows]]
         return leaves
 
     def encode(self, leaves: NDArray[np.int32]) -> NDArray[Any]:
-        """(n_trees,) codes of leaves; of one that no clip is in, a number that no code is."""
+        """Return (n_trees,) codes of leaves, with an unused code for leaves without clips."""
         ends = np.append(self.offsets[1:], len(self.table)) if self.offsets.any() else [len(self.table)] * len(leaves)
         missing = _MOST_CODES if self.codes.dtype == np.uint16 else -1
         codes = np.full(len(leaves), missing, self.codes.dtype)
@@ -94,11 +94,11 @@ class ClipPart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SparseVotes:
-    """Votes of N clips for the categories that trees name, in 64ths.
+    """Nonzero votes for N clips, in 64ths of a tree.
 
     Parameters
     ----------
-    starts : (N + 1,) where the entries of each clip begin.
+    starts : (N + 1,) start of the entries of each clip.
     categories, votes : (E,) uint16 and int32.
     squares : (N,) int64, sums of the squared votes.
     lengths : (N,) Euclidean lengths of the votes for meanings.
@@ -111,7 +111,7 @@ class SparseVotes:
     lengths: FloatArray
 
     def dense(self, row: int, n_categories: int) -> NDArray[np.int32]:
-        """(1, C) votes of one clip."""
+        """Return (1, C) votes of one clip."""
         votes = np.zeros((1, n_categories), np.int32)
         own = slice(self.starts[row], self.starts[row + 1])
         votes[0, self.categories[own]] = self.votes[own]
@@ -119,11 +119,11 @@ class SparseVotes:
 
 
 def read_part(connection: sa.Connection, stored: StoredForest, portions: Iterable[sa.ColumnElement[bool]]) -> ClipPart:
-    """Read clips that have leaves, portion after portion, each of higher numbers.
+    """Read clips that have leaves, in portions of ascending numbers.
 
     Raises
     ------
-    LibraryDamagedError : a wrong checksum; leaves that are not as many as the trees, or that the forest does not have.
+    LibraryDamagedError : a wrong checksum, or leaves that do not fit the forest.
     """
     clips, table = schema.clips.c, schema.clip_leaves.c
     query = sa.select(*LABELS.columns, *LEAVES.columns).join(schema.clip_leaves, table.clip_id == clips.id)
@@ -195,10 +195,10 @@ class _Gathered:
 
 
 def encode_rows(leaves: NDArray[np.int32], n_leaves: int) -> tuple[NDArray[Any], NDArray[np.int32], IntArray]:
-    """Leaves (N, n_trees) as codes, with their table and offsets."""
+    """Return the codes of leaves (N, n_trees), with their table and offsets."""
     n_trees = leaves.shape[1]
     owners = np.full(n_leaves, -1, np.int32)
-    if not find_owners(leaves, owners):  # rows without checksums that are damaged
+    if not find_owners(leaves, owners):  # damaged rows without checksums
         return leaves, np.arange(n_leaves, dtype=np.int32), np.zeros(n_trees, np.int64)
     table, offsets, ranks = order_table(owners, n_trees)
     codes = np.empty(leaves.shape, choose_code(ranks))
@@ -207,7 +207,7 @@ def encode_rows(leaves: NDArray[np.int32], n_leaves: int) -> tuple[NDArray[Any],
 
 
 def pick_clips(part: ClipPart, rows: IndexArray, leaves: NDArray[np.int32], n_leaves: int) -> ClipPart:
-    """Some clips of a part (M,), in other leaves (M, n_trees) of ``n_leaves`` in all."""
+    """Return some clips (M,) of a part, moved to other leaves (M, n_trees) of a forest with ``n_leaves``."""
     starts = np.concatenate([np.zeros(1, np.int64), part.path_ends])
     ends = np.cumsum(starts[rows + 1] - starts[rows])
     paths = np.empty(int(ends[-1]) if len(ends) else 0, np.uint8)
@@ -229,11 +229,9 @@ def pick_clips(part: ClipPart, rows: IndexArray, leaves: NDArray[np.int32], n_le
 
 
 def order_table(owners: NDArray[np.int32], n_trees: int) -> tuple[NDArray[np.int32], IntArray, IntArray]:
-    """Leaves by their trees, where those of each tree begin, and the rank of each leaf in its tree.
+    """Return the leaves sorted by tree, the start of each tree, and the rank of each leaf in its tree.
 
-    Parameters
-    ----------
-    owners : (L,) the tree of each leaf, -1 for one that is left out.
+    ``owners`` (L,) is the tree of each leaf, -1 to leave it out.
     """
     table = np.flatnonzero(owners >= 0)
     table = table[np.argsort(owners[table], kind="stable")]
@@ -244,12 +242,12 @@ def order_table(owners: NDArray[np.int32], n_trees: int) -> tuple[NDArray[np.int
 
 
 def choose_code(ranks: IntArray) -> type[np.uint16 | np.int32]:
-    """The type of codes up to the largest rank."""
+    """Choose the type of the codes by the largest rank."""
     return np.uint16 if int(ranks.max(initial=0)) < _MOST_CODES else np.int32
 
 
 def count_part(stored: StoredForest, part: ClipPart, meanings: IndexArray) -> SparseVotes:
-    """What the trees say of clips; ``meanings`` (C,) is the number of what each category means."""
+    """Count the votes of the trees for clips; ``meanings`` (C,) is the number of each category's meaning."""
     starts, classes, weights = stored.forest.vote_entries
     begins, stops = starts[part.table], starts[part.table + 1]
     shares = np.empty((_CLIPS_AT_ONCE, len(meanings)))

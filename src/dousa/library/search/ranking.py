@@ -1,9 +1,8 @@
-"""The clips nearest to a query, exactly, looking closely only at those that can be among them.
+"""Exact search for the nearest clips, with a lower bound of the distance to skip the others.
 
-The votes of a clip, a few numbers, say the least that its distance can be: clips whose votes differ share no leaves.
-So the votes of all clips are compared; leaves and directions, ten times as many bytes, only of those whose bound is
-not beyond the distance of the last clip that is wanted. The order is that of ``dousa.retrieval.ranking``, clips that
-nothing tells apart in the order of their paths.
+The sparse votes of a clip bound its distance, so leaves and directions, ten times as many bytes, are compared only for
+clips whose bound is within the distance of the last wanted clip. The order is that of ``dousa.retrieval.ranking``;
+equals are sorted by path.
 """
 
 from __future__ import annotations
@@ -30,13 +29,13 @@ from dousa.retrieval.ranking.ranking import (
     rank_by_pose,
 )
 
-_SLACK = 1e-5  # of float32, and of cosines that are rounded
+_SLACK = 1e-5  # for float32 and rounded cosines
 _WEIGHTS = {"histogram": (1.0, 0.0), "leaves": (0.0, 1.0)}
-_BEYOND = 1e9  # of clips that are not looked at the bound is infinite
-_FEW = 256  # more than are wanted are looked at first: the nearer they are, the fewer have to be after them
+_BEYOND = 1e9  # the bound of excluded clips is infinite
+_FEW = 256  # extra clips compared first, for a closer limit
 
 PoseReader = Callable[[Sequence[int]], NDArray[np.float32]]
-"""Gives (n, cells, columns), the pose sequences of clips of n numbers."""
+"""Returns the pose sequences (n, cells, columns) of n clip numbers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,10 +45,10 @@ class Ranked:
     Parameters
     ----------
     rows : (M,) of the index.
-    histograms, leaves, poses, distances : (M,) as of ``dousa.retrieval.ranking.ranking.Ranking``.
-    chances : (M,) that they mean the same as the query; None where that was not learned.
-    alike : (M,) whether they are called alike; likewise.
-    all_alike : rows of all clips that are; likewise.
+    histograms, leaves, poses, distances : (M,) as in ``dousa.retrieval.ranking.ranking.Ranking``.
+    chances : (M,) probability that they mean the same as the query; None if not learned, as the next two.
+    alike : (M,) whether this reaches the threshold.
+    all_alike : rows of all clips that reach it.
     """
 
     rows: IndexArray
@@ -63,7 +62,7 @@ class Ranked:
 
 
 class _Comparison:
-    """Distances of the clips of an index from one query: bounds of all, and what has been measured."""
+    """Distances of the clips of an index from one query: lower bounds of all, and those computed so far."""
 
     def __init__(self, index: LeafIndex, query: IndexQuery, by: str, chosen: BoolArray) -> None:
         self._index, self._query, self._by = index, query, by
@@ -79,7 +78,7 @@ class _Comparison:
         self.keys = np.empty(size)
 
     def measure(self, rows: IndexArray) -> None:
-        """Compare clips, whose rows ascend, that were not compared before."""
+        """Compare those clips of ascending rows that were not compared before."""
         rows = rows[~self._known[rows]]
         if not len(rows):
             return
@@ -87,13 +86,13 @@ class _Comparison:
         self._known[rows] = True
         self.histograms[rows], self.leaves[rows] = found.histograms, found.leaves
         self._cosines[rows] = found.cosines
-        # Rounded, so that a clip is no distance from itself.
+        # Rounded, so that a clip has distance 0 from itself.
         cosines = np.round(found.cosines, 6) if self.has_directions else None
         keys = {"histogram": found.histograms, "leaves": found.leaves}
         self.keys[rows] = keys[self._by] if self._by in keys else add_up(found.histograms, found.leaves, cosines)
 
     def find_nearest(self, count: int, among: IndexArray | None = None) -> IndexArray:
-        """Rows of the first clips, of all that are chosen or of some of them, in order."""
+        """Return the rows of the nearest clips in order, among all chosen clips or some of them."""
         if among is None and count < self.n_clips:
             rows = np.flatnonzero(self._bounds <= min(find_limit(self._bounds, 4 * count + _FEW), _BEYOND))
             self.measure(rows)
@@ -108,7 +107,7 @@ class _Comparison:
         return self._sort(rows, count)
 
     def _sort(self, rows: IndexArray, count: int) -> IndexArray:
-        """The first rows by their keys, equals by the other measure, and then by their paths."""
+        """Sort rows by key, then by the other measure, then by path, and return the first."""
         others = {"histogram": self.leaves, "leaves": self.histograms}
         second = others[self._by][rows] if self._by in others else np.zeros(len(rows))
         rows = rows[np.lexsort((second, self.keys[rows]))]
@@ -126,7 +125,7 @@ class _Comparison:
         return self.keys[row], others[self._by][row] if self._by in others else 0.0
 
     def find_alike(self) -> IndexArray | None:
-        """Rows of the chosen clips that are called alike; None where that was not learned."""
+        """Return the rows of the chosen clips like the query; None if not learned."""
         likeness = self._index.likeness
         if likeness is None or not self.has_directions:
             return None
@@ -143,20 +142,20 @@ class _Comparison:
         return likeness.curve.evaluate(np.column_stack([self._told[rows], self._cosines[rows]]))
 
     def judge(self, rows: IndexArray) -> FloatArray | None:
-        """Probabilities (M,) that clips which were compared mean the same as the query."""
+        """Compute the probabilities (M,) that compared clips mean the same as the query."""
         return self._judge(rows) if self._index.likeness is not None and self.has_directions else None
 
 
 def rank_index(
     index: LeafIndex, query: IndexQuery, k: int, by: str, chosen: BoolArray, read_poses: PoseReader
 ) -> Ranked:
-    """The first k clips for a query.
+    """Return the first k clips for a query.
 
     Parameters
     ----------
     by : one of ``dousa.retrieval.ranking.ranking.RANKINGS``.
-    chosen : (N,) rows of the clips that are looked at.
-    read_poses : asked once, for those whose poses are compared.
+    chosen : (N,) which rows to search.
+    read_poses : called at most once.
 
     Raises
     ------
@@ -196,10 +195,7 @@ def rank_index(
 
 
 def _list_candidates(clips: _Comparison, k: int, alike: IndexArray | None) -> IndexArray:
-    """Rows of which the first k are, in the order of what is cheap to measure.
-
-    Those whose poses are compared come first, wherever they are, and then, of the others, those that are alike.
-    """
+    """Return rows that include the first k, sorted by the distance without poses."""
     if alike is None:
         return clips.find_nearest(max(k, N_REFINED))
     if len(alike) < k:

@@ -1,8 +1,7 @@
-"""The index of a library as it is now, and its file brought up to date by whoever changed or read much.
+"""Load the index of a library, and keep its file up to date.
 
-A file that is behind is no mistake, as its checksums say what has changed since (``refresh``), but costs the next
-program time. So a training makes it, clips that a forest has learned from go into it, and a search that had to read
-much of the library writes what it read.
+An outdated file is no error, as checksums show the changes, but costs time. So it is written by a training, by
+learning from added clips, and by a search that had to read much of the library.
 """
 
 from __future__ import annotations
@@ -46,25 +45,25 @@ from dousa.retrieval.forest.growth import find_changed
 from dousa.retrieval.forest.tree_kernels import find_marked
 
 FEWEST_CLIPS = 16_384
-"""From which on a library has a file of its index: fewer are read as fast from their rows."""
+"""Clips from which on a library has an index file: fewer are read as fast from their rows."""
 
-_MOST_AGAIN = 0.25  # of the clips of a file, in the later one: 64 files change the votes of 15 % of a million
+_MOST_AGAIN = 0.25  # clips in the later file per clip of the first: 64 files change the votes of 15 % of a million
 
 
 def load_index(
     connection: sa.Connection, where: str, stored: StoredForest, known: LeafIndex | None, *, may_write: bool
 ) -> LeafIndex:
-    """The index of a library as it is now.
+    """Load the index of a library as it is now.
 
     Parameters
     ----------
     where : name of the library.
-    known : the index that was loaded before, if one was.
-    may_write : whether a file may be made for a large library.
+    known : the index as it was loaded before, or None.
+    may_write : whether a file may be written for a large library.
 
     Raises
     ------
-    LibraryDamagedError : a wrong checksum; leaves that are not as many as the trees, or that the forest does not have.
+    LibraryDamagedError : a wrong checksum, or leaves that do not fit the forest.
     """
     revision = read_revision(connection)
     if known is not None and (known.revision, known.learned) == (revision, (stored.revision, stored.learned)):
@@ -87,7 +86,7 @@ def load_index(
 
 
 def _is_far_behind(known: LeafIndex, index: LeafIndex) -> bool:
-    """Whether to compare the rows of the blocks that have changed takes longer than to write the file."""
+    """Whether more than half of the blocks have changed, so that writing the file is faster than comparing rows."""
     assert known.source is not None and index.source is not None
     before, now = known.source.sums, index.source.sums
     both = min(len(before), len(now))
@@ -95,7 +94,7 @@ def _is_far_behind(known: LeafIndex, index: LeafIndex) -> bool:
 
 
 def make_side_file(database: Database, stored: StoredForest) -> None:
-    """Make the file of a large library, after a training, so that no search needs to."""
+    """Write the file of a large library after a training, so that no search needs to."""
     with database.reading() as connection:
         count = connection.execute(sa.select(sa.func.count()).select_from(schema.clip_leaves)).scalar_one()
         if count >= FEWEST_CLIPS:
@@ -104,13 +103,13 @@ def make_side_file(database: Database, stored: StoredForest) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StandingRows:
-    """All clips that have leaves; see ``refresh.KnownRows``.
+    """All clips that have leaves (``leaf_index.KnownRows``).
 
     Parameters
     ----------
-    source : what they were read from; None where the library is too small for a file.
-    votes : of parts out of files, the first; none where the forest has learned since.
-    base : of the file that the first part is of, where its votes are among these.
+    source : the rows that they were read from; None if the library is too small for a file.
+    votes : of the first parts, those from files; empty if the forest has learned since.
+    base : of the file of the first part, if its votes are known.
     """
 
     parts: tuple[ClipPart, ...]
@@ -121,16 +120,7 @@ class StandingRows:
 
 
 def read_standing(connection: sa.Connection, where: str, stored: StoredForest) -> StandingRows:
-    """All clips that have leaves; of a large library out of its file.
-
-    Parameters
-    ----------
-    where : name of the library.
-
-    Raises
-    ------
-    LibraryDamagedError : as of ``read_part``, of what is read from the library.
-    """
+    """Read all clips that have leaves, from the file if there is one; LibraryDamagedError as in ``read_part``."""
     clips = schema.clips.c
     known = read_side_rows(find_place(connection, where), stored)
     compared = None if known is None else compare_rows(connection, known)
@@ -155,12 +145,11 @@ class LearnedRows:
 
     Parameters
     ----------
-    parts, alive : as of ``StandingRows``; behind these are the clips that have come into other leaves, or of which the
-        forest says something else.
-    votes : of the forest as it has learned.
-    source : as of ``StandingRows``, from before.
-    changes : by number, the values in ``clip_leaves`` that change.
-    base : of the file that the first part is of, where that has the votes of its clips.
+    parts, alive : as in ``StandingRows``, then parts of the clips with other leaves or other votes.
+    votes : of the forest after learning.
+    source : as in ``StandingRows``, before learning.
+    changes : by number, the changed values in ``clip_leaves``.
+    base : of the file of the first part, if that has the votes of its unchanged clips.
     """
 
     parts: tuple[ClipPart, ...]
@@ -171,7 +160,7 @@ class LearnedRows:
     base: Base | None = None
 
     def sealed(self, checksums: Mapping[int, int]) -> LearnedRows:
-        """With the checksums that the rows got which were written, by number."""
+        """Return a copy with the checksums of the written rows, by number."""
         if self.source is None:
             return self
         ids = np.array(sorted(checksums), np.int64)
@@ -191,7 +180,7 @@ class LearnedRows:
 
 
 def find_clips(part: ClipPart, alive: BoolArray, ids: IntArray) -> tuple[IntArray, IntArray]:
-    """Rows of clips of some numbers (M,) that are in a part and as they were, and which of the numbers these are."""
+    """Return the rows in a part of those clips of some numbers (M,) that are unchanged, and their places in ``ids``."""
     if not len(part):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     rows = np.minimum(np.searchsorted(part.ids, ids), len(part) - 1)
@@ -202,12 +191,12 @@ def find_clips(part: ClipPart, alive: BoolArray, ids: IntArray) -> tuple[IntArra
 def teach_rows(
     before: StoredForest, stored: StoredForest, rows: StandingRows, ids: IntArray, leaves: NDArray[np.int32]
 ) -> LearnedRows:
-    """What a forest that has learned says of all clips.
+    """Update all clips after a forest has learned.
 
     Parameters
     ----------
-    before, stored : the forest, and as it has learned.
-    ids, leaves : (M,) and (M, n_trees), of the clips that have come into other leaves.
+    before, stored : the forest before and after.
+    ids, leaves : (M,) and (M, n_trees) of the clips that have moved to other leaves.
     """
     n_leaves = stored.forest.trees_.n_leaves
     votes_differ = find_changed(before.forest, stored.forest)
@@ -247,7 +236,7 @@ def teach_rows(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Told:
-    """Clips; their votes, where these are known and all that is said of them stays; and whether they have moved."""
+    """Clips, their votes if these are unchanged, and whether they have moved to other leaves."""
 
     part: ClipPart
     alive: BoolArray
@@ -256,7 +245,7 @@ class _Told:
 
 
 def _tell(stored: StoredForest, one: _Told, changes: dict[int, dict[str, Any]]) -> tuple[_Told, SparseVotes]:
-    """Clips and their votes as the forest has them now; what becomes other in their rows is added to ``changes``."""
+    """Return clips and their votes after learning, and add the changed values of their rows to ``changes``."""
     part = one.part
     if one.votes is not None:
         return one, one.votes
@@ -271,14 +260,14 @@ def _tell(stored: StoredForest, one: _Told, changes: dict[int, dict[str, Any]]) 
 
 
 def _find_again(part: ClipPart, alive: BoolArray, changed: BoolArray) -> IndexArray:
-    """Rows of clips in leaves (L,) that have changed."""
+    """Return the rows of clips in changed leaves (L,)."""
     hits = np.empty(len(part), np.bool_)
     find_marked(part.codes, part.offsets, np.where(alive, 0, -1), changed[part.table], hits)
     return np.flatnonzero(hits)
 
 
 def _guess_again(part: ClipPart, votes: SparseVotes, categories: Sequence[str]) -> tuple[ClipPart, BoolArray]:
-    """Clips with the category that most trees name now, and which had another."""
+    """Return clips with the category that has most votes now, and which had another."""
     most = np.zeros(len(part), np.int64)
     find_most(votes.starts, votes.categories, votes.votes, most)
     names = tuple(dict.fromkeys((*part.names, *categories)))
@@ -287,7 +276,7 @@ def _guess_again(part: ClipPart, votes: SparseVotes, categories: Sequence[str]) 
 
 
 def keep_learned(database: Database, stored: StoredForest, learned: LearnedRows) -> None:
-    """Write the file of the index of a large library after a forest has learned, when all else is written."""
+    """Write the index file of a large library after a forest has learned."""
     if learned.source is None or sum(int(own.sum()) for own in learned.alive) < FEWEST_CLIPS:
         return
     with database.reading() as connection:

@@ -1,4 +1,4 @@
-"""Asking the forest of a library: searching and classifying, with the forest and the leaves kept warm."""
+"""Search and classification with the forest of a library, which stays in memory with the index."""
 
 from __future__ import annotations
 
@@ -40,19 +40,19 @@ from dousa.messages import Message
 PartProgress = Callable[[int, int, Message], None]
 """Called with (steps done, steps, message about the next step)."""
 
-# What lasts so many seconds, and so many times as long as nearly all clips, is an uncut recording.
+# A recording of at least 10 s, and twice as long as 99 % of the clips, is taken for uncut.
 _LEAST_TAKE, _TAKE_FACTOR, _NEARLY_ALL = 10.0, 2.0, 0.99
-_MOST_POSES = 16_384  # kept in memory; some 4 kB each
+_MOST_POSES = 16_384  # in memory; some 4 kB each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Asked:
-    """A motion that is searched for.
+    """A motion to search for.
 
     Parameters
     ----------
-    answers, features : what the trees say of it, and what they say it of; one row each.
-    poses : its pose sequence.
+    answers, features : tree answers, and the features that they are about; one row each.
+    poses : pose sequence.
     mirrored : whether it is the mirror image of the query.
     """
 
@@ -64,7 +64,7 @@ class Asked:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The first clips, and how many are alike to the query in all; None where that was not learned."""
+    """The first clips, and the number of all clips like the query; None if likeness was not learned."""
 
     hits: tuple[Hit, ...]
     n_alike: int | None
@@ -79,17 +79,15 @@ def search_index(
     read_poses: PoseReader,
     among: Collection[int] | None = None,
 ) -> Found:
-    """The k clips that are most like a motion, or like its mirror image.
+    """Find the k clips that are most like a motion, or like its mirror image.
 
     Parameters
     ----------
-    index : the clips.
-    asked : the motion, and its mirror image if that is searched for too.
-    k : how many.
+    asked : the motion, and its mirror image if wanted.
     by : one of ``dousa.retrieval.ranking.ranking.RANKINGS``.
-    category : only clips of this category; of all if None.
-    read_poses : gives (n, cells, columns), the pose sequences of clips of these numbers; asked once for each motion.
-    among : only clips of these numbers; of all if None.
+    category : search only this category; None for all.
+    read_poses : called at most once for each motion.
+    among : search only clips of these numbers; None for all.
 
     Raises
     ------
@@ -131,12 +129,12 @@ def _make_hits(index: LeafIndex, found: Ranked, mirrored: bool) -> list[Hit]:
 
 
 def number_or_none(value: np.float64) -> float | None:
-    """A distance; None where it was not measured."""
+    """Return a distance, or None for NaN."""
     return None if np.isnan(value) else float(value)
 
 
 def choose_best(hits: Iterable[Hit], k: int) -> tuple[Hit, ...]:
-    """The nearest k clips among the hits of several searches, each clip once."""
+    """Return the nearest k clips among the hits of several searches, each clip once."""
     best: dict[int, Hit] = {}
     for hit in sorted(hits, key=_mirrored_last):
         best.setdefault(hit.clip_id, hit)
@@ -144,7 +142,7 @@ def choose_best(hits: Iterable[Hit], k: int) -> tuple[Hit, ...]:
 
 
 def _mirrored_last(hit: Hit) -> tuple[tuple[bool, bool], float]:
-    """By the distance, where mirrored clips must be clearly nearer; clips whose poses were not compared come last."""
+    """Sort by distance with a handicap for mirrored clips; unlike clips come later, those without poses last."""
     far = hit.rank_distance is None, hit.alike is False
     distance = hit.distance if hit.rank_distance is None else hit.rank_distance
     return far, distance / MIRROR_DISTANCE if hit.mirrored else distance
@@ -155,20 +153,18 @@ def number_hits(hits: Sequence[Hit]) -> list[Hit]:
 
 
 def check_threshold(threshold: float | None) -> None:
-    """OptionError for a probability outside 0 to 1."""
+    """Raise OptionError for a probability outside 0 to 1."""
     if threshold is not None and not 0 <= threshold <= 1:
         raise OptionError("library_search.threshold", threshold=threshold)
 
 
 def judge(stored: StoredForest, answers: TreeAnswers, features: FloatArray, threshold: float | None) -> list[Verdict]:
-    """What the forest predicts for motions.
+    """Predict the categories of N motions.
 
     Parameters
     ----------
-    stored : the forest.
-    answers, features : what its trees say of N motions, and (N, frames, columns) what they said it of.
-    threshold : probability of being right below which a guess is withheld, and the motion called unknown; None for
-        what the forest's calibration has learned, 0 for never.
+    answers, features : tree answers, and the features (N, frames, columns) that they are about.
+    threshold : probability of being right below which a motion is unknown; None for the calibrated one, 0 for never.
     """
     guesses = answers.predicted()
     histograms = [_order_histogram(stored.categories, own) for own in answers.shares()]
@@ -193,13 +189,13 @@ def judge(stored: StoredForest, answers: TreeAnswers, features: FloatArray, thre
 
 
 def _order_histogram(categories: Sequence[str], shares: FloatArray) -> dict[str, float]:
-    """Share of each category, the largest first, then by name."""
+    """Return the share of each category, the largest first; equals keep their order."""
     order = np.argsort(-shares, kind="stable")
     return {categories[index]: float(shares[index]) for index in order}
 
 
 class Explaining:
-    """Explains what one forest says."""
+    """Explains the answers of one forest."""
 
     def __init__(self, stored: StoredForest) -> None:
         from dousa.retrieval.explain.explanation import Explainer
@@ -208,7 +204,7 @@ class Explaining:
         self._explainer = Explainer(stored.forest)
 
     def verdicts(self, verdicts: Sequence[Verdict], motion: StoredMotion) -> list[Verdict]:
-        """The verdict on a motion, and on its mirror image if there are two, with the reasons for their guesses."""
+        """Add reasons to the verdict on a motion, and to that on its mirror image if there are two."""
         explained = []
         for verdict, own in zip(verdicts, (motion, motion.mirror()), strict=False):
             features = describe_clip(own, self._feature_set).features
@@ -217,7 +213,7 @@ class Explaining:
         return explained
 
     def hits(self, hits: Sequence[Hit], motion: StoredMotion, found: Iterable[StoredMotion]) -> tuple[Hit, ...]:
-        """Hits, with the reasons why they are like the query or its mirror image."""
+        """Add the reasons why hits are like the query or its mirror image."""
         explained = []
         for hit, other in zip(hits, found, strict=True):
             own = motion.mirror() if hit.mirrored else motion
@@ -232,7 +228,7 @@ class Explaining:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What a search is to give; as in ``Library.search``."""
+    """The options of a search, as in ``Library.search``."""
 
     k: int
     ranking: str
@@ -244,9 +240,9 @@ class Wanted:
 
 
 class Searcher(ABC):
-    """Answers about whole motions; what was read stays in memory until the revision of the library changes.
+    """Searches and classifies whole motions; ``part_search.PartSearcher`` adds bodies that lack joints.
 
-    What becomes of bodies that lack joints is left to ``partial.search``.
+    The index stays in memory until the revision of the library changes.
     """
 
     def __init__(self, database: Database, forests: ForestCache) -> None:
@@ -258,7 +254,7 @@ class Searcher(ABC):
     def search(
         self, query: Query, wanted: Wanted, options: ReadOptions, progress: PartProgress | None = None
     ) -> SearchResult:
-        """The clips nearest to a file, a clip or a motion; as ``Library.search``."""
+        """Find the clips nearest to a file, a clip or a motion, as ``Library.search`` does."""
         check_threshold(wanted.threshold)
         with self._database.reading() as connection:
             stored = self._forests.load(connection)
@@ -289,13 +285,13 @@ class Searcher(ABC):
         wanted: Wanted,
         progress: PartProgress | None,
     ) -> SearchResult:
-        """The answer where the query, or some of the clips, lack joints that the forest of the library asks about."""
+        """Search where the query or some of the clips lack joints of the library's forest."""
 
     @abstractmethod
     def _choose_forest(
         self, stored: StoredForest, absent: Sequence[str], progress: PartProgress | None
     ) -> tuple[StoredForest | None, Message | None]:
-        """The forest that is asked about a body, and what it leaves out; or None, and why there is none."""
+        """Choose the forest for a body, with a note on the joints that it ignores; or None, with the reason."""
 
     def _search_whole(
         self,
@@ -305,7 +301,7 @@ class Searcher(ABC):
         query: tuple[str, int | None, StoredMotion | None],
         wanted: Wanted,
     ) -> SearchResult:
-        """The answer where all bodies have the joints that the forest asks about."""
+        """Search where all bodies have the joints of the forest."""
         name, clip_id, motion = query
         if clip_id is None:
             assert motion is not None
@@ -349,7 +345,7 @@ class Searcher(ABC):
         n_jobs: int | None,
         progress: PartProgress | None = None,
     ) -> list[Classification]:
-        """Predict the categories of files; as ``Library.classify``."""
+        """Predict the categories of files, as ``Library.classify`` does."""
         check_threshold(threshold)
         with self._database.reading() as connection:
             stored = self._forests.load(connection)
@@ -395,8 +391,8 @@ class Searcher(ABC):
         return index
 
     def _read_poses(self, connection: sa.Connection, feature_set: str, ids: Sequence[int]) -> NDArray[np.float32]:
-        """(N, cells, columns) pose sequences of clips; those that were read stay, as others ask for them too."""
-        kept = self._poses  # the same in all that follows: another thread may begin anew
+        """Return (N, cells, columns) pose sequences of clips, and keep them for later searches."""
+        kept = self._poses  # a local name, as another thread may replace it
         missing = [clip_id for clip_id in ids if clip_id not in kept]
         if len(kept) + len(missing) > _MOST_POSES:
             kept, missing = {}, list(ids)
@@ -406,7 +402,7 @@ class Searcher(ABC):
         return np.stack([kept[clip_id] for clip_id in ids]) if len(ids) else load_poses(connection, ids, feature_set)
 
     def _find_clip(self, connection: sa.Connection, index: LeafIndex, query: Query, options: ReadOptions) -> int | None:
-        """The clip that the query is, if it has not changed since it was stored."""
+        """Return the number of the stored clip that the query is, if it has not changed; else None."""
         if isinstance(query, int):
             if index.find(query) is None and query not in index.partial:
                 path = find_row(connection, self._database.where, query).path
@@ -416,7 +412,7 @@ class Searcher(ABC):
             return None
         path = os.path.abspath(query)
         if not is_unicode(path):
-            return None  # no database can hold it, so it is not there
+            return None  # no database can hold it
         table = schema.clips.c
         columns = sa.select(table.id, table.path, table.fingerprint, table.read_options)
         row = connection.execute(columns.where(table.path == path)).one_or_none()
@@ -427,7 +423,7 @@ class Searcher(ABC):
 
 
 def note_long(connection: sa.Connection, seconds: float) -> tuple[Message, ...]:
-    """What to say of a file that is searched for, or classified, and is much longer than the clips of the library."""
+    """Return a note for a motion that is much longer than the clips of the library."""
     if seconds < _LEAST_TAKE:
         return ()
     table = schema.clips.c
@@ -439,7 +435,7 @@ def note_long(connection: sa.Connection, seconds: float) -> tuple[Message, ...]:
 
 
 def ask_forest(stored: StoredForest, motion: StoredMotion, mirrored: bool = False) -> Asked:
-    """What the trees say of a motion that is not stored."""
+    """Return the tree answers about a motion that is not stored."""
     described = describe_clip(motion, stored.feature_set)
     features = described.features[None]
     return Asked(ask_trees(stored, features), features, described.poses, mirrored)

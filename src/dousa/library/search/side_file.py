@@ -1,14 +1,8 @@
-"""The index of a large library in a file of its own, from which memory takes what a search looks at.
+"""The index of a large library in a memory-mapped file, as reading a million clips row by row takes many seconds.
 
-Reading a million clips row by row takes many seconds, and each program would do it again. The file can be deleted at
-any time: it is made again, and what is in it is believed only where the checksums of the library's rows are those that
-it was made from (``refresh``), and its own are right. It is written beside its place and renamed, so it is there whole
-or as it was before.
-
-What a forest learns changes what it says of some clips. These go into a second, later file, which says of which first
-file it is: to write half a gigabyte again for a few clips would take as long as all else.
-
-The parts of an index as one part, put together in portions: so a file of it is written with little in memory.
+The file can be deleted at any time. It is used only where its own checksums are right and those of the library's rows
+are as it recorded them (``leaf_index.refresh_index``). It is renamed into place, so it is always whole. Clips that
+changed as a forest learned go into a second, later file, as writing half a gigabyte again would take too long.
 """
 
 from __future__ import annotations
@@ -39,11 +33,11 @@ from dousa.library.store.forests import StoredForest
 _AT_ONCE = 1 << 14  # clips
 
 Portion = list[tuple[int, IndexArray, IndexArray]]
-"""Of each part its number, rows of it, and the places where they come."""
+"""For each part its number, rows of it, and their places in the portion."""
 
 
 class IndexedParts(Protocol):
-    """What is put together: a ``LeafIndex``, or anything like it."""
+    """The part of a ``LeafIndex`` that ``MergedParts`` needs."""
 
     @property
     def parts(self) -> tuple[ClipPart, ...]:
@@ -51,23 +45,19 @@ class IndexedParts(Protocol):
 
     @property
     def votes(self) -> tuple[SparseVotes, ...]:
-        """Their votes."""
+        """The votes for the clips."""
 
     @property
     def alive(self) -> tuple[BoolArray | None, ...]:
-        """For each part (N,) which of its clips are as they were; None for all."""
+        """For each part (N,) which clips are unchanged; None for all."""
 
 
 class MergedParts:
-    """The clips of an index that are as they were, in the order of their numbers.
-
-    Parameters
-    ----------
-    index : of at least one part.
+    """The unchanged clips of an index of at least one part, sorted by number and merged in portions to save memory.
 
     Raises
     ------
-    ValueError : leaves that are in two trees, which only damaged rows without checksums have.
+    ValueError : a leaf is in two trees, as in damaged rows without checksums.
     """
 
     def __init__(self, index: IndexedParts) -> None:
@@ -92,7 +82,7 @@ class MergedParts:
         return len(self._rows)
 
     def _order_leaves(self) -> tuple[NDArray[np.int32], IntArray, IntArray]:
-        """The leaves of all parts by their trees, where those of each tree begin, and the rank of each leaf there."""
+        """Return the leaves of all parts as ``order_table`` does."""
         owners = np.full(max(int(part.table.max(initial=-1)) for part in self._parts) + 1, -1, np.int32)
         for part in self._parts:
             if not part.is_by_trees:
@@ -104,7 +94,7 @@ class MergedParts:
         return order_table(owners, self._n_trees)
 
     def arrays(self) -> Iterator[tuple[str, Iterator[NDArray[Any]]]]:
-        """Names and contents of the arrays of a ``ClipPart`` and, as ``votes.NAME``, of a ``SparseVotes``."""
+        """Yield the names and arrays of a ``ClipPart`` and, as ``votes.NAME``, of a ``SparseVotes``."""
         yield "ids", self._take([part.ids for part in self._parts])
         yield "sums", self._take([part.sums for part in self._parts])
         yield "given", self._renumber([part.given for part in self._parts])
@@ -125,7 +115,7 @@ class MergedParts:
         yield "votes.lengths", self._take([votes.lengths for votes in self._votes])
 
     def _portions(self) -> Iterator[tuple[int, Portion]]:
-        """How many clips, and where they are; at least one portion."""
+        """Yield the number of clips and their places for each portion; at least one."""
         for first in range(0, max(len(self), 1), _AT_ONCE):
             owners, rows = self._owners[first : first + _AT_ONCE], self._rows[first : first + _AT_ONCE]
             own = ((number, np.flatnonzero(owners == number)) for number in range(len(self._parts)))
@@ -163,7 +153,7 @@ class MergedParts:
             yield portion, lengths
 
     def _ends(self, starts: list[IntArray], before: IntArray | None = None) -> Iterator[NDArray[Any]]:
-        """Where the runs of the clips end, one after the other."""
+        """Yield the ends of the runs of the clips."""
         if before is not None:
             yield before
         end = 0
@@ -186,19 +176,14 @@ def _starts_of(ends: IntArray) -> IntArray:
 
 
 _MAGIC = b"dousa index 2\n\0\0"
-_START = struct.Struct("<16sQQI")  # magic; place, length and checksum of the header, which comes last
+_START = struct.Struct("<16sQQI")  # magic; place, length and checksum of the header at the end
 _ALIGNED = 64
 _PART = ("ids", "sums", "given", "predicted", "path_ends", "path_bytes", "codes", "table", "offsets", "directions")
 _VOTES = ("starts", "categories", "votes", "squares", "lengths")
 
 
 def find_place(connection: sa.Connection, where: str, kind: str = "search") -> Path:
-    """Where the file of a library is: beside its own, or in the folder of caches where a server has it.
-
-    Parameters
-    ----------
-    kind : what it is, at the end of its name.
-    """
+    """Return the path of a file of a library, beside an SQLite file or else in the user's cache; ``kind`` ends it."""
     if connection.dialect.name == "sqlite":
         path = next(row[2] for row in connection.exec_driver_sql("PRAGMA database_list") if row[1] == "main")
         return Path(f"{path}-{kind}")
@@ -207,18 +192,18 @@ def find_place(connection: sa.Connection, where: str, kind: str = "search") -> P
 
 
 def name_forest(stored: StoredForest) -> list[int]:
-    """What votes depend on besides the leaves."""
+    """Return numbers that identify the forest and its votes."""
     sums = [zlib.crc32(np.ascontiguousarray(part).data) for part in stored.forest.vote_entries]
     return [stored.revision, stored.learned, *sums]
 
 
 @dataclass(frozen=True, slots=True)
 class Base:
-    """Which file a later one is of.
+    """The first file that a later one belongs to.
 
     Parameters
     ----------
-    checksum : of its header, which has those of its arrays.
+    checksum : of its header.
     categories : of the forest when it was written, in the order of its votes.
     """
 
@@ -227,22 +212,17 @@ class Base:
 
 
 class KeptIndex(IndexedParts, Protocol):
-    """What is written: a ``LeafIndex``, or anything like it."""
+    """The part of a ``LeafIndex`` that is written."""
 
     @property
     def source(self) -> IndexedRows | None:
-        """What it was read from."""
+        """The rows that it was read from."""
 
 
 def write_side_file(path: Path, stored: StoredForest, index: KeptIndex) -> bool:
-    """Write an index; false where that cannot be, or another program is just doing it: the file is not needed.
-
-    Parameters
-    ----------
-    stored : the forest of its leaves and votes.
-    """
+    """Write an index of a forest; return False if it cannot be written or another program is writing it."""
     if index.source is None or not index.source.is_sealed:
-        return False  # nobody could tell later whether it is of the library as it is
+        return False  # changes of the library would go unnoticed
     try:
         merged = MergedParts(index)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -250,7 +230,7 @@ def write_side_file(path: Path, stored: StoredForest, index: KeptIndex) -> bool:
             if file is not None:
                 _write_file(file, stored, merged, index.source)
         if file is not None:
-            with suppress(OSError):  # it is of the file before, and believed no more
+            with suppress(OSError):  # it belongs to the previous file
                 _place_later(path).unlink()
         return file is not None
     except (OSError, ValueError):
@@ -258,11 +238,11 @@ def write_side_file(path: Path, stored: StoredForest, index: KeptIndex) -> bool:
 
 
 def write_later_file(path: Path, stored: StoredForest, index: KeptIndex, base: Base) -> bool:
-    """Write what has changed since a file was written; false as of ``write_side_file``.
+    """Write the changes since a file was written; return False as ``write_side_file`` does.
 
     Parameters
     ----------
-    index : its first part is that of the file at the path, whose clips have their votes of that time still.
+    index : its first part is that of the file at ``path``; unchanged clips of it have the same votes.
     base : of that file.
     """
     if index.source is None or not index.source.is_sealed:
@@ -285,7 +265,7 @@ def _place_later(path: Path) -> Path:
 
 
 class _Others:
-    """All parts of an index but the first."""
+    """The parts of an index after the first."""
 
     def __init__(self, index: KeptIndex) -> None:
         self.parts, self.votes, self.alive = index.parts[1:], index.votes[1:], index.alive[1:]
@@ -293,15 +273,15 @@ class _Others:
 
 @contextmanager
 def create_alone(path: Path) -> Iterator[IO[bytes] | None]:
-    """An empty file that takes the place of another when it is written; None where another program has it.
+    """Open an empty temporary file, renamed to ``path`` at the end; None if another program has locked it.
 
-    It has one name, so what a killed program left is written over; that it is alone with it says a lock.
+    Its name is fixed, so the remains of a killed program are overwritten.
     """
     temporary = path.with_name(f"{path.name}.part")
     with open(os.open(temporary, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666), "r+b") as file:
         try:
             _lock(file)
-            alone = os.path.samestat(os.fstat(file.fileno()), os.stat(temporary))  # and not renamed in between
+            alone = os.path.samestat(os.fstat(file.fileno()), os.stat(temporary))  # not renamed in between
         except OSError:
             alone = False
         if not alone:
@@ -311,7 +291,7 @@ def create_alone(path: Path) -> Iterator[IO[bytes] | None]:
         try:
             yield file
             file.flush()
-            if sys.platform == "win32":  # which renames no open file
+            if sys.platform == "win32":  # Windows cannot rename an open file
                 file.close()
             os.replace(temporary, path)
         except BaseException:
@@ -321,7 +301,7 @@ def create_alone(path: Path) -> Iterator[IO[bytes] | None]:
 
 
 def _lock(file: IO[bytes]) -> None:
-    """Lock a file until it is closed; OSError where another has."""
+    """Lock a file until it is closed; OSError if another program has locked it."""
     if sys.platform == "win32":
         import msvcrt
 
@@ -340,8 +320,8 @@ def _write_file(
     more: Mapping[str, Any] | None = None,
     dead: IntArray | None = None,
 ) -> None:
-    """Write the clips of an index, what they were read from, and what a later file has more."""
-    file.write(bytes(_ALIGNED))  # for the start, when the rest is there
+    """Write the clips of an index, the checksums of their rows, and the extras of a later file."""
+    file.write(bytes(_ALIGNED))  # for the start, which is written last
     described = []
     others = [("rows", iter([rows.sums]))] if dead is None else [("rows", iter([rows.sums])), ("dead", iter([dead]))]
     for name, portions_of_it in (*merged.arrays(), *others):
@@ -367,14 +347,14 @@ def _write_file(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeptRows:
-    """Clips as files have them: see ``refresh.KnownRows``.
+    """Clips read from files (``leaf_index.KnownRows``).
 
     Parameters
     ----------
-    parts, alive : those of the file, and of the later one where there is one.
-    source : what they were read from.
-    votes : of the parts; None where the forest has learned since.
-    base : of the file; None where its votes are not known.
+    parts, alive : of the file, and of the later one if there is one.
+    source : the rows that they were read from.
+    votes : of the parts; None if the forest has learned since.
+    base : of the file; None if its votes are unknown.
     """
 
     parts: tuple[ClipPart, ...]
@@ -385,10 +365,7 @@ class KeptRows:
 
 
 def read_side_rows(path: Path, stored: StoredForest) -> KeptRows | None:
-    """The clips of a file, and of what came later; None where there is none, or a damaged one.
-
-    Arrays stay in the files until they are looked at.
-    """
+    """Map the clips of a file and of its later one; None if the file is missing or damaged."""
     forest = name_forest(stored)
     first = _read_file(path, stored, forest)
     if first is None:
@@ -414,7 +391,7 @@ def read_side_rows(path: Path, stored: StoredForest) -> KeptRows | None:
 
 
 def renumber_votes(votes: SparseVotes, before: Sequence[str], now: Sequence[str]) -> SparseVotes:
-    """The same votes for categories among which there are others; ValueError where one is gone."""
+    """Renumber the categories of votes from one list of names to another; ValueError if one is missing."""
     numbers = [now.index(name) for name in before]
     if numbers == list(range(len(numbers))):
         return votes
@@ -422,9 +399,9 @@ def renumber_votes(votes: SparseVotes, before: Sequence[str], now: Sequence[str]
 
 
 def read_side_file(path: Path, stored: StoredForest) -> tuple[LeafIndex, bool] | None:
-    """The index in files, with arrays that stay there until they are looked at, and whether it has their votes.
+    """Map the index in files, and return whether it has their votes; None as ``read_side_rows`` does.
 
-    None as of ``read_side_rows``. It is of the library at some time: ``refresh_index`` brings it up to date.
+    It may be out of date: see ``refresh_index``.
     """
     kept = read_side_rows(path, stored)
     if kept is None:
@@ -435,7 +412,7 @@ def read_side_file(path: Path, stored: StoredForest) -> tuple[LeafIndex, bool] |
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _File:
-    """What a file has; ``votes`` only where they are wanted, ``dead`` only of a later one."""
+    """The contents of a file; ``votes`` if wanted, ``dead`` (rows of the first file) of a later one."""
 
     part: ClipPart
     rows: IndexedRows
@@ -446,16 +423,16 @@ class _File:
 
 
 def _read_file(path: Path, stored: StoredForest, forest: list[int] | None, base: int | None = None) -> _File | None:
-    """A file; None where it is not there, damaged, of other trees, or later than another file.
+    """Map a file; None if it is missing, damaged, or of other trees or another ``base``.
 
     Parameters
     ----------
-    forest : its votes are wanted where they are of this one; None for any.
-    base : of the file that it must be later than.
+    forest : votes are read if they are of this forest; None for any.
+    base : checksum of the first file that a later one must belong to.
     """
     try:
         with open(path, "rb") as file:
-            # Numba would compile again for what cannot be written.
+            # Numba would compile again for read-only arrays.
             data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
     except (OSError, ValueError):
         return None
@@ -482,7 +459,7 @@ def _read_file(path: Path, stored: StoredForest, forest: list[int] | None, base:
 
 
 def _read_arrays(data: mmap.mmap, described: Sequence[Any], has_votes: bool) -> dict[str, NDArray[Any]]:
-    """Arrays, of votes where these are wanted; ValueError where a checksum is wrong."""
+    """Map the arrays, those of votes if wanted; ValueError for a wrong checksum."""
     arrays = {}
     for name, kind, shape, start, own in described:
         if name.startswith("votes.") and not has_votes:

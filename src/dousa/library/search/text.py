@@ -1,7 +1,4 @@
-"""The index of words of a library, and searching in it; it stays in memory, and of a change what changed is read.
-
-What a search in words answers.
-"""
+"""Search by words; the index of words stays in memory, and only changed motions are read again."""
 
 from __future__ import annotations
 
@@ -49,11 +46,11 @@ class TextHit:
 
     Parameters
     ----------
-    clip_id, path, category, performer, kind : of it, as in ``ClipInfo``.
+    clip_id, path, category, performer, kind : as in ``ClipInfo``.
     rank : 1 for the best.
-    score : share of what the words ask for that it has, 0 to 1.
+    score : share of the query that it meets, 0 to 1.
     in_category, in_name : whether words are in its category, or in its name.
-    relations : what it does that fits the words, with the longest stretch of it.
+    relations : relations that fit the words, each with its longest stretch.
     """
 
     clip_id: int
@@ -68,7 +65,7 @@ class TextHit:
     relations: tuple[Relation, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """The hit as a plain dictionary; times in s."""
+        """Return the hit as a plain dictionary; times in s."""
         names = ("rank", "clip_id", "path", "category", "performer", "kind", "score", "in_category", "in_name")
         relations = [
             {"name": one.name, "part": one.part or None, "text": str(one.message), "share": one.share}
@@ -80,13 +77,13 @@ class TextHit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TextMatches:
-    """The numbers of all clips and takes that fit words.
+    """All clips and takes that fit words.
 
     Parameters
     ----------
-    ids : (n,) the best first.
-    scores : (n,) share of what the words ask for that each has, 0 to 1.
-    corrections : words that were misspelt or that nobody knows, and what they were taken for.
+    ids : (n,) clip numbers, the best first.
+    scores : (n,) share of the query that each meets, 0 to 1.
+    corrections : misspelt or unknown words, and the words used instead.
     """
 
     ids: NDArray[np.int64]
@@ -96,17 +93,17 @@ class TextMatches:
 
 @dataclass(frozen=True, slots=True)
 class TextResult:
-    """The answer to a search in words.
+    """The answer to a search by words.
 
     Parameters
     ----------
-    text : what was asked.
-    results : the clips and takes that fit, the best first; no more than fit.
-    n_found : how many fit, of which ``results`` may be the first.
-    n_searched : clips and takes that were looked at.
-    corrections : words that were misspelt, and what they were taken for.
-    replaced : words that nobody knows, and words of similar meaning that were searched for (with ``dousa[words]``).
-    unknown : words that neither the table of words nor the library knows.
+    text : the query.
+    results : the first clips and takes that fit, the best first.
+    n_found : number of all that fit.
+    n_searched : number of clips and takes that were searched.
+    corrections : misspelt words, and their corrections.
+    replaced : unknown words, and words of similar meaning used instead (with ``dousa[words]``).
+    unknown : words that are neither in the vocabulary nor in the library.
     near : words of the library near to the query, if nothing fits.
     """
 
@@ -120,7 +117,7 @@ class TextResult:
     near: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """The answer as plain lists and dictionaries."""
+        """Return the answer as plain lists and dictionaries."""
         return {
             "text": self.text,
             "n_found": self.n_found,
@@ -135,15 +132,15 @@ class TextResult:
 
 _LONGEST = 500  # characters of a query
 _TIME = re.compile(r"#t=[0-9.]+,[0-9.]+(&id=[0-9]+)?$")  # of a segment, after the path of its take
-_LITERAL = 0.6  # score of a name that has the query in it letter by letter
-_SAME = 1e-6  # scores that differ by rounding
-_MOST_NEAR = 5  # words that are offered where nothing fits
-_NEAR_MEANING, _NEAR_SPELLING = 0.4, 60  # weight of what such a word finds; per cent of its letters
+_LITERAL = 0.6  # score of a name that contains the query letter by letter
+_SAME = 1e-6  # difference of scores by rounding
+_MOST_NEAR = 5  # words offered if nothing fits
+_NEAR_MEANING, _NEAR_SPELLING = 0.4, 60  # least score of a near meaning; of a near spelling, in per cent
 
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    """A motion in the index: its row, its label and name letter by letter, its relations, and the words of all."""
+    """A motion in the index: its row, the letters of its label and name, its relations, and its words."""
 
     row: Any
     literal: str
@@ -153,10 +150,10 @@ class _Entry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _TextIndex:
-    """The motions in the order of their paths, as of a revision of the library; their words by key.
+    """The motions of a library at a revision, sorted by path.
 
-    ``sums`` tell whether what it was made of is still the same: tags, stars and kept searches leave it as it is.
-    ``stamps`` are the checksums of each motion, by number, from which it is known which motions have changed.
+    ``sums`` show whether any label or relation has changed (tags, stars and kept searches do not count); ``stamps``,
+    the checksums of each motion by number, show which motions have.
     """
 
     revision: int
@@ -169,14 +166,14 @@ class _TextIndex:
 
 
 class TextSearcher:
-    """Answers questions in words about one library."""
+    """Searches one library by words."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
         self._index: _TextIndex | None = None
 
     def match(self, text: str) -> TextMatches:
-        """Numbers of all motions that fit a text, the best first, without what they are; as ``Library.match_text``."""
+        """Return the numbers of all motions that fit a text, the best first, as ``Library.match_text`` does."""
         _check_text(text)
         index = self._load()
         matchers = _read(index, text)
@@ -194,7 +191,7 @@ class TextSearcher:
         performer: str | None = None,
         kind: str | None = None,
     ) -> TextResult:
-        """The motions that fit a text; as ``Library.search_text``."""
+        """Find the motions that fit a text, as ``Library.search_text`` does."""
         _check_text(text)
         index = self._load()
         chosen = _choose(index.entries, category, performer, kind)
@@ -227,7 +224,7 @@ class TextSearcher:
 
 
 def _read_sums(connection: sa.Connection) -> tuple[int, ...] | None:
-    """Numbers and sums of the checksums of what the index is made of; None where rows have none."""
+    """Read the counts and sums of the checksums of labels and relations; None if a row has none."""
     sums: list[int] = []
     for seal in (LABELS, RELATIONS):
         own = seal.checksum
@@ -240,7 +237,7 @@ def _read_sums(connection: sa.Connection) -> tuple[int, ...] | None:
 
 
 def _read(index: _TextIndex, text: str) -> list[Matcher]:
-    """What compares each of the alternatives that a text asks for."""
+    """Return a matcher for each alternative in a text."""
     vocabulary, letters = load_vocabulary(), _literal(text)
     negation = find_negation(text)
     if negation is not None and not any(letters in entry.literal for entry in index.entries):
@@ -261,7 +258,7 @@ def _check_text(text: str) -> None:
 
 
 def _choose(entries: Sequence[_Entry], category: str | None, performer: str | None, kind: str | None) -> IndexArray:
-    """Places of the motions of these labels."""
+    """Return the places of the motions with these labels."""
     asked = {"category": category, "performer": performer, "kind": kind}
     wanted = [(name, value) for name, value in asked.items() if value is not None]
     if not wanted:
@@ -273,7 +270,7 @@ def _choose(entries: Sequence[_Entry], category: str | None, performer: str | No
 def _load_index(
     connection: sa.Connection, revision: int, sums: tuple[int, ...], known: _TextIndex | None
 ) -> _TextIndex:
-    """The index at a revision; of motions that are as they were in a ``known`` one, nothing is read but checksums."""
+    """Load the index at a revision; of motions unchanged since a ``known`` index only checksums are read."""
     stamps = _read_stamps(connection)
     kept: list[_Entry] = []
     if known is not None:
@@ -322,7 +319,7 @@ def _load_index(
 
 
 def _read_stamps(connection: sa.Connection) -> dict[int, tuple[Any, ...]]:
-    """The checksums of the labels and of the relations of all motions, by number; None where there is none."""
+    """Read the checksums (None for none) of the labels and relations of all motions, by number."""
     clips, table = schema.clips.c, schema.clip_relations.c
     own = sa.select(table.clip_id, table.checksum).where(table.version == RELATIONS_VERSION)
     relations: dict[int, Any] = {row.clip_id: row.checksum for row in connection.execute(own)}
@@ -331,18 +328,18 @@ def _read_stamps(connection: sa.Connection) -> dict[int, tuple[Any, ...]]:
 
 
 def _is_same(before: tuple[Any, ...] | None, now: tuple[Any, ...] | None) -> bool:
-    """Whether a motion has the checksums that it had; without one nobody knows."""
+    """Whether the checksums of a motion are unchanged; False if one is missing."""
     return before is not None and before == now and None not in before
 
 
 def _name_of(path: str) -> str:
-    """The file's name without its suffix, and without the time of a segment, whose numbers name nothing."""
+    """Return the file name without its suffix and the time of a segment."""
     name = _TIME.sub("", os.path.basename(path))
     return PurePath(name).stem or path
 
 
 def _make_relation_unit(vocabulary: Vocabulary, relation: Relation) -> Unit:
-    """The words of a relation in every language; each language says the same, so it weighs once."""
+    """Return the words of a relation in every language, with the weight of one language."""
     texts = [relation.message.render(language) for language in LANGUAGES]
     read = [make_unit(vocabulary, read_words(vocabulary, text)) for text in texts]
     first = read[0]
@@ -358,10 +355,7 @@ def _literal(text: str) -> str:
 def _find(
     matchers: Sequence[Matcher], text: str, index: _TextIndex, chosen: IndexArray
 ) -> tuple[IndexArray, FloatArray, IndexArray]:
-    """Places and scores of the motions that fit, and which of the alternatives fits them, the best first.
-
-    Equals in the order of their paths.
-    """
+    """Return places, scores and best alternatives of the motions that fit, the best first, equals by path."""
     alternatives, letters = np.stack([index.columns.score(one) for one in matchers]), _literal(text)
     fitting, scores = alternatives.argmax(axis=0), alternatives.max(axis=0)
     if len(letters) >= 3:
@@ -375,7 +369,7 @@ def _find(
 
 
 def _fit(matcher: Matcher, index: _TextIndex, row: int, score: float) -> Fit:
-    """All that is to be said of a motion that fits; what has the query letter by letter fits better than its words."""
+    """Return how a motion fits: by its words, or by its letters if these score higher."""
     fit = index.columns.fit(matcher, row)
     return fit if fit.score >= score - _SAME else Fit(_LITERAL, (), in_category=False, in_name=True)
 
@@ -397,7 +391,7 @@ def _make_hit(entry: _Entry, fit: Fit, rank: int) -> TextHit:
 
 
 def _find_near(matcher: Matcher, entries: Iterable[_Entry]) -> tuple[str, ...]:
-    """Words of categories and relations that come nearest: by what they mean, else by their letters."""
+    """Find the nearest words of categories and relations, by meaning, then by spelling."""
     from rapidfuzz import fuzz, process
 
     units: dict[str, Unit] = {}
@@ -417,7 +411,7 @@ def _find_near(matcher: Matcher, entries: Iterable[_Entry]) -> tuple[str, ...]:
     units.pop("", None)
     query = matcher.query
     weights = [slot.weight for slot in query.slots]
-    # An action that is near, not a limb or a side: those are everywhere.
+    # The best slot counts: a near action, as limbs and sides are everywhere.
     scores = {
         text: max((w * value for w, value in zip(weights, matcher.find(unit)[0], strict=True)), default=0.0)
         for text, unit in units.items()

@@ -1,7 +1,4 @@
-"""What motions do, in words: computed when they are added; where an older dousa added them, when they are needed.
-
-Categories that mean the same, by their names: of different producers, languages or styles.
-"""
+"""The relations of motions, stored when motions are added or first needed, and the meanings of category names."""
 
 from __future__ import annotations
 
@@ -23,10 +20,10 @@ _KINDS = ("action", "side", "direction")
 
 
 def find_meanings(categories: Iterable[str]) -> dict[str, str]:
-    """What each category means: one word for all whose names tell of the same actions, sides and directions.
+    """Return the meaning of each category, the same for names with the same actions, sides and directions.
 
-    "squat1Reps", "squat" and "しゃがむ" mean the same, and so do "walk/active" and "walk/tired"; "wave-left-hand" and
-    "wave-right-hand" do not. A name that tells of no action stands for itself.
+    "squat1Reps", "squat" and "しゃがむ" mean the same, as do "walk/active" and "walk/tired", but not "wave-left-hand"
+    and "wave-right-hand". A name without an action is its own meaning.
     """
     vocabulary = load_vocabulary()
     kinds = {name: concept.kind for name, concept in vocabulary.concepts.items()}
@@ -43,12 +40,7 @@ _COUNT_CLIPS = sa.select(sa.func.count()).select_from(schema.clips)
 
 
 def load_relations(connection: sa.Connection, ids: Sequence[int] | None = None) -> dict[int, tuple[Relation, ...]]:
-    """The relations of clips and takes, of all or of some, by number; those that are not kept are computed.
-
-    Raises
-    ------
-    LibraryDamagedError : what is kept is none.
-    """
+    """Load the relations of all or some motions, by number, or compute them; LibraryDamagedError if damaged."""
     table = schema.clip_relations.c
     query = sa.select(*RELATIONS.columns).where(table.version == RELATIONS_VERSION)
     found = {}
@@ -60,21 +52,21 @@ def load_relations(connection: sa.Connection, ids: Sequence[int] | None = None) 
 
 
 def keep_relations(connection: sa.Connection) -> None:
-    """Compute and write the relations of the clips and takes of which none are kept yet."""
+    """Compute and write the relations of all clips and takes that have none."""
     table = schema.clip_relations
     kept = sa.select(sa.func.count()).select_from(table).where(table.c.version == RELATIONS_VERSION)
-    # Counted first: to look for each clip reads all that is kept.
+    # Counted first, as a join reads all stored relations.
     if connection.execute(kept).scalar_one() < connection.execute(_COUNT_CLIPS).scalar_one():
         _write(connection, _list_missing(connection))
 
 
 def describe_relations(motion: StoredMotion) -> list[list[Any]]:
-    """The relations of a motion as they are kept."""
+    """Compute the relations of a motion in their stored form."""
     return _to_json(find_relations(motion))
 
 
 def save_relations(connection: sa.Connection, described: Mapping[int, list[list[Any]]]) -> None:
-    """Write the relations of clips and takes, by number, of which none are kept yet."""
+    """Write the relations, by number, of clips and takes that have none."""
     table = schema.clip_relations
     rows = [
         {"clip_id": number, "version": RELATIONS_VERSION, "relations": relations}
@@ -85,7 +77,7 @@ def save_relations(connection: sa.Connection, described: Mapping[int, list[list[
 
 
 def keep_all_relations(database: Database) -> None:
-    """The same for a library that an older dousa wrote: in portions, each a transaction of its own."""
+    """Write the missing relations of a library by an older dousa, each portion in its own transaction."""
     with database.reading() as connection:
         missing = _list_missing(connection)
     for some in portions(missing):
@@ -94,7 +86,7 @@ def keep_all_relations(database: Database) -> None:
 
 
 def keep_relations_of(database: Database, motions: Mapping[int, StoredMotion]) -> None:
-    """Compute and write the relations of those of these clips and takes of which none are kept yet."""
+    """Compute and write the missing relations of some clips and takes."""
     with database.reading() as connection:
         missing = _list_missing(connection, list(motions))
     described = {number: describe_relations(motions[number]) for number in missing}
@@ -105,7 +97,7 @@ def keep_relations_of(database: Database, motions: Mapping[int, StoredMotion]) -
 
 
 def _list_missing(connection: sa.Connection, ids: Sequence[int] | None = None) -> list[int]:
-    """Numbers, ascending, of those of which nothing is kept; of some, or of all, that are there."""
+    """Return the ascending numbers of the existing motions without relations, among some or all."""
     clips, table = schema.clips.c, schema.clip_relations.c
     kept = sa.and_(table.clip_id == clips.id, table.version == RELATIONS_VERSION)
     query = sa.select(clips.id).join(schema.clip_relations, kept, isouter=True).where(table.clip_id.is_(None))

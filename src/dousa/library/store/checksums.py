@@ -1,10 +1,8 @@
-"""Checksums of what a library keeps: a flipped bit is an error, never another answer.
+"""Checksums of everything a library keeps, so that a flipped bit is an error rather than a wrong result.
 
-A disk, a cable or a memory that fails changes bytes without a word, and a database does not notice. Each row has a
-CRC-32 of its own values, its number among them, which is compared wherever the row is read. Positions have one for
-every block of frames, so that a segment is checked without its whole take. What is kept as an npz file (forests,
-windows of takes) has checksums of its own. An older dousa wrote no checksums: such rows are believed until
-``Library.check`` gives them theirs.
+Each row has a CRC-32 of its values, its number included, which is compared on every read. Positions have one for every
+block of frames, so that a segment is checked without its whole take. npz data (forests, windows of takes) has checksums
+of its own. Rows of an older dousa have none, and are trusted until ``Library.check`` adds them.
 """
 
 from __future__ import annotations
@@ -27,14 +25,14 @@ BLOCK_FRAMES = 256
 """Frames of positions that share a checksum."""
 
 LIBRARY_NAME = "dousa_library"
-"""Execution option of a connection: what messages call its library."""
+"""Execution option of a connection: the name of its library in messages."""
 
 
 def _encode_json(value: Any) -> bytes:
     return json.dumps(value).encode()
 
 
-# Functions of C where there are any: a search compares a checksum or two of every clip.
+# C functions where possible: a search compares one or two checksums of every clip.
 _ENCODERS: tuple[tuple[type[Any], Callable[[Any], bytes]], ...] = (
     (sa.LargeBinary, bytes),
     (sa.Double, struct.Struct("<d").pack),
@@ -56,9 +54,9 @@ class Seal:
 
     Parameters
     ----------
-    checksum : the column that keeps it.
-    covered : the columns that it stands for; the first is the key of the table.
-    encoders : of their values, in bytes that do not depend on the database.
+    checksum : its column.
+    covered : the covered columns; the first is the key of the table.
+    encoders : of their values, to bytes that do not depend on the database.
     what : names them in messages.
     """
 
@@ -69,11 +67,11 @@ class Seal:
 
     @property
     def columns(self) -> tuple[sa.Column[Any], ...]:
-        """What must be read to compare: the covered columns, then the checksum."""
+        """The covered columns, then the checksum."""
         return (*self.covered, self.checksum)
 
     def compute(self, values: Iterable[Any]) -> int:
-        """The checksum of values, in the order of the covered columns."""
+        """Compute the checksum of values, in the order of the covered columns."""
         parts = []
         for encode, value in zip(self.encoders, values, strict=True):
             if value is None:
@@ -84,7 +82,7 @@ class Seal:
         return zlib.crc32(b"".join(parts))
 
     def compute_all(self, columns: Sequence[Sequence[Any]]) -> list[int]:
-        """The checksums of many rows, given by their covered columns: a quarter of the time of one after the other."""
+        """Compute the checksums of many rows, given by their covered columns; four times as fast as single rows."""
         parts: list[Iterable[bytes]] = []
         for encode, values in zip(self.encoders, columns, strict=True):
             if None in values:
@@ -97,7 +95,7 @@ class Seal:
         return list(map(zlib.crc32, map(b"".join, zip(*parts, strict=True))))
 
     def check_all(self, connection: sa.Connection, columns: Sequence[Sequence[Any]]) -> None:
-        """The same as ``check`` of many rows, given by ``columns``, one after the other or not."""
+        """Check many rows, given by ``columns``; as ``check``."""
         try:
             found = self.compute_all(columns[:-1])
         except (TypeError, ValueError, struct.error):  # of another type
@@ -107,20 +105,20 @@ class Seal:
                 raise damaged(connection, self.what, columns[0][place] if self.is_of_clip else None)
 
     def is_whole(self, values: Sequence[Any]) -> bool:
-        """Whether the values of ``columns`` agree; those without a checksum do."""
+        """Return whether the values of ``columns`` agree; true without a checksum."""
         try:
             return values[-1] is None or self.compute(values[:-1]) == values[-1]
         except (TypeError, ValueError, struct.error):  # of another type
             return False
 
     def check(self, connection: sa.Connection, row: Any) -> None:
-        """LibraryDamagedError where a row, whose columns have these names or are labelled by ``labelled``, is not."""
+        """Raise LibraryDamagedError for a damaged row with columns of these names, or labelled by ``labelled``."""
         values = [row._mapping[column] for column in self.columns]
         if not self.is_whole(values):
             raise damaged(connection, self.what, values[0] if self.is_of_clip else None)
 
     def check_rows(self, connection: sa.Connection, rows: Sequence[Any]) -> None:
-        """The same as ``check`` of many rows of one query."""
+        """Check many rows of one query; as ``check``."""
         values = [row._mapping for row in rows]
         if values:
             self.check_all(connection, [[value[column] for value in values] for column in self.columns])
@@ -147,11 +145,11 @@ _FOREST = (
 )  # fmt: skip
 
 LABELS = _seal(schema.clips, Message("library_damage.labels"), _LABELS, "label_checksum")
-"""Of what a search says of a clip."""
+"""Seal of the columns of a clip that a search returns."""
 NUMBERS = _seal(schema.clips, Message("library_damage.numbers"), _NUMBERS)
-"""Of the rest of its row: its file, its length, its height."""
+"""Seal of the rest of its row: file, length, height."""
 FEATURES = _seal(schema.clip_features, Message("library_damage.features"), ("clip_id", "feature_set", "pose_features"))
-"""Of the features themselves, wherever they lie: see ``dousa.library.store.fragments``."""
+"""Seal of the features, in or outside the row: see ``dousa.library.store.fragments``."""
 POSES = _seal(schema.clip_poses, Message("library_damage.poses"))
 LEAVES = _seal(schema.clip_leaves, Message("library_damage.leaves"))
 RELATIONS = _seal(schema.clip_relations, Message("library_damage.relations"))
@@ -179,7 +177,7 @@ POSITIONS = Message("library_damage.positions")
 
 
 def seal_rows(table: sa.Table, rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Rows that are going to be inserted into a table, with their checksums."""
+    """Return rows for an insert into a table, with their checksums."""
     sealed = [dict(row) for row in rows]
     for seal in SEALS:
         if seal.checksum.table is table and sealed:
@@ -190,20 +188,14 @@ def seal_rows(table: sa.Table, rows: Iterable[Mapping[str, Any]]) -> list[dict[s
 
 
 def update_rows(connection: sa.Connection, seal: Seal, changes: Mapping[Any, Mapping[str, Any]]) -> dict[Any, int]:
-    """Change covered values of rows, by their key, and the checksums with them.
+    """Change covered values of rows, by key, and return their new checksums.
 
-    Returns
-    -------
-    The checksums that rows have now, by key.
-
-    Raises
-    ------
-    LibraryDamagedError : one is damaged as it stands; it would be believed from now on.
+    LibraryDamagedError for a row that is damaged already, as a new checksum would hide that.
     """
     key, table = seal.covered[0], seal.checksum.table
     names = [column.name for column in seal.covered]
     sums: dict[Any, int] = {}
-    keys = sorted(changes)  # as they lie on the disk; each portion is written while the database has its pages at hand
+    keys = sorted(changes)  # in disk order, so that each portion is written while its pages are cached
     for start in range(0, len(keys), 500):
         query = sa.select(*seal.columns).where(key.in_(keys[start : start + 500]))
         rows = connection.execute(query).all()
@@ -223,7 +215,7 @@ def update_rows(connection: sa.Connection, seal: Seal, changes: Mapping[Any, Map
 
 
 def seal_positions(number: int, data: bytes, first_block: int = 0) -> bytes:
-    """The checksums of the blocks of positions of a clip, ``block_checksums``; from a block on, if not the first."""
+    """Compute the checksums of the blocks of a clip's positions, ``block_checksums``, from a given block on."""
     size = BLOCK_FRAMES * schema.FRAME_BYTES
     sums = [
         zlib.crc32(data[start : start + size], zlib.crc32(b"%d:%d:" % (number, first_block + block)))
@@ -233,7 +225,7 @@ def seal_positions(number: int, data: bytes, first_block: int = 0) -> bytes:
 
 
 def damaged(connection: sa.Connection, what: Message, number: int | None = None) -> LibraryDamagedError:
-    """The error that something, of a clip where it has a number, is not what was written."""
+    """Return the error for something damaged, of a clip if there is a number."""
     library = connection.get_execution_options().get(LIBRARY_NAME, "")
     if number is None:
         return LibraryDamagedError("library_damage.part", library=library, what=what)

@@ -1,8 +1,7 @@
-"""The database of a library: connections, everything that only SQLite needs, errors in plain words.
+"""The database of a library: connections, everything specific to SQLite, and readable errors.
 
 A path becomes one SQLite file in WAL mode; a URL such as ``postgresql+psycopg://...`` is left to SQLAlchemy.
-Transactions that write begin with ``BEGIN IMMEDIATE``, on a server with a lock of its own: they wait for each other
-instead of failing half way.
+Transactions that write begin with ``BEGIN IMMEDIATE``, on a server with a lock, so that they wait for each other.
 """
 
 from __future__ import annotations
@@ -34,15 +33,15 @@ from dousa.library.store.checksums import LIBRARY_NAME, STATE, update_rows
 from dousa.library.store.schema import APPLICATION_ID, library_state
 
 BESIDE = "dousa_beside"
-"""Execution option of a connection to a library file: the folder beside it that has its fragments, if any."""
+"""Execution option of a connection to a library file: the folder with its fragments, if any."""
 
 STATE_ID = 1
 _WRITES = "dousa_writes"
 _READ_ONLY = "dousa_read_only"
-_ATTEMPTS = 3  # of working something out beside other writers
+_ATTEMPTS = 3  # at planning a change while others may write
 _MOST_PAUSE = 0.2  # s
-_BUSY = 5.0  # s that SQLite waits by itself; it cannot be interrupted meanwhile
-_LEAST_BYTES = 512  # of a database that is not empty: a page
+_BUSY = 5.0  # s that SQLite waits by itself, not interruptible
+_LEAST_BYTES = 512  # of a database that is not empty: one page
 
 
 Plan = TypeVar("Plan")
@@ -50,12 +49,12 @@ Result = TypeVar("Result")
 
 
 def is_url(path_or_url: str | os.PathLike[str]) -> bool:
-    """Whether this names a database server rather than a file."""
+    """Return whether this is the URL of a database server rather than a file."""
     return isinstance(path_or_url, str) and "://" in path_or_url
 
 
 def name_of(path_or_url: str | os.PathLike[str]) -> str:
-    """What messages call a library: its path, or its URL without the password."""
+    """Return the name of a library for messages: its path, or its URL without the password."""
     if not is_url(path_or_url):
         return os.fspath(path_or_url)
     try:
@@ -65,7 +64,7 @@ def name_of(path_or_url: str | os.PathLike[str]) -> str:
 
 
 def make_engine(path_or_url: str | os.PathLike[str], *, create: bool, read_only: bool, timeout: float) -> sa.Engine:
-    """An engine for a file or a URL; nothing is connected yet."""
+    """Make an engine for a file or a URL, without connecting."""
     if is_url(path_or_url):
         return _server_engine(str(path_or_url), read_only, timeout)
     path = Path(path_or_url).absolute()
@@ -88,7 +87,7 @@ def make_engine(path_or_url: str | os.PathLike[str], *, create: bool, read_only:
 def _server_engine(url: str, read_only: bool, timeout: float) -> sa.Engine:
     name = name_of(url)
     try:
-        # A server that was started again in the meantime is connected to anew.
+        # Reconnect to a server that was restarted.
         options = {_READ_ONLY: read_only, LIBRARY_NAME: name}
         engine = sa.create_engine(url, pool_pre_ping=True, execution_options=options)
     except (exc.ArgumentError, exc.NoSuchModuleError, ValueError) as error:
@@ -97,7 +96,7 @@ def _server_engine(url: str, read_only: bool, timeout: float) -> sa.Engine:
         package = "'dousa[postgres]'" if error.name == "psycopg" else error.name
         raise LibraryError("library_file.driver_missing", library=name, package=package) from error
     if engine.dialect.name == "sqlite":
-        # It would lack all that we give a file: the log, foreign keys, writers that wait.
+        # It would lack our settings for files: WAL, foreign keys, waiting writers.
         raise LibraryError("library_file.sqlite_url", library=name)
     if engine.dialect.name == "postgresql":
 
@@ -111,7 +110,7 @@ def _server_engine(url: str, read_only: bool, timeout: float) -> sa.Engine:
 
 
 def _check_place(path: Path, create: bool) -> None:
-    # The functions of os.path say no, and do not raise, where a folder above cannot be looked into.
+    # os.path functions return false, and do not raise, if a parent folder cannot be read.
     if os.path.isdir(path):
         raise LibraryError("library_file.is_folder", library=path)
     if not os.path.exists(path) and not create:
@@ -119,19 +118,18 @@ def _check_place(path: Path, create: bool) -> None:
     if not os.path.isdir(path.parent):
         raise LibraryError("library_file.no_folder", library=path, folder=path.parent)
     if os.path.exists(path) and _is_something_else(path):
-        # SQLite would take a file of a few bytes for an empty database, and write over it.
+        # SQLite would treat a file of a few bytes as an empty database and overwrite it.
         raise LibraryDamagedError("library_file.not_a_library", library=path)
 
 
 def _is_something_else(path: Path) -> bool:
-    """Whether a file is no database; SQLite itself looks.
+    """Return whether a file is no database, by opening it in SQLite.
 
-    On POSIX a program that opens a file and closes it again gives up all locks that it has on it, those of its other
-    connections, too. SQLite knows that and closes later; else another program would take these connections for gone,
-    and the log away that they write to.
+    On POSIX, closing a file drops all locks that the program has on it, those of its other connections too. SQLite
+    knows that and closes later; otherwise another program would believe these connections gone and delete their log.
     """
     if not os.path.isfile(path):
-        return True  # a pipe would be waited for
+        return True  # reading a pipe would block
     size = os.path.getsize(path)
     if size < _LEAST_BYTES:
         return size > 0
@@ -142,7 +140,7 @@ def _is_something_else(path: Path) -> bool:
         finally:
             connection.close()
     except sqlite3.Error as error:
-        return getattr(error, "sqlite_errorname", "") == "SQLITE_NOTADB"  # else connecting says what is wrong
+        return getattr(error, "sqlite_errorname", "") == "SQLITE_NOTADB"  # else connecting reports the error
     return False
 
 
@@ -151,14 +149,14 @@ def _name_for_sqlite(path: Path, options: str) -> str:
 
 
 def _connect(path: Path, create: bool, read_only: bool, timeout: float) -> sqlite3.Connection:
-    # Also to read: a connection that may not write cannot clear its lock files away. ``writing`` refuses.
+    # Writable even for reading: a read-only connection cannot delete its lock files. ``writing`` refuses.
     mode = "rwc" if create else "rw"
     _free_lock_files(path)
     try:
         return _connect_as(path, f"mode={mode}", timeout)
     except sqlite3.OperationalError as error:
-        # Where nobody may write, SQLite cannot make its lock files; if no log waits there, it can do without.
-        # On a full disk it cannot make them either, but then a program that means to write must hear of that.
+        # In a read-only folder SQLite cannot make its lock files; without a pending log it does not need them.
+        # Nor can it on a full disk, but then a program that wants to write needs the error.
         kinds = ("SQLITE_CANTOPEN", "SQLITE_READONLY", *(("SQLITE_IOERR",) if read_only else ()))
         if error.sqlite_errorname.startswith(kinds) and not _has_log(path):
             return _connect_as(path, "mode=ro&immutable=1", timeout)
@@ -166,7 +164,7 @@ def _connect(path: Path, create: bool, read_only: bool, timeout: float) -> sqlit
 
 
 def _free_lock_files(path: Path) -> None:
-    """Let lock files be written that were made while the library might not be; SQLite leaves them behind."""
+    """Make lock files writable that SQLite left from a time when the library was not."""
     with suppress(OSError):
         mode = stat.S_IMODE(os.stat(path).st_mode)
         for lock in (f"{path}-shm", f"{path}-wal"):
@@ -200,7 +198,7 @@ def _begin(connection: sa.Connection) -> None:
 
 
 def check_mark(connection: sa.Connection, where: str) -> bool:
-    """Whether an SQLite file is ours (true) or has no tables at all (false); servers are asked later."""
+    """Return whether this is a library (true) or has no tables yet (false); LibraryDamagedError for another file."""
     if connection.dialect.name != "sqlite":
         return sa.inspect(connection).has_table("dousa_migrations")
     mark = connection.exec_driver_sql("PRAGMA application_id").scalar_one()
@@ -213,7 +211,7 @@ def check_mark(connection: sa.Connection, where: str) -> bool:
 
 
 def set_mark(connection: sa.Connection) -> None:
-    """Mark an SQLite file as ours."""
+    """Mark an SQLite file as a dousa library."""
     if connection.dialect.name == "sqlite":
         connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
 
@@ -221,7 +219,7 @@ def set_mark(connection: sa.Connection) -> None:
 def use_write_ahead_log(database: Database) -> None:
     """Switch an SQLite file to WAL: readers and one writer at the same time, and safe against kill -9.
 
-    Where that cannot be (no permission, or another program is just doing it) the library works all the same.
+    If that fails (no permission, or another program is doing it) the library still works.
     """
     if database.engine.dialect.name != "sqlite":
         return
@@ -235,14 +233,7 @@ def use_write_ahead_log(database: Database) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Database:
-    """Where a library is kept; every transaction begins here.
-
-    Parameters
-    ----------
-    engine : with the tables of a library.
-    where : its name for messages.
-    timeout : s to wait for others who write.
-    """
+    """The database of a library; every transaction begins here, and waits ``timeout`` s for other writers."""
 
     engine: sa.Engine
     where: str
@@ -250,12 +241,12 @@ class Database:
 
     @property
     def is_read_only(self) -> bool:
-        """Whether it was opened so that nothing may change."""
+        """Whether it was opened read-only."""
         return bool(self.engine.get_execution_options().get(_READ_ONLY))
 
     @contextmanager
     def reading(self) -> Iterator[sa.Connection]:
-        """A connection in one transaction that sees the library as it stands at its first query."""
+        """Open a transaction that sees the library as of its first query."""
         with _plain_errors(self.where), self.engine.connect() as connection:
             if self.engine.dialect.name == "postgresql":
                 connection.execution_options(isolation_level="REPEATABLE READ")
@@ -264,19 +255,19 @@ class Database:
 
     @contextmanager
     def writing(self) -> Iterator[sa.Connection]:
-        """A connection in one transaction that writes all or nothing; LibraryError where it was opened read-only."""
+        """Open a transaction that writes all or nothing; LibraryError if the database is read-only."""
         if self.is_read_only:
             raise LibraryError("library_file.opened_read_only", library=self.where)
         with _plain_errors(self.where), self.engine.connect() as connection:
             connection.execution_options(**{_WRITES: True})
             with self._begin_writing(connection):
                 if self.engine.dialect.name == "postgresql":
-                    # One program writes at a time, as to a file: a server would let all begin, and some of them fail.
+                    # One writer at a time, as with a file: a server would let all begin, and some would fail.
                     connection.execute(sa.select(sa.func.pg_advisory_xact_lock(APPLICATION_ID)))
                 yield connection
 
     def _begin_writing(self, connection: sa.Connection) -> sa.RootTransaction:
-        """Begin a transaction that writes, when the others are done: LibraryLockedError when that takes too long."""
+        """Begin a transaction that writes, after the others; LibraryLockedError if that takes too long."""
         deadline = time.monotonic() + self.timeout
         while True:
             try:
@@ -289,7 +280,7 @@ class Database:
 
     @contextmanager
     def alone(self) -> Iterator[sqlite3.Connection]:
-        """The connection of an SQLite file itself, in no transaction; for what SQLAlchemy has no words for."""
+        """Return the raw connection of an SQLite file, outside any transaction."""
         with _plain_errors(self.where):
             raw = self.engine.raw_connection()
             try:
@@ -298,7 +289,7 @@ class Database:
                 raw.close()
 
     def check_writable(self) -> None:
-        """LibraryError where nothing could be written: said before long work, not after it."""
+        """Raise LibraryError if nothing can be written; called before long work."""
         with self.writing() as connection:
             state = library_state.c
             connection.execute(sa.update(library_state).where(state.id == STATE_ID).values(id=STATE_ID))
@@ -306,14 +297,10 @@ class Database:
     def write_planned(
         self, plan: Callable[[sa.Connection, Plan | None], Plan], write: Callable[[sa.Connection, Plan], Result]
     ) -> Result:
-        """Work something out beside other writers, then write it in one transaction.
+        """Plan a change while others may write, then write it in one transaction.
 
-        If another program wrote in between it is worked out again, and the last time while the others wait.
-
-        Parameters
-        ----------
-        plan : works it out, given a connection and what it returned the last time; it writes nothing.
-        write : writes it, in a library that is as it was for the plan.
+        After a write by another program it is planned again; the last attempt makes others wait. ``plan`` gets a
+        connection and its last result, and writes nothing; ``write`` writes the plan, in a library unchanged since.
         """
         planned: Plan | None = None
         for attempt in range(_ATTEMPTS + 1):
@@ -326,13 +313,13 @@ class Database:
                     return write(connection, planned)
                 if attempt == _ATTEMPTS:
                     return write(connection, plan(connection, planned))
-            time.sleep(random.uniform(0, _MOST_PAUSE))  # so that two writers do not meet again and again
+            time.sleep(random.uniform(0, _MOST_PAUSE))  # so that two writers do not keep colliding
         raise AssertionError
 
 
 @contextmanager
 def _plain_errors(where: str) -> Iterator[None]:
-    """Errors of the database inside the block become LibraryError and its kinds."""
+    """Convert database errors inside the block to LibraryError and its kinds."""
     try:
         yield
     except exc.DBAPIError as error:
@@ -374,7 +361,7 @@ def _translate(error: BaseException | None, where: str) -> LibraryError:
     if known is not None:
         kind, code = known
         return kind(code, library=where)
-    # Drivers like to speak in several lines.
+    # Driver errors often have several lines.
     reason = " ".join(str(error).split())
     gone = str(getattr(error, "sqlstate", "")) in ("42P01", "42703")
     if gone or (name == "SQLITE_ERROR" and "no such" in reason):
@@ -383,7 +370,7 @@ def _translate(error: BaseException | None, where: str) -> LibraryError:
 
 
 def read_revision(connection: sa.Connection) -> int:
-    """Number of the last write."""
+    """Return the number of the last write."""
     return int(_read_state(connection).revision)
 
 
@@ -401,7 +388,7 @@ def lock_for_writing(connection: sa.Connection) -> None:
 
 
 def next_revision(connection: sa.Connection) -> int:
-    """Count this write, and return its number."""
+    """Count this write and return its number."""
     lock_for_writing(connection)
     revision = read_revision(connection) + 1
     update_rows(connection, STATE, {STATE_ID: {"revision": revision}})
@@ -409,32 +396,32 @@ def next_revision(connection: sa.Connection) -> int:
 
 
 def note_changed_clips(connection: sa.Connection) -> None:
-    """Clips or their categories change in this write: the forest has not learned from them as they are now."""
+    """Record that this write changes clips or categories, which the forest has not learned."""
     update_rows(connection, STATE, {STATE_ID: {"clips_revision": read_revision(connection)}})
 
 
 def next_clip_id(connection: sa.Connection) -> int:
-    """The number that the next new clip gets."""
+    """Return the number of the next new clip."""
     return int(_read_state(connection).next_clip_id)
 
 
 def take_clip_ids(connection: sa.Connection, count: int) -> range:
-    """Numbers for new clips, never used before; after ``next_revision`` in the same transaction."""
+    """Reserve numbers for new clips, never used before; after ``next_revision`` in the same transaction."""
     first = next_clip_id(connection)
     update_rows(connection, STATE, {STATE_ID: {"next_clip_id": first + count}})
     return range(first, first + count)
 
 
 def check_jobs(n_jobs: int | None) -> None:
-    """OptionError for zero jobs."""
+    """Raise OptionError for zero jobs."""
     if n_jobs == 0:
         raise OptionError("library_add.no_jobs")
 
 
 def choose_jobs(n_jobs: int | None) -> int | None:
-    """The number for joblib: as given, else what ``joblib.parallel_config`` says, else every core."""
+    """Return the number for joblib: as given, else that of ``joblib.parallel_config``, else every core."""
     import joblib
 
     check_jobs(n_jobs)
-    # Without an argument joblib is asked for all cores, and says how many these are, not what it would take by itself.
+    # None asks joblib for the configured number; its default argument asks for all cores.
     return -1 if n_jobs is None and joblib.effective_n_jobs(None) == 1 else n_jobs

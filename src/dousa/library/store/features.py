@@ -1,4 +1,4 @@
-"""Features and poses of the clips: stored once, computed again where another set of features is needed."""
+"""Features and poses of the clips: stored once, and computed again for another feature set."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from dousa.retrieval.features.feature_sets import FeatureSet
 
 BEYOND_MEASURE = 1e9
-"""Metres, body heights and hertz beyond which nothing is a motion."""
+"""Metres, body heights and hertz beyond which input is not a motion."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredMotion(CanonicalPoses):
-    """A motion as the library keeps it: canonical joints, without where they came from.
+    """A motion as the library stores it: canonical joints, without their source.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class StoredMotion(CanonicalPoses):
         return find_absent(self.positions)
 
     def mirror(self) -> StoredMotion:
-        """Its mirror image."""
+        """Return its mirror image."""
         from dousa.motion.canonical.canonicalise import mirror_positions
 
         return StoredMotion(mirror_positions(self.positions), self.frame_rate, self.height)
@@ -60,12 +60,12 @@ class StoredMotion(CanonicalPoses):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Description:
-    """What is computed of a clip before the forest sees it.
+    """Data computed of a clip for the forest.
 
     Parameters
     ----------
     feature_set : name of the features.
-    features : (frames, columns) of this set, of float32 precision: a query meets its own clip to the last bit.
+    features : (frames, columns) of this set, of float32 precision: a query equals its own clip to the last bit.
     poses : its pose sequence, see ``dousa.retrieval.ranking.ranking``.
     """
 
@@ -75,14 +75,14 @@ class Description:
 
 
 def round_positions(motion: CanonicalMotion | StoredMotion) -> StoredMotion:
-    """The motion as it would be stored; infinite where a position is beyond float32."""
+    """Return the motion as it would be stored; positions beyond float32 become infinite."""
     with np.errstate(over="ignore"):
         positions = motion.positions.astype(np.float32).astype(np.float64)
     return StoredMotion(positions, motion.frame_rate, motion.height)
 
 
 def find_feature_set(name: str) -> FeatureSet:
-    """The set of features of this name; LibraryVersionError if a newer dousa trained the library on another."""
+    """Return the feature set of this name; LibraryVersionError if only a newer dousa knows it."""
     from dousa.retrieval.features.feature_sets import FEATURE_SETS, get_feature_set
 
     try:
@@ -93,7 +93,7 @@ def find_feature_set(name: str) -> FeatureSet:
 
 
 def describe_clip(motion: StoredMotion, feature_set: str) -> Description:
-    """Features and poses of a motion whose positions are rounded; joints that the features leave out are hidden."""
+    """Compute features and poses of a motion with rounded positions; joints that the features leave out are hidden."""
     return _describe_clips([motion], feature_set)[0]
 
 
@@ -108,13 +108,13 @@ def _describe_clips(motions: Sequence[StoredMotion], feature_set: str) -> list[D
     features, poses = compute_with_poses(reduce_noise_of_all(seen), posed)
     if wanted is not posed:
         features = np.array([wanted.compute(motion) for motion in seen])
-    with np.errstate(over="ignore"):  # what is beyond float32 is beyond measure
+    with np.errstate(over="ignore"):  # values beyond float32 become infinite
         features = features.astype(np.float32).astype(np.float64)
     return [Description(feature_set, *own) for own in zip(features, poses, strict=True)]
 
 
 def lacks(feature_set: str, absent: str) -> bool:
-    """Whether a body without some joints (a row's ``absent``) has less than features of this name look at."""
+    """Return whether features of this name use any of the absent joints (a row's ``absent``)."""
     if not absent:
         return False
     kind = find_feature_set(feature_set)
@@ -122,7 +122,7 @@ def lacks(feature_set: str, absent: str) -> bool:
 
 
 def _select_motion() -> sa.Select[Any]:
-    """Rows of motions; of a segment the blocks of the positions of the take that it lies in."""
+    """Select rows of motions; of a segment the blocks of its take's positions."""
     clips, segments, stored = schema.clips.c, schema.segments.c, schema.clip_trajectories.c
     first = segments.first_frame // BLOCK_FRAMES
     n_blocks = (segments.first_frame + clips.n_frames - 1) // BLOCK_FRAMES - first + 1
@@ -142,11 +142,9 @@ _SELECT_MOTION = _select_motion()
 
 
 def load_motions(connection: sa.Connection, ids: Sequence[int]) -> Iterator[StoredMotion]:
-    """Stored motions, one after the other, in the order of these numbers.
+    """Yield stored motions in the order of these numbers.
 
-    Raises
-    ------
-    LibraryDamagedError : numbers that are missing, too few or not finite.
+    LibraryDamagedError for numbers that are missing, too few or not finite.
     """
     for some in portions(ids):
         rows = {row.id: row for row in connection.execute(_SELECT_MOTION.where(schema.clips.c.id.in_(some)))}
@@ -157,7 +155,7 @@ def load_motions(connection: sa.Connection, ids: Sequence[int]) -> Iterator[Stor
 
 
 def _read_positions(connection: sa.Connection, rows: Iterable[Any]) -> Iterator[tuple[Any, bytes]]:
-    """Rows with their positions; of a segment with the blocks that it lies in."""
+    """Read rows with their positions; of a segment with its blocks."""
     for some in in_portions(rows):
         _check_rows(connection, some)
         blocks = read_places(connection, [(row.positions, _find_blocks(row)) for row in some])
@@ -165,7 +163,7 @@ def _read_positions(connection: sa.Connection, rows: Iterable[Any]) -> Iterator[
 
 
 def _find_blocks(row: Any) -> Place | None:
-    """Where positions lie in a fragment; of a segment its blocks, as the query cuts them out of a row."""
+    """Return the place of positions in a fragment; of a segment its blocks, as the query cuts them out of a row."""
     place = place_of(row)
     if place is None or row.take_id is None:
         return place
@@ -176,11 +174,9 @@ def _find_blocks(row: Any) -> Place | None:
 
 
 def load_trajectories(connection: sa.Connection, ids: Sequence[int]) -> Iterator[tuple[int, Trajectories]]:
-    """Numbers and stored joints of those clips that are there, in any order.
+    """Yield numbers and stored joints of existing clips, in any order.
 
-    Raises
-    ------
-    LibraryDamagedError : numbers that are missing, too few or not finite.
+    LibraryDamagedError for numbers that are missing, too few or not finite.
     """
     from dousa.motion import CANONICAL_PARENTS, Trajectories
 
@@ -196,7 +192,6 @@ def load_trajectories(connection: sa.Connection, ids: Sequence[int]) -> Iterator
 
 
 def _check_rows(connection: sa.Connection, rows: Sequence[Any]) -> None:
-    """Compare what is written of motions with its checksums."""
     checksums.LABELS.check_rows(connection, rows)
     checksums.NUMBERS.check_rows(connection, rows)
     checksums.SEGMENTS.check_rows(connection, [row for row in rows if row.take_id is not None])
@@ -226,7 +221,7 @@ def _read_joints(row: Any) -> tuple[str, ...]:
 
 
 def pack_positions(motion: StoredMotion) -> bytes:
-    """Positions as they are stored."""
+    """Return positions as stored bytes."""
     return pack(np.nan_to_num(motion.positions) if motion.absent else motion.positions, "<f4")
 
 
@@ -241,25 +236,25 @@ def _unpack(connection: sa.Connection, row: Any, data: bytes) -> StoredMotion:
 
 
 _FEATURES, _POSES = "<f4", "<f4"
-_EARLIER_FEATURES = "<f8"  # of an older dousa; the values are of float32 precision as well
+_EARLIER_FEATURES = "<f8"  # of an older dousa; the values have float32 precision too
 _LARGEST = 1e37  # of float32
-_IN_MEMORY = 2**32  # bytes of features; more are kept in a temporary file, of which memory holds what is in use
+_IN_MEMORY = 2**32  # bytes of features; more go to a temporary file
 
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClipFeatures:
-    """Features of clips.
+    """Features of N clips.
 
     Parameters
     ----------
-    ids : numbers of N clips.
+    ids : numbers.
     features : (N, frames, columns) of one set, float32.
-    categories, performers : labels, None where there are none.
+    categories, performers : labels, or None.
     heights : m, of the performers.
     computed : by number, those that were not stored, or of another set.
-    room : (N + M, frames, columns), the features and behind them room for more; None where there is none.
+    room : (N + M, frames, columns), the features followed by spare room; None if there is none.
     """
 
     ids: list[int]
@@ -279,15 +274,15 @@ def load_features(
     progress: Progress | None = None,
     spare: int = 0,
 ) -> ClipFeatures:
-    """Features of clips, takes left out; those that are not stored are computed from the stored positions.
+    """Load features of clips, without takes; missing ones are computed from the stored positions.
 
     Parameters
     ----------
-    ids : of these clips, in this order; by default of all that have the joints, in an order of their contents, so that
-        nothing depends on when they were added.
+    ids : of these clips, in this order; by default of all that have the joints, ordered by content, so that the order
+        of adding does not matter.
     n_jobs : clips described at a time.
     progress : called with (clips described, clips to describe).
-    spare : clips for whose features there shall be room behind them; they are then in the order of ``order_for_trees``.
+    spare : number of clips to leave room for; the features are then in the order of ``order_for_trees``.
 
     Raises
     ------
@@ -295,12 +290,12 @@ def load_features(
     """
     kind = find_feature_set(feature_set)
     rows = _read_rows(connection, ids, feature_set)
-    if spare:  # for a training: trees read the cells of a column one after the other
+    if spare:  # for a training: trees read the cells of a column in sequence
         room = _allocate((len(rows) + spare, kind.n_columns, kind.n_frames)).transpose(0, 2, 1)
     else:
         room = _allocate((len(rows), kind.n_frames, kind.n_columns))
     features = room[: len(rows)]
-    # By number, as they were written: neighbours on the disk are read one after the other.
+    # By number, as they were written, so that the disk is read in sequence.
     places = {row.id: place for place, row in enumerate(rows)}
     stored = sorted(row.id for row in rows if row.feature_set == feature_set)
     for some in portions(stored):
@@ -329,7 +324,7 @@ def load_features(
 
 
 def _stack_features(rows: Sequence[Any], shape: tuple[int, ...]) -> Iterator[tuple[list[int], NDArray[Any]]]:
-    """Numbers and features of rows: those that an older dousa wrote, and the others."""
+    """Yield numbers and features of rows, those of an older dousa apart from the others."""
     earlier = int(np.prod(shape)) * np.dtype(_EARLIER_FEATURES).itemsize
     for kind in (_EARLIER_FEATURES, _FEATURES):
         some = [row for row in rows if (len(row.pose_features) == earlier) == (kind == _EARLIER_FEATURES)]
@@ -338,7 +333,7 @@ def _stack_features(rows: Sequence[Any], shape: tuple[int, ...]) -> Iterator[tup
 
 
 def _allocate(shape: tuple[int, int, int]) -> NDArray[Any]:
-    """Room for features; in a temporary file, which goes with the last view of it, where that is much."""
+    """Allocate room for features; if large, in a temporary file that is deleted with its last view."""
     if 4 * int(np.prod(shape)) <= _IN_MEMORY:
         return np.zeros(shape, np.float32)
     import tempfile
@@ -349,7 +344,7 @@ def _allocate(shape: tuple[int, int, int]) -> NDArray[Any]:
 
 
 def _read_rows(connection: sa.Connection, ids: Sequence[int] | None, feature_set: str) -> list[Any]:
-    """Rows of clips without their features, but with the set that these are of."""
+    """Read rows of clips without features, but with the name of their set."""
     clips, table = schema.clips.c, schema.clip_features.c
     query = sa.select(*checksums.LABELS.columns, clips.height, table.feature_set)
     query = query.join(schema.clip_features, table.clip_id == clips.id, isouter=True)
@@ -375,7 +370,7 @@ def describe_stored(
     """Describe stored motions, by number."""
     described: dict[int, Description] = {}
     for some in portions(ids):
-        # Read here, and not where they are described: a connection is for one thread at a time.
+        # Read here rather than in the workers: a connection is for one thread at a time.
         motions = list(load_motions(connection, some))
         described.update(zip(some, describe_motions(motions, feature_set, n_jobs), strict=True))
         if progress is not None:
@@ -384,7 +379,7 @@ def describe_stored(
 
 
 def describe_motions(motions: Sequence[StoredMotion], feature_set: str, n_jobs: int | None = 1) -> list[Description]:
-    """Describe motions whose positions are rounded, some at a time."""
+    """Describe motions with rounded positions, several at a time."""
     cluster = current_cluster()
     sizes = [motion.positions.nbytes for motion in motions]
     if cluster is not None:
@@ -399,14 +394,13 @@ def keep_features(
     progress: Progress | None = None,
     look: Callable[[Mapping[int, StoredMotion]], None] | None = None,
 ) -> None:
-    """Compute and write the features and poses of all clips that have none of a set, in portions of one transaction.
+    """Compute and write missing features and poses of a set for all clips, one transaction per portion.
 
-    What is written stays when this is stopped, and memory holds one portion. Nothing is written where the library has a
-    forest that hides other joints: its poses are needed until another one stands in its place.
+    An interrupted run keeps what it wrote, and memory holds one portion. Nothing is written if the library has a forest
+    that hides other joints, whose poses are needed until it is replaced.
 
     Parameters
     ----------
-    feature_set : name of the features.
     n_jobs : clips described at a time.
     progress : called with (clips described, clips to describe).
     look : called with the motions of each portion, by number, when it is written.
@@ -437,20 +431,13 @@ def keep_features(
 
 
 def _has_same_poses(one: Any, other: str) -> bool:
-    """Whether poses of one set of features are those of another."""
     return isinstance(one, str) and find_feature_set(one).hidden == find_feature_set(other).hidden
 
 
 def load_poses(connection: sa.Connection, ids: Sequence[int], feature_set: str) -> NDArray[np.float32]:
-    """(N, cells, columns) pose sequences of clips, in the order of these numbers.
+    """Return (N, cells, columns) pose sequences of clips, in this order, stored with the forest's feature set.
 
-    Parameters
-    ----------
-    feature_set : name of those that the stored forest asks for, with which poses are stored.
-
-    Raises
-    ------
-    LibraryDamagedError : arrays that are of another length, or not finite.
+    LibraryDamagedError for arrays that are of another length, or not finite.
     """
     from dousa.retrieval.ranking.ranking import POSE_CELLS, POSE_COLUMNS
 
@@ -471,7 +458,7 @@ def load_poses(connection: sa.Connection, ids: Sequence[int], feature_set: str) 
 
 
 def save_descriptions(connection: sa.Connection, ids: Sequence[int], descriptions: Sequence[Description]) -> None:
-    """Write the features and poses of clips, in the place of those that may be there."""
+    """Write the features and poses of clips, replacing old ones."""
     for some in portions(list(zip(ids, descriptions, strict=True))):
         rows = [
             {

@@ -1,4 +1,4 @@
-"""The forest in the library, and what its trees say of clips."""
+"""The forest in the library, and the leaves and votes of clips."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ if TYPE_CHECKING:
 
 _FOREST_ID = 1
 
-_AT_ONCE = 1024  # clips that trees are asked about; each takes some kilobytes more on its way
+_AT_ONCE = 1024  # clips per pass through the trees; each needs some kilobytes more
 
 # Clips that the rounds of a calibration use, enough for two curves: so many of each category, within these bounds.
 _HELD_OF_EACH, _MOST_HELD_BACK = 20, (1500, 3000)
 
 MOST_COPIES = 1000
-"""Disturbed copies of them: with a tenth of the clips the forest knows most of what noise does."""
+"""Most disturbed copies: with a tenth of the clips the forest learns most effects of noise."""
 
-PARTS_OF_A_VOTE = 64  # of a vote: a power of two, so that nothing is rounded where trees give whole votes
+PARTS_OF_A_VOTE = 64  # of a vote: a power of two, so that whole votes are exact
 
 _TEMPOS = (0.5, 2.0)  # windows from half to twice the length of the clips
 
@@ -54,13 +54,13 @@ class StoredForest:
     ----------
     forest : the trees.
     categories : names, in the order of the votes.
-    feature_set : name of the features that it asks for.
+    feature_set : name of the features it uses.
     grid : windows that takes are cut into.
-    assessor : tells known motions from unknown ones; None where there were too few categories to learn that.
-    revision : of the library at the end of the training; other trees have another one.
-    learned : of the library when the leaves last learned; the histograms of clips hold until then.
-    likeness : tells which clips are alike; None where there were too few to learn that, or an older dousa trained.
-    first_later : number from which on clips came after the training.
+    assessor : separates known motions from unknown ones; None if there were too few categories.
+    revision : of the library at the end of the training; identifies the trees.
+    learned : of the library when the leaves last learned; the histograms of clips are valid until the next time.
+    likeness : decides which clips are similar; None if there were too few, or an older dousa trained.
+    first_later : number of the first clip after the training.
     """
 
     forest: MotionForest
@@ -75,25 +75,25 @@ class StoredForest:
 
     @property
     def hidden(self) -> tuple[str, ...]:
-        """Joints that it does not look at."""
+        """Joints it does not use."""
         return find_feature_set(self.feature_set).hidden
 
     def with_revision(self, revision: int) -> StoredForest:
-        """The same forest, trained in this write."""
+        """Return the same forest, trained in this write."""
         return replace(self, revision=revision, learned=revision)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TreeAnswers:
-    """What the trees of a forest say of N clips.
+    """Votes and leaves of N clips in a forest.
 
     Parameters
     ----------
-    votes : (N, n_categories) int32, how many trees name each category, in 64ths of a vote: the histogram H of section
-        3.4, times 64 trees. Whole numbers, so that equal histograms are equal to the last bit.
+    votes : (N, n_categories) int32, votes for each category in 64ths: the histogram H of section 3.4, times 64 trees.
+        Whole numbers, so that equal histograms are equal to the last bit.
     leaves : (N, n_trees) int32, the leaf that each clip reaches in each tree.
     categories : names, in the order of the votes.
-    directions : (N, K) of ``Likeness.place``; None where they are not known.
+    directions : (N, K) of ``Likeness.place``; None if not known.
     """
 
     votes: NDArray[np.int32]
@@ -102,22 +102,21 @@ class TreeAnswers:
     directions: NDArray[np.float32] | None = None
 
     def __getitem__(self, rows: slice) -> TreeAnswers:
-        """The same of some of the clips."""
         directions = None if self.directions is None else self.directions[rows]
         return TreeAnswers(self.votes[rows], self.leaves[rows], self.categories, directions)
 
     def shares(self) -> FloatArray:
-        """(N, n_categories) share of the trees that name each category: the histograms."""
+        """(N, n_categories) share of the votes of each category: the histograms."""
         shares: FloatArray = self.votes / (PARTS_OF_A_VOTE * self.leaves.shape[1])
         return shares
 
     def predicted(self) -> list[str]:
-        """The most voted category of each clip; between equals the first in order."""
+        """The most voted category of each clip; of equals the first in order."""
         return [self.categories[index] for index in self.votes.argmax(axis=1)]
 
 
 def ask_trees(stored: StoredForest, features: FloatArray) -> TreeAnswers:
-    """Run clips down all trees: features (N, frames, columns) of the set that the forest asks for."""
+    """Run clips down all trees: features (N, frames, columns) of the forest's set."""
     answers = count_votes(stored, find_leaves(stored, features))
     if stored.likeness is None or not len(features):
         return answers
@@ -127,7 +126,7 @@ def ask_trees(stored: StoredForest, features: FloatArray) -> TreeAnswers:
 
 
 def find_leaves(stored: StoredForest, features: FloatArray) -> NDArray[np.int32]:
-    """(N, n_trees), the leaf that each clip reaches in each tree."""
+    """Return the leaf that each clip reaches in each tree, (N, n_trees)."""
     leaves = np.empty((len(features), len(stored.forest.trees_.roots)), np.int32)
 
     def find(start: int) -> None:
@@ -138,24 +137,19 @@ def find_leaves(stored: StoredForest, features: FloatArray) -> NDArray[np.int32]
 
 
 def make_keys(hashes: Iterable[str]) -> NDArray[np.uint64]:
-    """Numbers that stand for the contents of clips, of which hashes are given: a forest grows by them in any order."""
+    """Return numbers for clips from the hashes of their contents, so that a forest does not depend on their order."""
     digests = (blake2b(content.encode(), digest_size=8).digest() for content in hashes)
     return np.array([int.from_bytes(digest) for digest in digests], np.uint64)
 
 
 def check_leaves(stored: StoredForest, leaves: NDArray[np.int32]) -> None:
-    """LibraryDamagedError for a leaf that the forest does not have."""
+    """Raise LibraryDamagedError for a leaf that the forest does not have."""
     if leaves.size and not (leaves.min() >= 0 and leaves.max() < stored.forest.trees_.n_leaves):
         raise LibraryDamagedError("library_forest.no_such_leaf")
 
 
 def count_votes(stored: StoredForest, leaves: NDArray[np.int32]) -> TreeAnswers:
-    """What the trees say of clips whose leaves (N, n_trees) are known.
-
-    Raises
-    ------
-    LibraryDamagedError : a leaf that the forest does not have.
-    """
+    """Count the votes for clips with leaves (N, n_trees); LibraryDamagedError for an unknown leaf."""
     check_leaves(stored, leaves)
     shares = stored.forest.histograms_of(leaves.astype(np.int64))
     votes = np.rint(shares * (PARTS_OF_A_VOTE * leaves.shape[1])).astype(np.int32)
@@ -163,12 +157,7 @@ def count_votes(stored: StoredForest, leaves: NDArray[np.int32]) -> TreeAnswers:
 
 
 def name_votes(stored: StoredForest, leaves: NDArray[np.int32]) -> list[str]:
-    """The most voted category of each of many clips whose leaves (N, n_trees) are known, as ``TreeAnswers.predicted``.
-
-    Raises
-    ------
-    LibraryDamagedError : a leaf that the forest does not have.
-    """
+    """Return the most voted category of clips with leaves (N, n_trees); LibraryDamagedError as in ``count_votes``."""
     names: list[str] = []
     for start in range(0, len(leaves), _AT_ONCE):
         names += count_votes(stored, leaves[start : start + _AT_ONCE]).predicted()
@@ -176,16 +165,12 @@ def name_votes(stored: StoredForest, leaves: NDArray[np.int32]) -> list[str]:
 
 
 def load_forest(connection: sa.Connection, where: str, known: StoredForest | None = None) -> StoredForest | None:
-    """The forest of the library, None before the training.
-
-    Parameters
-    ----------
-    known : the forest as it was loaded before; returned where it is still the one.
+    """Load the forest of the library, None before the training; ``known`` is returned if it is still current.
 
     Raises
     ------
     LibraryDamagedError : bytes that are not a forest.
-    LibraryVersionError : a forest of other features than those that this dousa computes.
+    LibraryVersionError : a forest with features that this dousa does not have.
     """
     table = schema.forests.c
     query = sa.select(table.revision, table.learned).where(table.id == _FOREST_ID)
@@ -223,14 +208,14 @@ def load_forest(connection: sa.Connection, where: str, known: StoredForest | Non
 
 
 class ForestCache:
-    """The forest of a library in memory, ``last``; read again where another program has changed it."""
+    """The forest of a library in memory, ``last``; read again after a change by another program."""
 
     def __init__(self, where: str) -> None:
         self._where = where
         self.last: StoredForest | None = None
 
     def load(self, connection: sa.Connection) -> StoredForest:
-        """The forest, as it is now; NotTrainedError where there is none."""
+        """Return the current forest; NotTrainedError if there is none."""
         stored = load_forest(connection, self._where, self.last)
         if stored is None:
             raise NotTrainedError("library_forest.not_trained", library=self._where)
@@ -270,7 +255,7 @@ def _read_grid(connection: sa.Connection, lengths: Any) -> WindowGrid:
 
 
 def fit_grid(connection: sa.Connection) -> WindowGrid:
-    """Windows as long as the clips that have a category."""
+    """Choose windows as long as the labelled clips."""
     from dousa.retrieval.takes.windows import choose_grid
 
     table = schema.clips.c
@@ -279,7 +264,7 @@ def fit_grid(connection: sa.Connection) -> WindowGrid:
 
 
 def choose_held_back(clips: ClipFeatures, labelled: Sequence[int]) -> list[int]:
-    """Places of the clips that rounds hold back or train on: every n-th of every category."""
+    """Return the places of the clips that rounds hold back or train on: every n-th of every category."""
     n_categories = len({clips.categories[row] for row in labelled})
     step = -(-len(labelled) // int(np.clip(_HELD_OF_EACH * n_categories, *_MOST_HELD_BACK)))
     return sorted(labelled, key=lambda row: str(clips.categories[row]))[::step]
@@ -287,7 +272,7 @@ def choose_held_back(clips: ClipFeatures, labelled: Sequence[int]) -> list[int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldBack:
-    """The clips of ``choose_held_back``: features (M, frames, columns), categories (M,), and who performed each."""
+    """The clips of ``choose_held_back``: features (M, frames, columns), categories (M,) and performers."""
 
     features: FloatArray
     categories: NDArray[np.str_]
@@ -295,13 +280,7 @@ class HeldBack:
 
 
 def hold_back(clips: ClipFeatures, labelled: Sequence[int]) -> HeldBack:
-    """The clips that rounds hold back or train on.
-
-    Parameters
-    ----------
-    clips : those of the library that are trained on, and perhaps others.
-    labelled : places of those that have a category.
-    """
+    """Return the clips that rounds hold back or train on; ``labelled`` are the places of those with a category."""
     from dousa.retrieval.forest.calibration import guess_performers
 
     rows = choose_held_back(clips, labelled)
@@ -314,9 +293,9 @@ def hold_back(clips: ClipFeatures, labelled: Sequence[int]) -> HeldBack:
 def describe_copies(
     connection: sa.Connection, clips: ClipFeatures, labelled: Sequence[int], kind: FeatureSet, n_jobs: int | None = 1
 ) -> Copies:
-    """Disturbed copies of some of the clips of ``choose_held_back``, which show what noise does to them.
+    """Describe disturbed copies of some clips of ``choose_held_back``, to learn the effect of noise.
 
-    None for features without banks: the paper knows no copies.
+    Empty for features without banks: the paper has no copies.
     """
     from dousa.retrieval.features.posed_motion import hide_joints
     from dousa.retrieval.features.sensor_noise import reduce_noise_of_all
@@ -348,14 +327,14 @@ def describe_copies(
 def fit_forest(
     forest: MotionForest, clips: ClipFeatures, labelled: Sequence[int], kind: FeatureSet, copies: Copies
 ) -> None:
-    """Grow the trees of clips that have a category, and of copies that ``describe_copies`` made of them."""
+    """Grow the trees from labelled clips and their copies of ``describe_copies``."""
     held = choose_held_back(clips, labelled)
     rows = np.full(len(clips.ids), -1, np.intp)
     rows[held] = np.arange(len(held))
     chosen = np.asarray(labelled, np.intp)
     categories = np.array([clips.categories[row] for row in labelled], dtype=np.str_)
     if clips.room is not None and len(chosen) == len(clips.ids):
-        features, copied = copies.append(clips.room, rows)  # where there is room they need not all be copied
+        features, copied = copies.append(clips.room, rows)  # spare room avoids a copy of all features
     else:
         features, copied = copies.join(clips.features, chosen, rows[chosen])
     forest.fit(features, categories, feature_set=kind, copied=copied)
@@ -368,15 +347,9 @@ def learn_unknown(
     copies: Copies | None = None,
     watch: Watch | None = None,
 ) -> Assessor | None:
-    """Tell known motions from unknown ones; None where there are too few clips or categories to learn that.
+    """Learn to separate known motions from unknown ones; None if there are too few clips or categories.
 
-    Parameters
-    ----------
-    forest : trained on them.
-    held : of ``hold_back``.
-    kind : features that it asks for.
-    copies : of ``describe_copies``.
-    watch : looks on, as in ``learn_calibration``; its rows are those of ``choose_held_back``.
+    ``copies`` are of ``describe_copies``; ``watch`` as in ``learn_calibration``, with rows of ``choose_held_back``.
     """
     from dousa.retrieval.forest.calibration import Assessor, learn_calibration
 
@@ -392,7 +365,7 @@ def learn_unknown(
 def replace_forest(
     connection: sa.Connection, stored: StoredForest, n_clips: int, labeller: bytes | None = None
 ) -> None:
-    """Put a newly trained forest, and what takes are labelled with, in the place of those before."""
+    """Replace the forest and its labeller by newly trained ones."""
     parameters = {name: value for name, value in stored.forest.get_params().items() if name != "n_jobs"}
     connection.execute(sa.delete(schema.forests))
     row = {
@@ -411,7 +384,6 @@ def replace_forest(
 
 
 def _to_columns(stored: StoredForest) -> dict[str, Any]:
-    """What changes when leaves learn."""
     return {
         "learned": stored.learned,
         "categories": list(stored.categories),
@@ -422,30 +394,30 @@ def _to_columns(stored: StoredForest) -> dict[str, Any]:
 
 
 def update_forest(connection: sa.Connection, stored: StoredForest, n_clips: int) -> None:
-    """Write a forest that has learned some more clips since it was trained."""
+    """Write a forest that learned more clips since its training."""
     before = connection.execute(sa.select(schema.forests.c.n_learned)).scalar_one()
     values = {
         "n_learned": before + n_clips,
-        "labeller": None,  # it does not know the new clips
+        "labeller": None,  # it has not learned the new clips
         **_to_columns(stored),
     }
     update_rows(connection, FOREST, {_FOREST_ID: values})
 
 
 def keep_unlearned(connection: sa.Connection, ids: Sequence[int]) -> None:
-    """Note that the forest has these clips still to learn, and no others."""
+    """Set the clips that the forest has still to learn."""
     connection.execute(sa.delete(schema.unlearned))
     note_unlearned(connection, ids)
 
 
 def note_unlearned(connection: sa.Connection, ids: Sequence[int]) -> None:
-    """Note that the forest has these clips still to learn."""
+    """Add clips that the forest has still to learn."""
     for some in portions([{"clip_id": number} for number in ids]):
         connection.execute(sa.insert(schema.unlearned), list(some))
 
 
 def save_answers(connection: sa.Connection, ids: Sequence[int], answers: TreeAnswers) -> None:
-    """Write what the trees say of clips of which nothing is written yet."""
+    """Write the leaves and votes of clips that have none yet."""
     for start in range(0, len(ids), _AT_ONCE):
         some = answers[start : start + _AT_ONCE]
         directions = [None] * len(some.leaves) if some.directions is None else [pack(d, "<f4") for d in some.directions]

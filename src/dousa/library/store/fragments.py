@@ -1,10 +1,8 @@
-"""Positions and features of rows, wherever they lie: in the row, or in a fragment that the row names.
+"""Positions and features of rows, stored in the row or in a fragment that the row names.
 
-Whoever writes such rows hands them to ``put_aside``, and whoever reads them asks ``read_blocks``. Checksums stand in
-the database and are of the bytes themselves, so that nothing changes for who compares them. Blocks are written while
-the others wait to write, before the transaction that names them ends: a fragment has all that rows name.
-
-Fragments: files of blocks of bytes, one after the other, that only grow; in a folder, or in object storage.
+Writers pass such rows to ``put_aside``, readers call ``read_blocks``. Checksums are in the database and cover the bytes
+themselves. Blocks are written under the write lock, before the transaction that names them ends, so that a fragment has
+all that rows name. Fragments are append-only files of blocks of bytes, in a folder or in object storage.
 """
 
 from __future__ import annotations
@@ -31,20 +29,14 @@ from dousa.library.store.schema import PLACE, array_store
 from dousa.library.store.selection import fetch_in
 
 MOST_BYTES = 2**28
-"""Of a fragment: then another one is begun."""
+"""Size at which a fragment is closed and another begun."""
 
 _NAME = re.compile(r"\d{6,}-[0-9a-f]{8}\.blocks")
-_EXTRAS = {"s3": ("s3fs", "s3"), "s3a": ("s3fs", "s3")}  # package and extra of dousa, by the beginning of a URL
+_EXTRAS = {"s3": ("s3fs", "s3"), "s3a": ("s3fs", "s3")}  # package and extra of dousa, by URL scheme
 
 
 class Place(NamedTuple):
-    """Where a block lies.
-
-    Parameters
-    ----------
-    fragment : its name.
-    first_byte, n_bytes : its place in it.
-    """
+    """The place of a block: name of the fragment, first byte in it, and number of bytes."""
 
     fragment: str
     first_byte: int
@@ -52,43 +44,37 @@ class Place(NamedTuple):
 
 
 class FragmentStore(Protocol):
-    """What keeps fragments."""
+    """A store of fragments."""
 
     where: str
-    """Names it in messages."""
+    """Its name in messages."""
 
     def append(self, blocks: Sequence[bytes], into: str | None = None) -> list[Place]:
-        """Write blocks, which are on the disk when this returns; into a fragment of this name where that can be."""
+        """Write blocks to disk, into a fragment of this name if possible."""
 
     def read(self, places: Sequence[Place]) -> list[bytes]:
-        """Blocks, in the order of their places; those that are not there, or not whole, are shorter."""
+        """Read blocks in the order of their places; missing or incomplete ones are shorter."""
 
     def sizes(self) -> dict[str, int]:
-        """Bytes of all fragments, by name."""
+        """Return the bytes of all fragments, by name."""
 
     def delete(self, name: str) -> None:
         """Delete a fragment."""
 
 
 def is_name(name: Any) -> bool:
-    """Whether a fragment can have this name."""
+    """Return whether a fragment can have this name."""
     return isinstance(name, str) and _NAME.fullmatch(name) is not None
 
 
 def make_name(known: Sequence[str]) -> str:
-    """A name for a new fragment, which sorts after the others and is nobody else's."""
+    """Return a unique name for a new fragment, which sorts after the others."""
     last = max((int(name.partition("-")[0]) for name in known), default=0)
     return f"{last + 1:06}-{secrets.token_hex(4)}.blocks"
 
 
 class FolderFragments:
-    """Fragments as files of a folder.
-
-    Parameters
-    ----------
-    folder : made when the first block is written.
-    library : its name, for messages.
-    """
+    """Fragments as files of a folder, made when the first block is written."""
 
     def __init__(self, folder: Path, library: str) -> None:
         self.folder, self.library, self.where = folder, library, os.fspath(folder)
@@ -110,7 +96,6 @@ class FolderFragments:
         return list(_lay_out(name, end, blocks))
 
     def _choose(self) -> str:
-        """The newest fragment while it has room, else a new one."""
         sizes = self.sizes()
         newest = max(sizes, default=None)
         return newest if newest is not None and sizes[newest] < MOST_BYTES else make_name(list(sizes))
@@ -141,7 +126,7 @@ class FolderFragments:
                 return {entry.name: entry.stat().st_size for entry in entries if is_name(entry.name)}
 
     def delete(self, name: str) -> None:
-        """As ``FragmentStore.delete``; an empty folder goes with its last fragment."""
+        """As ``FragmentStore.delete``; the folder is deleted with its last fragment."""
         with _plain_errors(self.library, self.where), suppress(FileNotFoundError):
             os.unlink(self.folder / name)
         with suppress(OSError):
@@ -149,13 +134,7 @@ class FolderFragments:
 
 
 class ObjectFragments:
-    """Fragments as objects of what fsspec knows, such as ``s3://bucket/moves``.
-
-    Parameters
-    ----------
-    url : of the folder.
-    library : its name, for messages.
-    """
+    """Fragments as objects below a URL that fsspec supports, such as ``s3://bucket/moves``."""
 
     def __init__(self, url: str, library: str) -> None:
         self.library, self.where = library, url
@@ -168,7 +147,7 @@ class ObjectFragments:
 
     def append(self, blocks: Sequence[bytes], into: str | None = None) -> list[Place]:
         """As ``FragmentStore.append``; always a new fragment."""
-        name = f"{int(time.time()):010}-{secrets.token_hex(4)}.blocks"  # without a list of all that are there
+        name = f"{int(time.time()):010}-{secrets.token_hex(4)}.blocks"  # needs no list of existing fragments
         with _plain_errors(self.library, self.where):
             self._files.pipe_file(f"{self._root}/{name}", b"".join(blocks))
         return list(_lay_out(name, 0, blocks))
@@ -206,11 +185,10 @@ class ObjectFragments:
             self._files.rm_file(f"{self._root}/{name}")
 
 
-_GAP = 2**16  # bytes between two blocks that are read together all the same
+_GAP = 2**16  # bytes between two blocks that are still read together
 
 
 def _join(places: Sequence[Place]) -> list[Place]:
-    """Stretches that have all of some blocks, neighbours in one."""
     spans: list[Place] = []
     for place in sorted(set(places)):
         last = spans[-1] if spans else None
@@ -236,7 +214,6 @@ def _lay_out(name: str, start: int, blocks: Sequence[bytes]) -> Iterator[Place]:
 
 
 def _sync_folder(folder: Path) -> None:
-    """The name of a new file is on the disk too."""
     with suppress(OSError):  # some systems cannot open folders
         descriptor = os.open(folder, os.O_RDONLY)
         try:
@@ -246,7 +223,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 def _list_client_errors() -> tuple[type[Exception], ...]:
-    """What a client of object storage raises besides errors of the system."""
+    """Return the errors of object storage clients besides system errors."""
     module = sys.modules.get("botocore.exceptions")
     return () if module is None else (module.BotoCoreError, module.ClientError)
 
@@ -260,22 +237,15 @@ def _plain_errors(library: str, where: str) -> Iterator[None]:
             raise LibraryError("library_fragments.disk_full", library=library, where=where) from error
         raise LibraryError("library_fragments.unusable", library=library, where=where, reason=error) from error
     except Exception as error:
-        # ValueError: a URL of no kind that fsspec knows; ImportError: of one whose package is not there.
+        # ValueError: a URL scheme unknown to fsspec; ImportError: its package is not installed.
         if not isinstance(error, (ValueError, ImportError, *_list_client_errors())):
             raise
         raise LibraryError("library_fragments.unusable", library=library, where=where, reason=error) from error
 
 
 def open_fragments(place: str, beside: Path | None, library: str) -> FragmentStore:
-    """The store of a library.
-
-    Parameters
-    ----------
-    place : folder or URL; empty for ``beside``.
-    beside : the folder beside a library file; None of a server.
-    library : its name, for messages.
-    """
-    # What a file says of other places is not believed: it may come from anybody.
+    """Open the fragment store of a library at a folder or URL; empty for the folder ``beside`` a library file."""
+    # Do not trust places named in a file: it may come from an unknown source.
     if beside is not None:
         return FolderFragments(beside, library)
     if "://" in place and not place.startswith("file://"):
@@ -288,13 +258,13 @@ ARRAYS = (
     schema.clip_features.c.pose_features,
     schema.removed_positions.c.positions,
 )
-"""The columns whose bytes may lie in fragments."""
+"""The columns whose bytes may be in fragments."""
 
 _READ_AT_ONCE = 2**24  # bytes
 
 
 def find_store(connection: sa.Connection) -> FragmentStore | None:
-    """Where new blocks go; None where they stay in their rows."""
+    """Return the store for new blocks; None if they stay in their rows."""
     row = connection.execute(sa.select(*STORE.columns)).one_or_none()
     if row is None:
         return None
@@ -308,17 +278,14 @@ def _open(connection: sa.Connection, place: str) -> FragmentStore:
 
 
 def open_store(connection: sa.Connection) -> FragmentStore:
-    """Where the blocks are that rows name."""
+    """Return the store of the blocks that rows name."""
     return find_store(connection) or _open(connection, "")
 
 
 def put_aside(connection: sa.Connection, rows: Sequence[Mapping[str, Any]], column: str) -> list[dict[str, Any]]:
-    """Rows that are going to be written, after their blocks were, where the library has fragments.
+    """Return rows of one table, with checksums, to write; in a library with fragments their blocks are written first.
 
-    Parameters
-    ----------
-    rows : with their checksums, all of one table.
-    column : name of the one that has the bytes.
+    ``column`` is the name of the column with the bytes.
     """
     store = find_store(connection) if rows else None
     if store is None:
@@ -328,27 +295,23 @@ def put_aside(connection: sa.Connection, rows: Sequence[Mapping[str, Any]], colu
 
 
 def place_of(row: Any) -> Place | None:
-    """Where the bytes of a row lie; None where they are in the row."""
+    """Return the place of the bytes of a row; None if they are in the row."""
     return None if row.fragment is None else Place(row.fragment, row.first_byte or 0, row.n_bytes or 0)
 
 
 def read_blocks(connection: sa.Connection, rows: Sequence[Any], column: str) -> list[bytes]:
-    """The bytes of rows, in their order.
+    """Read the bytes of rows, in their order; LibraryDamagedError if a fragment is missing or too short.
 
     Parameters
     ----------
-    rows : with the columns ``PLACE`` and the one that has the bytes.
+    rows : with the columns ``PLACE`` and the one with the bytes.
     column : its name.
-
-    Raises
-    ------
-    LibraryDamagedError : a fragment is missing or too short.
     """
     return read_places(connection, [(row._mapping[column], place_of(row)) for row in rows])
 
 
 def read_places(connection: sa.Connection, blocks: Sequence[tuple[bytes, Place | None]]) -> list[bytes]:
-    """As ``read_blocks``, of bytes and places that were found; a place stands before the bytes."""
+    """Return bytes as ``read_blocks``; those with a place are read from there."""
     wanted = [place for _, place in blocks if place is not None]
     if not wanted:
         return [data for data, _ in blocks]
@@ -368,14 +331,14 @@ def _incomplete(connection: sa.Connection, store: FragmentStore, place: Place) -
 
 
 def look_at_blocks(connection: sa.Connection, rows: Sequence[Any], column: str) -> list[bytes]:
-    """As ``read_blocks``, for who looks for damage: what is not there is empty or too short."""
+    """Read blocks as ``read_blocks``, to find damage: missing bytes are empty or too short."""
     wanted = [place for place in map(place_of, rows) if place is not None]
     found = iter(open_store(connection).read(wanted) if wanted else ())
     return [row._mapping[column] if place_of(row) is None else next(found) for row in rows]
 
 
 def in_portions(rows: Iterable[Any]) -> Iterator[list[Any]]:
-    """Rows of positions, so many at a time that memory holds little of them, as they come."""
+    """Yield rows of positions in portions that fit in memory."""
     some: list[Any] = []
     size = 0
     for row in rows:
@@ -389,7 +352,7 @@ def in_portions(rows: Iterable[Any]) -> Iterator[list[Any]]:
 
 
 class FeatureRow(NamedTuple):
-    """The columns of ``FEATURES``, wherever the features lie."""
+    """The columns of ``FEATURES``, with features from row or fragment."""
 
     clip_id: int
     feature_set: str
@@ -401,13 +364,13 @@ _FEATURES = sa.select(*FEATURES.columns, *(schema.clip_features.c[name] for name
 
 
 def read_feature_rows(connection: sa.Connection, ids: Sequence[int]) -> list[FeatureRow]:
-    """Rows of features that are there, in any order; LibraryDamagedError as of ``read_blocks``."""
+    """Yield existing rows of features, in any order; LibraryDamagedError as in ``read_blocks``."""
     rows = list(fetch_in(connection, _FEATURES, schema.clip_features.c.clip_id, ids))
     return _with_features(rows, read_blocks(connection, rows, "pose_features"))
 
 
 def look_at_feature_rows(connection: sa.Connection, ids: Sequence[int]) -> list[FeatureRow]:
-    """As ``read_feature_rows``, for who looks for damage."""
+    """Yield rows as ``read_feature_rows``, to find damage."""
     rows = list(fetch_in(connection, _FEATURES, schema.clip_features.c.clip_id, ids))
     return _with_features(rows, look_at_blocks(connection, rows, "pose_features"))
 
@@ -418,7 +381,7 @@ def _with_features(rows: Sequence[Any], blocks: Sequence[bytes]) -> list[Feature
 
 
 def begin_store(connection: sa.Connection, place: str) -> None:
-    """New blocks go to fragments from now on, in a folder or at a URL; empty for those beside a library file."""
+    """Let new blocks go to fragments, in a folder or at a URL; empty for beside a library file."""
     row = {"id": 1, "place": place}
     row["checksum"] = STORE.compute([row[column.name] for column in STORE.covered])
     connection.execute(sa.delete(array_store))

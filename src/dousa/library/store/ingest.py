@@ -1,7 +1,6 @@
-"""From motions to records: reading a file, or taking a motion of the memory, with everything that is derived from it.
+"""From motions to records: reads a file or takes a motion in memory, and derives everything to store.
 
-``read_clip`` is a pure function of a task, so that joblib can run it in threads here or anywhere else, and so can the
-workers of a cluster (``dousa.workers``).
+``read_clip`` is a pure function of a task, for threads of joblib and the workers of a cluster (``dousa.workers``).
 """
 
 from __future__ import annotations
@@ -41,13 +40,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class SourceState:
-    """The files behind a clip as they stand on the disk.
+    """The present state of the files of a clip.
 
     Parameters
     ----------
     files : the motion file, or those of its frames, then its skeleton file if it has one.
-    size : bytes of all.
-    fingerprint : sizes and times; equal ones mean that nothing changed.
+    size, fingerprint : bytes of all; sizes and times, equal if nothing changed.
     """
 
     files: tuple[str, ...]
@@ -62,11 +60,11 @@ class ReadTask:
     Parameters
     ----------
     path : the motion file.
-    options : what is said about it.
-    known : content hashes in the library of clips of this size; such a content is not parsed again.
+    options : how to read it.
+    known : content hashes of clips of this size in the library; such a content is not parsed again.
     kind : ``CLIP`` or ``TAKE``.
-    feature_set : name of the features to describe it by; it is not described if empty.
-    voted : up axis and unit that other files of its skeleton elected, and what to say about that.
+    feature_set : name of the features to compute; none if empty.
+    voted : up axis and unit elected by other files of its skeleton, and the message about that.
     """
 
     path: str
@@ -79,31 +77,26 @@ class ReadTask:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FileRecord:
-    """A file whose content is in the library.
-
-    Parameters
-    ----------
-    row : values of the columns of ``clips``: of the file here, of the motion too in a ``ClipRecord``.
-    """
+    """A file whose content is in the library; ``row`` has its values of ``clips``, of a ``ClipRecord`` all values."""
 
     row: dict[str, Any]
 
     @property
     def path(self) -> str:
-        """Of the file, or the name of a motion of the memory."""
+        """Path of the file, or the name of a motion in memory."""
         return str(self.row["path"])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClipRecord(FileRecord):
-    """All that the library keeps of one motion; its number, labels and date come when it is written.
+    """All that the library keeps of one motion, except number, labels and date.
 
     Parameters
     ----------
     row : values of the columns of ``clips``.
     motion : as it is stored.
     description : features and poses, if they were wanted.
-    claim : what the file says of its axes and unit; None of a motion of the memory.
+    claim : axes and unit according to the file; None of a motion in memory.
     place : of a segment of a take, the values of the columns of ``segments``.
     """
 
@@ -114,7 +107,7 @@ class ClipRecord(FileRecord):
 
 
 def look_at(path: str, options: ReadOptions) -> SourceState:
-    """Size and times of a motion file (or the files of its frames) and of the skeleton file that goes with it.
+    """Return size and times of a motion file (or the files of its frames) and of its skeleton file.
 
     Raises
     ------
@@ -122,7 +115,7 @@ def look_at(path: str, options: ReadOptions) -> SourceState:
     MotionFileError : an ``.amc`` without a skeleton file.
     """
     files = [path]
-    if os.path.isdir(path):  # of a file for each frame
+    if os.path.isdir(path):  # a file for each frame
         from dousa.formats.frame_folders import list_frame_files
 
         files = [os.path.join(path, name) for name in list_frame_files(path)]
@@ -141,13 +134,13 @@ def look_at(path: str, options: ReadOptions) -> SourceState:
 
 
 def is_as_stored(row: Any, options: ReadOptions) -> bool:
-    """Whether a file (of a row of ``clips``) has not changed since, and would be understood in the same way."""
+    """Return whether a file (of a row of ``clips``) is unchanged and would be read in the same way."""
     if row.read_options != options.describe():
         return False
     try:
         return bool(look_at(row.path, options).fingerprint == row.fingerprint)
     except (DousaError, OSError):
-        return False  # reading the file says what is wrong
+        return False  # reading the file reports the error
 
 
 def read_clip(task: ReadTask) -> ClipRecord | FileRecord | Skipped:
@@ -155,8 +148,8 @@ def read_clip(task: ReadTask) -> ClipRecord | FileRecord | Skipped:
 
     Returns
     -------
-    The record; that of the file alone if its content is known; or why the file cannot be used. Never raises for
-    a bad file, so that the others go on.
+    The record; that of the file alone if its content is known; or why the file cannot be used. A bad file raises no
+    error, so that the others go on.
     """
     if not is_unicode(task.path):
         printable = task.path.encode(errors="backslashreplace").decode()
@@ -195,19 +188,15 @@ def _hash_content(state: SourceState, options: ReadOptions) -> str:
     for file in state.files:
         with open(file, "rb") as stream:
             digest.update(stream.read())
-    # The same bytes understood in another way make another clip.
+    # The same bytes read with other options make another clip.
     digest.update(options.describe().encode())
     return digest.hexdigest()
 
 
 def make_record(motion: CanonicalMotion, name: str, kind: str) -> ClipRecord:
-    """Derive everything the library keeps of a motion of the memory.
+    """Derive everything the library keeps of a motion in memory; InvalidMotionError if it is beyond measure.
 
-    It has no file: its fingerprint is empty, and its content is what is stored of it.
-
-    Raises
-    ------
-    InvalidMotionError : positions or a frame rate beyond measure.
+    Its fingerprint is empty, and its content hash is of the stored data.
     """
     positions = pack(motion.positions, "<f4")
     digest = hashlib.sha256(positions)
@@ -242,7 +231,7 @@ def _derive(motion: CanonicalMotion, row: dict[str, Any], feature_set: str) -> C
 
 
 def _round(motion: CanonicalMotion) -> StoredMotion:
-    """The motion as it would be stored; InvalidMotionError where positions or the frame rate are beyond measure."""
+    """Return the motion as it would be stored; InvalidMotionError if positions or the frame rate are beyond measure."""
     rounded = round_positions(motion)
     there = [row for row, joint in enumerate(CANONICAL_JOINTS) if joint not in rounded.absent]
     if not ((np.abs(rounded.positions[:, there]) < BEYOND_MEASURE).all() and motion.height * BEYOND_MEASURE > 1):
@@ -254,7 +243,7 @@ def _round(motion: CanonicalMotion) -> StoredMotion:
 def read_clips(
     tasks: Sequence[ReadTask], n_jobs: int | None = None
 ) -> Generator[ClipRecord | FileRecord | Skipped, None, None]:
-    """Read many files at the same time (``n_jobs`` as in ``Library.add``); answers come in the order of the tasks."""
+    """Read many files at the same time (``n_jobs`` as in ``Library.add``), in the order of the tasks."""
     check_jobs(n_jobs)
     cluster = current_cluster()
     if cluster is not None and tasks:
@@ -273,7 +262,7 @@ def read_clips(
             yield answer
     finally:
         with warnings.catch_warnings():
-            # Stopped in the middle: joblib regrets the files that were read in vain.
+            # Interrupted: joblib warns about files read in vain.
             warnings.simplefilter("ignore", UserWarning)
             answers.close()
 
@@ -284,18 +273,18 @@ def _read_elsewhere(
     cluster.check_paths([task.path for task in tasks])
     sizes = [os.path.getsize(task.path) if os.path.isfile(task.path) else 0 for task in tasks]
     for task, answer in zip(tasks, cluster.map(read_clip, tasks, sizes=sizes), strict=True):
-        # One that a worker cannot use is tried here: it may be the worker that does not see it.
+        # Retry here a file that a worker cannot use: the worker may not see it.
         yield read_clip(task) if isinstance(answer, Skipped) else answer
 
 
 Query: TypeAlias = "int | str | os.PathLike[str] | CanonicalMotion | Motion | Trajectories"
-"""What a library is asked about: a motion by its number, its file, or itself."""
+"""A query: the number of a clip, a file, or a motion."""
 
 
 def read_query(
     query: str | os.PathLike[str] | CanonicalMotion | Motion | Trajectories, options: ReadOptions
 ) -> CanonicalMotion:
-    """A file or a motion on canonical joints."""
+    """Read a file or a motion onto canonical joints."""
     if isinstance(query, str | os.PathLike):
         return read_canonical(query, options, whole=False)[0]
     return query if isinstance(query, CanonicalMotion) else canonicalise(query, options.joint_map)
@@ -304,7 +293,7 @@ def read_query(
 def read_rounded(
     query: str | os.PathLike[str] | CanonicalMotion | Motion | Trajectories, options: ReadOptions
 ) -> tuple[StoredMotion, tuple[Message, ...]]:
-    """A file or a motion as it would be stored, and what came up when it was read."""
+    """Return a file or a motion as it would be stored, and the warnings from reading it."""
     motion = read_query(query, options)
     try:
         return _round(motion), choose_doubts(motion.warnings)
@@ -315,12 +304,12 @@ def read_rounded(
 
 
 def list_doubts(record: ClipRecord) -> tuple[Message, ...]:
-    """What came up when a file was read."""
+    """Return the warnings from reading a file."""
     return choose_doubts(map(as_message, record.row["warnings"]))
 
 
 def name_query(query: Query) -> str:
-    """What the answer calls the query: its path, where it has one."""
+    """Return the name of a query for results: its path, if it has one."""
     if isinstance(query, str | os.PathLike):
         return os.fspath(query)
     return getattr(getattr(query, "provenance", None), "path", "motion")

@@ -1,10 +1,9 @@
-"""Opening a library: its tables are made, or brought to this version.
+"""Opening a library: makes its tables, or migrates them to this version.
 
-The versions of the tables are numbered and named steps, each in a transaction of its own. A new library is made from
-``schema`` at once and every step is recorded as done; an older library takes the steps that it lacks. To change a
-table: change ``schema`` and add a step that does the same to an old library. To change a set of features: give it
-another name, or add a step that empties ``clip_features.feature_set``; features of another set than the one asked for
-are computed anew from the stored positions.
+Migrations are numbered and named steps, each in a transaction of its own. A new library is made from ``schema`` and
+every step is recorded as done; an older library takes its missing steps. To change a table: change ``schema`` and add a
+step that does the same to an old library. To change a feature set: rename it, or add a step that empties
+``clip_features.feature_set``; features of another set than wanted are computed again from the stored positions.
 """
 
 from __future__ import annotations
@@ -41,8 +40,8 @@ class Migration:
     Parameters
     ----------
     number : position, from 1 without gaps.
-    name : what it does, in words.
-    apply : does it, on a connection that is in a transaction.
+    name : short description.
+    apply : called with a connection in a transaction.
     """
 
     number: int
@@ -51,11 +50,11 @@ class Migration:
 
 
 def _first_tables(connection: sa.Connection) -> None:
-    """Nothing to do: every library has them."""
+    """Do nothing: every library has the first tables."""
 
 
 def _takes_and_feature_sets(connection: sa.Connection) -> None:
-    """Takes, sets of features by name, leaves that learn; histograms, which follow from the leaves, go."""
+    """Add takes, named feature sets and learning leaves; drop histograms, which follow from the leaves."""
     for table, column in (
         (schema.clips, "kind"),
         (schema.clip_features, "feature_set"),
@@ -71,7 +70,7 @@ def _takes_and_feature_sets(connection: sa.Connection) -> None:
     connection.execute(sa.update(state).values(clips_revision=state.c.revision))
     forests = schema.forests
     for row in connection.execute(sa.select(forests.c.id, forests.c.revision, forests.c.parameters)).all():
-        known = {**row.parameters, "feature_set": "paper"}  # there was no other set
+        known = {**row.parameters, "feature_set": "paper"}  # the only set then
         values = {"learned": row.revision, "parameters": known}
         connection.execute(sa.update(forests).where(forests.c.id == row.id).values(**values))
     schema.clip_poses.create(connection)
@@ -84,58 +83,53 @@ def _takes_and_feature_sets(connection: sa.Connection) -> None:
 
 
 def _annotated_takes(connection: sa.Connection) -> None:
-    """Segments of takes that are clips, and tables of labels that they came from."""
     schema.segments.create(connection)
     schema.take_annotations.create(connection)
 
 
 def _words(connection: sa.Connection) -> None:
-    """What motions do, in words; it is computed when the library is trained, or asked in words."""
     schema.clip_relations.create(connection)
 
 
 def _parts_of_bodies(connection: sa.Connection) -> None:
-    """Clips that lack joints, and forests that ask about the others."""
     _add_column(connection, schema.clips, "absent")
     schema.part_forests.create(connection)
 
 
 def _likeness(connection: sa.Connection) -> None:
-    """Which clips are alike, learned with the next training."""
     for table, column in ((schema.forests, "likeness"), (schema.clip_leaves, "direction")):
         _add_missing_column(connection, table, column)
 
 
 def _labellers_of_moments(connection: sa.Connection) -> None:
-    """A labeller of an earlier version is of no use; another is learned when a take is labelled."""
+    """Drop labellers of an earlier version; another is learned when a take is labelled."""
     connection.execute(sa.update(schema.forests).values(labeller=None))
 
 
 def _checksums(connection: sa.Connection) -> None:
-    """A checksum for each row; those that are there get theirs from ``Library.check``."""
+    """Add a checksum for each row, filled by ``Library.check``."""
     for table in schema.metadata.sorted_tables:
         if not sa.inspect(connection).has_table(table.name):
-            continue  # made by a later step
+            continue  # added by a later step
         for column in table.c:
             if "checksum" in column.name:
                 _add_missing_column(connection, table, column.name)
 
 
 def _sensor_noise(connection: sa.Connection) -> None:
-    """Extended features were of positions as the sensor saw them: they are computed anew when they are needed."""
+    """Drop extended features computed from positions with sensor noise; they are computed again when needed."""
     table = schema.clip_features
     old = table.c.feature_set.startswith("extended", autoescape=True)
     connection.execute(sa.update(table).where(old).values(feature_set="", checksum=None))
 
 
 def _journal(connection: sa.Connection) -> None:
-    """What people change can be undone, clips have tags, and searches are kept."""
     for table in (schema.clip_tags, schema.saved_searches, *schema.JOURNAL_TABLES):
         table.create(connection, checkfirst=True)
 
 
 def _clips_to_learn(connection: sa.Connection) -> None:
-    """Clips that a forest has not learned from yet; all that are there it has learned from, or does not know."""
+    """Add clips still to be learned; all present ones have been learned, or are not known to the forest."""
     schema.unlearned.create(connection, checkfirst=True)
     _add_missing_column(connection, schema.forests, "first_later")
     following = connection.execute(sa.select(library_state.c.next_clip_id)).scalar()
@@ -143,7 +137,6 @@ def _clips_to_learn(connection: sa.Connection) -> None:
 
 
 def _indices_of_checksums(connection: sa.Connection) -> None:
-    """Sums of checksums say what has changed since an index of a search was made."""
     for table in (schema.clips, schema.clip_leaves):
         for index in table.indexes:
             if "checksum" in str(index.name):
@@ -151,7 +144,7 @@ def _indices_of_checksums(connection: sa.Connection) -> None:
 
 
 def _fragments(connection: sa.Connection) -> None:
-    """Positions and features may lie beside the tables; those that are there stay where they are."""
+    """Allow positions and features in fragments; present ones stay in their rows."""
     schema.array_store.create(connection, checkfirst=True)
     for table in (schema.clip_trajectories, schema.clip_features, schema.removed_positions):
         for name in schema.PLACE:
@@ -159,12 +152,12 @@ def _fragments(connection: sa.Connection) -> None:
 
 
 def _labellers_of_parts(connection: sa.Connection) -> None:
-    """What takes of bodies that lack joints are labelled with; it is learned when one is labelled."""
+    """Add labellers for takes of bodies that lack joints, learned when one is labelled."""
     _add_missing_column(connection, schema.part_forests, "labeller")
 
 
 def _examples_of_leaves(connection: sa.Connection) -> None:
-    """Leaves of a large forest grow from examples, chosen when clips are next added; two indices that an add asks."""
+    """Add examples of leaves for large forests, chosen in the next add, and two indices for adding."""
     schema.leaf_examples.create(connection, checkfirst=True)
     for table, name in ((schema.clips, "ix_clips_size"), (schema.clip_relations, "ix_clip_relations_version")):
         for index in table.indexes:
@@ -173,7 +166,7 @@ def _examples_of_leaves(connection: sa.Connection) -> None:
 
 
 def _add_missing_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
-    """A column that is there already where a step above made the table as it is now."""
+    """Add a column, unless an earlier step made the table in its present form."""
     if name not in {known["name"] for known in sa.inspect(connection).get_columns(table.name)}:
         _add_column(connection, table, name)
 
@@ -215,7 +208,7 @@ def _record(connection: sa.Connection, step: Migration) -> None:
 
 
 def _create_tables(database: Database) -> None:
-    """Make the tables of a new library, all or none; does nothing if another program just did."""
+    """Make the tables of a new library, all or none, unless another program just did."""
     with database.writing() as connection:
         if sa.inspect(connection).has_table(schema.migrations.name):
             return
@@ -228,7 +221,6 @@ def _create_tables(database: Database) -> None:
 
 
 def _applied_number(connection: sa.Connection, where: str) -> int:
-    """Number of the last step that this library took."""
     query = sa.select(schema.migrations.c.number, schema.migrations.c.dousa_version)
     rows = connection.execute(query.order_by(schema.migrations.c.number)).all()
     if not rows:
@@ -247,7 +239,6 @@ def _applied_number(connection: sa.Connection, where: str) -> int:
 
 
 def _migrate(database: Database) -> None:
-    """Take the steps that a library lacks, each in a transaction of its own."""
     for step in MIGRATIONS:
         with database.writing() as connection:
             if _applied_number(connection, database.where) < step.number:
@@ -256,12 +247,12 @@ def _migrate(database: Database) -> None:
 
 
 def open_database(path_or_url: str | os.PathLike[str], *, create: bool, read_only: bool, timeout: float) -> Database:
-    """A database whose tables are there and of this version.
+    """Open a database with the tables of this version.
 
     Raises
     ------
-    LibraryError : there is no library, or no permission; LibraryDamagedError, LibraryVersionError,
-        LibraryLockedError as their names say.
+    LibraryError : there is no library, or no permission.
+    LibraryDamagedError, LibraryVersionError, LibraryLockedError : as their names say.
     OptionError : create and read_only together.
     """
     if create and read_only:

@@ -1,4 +1,4 @@
-"""Choosing clips by number, by path, by folder or by category."""
+"""Choosing clips by number, path, folder or label."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from dousa.library.store.engine import note_changed_clips, read_revision
 from dousa.messages import Message
 
 _VALUES_AT_ONCE = 500  # databases limit the number of values in one query
-_PAGE = 1000  # clips that are listed at a time
+_PAGE = 1000  # clips read at a time
 
 Item = TypeVar("Item")
 
@@ -34,7 +34,7 @@ class Unchanged(enum.Enum):
 
 
 UNCHANGED = Unchanged.UNCHANGED
-"""Leaves a label as it is, where None would take it away."""
+"""Leaves a label as it is, while None removes it."""
 
 
 def select_ids(
@@ -45,11 +45,11 @@ def select_ids(
     performer: str | None,
     tag: str | None = None,
 ) -> list[int]:
-    """Numbers of the clips that are chosen, ascending.
+    """Return the numbers of the chosen clips, ascending.
 
     Parameters
     ----------
-    selection : clips; nothing chosen means all clips, of the category or performer where one is given.
+    selection : clips; if empty, all clips of the given labels.
     category, performer, tag : only clips of this label, with this tag.
 
     Raises
@@ -103,9 +103,9 @@ def _none_of(where: str, category: str | None, performer: str | None, tag: str |
 def _below(find: Callable[..., set[int]], item: str | os.PathLike[str], where: str) -> set[int]:
     path, column = os.path.abspath(item), schema.clips.c.path
     below = path.rstrip(os.sep) + os.sep
-    names = [path, os.fspath(item)]  # motions that were added from memory have a name that is no path
+    names = [path, os.fspath(item)]  # motions from memory have a name that is no path
     found: set[int] = set()
-    if all(map(is_unicode, names)):  # else no database can hold it
+    if all(map(is_unicode, names)):  # else no database can store it
         found = find(column.in_(names) | (sa.func.substr(column, 1, len(below)) == below))
     if not found:
         raise LibraryError("library_clips.no_path", library=where, path=item)
@@ -113,7 +113,7 @@ def _below(find: Callable[..., set[int]], item: str | os.PathLike[str], where: s
 
 
 def find_row(connection: sa.Connection, where: str, number: int) -> Any:
-    """``id``, ``path``, ``kind`` and ``absent`` of a clip or take; LibraryError if there is none of this number."""
+    """Read ``id``, ``path``, ``kind`` and ``absent`` of a clip or take; LibraryError if there is none."""
     table = schema.clips.c
     query = sa.select(table.id, table.path, table.kind, table.absent).where(table.id == number)
     row = connection.execute(query).one_or_none() if schema.is_id(number) else None
@@ -123,20 +123,20 @@ def find_row(connection: sa.Connection, where: str, number: int) -> Any:
 
 
 def portions(ids: Sequence[Item]) -> Iterable[Sequence[Item]]:
-    """Numbers, or what goes with them, in lists short enough for one query."""
+    """Split numbers, or rows, into lists short enough for one query."""
     return (ids[start : start + _VALUES_AT_ONCE] for start in range(0, len(ids), _VALUES_AT_ONCE))
 
 
 def fetch_in(
     connection: sa.Connection, query: sa.Select[Any], column: sa.ColumnElement[Any], values: Sequence[Any]
 ) -> Iterator[Any]:
-    """Rows of a query whose column has one of these values."""
+    """Yield rows of a query whose column has one of these values."""
     for some in portions(values):
         yield from connection.execute(query.where(column.in_(some)))
 
 
 def list_clips(connection: sa.Connection, ids: Sequence[int] | None = None) -> list[ClipInfo]:
-    """Clips and takes without their arrays, in the order of their paths; all of them, or those of these numbers."""
+    """Return clips and takes without their arrays, sorted by path; all, or those of these numbers."""
     if ids is None:
         infos, last = [], 0
         while page := read_page(connection, last):
@@ -151,7 +151,7 @@ def list_clips(connection: sa.Connection, ids: Sequence[int] | None = None) -> l
 def read_page(
     connection: sa.Connection, after: int, category: str | None = None, performer: str | None = None
 ) -> list[ClipInfo]:
-    """The next clips and takes in the order of their numbers, as many as are read at a time; of labels where given."""
+    """Read the next page of clips and takes, in the order of their numbers; of these labels if given."""
     table = schema.clips.c
     wanted = [table.id > after]
     wanted += [
@@ -163,7 +163,7 @@ def read_page(
 
 
 def _read_infos(connection: sa.Connection, *wanted: sa.ColumnElement[bool], limit: int | None = None) -> list[ClipInfo]:
-    """Clips and takes without their arrays, in the order of their numbers."""
+    """Read clips and takes without their arrays, in the order of their numbers."""
     clips, leaves, parts = schema.clips, schema.clip_leaves, schema.segments
     own = tuple(dict.fromkeys((*LABELS.columns, *NUMBERS.columns)))
     more = (leaves.c.predicted_category, parts.c.take_id, parts.c.start_s, parts.c.end_s)
@@ -186,12 +186,9 @@ def _read_infos(connection: sa.Connection, *wanted: sa.ColumnElement[bool], limi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownClips:
-    """Clips and takes as they were read, and what tells whether they still are so.
+    """Clips and takes as read before, by number, with the checksums of their rows to find changes.
 
-    Parameters
-    ----------
-    clips : by number.
-    sums : the checksums of their rows, by number; None of one that has none, which is read each time.
+    A row without a checksum has None, and is read each time.
     """
 
     clips: Mapping[int, ClipInfo] = field(default_factory=dict)
@@ -199,7 +196,7 @@ class KnownClips:
 
 
 def renew_clips(connection: sa.Connection, known: KnownClips) -> KnownClips:
-    """Clips and takes as they are now; only those whose checksums are others are read."""
+    """Return the current clips and takes; only rows with changed checksums are read."""
     sums = _read_sums(connection)
     changed = [number for number, own in sums.items() if own is None or known.sums.get(number) != own]
     fresh = list_clips(connection, None if len(changed) > len(sums) // 2 else changed)
@@ -208,7 +205,7 @@ def renew_clips(connection: sa.Connection, known: KnownClips) -> KnownClips:
 
 
 def _read_sums(connection: sa.Connection) -> dict[int, Sequence[int | None] | None]:
-    """The checksums of what a ``ClipInfo`` is made of, by number; None where a row has none."""
+    """Return the checksums of the rows of each ``ClipInfo``, by number; None if a row has none."""
     clips = schema.clips.c
     query = sa.select(clips.id, clips.label_checksum, clips.checksum)
     sums: dict[int, Any] = {row[0]: None if None in row else tuple(row) for row in connection.execute(query)}
@@ -220,7 +217,7 @@ def _read_sums(connection: sa.Connection) -> dict[int, Sequence[int | None] | No
 
 
 def read_tags(connection: sa.Connection, ids: Sequence[int] | None = None) -> dict[int, tuple[str, ...]]:
-    """Tags of the clips and takes that have some, by number; of all, or of these."""
+    """Return the tags of clips and takes that have some, by number; of all, or of these."""
     query = sa.select(*TAGS.columns)
     key = schema.clip_tags.c.clip_id
     rows: Iterable[Any] = connection.execute(query) if ids is None else fetch_in(connection, query, key, ids)
@@ -232,7 +229,7 @@ def read_tags(connection: sa.Connection, ids: Sequence[int] | None = None) -> di
 
 
 def save_tags(connection: sa.Connection, tags: Mapping[int, Iterable[str]]) -> None:
-    """Give clips and takes these tags, in the place of those that they have; after ``next_revision``."""
+    """Replace the tags of clips and takes; after ``next_revision``."""
     table = schema.clip_tags
     rows = [{"clip_id": number, "tags": sorted(set(own))} for number, own in tags.items()]
     for some in portions(rows):
@@ -242,12 +239,12 @@ def save_tags(connection: sa.Connection, tags: Mapping[int, Iterable[str]]) -> N
 
 
 def list_paths(connection: sa.Connection, ids: Sequence[int]) -> list[str]:
-    """Sorted paths of clips and takes, of damaged ones too."""
+    """Return the sorted paths of clips and takes, including damaged ones."""
     return sorted(row.path for row in fetch_in(connection, sa.select(schema.clips.c.path), schema.clips.c.id, ids))
 
 
 def count_by(connection: sa.Connection, label: str) -> dict[str, int]:
-    """Number of clips of each category, or of clips and takes of each performer, by name."""
+    """Return the number of clips of each category, or of clips and takes of each performer."""
     column = schema.clips.c[label]
     query = sa.select(column, sa.func.count()).where(column.is_not(None)).group_by(column)
     if label == "category":
@@ -256,7 +253,7 @@ def count_by(connection: sa.Connection, label: str) -> dict[str, int]:
 
 
 def summarise(connection: sa.Connection) -> LibraryStats:
-    """The library in numbers."""
+    """Return the library in numbers."""
     clips, forests = schema.clips.c, schema.forests.c
     sums = (
         sa.func.count(),
@@ -302,14 +299,13 @@ def delete_clips(connection: sa.Connection, ids: Sequence[int]) -> None:
 
 
 def with_segments(connection: sa.Connection, ids: Sequence[int]) -> list[int]:
-    """These numbers, and those of the segments of the takes among them."""
+    """Return these numbers, and those of the segments of the takes among them."""
     table = schema.segments.c
     found = fetch_in(connection, sa.select(table.clip_id), table.take_id, ids)
     return sorted({*ids, *(row.clip_id for row in found)})
 
 
 def _any_clip(connection: sa.Connection, ids: Sequence[int]) -> bool:
-    """Whether clips are among clips and takes."""
     table = schema.clips.c
     query = sa.select(sa.func.count()).select_from(schema.clips).where(table.kind == schema.CLIP)
     return any(connection.execute(query.where(table.id.in_(some))).scalar_one() for some in portions(ids))
@@ -328,18 +324,18 @@ def set_labels(
     for name, value in given.items():
         if value is UNCHANGED:
             continue
-        # Whoever performs a take performs its segments.
+        # A take and its segments have the same performer.
         chosen = ids if name == "category" else with_segments(connection, ids)
         update_rows(connection, LABELS, {clip_id: {name: value} for clip_id in chosen})
 
 
 def read_doubts(connection: sa.Connection, clip_id: int) -> tuple[Message, ...]:
-    """What came up when the file of a clip or take was read."""
+    """Return the warnings from reading the file of a clip or take."""
     table = schema.clips.c
     found = connection.execute(sa.select(table.warnings).where(table.id == clip_id)).scalar_one_or_none()
     return choose_doubts(map(schema.as_message, found or ()))
 
 
 def choose_doubts(doubts: Iterable[Message]) -> tuple[Message, ...]:
-    """Doubts about a file that an answer has no words of its own for, as it has for a body that lacks joints."""
+    """Return the warnings that a result does not state itself, as it does for a body that lacks joints."""
     return tuple(doubt for doubt in doubts if doubt.code != "canonical.part")

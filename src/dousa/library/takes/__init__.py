@@ -1,1 +1,1 @@
-"""Windows of takes, and the search for places in them."""
+"""Windows of takes, and search for places in them."""

@@ -1,7 +1,4 @@
-"""Places of takes that are like a motion: the best of all takes, each once, and how probably they show the same.
-
-Takes whose windows can be looked at, and how those are described that no library keeps.
-"""
+"""The places in takes that are most like a motion, and the probability that they show the same."""
 
 from __future__ import annotations
 
@@ -33,16 +30,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadTake:
-    """A take whose windows can be looked at.
+    """A take with its windows.
 
     Parameters
     ----------
-    path : its file.
-    clip_id : its number in the library, None for a file that is not there.
-    read : gives its windows; of many takes not all are in memory at a time.
-    stored : that forest: the present one, or one for the joints that take and query have in common.
-    motion : of a take that is not in the library.
-    notes : what came up when its file was read, if that was done just now.
+    clip_id : number in the library; None for a file outside it.
+    read : returns the windows; not all takes fit in memory.
+    stored : forest of the windows: the library's, or one for the joints shared by take and query.
+    motion : of a take outside the library.
+    notes : notes on reading its file, if it was read now.
     """
 
     path: str
@@ -55,13 +51,13 @@ class ReadTake:
 
 @dataclass(frozen=True, slots=True)
 class Describing:
-    """How takes are described that are not kept.
+    """Describes takes whose windows are not stored.
 
     Parameters
     ----------
     stored : the forest of the library.
-    choose : gives the forest for a body that lacks some joints, and the grid of its windows; or None, and why.
-    options : what is said about files.
+    choose : returns forest and grid for a body that lacks some joints, with a note; or None, with the reason.
+    options : of reading files.
     n_jobs : parts described at a time.
     """
 
@@ -73,7 +69,7 @@ class Describing:
     def describe(
         self, path: str, clip_id: int | None, motion: StoredMotion, notes: tuple[Message, ...] = ()
     ) -> ReadTake | Skipped:
-        """A recording with its windows, or why it has none."""
+        """Describe the windows of a recording, or return why it is skipped."""
         chosen, why = self.choose(motion.absent)
         if chosen is None:
             assert why is not None
@@ -85,7 +81,7 @@ class Describing:
 
 
 _ALIKE = 0.5
-_SAME_PLACE = 0.3  # intersection over union of two answers that are the same place
+_SAME_PLACE = 0.3  # intersection over union from which two answers are one place
 
 
 def find_places(
@@ -94,10 +90,9 @@ def find_places(
     k: int,
     on_disk: tuple[StoredForest, TakesOnDisk] | None = None,
 ) -> tuple[list[tuple[Found, bool]], float]:
-    """The best places of the query, and of its mirror image if there is one, and the seconds of all takes.
+    """Find the best places for a query and, if given, its mirror image; also return the seconds of all takes.
 
-    Takes that are compared by the same joints are ordered together. Each is read once, and again where a place is; but
-    those that are ``on_disk``, by a forest.
+    Takes that share the same joints with the query are searched together, those ``on_disk`` without reading all.
     """
     from dousa.retrieval.takes.find import TakeSearch, describe_query
 
@@ -124,10 +119,10 @@ def find_places(
             windows = takes[row].read()
             seconds[row] = windows.duration
             for search in searches:
-                search.look(str(row), windows)  # two files may have one name, and numbers are compared fast
+                search.look(str(row), windows)  # the row, as two files may have one name
         if far is not None:
             far.search(searches, wanted)
-        # Of a body of which less can be compared, less is known to be alike.
+        # The score counts only for the share of the joints that is compared.
         share = count_placed(kind.hidden) / most
         for mirrored, search in enumerate(searches):
             places = search.finish(partial(_look_again, takes, rows, far))
@@ -138,7 +133,7 @@ def find_places(
 def _look_again(
     takes: Sequence[ReadTake], rows: Sequence[int], far: TakesOnDisk | None, place: int
 ) -> TakeWindows | CutStretch:
-    """The take at one of the rows: its windows, or what cuts stretches out of it."""
+    """Return the windows of the take at one of the rows, or its cutter if it is on disk."""
     take = takes[rows[place]]
     if far is not None and take.clip_id is not None and take.clip_id in far:
         return far.cutter(take.clip_id)
@@ -146,7 +141,7 @@ def _look_again(
 
 
 def rank_places(found: list[tuple[Found, bool]], takes: Sequence[ReadTake], k: int) -> list[Place]:
-    """Places of the query and of its mirror image, best first, each once."""
+    """Rank places of the query and of its mirror image, the best first, each once."""
     from dousa.retrieval.takes.find import overlap
 
     found.sort(key=lambda one: (one[1] * MIRROR_SCORE - one[0].score, int(one[0].take), one[0].start))
@@ -168,14 +163,11 @@ def rank_places(found: list[tuple[Found, bool]], takes: Sequence[ReadTake], k: i
 def judge_places(
     connection: sa.Connection, stored: StoredForest, query: StoredMotion, takes: Sequence[ReadTake], places: list[Place]
 ) -> list[Place]:
-    """Places with the probability that they show what the query does, the likeliest first.
-
-    Each is looked at as a clip of its own; those that are likelier so than not are alike.
-    """
+    """Rank places by the probability that they show the same as the query, each judged as a clip."""
     from dousa.retrieval.takes.find import judge_place
 
     if stored.likeness is None or not places or any(take.stored is not stored for take in takes):
-        return places  # bodies that lack joints are looked at by forests of their own
+        return places  # likeness is learned for the library's forest only
     by_path = {(take.path, take.clip_id): take for take in takes}
     known = {take.clip_id: take.motion for take in takes if take.motion is not None}
     wanted = sorted({place.clip_id for place in places if place.clip_id is not None})
@@ -206,7 +198,7 @@ def count_alike(stored: StoredForest, places: Sequence[Place]) -> int | None:
 def _describe_alike(
     stored: StoredForest, motion: StoredMotion, meanings: IndexArray
 ) -> tuple[FloatArray, FloatArray, NDArray[np.float32]]:
-    """Shares of the trees for each category and for each meaning, and the direction, of a motion."""
+    """Compute a motion's shares of the trees for each category and meaning, and its direction."""
     answers = ask_trees(stored, describe_clip(motion, stored.feature_set).features[None])
     assert answers.directions is not None
     shares = answers.shares()

@@ -1,12 +1,9 @@
-"""A file with the windows of some takes, of which one window can be read without the rest of its take.
+"""Files with the windows of some takes, and sketches: few bytes that approximate the cost of a window as an answer.
 
-Sketches and marks of all windows of one length follow one another, the shortest length first, so that a query reads
-one run of bytes; then a row for each window, its leaves as codes, in the same order; then the poses of the takes, in
-blocks. Rows and blocks have checksums each, as they make answers. The sketches of a length have one, which a search
-does not compare, as that would make its scan longer by half: a bit that has flipped in a sketch moves one window up or
-down among those that are looked at. ``check_portion`` compares all.
-
-A few bytes of a window that say nearly what it costs as an answer to a query.
+A file holds the sketches and marks of all windows, by ascending length, so that a query reads one run of bytes; then
+one row of leaf codes per window, in the same order; then the poses of the takes in blocks. Rows and blocks have
+checksums. The sketches of a length have one that only ``check_portion`` compares, as it would make a scan longer by
+half, and a flipped bit only moves one window among the candidates.
 """
 
 from __future__ import annotations
@@ -34,25 +31,25 @@ N_VALUES = 15
 """Coordinates of a sketch."""
 
 N_MARKS = 32
-"""Trees whose leaves are told apart."""
+"""Trees whose leaves are in the marks."""
 
-# The cosine between the rests of a query and of windows that are like it; chosen on joined takes of UTD-MHAD.
+# Cosine between the rests of a query and of similar windows; chosen on joined takes of UTD-MHAD.
 _ALIKE = 0.4
-# The share of all trees is that of some, and of one tree more with a usual share.
+# The share of all trees is estimated from the marks and one more tree with this share.
 _USUAL_SHARE = 0.25
 _LEAST_STEP = 1e-9
-_AT_ONCE = 16_384  # windows whose mean poses are in memory: 28 MB, and some times that on the way
-_NEARLY_ALL = 0.9999  # what is farther out is taken to be as far as that
+_AT_ONCE = 16_384  # windows whose mean poses are in memory: 28 MB, and a few times that for a moment
+_NEARLY_ALL = 0.9999  # quantile at which coordinates and rests are clipped
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sketcher:
-    """Makes sketches of windows, fitted to some of them.
+    """Makes sketches of windows: coordinates along principal axes, and the rest, the distance from these.
 
     Parameters
     ----------
     centre : (P,) mean of the mean poses of the parts of windows.
-    axes : (P, R) by which coordinates are computed.
+    axes : (P, R) for the coordinates.
     steps : (2,) of the coordinates and of the rests.
     """
 
@@ -62,7 +59,7 @@ class Sketcher:
 
     @classmethod
     def fit(cls, means: FloatArray) -> Sketcher:
-        """For windows like some of which the mean poses of the parts (N, 8, 27) are known."""
+        """Fit to the mean poses of the parts of some windows (N, 8, 27)."""
         flat = means.reshape(len(means), -1)
         centre = flat.mean(axis=0)
         whole = _expand((flat - centre).reshape(means.shape))
@@ -74,7 +71,7 @@ class Sketcher:
         return cls(centre, axes, np.maximum(steps, _LEAST_STEP))
 
     def place(self, means: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Coordinates (N, R) and rests (N,) of the mean poses of parts (N, 8, 27)."""
+        """Compute coordinates (N, R) and rests (N,) of mean poses of parts (N, 8, 27)."""
         apart = means.reshape(len(means), len(self.centre)) - self.centre
         placed = apart @ self.axes
         parts = apart.reshape(means.shape)
@@ -85,7 +82,7 @@ class Sketcher:
         return placed, np.sqrt(np.maximum(squares, 0.0))
 
     def sketch(self, means: FloatArray) -> NDArray[np.int8]:
-        """(R + 1, N) for ``kernels.scan_sketches``."""
+        """Return sketches (R + 1, N) for ``scanning.scan_sketches``."""
         placed, rests = self.place(means)
         sketches = np.empty((placed.shape[1] + 1, len(means)), np.int8)
         sketches[:-1] = np.clip(np.rint(placed.T / self.steps[0]), -127, 127)
@@ -93,7 +90,7 @@ class Sketcher:
         return sketches
 
     def ask(self, parts: FloatArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Coordinates of a query (8, 27) in steps, and what the rest of a window adds to its squared distance."""
+        """Return the coordinates (R,) of a query (8, 27), and the squared distance (256,) each rest adds, in steps."""
         placed, rests = self.place(parts[None])
         own, theirs = float(rests[0]), np.arange(256) * self.steps[1]
         added = (theirs - own) ** 2 + 2.0 * (1.0 - _ALIKE) * theirs * own
@@ -102,14 +99,14 @@ class Sketcher:
 
 
 def cost_marks(n_marks: int) -> FloatArray:
-    """(S + 1,) what leaves cost of which as many are the same."""
+    """Return the cost (S + 1,) of the leaves by the number of equal marks."""
     shares = (np.arange(n_marks + 1) + _USUAL_SHARE) / (n_marks + 1)
     costs: FloatArray = cost_windows(0.0, shares)
     return costs
 
 
 def cut_windows(windows: TakeWindows, rows: slice | NDArray[np.intp]) -> FloatArray:
-    """(N, 8, 27) mean poses of the parts of some windows of a take, as ``compare_poses`` has them."""
+    """Return (N, 8, 27) mean poses of the parts of some windows of a take, as in ``compare_poses``."""
     starts, lengths = windows.starts[rows, None], (windows.stops - windows.starts)[rows, None]
     edges = starts + (np.arange(N_PARTS + 1) * lengths * 2 + N_PARTS) // (2 * N_PARTS)
     means: FloatArray = np.diff(windows.sums[edges], axis=1) / np.diff(edges, axis=1)[..., None]
@@ -117,7 +114,7 @@ def cut_windows(windows: TakeWindows, rows: slice | NDArray[np.intp]) -> FloatAr
 
 
 def sketch_windows(sketcher: Sketcher, windows: TakeWindows, rows: slice) -> NDArray[np.int8]:
-    """(R + 1, N) sketches of some windows of a take, which may be long: of many windows some at a time."""
+    """Return (R + 1, N) sketches of some windows of a take, computed in portions as it may be long."""
     first, last, _ = rows.indices(len(windows.starts))
     starts = range(first, last, _AT_ONCE)
     parts = [sketcher.sketch(cut_windows(windows, slice(one, min(one + _AT_ONCE, last)))) for one in starts]
@@ -125,7 +122,7 @@ def sketch_windows(sketcher: Sketcher, windows: TakeWindows, rows: slice) -> NDA
 
 
 def _expand(means: FloatArray) -> FloatArray:
-    """Mean poses and their changes, so that the length of a difference is what ``compare_poses`` computes."""
+    """Return mean poses and their changes, scaled so that distances are those of ``compare_poses``."""
     count, n_parts, n_values = means.shape
     whole = np.concatenate([means, np.diff(means, axis=1)], axis=1).reshape(count, (2 * n_parts - 1) * n_values)
     scaled: FloatArray = whole / np.sqrt((2 * n_parts - 1) * n_values)
@@ -134,16 +131,16 @@ def _expand(means: FloatArray) -> FloatArray:
 
 BLOCK = 64  # frames with one checksum
 _MAGIC = b"dousa windows 1\n"
-_START = struct.Struct("<16sQQI")  # magic; place, length and checksum of the header, which comes last
+_START = struct.Struct("<16sQQI")  # magic; place, length and checksum of the header at the end
 _BLOCK_BYTES = BLOCK * N_SMALL * 2 + 4
-_AT_ONCE = 16_384  # windows that are packed
+_AT_ONCE = 16_384  # windows packed at a time
 _READ = 1 << 20  # bytes
 _FITTED = 20_000  # windows to which sketches are fitted
-_MISSING = np.iinfo(np.uint16).max  # the code of a leaf that no window is in
+_MISSING = np.iinfo(np.uint16).max  # the code of leaves without windows
 
 
 class PortionGoneError(Exception):
-    """A file that cannot be read, or is damaged: its takes are looked at in another way."""
+    """A file cannot be read or is damaged."""
 
     def __init__(self, path: Path, *, damaged: bool = True) -> None:
         super().__init__(str(path))
@@ -152,26 +149,24 @@ class PortionGoneError(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Portion:
-    """What a file has.
+    """The header of a file of T takes.
 
     Parameters
     ----------
-    path : the file.
-    forest : what stands for the forest of its leaves.
-    ids, stamps : (T,) number of each take, and what stands for its content.
+    forest : identity of the forest (``side_file.name_forest``).
+    ids, stamps : (T,) number of each take, and checksum of its content.
     n_frames : (T,) at ``TAKE_RATE``.
     durations : (T,) s.
     lengths : of windows, in frames.
-    sketcher : of the sketches.
-    table, codes : (L,) leaves in ascending order, and the code of each among those of its tree.
+    table, codes : (L,) leaves in ascending order, and the code of each within its tree.
     n_trees, code_type : of the rows.
     places : first bytes of the sketches of each length, of rows and of poses.
-    sums : checksums of the sketches of each length; none in a file of an older dousa.
+    sums : checksums of the sketches of each length; empty in a file of an older dousa.
 
     Attributes
     ----------
-    ends : (lengths, T + 1) how many windows of a length the takes before each have.
-    blocks : (T + 1,) and how many blocks of poses.
+    ends : (lengths, T + 1) number of windows of a length in the takes before each.
+    blocks : (T + 1,) number of blocks of poses before each.
     """
 
     path: Path
@@ -197,24 +192,24 @@ class Portion:
 
     @property
     def row_bytes(self) -> int:
-        """Of one window."""
+        """The bytes of the row of one window."""
         return self.n_trees * self.code_type.itemsize + 4
 
     def encode(self, leaves: IntArray) -> NDArray[Any]:
-        """(n_trees,) codes of leaves; of one that no window is in, a number that no code is."""
+        """Return (n_trees,) codes of leaves, with an unused code for leaves without windows."""
         rows = np.minimum(np.searchsorted(self.table, leaves), len(self.table) - 1)
         codes = np.where(self.table[rows] == leaves, self.codes[rows], np.iinfo(self.code_type).max)
         return codes.astype(self.code_type)
 
     def sketches(self, data: NDArray[np.int8], place: int) -> tuple[NDArray[np.int8], NDArray[np.uint8]]:
-        """Sketches and marks of the windows of a length, of the bytes in which they lie."""
+        """Return the sketches and marks of the windows of a length, from their bytes."""
         count = int(self.ends[place, -1])
         size = (N_VALUES + 1) * count
         marks = data[size:].view(np.uint8).reshape(count, min(N_MARKS, self.n_trees))
         return data[:size].reshape(N_VALUES + 1, count), marks
 
     def locate(self, place: int, windows: IndexArray) -> tuple[IntArray, IntArray, IntArray]:
-        """Takes, rows in these and starts of the windows of a length, the ``place``-th, by their numbers (M,)."""
+        """Return takes, rows in these and first frames of windows (M,) of the ``place``-th length."""
         ends = self.ends[place]
         takes = np.searchsorted(ends, windows, side="right") - 1
         own = windows - ends[takes]
@@ -224,7 +219,7 @@ class Portion:
         return takes, before[takes] + own, starts
 
     def read_rows(self, file: IO[bytes], places: IntArray, windows: IntArray) -> NDArray[Any]:
-        """(M, n_trees) codes of windows, by the places of their lengths and their numbers among these."""
+        """Read (M, n_trees) codes of windows, by the places of their lengths and their numbers within these."""
         first = np.concatenate([[0], np.cumsum(self.ends[:, -1])])
         begin, size = int(self.places[-2]), self.row_bytes
         data = np.empty((len(windows), size), np.uint8)
@@ -236,7 +231,7 @@ class Portion:
         return np.ascontiguousarray(data[:, :-4]).view(self.code_type)
 
     def read_frames(self, file: IO[bytes], take: int, first: int, last: int) -> tuple[int, NDArray[np.float16]]:
-        """Poses of the blocks in which some frames of a take lie, and the first frame of these."""
+        """Read the blocks with some frames of a take; return their first frame and their poses."""
         first, last = max(first, 0) // BLOCK, -(-min(last, int(self.n_frames[take])) // BLOCK)
         count = max(last - first, 0)
         file.seek(int(self.places[-1]) + (int(self.blocks[take]) + first) * _BLOCK_BYTES)
@@ -258,13 +253,9 @@ def _count_ends(lengths: Sequence[int], n_frames: Sequence[int]) -> IntArray:
 
 
 def write_portion(path: Path, forest: list[int], takes: Sequence[tuple[int, int, TakeWindows]], n_leaves: int) -> bool:
-    """Write the windows of takes, by number and stamp, of one grid.
+    """Write the windows of takes (number, stamp, windows) of one grid; OSError if the file cannot be written.
 
-    False where another program is doing it, or leaves cannot be told by their trees.
-
-    Raises
-    ------
-    OSError : the file cannot be written.
+    Return False if another program is writing it, or a leaf is in two trees.
     """
     windows = [own for _, _, own in takes]
     lengths = windows[0].grid.lengths
@@ -321,7 +312,7 @@ def write_portion(path: Path, forest: list[int], takes: Sequence[tuple[int, int,
 
 
 def _rank_leaves(windows: Sequence[TakeWindows], n_leaves: int) -> IntArray | None:
-    """The rank of every leaf in its tree, -1 for one that does not occur; None where some cannot be told."""
+    """Return the rank of every leaf in its tree, -1 for one without windows; None if damaged or too many."""
     owners = np.full(n_leaves, -1, np.int32)
     if not all(find_owners(one.leaves, owners) for one in windows):
         return None  # damaged
@@ -337,7 +328,7 @@ def _rows(windows: TakeWindows, length: int) -> slice:
 def _sketch(
     sketcher: Sketcher, takes: Sequence[TakeWindows], length: int, ranks: IntArray
 ) -> Iterator[NDArray[np.int8 | np.uint8]]:
-    """The sketches of the windows of a length, and then their marks, take after take."""
+    """Yield the sketches of the windows of a length, and then their marks, take after take."""
     own = [sketch_windows(sketcher, one, _rows(one, length)) for one in takes]
     yield np.ascontiguousarray(np.concatenate(own, axis=1))
     for one in takes:
@@ -346,7 +337,7 @@ def _sketch(
 
 
 def _portions(windows: TakeWindows, length: int) -> Iterator[slice]:
-    """The windows of a length, some at a time."""
+    """Yield the windows of a length in portions."""
     rows = _rows(windows, length)
     for first in range(rows.start, rows.stop, _AT_ONCE):
         yield slice(first, min(first + _AT_ONCE, rows.stop))
@@ -365,7 +356,7 @@ def _pack_poses(poses: NDArray[np.float16]) -> bytes:
 
 
 def _seal(rows: NDArray[np.uint8]) -> bytes:
-    """Rows of bytes, each with its checksum behind it."""
+    """Return rows of bytes, each followed by its checksum."""
     sealed = np.empty((len(rows), rows.shape[1] + 4), np.uint8)
     sealed[:, :-4] = rows
     sums = np.fromiter((zlib.crc32(row) for row in rows), "<u4", len(rows))
@@ -374,7 +365,7 @@ def _seal(rows: NDArray[np.uint8]) -> bytes:
 
 
 def read_portion(path: Path) -> Portion | None:
-    """What a file has; None where it is gone, damaged or of another dousa."""
+    """Read the header of a file; None if it is missing, damaged or of another dousa."""
     try:
         with open(path, "rb") as file:
             magic, place, length, checksum = _START.unpack(file.read(_START.size))
@@ -414,7 +405,7 @@ def read_portion(path: Path) -> Portion | None:
 
 
 def check_portion(path: Path) -> bool:
-    """Whether all that is in a file is as it was written; also where it is gone meanwhile."""
+    """Whether a file is undamaged, by all its checksums; also True if it is gone."""
     portion = read_portion(path)
     try:
         if portion is None:
@@ -428,7 +419,7 @@ def check_portion(path: Path) -> bool:
 
 
 def _is_whole(portion: Portion, file: IO[bytes]) -> bool:
-    """Sketches, rows and poses against their checksums; PortionGoneError where rows or poses are not as they were."""
+    """Compare sketches, rows and poses with their checksums; PortionGoneError for damaged rows or poses."""
     for place, expected in enumerate(portion.sums):
         checksum, left = 0, int(portion.places[place + 1] - portion.places[place])
         file.seek(int(portion.places[place]))

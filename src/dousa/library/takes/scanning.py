@@ -1,10 +1,7 @@
-"""Looking for a motion in the windows of many takes: all sketches are scanned, and some windows compared.
+"""Search for a motion in the windows of many takes: scan all sketches, and compare the cheapest windows.
 
-Leaves of the windows with the cheapest sketches are read, and the poses of those that are cheapest by these as well.
-What a sketch says is nearly what a window costs, so the windows that are compared need not be those that cost the
-least; but they are many times as many as can become answers.
-
-Compiled loops over the sketches of windows.
+Leaves are read of the windows with the cheapest sketches, and poses of those that stay cheap with these. A sketch only
+approximates the cost, so many times as many windows are compared as can become answers.
 """
 
 from __future__ import annotations
@@ -24,20 +21,23 @@ from dousa.motion.runs import find_runs
 from dousa.retrieval.takes.find import POSE_WEIGHT, WINDOW_NUMBERS, CutStretch, Stretch, TakeSearch, cost_windows
 from dousa.retrieval.takes.moment_kernels import compare_leaves
 
-TILE = 2048  # windows whose distances are in hand at a time
+TILE = 2048  # windows whose distances are computed at a time
 
 
 @njit(cache=True, nogil=True)
 def scan_sketches(
     sketches, marks, first, last, query, rests, leaves, added, weight, most, rows, costs
 ):  # pragma: no cover - compiled
-    """Windows that cost at most ``most`` by their sketches, into ``rows`` and ``costs``; returns how many.
+    """Write windows of cost at most ``most`` by their sketches into ``rows`` and ``costs``; return their number.
 
-    ``sketches`` (R + 1, N) int8 are the coordinates of N windows in steps and, last, how far each lies from what the
-    axes span; ``marks`` (N, S) uint8 tell leaves; ``first`` to ``last`` are looked at. ``query`` (R,) float32 are the
-    coordinates of the query; ``rests`` (256,) float32 says what each value of the last row, which begins at -128, adds
-    to the squared distance in steps; ``leaves`` (S,) are the marks of the query, and ``added`` (S + 1,) is what as many
-    equal ones cost. ``weight`` is the cost of a step.
+    Parameters
+    ----------
+    sketches : (R + 1, N) int8, coordinates in steps and, last, rests from -128 on.
+    marks : (N, S) uint8, codes of leaves.
+    query, leaves : (R,) float32 coordinates and (S,) marks of the query.
+    rests : (256,) float32, squared distance in steps that each rest adds.
+    added : (S + 1,) cost by the number of equal marks.
+    weight : cost of a step.
     """
     n_values, n_marks = sketches.shape[0] - 1, marks.shape[1]
     tile = np.empty(TILE, np.float32)
@@ -67,13 +67,13 @@ def scan_sketches(
 
 
 MOST_KEPT = 16_384
-"""Windows whose leaves are read, those with the cheapest sketches, or twice as many as are compared."""
+"""Windows whose leaves are read, or twice as many as are compared if that is more."""
 
 MOST_COMPARED = 4096
-"""Windows that are compared, those that are cheapest by sketches and leaves; of more than 50 hours more."""
+"""Windows that are compared, the cheapest by sketches and leaves; more in more than 50 hours of takes."""
 
-# One of so many windows: with it all of the first ten places were found in 50 and in 200 hours. Of more than 200 hours
-# the memory of a search, and its time, are bounded.
+# Measured: with one of 400 windows all of the first ten places were found in 50 and in 200 hours. The limit bounds
+# memory and time beyond 200 hours.
 _ONE_OF, _MOST_OF_MANY = 400, 16_384
 
 _CHOSEN = np.dtype([("cost", "f8"), ("share", "f8"), ("portion", "i8"), ("length", "i8"), ("window", "i8")])
@@ -81,16 +81,7 @@ _CHOSEN = np.dtype([("cost", "f8"), ("share", "f8"), ("portion", "i8"), ("length
 
 @dataclass(slots=True, eq=False)
 class _Sieve:
-    """Keeps the windows with the cheapest sketches.
-
-    Parameters
-    ----------
-    n_kept : how many.
-
-    Attributes
-    ----------
-    most : cost beyond which nobody is kept.
-    """
+    """Keeps the ``n_kept`` windows with the cheapest sketches, of cost up to ``most``."""
 
     n_kept: int
     most: float = np.inf
@@ -108,12 +99,12 @@ class _Sieve:
             self.most = float(self._kept[0]["cost"].max())
 
     def cheapest(self) -> NDArray[Any]:
-        """Those that are left, in the order in which they came."""
+        """Return the cheapest windows in the order in which they were added."""
         return _choose(np.concatenate([np.empty(0, _CHOSEN), *self._kept]), self.n_kept)
 
 
 def _choose(windows: NDArray[Any], count: int) -> NDArray[Any]:
-    """The cheapest windows, in their order."""
+    """Return the cheapest windows in their order."""
     if len(windows) <= count:
         return windows
     return windows[np.sort(np.argpartition(windows["cost"], count)[:count])]
@@ -121,14 +112,14 @@ def _choose(windows: NDArray[Any], count: int) -> NDArray[Any]:
 
 @dataclass(slots=True, eq=False)
 class _Room:
-    """Memory for the sketches of a file, and for what is found in them: taken once, as the system fills it first."""
+    """Memory for the sketches of a file and the results of a scan, reused as the system clears new memory."""
 
     data: NDArray[np.int8] = field(default_factory=lambda: np.empty(0, np.int8))
     rows: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     costs: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
     def give(self, n_bytes: int, n_rows: int) -> tuple[NDArray[np.int8], IntArray, NDArray[np.float64]]:
-        """Room for so many bytes of sketches, and so many rows and costs."""
+        """Return arrays for ``n_bytes`` of sketches, and ``n_rows`` rows and costs."""
         if len(self.data) < n_bytes:
             self.data = np.empty(n_bytes, np.int8)
         if len(self.rows) < n_rows:
@@ -141,13 +132,12 @@ class TakesOnDisk:
 
     Parameters
     ----------
-    portions : the files.
-    places : by number, the file of a take and its place in it.
+    places : by take number, its file and its place in it.
 
     Attributes
     ----------
-    leaves_out : whether a search did not compare all windows that it might have.
-    n_compared : how many it compared at most.
+    leaves_out : whether a search compared only some of its candidates.
+    n_compared : the most windows that it compares.
     """
 
     def __init__(self, portions: Sequence[Portion], places: Mapping[int, tuple[int, int]]) -> None:
@@ -158,21 +148,20 @@ class TakesOnDisk:
         return number in self._places
 
     def duration(self, number: int) -> float:
-        """Of a take, in s."""
+        """Return the duration of a take in s."""
         portion, place = self._places[number]
         return float(self._portions[portion].durations[place])
 
     def search(self, searches: Sequence[TakeSearch], wanted: Mapping[int, int]) -> None:
-        """Show the windows to searches that may be answers.
+        """Pass candidate windows to searches for motions of one length.
 
         Parameters
         ----------
-        searches : for motions that are equally long.
-        wanted : by number of a take, its number in each search.
+        wanted : by take number, its number in each search.
 
         Raises
         ------
-        PortionGoneError : a file is not there, or damaged.
+        PortionGoneError : a file is missing or damaged.
         """
         chosen: dict[int, BoolArray] = {}
         for number in wanted:
@@ -202,7 +191,7 @@ class TakesOnDisk:
                 _compare(file, one, search, kept[rows], wanted)
 
     def _parts(self, windows: NDArray[Any]) -> Iterator[tuple[IO[bytes], Portion, IndexArray]]:
-        """Files, and which of some windows are in each."""
+        """Yield the open files, and which windows are in each."""
         order = np.argsort(windows["portion"], kind="stable")
         numbers, firsts = np.unique(windows["portion"][order], return_index=True)
         for number, own in zip(numbers.tolist(), np.split(order, firsts[1:]), strict=False):
@@ -210,7 +199,7 @@ class TakesOnDisk:
                 yield file, self._portions[number], own
 
     def cutter(self, number: int) -> CutStretch:
-        """Gives stretches of a take; raises PortionGoneError as ``search``."""
+        """Return a function that reads stretches of a take; it raises PortionGoneError as ``search`` does."""
         index, place = self._places[number]
         portion = self._portions[index]
 
@@ -230,21 +219,21 @@ def _open(portion: Portion) -> IO[bytes]:
 
 
 def _add_up(poses: NDArray[np.float16]) -> NDArray[np.float64]:
-    """Running sums. Sums of half precision are exact in double precision, so they may begin anywhere."""
+    """Return running sums: exact for half precision in double precision, so they may begin anywhere."""
     sums = np.zeros((len(poses) + 1, poses.shape[1]))
     np.cumsum(poses, axis=0, dtype=np.float64, out=sums[1:])
     return sums
 
 
 def _find_lengths(portion: Portion, lengths: tuple[float, float]) -> tuple[int, int]:
-    """The first of the lengths of windows between two, and one past the last."""
+    """Return the range of the window lengths between two lengths."""
     shortest, longest = lengths
     first = int(np.searchsorted(portion.lengths, shortest))
     return first, int(np.searchsorted(portion.lengths, longest, side="right"))
 
 
 def _count(portion: Portion, chosen: BoolArray, lengths: tuple[float, float]) -> int:
-    """Windows of some takes of a file that are between two lengths."""
+    """Count the windows of some takes of a file between two lengths."""
     first, last = _find_lengths(portion, lengths)
     return int(np.diff(portion.ends[first:last], axis=1)[:, chosen].sum())
 
@@ -256,7 +245,7 @@ def _scan(
     searches: Sequence[tuple[TakeSearch, _Sieve]],
     room: _Room,
 ) -> None:
-    """Put the windows of some takes of a file through sieves."""
+    """Add the windows of some takes of a file to sieves."""
     number, portion = numbered
     first, last = _find_lengths(portion, searches[0][0].lengths)
     if last <= first:
@@ -283,7 +272,7 @@ def _scan(
 
 
 def _read_leaves(file: IO[bytes], portion: Portion, search: TakeSearch, windows: NDArray[Any]) -> NDArray[Any]:
-    """Windows of a file with their shares of leaves, and what they cost by these and their sketches."""
+    """Return windows of a file with their shares of equal leaves, and their costs by these and their sketches."""
     codes = portion.read_rows(file, windows["length"], windows["window"])
     wanted, found = portion.encode(search.leaves), windows.copy()
     shares = np.empty(len(windows))
@@ -297,7 +286,7 @@ def _read_leaves(file: IO[bytes], portion: Portion, search: TakeSearch, windows:
 def _compare(
     file: IO[bytes], portion: Portion, search: TakeSearch, nearest: NDArray[Any], wanted: Mapping[int, int]
 ) -> None:
-    """Show windows of a file to a search."""
+    """Pass windows of a file to a search."""
     found = np.empty(len(nearest), WINDOW_NUMBERS)
     places = np.empty(len(nearest), np.int64)
     for length in np.unique(nearest["length"]).tolist():
@@ -313,7 +302,7 @@ def _compare(
 def _read_around(
     file: IO[bytes], portion: Portion, places: IntArray, windows: NDArray[Any]
 ) -> tuple[NDArray[np.float16], IntArray]:
-    """Poses in which all windows lie, by the places of their takes, and where each begins. Each is read once."""
+    """Read the poses of all windows, each stretch once, and return where each window begins in them."""
     starts = np.empty(len(windows), np.int64)
     parts: list[NDArray[np.float16]] = []
     length = 0

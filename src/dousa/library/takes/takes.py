@@ -1,4 +1,4 @@
-"""Looking into takes: those of the library with the windows that it keeps, and others that are described on the fly."""
+"""Search in takes: those of the library with stored windows, and others that are described when needed."""
 
 from __future__ import annotations
 
@@ -37,14 +37,11 @@ if TYPE_CHECKING:
     from dousa.retrieval.takes.find import Found
     from dousa.retrieval.takes.windows import TakeWindows, WindowGrid
 
-_TRIES = 8  # times that files of windows are looked into, where one after the other is gone
+_TRIES = 8  # searches in files of windows, if one after the other is gone
 
 
 class Takes:
-    """Looks into takes, and keeps windows of the library's in memory until the forest or the takes change.
-
-    Of many takes those that come first, and the others are read each time.
-    """
+    """Searches in takes, and keeps the first windows in memory until the forest learns."""
 
     def __init__(self, database: Database, forests: ForestCache, parts: PartForests) -> None:
         self._database = database
@@ -69,7 +66,7 @@ class Takes:
         n_jobs: int | None,
         progress: PartProgress | None = None,
     ) -> FindResult:
-        """The places of takes that are most like a motion; as ``Library.find``."""
+        """Find the places of takes that are most like a motion, as ``Library.find`` does."""
         with self._database.reading() as connection:
             stored = self._forests.load(connection)
             name, motion, doubts = self._read_query(connection, query, options)
@@ -118,7 +115,7 @@ class Takes:
         asked: tuple[Sequence[StoredMotion], Sequence[ReadTake], int],
         progress: PartProgress | None,
     ) -> tuple[list[tuple[Found, bool]], float, list[Message]]:
-        """``find_places``, in the files of windows if there are many, without any that is damaged."""
+        """Run ``find_places``, with files if the windows are many; damaged files are dropped."""
         from dousa.library.takes.portions import PortionGoneError
 
         if far is None:
@@ -142,7 +139,7 @@ class Takes:
     def _read_query(
         self, connection: sa.Connection, query: Query, options: ReadOptions
     ) -> tuple[str, StoredMotion, tuple[Message, ...]]:
-        """The name and the motion of a query, and what came up when it was read."""
+        """Return the name and motion of a query, and notes on reading it."""
         if not isinstance(query, int):
             return name_query(query), *read_rounded(query, options)
         path = find_row(connection, self._database.where, query).path
@@ -150,10 +147,7 @@ class Takes:
         return path, motion, read_doubts(connection, query)
 
     def all_takes(self, connection: sa.Connection, describing: Describing) -> tuple[list[ReadTake], list[Skipped]]:
-        """Every take of the library, in the order of their paths; LibraryError where there are none.
-
-        Those that share too little of the body with the query are named.
-        """
+        """Return all takes, sorted by path, and those that share too few joints; LibraryError if there are none."""
         table = schema.clips.c
         query = sa.select(table.id, table.path, table.absent).where(table.kind == schema.TAKE)
         rows = sorted(connection.execute(query).all(), key=lambda row: row.path)
@@ -165,7 +159,7 @@ class Takes:
     def _read_rows(
         self, connection: sa.Connection, describing: Describing, rows: Sequence[Any]
     ) -> list[ReadTake | Skipped]:
-        """Takes of the library: of those that the forest of the library describes the windows are kept."""
+        """Return takes of the library, with stored windows where these are of its forest."""
         answers: dict[int, ReadTake | Skipped] = {}
         kept = []
         for row in rows:
@@ -186,7 +180,7 @@ class Takes:
     def _describe_part(
         self, connection: sa.Connection, number: int, stored: StoredForest, grid: WindowGrid
     ) -> TakeWindows:
-        """Windows of a take by a forest for a part of the body; the last ones stay in memory."""
+        """Describe a take by a forest for a part of the body; the last windows stay in memory."""
         known = self._part_windows.get(number)
         if known is not None and known[0] is stored and known[1].grid == grid:
             return known[1]
@@ -198,9 +192,9 @@ class Takes:
     def chosen(
         self, connection: sa.Connection, describing: Describing, wanted: Sequence[Query]
     ) -> tuple[list[ReadTake], list[Skipped]]:
-        """Takes by number, file or folder, or as motions, each once; and the files that cannot be used.
+        """Return takes given by number, path or as motions, each path once, and the skipped files.
 
-        A file that is in the library, and has not changed since, is not read: its windows are kept.
+        A file that is unchanged in the library is not read.
         """
         takes: list[ReadTake] = []
         skipped: list[Skipped] = []
@@ -226,10 +220,9 @@ class Takes:
     def read_single(
         self, connection: sa.Connection, take: Query, options: ReadOptions
     ) -> tuple[str, int | None, StoredMotion, tuple[Message, ...]]:
-        """Path, number in the library (None for a file that is not there) and motion of one recording, and what came
-        up when it was read.
+        """Return path, number (None outside the library), motion and notes of one recording.
 
-        A file that is in the library, and has not changed since, is not read.
+        A file that is unchanged in the library is not read.
         """
         number: int | None = None
         if isinstance(take, int):
@@ -265,7 +258,7 @@ class Takes:
         files, skipped = find_motion_files([path])
         paths = [str(file.path) for file in files]
         rows = self._rows(connection, paths or [os.path.abspath(path)])
-        if not paths and rows:  # its file is gone, and the library kept it
+        if not paths and rows:  # its file is gone, but it is in the library
             paths, skipped = list(rows), []
         else:
             rows = {name: row for name, row in rows.items() if is_as_stored(row, describing.options)}
@@ -283,7 +276,7 @@ class Takes:
         return there, [*skipped, *(answer for answer in read.values() if isinstance(answer, Skipped)), *lacking]
 
     def _rows(self, connection: sa.Connection, paths: Sequence[str]) -> dict[str, Any]:
-        """Takes of the library, by path."""
+        """Return takes of the library, by path."""
         table = schema.clips.c
         query = sa.select(table.id, table.path, table.fingerprint, table.read_options, table.absent)
         query = query.where(table.kind == schema.TAKE)
@@ -291,7 +284,7 @@ class Takes:
         return {row.path: row for row in fetch_in(connection, query, table.path, names)}
 
     def _read(self, connection: sa.Connection, stored: StoredForest, clip_id: int, *, keep: bool = True) -> TakeWindows:
-        """Windows of a take; those that are not stored are described. They stay in memory, if they shall and can."""
+        """Read or describe the windows of a take; with ``keep`` they stay in memory while there is room."""
         if self._learned != stored.learned:
             self._learned, self._windows, self._kept_bytes = stored.learned, {}, 0
         known = self._windows.get(clip_id)
@@ -308,12 +301,12 @@ class Takes:
         return windows
 
     def _keep(self, stored: StoredForest, clip_id: int, windows: TakeWindows) -> None:
-        """Write windows that had to be described, such as after a program was stopped; unless that cannot be."""
+        """Write windows that were missing, such as after a program was stopped, if possible."""
         if self._keeps and not self._database.is_read_only:
             try:
                 replace_windows(self._database, stored, clip_id, windows.to_bytes())
             except LibraryError:
-                self._keeps = False  # once is enough to wait for others
+                self._keeps = False  # do not wait for other writers again
 
 
 def _part_skipped(answers: Iterable[ReadTake | Skipped]) -> tuple[list[ReadTake], list[Skipped]]:
@@ -328,7 +321,7 @@ def _part_skipped(answers: Iterable[ReadTake | Skipped]) -> tuple[list[ReadTake]
 
 
 def check_single(take: Any) -> None:
-    """MotionFileError for a folder of other than one recording, before any of them is read."""
+    """Raise MotionFileError for a folder without exactly one recording, before any is read."""
     if isinstance(take, str | os.PathLike) and os.path.isdir(take):
         files, _ = find_motion_files([take])
         if len(files) != 1:

@@ -1,8 +1,6 @@
-"""The windows of takes that a library keeps: described by its forest, and anew when that has learned.
+"""The windows of the takes of a library, described again when its forest has learned.
 
-Those of many takes lie in files, too (``takes.portions``), which are made here when windows have been described.
-
-The files with the windows of many takes: which are of the library as it is now, and making those that are missing.
+Those of many takes are also in files (``takes.portions``), which are found and made here.
 """
 
 from __future__ import annotations
@@ -34,28 +32,28 @@ if TYPE_CHECKING:
     from dousa.retrieval.takes.windows import WindowGrid
 
 MOST_IN_MEMORY = 1 << 29
-"""Bytes of windows that are compared in memory, those of some 10 hours: of more a search uses files."""
+"""Bytes of windows that are compared in memory, some 10 hours; for more, a search uses files."""
 
 PORTION_BYTES = 1 << 28
-"""Of windows in memory that go into one file."""
+"""Bytes in memory of the windows of one file."""
 
-_CLEARLY = 1.25  # of an estimate, which of short takes is a ninth too high
-_ABANDONED = 86_400.0  # s after which nobody writes an unfinished file any more
-_BYTES_A_FRAME = 27 * (2 + 8)  # of a pose, and of its running sums
+_CLEARLY = 1.25  # margin for the estimate, which is a ninth too high for short takes
+_ABANDONED = 86_400.0  # s after which an unfinished file is taken for abandoned
+_BYTES_A_FRAME = 27 * (2 + 8)  # a pose and its running sums
 
 Progress = Callable[[int, int, Message], None]
 
 
 @dataclass(frozen=True, slots=True)
 class _Take:
-    """What stands for the content of a take, and its length in s."""
+    """Checksum of the content of a take, and its duration in s."""
 
     stamp: int
     duration: float
 
 
 class WindowKeeper:
-    """The files of one library; what was read of them stays in memory."""
+    """The files of one library, whose headers stay in memory."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -70,14 +68,14 @@ class WindowKeeper:
         read: Callable[[int], TakeWindows],
         progress: Progress | None = None,
     ) -> TakesOnDisk | None:
-        """Takes whose windows are in files, as the library is now; None where memory has room for those asked about.
+        """Open the files of windows, and make missing ones; None if the wanted windows fit in memory.
 
         Parameters
         ----------
-        stored : the forest by which they are described.
-        asked : numbers of takes; None for all.
-        read : gives the windows of a take.
-        progress : called with (takes done, takes, what is done) while files are made.
+        stored : the forest that describes the windows.
+        asked : numbers of the wanted takes; None for all.
+        read : returns the windows of a take.
+        progress : called with (takes done, takes, message) while files are made.
         """
         takes = _list_takes(connection, stored)
         wanted = takes.values() if asked is None else [takes[number] for number in asked if number in takes]
@@ -99,7 +97,7 @@ class WindowKeeper:
         return TakesOnDisk(portions, places)
 
     def drop(self, path: Path, *, damaged: bool) -> None:
-        """Use a file no more, and take it away if it is damaged: one that cannot be opened may be as good as ever."""
+        """Stop using a file, and delete it if it is damaged."""
         for key in [key for key in self._known if key[0] == str(path)]:
             self._known[key] = None
         if damaged and not self._database.is_read_only:
@@ -107,7 +105,7 @@ class WindowKeeper:
                 path.unlink()
 
     def _load(self, folder: Path, forest: list[int]) -> list[Portion]:
-        """The files of a forest, by their names."""
+        """Read the headers of the files of a forest, sorted by name."""
         found: dict[tuple[str, int, int], Portion | None] = {}
         for path in sorted(folder.glob(f"*{SUFFIX}")):
             with suppress(OSError):
@@ -119,16 +117,16 @@ class WindowKeeper:
 
 
 SUFFIX = ".windows"
-"""Of the names of the files."""
+"""Suffix of the files."""
 
 
 def find_files(connection: sa.Connection, where: str) -> list[Path]:
-    """The files of a library, ``where`` as it is named."""
+    """List the files of a library of name ``where``."""
     return sorted(find_place(connection, where, "windows").glob(f"*{SUFFIX}"))
 
 
 def sweep_files(database: Database) -> int:
-    """Take away the files that no search would use; how many bytes these had."""
+    """Delete the files that no search would use, and return their size in bytes."""
     with database.reading() as connection:
         stored = load_forest(connection, database.where)
         takes = {} if stored is None else _list_takes(connection, stored)
@@ -138,18 +136,16 @@ def sweep_files(database: Database) -> int:
     portions = [one for one in read if one is not None and one.forest == forest]
     size = _sweep(folder, portions, _place(portions, takes))[1]
     with suppress(OSError):
-        folder.rmdir()  # if nothing is left in it
+        folder.rmdir()  # if it is empty
     return size
 
 
 def _sweep(
     folder: Path, portions: Sequence[Portion], places: Mapping[int, tuple[int, int]]
 ) -> tuple[list[Portion], int]:
-    """Take away files of another forest, and those with fewer takes of the library than others.
+    """Delete files of other forests, files with at most half of their takes in use, and abandoned ones.
 
-    Returns
-    -------
-    The rest, and the bytes of what is gone.
+    Return the files that are left, and the bytes of those that are deleted.
     """
     alive = [0] * len(portions)
     for portion, _ in places.values():
@@ -160,7 +156,7 @@ def _sweep(
     for path in (*folder.glob(f"*{SUFFIX}"), *folder.glob(f"*{SUFFIX}.part")):
         with suppress(OSError):
             state = path.stat()
-            # An unfinished file is of a program that was killed, or writes it now.
+            # A new unfinished file may still be in use by another program.
             if path not in names and (path.suffix == SUFFIX or time.time() - state.st_mtime > _ABANDONED):
                 path.unlink()
                 size += state.st_size
@@ -168,7 +164,7 @@ def _sweep(
 
 
 def _list_takes(connection: sa.Connection, stored: StoredForest) -> dict[int, _Take]:
-    """The takes, by number, of which the forest describes windows."""
+    """List the takes, by number, that have all joints of the forest."""
     table = schema.clips.c
     columns = table.id, table.content_hash, table.read_options, table.n_frames, table.frame_rate, table.height
     query = sa.select(*columns, table.duration, table.absent).where(table.kind == schema.TAKE)
@@ -180,14 +176,14 @@ def _list_takes(connection: sa.Connection, stored: StoredForest) -> dict[int, _T
 
 
 def _estimate(stored: StoredForest, durations: Iterable[float]) -> float:
-    """Bytes of windows of takes in memory, nearly."""
+    """Estimate the bytes of the windows of takes in memory."""
     a_window = len(stored.forest.trees_.roots) * (2 if stored.forest.trees_.n_leaves < 2**16 else 4) + 16
     a_frame = _BYTES_A_FRAME + sum(a_window / hop_of(length) for length in stored.grid.lengths)
     return sum(durations) * TAKE_RATE * a_frame
 
 
 def _place(portions: Sequence[Portion], takes: Mapping[int, _Take]) -> dict[int, tuple[int, int]]:
-    """By number, file and place of each take that is as it was."""
+    """Return, by number, file and place of each unchanged take."""
     places: dict[int, tuple[int, int]] = {}
     for place, portion in enumerate(portions):
         for own, (number, stamp) in enumerate(zip(portion.ids.tolist(), portion.stamps.tolist(), strict=True)):
@@ -198,13 +194,7 @@ def _place(portions: Sequence[Portion], takes: Mapping[int, _Take]) -> dict[int,
 
 @dataclass(frozen=True, slots=True)
 class _Making:
-    """Makes files of takes.
-
-    Parameters
-    ----------
-    folder, forest, n_leaves : where, and of which forest.
-    takes : of the library.
-    """
+    """Makes files of the takes of a library."""
 
     folder: Path
     forest: list[int]
@@ -212,10 +202,7 @@ class _Making:
     takes: Mapping[int, _Take]
 
     def make(self, pending: Sequence[int], read: Callable[[int], TakeWindows], progress: Progress | None) -> bool:
-        """Make files of takes, but of few that are left over; false where they cannot be written.
-
-        Where another program makes the same ones they are left to it.
-        """
+        """Make all full files, unless another program makes them; return False if they cannot be written."""
         waiting: list[tuple[int, int, TakeWindows]] = []
         size = 0
         for done, number in enumerate(pending):
@@ -251,7 +238,7 @@ MOST_KEPT = 1 << 29
 def describe_windows(
     stored: StoredForest, motion: StoredMotion, n_jobs: int | None = 1, grid: WindowGrid | None = None
 ) -> TakeWindows:
-    """The windows of a recording, by default those that the library keeps; a very short one has none."""
+    """Describe the windows of a recording, by default of the library's grid; a very short one has none."""
     from dousa.retrieval.takes.windows import describe_take
 
     kind = find_feature_set(stored.feature_set)
@@ -266,10 +253,12 @@ def describe_takes(
     n_jobs: int | None = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[int, bytes]:
-    """Windows of takes, by number, but those that this forest described already are ``known``.
+    """Describe the windows of takes, by number, until memory is full; ``refresh_windows`` describes the others.
 
-    Of all, unless these are many: then of some, and ``refresh_windows`` describes the others when they are written.
-    ``progress`` is called with (takes described, takes to describe).
+    Parameters
+    ----------
+    known : windows that this forest has described already.
+    progress : called with (takes described, takes to describe).
     """
     table = schema.clips.c
     rows = connection.execute(sa.select(table.id, table.absent).where(table.kind == schema.TAKE))
@@ -289,7 +278,7 @@ def describe_takes(
 
 
 def save_windows(connection: sa.Connection, stored: StoredForest, windows: Mapping[int, bytes]) -> None:
-    """Write the windows of takes of which nothing is written yet."""
+    """Write the windows of takes that have none yet."""
     if windows:
         rows = [{"clip_id": clip_id, "learned": stored.learned, "data": data} for clip_id, data in windows.items()]
         connection.execute(sa.insert(schema.take_windows), rows)
@@ -301,7 +290,7 @@ def refresh_windows(
     n_jobs: int | None,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Describe the takes anew that an earlier state of the forest described; each is written when it is done.
+    """Describe and write each take without windows of the present forest.
 
     ``progress`` is called with (takes described, takes to describe).
     """
@@ -316,13 +305,13 @@ def refresh_windows(
             (motion,) = load_motions(connection, [clip_id])
         windows = describe_windows(stored, motion, n_jobs).to_bytes()
         if not replace_windows(database, stored, clip_id, windows):
-            return  # another program has changed the library, and sees to it
+            return  # another program has changed the library, and refreshes it
         if progress is not None:
             progress(done, len(stale))
 
 
 def replace_windows(database: Database, stored: StoredForest, clip_id: int, windows: bytes) -> bool:
-    """Write the windows of a take, if forest and take are still there."""
+    """Write the windows of a take; return False if the forest has changed or the take is gone."""
     clips, table = schema.clips.c, schema.take_windows
     with database.writing() as connection:
         now = connection.execute(sa.select(schema.forests.c.learned)).scalar_one_or_none()
@@ -335,11 +324,11 @@ def replace_windows(database: Database, stored: StoredForest, clip_id: int, wind
 
 
 def read_windows(connection: sa.Connection, where: str, stored: StoredForest, clip_id: int) -> TakeWindows | None:
-    """Windows of a take as this forest described them; None where that has not been.
+    """Read the windows of a take that this forest has described; None if there are none.
 
     Raises
     ------
-    LibraryDamagedError : bytes that are no windows, or of another forest.
+    LibraryDamagedError : the bytes are no windows, or of another forest.
     """
     from dousa.retrieval.takes.windows import TakeWindows
 
@@ -352,7 +341,7 @@ def read_windows(connection: sa.Connection, where: str, stored: StoredForest, cl
         windows = TakeWindows.from_bytes(data)
     except DousaError as error:
         raise LibraryDamagedError("library_takes.damaged", library=where, number=clip_id, problem=error) from error
-    # Leaves are looked up by number, so there must be such leaves.
+    # Leaves are looked up by number, so they must exist.
     trees, leaves = stored.forest.trees_, windows.leaves
     if leaves.shape[1] != len(trees.roots) or (leaves.size and leaves.max() >= trees.n_leaves):
         raise LibraryDamagedError("library_takes.other_forest", library=where, number=clip_id)
@@ -365,10 +354,9 @@ def make_window_files(
     n_jobs: int | None = None,
     progress: Callable[[int, int, Message], None] | None = None,
 ) -> None:
-    """Make the files in which takes are searched for which memory has no room, so that no search needs to.
+    """Make the files of takes that do not fit in memory, after ``refresh_windows``, so that no search needs to.
 
-    ``progress`` is called with (takes done, takes, what is done) where there are such takes. To be called when windows
-    are up to date: ``refresh_windows``.
+    ``progress`` is called with (takes done, takes, message).
     """
     with database.reading() as connection:
         if connection.execute(sa.select(schema.take_windows.c.clip_id).limit(1)).first() is None:
@@ -377,7 +365,7 @@ def make_window_files(
     def read(clip_id: int) -> TakeWindows:
         try:
             windows = read_windows(connection, database.where, stored, clip_id)
-        except LibraryDamagedError:  # a search says so, or a check
+        except LibraryDamagedError:  # reported by a search or a check
             windows = None
         if windows is None:
             (motion,) = load_motions(connection, [clip_id])

@@ -1,1 +1,1 @@
-"""What every motion is brought to before it is compared: 20 joints, metres, Y up, a known left side."""
+"""Mapping of any motion to 20 canonical joints in metres with Y up and a known left side."""

@@ -1,8 +1,7 @@
-"""Whether canonical points can be those of a person: widths, both sides, and the proportions of limbs and trunk.
+"""Checks whether canonical points can be those of a person: widths, sides, and proportions of limbs and trunk.
 
-The typical ratios are those of the skeletons and marker sets of some 30 producers, measured with `measure_proportions`;
-their scatter is over producers, who put the same joint in different places, more than over people. Names may lie: a
-``LeftHip`` beside a ``LHipJoint`` without an offset, a dog with ``LeftArm`` and ``LeftForeArm``.
+The typical ratios are those of the skeletons and marker sets of some 30 producers, measured with `measure_proportions`.
+They scatter more between producers, who place the same joint differently, than between people.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ _MOST_TERM, _MOST_ODDITY = 16.0, 30.0  # people and rigs of people reach 21, a d
 
 @dataclass(frozen=True, slots=True)
 class Proportions:
-    """What the bones of a body measure against each other.
+    """Ratios between the bones of a body.
 
     Parameters
     ----------
@@ -52,13 +51,13 @@ class Proportions:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Ratios that no map of a person gives."""
+        """Return the ratios that no map of a person gives."""
         wrong = [name for name, value in self.ratios.items() if value < _RATIOS[name][2] or value > _RATIOS[name][3]]
         return (*wrong, "left_per_right") if self.left_per_right > _LEFT_PER_RIGHT else tuple(wrong)
 
     @property
     def oddity(self) -> float:
-        """Sum of squared standard scores of the logarithms: how unlike a person."""
+        """Return the sum of squared standard scores of the logarithms: how unlike a person."""
         terms = [
             (np.log(max(value, 1e-3) / _RATIOS[name][0]) / _RATIOS[name][1]) ** 2
             for name, value in self.ratios.items()
@@ -68,17 +67,12 @@ class Proportions:
 
     @property
     def is_person(self) -> bool:
-        """Whether a person can have these bones."""
+        """Return whether a person can have these bones."""
         return not self.faults and self.oddity <= _MOST_ODDITY
 
 
 def measure_proportions(points: FloatArray) -> Proportions:
-    """Measure a body.
-
-    Parameters
-    ----------
-    points : (T, 20, 3) canonical points, any unit, axes and handedness; a few frames do.
-    """
+    """Measure a body of (T, 20, 3) canonical points in any unit, axes and handedness; a few frames are enough."""
     middle = _measure_bones(points)
     with np.errstate(divide="ignore", invalid="ignore"):
         left, right = middle[0:8:2], middle[1:8:2]
@@ -106,9 +100,9 @@ _ACROSS, _ALONG, _MOSTLY = -0.4, 0.6, 0.8
 
 
 def walks_on_fours(points: FloatArray, fore_legs: float = FORE_LEGS) -> bool:
-    """Whether a body is that of a four-legged animal: fore legs as long as hind legs, and down beside them.
+    """Return whether a body is a four-legged animal's: fore legs as long as hind legs, and down beside them.
 
-    In most frames the legs go across the trunk and the arms along the legs; a person who crawls has shorter arms.
+    In most frames the legs go across the trunk and the arms along the legs; a crawling person has shorter arms.
 
     Parameters
     ----------
@@ -134,13 +128,13 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 
 def _measure_bones(points: FloatArray) -> FloatArray:
-    """Median lengths of `_BONES` over the frames that show them, NaN for those that none does."""
+    """Median lengths of `_BONES` over the frames that show them, NaN where no frame does."""
     bones = points[:, _ENDS] - points[:, _STARTS]
     return find_medians(np.sqrt(np.einsum("tjk,tjk->tj", bones, bones)))
 
 
 def find_medians(values: FloatArray) -> FloatArray:
-    """Medians (K,) of the values (T, K) that there are, NaN where there are none: ``np.nanmedian``, in less time."""
+    """Compute medians (K,) of values (T, K) without NaN, faster than ``np.nanmedian``; NaN where all are."""
     if not len(values):
         return np.full(values.shape[1], np.nan)
     ordered, columns = np.sort(values, axis=0), np.arange(values.shape[1])  # what is missing comes last
@@ -150,7 +144,6 @@ def find_medians(values: FloatArray) -> FloatArray:
 
 
 def _means(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Means of both sides, or the side that is there."""
     both = np.where(np.isnan(left), right, np.where(np.isnan(right), left, 0.5 * (left + right)))
     means: FloatArray = both
     return means
@@ -177,12 +170,7 @@ _TRUNK_SHARES = np.array([_SHARES["shoulders"], _SHARES["trunk"]])
 
 
 def stature_of_parts(points: FloatArray) -> float:
-    """Stature of a body of which only a part is there, in the unit of the points; NaN if no long bone is seen.
-
-    Parameters
-    ----------
-    points : (T, 20, 3) canonical points, NaN where absent.
-    """
+    """Estimate the stature from a part of a body, (T, 20, 3) canonical points, in their unit; NaN if impossible."""
     middle = _measure_bones(points)
     found = np.sort(middle[:8] / _LIMB_SHARES)  # what is missing comes last
     if np.isnan(found[0]):

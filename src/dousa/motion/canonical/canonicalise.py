@@ -1,13 +1,11 @@
 """From any skeleton or marker set to the 20 canonical joints.
 
 The mapping comes from a joint map if one is given, else from the names, else from the shape of the tree. Joints
-that the file lacks are made from their neighbours and reported. Left and right are checked against the body's
-front; names are never swapped.
+missing in the file are made from their neighbours and reported. Left and right are checked against the body's front;
+names are never swapped.
 
-A mirror image is what the left side did done by the right side, and the other way round. The reflection is that of
-the plane X = 0 of the world: Y stays up, heights, speeds and times stay, a turn to the left becomes one to the right,
-and somebody who starts facing Z still does. Left and right joints change places with it, so the axes stay
-right-handed and every arm stays on its side of the body. Mirroring twice gives the motion back, to the last bit.
+Mirroring reflects in the plane X = 0 of the world and swaps left and right joints: heights, speeds and times stay, and
+so do right-handed axes. Mirroring twice gives the same motion, bit for bit.
 """
 
 from __future__ import annotations
@@ -64,10 +62,9 @@ class JointMapping:
     ----------
     table : name family such as ``"CMU/HDM05"``, or ``"tree shape"`` or ``"joint map"``.
     sources : canonical joint -> names in the file whose mean it is.
-    derived : canonical joints that the file lacks and that were made from others.
-    absent : canonical joints that the file does not tell at all: their positions are NaN.
-    sides : whether left and right of the names are those of the body: ``"agree"``, ``"disagree"`` (then the
-        positions were mirrored) or ``"unclear"``.
+    derived : canonical joints missing in the file and made from others.
+    absent : canonical joints that cannot be found or made: their positions are NaN.
+    sides : named and geometrical sides ``"agree"``, ``"disagree"`` (positions were mirrored) or are ``"unclear"``.
     """
 
     table: str
@@ -83,15 +80,13 @@ class CanonicalMotion(CanonicalPoses):
 
     Parameters
     ----------
-    positions : (T, 20, 3) m, world, Y up, right-handed; order of `CANONICAL_JOINTS`. Finite, but for the joints that a
-        part of a body does not have (``absent``): those are NaN in all frames.
+    positions : (T, 20, 3) m, world, Y up, right-handed, order of `CANONICAL_JOINTS`; finite except ``absent`` joints.
     frame_rate : Hz.
     height : m, body height over the joints, eq. 1 of Hamada et al.; not the stature.
-    height_source : ``"rest pose"`` if an upright one was there, else ``"bone chain"``, or ``"parts"`` of a body that is
-        not all there: its long bones, by the proportions of people.
+    height_source : ``"rest pose"`` (upright), ``"bone chain"``, or ``"parts"``: long bones of a part of a body.
     mapping : where the joints come from.
-    warnings : what a person should know.
-    missing : (T, 20) True where a joint was not seen and its place was filled in, or is absent; None if all were seen.
+    warnings : for the user.
+    missing : (T, 20) True where a joint was filled in or is absent; None if all were seen.
     """
 
     height: float
@@ -102,16 +97,16 @@ class CanonicalMotion(CanonicalPoses):
 
     @property
     def absent(self) -> tuple[str, ...]:
-        """Canonical joints that the file does not tell: their positions are NaN."""
+        """Canonical joints that the file does not have: their positions are NaN."""
         return self.mapping.absent
 
     @property
     def stature(self) -> float:
-        """m, estimated: the crown of the head and the sole of the foot lie beyond the joints."""
+        """Estimated stature, m: the crown of the head and the sole of the foot lie beyond the joints."""
         return STATURE_PER_HEIGHT * self.height
 
     def to_trajectories(self) -> Trajectories:
-        """The same positions as trajectories with canonical names and parents."""
+        """Return the same positions as trajectories with canonical names and parents."""
         return Trajectories(CANONICAL_JOINTS, self.positions, self.frame_rate, np.array(CANONICAL_PARENTS))
 
 
@@ -124,20 +119,18 @@ def canonicalise(
 ) -> CanonicalMotion:
     """Map a motion of any skeleton or marker set to the canonical joints.
 
+    Gaps (NaN) are filled by interpolation, ends held, and marked in ``missing``.
+
     Parameters
     ----------
     motion : motion or trajectories in m, Y up.
-    joint_map : canonical joint -> name or names in the file, for what names and shape do not tell.
+    joint_map : canonical joint -> name or names in the file, where names and shape are not enough.
     any_skeleton : accept a body that cannot be a person's, such as an animal's or a toy's.
     whole : refuse a part of a body.
 
-    Returns
-    -------
-    The canonical motion; gaps (NaN) are filled by interpolation, ends held, and marked in ``missing``.
-
     Raises
     ------
-    JointMappingError : neither a body nor a whole arm or leg can be found, or they are never seen; or not a person.
+    JointMappingError : no body and no whole arm or leg is found or seen; or not a person.
     """
     moving = _trajectories(motion)
     positions = moving.positions
@@ -158,7 +151,7 @@ def canonicalise(
 
 
 def require_whole(motion: CanonicalMotion) -> CanonicalMotion:
-    """The motion, where a whole body is needed; JointMappingError for a part of one."""
+    """Return the motion; JointMappingError for a part of a body."""
     if motion.absent:
         raise JointMappingError("canonical.part_refused", (), absent=motion.absent)
     return motion
@@ -192,7 +185,7 @@ def _fill(positions: FloatArray) -> FloatArray:
 
 
 def _find_missing(recipe: Recipe, positions: FloatArray) -> BoolArray:
-    """(T, 20) where what a joint is made from is not seen."""
+    """(T, 20) where a source of a joint is not seen."""
     unseen: BoolArray = np.any(np.isnan(positions), axis=2)
     missing = unseen[:, recipe.gather]
     for row, indices, _ in recipe.blends:
@@ -205,7 +198,7 @@ def _find_missing(recipe: Recipe, positions: FloatArray) -> BoolArray:
 
 
 def _choose_recipe(moving: Trajectories, joint_map: JointMap | None, never: tuple[int, ...]) -> ChosenMap:
-    """Joint map, else names, else tree shape, else a part; points that are never seen do not count."""
+    """Choose a joint map, else names, else tree shape, else a part; points that are never seen do not count."""
     names = names_of_seen(moving.names, never)
     if joint_map is not None:
         return ChosenMap(recipe_from_joint_map(joint_map, names), True)
@@ -217,7 +210,6 @@ def _choose_recipe(moving: Trajectories, joint_map: JointMap | None, never: tupl
 
 
 def _problem(match: NameMatch | None, moving: Trajectories, never: tuple[str, ...]) -> Message:
-    """What is missing and what to do about it."""
     if set(never) == set(moving.names) and np.isnan(moving.positions).any(axis=2).all():
         return Message("canonical.never_seen")
     unseen = Message("canonical.unseen", names=never) if never else Message("canonical.nothing")
@@ -228,7 +220,6 @@ def _problem(match: NameMatch | None, moving: Trajectories, never: tuple[str, ..
 
 
 def _finish(moving: Trajectories, chosen: ChosenMap, points: FloatArray, unseen: BoolArray | None) -> CanonicalMotion:
-    """Tips, height, sides, warnings."""
     recipe, sample = chosen.recipe, spread_frames(points)
     no_hands, no_toes = _coincident_tips(sample)
     if no_hands:
@@ -291,7 +282,7 @@ _LIMBS = {
 
 
 def _limbs_there(recipe: Recipe) -> tuple[str, ...]:
-    """The trunk, arms and legs that are there whole."""
+    """Names of the trunk, arms and legs that are complete."""
     return tuple(limb for limb, joints in _LIMBS.items() if not any(joint in recipe.absent for joint in joints))
 
 
@@ -308,7 +299,6 @@ def _coincident_tips(sample: FloatArray) -> tuple[bool, bool]:
 
 
 def _make_hands(points: FloatArray) -> None:
-    """Put hands beyond the wrists, in line with the forearms."""
     for side in ("left", "right"):
         wrist = points[:, J[f"{side}_wrist"]]
         points[:, J[f"{side}_hand"]] = wrist + HAND_REACH * (wrist - points[:, J[f"{side}_elbow"]])
@@ -363,15 +353,11 @@ _Some = TypeVar("_Some", bound=_Posed)
 
 
 def mirror_positions(positions: ArrayLike) -> FloatArray:
-    """The mirror image of canonical positions.
+    """Mirror canonical positions, in a new array.
 
     Parameters
     ----------
     positions : (..., 20, 3), right-handed, Y up, any unit, order of ``CANONICAL_JOINTS``; NaN stays NaN.
-
-    Returns
-    -------
-    (..., 20, 3) in the same unit and order, a new array.
 
     Raises
     ------
@@ -387,17 +373,14 @@ def mirror_positions(positions: ArrayLike) -> FloatArray:
 
 
 def mirror_canonical(motion: _Some) -> _Some:
-    """The mirror image of a motion of canonical joints.
+    """Mirror a motion of canonical joints.
+
+    For a ``CanonicalMotion``, unseen joints and the sources of joints change sides too.
 
     Parameters
     ----------
     motion : a ``CanonicalMotion``, or another frozen dataclass with ``positions`` (T, 20, 3) m, such as a labelled
-        clip; its other fields (frame rate, height, category) are kept as they are.
-
-    Returns
-    -------
-    The same kind of motion. Of a ``CanonicalMotion`` the joints that were not seen, and where joints come from,
-    change sides too: the left hand of the mirror image comes from the right hand of the file.
+        clip; its other fields (frame rate, height, category) are kept.
 
     Raises
     ------

@@ -1,10 +1,9 @@
 """From positions to joint rotations: a rigid canonical skeleton that follows measured points.
 
-Trajectories (C3D, TRC) have no bones. `fit_motion` gives the 20 canonical joints the person's median bone
-lengths and turns them frame by frame, from the root outwards, each bone aimed from where its joint came to lie, so
-that an error does not travel down a limb. Pelvis and neck carry three bones each and are turned to fit all three
-in the least-squares sense (Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta
-Crystallographica A32, 1976). The twist of a limb bone is not in the points: it is the least that the aim needs.
+Trajectories (C3D, TRC) have no bones. `fit_motion` takes median bone lengths and turns the 20 canonical joints frame
+by frame from the root outwards. Each bone is aimed from the fitted position of its joint, so that errors do not
+accumulate. Pelvis and neck carry three bones each and are fitted by least squares (Kabsch, "A solution for the best
+rotation to relate two sets of vectors", Acta Crystallographica A32, 1976). Limb bones get the least possible twist.
 """
 
 from __future__ import annotations
@@ -35,15 +34,13 @@ _CHILDREN = {
 
 
 def fit_motion(motion: Trajectories | CanonicalMotion) -> Motion:
-    """Joint rotations that reproduce positions as well as rigid bones can.
+    """Compute rotations of the 20 canonical joints that reproduce positions as well as rigid bones can.
+
+    Bones have their median lengths; the root is the pelvis.
 
     Parameters
     ----------
     motion : trajectories of any skeleton or marker set (they are canonicalised), or a canonical motion.
-
-    Returns
-    -------
-    Motion of the 20 canonical joints: median bone lengths, the root at the pelvis.
 
     Raises
     ------
@@ -77,8 +74,7 @@ def _frames(points: FloatArray, left: str, right: str, low: str, high: str) -> F
 
 
 def _median_offsets(points: FloatArray, frames: dict[int, FloatArray]) -> FloatArray:
-    """Offsets (20, 3) m of the rigid skeleton: median bone lengths; where a joint carries three bones, medians in
-    its own frame."""
+    """Offsets (20, 3) m: median bone lengths; where a joint carries three bones, medians in its own frame."""
     offsets = np.zeros((len(CANONICAL_JOINTS), 3))
     for joint, parent in enumerate(CANONICAL_PARENTS):
         if parent < 0:
@@ -117,7 +113,7 @@ def _aim(points: FloatArray, offsets: FloatArray, frames: dict[int, FloatArray])
 
 
 def _best_rotation(offsets: FloatArray, wanted: FloatArray) -> FloatArray:
-    """Unit quaternions (T, 4) that turn (n, 3) offsets as near as can be to (T, n, 3) vectors."""
+    """Least-squares unit quaternions (T, 4) that turn (n, 3) offsets into (T, n, 3) vectors."""
     u, _, vt = np.linalg.svd(np.einsum("tni,nj->tij", wanted, offsets))
     sign = np.linalg.det(u @ vt)
     u[:, :, 2] *= np.where(sign < 0, -1.0, 1.0)[:, None]

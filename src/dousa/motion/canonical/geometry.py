@@ -1,8 +1,4 @@
-"""What the shape of a body tells: its height and its rest pose; and hips from markers on the pelvis.
-
-Everything works on canonical points (T, 20, 3) in the order of `CANONICAL_JOINTS`, in any unit; NaN where a
-joint was not seen.
-"""
+"""Height, rest pose and glitches of canonical points (T, 20, 3) in any unit; NaN where a joint was not seen."""
 
 from __future__ import annotations
 
@@ -54,16 +50,9 @@ _UPRIGHT = 0.9  # cosine; a rest pose with trunk and legs this well along an axi
 
 
 def chain_height(points: FloatArray) -> float:
-    """Height of the body along its bones, median over frames: head-neck-spine-pelvis-hip-knee-ankle-toe.
+    """Compute the height along the bones, median over frames: head-neck-spine-pelvis-hip-knee-ankle-toe.
 
-    Parameters
-    ----------
-    points : (T, 20, 3) canonical points, any unit.
-
-    Returns
-    -------
-    Height in that unit, as eq. 1 would measure it on the upright body; NaN if a joint is missing in all
-    frames.
+    The height of eq. 1 on an upright body, for (T, 20, 3) canonical points in their unit; NaN if a joint is never seen.
     """
     bones = _BONES @ points
     return _median(np.sqrt(np.einsum("tjk,tjk->tj", bones, bones)) @ CHAIN_SHARES)
@@ -79,7 +68,7 @@ def _median(values: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True)
 class RestPose:
-    """What an upright rest pose tells.
+    """Measures of an upright rest pose.
 
     Parameters
     ----------
@@ -93,21 +82,17 @@ class RestPose:
     chain: float
 
     def fits(self, chain: float) -> bool:
-        """Whether the moving body has these bones: files may replace the offsets frame by frame."""
+        """Return whether the moving body has these bones: files may replace the offsets frame by frame."""
         return abs(self.chain - chain) <= _MAX_REST_MISMATCH * chain
 
 
 def measure_rest(recipe: Recipe, rest_positions: FloatArray | None) -> RestPose | None:
-    """Measure a rest pose, once per skeleton.
+    """Measure a rest pose, once per skeleton; None unless trunk and both legs are upright along one axis.
 
     Parameters
     ----------
     recipe : canonical mapping of the skeleton.
     rest_positions : (J, 3) rest pose in any unit and axes, None if unknown.
-
-    Returns
-    -------
-    None unless the pose is upright: trunk and both legs along one axis.
     """
     return None if rest_positions is None else _measure_rest(recipe, rest_positions.tobytes())
 
@@ -127,13 +112,9 @@ def _measure_rest(recipe: Recipe, rest_bytes: bytes) -> RestPose | None:
 
 
 def estimate_stature(sample: Trajectories, points: FloatArray | None) -> float:
-    """Rough stature of the person in the unit of the sample, NaN if nothing tells it.
+    """Estimate the stature from some frames, in their unit; NaN if it cannot be estimated.
 
-    Parameters
-    ----------
-    sample : some frames.
-    points : their canonical points; None if the joints could not be told apart: then the extent of all points
-        has to do.
+    ``points`` : canonical points of the sample; None if the joints are unknown: then the extent of all points is used.
     """
     if points is not None:
         height = chain_height(points)
@@ -147,9 +128,9 @@ def estimate_stature(sample: Trajectories, points: FloatArray | None) -> float:
 
 
 def body_points(recipe: Recipe, positions: FloatArray, *, metres: bool = False) -> FloatArray:
-    """Canonical points (T, 20, 3) in the unit of the positions, joint centres made from markers where need be.
+    """Compute canonical points (T, 20, 3) in the unit of the positions, with joint centres from markers where needed.
 
-    ``metres`` says that the unit is metres: then the regression for the hips is the one with lengths of its own.
+    ``metres`` : whether the unit is metres; then the hip regression with absolute lengths is used.
     """
     points = recipe.apply(positions)
     if recipe.pelvis_markers:
@@ -164,7 +145,6 @@ def body_points(recipe: Recipe, positions: FloatArray, *, metres: bool = False) 
 
 
 def _seen_mean(points: FloatArray) -> FloatArray:
-    """Mean (T, 3) over the points (T, K, 3) that are there."""
     there: BoolArray = ~np.any(np.isnan(points), axis=2)
     total = np.where(there[..., None], points, 0.0).sum(axis=1)
     with np.errstate(invalid="ignore"):
@@ -177,18 +157,14 @@ _LEAP_SPEED, _LEAST_LEAP, _BACK, _ALIKE = 10.0, 0.1, -0.5, 0.4
 
 
 def find_leaps(points: FloatArray, frame_rate: float) -> BoolArray:
-    """Where joints leap for one frame and come back, as nobody moves: glitches of a recording.
+    """Find joints (T, 20) that leap for one frame and come back: glitches of a recording.
 
-    Out and back at over 10 m/s, by at least 10 cm: the fastest hands and feet take longer to turn round.
+    A leap goes out and back at over 10 m/s, by at least 10 cm: the fastest hands and feet take longer to turn round.
 
     Parameters
     ----------
     points : (T, 20, 3) m.
     frame_rate : Hz.
-
-    Returns
-    -------
-    (T, 20).
     """
     found = np.zeros(points.shape[:2], bool)
     steps = np.diff(points, axis=0)

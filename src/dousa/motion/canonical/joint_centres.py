@@ -1,7 +1,7 @@
 """Joint centres from markers on the skin: hips from the pelvis, shoulders from the acromion, the rest from one side.
 
-Everything works on canonical points (T, 20, 3) in the order of `CANONICAL_JOINTS`, in any unit and axes and of either
-handedness; NaN where a joint was not seen. Lengths that a body does not tell are shares of the stature.
+Canonical points (T, 20, 3) may be in any unit and axes and of either handedness; NaN where a joint was not seen.
+Lengths that cannot be measured are shares of the stature.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ _KNEE, _ANKLE, _ELBOW = (0.5 * breadth / _STATURE + _MARKER for breadth in (9.52
 _BIACROMIAL = 38.04 / _STATURE
 # Rab, Petuskey, Bagley, "A method for determination of upper extremity kinematics", Gait & Posture 15 (2002).
 _SHOULDER_DROP = 0.17  # of the distance between the acromia, down the trunk
-_SURE = 0.25  # sine of a bend from which on the plane of a limb tells the axis of its joint
-_BENT = 2.0  # how much more a bent limb tells of the axis than the trunk does
+_SURE = 0.25  # sine of a bend from which on the plane of a limb gives the axis of its joint
+_BENT = 2.0  # weight of a bent limb for the axis, against the trunk's
 
 
 def hips_from_markers(
     left_asis: FloatArray, right_asis: FloatArray, sacrum: FloatArray, below: FloatArray, *, metres: bool = False
 ) -> FloatArray:
-    """Hip joint centres (T, 2, 3), left and right, from markers on the pelvis.
+    """Compute hip joint centres (T, 2, 3), left and right, from markers on the pelvis.
 
     In metres: Harrington et al., "Prediction of the hip joint centre in adults, children, and patients with cerebral
     palsy based on magnetic resonance imaging", J. Biomechanics 40 (2007): from the middle of the front spines (ASIS)
@@ -42,7 +42,7 @@ def hips_from_markers(
     Parameters
     ----------
     left_asis, right_asis, sacrum : (T, 3).
-    below : (T, 3) middle of the knees; tells which side of the plane is down, whatever the handedness.
+    below : (T, 3) middle of the knees: the side of the plane that is down, in either handedness.
     metres : whether the unit is metres.
     """
     middle = 0.5 * (left_asis + right_asis)
@@ -68,11 +68,10 @@ def hips_from_markers(
 
 
 def move_inside(points: FloatArray, skin: frozenset[str]) -> None:
-    """Put joints of which there is a marker on one side only where the joint centres are; changes the points.
+    """Move joints with a marker on one side only to the joint centres; changes the points.
 
-    Knee, ankle and elbow go towards the inside by half the breadth of the bone and the marker, along the axis of the
-    joint: across the plane of a bent limb, and as hips or shoulders lie where it is straight. Shoulders go down the
-    trunk from the acromion.
+    Knee, ankle and elbow move inwards by half the breadth of bone and marker along the axis of the joint: across the
+    plane of a bent limb, parallel to hips or shoulders for a straight one. Shoulders move down the trunk.
 
     Parameters
     ----------
@@ -123,14 +122,14 @@ def _across(vectors: FloatArray, axis: FloatArray) -> FloatArray:
 
 
 def _bounded(axis: FloatArray) -> FloatArray:
-    """A direction (T, 3) of length 1, shorter where the vector is too short to tell it; 0 where it is unknown."""
+    """A direction (T, 3) of length 1; shorter where the vector is too short, 0 where it is unknown."""
     size = np.linalg.norm(axis, axis=1, keepdims=True)
     bounded: FloatArray = np.nan_to_num(axis / np.maximum(size, _SURE))
     return bounded
 
 
 def _outward(points: FloatArray, joint: str) -> FloatArray:
-    """Unit vectors (T, 3) from the right to the left of a pair; those of the other pair where it is not there."""
+    """Unit vectors (T, 3) from the right to the left of a pair; of the other pair where it is missing."""
     pairs = [_unit(points[:, J[f"left_{one}"]] - points[:, J[f"right_{one}"]]) for one in (joint, "hip", "shoulder")]
     found = pairs[0]
     for other in pairs[1:]:
@@ -154,9 +153,9 @@ def _handedness(points: FloatArray, legs: dict[str, list[int]], hips: FloatArray
 
 
 def _joint_axis(points: FloatArray, limb: list[int], outward: FloatArray, sense: float) -> FloatArray:
-    """The axis (T, 3), to the outside, of the middle joint of a limb: longer where more is known of it.
+    """Outward axis (T, 3) of the middle joint of a limb, longer where it is better known.
 
-    ``sense`` says whether the cross product of upper and lower bone points to the outside (1) or the inside (-1).
+    ``sense`` : 1 if the cross product of upper and lower bone points outwards, -1 if inwards.
     """
     normal, upper = _normal(points, limb)
     aside = _across(outward, upper)
@@ -165,7 +164,7 @@ def _joint_axis(points: FloatArray, limb: list[int], outward: FloatArray, sense:
 
 
 def _lower_shoulders(points: FloatArray, skin: frozenset[str], stature: float) -> None:
-    """From the acromia down the trunk, by Rab et al. (2002)."""
+    """Move shoulders from the acromia down the trunk, by Rab et al. (2002)."""
     places = [J[f"{side}_shoulder"] for side in ("left", "right") if f"{side}_shoulder" in skin]
     if not places:
         return

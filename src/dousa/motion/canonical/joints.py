@@ -1,7 +1,7 @@
-"""The canonical joints: what every motion is mapped to before it is compared.
+"""The canonical joints that every motion is mapped to before comparison.
 
 ``CANONICAL_JOINTS`` fixes the order of the second axis of every canonical array (T, 20, 3).
-``CANONICAL_PARENTS`` is the tree they are drawn and measured in (pelvis is the root).
+``CANONICAL_PARENTS`` is their tree; the pelvis is the root.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ MIRRORED_JOINTS: tuple[int, ...] = tuple(JOINT_INDEX[_mirror(name)] for name in 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CanonicalPoses:
-    """The canonical joints over time: what all motions that hold them have in common.
+    """Base of all motions of canonical joints.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class CanonicalPoses:
 
 
 def find_absent(positions: FloatArray) -> tuple[str, ...]:
-    """The joints of (T, 20, 3) that have no place in any frame, in their order."""
+    """Return the joints of (T, 20, 3) without a position in any frame, in their order."""
     if len(positions) == 0 or not np.isnan(positions[0]).any():
         return ()
     never: BoolArray = np.all(np.isnan(positions), axis=(0, 2))

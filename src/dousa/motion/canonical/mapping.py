@@ -1,7 +1,7 @@
-"""Which map of a file's points to the canonical joints is taken: the first that gives the body of a person.
+"""Choice of the map from a file's points to the canonical joints: the first that gives the body of a person.
 
-By names (the table that covers most first), then by the shape of the tree, then a part of a body by names. Where none
-passes the check of `anthropometry`, the first whole one is taken and called what it is: not a human skeleton.
+Maps by names come first (the table that covers most), then by the shape of the tree, then parts of a body by names. If
+none passes the check of `anthropometry`, the first whole one is taken and marked as no person.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class ChosenMap:
     recipe : the map.
     is_person : whether the proportions are possible.
     passed_over : tables that cover as much but give no person.
-    is_odd : whether only the names say that it is a person.
-    bodies : whose markers the file holds, if of several people; the map is that of the first.
+    is_odd : whether only the names suggest a person.
+    bodies : owners of the markers, if there are several people; the map is that of the first.
     """
 
     recipe: Recipe
@@ -44,16 +44,9 @@ class ChosenMap:
 
 
 def choose_map(sample: Trajectories, unseen: tuple[int, ...] = ()) -> ChosenMap | None:
-    """The map of a file.
+    """Choose the map of a file from some frames; None if neither names nor tree give a body or a limb.
 
-    Parameters
-    ----------
-    sample : some frames, any unit and axes.
-    unseen : indices of points that are never seen: they do not count.
-
-    Returns
-    -------
-    None if neither names nor tree tell a body or a limb.
+    ``unseen`` : indices of points that are never seen: they do not count.
     """
     names = names_of_seen(sample.names, unseen)
     bodies = list_bodies(sample.names) if sample.parents is None else ()
@@ -80,7 +73,7 @@ def _choose(names: tuple[str, ...], sample: Trajectories, unseen: tuple[int, ...
 
 
 def names_of_seen(names: tuple[str, ...], unseen: tuple[int, ...]) -> tuple[str, ...]:
-    """An unseen point keeps its place but loses its name, so that no rule finds it."""
+    """Blank the names of unseen points, so that no rule finds them; the points keep their places."""
     return tuple("" if index in unseen else name for index, name in enumerate(names)) if unseen else names
 
 
@@ -99,7 +92,7 @@ _WIDE_HIPS = 0.34  # of the leg: hip joints of people are at most 0.3 of it apar
 
 
 def _marks_the_skin(recipe: Recipe, sample: Trajectories) -> bool:
-    """Whether points that are called joints are markers on their outer side: hips are as wide as the trochanters."""
+    """Whether joints are in fact markers on their outer side: hips are as wide as the trochanters."""
     if sample.parents is not None or "left_hip" not in recipe.sources or recipe.skin:
         return False
     points = body_points(recipe, spread_frames(sample.positions))
@@ -117,9 +110,9 @@ def _is_animal(recipe: Recipe, sample: Trajectories) -> bool:
 
 
 def _is_person(recipe: Recipe, sample: Trajectories) -> bool:
-    """Whether the bones are a person's: those of the skeleton, or else as they move (files may replace the offsets)."""
+    """Whether the bones are a person's: those of the skeleton, else those in motion (files may replace the offsets)."""
     if set(CANONICAL_JOINTS) <= set(sample.names):
-        return True  # somebody has told the joints apart already
+        return True  # the names are a person's already
     if _is_animal(recipe, sample):
         return False
     points = body_points(recipe, spread_frames(sample.positions))

@@ -1,10 +1,10 @@
-"""Which point of a file is which canonical joint, told by the names.
+"""Mapping of the names in a file to canonical joints.
 
-A name is normalised to a side and a core: the namespace before ``:`` and what all names begin or end with
-(``Character1_``, ``Bip01 ``, ``mixamorig:``, ``_4X4``) come off, the words are split at separators and capitals, a word
-such as ``Left``, ``l`` or ``RGT`` is the side, and the rest is put together in lower case. Names that hide
-the side in the first or last letter (``lfemur``, ``LASI``) give it away by having a twin (``rfemur``). Then the
-table of ``name_tables.toml`` that covers most joints wins.
+A name is normalised to a side and a core. The namespace before ``:`` and what all names begin or end with
+(``Character1_``, ``Bip01 ``, ``mixamorig:``, ``_4X4``) are dropped, words are split at separators and capitals, a word
+such as ``Left``, ``l`` or ``RGT`` is the side, and the rest is joined in lower case. A side in the first or last letter
+(``lfemur``, ``LASI``) is found by its twin (``rfemur``). Then the table of ``name_tables.toml`` that covers most joints
+is taken.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _SHARED = 0.8  # a first or last word of this share of the names is no part of a
 
 
 def _load_tables() -> dict[str, dict[str, str]]:
-    """Place on the body -> rule, of each family of ``name_tables.toml`` and ``marker_tables.toml``."""
+    """Place on the body -> rule, for each family of ``name_tables.toml`` and ``marker_tables.toml``."""
     read: dict[str, dict[str, str]] = {}
     for file in ("name_tables.toml", "marker_tables.toml"):
         read |= tomllib.loads(resources.files(__package__).joinpath(file).read_text(encoding="utf-8"))
@@ -58,7 +58,7 @@ _CHOICE = re.compile(r"<(\w+)>")
 
 
 def _expand(rule: str, words: dict[str, list[str]]) -> str:
-    """A rule with every term that holds ``<word>`` written out for all choices of the word."""
+    """Write out every term of a rule that holds ``<word>`` for all choices of the word."""
     terms = []
     for term in rule.split("|"):
         parts = _CHOICE.split(term)
@@ -80,7 +80,7 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True, slots=True)
 class NameMatch:
-    """What a name table found in a list of names.
+    """Joints found by a name table in a list of names.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class NameMatch:
     sources : place -> indices of the points whose mean it is; places are canonical joints, and ``left_asis``,
         ``left_psis``, ``left_trochanter`` (and right), ``sacrum`` for marker sets that do not mark the hips.
     missing : required joints that were not found.
-    skin : joints of which there is a marker on one side only: `joint_centres` puts them inside the body.
+    skin : joints with a marker on one side only: `joint_centres` puts them inside the body.
     """
 
     table: str
@@ -104,14 +104,14 @@ def _split(name: str) -> list[str]:
 
 
 def _common(rows: list[list[str]], place: int) -> str:
-    """The word that nearly all names of several words have first (place 0) or last (-1); empty if none."""
+    """First (place 0) or last (-1) word shared by nearly all names of several words; empty if none."""
     ends = [row[place] for row in rows if len(row) > 1]
     word = max(set(ends), key=ends.count) if ends else ""
     return word if word not in _SIDES and ends.count(word) >= _SHARED * sum(map(bool, rows)) else ""
 
 
 def _without_prefix(words: list[list[str]]) -> list[list[str]]:
-    """Take off the first and last words that nearly all names share, and the known ones of single bones."""
+    """Drop the first and last words that nearly all names share, and the known ones of single bones."""
     for place in (0, -1):
         while len(words) >= 5 and (common := _common(words, place)):
             rest = slice(1, None) if place == 0 else slice(None, -1)
@@ -127,7 +127,7 @@ def _without_prefix(words: list[list[str]]) -> list[list[str]]:
 
 
 def _without_numbers(words: list[list[str]]) -> list[list[str]]:
-    """Take off the numbers that count the names: ``23 left hip`` and ``left hip 23``."""
+    """Drop the numbers that count the names: ``23 left hip`` and ``left hip 23``."""
     for place in (0, -1):
         counted = [len(row) > 1 and row[place].isdecimal() for row in words]
         if sum(counted) < max(5, _SHARED * len(words)):
@@ -147,7 +147,7 @@ def _split_side(words: list[str]) -> Key:
 
 
 def _hidden_side(core: str, cores: frozenset[str]) -> Key:
-    """The side of a name that is one word: ``lfemur`` beside ``rfemur``, or a remainder that the tables know."""
+    """Side of a name of one word: ``lfemur`` beside ``rfemur``, or a remainder in the tables."""
     for mark, other, side in (
         ("left", "right", "l"),
         ("right", "left", "r"),
@@ -177,15 +177,9 @@ def _inner_side(core: str, cores: frozenset[str]) -> Key:
 
 
 def normalise_names(names: Iterable[str]) -> tuple[tuple[str, str], ...]:
-    """Side (``"l"``, ``"r"`` or ``""``) and core of every name.
+    """Return the side (``"l"``, ``"r"`` or ``""``) and core of every name: ``mixamorig:LeftUpLeg`` is ("l", "upleg").
 
-    Parameters
-    ----------
-    names : names of one file; they are looked at together, as shared prefixes and twins tell much.
-
-    Returns
-    -------
-    One (side, core) per name, such as ``("l", "upleg")`` for ``mixamorig:LeftUpLeg``.
+    ``names`` : all names of one file, for shared prefixes and twins.
     """
     keys = [_split_side(words) for words in _without_prefix([_split(str(name)) for name in names])]
     cores = frozenset(core for side, core in keys if not side)
@@ -239,13 +233,13 @@ def _apply_table(name: str, table: dict[str, str], index: dict[Key, int]) -> Nam
 
 
 def find_missing(sources: Container[str]) -> tuple[str, ...]:
-    """The required joints that are not among some places; hips can be made from markers on the pelvis."""
+    """Return the required joints missing in some places; hips can be made from markers on the pelvis."""
     has_hips = has_pelvis_markers(sources)
     return tuple(j for j in REQUIRED_JOINTS if j not in sources and not (has_hips and "hip" in j))
 
 
 def has_pelvis_markers(sources: Container[str]) -> bool:
-    """Whether hips can be made from markers on the pelvis, or on the trochanters."""
+    """Return whether hips can be made from markers on the pelvis, or on the trochanters."""
     spines = all(marker in sources for marker in ("left_asis", "right_asis", "sacrum"))
     return spines or all(marker in sources for marker in ("left_trochanter", "right_trochanter"))
 
@@ -254,13 +248,13 @@ _LIMBS = (("hip", "knee", "ankle"), ("shoulder", "elbow", "wrist"))
 
 
 def holds_limb(missing: Container[str]) -> bool:
-    """Whether a whole arm or a whole leg is there although these required joints are missing: a part of a body."""
+    """Return whether a whole arm or leg is there although these required joints are missing."""
     sides = ("left", "right")
     return any(all(f"{side}_{joint}" not in missing for joint in limb) for limb in _LIMBS for side in sides)
 
 
 def named_by_estimators(names: tuple[str, ...]) -> bool:
-    """Whether the names are those that pose estimators give to people.
+    """Return whether the names are those of pose estimators.
 
     Toes as MediaPipe or OpenPose call them, all joints with nose and eyes of COCO, or with the thorax of Human3.6M.
     """
@@ -274,7 +268,7 @@ _OWNER = re.compile(r"^\s*([^:_]{2,})[:_]\s*(?=\S)")
 
 @lru_cache(maxsize=256)
 def list_bodies(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Whose markers the names are, if of several people: ``Anna:LASI`` and ``Ben:LASI``, or ``S1_LASI`` ...
+    """Return the owners of markers of several people: ``Anna:LASI`` and ``Ben:LASI``, or ``S1_LASI`` ...
 
     The owners have at least eight markers each, most of which the first has too; () if there is only one.
     """
@@ -289,7 +283,7 @@ def list_bodies(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def owner_of(name: str) -> str:
-    """What stands before the first colon or underscore of a name."""
+    """Return the part of a name before the first colon or underscore."""
     owner = _OWNER.match(name)
     return owner[1] if owner is not None else ""
 
@@ -300,15 +294,9 @@ _ESTIMATED = ({"footindex"}, {"bigtoe"}, _JOINTS | {"nose", "eye", "ankle"}, _JO
 
 @lru_cache(maxsize=256)
 def rank_matches(names: tuple[str, ...]) -> tuple[NameMatch, ...]:
-    """What every table finds among the names of a file, the one that covers most first.
+    """Match every table with the names of a file, the one that covers most first.
 
-    Parameters
-    ----------
-    names : (K,) names as the file spells them; the first of equal names counts.
-
-    Returns
-    -------
-    Matches with at least one joint; ``missing`` says which required joints no name told.
+    ``names`` : (K,) as in the file; the first of equal names counts. Matches without a joint are left out.
     """
     index: dict[Key, int] = {}
     for position, key in enumerate(normalise_names(names)):
@@ -323,6 +311,6 @@ def rank_matches(names: tuple[str, ...]) -> tuple[NameMatch, ...]:
 
 
 def match_names(names: tuple[str, ...]) -> NameMatch | None:
-    """The match of the table that covers most of the names of a file; None if no table knows any."""
+    """Return the match of the table that covers most of the names of a file; None if no table has any."""
     matches = rank_matches(names)
     return matches[0] if matches else None

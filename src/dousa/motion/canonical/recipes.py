@@ -1,7 +1,6 @@
-"""How to make the 20 canonical points from the points of a file: a sparse linear map, compiled once per skeleton.
+"""Sparse linear maps from the points of a file to the 20 canonical points, compiled once per skeleton.
 
-Nearly every canonical joint is one point of the file, so the map is one gather; the few means and
-extrapolations are added as weighted sums.
+Nearly every canonical joint is one point of the file, so the map is a gather plus a few weighted sums.
 """
 
 from __future__ import annotations
@@ -38,15 +37,15 @@ class Recipe:
 
     Parameters
     ----------
-    table : which names, or "tree shape" or "joint map".
+    table : name family, "tree shape" or "joint map".
     sources : canonical joint -> indices of the points it is the mean of.
     derived : canonical joints made from other joints.
     gather : (20,) index of one point per canonical joint.
     blends : (row, indices, weights) of the rows that are not one point.
     pelvis_markers : indices of left ASIS, right ASIS and of the sacrum (one or two), if hips come from markers.
     has_toes : false if the rows of the toes repeat the ankles.
-    absent : canonical joints that the file does not tell: NaN.
-    skin : joints of which there is a marker on one side only, see `joint_centres`.
+    absent : canonical joints that cannot be made: NaN.
+    skin : joints with a marker on one side only, see `joint_centres`.
     """
 
     table: str
@@ -66,7 +65,7 @@ class Recipe:
         return tuple(joint for joint in CANONICAL_JOINTS if joint in hips | self.skin)
 
     def apply(self, positions: FloatArray) -> FloatArray:
-        """Canonical points (T, 20, 3) of points (T, K, 3); hips from markers and toes still to be made."""
+        """Compute canonical points (T, 20, 3) of points (T, K, 3); hips from markers and toes are not made yet."""
         result = positions.take(self.gather, axis=1)
         for row, indices, weights in self.blends:
             result[:, row] = np.tensordot(positions[:, indices], weights, axes=(1, 0))
@@ -91,13 +90,13 @@ def _combine(*terms: tuple[float, Weights]) -> Weights:
 
 
 def _blend(rows: dict[str, Weights], name: str, *terms: tuple[float, str]) -> None:
-    """Make a joint that no point stands for from joints that are all there."""
+    """Make a joint without a point from joints that are all there."""
     if name not in rows and all(joint in rows for _, joint in terms):
         rows[name] = _combine(*((factor, rows[joint]) for factor, joint in terms))
 
 
 def _complete(rows: dict[str, Weights]) -> None:
-    """Make the joints that no point stands for from those that are there; the others stay absent."""
+    """Make joints without a point from those that are there; the others stay absent."""
     _blend(rows, "pelvis", (0.5, "left_hip"), (0.5, "right_hip"))
     _blend(rows, "neck", (0.5, "left_shoulder"), (0.5, "right_shoulder"))
     _blend(rows, "spine", (1 - _SPINE_SHARE, "pelvis"), (_SPINE_SHARE, "neck"))
@@ -109,7 +108,7 @@ def _complete(rows: dict[str, Weights]) -> None:
 
 
 def compile_recipe(table: str, sources: dict[str, tuple[int, ...]], skin: frozenset[str] = frozenset()) -> Recipe:
-    """Compile a mapping; joints that it does not have and that cannot be made from others are absent.
+    """Compile a mapping; joints that it lacks and that cannot be made from others are absent.
 
     Parameters
     ----------
@@ -138,7 +137,7 @@ def compile_recipe(table: str, sources: dict[str, tuple[int, ...]], skin: frozen
 
 
 def _hip_markers(sources: dict[str, tuple[int, ...]], rows: dict[str, Weights]) -> tuple[tuple[int, ...], ...]:
-    """The markers that hips are made from: spines of the pelvis and sacrum; places in ``rows`` until they are."""
+    """Markers that hips are made from: spines of the pelvis and sacrum; places in ``rows`` until then."""
     if "left_hip" in rows and "right_hip" in rows:
         return ()
     spines = ("left_asis", "right_asis", "sacrum")
@@ -159,7 +158,7 @@ def _hip_markers(sources: dict[str, tuple[int, ...]], rows: dict[str, Weights]) 
 
 @lru_cache(maxsize=256)
 def named_recipes(names: tuple[str, ...]) -> tuple[Recipe, ...]:
-    """The recipes of whole bodies that the names tell, the table that covers most first."""
+    """Return the recipes of whole bodies by names, the table that covers most first."""
     return tuple(_compile_match(match) for match in rank_matches(names) if not match.missing)
 
 
@@ -169,13 +168,13 @@ def _compile_match(match: NameMatch) -> Recipe:
 
 @lru_cache(maxsize=256)
 def partial_recipes(names: tuple[str, ...]) -> tuple[Recipe, ...]:
-    """The recipes of a part of a body, with a whole arm or leg, that the names tell, the fullest first."""
+    """Return the recipes by names of a part of a body with a whole arm or leg, the fullest first."""
     return tuple(_compile_match(match) for match in rank_matches(names) if holds_limb(match.missing))
 
 
 @lru_cache(maxsize=256)
 def on_the_skin(recipe: Recipe) -> Recipe:
-    """The recipe if the points that are named like joints are markers on their outer side, hips on the trochanters."""
+    """Return the recipe with points named like joints as markers on their outer side, hips on the trochanters."""
     sources = {joint.replace("_hip", "_trochanter"): points for joint, points in recipe.sources.items()}
     sides = ("left", "right")
     skin = frozenset(f"{side}_{joint}" for side in sides for joint in ("shoulder", "elbow", "knee", "ankle"))
@@ -188,19 +187,11 @@ _MOST_BYTES = 1_000_000
 
 
 def read_joint_map(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
-    """Read a joint map.
-
-    Parameters
-    ----------
-    path : TOML, JSON or lines ``canonical = name``.
-
-    Returns
-    -------
-    Canonical joint -> names in the file whose mean it is.
+    """Read a joint map, canonical joint -> names in the file, from TOML, JSON or lines ``canonical = name``.
 
     Raises
     ------
-    OptionError : the file cannot be read, or says something that is not a joint map.
+    OptionError : the file cannot be read, or is no joint map.
     """
     where = os.fspath(path)
     try:
@@ -229,7 +220,7 @@ def _parse(text: str, where: str) -> Mapping[str, Any]:
 
 
 def _parse_lines(text: str, where: str) -> dict[str, Any]:
-    """``canonical = name`` without quotes; names joined by commas are averaged."""
+    """Read ``canonical = name`` without quotes; names joined by commas are averaged."""
     found: dict[str, Any] = {}
     for number, line in enumerate(text.splitlines(), 1):
         content = line.partition("#")[0].strip()
@@ -261,7 +252,7 @@ def _checked(entries: Mapping[str, Any], where: str) -> dict[str, tuple[str, ...
 
 
 def recipe_from_joint_map(joint_map: JointMap, names: tuple[str, ...]) -> Recipe:
-    """The canonical mapping that a joint map tells; what it leaves out is told by the names.
+    """Compile a joint map, completed by the names.
 
     Parameters
     ----------
@@ -270,7 +261,7 @@ def recipe_from_joint_map(joint_map: JointMap, names: tuple[str, ...]) -> Recipe
 
     Raises
     ------
-    JointMappingError : a name that the file has not, or required joints that neither tells.
+    JointMappingError : a name missing in the file, or required joints in neither.
     OptionError : a key that is not a canonical joint.
     """
     match = match_names(names)

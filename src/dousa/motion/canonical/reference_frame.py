@@ -1,7 +1,7 @@
 """Units and axes of a file: metres per unit, and which axis points up.
 
-Few motion files say either. The unit follows from the height of the body; the up axis is what the format's
-users agreed on unless the body itself stands along another axis in nearly all frames.
+Few motion files declare either. The unit follows from the height of the body; the up axis is the usual one of the
+format unless the body itself stands along another axis in nearly all frames.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ _RARE_STATURE = (1.35, 2.2)  # m
 _POSSIBLE_STATURE = (0.3, 3.0)  # m; beyond, a declared unit is not believed
 _USUAL_STATURE = (1.3, 2.15)  # m; beyond, a unit that was inferred is doubtful
 _DECLARED_STATURE = (0.9, 2.3)  # m; beyond, a declared one is
-_SMALLEST_CLOUD, _LARGEST_CLOUD = 0.02, 6.0  # m: extent of points that no map knows
+_SMALLEST_CLOUD, _LARGEST_CLOUD = 0.02, 6.0  # m: extent of points without a map
 _ASSUMED_STATURE = 1.7  # m
 _ADULT_STATURE = (1.4, 2.05)  # m
 
@@ -86,9 +86,9 @@ class ReferenceFrame:
     unit_source : ``"given"`` by the caller, ``"declared"`` in the file, ``"inferred"`` from the body's height, or
         ``"assumed"``: no usual unit makes the body a plausible height, so it was made 1.7 m tall.
     up : axis of the file that points up: ``"x"``, ``"y"``, ``"z"``, ``"-x"``, ``"-y"`` or ``"-z"``.
-    up_source : ``"given"``, ``"declared"``, ``"assumed"`` (the format's habit, and nothing contradicts it),
-        ``"inferred"`` (from the body) or ``"guessed"`` (too little tells it).
-    notes : what a person should know of how they were found.
+    up_source : ``"given"``, ``"declared"``, ``"assumed"`` (usual in the format, and not contradicted),
+        ``"inferred"`` (from the body) or ``"guessed"`` (too little evidence).
+    notes : for the user, on how they were found.
     """
 
     unit: float = 1.0
@@ -104,12 +104,7 @@ class ReferenceFrame:
 
 
 def parse_unit(text: str | float) -> float:
-    """Metres per unit.
-
-    Parameters
-    ----------
-    text : ``"m"``, ``"cm"``, ``"mm"``, ``"dm"``, ``"inch"``, ``"ft"``, ``"cmu"`` (inches times 0.45) or metres as
-        a number above 0.
+    """Return the metres per unit of m, cm, mm, dm, inch, ft, cmu (inches times 0.45) or a number of metres above 0.
 
     Raises
     ------
@@ -129,7 +124,7 @@ def parse_unit(text: str | float) -> float:
 
 
 def parse_up(text: str) -> str:
-    """The up axis in its normal spelling, ``"y"`` for ``"+Y"``; OptionError if it is no axis."""
+    """Return the up axis in its normal spelling, ``"y"`` for ``"+Y"``; OptionError if it is no axis."""
     key = str(text).strip().lower().removeprefix("+")
     if key not in _ROTATIONS:
         raise OptionError("units.up", text=text)
@@ -148,19 +143,17 @@ def infer_reference_frame(
 ) -> ReferenceFrame:
     """Find the unit and the up axis of a file.
 
+    A rejected declared unit gives ``unit_source == "inferred"`` and a note.
+
     Parameters
     ----------
     sample : some frames of the file (ten will do, spread over it), in the file's unit and axes.
-    unit : metres per unit if the caller knows.
-    up : up axis if the caller knows.
-    declared_unit : metres per unit if the file says; not believed if the body would be under 0.3 m or over 3 m.
-    declared_up : up axis if the file says; not believed if the body clearly stands along another.
-    default_up : the format's habit; None if it has none.
-    whole : gives all frames, looked at where the sample leaves a doubt.
-
-    Returns
-    -------
-    The frame. A declared unit that was not believed shows as ``unit_source == "inferred"``, and a note says so.
+    unit : metres per unit, given by the caller.
+    up : up axis, given by the caller.
+    declared_unit : metres per unit in the file; rejected if the body would be under 0.3 m or over 3 m.
+    declared_up : up axis in the file; rejected if the body clearly stands along another.
+    default_up : usual up axis of the format; None if it has none.
+    whole : returns all frames, used where the sample leaves a doubt.
     """
     chosen = choose_map(sample)
     recipe = None if chosen is None else chosen.recipe
@@ -191,7 +184,7 @@ def _choose_up(
     habit: str | None,
     whole: Callable[[], Trajectories] | None,
 ) -> tuple[str, str, tuple[Message, ...]]:
-    """The up axis, where it comes from, and what a person should know."""
+    """The up axis, its source, and notes for the user."""
     rest = rest_direction(recipe, sample.rest_positions)
     expected = declared or habit
     if expected is not None and stands_along(points, expected, rest):
@@ -218,7 +211,7 @@ def _choose_up(
 def _up_of_a_cloud(
     sample: Trajectories, declared: str | None, habit: str | None
 ) -> tuple[str, str, tuple[Message, ...]]:
-    """The up axis of points that no map knows: what the file or the format says, or the longer extent."""
+    """The up axis of points without a map: declared, usual in the format, or the longer extent."""
     if declared is not None:
         return declared, "declared", ()
     up = guess_from_cloud(sample.positions)
@@ -232,7 +225,7 @@ def _up_of_a_cloud(
 def _choose_unit(stature: float, declared: float | None, *, mapped: bool) -> tuple[float, str, tuple[Message, ...]]:
     """Metres per unit for a body of this stature in file units (NaN or 0 if it could not be measured).
 
-    ``mapped`` says that the stature is that of a body, not the extent of some points.
+    ``mapped`` : whether the stature is that of a body, not the extent of some points.
     """
     measured = bool(np.isfinite(stature)) and stature > 0
     low, high = _POSSIBLE_STATURE
@@ -259,7 +252,7 @@ def _choose_unit(stature: float, declared: float | None, *, mapped: bool) -> tup
 
 
 def _is_normalised(stature: float, names: tuple[str, ...]) -> bool:
-    """Whether a body of this stature in file units is one of a pose estimator that is about a metre tall, but no adult.
+    """Whether a body of a pose estimator is about a metre tall in file units, but no adult.
 
     Such methods scale bodies by a constant; in metres most people are between 1.4 and 2.05 m tall.
     """
@@ -278,23 +271,15 @@ def _likely_unit(stature: float) -> tuple[float, str]:
 
 
 def to_reference_frame(moving: _Moving, frame: ReferenceFrame) -> _Moving:
-    """Turn a motion in the unit and axes of a file into metres with Y up.
+    """Convert a motion in the unit and axes of a file to metres with Y up.
 
-    Parameters
-    ----------
-    moving : motion or trajectories in file units.
-    frame : the file's unit and up axis.
-
-    Returns
-    -------
-    The same type in metres, Y up. Roots are rotated; rest positions of trajectories are rotated with them.
-    The provenance is kept as it is.
+    Roots and rest positions of trajectories are rotated; the provenance is kept.
     """
     return _change_frame(moving, frame.unit, frame.rotation)
 
 
 def from_reference_frame(moving: _Moving, frame: ReferenceFrame) -> _Moving:
-    """Turn a motion in metres with Y up into the unit and axes of a file; the inverse of `to_reference_frame`."""
+    """Convert a motion in metres with Y up to the unit and axes of a file; the inverse of `to_reference_frame`."""
     return _change_frame(moving, 1.0 / frame.unit, frame.rotation.T)
 
 
@@ -307,7 +292,7 @@ def _change_frame(moving: _Moving, scale: float, rotation: FloatArray) -> _Movin
 
 
 def _turn(points: FloatArray, scale: float, rotation: FloatArray) -> FloatArray:
-    """Points (..., 3) scaled and turned by a signed permutation of the axes, exact but for the scale."""
+    """Scale points (..., 3) and turn them by a signed permutation of the axes, exact but for the scale."""
     turned = points * scale
     if not np.array_equal(rotation, np.eye(3)):
         columns = np.abs(rotation).argmax(axis=1)

@@ -1,9 +1,9 @@
-"""Which joint is which when the names say nothing: told by the shape of the tree.
+"""Canonical joints from the shape of the tree, where names are no help.
 
-A body is a tree with two forks. From the pelvis two long, equal branches go away from the trunk; at the other end
-of the trunk, at the chest, two shorter equal branches leave, and a short one to the head. All pairs of forks are
-tried and the one whose proportions are nearest to a person's is taken; then the joints of every limb are
-those that split it like a thigh and a shank, or an upper arm and a forearm. Left is told by the front of the body.
+A body is a tree with two forks: at the pelvis two long, equal branches; at the chest two shorter equal branches and a
+short one to the head. All pairs of forks are tried and the one with the proportions nearest to a person's is taken.
+The joints of a limb are those that split it like thigh and shank, or upper arm and forearm. Left follows from the front
+of the body.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dousa.motion.canonical.joints import CANONICAL_JOINTS
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.recipes import Recipe, compile_recipe
 
-_CLEAR = 0.08  # below this score the geometry is said to be unclear
+_CLEAR = 0.08  # below this score the sides are unclear
 _MOST = 3.0  # of the score of one frame
 _MAX_FRAMES = 32
 _SLACK = 0.05  # a limb straighter than this share of its length has no bend worth counting
@@ -101,7 +101,7 @@ def _differences(rows: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def _stand_in(vectors: FloatArray, points: FloatArray) -> None:
-    """Let a part of a body tell its front: hips or shoulders for both, the legs or the upper arms for the trunk."""
+    """Complete the front of a part of a body: hips or shoulders for both, legs or upper arms for the trunk."""
     for absent, other in ((0, 1), (1, 0)):
         if np.isnan(vectors[:, absent]).all():
             vectors[:, absent] = vectors[:, other]
@@ -111,27 +111,21 @@ def _stand_in(vectors: FloatArray, points: FloatArray) -> None:
 
 
 def compute_forward(points: FloatArray) -> FloatArray:
-    """Unit vectors (T, 3) to the front of the body if left is left and the axes are right-handed; NaN if unclear."""
+    """Compute unit vectors (T, 3) to the front of the body, for correct sides and right-handed axes; NaN if unclear."""
     return _forward(*_measure(points))
 
 
 def spread_frames(points: FloatArray) -> FloatArray:
-    """At most 32 frames of (T, ..., 3), evenly spread: enough for sides, heights and shapes."""
+    """Return at most 32 frames of (T, ..., 3), evenly spread: enough for sides, heights and shapes."""
     if len(points) <= _MAX_FRAMES:
         return points
     return points[np.linspace(0, len(points) - 1, _MAX_FRAMES).round().astype(np.intp)]
 
 
 def score_sides(points: FloatArray) -> float:
-    """How clearly the named left is the geometrical left.
+    """Score the named sides: +1 if left is left, -1 if the body looks mirrored, near 0 if unclear (0 if all is NaN).
 
-    Parameters
-    ----------
-    points : (T, 20, 3) canonical points in right-handed axes, any unit; at most 32 frames, evenly spread, are used.
-
-    Returns
-    -------
-    Around +1 if they agree, around -1 if the body looks mirrored, near 0 if nothing tells (0 if nothing is seen).
+    ``points`` : (T, 20, 3) in right-handed axes, any unit; at most 32 frames, evenly spread, are used.
     """
     points = spread_frames(points)
     vectors, sizes = _measure(points)
@@ -145,7 +139,7 @@ def score_sides(points: FloatArray) -> float:
     outward = ahead[:, 3:5]
     outward[:, np.isnan(outward).all(axis=0)] = 0.0  # no feet, or no arms
     scores = (outward @ _OUTWARD_WEIGHTS) / sizes[:, 2] + bend @ _BEND_WEIGHTS
-    scores = np.clip(scores, -_MOST, _MOST)  # a joint far away in some frames tells no more than others
+    scores = np.clip(scores, -_MOST, _MOST)  # a joint far away in some frames counts no more than others
     total = float(scores.mean())
     if np.isnan(total):
         scores = scores[~np.isnan(scores)]
@@ -154,7 +148,7 @@ def score_sides(points: FloatArray) -> float:
 
 
 def compare_sides(points: FloatArray) -> str:
-    """Whether the named left and right are the geometrical ones: ``"agree"``, ``"disagree"`` or ``"unclear"``."""
+    """Return whether named and geometrical sides ``"agree"``, ``"disagree"`` or are ``"unclear"``."""
     score = score_sides(points)
     if abs(score) < _CLEAR:
         return "unclear"
@@ -296,7 +290,7 @@ def _split_limbs(tree: _Tree, limbs: list[list[int]], ratio: float) -> tuple[int
 
 
 def _split_cost(tree: _Tree, joints: list[int], whole: float, ratio: float) -> float:
-    """How unlike the two long bones of a limb these are: they resemble each other and are most of the limb."""
+    """Cost of two long bones of a limb: they should be of similar length and most of the limb."""
     upper, lower = tree.distance(joints[0], joints[1]), tree.distance(joints[1], joints[2])
     if upper <= 0 or lower <= 0:
         return np.inf
@@ -304,7 +298,7 @@ def _split_cost(tree: _Tree, joints: list[int], whole: float, ratio: float) -> f
 
 
 def _tip(tree: _Tree, limb: list[int], last: int, share: float) -> int | None:
-    """The joint beyond wrist or ankle that is nearest to a share of the lower bone; None if the limb ends there."""
+    """Joint beyond wrist or ankle nearest to a share of the lower bone; None if the limb ends there."""
     rest = limb[last + 1 :]
     bone = tree.distance(limb[last], limb[last - 1])
     inner = rest[:-1] or rest
@@ -325,7 +319,6 @@ def _limb_sources(
 
 
 def _trunk_sources(tree: _Tree, body: _Body, shoulders: list[int]) -> dict[str, int]:
-    """Pelvis, spine, neck and head."""
     _, trunk, _, arms = body
     chest = trunk[-1]
     used = {trunk[-2], arms[0][0], arms[1][0]}
@@ -354,16 +347,12 @@ def _trunk_sources(tree: _Tree, body: _Body, shoulders: list[int]) -> dict[str, 
 
 
 def shape_sources(parents: ArrayLike, positions: FloatArray) -> dict[str, tuple[int, ...]] | None:
-    """Find the canonical joints from parents and positions alone.
+    """Find canonical joint -> index (as a tuple) from the shape alone; None if the tree is not a body.
 
     Parameters
     ----------
     parents : (J,) parent before child, -1 for a root.
     positions : (T, J, 3) some frames, right-handed axes, any unit.
-
-    Returns
-    -------
-    Canonical joint -> its index (as a tuple), or None if the tree is not a body.
     """
     parents = np.asarray(parents)
     seen = positions[~np.isnan(positions).any(axis=(1, 2))]
@@ -399,6 +388,6 @@ def _with_sides(
 
 
 def shape_recipe(parents: ArrayLike, positions: FloatArray) -> Recipe | None:
-    """The canonical mapping told by the shape of the tree; None if it is not a body's."""
+    """Compile the mapping by the shape of the tree; None if it is not a body's."""
     sources = shape_sources(parents, positions)
     return None if sources is None else compile_recipe("tree shape", sources)

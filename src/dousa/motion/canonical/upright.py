@@ -1,15 +1,15 @@
-"""Which axis of a file points up, by evidence that is weighed, and how sure that is.
+"""Weighs the evidence for the up axis of a file.
 
 Every axis, up or down, gets a score in natural logarithms of odds, the sum of
 
 - posture: people stand and sit far more often than they lie or hang (the direction from feet to head over the file);
 - floor: something of the body is nearly always on the floor, and floors are near zero;
 - the rest pose, which stands along the up axis of the program that made the skeleton;
-- the habit of the format, or what the file declares;
+- the usual axis of the format, or the declared one;
 - gravity: a body in the air falls with 9.81 m/s^2 against the up axis.
 
-The weights were set by hand on files of 20 producers with the axis known from pictures; `clear` says from which lead on
-no file of them was wrong. Below it the answer is a guess, and the next best axis is named.
+The weights were set by hand on files of 20 producers with the axis known from pictures; from the lead of `clear` on, no
+file of them was wrong. Below it the answer is a guess, and the next best axis is named.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ _CENTRED, _CENTRED_SCORE = 0.02, -1.5  # a pelvis at zero along an axis was put 
 _REST, _REST_COSINE, _REST_ALONG_X = 2.9, 0.8, 0.3  # rest poses along x are a habit of drawing bones
 _FALL_SCORE, _GRAVITY = 3.0, 9.81
 _STANDING, _NEARLY_ALL, _MOSTLY, _TUMBLING = 0.8, 0.9, 0.6, 0.5
-# Who lies all the time points anywhere; who stands, along an axis.
-_WEAK = 0.5  # a body of which only an arm is there tells no more than a guess
+# A lying body points anywhere, a standing one along an axis.
+_WEAK = 0.5  # a body with only an arm gives no more than a guess
 _ALIGNED, _ALIGNED_SCORE = 0.97, -1.5
 _REST_AGREES = 0.5  # cosine between the rest pose and the axis that the body stands along
 
@@ -68,11 +68,11 @@ class Upright:
 
     @property
     def clear(self) -> bool:
-        """Whether it is more than a guess."""
+        """Whether the lead is large enough for more than a guess."""
         return self.lead >= _CLEAR
 
 
-# From where to where a body stands, the surest first; and how much its direction tells: arms hang, but not always.
+# Ends of a standing body, the surest first, and the weight of their direction: arms hang, but not always.
 _SIDED = ("left", "right")
 _ENDS: tuple[tuple[tuple[str, ...], tuple[str, ...], float], ...] = (
     *(
@@ -91,9 +91,9 @@ _ENDS: tuple[tuple[tuple[str, ...], tuple[str, ...], float], ...] = (
 
 
 def body_direction(points: FloatArray) -> tuple[FloatArray, float]:
-    """Unit vectors (T, 3) from the lowest to the highest part of the body that is there, and how much they tell.
+    """Compute unit vectors (T, 3) from the lowest to the highest part of the body, and their weight.
 
-    No rows where none is seen. The second is 1 for a trunk or legs, less for a head or an arm.
+    No rows where none is seen. The weight is 1 for a trunk or legs, less for a head or an arm.
     """
     body = points[:, J["head"]] - 0.5 * (points[:, J["left_ankle"]] + points[:, J["right_ankle"]])
     length = np.sqrt(np.einsum("tk,tk->t", body, body))
@@ -112,7 +112,7 @@ def body_direction(points: FloatArray) -> tuple[FloatArray, float]:
 
 
 def stands_along(points: FloatArray, axis: str, rest: FloatArray | None) -> bool:
-    """Whether the body stands along an axis so clearly that nothing else need be looked at.
+    """Return whether the body stands along an axis so clearly that no other evidence is needed.
 
     Parameters
     ----------
@@ -133,12 +133,12 @@ def stands_along(points: FloatArray, axis: str, rest: FloatArray | None) -> bool
 
 
 def points_along(direction: FloatArray, axis: str) -> bool:
-    """Whether a direction (3,) is nearly that of an axis."""
+    """Return whether a direction (3,) is nearly that of an axis."""
     return bool(direction @ _VECTORS[axis] > _REST_COSINE)
 
 
 def rest_direction(recipe: Recipe, rest_positions: FloatArray | None) -> FloatArray | None:
-    """The direction (3,) in which the rest pose (K, 3) of a skeleton stands; None if there is none or it does not."""
+    """Return the direction (3,) in which the rest pose (K, 3) of a skeleton stands; None if it does not."""
     return None if rest_positions is None else _rest_direction(recipe, rest_positions.tobytes())
 
 
@@ -210,7 +210,7 @@ def weigh_axes(
         return Upright(habit, best, 0.0)  # nothing clear speaks against the habit
     standing = max(postures, key=lambda axis: postures[axis], default=best)
     if fall is None and postures.get(best, 1.0) < _LYING and postures.get(standing, 0.0) > _STANDING:
-        return Upright(best, standing, 0.0)  # who lies all the time may as well stand along an unusual axis
+        return Upright(best, standing, 0.0)  # a body that lies all the time may stand along an unusual axis
     return Upright(best, second, scores[best] - scores[second])
 
 
@@ -224,7 +224,7 @@ def _prior(axis: str, habit: str | None, declared: str | None, *, bare: bool) ->
 
 
 def _find_centred(points: FloatArray, height: float) -> BoolArray:
-    """Along which of the columns x, y, z the pelvis was put to zero; along none if it was along all."""
+    """Columns of x, y, z along which the pelvis was put to zero; none if it was along all."""
     pelvis = points[:, J["pelvis"]]
     pelvis = pelvis[~np.isnan(pelvis).any(axis=1)]
     centred: BoolArray = np.abs(pelvis).max(axis=0, initial=0.0) < _CENTRED * height
@@ -232,14 +232,14 @@ def _find_centred(points: FloatArray, height: float) -> BoolArray:
 
 
 def _floor_score(along: FloatArray, posture: float, *, centred: bool, pinned: bool) -> float:
-    """Whether the body stands, or lies flat, on a floor along an axis.
+    """Score a body that stands, or lies flat, on a floor along an axis.
 
     Parameters
     ----------
     along : (T, 20) in heights of the body.
     posture : mean cosine between the body and the axis.
-    centred : whether the pelvis was put to zero along it; then its level says nothing, and that it is not the up axis
-        unless the pelvis is ``pinned`` to a place.
+    centred : whether the pelvis was put to zero along it; then its level does not count, and the axis is unlikely
+        to be up unless the pelvis is ``pinned`` to a place.
     """
     lying = abs(posture) < _LYING
     legs = along[:, [J[f"{side}_{joint}"] for side in ("left", "right") for joint in ("knee", "ankle", "toe")]]
@@ -256,7 +256,7 @@ def _floor_score(along: FloatArray, posture: float, *, centred: bool, pinned: bo
         return score if pinned else score + _CENTRED_SCORE
     if abs(level) > _FAR:
         return score + _FAR_SCORE
-    if lying and level < _BELOW:  # who lies on a floor is above it
+    if lying and level < _BELOW:  # a body on a floor is above it
         return score
     on_floor = next((value for most, value in _FLOOR_LEVELS if abs(level) <= most), 0.0)
     flat = lying and on_floor > 0 and float(np.percentile(highest - lowest, 90)) < _FLAT
@@ -267,7 +267,7 @@ _HOVER, _HOVER_SCORE = (0.45, 0.95), 1.2  # heights of the body: where shoulders
 
 
 def _hover_score(along: FloatArray) -> float:
-    """Whether shoulders without legs below them are as high above zero as those of people who sit or stand."""
+    """Score shoulders without legs by their height above zero: that of people sitting or standing."""
     if not np.isnan(along[:, [J["left_ankle"], J["right_ankle"], J["left_knee"], J["right_knee"]]]).all():
         return 0.0
     tops = along[:, [J["neck"], J["left_shoulder"], J["right_shoulder"]]]
@@ -280,20 +280,16 @@ _FALL_SECONDS, _FALL_TOLERANCE, _LEAST_FALL = 0.12, 0.12, 0.12
 
 
 def find_fall(points: FloatArray, frame_rate: float, unit: float) -> FloatArray | None:
-    """The direction (3,) in which the body falls while it is in the air.
+    """Find the direction (3,) of free fall; None if it lasts less than 0.12 s altogether, or directions disagree.
 
-    The middle of all joints that are there is close enough to the centre of mass: a parabola is fitted to every 0.12 s
-    of its path, and those count whose acceleration is within 12 % of 9.81 m/s^2.
+    The middle of all joints stands for the centre of mass: a parabola is fitted to every 0.12 s of its path, and those
+    count whose acceleration is within 12 % of 9.81 m/s^2.
 
     Parameters
     ----------
     points : (T, 20, 3) of consecutive frames.
     frame_rate : Hz.
     unit : metres per unit.
-
-    Returns
-    -------
-    None if the body is in the air for less than 0.12 s altogether, or the directions disagree.
     """
     there = ~np.isnan(points).any(axis=(0, 2))
     n = max(5, round(_FALL_SECONDS * frame_rate))
@@ -316,7 +312,7 @@ def find_fall(points: FloatArray, frame_rate: float, unit: float) -> FloatArray 
 
 
 def guess_from_cloud(positions: FloatArray) -> str:
-    """y or z, whichever a cloud of points (T, K, 3) without names is more extended along."""
+    """Return y or z, whichever a cloud of points (T, K, 3) without names is more extended along."""
     seen = positions[~np.isnan(positions).any(axis=(1, 2))]
     if not len(seen):
         return "y"

@@ -1,4 +1,4 @@
-"""Somebody's motion on somebody else's skeleton: limb directions kept, feet planted, timing unchanged."""
+"""Retargeting of a motion to another skeleton: limb directions kept, feet planted, timing unchanged."""
 
 from __future__ import annotations
 

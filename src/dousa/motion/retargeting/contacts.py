@@ -1,4 +1,4 @@
-"""When the feet stand: low, and slow."""
+"""Foot contacts: a foot stands when it is low and slow."""
 
 from __future__ import annotations
 
@@ -17,19 +17,16 @@ SLOWEST_RATE = 8.0  # Hz
 
 
 def find_contacts(motion: CanonicalMotion, joint: str = "toe") -> BoolArray:
-    """When the left and the right foot stand on the floor, told by one of its joints.
+    """Find when the left and the right foot stand on the floor, (T, 2), from one joint of each.
 
     A foot stands where that joint is at most 5 cm above its lowest point of a second before and after, and slower than
-    0.25 m/s (both for a body of 1.6 m over the joints, in proportion for others), for at least a tenth of a second.
+    0.25 m/s (both for a body of 1.6 m over the joints, in proportion for others), for at least 0.1 s. None stands below
+    8 Hz, where two frames give no speed.
 
     Parameters
     ----------
     motion : canonical motion in m.
     joint : ``"toe"`` or ``"ankle"``.
-
-    Returns
-    -------
-    (T, 2) true where the foot stands; nowhere below 8 Hz, where two frames do not tell a speed.
     """
     size = body_size(motion)
     rate = motion.frame_rate
@@ -46,12 +43,12 @@ def find_contacts(motion: CanonicalMotion, joint: str = "toe") -> BoolArray:
 
 
 def body_size(motion: CanonicalMotion) -> float:
-    """Height over the joints, in bodies of 1.6 m."""
+    """Return the height over the joints, in bodies of 1.6 m."""
     return float(np.clip(motion.height / _HEIGHT, 0.2, 5.0))
 
 
 def measure_lowest(values: FloatArray, around: int) -> FloatArray:
-    """The minimum (T,) of the values so many frames before and after."""
+    """Compute the minimum (T,) of the values so many frames before and after."""
     around = min(around, len(values))
     padded = np.concatenate((np.full(around, np.inf), values, np.full(around, np.inf)))
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * around + 1)
@@ -60,7 +57,7 @@ def measure_lowest(values: FloatArray, around: int) -> FloatArray:
 
 
 def measure_speed(points: FloatArray, rate: float) -> FloatArray:
-    """(T,) m/s over two frames."""
+    """Compute the speed (T,) m/s over two frames."""
     if len(points) < 2:
         return np.zeros(len(points))
     speed: FloatArray = np.linalg.norm(np.gradient(points, axis=0), axis=1) * rate
@@ -68,7 +65,7 @@ def measure_speed(points: FloatArray, rate: float) -> FloatArray:
 
 
 def drop_short(states: BoolArray, which: bool, shortest: int) -> BoolArray:
-    """The states with stretches of one kind that are shorter than so many frames turned into the other."""
+    """Flip stretches of one kind that are shorter than so many frames."""
     result = states.copy()
     for start, end in find_runs(states == which):
         if end - start < shortest and (which or (start > 0 and end < len(states))):

@@ -1,8 +1,7 @@
-"""Where the feet of a character go so that they stand where the source's stand.
+"""Plans the feet of a character so that they stand where the source's stand.
 
-A foot that stands moves as the source's does, in proportion: not at all, or rolling over heel or toe. Which of the two
-carries it is told by their speeds, so that a longer foot rolls over its own toe. In the air it swings from one such
-place to the next.
+A standing foot moves in proportion to the source's: not at all, or rolling over heel or toe. The slower of the two
+carries it, so that a longer foot rolls over its own toe. In the air the foot swings from one place to the next.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from dousa.motion.runs import find_runs
 _EASE = 0.05  # m/s: of two points slower than this each carries half the foot
 _STANDS, _FEWEST = 0.8, 5  # how firmly ankle and toe are held in frames that show a flat foot, and how many it takes
 _LOWEST, _LOW = 5, 0.03  # percentile, m above it
-_ALIKE, _RISING, _STEEPEST = 0.1, 0.2, 1.3  # rad: feet of a reference pose that tell what is flat
+_ALIKE, _RISING, _STEEPEST = 0.1, 0.2, 1.3  # rad: feet of a reference pose that show the flat foot
 _MOST, _FLAT = 0.45, 0.3  # rad; share of a vector that lies across the foot
 _PASSING = 0.04  # s, over which the one takes over from the other
 _TURNS = (0.10, 0.30)  # rad: what turns this little is held, what turns this much is not
@@ -46,7 +45,7 @@ class Foot:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FootPlan:
-    """What is done with a foot.
+    """Turns and moves of a foot.
 
     Parameters
     ----------
@@ -61,7 +60,7 @@ class FootPlan:
 
 
 def plan_foot(source: Foot, made: Foot, scale: float, floor: float, frame_rate: float, size: float) -> FootPlan:
-    """How a foot is turned and moved so that it stands as the source's.
+    """Plan the turns and moves of a foot so that it stands as the source's.
 
     Parameters
     ----------
@@ -100,17 +99,16 @@ def plan_foot(source: Foot, made: Foot, scale: float, floor: float, frame_rate: 
 def level_foot(
     source: Foot, made: Foot, world: FloatArray, rig: Rig, side: str, frame_rate: float, size: float
 ) -> FloatArray:
-    """Turns (T, 4) in the world that make the foot of a character flat where the source's stands flat.
+    """Compute turns (T, 4) in the world that make a character's foot flat where the source's stands flat.
 
-    Feet point from ankle to toe as the source's do, but ankles lie higher above the sole in some bodies than in others,
-    and some reference poses have feet that nobody stands on. How a foot lies that stands is seen in the motion of the
-    source, and in the reference pose of the character.
+    Feet point from ankle to toe as the source's do, but the height of ankles over the sole differs between bodies. The
+    flat foot is found in the motion of the source and in the reference pose of the character.
 
     Parameters
     ----------
     source, made : the foot of the source, and that of the character, which points as the source's.
     world : (T, 4) orientation of the character's ankle.
-    rig : the character; if its feet are not alike in the reference pose they tell nothing, and stay.
+    rig : the character; if its feet differ in the reference pose, they stay.
     side : ``"left"`` or ``"right"``.
     frame_rate : Hz.
     size : of the source, in bodies of 1.6 m over the joints.
@@ -149,7 +147,7 @@ def _measure_slope(directions: FloatArray, up: FloatArray) -> FloatArray:
 
 
 def _weigh(stances: Stances) -> FloatArray:
-    """(T,) how much a frame tells where a foot stands."""
+    """Weight (T,) of a frame for the direction of a standing foot."""
     weights: FloatArray = 1.0 / (1.0 + np.square(stances.speed / (2 * _EASE))) ** 2 * stances.near + 1e-9
     return weights
 
@@ -168,7 +166,7 @@ def _still_direction(directions: FloatArray, held: FloatArray) -> FloatArray:
 
 
 def _share(ankle: Stances, toe: Stances, frame_rate: float) -> FloatArray:
-    """(T - 1,) how much of the foot the toe carries from frame to frame: all of it where the ankle moves about it."""
+    """Share (T - 1,) of the foot that the toe carries between frames: all of it where the ankle moves about it."""
     slow = _EASE**2
     share = (ankle.speed**2 + slow) / (ankle.speed**2 + toe.speed**2 + 2 * slow)
     share = smooth(share, max(1, round(_PASSING * frame_rate)))
@@ -179,7 +177,7 @@ def _share(ankle: Stances, toe: Stances, frame_rate: float) -> FloatArray:
 def _height_over(
     own: FloatArray, made: FloatArray, low: float, height: float, scale: float, floor: float
 ) -> FloatArray:
-    """(T,) m by which a point must be lifted to be over the floor as the source's is, or on it if that nearly is.
+    """Lift (T,) m that puts a point over the floor as the source's is, or on it if that nearly is.
 
     Parameters
     ----------
@@ -193,7 +191,7 @@ def _height_over(
 
 
 def _swing(moves: FloatArray, stretches: list[tuple[int, int]]) -> None:
-    """Between places where a foot stands a smooth way; before the first and after the last it stays as there."""
+    """Interpolate smoothly between places where a foot stands; hold the ends."""
     if not stretches:
         return
     first, last = stretches[0][0], stretches[-1][1]

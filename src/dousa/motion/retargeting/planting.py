@@ -1,4 +1,4 @@
-"""Feet that stay where they stand, hands that reach what they reached: two bones that are bent to a place."""
+"""Holding feet and hands in place: bending two bones so that the end of a limb reaches a place."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _SMOOTH = 0.08  # s, over which the pelvis gives way
 
 
 def share_moves(moves: FloatArray, stands: BoolArray, frame_rate: float) -> FloatArray:
-    """What the whole body does (T, 3) m of what its feet need, so that the legs need little.
+    """Compute the move (T, 3) m of the whole body from those of its feet, so that the legs bend little.
 
-    A foot that stands counts most.
+    A standing foot counts most.
 
     Parameters
     ----------
@@ -35,15 +35,15 @@ def share_moves(moves: FloatArray, stands: BoolArray, frame_rate: float) -> Floa
 def bend(
     root: FloatArray, middle: FloatArray, end: FloatArray, wanted: FloatArray, outward: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Turns (T, 4) in the world of the upper and of the lower bone that bring the end of a limb to a place.
+    """Compute turns (T, 4) in the world of the upper and lower bone that bring the end of a limb to a place.
 
-    The plane of the limb turns as little as it can; the lengths are kept, so that a place out of reach is approached.
+    The plane of the limb turns as little as it can; lengths are kept, so that a place out of reach is approached.
 
     Parameters
     ----------
     root, middle, end : (T, 3) m, joints of the limb, such as hip, knee and ankle.
-    wanted : (T, 3) m, where the end shall be.
-    outward : (T, 3) of any length, where the middle joint points to if the limb is straight: knees to the front.
+    wanted : (T, 3) m, place for the end.
+    outward : (T, 3) of any length, direction of the middle joint if the limb is straight: knees to the front.
     """
     upper, lower = np.linalg.norm(middle - root, axis=1), np.linalg.norm(end - middle, axis=1)
     line, goal = end - root, wanted - root
@@ -67,11 +67,11 @@ def bend(
 
 
 def lower_pelvis(hips: FloatArray, wanted: FloatArray, lengths: FloatArray, frame_rate: float) -> FloatArray:
-    """How far down (T,) m the pelvis must go so that all feet are within reach, smooth over time.
+    """Compute how far down (T,) m the pelvis must go so that all feet are within reach, smooth over time.
 
     Parameters
     ----------
-    hips, wanted : (T, 2, 3) m, hip joints, and where the ankles shall be.
+    hips, wanted : (T, 2, 3) m, hip joints, and places for the ankles.
     lengths : (2,) m of the legs.
     """
     gap = hips - wanted

@@ -1,10 +1,9 @@
-"""A motion on another skeleton.
+"""Retargeting of a motion to another skeleton.
 
-Every joint of the character takes the turn of its counterpart since a reference pose in which both stand alike (the
-rest pose, or a frame where the rest pose is nobody's), then each limb is turned the last bit so that it points exactly
-where the source's points. The pelvis moves in proportion to the length of the legs. Feet that stand are then held in
-place by moving the pelvis, then bending hip and knee, which changes the direction of the legs where the proportions
-differ; the arms keep theirs. Timing does not change.
+Every joint of the character turns as its counterpart does from a reference pose in which both stand the same way (the
+rest pose, or a frame where that is not a person's). Then each limb is aligned with the source's. The pelvis moves in
+proportion to the length of the legs. Feet that stand are held in place by moving the pelvis and bending hip and knee,
+which changes the direction of the legs where the proportions differ.
 """
 
 from __future__ import annotations
@@ -42,10 +41,10 @@ class Retargeted:
     ----------
     motion : over the skeleton of the character; written to its format it keeps the character's layout.
     contacts : (T, 2) when the left and the right foot of the source stand.
-    skating : m, how far feet of the character move while they stand: 95 of 100 frames are nearer to their place.
+    skating : m, 95th percentile of the distance of standing feet of the character from their places.
     direction_error : rad, mean angle between the limbs of the source and of the character.
     scale : length of the character's legs over that of the source's.
-    warnings : what a person should know.
+    warnings : for the user.
     """
 
     motion: Motion
@@ -68,16 +67,16 @@ def retarget(
 
     Parameters
     ----------
-    motion : what is done; positions are fitted with rigid bones first.
+    motion : the source; positions are fitted with rigid bones first.
     character : a motion, or a single pose, over the skeleton to move.
     joint_map : canonical joint -> name in the source.
     plant_feet : hold feet in place while they stand.
-    keep_reach : bring the hands where they were relative to the pelvis, in proportion to the legs, rather than keep the
-        directions of the arms: for somebody who holds or touches something.
+    keep_reach : keep the places of the hands relative to the pelvis, in proportion to the legs, instead of the
+        directions of the arms: for holding or touching.
 
     Raises
     ------
-    JointMappingError : joints of the source or of the character that cannot be told apart.
+    JointMappingError : joints of the source or of the character that cannot be mapped.
     """
     canonical = canonicalise(motion, joint_map, any_skeleton=True, whole=True)
     body = motion
@@ -109,7 +108,7 @@ def retarget(
 
 
 def measure_directions(canonical: CanonicalMotion, places: FloatArray, joints: dict[str, int]) -> FloatArray:
-    """Angles (T, 8) rad between upper and lower arms and legs of a source and of places (T, J, 3) of a character."""
+    """Compute angles (T, 8) rad between upper and lower limbs of a source and of places (T, J, 3) of a character."""
     angles = []
     for start, end in LIMBS:
         first = canonical.positions[:, J[end]] - canonical.positions[:, J[start]]
@@ -120,7 +119,7 @@ def measure_directions(canonical: CanonicalMotion, places: FloatArray, joints: d
 
 
 def measure_skating(points: FloatArray, contacts: BoolArray) -> float:
-    """How far (m) points (T, 2, 3) of the feet are from their places while they stand, in all but 5 of 100 frames.
+    """Compute the 95th percentile of the distance (m) of standing feet (T, 2, 3) from their places.
 
     The place of a contact is the median of its frames; 0 without contacts.
     """
@@ -133,7 +132,6 @@ def measure_skating(points: FloatArray, contacts: BoolArray) -> float:
 
 
 def _plant(poses: Poses, rig: Rig, source: Rig, canonical: CanonicalMotion, scale: float) -> Poses:
-    """Feet that stand are held in place."""
     places, floor = poses.places(rig), find_floor(canonical, source)
     plans = [_plan(poses, places, rig, source, canonical, side, scale, floor) for side in SIDES]
     moves = np.stack([plan.moves for plan in plans], axis=1)
@@ -185,7 +183,7 @@ def _plan(
 
 
 def _reach(poses: Poses, rig: Rig, canonical: CanonicalMotion, scale: float) -> Poses:
-    """Hands go where they were, seen from the middle of the hips."""
+    """Put hands where they were, relative to the middle of the hips."""
     points = canonical.positions
     middle = 0.5 * (points[:, J["left_hip"]] + points[:, J["right_hip"]])
     places = poses.places(rig)
@@ -219,7 +217,6 @@ def _bend_limb(poses: Poses, rig: Rig, names: list[str], wanted: FloatArray) -> 
 
 
 def _to_local(poses: Poses, rig: Rig, character: Motion) -> tuple[FloatArray, FloatArray]:
-    """Local rotations (T, J, 4) and translations (T, J, 3)."""
     n_frames = len(poses.world)
     rotations = np.array(poses.world)
     translations = np.tile(rig.offsets, (n_frames, 1, 1))

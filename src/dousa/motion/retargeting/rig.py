@@ -1,4 +1,4 @@
-"""What retargeting knows of a skeleton: which joint is which, its bones, and a pose that others are compared with."""
+"""A skeleton for retargeting: its canonical joints, its bones, and a reference pose."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _STRAIGHT, _OPPOSITE, _MOST_REFERENCES = 0.9, 0.85, 400
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rig:
-    """A skeleton as retargeting needs it.
+    """A skeleton for retargeting.
 
     Parameters
     ----------
@@ -58,14 +58,14 @@ class Rig:
     leg: float
 
     def direction(self, start: str, end: str) -> FloatArray:
-        """(3,) from joint to joint in the reference pose, of any length."""
+        """Return the vector (3,) from joint to joint in the reference pose, of any length."""
         vector: FloatArray = self.places[self.joints[end]] - self.places[self.joints[start]]
         return vector
 
     def foot_heights(self) -> tuple[float, float]:
-        """Height (m) over the floor of ankles and toes in a standing foot; of a body without toes, usual ones.
+        """Return the height (m) over the floor of ankles and toes in a standing foot; without toes, usual ones.
 
-        The floor is where the lowest joint of the reference pose is, in which one foot may be lifted.
+        The floor is at the lowest joint of the reference pose, in which one foot may be lifted.
         """
         up = rotate(conjugate(self.body), self.places)[:, 1]
         lowest = min(up[joint] for joint in range(len(self.parents)) if self.pelvis in self.ancestors(joint))
@@ -78,7 +78,7 @@ class Rig:
         return heights[0], heights[1]
 
     def path(self, start: int, end: int) -> list[int]:
-        """Joints from ``start`` down to, and without, ``end``."""
+        """Return the joints from ``start`` down to, and without, ``end``."""
         chain = []
         joint = self.parents[end]
         while joint != start and joint >= 0:
@@ -87,7 +87,7 @@ class Rig:
         return [start, *reversed(chain)]
 
     def ancestors(self, joint: int) -> list[int]:
-        """The joint and all above it, from below."""
+        """Return the joint and all above it, from below."""
         chain = []
         while joint >= 0:
             chain.append(joint)
@@ -96,7 +96,7 @@ class Rig:
 
 
 def build_rig(motion: Motion, canonical: CanonicalMotion) -> Rig:
-    """The rig of a motion whose canonical joints are known; the reference is the rest pose if that is a person's."""
+    """Build the rig of a motion with known canonical joints; the reference is the rest pose if that is a person's."""
     skeleton = motion.skeleton
     names, parents = skeleton.names, skeleton.parents.tolist()
     joints = {joint: names.index(sources[0]) for joint, sources in canonical.mapping.sources.items()}
@@ -135,7 +135,7 @@ def _meeting(first: list[int], second: list[int]) -> int:
 
 
 def body_axes(places: FloatArray, joints: dict[str, int]) -> FloatArray:
-    """(..., 3, 3) axes of a body as columns: left, up, front; from places (..., J, 3)."""
+    """Compute axes (..., 3, 3) of a body as columns left, up, front from places (..., J, 3)."""
 
     def middle(joint: str) -> FloatArray:
         mean: FloatArray = 0.5 * (places[..., joints[f"left_{joint}"], :] + places[..., joints[f"right_{joint}"], :])
@@ -168,7 +168,7 @@ def _choose_reference(motion: Motion, offsets: FloatArray, joints: dict[str, int
 
 
 def _likeness(places: FloatArray, joints: dict[str, int]) -> FloatArray:
-    """(T,) how much a pose is that of somebody who stands with straight arms and legs; above 0 it is such a pose."""
+    """Likeness (T,) of a pose to standing with straight arms and legs; positive for such a pose."""
 
     def at(joint: str) -> FloatArray:
         return places[:, joints[joint]]

@@ -1,7 +1,6 @@
-"""Where a point of the foot stands: stretches in which it is low and slow, and how it moves in them.
+"""Stances of a point of the foot: stretches in which it is low and slow, and how it moves in them.
 
-The rule is generous on purpose: what stands by anybody's rule lies within one of the stretches, and what a foot does at
-their ends, rolling over heel or toe, is kept rather than decided upon.
+The rule is generous on purpose: rolling over heel or toe at the ends of a stance is kept.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ _LOW, _SLOW = 0.14, 1.2  # m above the lowest of the second around, m/s
 _AROUND, _SHORTEST = 1.0, 0.04  # s
 _HELD, _FREE = 0.2, 0.5  # m/s: slower it is held, faster it is free
 _NEAR, _FAR = 0.035, 0.08  # m from where it stands: however slow, it has moved on
-_WEIGHT = 0.08  # m/s: where it stands is told by the frames that are slower
+_WEIGHT = 0.08  # m/s: slower frames determine where it stands
 _EASE = 0.03  # s
 
 
@@ -29,7 +28,7 @@ class Stances:
     Parameters
     ----------
     near : (T,) where it is low and slow.
-    steps : (T - 1, 3) m, its way from frame to frame; none where it stands.
+    steps : (T - 1, 3) m from frame to frame; 0 where it stands.
     speed : (T,) m/s of the point.
     held : (T,) 1 where it stands, 0 where it moves freely.
     """
@@ -41,12 +40,12 @@ class Stances:
 
 
 def find_stances(points: FloatArray, frame_rate: float, size: float) -> Stances:
-    """Stretches in which a point stands, and its way without what is too little to be one.
+    """Find stretches in which a point stands, and its path without negligible moves.
 
     Parameters
     ----------
     points : (T, 3) m.
-    frame_rate : Hz; below 8 Hz nothing stands, since two frames do not tell a speed.
+    frame_rate : Hz; below 8 Hz nothing stands, since two frames give no speed.
     size : of the body, in bodies of 1.6 m over the joints.
     """
     speed = measure_speed(points, frame_rate)
@@ -67,13 +66,13 @@ def find_stances(points: FloatArray, frame_rate: float, size: float) -> Stances:
 
 
 def ramp(values: FloatArray, low: float, high: float) -> FloatArray:
-    """A smooth way from 0 at the one value to 1 at the other."""
+    """Return a smooth step from 0 at ``low`` to 1 at ``high``."""
     share = np.clip((values - low) / (high - low), 0.0, 1.0)
     way: FloatArray = share * share * (3 - 2 * share)
     return way
 
 
 def smooth(values: FloatArray, around: int) -> FloatArray:
-    """The mean (T,) of so many frames before and after, the nearest most."""
+    """Compute the mean (T,) of so many frames before and after, the nearest most."""
     window = np.hanning(2 * around + 3)[1:-1]
     return np.convolve(np.pad(values, around, mode="edge"), window / window.sum(), mode="valid")

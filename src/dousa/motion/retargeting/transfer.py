@@ -1,4 +1,4 @@
-"""The turns of a motion on the joints of another skeleton, before feet and hands are put in their places."""
+"""Transfer of the turns of a motion to another skeleton, before feet and hands are put in their places."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Poses:
     frame_rate: float
 
     def places(self, rig: Rig) -> FloatArray:
-        """(T, J, 3), from the pelvis down; joints above it lie at it."""
+        """Compute places (T, J, 3) from the pelvis down; joints above it lie at it."""
         places = np.tile(self.pelvis[:, None], (1, len(rig.parents), 1))
         below = {rig.pelvis}
         for joint, parent in enumerate(rig.parents):
@@ -36,12 +36,12 @@ class Poses:
 
 @dataclass(eq=False)
 class Transfer:
-    """Orientations of all joints of the character, and where its pelvis goes.
+    """Orientations of all joints of the character, and the path of its pelvis.
 
     Parameters
     ----------
-    body, canonical, source : what is done: rotations, canonical joints, and its rig.
-    target, character : the rig to move, and whose it is.
+    body, canonical, source : rotations, canonical joints and rig of the source.
+    target, character : rig and motion of the character.
     """
 
     body: Motion
@@ -59,7 +59,7 @@ class Transfer:
         self.done: set[int] = set()
 
     def run(self) -> Poses:
-        """The poses of the character."""
+        """Compute the poses of the character."""
         self._trunk()
         least: dict[str, FloatArray | None] = {}
         for start, end in (*LIMBS, *TIPS):
@@ -68,7 +68,7 @@ class Transfer:
         return Poses(self.made, self._move_pelvis(), self.body.frame_rate)
 
     def _set(self, joint: int, turns: FloatArray) -> None:
-        """A joint that turns from the reference pose as the source does."""
+        """Turn a joint from the reference pose as the source does."""
         self.made[:, joint] = multiply(turns, multiply(self.facing, self.target.world[joint]))
         self.done.add(joint)
 
@@ -88,7 +88,7 @@ class Transfer:
                 self._set(joint, self.turns[:, own[0]] if own else high)
 
     def _spread(self, start: int, end: int, first: FloatArray, last: FloatArray) -> None:
-        """Joints of a chain share the turn from its start to its end."""
+        """Spread the turn of a chain over its joints."""
         chain = [*self.target.path(start, end)[1:], end]
         short = np.where((first * last).sum(axis=1, keepdims=True) < 0, -last, last)
         for number, joint in enumerate(chain, 1):
@@ -96,7 +96,7 @@ class Transfer:
             self._set(joint, normalise((1 - share) * first + share * short))
 
     def _limb(self, start: str, end: str, above: FloatArray | None) -> FloatArray | None:
-        """Turn a bone as the source's turns, then to where it points; returns what aligned it, for the next bone."""
+        """Turn a bone as the source's and align it; return the alignment, for the next bone."""
         source, target = self.source, self.target
         if start not in source.joints or start not in target.joints:
             return above
@@ -121,7 +121,7 @@ class Transfer:
         return self.positions[:, joints[end]] - self.positions[:, joints[start]]
 
     def _rest(self) -> None:
-        """Joints without a counterpart stay as they are to their parent; those of the same name, as fingers, follow."""
+        """Keep joints without a counterpart as they are to their parent; same names, as fingers, follow."""
         target, source = self.target, self.source
         named = {name: index for index, name in reversed(list(enumerate(source.names)))}
         used = set(source.joints.values())
@@ -166,9 +166,9 @@ def _in_frame(turns: FloatArray, frame: FloatArray) -> FloatArray:
 
 
 def find_floor(canonical: CanonicalMotion, rig: Rig) -> float:
-    """Height (m) of the floor: the second lowest percentile of the toes, less the height of toes in a standing foot.
+    """Return the height (m) of the floor: second percentile of the toes less their height in a standing foot.
 
-    Ankles serve where there are no toes.
+    Ankles are used where there are no toes.
     """
     ankle, toe = rig.foot_heights()
     over = []

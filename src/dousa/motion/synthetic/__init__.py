@@ -1,4 +1,4 @@
-"""Synthetic people: everyday motions and a dance, to try things on with nothing but the package."""
+"""Synthetic people with everyday motions and a dance: data for trying things out."""
 
 from __future__ import annotations
 

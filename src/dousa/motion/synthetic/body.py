@@ -1,4 +1,4 @@
-"""The body that plays the scores: its skeleton, how degrees of freedom become rotations, and the floor."""
+"""The body of synthetic performers: skeleton, rotations from degrees of freedom, and the floor."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _SOLE = ((0.0, -_ANKLE_HEIGHT, -0.040), (0.0, -_ANKLE_HEIGHT, 0.094), (0.0, -_AN
 
 
 def build_skeleton(stature: float, legs: float, arms: float, width: float) -> Skeleton:
-    """A person of 20 joints and 5 end sites who faces +Z with hanging arms, feet on the floor y = 0.
+    """Build a person of 20 joints and 5 end sites, facing +Z with hanging arms, feet on the floor y = 0.
 
     Parameters
     ----------
@@ -135,7 +135,10 @@ def _leg(pose: Mapping[str, FloatArray], side: str, sign: float, pelvis: FloatAr
 
 
 def compose_motion(skeleton: Skeleton, pose: Mapping[str, FloatArray], frame_rate: float, stature: float) -> Motion:
-    """A motion from degrees of freedom over time: the feet that carry the body decide where it goes.
+    """Compose a motion from degrees of freedom over time.
+
+    The lowest point of the two soles is put on the floor, and the body moves so that the points which carry it
+    stand still. In the air it keeps its speed and follows the line from take-off to landing, raised by `flight`.
 
     Parameters
     ----------
@@ -143,11 +146,6 @@ def compose_motion(skeleton: Skeleton, pose: Mapping[str, FloatArray], frame_rat
     pose : every name of FREEDOMS -> (T,) degrees (flight: cm).
     frame_rate : Hz.
     stature : m.
-
-    Notes
-    -----
-    The lowest point of the two soles is put on the floor, and the body moves so that the points which carry it
-    stand still. In the air it keeps its speed and follows the line from take-off to landing, raised by `flight`.
     """
     joints = _trunk(pose)
     for side, sign in (("left", 1.0), ("right", -1.0)):
@@ -195,7 +193,7 @@ def _carry(points: FloatArray, flight: FloatArray, frame_rate: float) -> FloatAr
 
 
 def _smooth(values: FloatArray, frames: float) -> FloatArray:
-    """Values (T,) averaged with Gaussian weights whose standard deviation is so many frames."""
+    """Values (T,) under a Gaussian with a standard deviation of so many frames."""
     reach = max(int(np.ceil(3 * frames)), 1)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(frames, 1e-6)) ** 2)
     return np.convolve(np.pad(values, reach, mode="edge"), kernel / kernel.sum(), mode="valid")

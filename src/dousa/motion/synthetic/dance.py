@@ -1,9 +1,8 @@
 """A synthetic dance: six figures of eight counts, several of them danced more than once, as in real dances.
 
-Figures are scores in the language of `scores`, with counts of the music instead of phases. They are
-joined key by key into one long score, so that every degree of freedom stays smooth from figure to figure, and a
-`Performer` plays it with a body, extent, posture and unsteadiness of their own. All performers keep the tempo of
-the music. The same seeds give the same motion.
+Figures are scores in the language of `scores`, with counts of the music instead of phases. They are joined key by key
+into one long score, so that every degree of freedom stays smooth, and played by a `Performer`. All performers keep
+the tempo of the music. The same seeds give the same motion.
 """
 
 from __future__ import annotations
@@ -63,17 +62,15 @@ class Dance:
 
 
 def make_dance(performer: Performer, seed: int = 0, frame_rate: float = 30.0) -> Dance:
-    """One take of the synthetic dance, about 37 s.
+    """Make one take of the synthetic dance, about 37 s.
+
+    The dance is in metres, Y up, begins near the origin and faces about +Z.
 
     Parameters
     ----------
-    performer : who dances; the tempo is that of the music, not the performer's.
+    performer : the dancer; the tempo is that of the music, not the performer's.
     seed : number of the take; the timing within the beat and the unsteadiness differ from take to take.
     frame_rate : Hz.
-
-    Returns
-    -------
-    Dance in metres, Y up, which begins near the origin and faces about +Z, with the cuts of its figures.
 
     Raises
     ------

@@ -1,8 +1,7 @@
-"""Motions that nobody has a name for: what a body can do, drawn at random, by people drawn at random.
+"""Random motions without a name, by random performers.
 
-A gesture moves an arm, both arms alike or each in its own way, or a leg, both knees or the trunk, through one to four
-poses within the range of the joints, once or a few times. None is meant to be any action; together they show how
-people move who do something else.
+A gesture moves an arm, both arms in the same or in different ways, or a leg, both knees or the trunk, through one to
+four poses within the range of the joints, once or a few times. Together they are examples of other motion.
 """
 
 from __future__ import annotations
@@ -17,27 +16,17 @@ from dousa.motion.types import Motion
 _SEED = 0x6E57
 _SIDES = ("left", "right")
 _APART = 0.08  # of a round, between two poses
-_FIRST_PERFORMER = 5000  # nobody of the other synthetic libraries
+_FIRST_PERFORMER = 5000  # no performer of the other synthetic libraries
 
 
 def make_gesture(seed: int, frame_rate: float = 30.0) -> Motion:
-    """A gesture, and who makes it.
-
-    Parameters
-    ----------
-    seed : 0 or more; the same seed gives the same motion.
-    frame_rate : Hz.
-
-    Returns
-    -------
-    Motion in metres, Y up, as ``make_motion`` gives it.
-    """
+    """Make a gesture of a random performer, in metres with Y up as by ``make_motion``; the same for the same seed."""
     rng = np.random.default_rng([_SEED, seed])
     return perform_score(draw_score(rng), draw_performer(_FIRST_PERFORMER + seed), rng, frame_rate)
 
 
 def draw_score(rng: np.random.Generator) -> Score:
-    """A score of keys drawn at random, degrees."""
+    """Draw a random score of keys, degrees."""
     kind = "once" if rng.random() < 1 / 3 else "repeat"
     tracks: dict[str, Track] = {}
     arms = rng.random()
@@ -59,7 +48,7 @@ def draw_score(rng: np.random.Generator) -> Score:
 
 
 def _draw_keys(rng: np.random.Generator, kind: str, values: FloatArray) -> Track:
-    """Poses at times of their own, from standing, and back to it unless the motion ends elsewhere."""
+    """Draw poses and their times, from standing and back to it unless the motion ends elsewhere."""
     while True:
         phases = np.sort(rng.uniform(0.15, 0.85, len(values)))
         if len(values) == 1 or np.diff(phases).min() >= _APART:
@@ -90,7 +79,7 @@ def _copy_left(tracks: dict[str, Track]) -> None:
 
 
 def _draw_rest(rng: np.random.Generator, kind: str, tracks: dict[str, Track]) -> None:
-    """A leg, both knees, or the trunk."""
+    """Draw the keys of a leg, both knees, or the trunk."""
     which, count = rng.random(), int(rng.integers(1, 3))
     if which < 0.35:
         side = str(rng.choice(_SIDES))

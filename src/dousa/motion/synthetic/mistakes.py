@@ -1,4 +1,4 @@
-"""Mistakes of a pupil: parts of a synthetic dance done late, too small or otherwise, with the truth about them."""
+"""Mistakes of a pupil: parts of a synthetic dance done late, too small or otherwise, with the true answers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _RAMP_S = 0.3  # s in which a mistake begins and ends
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """What was done wrong on purpose.
+    """A deliberate mistake.
 
     Parameters
     ----------
@@ -42,17 +42,14 @@ class Mistake:
 
 
 def make_mistakes(dance: Dance, seed: int = 0) -> tuple[Motion, tuple[Mistake, ...]]:
-    """Dance with one mistake of each kind, each in the middle of another figure.
+    """Make one mistake of each kind in a dance, each in the middle of another figure.
+
+    Returns the dance with mistakes, whose bones keep their lengths, and the mistakes in order of time.
 
     Parameters
     ----------
-    dance : at least four figures, as `make_dance` makes it.
-    seed : of the figures and the arms that are chosen.
-
-    Returns
-    -------
-    motion : the dance with mistakes; the bones keep their lengths, as joints are turned alone.
-    mistakes : in order of time.
+    dance : at least four figures, from `make_dance`.
+    seed : of the figures and arms.
 
     Raises
     ------
@@ -72,7 +69,7 @@ def make_mistakes(dance: Dance, seed: int = 0) -> tuple[Motion, tuple[Mistake, .
 
 
 def _put(motion: Motion, kind: str, start: int, end: int, rng: np.random.Generator) -> tuple[Motion, Mistake]:
-    """Blend the joints of a mistake into what they do at another time, frame by frame."""
+    """Blend the joints of a mistake into their motion at another time, frame by frame."""
     length = end - start
     first, stop = start + length // 5, end - length // 5
     frames = np.arange(motion.n_frames)

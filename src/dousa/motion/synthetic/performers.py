@@ -1,8 +1,8 @@
-"""Synthetic people who perform everyday motions: data to try things on with nothing but the package.
+"""Synthetic people with everyday motions: data for trying things out.
 
-Every motion is a short score of keys on named degrees of freedom (`_synthetic_scores`); a `Performer` plays
-it with a body, tempo, amplitude, timing, posture and unsteadiness of their own. The same seeds give the same
-motion. The feet carry the body: where it goes follows from them. Metres, Y up; performers face +Z.
+Every motion is a short score of keys on named degrees of freedom (`scores`); a `Performer` plays it with a body, tempo,
+amplitude, timing, posture and unsteadiness. The same seeds give the same motion. The feet carry the body and so
+determine its path. Metres, Y up; performers face +Z.
 """
 
 from __future__ import annotations
@@ -35,7 +35,6 @@ class Plan:
 
 
 def _posture(performer: Performer) -> dict[str, float]:
-    """Degrees of freedom of the performer who stands."""
     side = {"arm_out": performer.arm_out, "elbow": performer.elbow, "toe_out": performer.toe_out, **_STANCE}
     stance = {f"{hand}_{name}": value for hand in ("left", "right") for name, value in side.items()}
     # The working shoulder hangs lower and its elbow is bent a little more.
@@ -57,7 +56,7 @@ def play_score(score: Score, performer: Performer, plan: Plan, rng: np.random.Ge
     pose = {}
     for name in FREEDOMS:
         kind = name.partition("_")[2] or name
-        # The two sides are alike, but not equal.
+        # The two sides are similar, not equal.
         habit = habits.setdefault(kind, own.normal(1.0, 0.06) * rng.normal(1.0, 0.03))
         gain = performer.amplitude * habit * own.normal(1.0, 0.02)
         gain = 1.0 + 0.1 * (gain - 1.0) if kind in _UNSCALED else gain
@@ -66,7 +65,7 @@ def play_score(score: Score, performer: Performer, plan: Plan, rng: np.random.Ge
         if name in score.tracks:
             late = performer.lag if kind.startswith(("arm", "elbow")) and periodic else 0.0
             values = gain * evaluate_track(score.tracks[name], phases - late, periodic)
-            # The score says where the arm goes; of the stance only its slack remains.
+            # The score moves the arm; of the stance only its slack remains.
             rest = rest * (1.0 - weights) if kind == "arm_side" else rest
         if kind not in ("flight", "turn"):
             rest = rest + _unsteadiness(plan.times, performer.noise * (0.4 if kind == "foot" else 1.0), rng)
@@ -87,19 +86,19 @@ def _unsteadiness(times: FloatArray, degrees: float, rng: np.random.Generator) -
 
 
 CATEGORIES: tuple[str, ...] = tuple(SCORES)
-"""The kinds of motion that `make_motion` knows."""
+"""The kinds of motion of `make_motion`."""
 
 _MAX_FRAMES = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class Performer:
-    """Who performs: a body and a manner of moving.
+    """A body and a manner of moving.
 
     Parameters
     ----------
     name : for file names.
-    seed : of everything the performer does differently from take to take.
+    seed : of the differences from take to take.
     stature : m.
     legs, arms, width : limb lengths and breadth as shares of the average ones.
     tempo, amplitude : speed and extent of motions as shares of the score's.
@@ -130,13 +129,7 @@ class Performer:
 
 
 def draw_performer(seed: int, name: str | None = None) -> Performer:
-    """A performer drawn at random.
-
-    Parameters
-    ----------
-    seed : the same seed gives the same person.
-    name : ``performerNN`` with the seed's number by default.
-    """
+    """Draw a random performer, the same for the same seed; the name is ``performerNN`` with the seed by default."""
     rng = np.random.default_rng([0x0D05A, _checked_seed(seed)])
 
     def near(mean: float, spread: float, low: float, high: float) -> float:
@@ -164,24 +157,21 @@ def draw_performer(seed: int, name: str | None = None) -> Performer:
 
 
 def make_skeleton(performer: Performer) -> Skeleton:
-    """The performer's skeleton: the 20 canonical joints by name and 5 end sites, facing +Z, arms hanging."""
+    """Build the performer's skeleton: the 20 canonical joints by name and 5 end sites, facing +Z, arms hanging."""
     return build_skeleton(performer.stature, performer.legs, performer.arms, performer.width)
 
 
 def make_motion(category: str, performer: Performer, seed: int = 0, frame_rate: float = 30.0) -> Motion:
-    """One take of one kind of motion.
+    """Make one take of one kind of motion.
+
+    It is in metres, Y up, begins near the origin and faces about +Z; feet stay on the floor y = 0 except for jumps.
 
     Parameters
     ----------
     category : one of `CATEGORIES`.
-    performer : who performs it.
+    performer : the performer.
     seed : number of the take; tempo, rounds, start and unsteadiness differ from take to take.
     frame_rate : Hz.
-
-    Returns
-    -------
-    Motion in metres, Y up, which begins near the origin and faces about +Z; the feet stay on the floor
-    y = 0 except for jumps.
 
     Raises
     ------
@@ -196,7 +186,7 @@ def make_motion(category: str, performer: Performer, seed: int = 0, frame_rate: 
 
 
 def perform_score(score: Score, performer: Performer, rng: np.random.Generator, frame_rate: float = 30.0) -> Motion:
-    """One take of a score, as ``make_motion`` makes it; ``rng`` draws what differs from take to take."""
+    """Make one take of a score, as by ``make_motion``; ``rng`` draws the differences from take to take."""
     if performer.left_handed and not score.sided:
         score = score.mirrored()
     plan = _plan(score, performer, frame_rate, rng)
@@ -211,7 +201,7 @@ def make_library(
     categories: Sequence[str] = CATEGORIES,
     frame_rate: float = 30.0,
 ) -> Iterator[tuple[str, Performer, int, Motion]]:
-    """All motions of a synthetic library, one after the other.
+    """Yield all motions of a synthetic library: category, performer, number of the take from 0, motion.
 
     Parameters
     ----------
@@ -219,10 +209,6 @@ def make_library(
     seed : performer p of library s is drawn from seed 1000 s + p.
     categories : which kinds of motion.
     frame_rate : Hz.
-
-    Yields
-    ------
-    category, performer, number of the take from 0, motion.
     """
     if n_performers < 1 or takes < 1:
         raise OptionError("synthetic.none", performers=n_performers, takes=takes)

@@ -1,13 +1,13 @@
 """The scores of the synthetic motions, and the smooth curves they stand for.
 
-A score is a small text. Its first line says how the motion runs: ``cycle`` (goes round, may start anywhere),
-``repeat`` (starts and ends standing) or ``once`` (ends in another pose), the seconds of one round at tempo 1
-and, optionally, how many rounds (``x2-4``), ``entry`` (a cycle that the performer first raises the limbs for)
-and ``sided`` (the motion itself says left or right; all others are mirrored for left-handed performers).
-Every other line is one degree of freedom with ``phase:degrees`` keys. ``both_`` writes the left and the
-right, ``alternate_`` the left and, half a round later, the right.
+The first line of a score is the kind of motion: ``cycle`` (goes round, may start anywhere), ``repeat`` (starts and ends
+standing) or ``once`` (ends in another pose), the seconds of one round at tempo 1 and, optionally, the number of rounds
+(``x2-4``), ``entry`` (the performer first raises the limbs for a cycle) and ``sided`` (left or right is part of the
+motion; all others are mirrored for left-handed performers). Every other line is one degree of freedom with
+``phase:degrees`` keys. ``both_`` writes the left and the right, ``alternate_`` the left and, half a round later, the
+right.
 
-Degrees of freedom, all zero in a person who stands with hanging arms:
+Degrees of freedom, all zero when standing with hanging arms:
 
 ========================= ==========================================================================
 bend lean twist           trunk forward, to the left, turned to the left
@@ -52,7 +52,7 @@ class Score:
     tracks: dict[str, Track]
 
     def mirrored(self) -> Score:
-        """The same motion with left and right changed."""
+        """Return the same motion with left and right swapped."""
         sign = {"lean": -1.0, "twist": -1.0, "look": -1.0, "turn": -1.0}
         tracks = {
             mirror_name(name): (phases, values * sign.get(name, 1.0)) for name, (phases, values) in self.tracks.items()
@@ -61,19 +61,14 @@ class Score:
 
 
 def mirror_name(name: str) -> str:
-    """The degree of freedom of the other side; those of the middle stay."""
+    """Return the degree of freedom of the other side; those of the middle stay."""
     side, _, rest = name.partition("_")
     other = {"left": "right", "right": "left"}.get(side)
     return f"{other}_{rest}" if other else name
 
 
 def parse_score(text: str) -> Score:
-    """Read one score.
-
-    Raises
-    ------
-    ValueError : a line that is not written as the module's docstring says.
-    """
+    """Read one score; ValueError for a line that is not in the form of the module's docstring."""
     lines = [line.split() for line in text.strip().splitlines()]
     kind, seconds, *options = lines[0]
     rounds = next((re.fullmatch(r"x(\d+)-(\d+)", word) for word in options if word.startswith("x")), None)
@@ -96,7 +91,7 @@ def parse_score(text: str) -> Score:
 
 
 def evaluate_track(track: Track, phases: FloatArray, periodic: bool) -> FloatArray:
-    """Values (T,) of a smooth curve through the keys that never overshoots them.
+    """Compute values (T,) of a smooth curve through the keys that never overshoots them.
 
     Monotone cubic Hermite interpolation (Fritsch and Butland 1984): between two keys the curve stays between
     their values, so that a knee keyed at 0 is never bent the wrong way.
@@ -131,7 +126,7 @@ def evaluate_track(track: Track, phases: FloatArray, periodic: bool) -> FloatArr
 
 
 def load_scores(name: str) -> dict[str, Score]:
-    """The scores of a TOML file of this folder, by name."""
+    """Return the scores of a TOML file of this folder, by name."""
     texts = tomllib.loads(resources.files(__package__).joinpath(name).read_text(encoding="utf-8"))
     return {name: parse_score(text) for name, text in texts.items()}
 

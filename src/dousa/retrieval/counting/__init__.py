@@ -1,1 +1,1 @@
-"""How often an action is repeated: tallies of its movement, and the count that they speak for."""
+"""Counting the repetitions of an action from tallies of its movement."""

@@ -1,8 +1,8 @@
-"""The count that the tallies of a part of a recording speak for.
+"""The repetition count that best fits the tallies of a part of a recording.
 
-Every count that could be is described: how near each tally comes to it, whether it hits it, and, where it is known what
-one repetition of the category usually comes to in each tally, the same with that as the unit. A conditional logistic
-regression, fitted to made series of other people and to real takes counted by hand, weighs these; the best count wins.
+Every possible count is described by how near each tally is to it, whether it is hit, and, if the usual tallies of one
+repetition of the category are known, the same in units of these. A conditional logistic regression, fitted to made
+series of other people and real takes counted by hand, weighs these; the best count wins.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _OTHERS = np.array([_JOINTS.index(CANONICAL_JOINTS[MIRRORED_JOINTS[joint]]) for 
 _N_EVEN = 3 * len(_JOINTS) - sum(
     3 if other < k else other == k for k, other in enumerate(_OTHERS)
 )  # curves of both sides
-_SMOOTHING = 3.0  # frames, standard deviation: a sensor's noise is quicker than people
+_SMOOTHING = 3.0  # frames, standard deviation: sensor noise is quicker than people
 _LIGHT = 1.5  # frames: hands that clap or wave are as quick as noise
 
 
@@ -59,16 +59,9 @@ _PERIODS = [TALLIES.index(name) for name in ("periods", "light_periods", "even_p
 
 
 def measure_tallies(sampled: FloatArray, height: float) -> FloatArray:
-    """What each tally of a part of a recording comes to.
+    """Compute the tallies (28,) of a part of a recording, in the order of ``TALLIES``; 0 where nothing moves.
 
-    Parameters
-    ----------
-    sampled : (n, 20, 3) m, canonical joints at 30 Hz.
-    height : m.
-
-    Returns
-    -------
-    (28,) in the order of ``TALLIES``; 0 where nothing moves.
+    ``sampled`` is (n, 20, 3) m, canonical joints at 30 Hz; ``height`` is in m.
     """
     from dousa.retrieval.features.posed_motion import FRAME_JOINTS, complete_positions
 
@@ -76,7 +69,7 @@ def measure_tallies(sampled: FloatArray, height: float) -> FloatArray:
     if len(points) < 2:
         return np.zeros(len(TALLIES))
     found, (first, last), (frames, speeds) = _tally_one(points, height)
-    if last > 0:  # a part of it, short enough for all to be told
+    if last > 0:  # only a core was tallied, short enough for its periods
         return found
     if last < 0 and _is_repeated(_read_velocities(frames[0], len(points))[:, first:-last]):
         points = points[first:-last]
@@ -96,7 +89,7 @@ _Courses = tuple[tuple[FloatArray, FloatArray, FloatArray], FloatArray]
 
 
 def _tally_one(points: FloatArray, height: float, *, whole: bool = False) -> tuple[FloatArray, list[int], _Courses]:
-    """The tallies (28,), the frames of what alone was tallied, or may be, and the courses and the speeds."""
+    """Return the tallies (28,), the frames of the core tallied alone or to check, and the courses and the speeds."""
     tallies, core = np.zeros((1, len(TALLIES))), np.zeros(2, np.int64)
     courses = _tally(points, np.array([[0, len(points)]]), height, len(points), tallies, core, whole=whole)
     return tallies[0], core.tolist(), courses
@@ -112,7 +105,7 @@ def _tally(
     *,
     whole: bool = False,
 ) -> _Courses:
-    """Fill ``tallies`` (N, 28) of parts of at most so many frames; of the last one, the courses and the speeds."""
+    """Fill ``tallies`` (N, 28) of parts of at most ``most`` frames; return courses and speeds of the last one."""
     width = 3 * len(_JOINTS)
     frames = np.empty(3 * width * most), np.empty(3 * width * most), np.empty(3 * _N_EVEN * most)
     sizes = (width, width), (_N_EVEN, _N_EVEN), (6, width), (3, width), (3, _N_EVEN)
@@ -127,12 +120,12 @@ def _tally(
 
 
 def measure_parts(sampled: FloatArray, spans: IntArray, height: float) -> FloatArray:
-    """The same (N, 28) of parts of a recording, in less time than one by one.
+    """Compute the same (N, 28) of parts of a recording, faster than one by one.
 
     Parameters
     ----------
     sampled : (n, 20, 3) m, canonical joints at 30 Hz, finite.
-    spans : (N, 2) the first frame of each part, and the one after its last.
+    spans : (N, 2) first frame of each part, and the one after its last.
     height : m.
     """
     tallies, lengths, most = np.zeros((len(spans), len(TALLIES))), np.diff(spans, axis=1)[:, 0], counting.SHORT
@@ -146,7 +139,7 @@ def measure_parts(sampled: FloatArray, spans: IntArray, height: float) -> FloatA
 
 
 def _count_periods(velocities: FloatArray, speeds: FloatArray) -> float:
-    """How often the period fits into the moving part; 1 where there is none. ``velocities`` (K, n), ``speeds`` (n,)."""
+    """Count periods of ``velocities`` (K, n) in the moving part, by ``speeds`` (n,); 1 where there is none."""
     moving = counting.MOVING * kernels.read_quantile(np.sort(speeds), 0.9)
     places = np.flatnonzero(speeds > moving)
     return _fit_periods(velocities[:, places[0] : places[-1] + 1], counting.ALIKE)
@@ -162,7 +155,7 @@ def _fit_periods(velocities: FloatArray, alike: float) -> float:
 
 
 def correlate(velocities: FloatArray) -> FloatArray:
-    """(L,) how much velocities (n, K) resemble themselves 0, 1, 2 ... frames later, -1 to 1; L a share of n."""
+    """Return (L,) autocorrelation of velocities (n, K) at lags of 0, 1, 2 ... frames, -1 to 1; L a share of n."""
     n = len(velocities)
     most = max(round(counting.LONGEST * n), 1)
     curves, likeness = np.ascontiguousarray(velocities.T), np.zeros(most)
@@ -177,7 +170,7 @@ def correlate(velocities: FloatArray) -> FloatArray:
 
 
 def count_swings(curve: FloatArray, least: float) -> tuple[int, int]:
-    """How many tops, and how many bottoms, a curve (n,) has that differ by so much from those before and after.
+    """Count the tops and the bottoms of a curve (n,) that differ by at least ``least`` from those before and after.
 
     The ends count: a curve that only rises has a bottom and a top.
     """
@@ -185,27 +178,27 @@ def count_swings(curve: FloatArray, least: float) -> tuple[int, int]:
     return int(tops), int(bottoms)
 
 
-_LEAST = 0.5  # of a tally: what moves has moved
-_FARTHEST = 1.0  # of a log ratio: what is wrong is wrong
+_LEAST = 0.5  # of a tally, whose logarithm is taken
+_FARTHEST = 1.0  # of a log ratio; larger errors count the same
 _MOST = 500
 _SAME = 0.75  # share of the clips of a category that show the same number of cycles
-_PHASES = 2  # cycles of one action, to the left and to the right, say; more are repetitions
+_PHASES = 2  # cycles of one action, such as left and right; more are repetitions
 
 
 def count_repetitions(sampled: FloatArray, height: float, usual: FloatArray | None = None) -> int:
-    """Repetitions of an action in what a part of a recording shows; 1 where nothing is repeated.
+    """Count the repetitions of an action in a part of a recording; 1 where nothing is repeated.
 
     Parameters
     ----------
     sampled : (n, 20, 3) m, canonical joints at 30 Hz.
     height : m.
-    usual : (28,) what one repetition comes to in each tally, of `find_usual`; None where that is not known.
+    usual : (28,) tallies of one repetition, of `find_usual`; None where unknown.
     """
     return choose_count(measure_tallies(sampled, height), usual)
 
 
 def choose_count(tallies: FloatArray, usual: FloatArray | None = None) -> int:
-    """The count that tallies (28,) speak for; ``usual`` as for `count_repetitions`."""
+    """Return the count that best fits tallies (28,); ``usual`` as for `count_repetitions`."""
     known = usual is not None and bool(np.isfinite(usual).all())
     weights = (_IN_USE.get() or _read_weights())["known" if known else "alone"]
     unit = usual if known and usual is not None else tallies
@@ -213,7 +206,7 @@ def choose_count(tallies: FloatArray, usual: FloatArray | None = None) -> int:
 
 
 def list_counts(tallies: FloatArray, usual: FloatArray | None = None) -> IntArray:
-    """The counts that are worth a thought: 1, 2, ... beyond the highest tally."""
+    """List the counts to consider: 1, 2, ... beyond the highest tally."""
     highest = tallies[: len(COUNTED)].max()
     if usual is not None:
         highest = max(highest, float((tallies / usual).max()))
@@ -221,7 +214,7 @@ def list_counts(tallies: FloatArray, usual: FloatArray | None = None) -> IntArra
 
 
 def describe_counts(tallies: FloatArray, counts: IntArray, usual: FloatArray | None = None) -> FloatArray:
-    """What speaks for each count.
+    """Describe counts by the evidence for each.
 
     Parameters
     ----------
@@ -229,9 +222,7 @@ def describe_counts(tallies: FloatArray, counts: IntArray, usual: FloatArray | N
     counts : (K,).
     usual : (28,), or None.
 
-    Returns
-    -------
-    (K, F), as many columns as `name_evidence` has names.
+    Returns (K, F), the columns of `name_evidence`.
     """
     values = np.maximum(tallies, _LEAST)
     counted, sizes = values[: len(COUNTED)], counts[:, None]
@@ -256,7 +247,7 @@ def _hit(values: FloatArray, counts: IntArray) -> FloatArray:
 
 
 def name_evidence(known: bool) -> list[tuple[str, str]]:
-    """The columns of `describe_counts`: (group, name) as in ``weights.toml``."""
+    """Name the columns of `describe_counts`: (group, name) as in ``weights.toml``."""
     names = [("count", "small"), ("count", "one")]
     names += [(tally, kind) for tally in COUNTED for kind in ("near", "hit")]
     if known:
@@ -279,7 +270,7 @@ _IN_USE: contextvars.ContextVar[Mapping[str, FloatArray] | None] = contextvars.C
 
 @functools.cache
 def _read_weights() -> dict[str, FloatArray]:
-    """The weights of `describe_counts`'s columns, where nothing is known of the category, and where something is."""
+    """Read the weights of `describe_counts`'s columns, without and with known usual tallies."""
     table = tomllib.loads(files("dousa.retrieval.counting").joinpath("weights.toml").read_text("utf-8"))
     return {
         name: np.array([table[name][group][kind] for group, kind in name_evidence(name == "known")], np.float64)
@@ -288,18 +279,11 @@ def _read_weights() -> dict[str, FloatArray]:
 
 
 def find_usual(tallies: Sequence[FloatArray]) -> FloatArray:
-    """What one repetition of a category usually comes to in each tally.
+    """Return the usual tallies (28,) of one repetition of a category; NaN without clips.
 
-    What the clips of a category show as one cycle, or as two as if agreed upon (a step left, a step right), is one
-    repetition. Otherwise a cycle is.
+    If most clips show one cycle, or most show two (a step left, a step right), that is one repetition, else a cycle is.
 
-    Parameters
-    ----------
-    tallies : (28,) of each of some clips of the category, or segments of takes.
-
-    Returns
-    -------
-    (28,); NaN without clips.
+    ``tallies``: (28,) of each of some clips of the category, or segments of takes.
     """
     if not len(tallies):
         return np.full(len(TALLIES), np.nan)

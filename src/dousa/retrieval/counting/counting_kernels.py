@@ -1,6 +1,6 @@
-"""Compiled: all tallies of a part of a recording at once, from the places of its joints, in the order of ``tallies``.
+"""Compiled loops: all tallies of a part of a recording at once, from its joints, in the order of ``counter``.
 
-Nothing here allocates: without reference counts it compiles in half the time.
+No allocations, which halves the compile time.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from dousa.retrieval.features.channel_kernels import smooth
 from dousa.retrieval.features.noise_kernels import find_middle
 
 _NEAR = 0.8  # share of the usual distance from the pose at an end below which the body is back there
-_REACHED = 0.1  # of what is not near, so much still belongs to the ways there and back
+_REACHED = 0.1  # share of the distant frames that still belongs to the ways there and back
 _END = 3  # frames whose mean is the pose at an end
 
 
 @compiled
 def _measure_away(poses, at_end, away):
-    """How far poses (K, n) are from the mean of the first frames, or of the last, into ``away`` (n,)."""
+    """Compute distances of poses (K, n) from the mean of the first or last frames, into ``away`` (n,)."""
     n = poses.shape[1]
     away[:] = 0.0
     for k in range(len(poses)):
@@ -56,10 +56,9 @@ def _measure_away(poses, at_end, away):
 
 @compiled
 def _find_block(away, first, last, shortest, lines):
-    """The frames that are away from an end, if they are one stretch: where they range, and from where to where; else 0.
+    """Return start and stop of the frames away from an end, if they are one stretch; else 0, 0.
 
-    ``away`` (n,); the usual distance is that of the frames from ``first`` to before ``last``; ``lines`` (2, n) is
-    working memory.
+    The usual distance in ``away`` (n,) is that from ``first`` to before ``last``; ``lines`` (2, n) is working memory.
     """
     n, ordered = len(away), lines[0]
     for t in range(first, last):
@@ -85,10 +84,11 @@ def _find_block(away, first, last, shortest, lines):
 
 @compiled
 def find_core(poses, speeds, moving, shortest, lines):
-    """The frames of poses (K, n) between a way there and a way back, or one of them; 0, 0 where there is none.
+    """Return start and stop of the poses (K, n) between a way there and a way back, or after or before one; 0, 0 for
+    none.
 
-    ``speeds`` (n,) of all poses, ``moving`` that from which the body moves; of less than ``shortest`` frames nothing is
-    said; ``lines`` (3, n) is working memory.
+    ``speeds`` (n,) of all poses; the body moves above ``moving``; ``shortest`` is the least number of frames; ``lines``
+    (3, n) is working memory.
     """
     n, away = len(speeds), lines[2]
     first, last, start, stop, found = n, 0, 0, n, False
@@ -107,35 +107,35 @@ def find_core(poses, speeds, moving, shortest, lines):
 
 _njit: Any = njit  # whose types leave out some of its options
 
-_LARGE, _SMALL = 0.5, 0.3  # shares of the range (5 to 95 %) that a movement out and back has at least
+_LARGE, _SMALL = 0.5, 0.3  # least shares of the range (5 to 95 %) of a movement out and back
 _TURN, _SMALL_TURN, _BURST = 0.6, 0.3, 0.35  # likewise of the speed along one direction, of the body's speed (95 %)
 _BOUT_GAP = 9  # frames of rest between two bouts of movement
-_LEAST_EVEN = 1e-3  # share of the greatest speed: what both sides do alike
+_LEAST_EVEN = 1e-3  # share of the greatest speed, of the movement common to both sides
 _LEAST = 1e-9
 
 RATE = 30.0
-"""Frames a second of what is counted."""
+"""Frames a second of the input."""
 
 MOVING = 0.15
 """Share of the speed (90 %) below which the body rests."""
 
 SHORTEST, ALIKE, NEARLY = 9, 0.3, 0.8
-"""Frames of a period; correlation of a period at least; share of the highest that a shorter period needs."""
+"""Frames of a period; least correlation of a period; share of the highest that a shorter period needs."""
 
 STILL = 1e-9
-"""Body heights a frame: nothing moves."""
+"""Body heights a frame, at or below which nothing moves."""
 
 SHORT = 256
-"""Frames of which products are summed one by one; of more, somebody else sums them from their spectrum."""
+"""Frames of which products are summed directly; of more, ``counter`` sums them from the spectrum."""
 
 LONGEST = 0.62
-"""Share of the moving part that a period may last."""
+"""Largest share of the moving part that a period may last."""
 
 ROUNDS, CORE_ALIKE = 2.5, 0.2
-"""Periods that are repetitions, as one action there and back may have a top of two parts; and their correlation."""
+"""Least periods of a repetition, as one action there and back may have a top of two parts; and their correlation."""
 
 CALM = 120
-"""Of the calm poses, so many are looked at, and at least half as many."""
+"""Most calm poses to compare."""
 
 N_LINES = 6
 """Working memory of `tally`, in frames."""
@@ -143,10 +143,7 @@ N_LINES = 6
 
 @compiled
 def _count_along(curve, lines, counts):
-    """Movements out and back along a direction, large and small ones, and half of the crossings of the middle.
-
-    Into ``counts`` (5,).
-    """
+    """Count large and small movements out and back, and half of the crossings of the middle, into ``counts`` (5,)."""
     sort_into(curve, lines[0], lines[1])
     low, high, sign = find_range(lines[0], True)
     counts[0], counts[1] = count_swings(curve, sign, max(_LARGE * (high - low), _LEAST))
@@ -156,9 +153,9 @@ def _count_along(curve, lines, counts):
 
 @compiled
 def _count_quick(along, lying, lines, counts):
-    """Along the direction of quickest movement: how often it is taken, there and back, half each; and out and back.
+    """Count half of the turns, large and small, then movements out and back, and crossings, into ``counts`` (4,).
 
-    ``along`` (n,) is the speed, ``lying`` (n,) the place; into ``counts`` (4,).
+    ``along`` (n,) is the speed in the direction of quickest movement, ``lying`` (n,) the place.
     """
     for t in range(len(along)):
         lines[2, t] = abs(along[t])
@@ -177,7 +174,6 @@ def _count_quick(along, lying, lines, counts):
 
 @compiled
 def _count_bursts(speeds, ordered, weights, even):
-    """How often the body speeds up."""
     n = len(speeds)
     smooth(speeds.reshape(n, 1), weights, even.reshape(n, 1))
     return count_swings(even, 1.0, max(_BURST * read_quantile(ordered, 0.95), _LEAST))[0]
@@ -185,7 +181,7 @@ def _count_bursts(speeds, ordered, weights, even):
 
 @compiled
 def _count_away(poses, speeds, ordered, near, some_poses, lines, counts):
-    """Movements away from the pose at rest and back, by their tops and by half of the crossings of the middle.
+    """Count movements away from the pose at rest and back, by their tops and by half of the crossings of the middle.
 
     ``near`` (M,) and ``some_poses`` (M, K) are as of ``find_distances``; into ``counts`` (2,).
     """
@@ -199,7 +195,7 @@ def _count_away(poses, speeds, ordered, near, some_poses, lines, counts):
 
 @compiled
 def _count_periods(velocities, speeds, moving, sums):
-    """How often the period fits into the moving part, 1 where there is none; NaN where that is too long to be told."""
+    """Count periods in the moving part, 1 where there is none; NaN where that is too long."""
     first, last = len(speeds), 0
     for t in range(len(speeds)):
         if speeds[t] > moving:
@@ -209,10 +205,7 @@ def _count_periods(velocities, speeds, moving, sums):
 
 @compiled
 def _fit_periods(velocities, first, last, alike, sums):
-    """How often the period fits into the frames from ``first`` to before ``last``, as `_count_periods` says.
-
-    ``alike`` is the least correlation of a period.
-    """
+    """Count periods from ``first`` to before ``last`` as `_count_periods`; ``alike`` is their least correlation."""
     n = last - first
     if n > SHORT:
         return np.nan
@@ -225,9 +218,9 @@ def _fit_periods(velocities, first, last, alike, sums):
 
 @compiled
 def _find_repeated(course, speeds, ordered, lines, sums, core):
-    """Whether what is repeated lies between a way there and a way back, and where, into ``core`` (2,).
+    """Return whether repetitions lie between a way there and a way back, with their frames in ``core`` (2,).
 
-    Where that is too long for its period to be told, the frame after its last is negative, and the answer no.
+    Where the frames are too many for their period, ``core`` has the negative of the end, and the result is False.
     """
     start, stop = find_core(course[0], speeds, _read_moving(ordered), 2 * SHORTEST, lines)
     if stop > start:
@@ -247,11 +240,11 @@ def _read_moving(ordered):
 
 @compiled
 def _find_directions(course, squares, room, axes):
-    """The two directions of most movement, and that of the quickest, into ``axes`` (3, K).
+    """Find the two directions of most movement, and the quickest, into ``axes`` (3, K).
 
-    ``course`` (3, K, n) are poses, velocities, and room; ``squares`` (K, K) and ``room`` (6, K) are working memory.
+    ``course`` (3, K, n) are poses, velocities, and working memory, as are ``squares`` (K, K) and ``room`` (6, K).
     """
-    for which in range(2):  # one call for both: what is called twice is compiled twice
+    for which in range(2):  # one call for both: each call is compiled separately
         if which:
             square_curves(course[1], squares)
         else:
@@ -261,10 +254,7 @@ def _find_directions(course, squares, room, axes):
 
 @compiled
 def _count_course(course, axes, n_axes, lines, work):
-    """What swings along the directions ``axes`` (3, K): ``_count_along`` of ``n_axes``, and ``_count_quick``.
-
-    Into ``work`` (14,), two rows of 5 and one of 4.
-    """
+    """Count swings along ``axes`` (3, K), ``_count_along`` of ``n_axes`` and ``_count_quick``, into ``work`` (14,)."""
     poses, velocities = course[0], course[1]
     for number in range(n_axes):
         project(poses, axes[number], lines[4])
@@ -276,7 +266,7 @@ def _count_course(course, axes, n_axes, lines, work):
 
 @compiled
 def _put_whole(course, speeds, ordered, lines, calm, work, counts):
-    """The tallies of what is smoothed much, but for bursts and periods, into ``counts`` (28,)."""
+    """Write the tallies of the strongly smoothed course, but for bursts and periods, into ``counts`` (28,)."""
     for k in range(4):
         counts[k], counts[6 + k] = work[k], work[10 + k]
     counts[4], counts[5] = work[5], work[4]
@@ -290,24 +280,24 @@ def _put_whole(course, speeds, ordered, lines, calm, work, counts):
     counts[27] /= RATE
 
 
-@_njit(inline="always")  # into `tally_all` alone: what is called is compiled twice
+@_njit(inline="always")  # into `tally_all` alone: a call would be compiled twice
 def tally(points, height, smoothing, joints, places, courses, speeds, lines, calm, squares, sums, whole, core, counts):
-    """All tallies of ``points`` (n, J, 3), two frames at least, into ``counts`` (28,).
+    """Compute all tallies of ``points`` (n, J, 3), at least two frames, into ``counts`` (28,).
 
-    Returns True, and nothing else, if it is not to be the ``whole`` and a part of it alone is to be tallied, which is
-    then in ``core`` (2,) as `_find_repeated` tells it.
+    Returns True, without tallies, if only the part in ``core`` (2,) is to be tallied (`_find_repeated`); not with
+    ``whole``.
 
-    ``smoothing`` are weights as of ``smooth``, of much and of little of it. ``joints`` are the hips (2,), the shoulders
-    (2,), the joints (K,) that are looked at, and those on the other side of them. All else is working memory:
-    ``places`` (n, J, 3) and (n, 2); ``courses`` two of (3, 3 K, n) and one of (3, E, n), in which poses and velocities
-    stay, smoothed much, and little, and of what both sides do (E curves); ``speeds`` (3, n) of these; ``lines``
-    (``N_LINES``, n); ``calm`` (``CALM``,) and (``CALM``, 3 K); ``squares`` (3 K, 3 K), (E, E), (6, 3 K), and the
-    directions (3, 3 K) and (3, E); ``sums`` (3, ``SHORT`` + 1). A number of periods that takes a spectrum is NaN.
+    ``smoothing`` are strong and light weights as of ``smooth``. ``joints`` are the hips (2,), the shoulders (2,), the
+    joints (K,) to use, and those on the other side. The rest is working memory: ``places`` (n, J, 3) and (n, 2);
+    ``courses`` two of (3, 3 K, n) and one of (3, E, n), in which poses and velocities stay, smoothed strongly, lightly,
+    and common to both sides (E curves); ``speeds`` (3, n) of these; ``lines`` (``N_LINES``, n); ``calm`` (``CALM``,)
+    and (``CALM``, 3 K); ``squares`` (3 K, 3 K), (E, E), (6, 3 K), and the directions (3, 3 K) and (3, E); ``sums`` (3,
+    ``SHORT`` + 1). Periods that need a spectrum are NaN.
     """
     n, ordered, work, axes, fastest = len(points), lines[3], sums[2, :14], squares[3], 0.0
     hips, shoulders, looked_at, others = joints
     counts[:] = 0.0
-    for which in range(3):  # smoothed much, smoothed little, what both sides do; each thing is called at one place
+    for which in range(3):  # strong, light, both sides; one call site each, as each call is compiled separately
         course = courses[which]
         if which < 2:
             describe(points, height, smoothing[which], hips, shoulders, looked_at, places[0], places[1], course[0])
@@ -323,7 +313,7 @@ def tally(points, height, smoothing, joints, places, courses, speeds, lines, cal
                 return True
         if which == 2 and ordered[n - 1] <= max(_LEAST_EVEN * fastest, STILL):
             break
-        if which != 1:  # what is smoothed less is looked at along the same directions
+        if which != 1:  # the lightly smoothed course keeps the directions
             axes = squares[3 + which // 2]
             _find_directions(course, squares[which // 2], squares[2], axes)
         _count_course(course, axes, 1 if which else 2, lines, work)
@@ -345,14 +335,14 @@ def tally_all(
     points, spans, height, smoothing, joints, places, left, frames, speeds, lines, calm, squares, sums, whole, core,
     counts,
 ):  # fmt: skip
-    """``tally`` for parts of one recording ``points`` (n, J, 3), into ``counts`` (N, 28).
+    """Run ``tally`` for parts of one recording ``points`` (n, J, 3), into ``counts`` (N, 28).
 
-    ``spans`` (N, 2) are the first frame of each part and the one after its last, two at least, and so many at most as
-    there is working memory for: ``places``, ``left``, ``speeds`` and ``lines`` are flat, ``frames`` are three flat
-    courses; the rest is as there. ``core`` is that of the last part, 0 where none is found.
+    ``spans`` (N, 2) are the first frame of each part and the one after its last, at least two frames, at most those of
+    the working memory: ``places``, ``left``, ``speeds`` and ``lines`` are flat, ``frames`` are three flat courses; the
+    rest as in ``tally``. ``core`` is that of the last part, 0 for none.
     """
     number, start, trimmed = 0, 0, False
-    while number < len(spans):  # a part whose core alone counts comes twice
+    while number < len(spans):  # a part of which only the core counts comes twice
         if trimmed:
             start, stop = start + core[0], start + core[1]
         else:
@@ -377,9 +367,9 @@ def tally_all(
 
 @compiled
 def choose(tallies, usual, known, n_counted, weights, least, farthest, most):
-    """The count from 1 to ``most`` that tallies (28,) speak for: see ``counter``, which describes each count so.
+    """Return the count from 1 to ``most`` that best fits tallies (28,), as described in ``counter``.
 
-    ``usual`` (28,) is looked at if ``known``; the first ``n_counted`` tallies are counts themselves.
+    ``usual`` (28,) is used if ``known``; the first ``n_counted`` tallies are counts themselves.
     """
     highest = 0.0
     for k in range(len(tallies)):

@@ -1,7 +1,6 @@
-"""Compiled loops of the tallies: the poses of a part of a recording, its curves over time, and what swings on them.
+"""Compiled loops of the tallies: the poses of a part of a recording, its curves over time, and their swings.
 
-What each number is for is told in ``tallies``. Curves stand in rows, time after time. Nothing here allocates: without
-reference counts it compiles in half the time.
+``counter`` describes the numbers. Curves stand in rows. No allocations, which halves the compile time.
 """
 
 from __future__ import annotations
@@ -21,14 +20,14 @@ _summing = _njit(
     cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, _nrt=False, fastmath={"reassoc", "contract"}
 )
 
-_NEAR = 1e-9  # of the largest value: so near is each found; the rounds do the rest
+_NEAR = 1e-9  # of the largest value: accuracy of each before the rounds
 _ROUNDS = 4  # of inverse iteration
 _TINY = 1e-200
 
 
 @_summing
 def dot(one, other):
-    """The scalar product of two vectors (n,)."""
+    """Return the scalar product of two vectors (n,)."""
     total = 0.0
     for k in range(len(one)):
         total += one[k] * other[k]
@@ -37,7 +36,7 @@ def dot(one, other):
 
 @_summing
 def square_curves(curves, square):
-    """The products of all curves (K, n) with each other, into ``square`` (K, K)."""
+    """Compute the products of all curves (K, n) with each other, into ``square`` (K, K)."""
     count, n = curves.shape
     for a in range(count):
         for b in range(a + 1):
@@ -51,7 +50,7 @@ def square_curves(curves, square):
 def _reduce(square, diagonal, beside, moved):
     """Make a symmetric matrix (K, K) tridiagonal: ``diagonal`` (K,) and ``beside`` it (K,), the last of which is 0.
 
-    What is reflected at stands in the rows of ``square``, right of the diagonal; ``moved`` (K,) is working memory.
+    The reflection vectors stay in the rows of ``square``, right of the diagonal; ``moved`` (K,) is working memory.
     """
     count = len(square)
     for k in range(count - 1):
@@ -81,16 +80,12 @@ def _reduce(square, diagonal, beside, moved):
 
 @compiled
 def _keep_away(pivot):
-    """A pivot that can be divided by."""
     return -_TINY if abs(pivot) < _TINY else pivot
 
 
 @compiled
 def _find_value(diagonal, beside, rank):
-    """The eigenvalue of a tridiagonal matrix than which ``rank`` are larger.
-
-    Two halvings at a time: a processor divides for the middle and both of the next middles while it would wait for one.
-    """
+    """Return the eigenvalue of a tridiagonal matrix with ``rank`` larger ones, by overlapping pairs of bisections."""
     count, low, high = len(diagonal), np.inf, -np.inf
     for k in range(count):
         radius = abs(beside[k]) + (abs(beside[k - 1]) if k else 0.0)
@@ -118,7 +113,7 @@ def _find_value(diagonal, beside, rank):
 def _solve(diagonal, beside, value, rows, found):
     """Solve (T - value) x = ``found`` (K,) in place, T tridiagonal, by elimination with exchanged rows.
 
-    ``rows`` (3, K) is working memory: the diagonal of what is left, and what stands right of it.
+    ``rows`` (3, K) is working memory: the remaining diagonal, and the two right of it.
     """
     count = len(diagonal)
     scale = _TINY
@@ -152,9 +147,9 @@ def _solve(diagonal, beside, value, rows, found):
 
 @compiled
 def find_axes(square, room, axes):
-    """The directions in which something varies most, of length 1, the first most, into ``axes`` (A, K).
+    """Find the directions of most variation, unit and in order, into ``axes`` (A, K); their signs are arbitrary.
 
-    ``square`` (K, K), symmetric, is used up; ``room`` (6, K) or wider is working memory. Which way each points is open.
+    ``square`` (K, K), symmetric, is overwritten; ``room`` (6, K) or wider is working memory.
     """
     count = len(square)
     diagonal, beside, rows = room[0, :count], room[1, :count], room[2:5]
@@ -162,7 +157,7 @@ def find_axes(square, room, axes):
     for number in range(len(axes)):
         axis, value = axes[number], _find_value(diagonal, beside, number)
         for k in range(count):
-            axis[k] = 1.0 + 0.1 * ((7 * k) % 11)  # no direction is at right angles to it but by chance
+            axis[k] = 1.0 + 0.1 * ((7 * k) % 11)  # unlikely to be orthogonal to a direction
         for _ in range(_ROUNDS):
             _solve(diagonal, beside, value, rows, axis)
             for before in range(number):
@@ -187,10 +182,9 @@ def find_axes(square, room, axes):
 
 @compiled
 def describe(sampled, height, weights, hips, shoulders, joints, room, left, poses):
-    """Smoothed places of some joints in the body-fixed system.
+    """Compute smoothed places of ``joints`` (K,) in the body-fixed system, into ``poses`` (3 K, n), body heights.
 
-    ``sampled`` (n, J, 3) m; ``weights`` as of ``smooth``; ``joints`` (K,); ``room`` (n, J, 3) and ``left`` (n, 2) are
-    working memory. Into ``poses`` (3 K, n), body heights.
+    ``sampled`` (n, J, 3) m; ``weights`` as of ``smooth``; ``room`` (n, J, 3) and ``left`` (n, 2) are working memory.
     """
     n, width = len(sampled), 3 * sampled.shape[1]
     smooth(sampled.reshape(n, width), weights, room.reshape(n, width))
@@ -208,7 +202,7 @@ def describe(sampled, height, weights, hips, shoulders, joints, room, left, pose
 
 @compiled
 def differentiate(poses, velocities, speeds):
-    """How poses (K, n) change a frame, into ``velocities`` (K, n), and how fast all do, into ``speeds`` (n,)."""
+    """Compute changes of poses (K, n) a frame, into ``velocities`` (K, n), and their speed, into ``speeds`` (n,)."""
     count, n = poses.shape
     speeds[:] = 0.0
     for k in range(count):
@@ -225,10 +219,10 @@ def differentiate(poses, velocities, speeds):
 
 @compiled
 def fold(poses, others, even):
-    """What both sides do, half each: of poses (3 K, n) the mean with their mirror images, into ``even`` (E, n).
+    """Compute the movement common to both sides, into ``even`` (E, n): half of poses (3 K, n) plus their mirror images.
 
-    ``others`` (K,) is the joint on the other side, or the same one in the middle, of whose three curves one is always
-    0 and left out; of two sides, which do the same, there is one, larger by the root of two.
+    ``others`` (K,) is the joint on the other side, or the same one in the middle, whose first curve is then 0 and left
+    out; two sides share one curve, larger by the root of two.
     """
     row, root = 0, np.sqrt(0.5)
     for k in range(len(others)):
@@ -244,7 +238,9 @@ def fold(poses, others, even):
 
 @compiled
 def square(curves, centred, squares):
-    """The products of curves (K, n) less their means, into ``squares`` (K, K), those curves into ``centred`` (K, n)."""
+    """Compute the products of curves (K, n) less their means, into ``squares`` (K, K), those curves into ``centred``
+    (K, n).
+    """
     for k in range(len(curves)):
         total = 0.0
         for t in range(curves.shape[1]):
@@ -257,7 +253,7 @@ def square(curves, centred, squares):
 
 @compiled
 def project(curves, axis, along):
-    """Curves (K, n) along a direction (K,), into ``along`` (n,)."""
+    """Project curves (K, n) on a direction (K,), into ``along`` (n,)."""
     along[:] = 0.0
     for k in range(len(curves)):
         share = axis[k]
@@ -267,7 +263,7 @@ def project(curves, axis, along):
 
 @compiled
 def level(curve):
-    """Take the mean and the line of least squares off a curve (n,), in place."""
+    """Subtract the mean and the line of least squares from a curve (n,), in place."""
     n, mean, moment, squared = len(curve), 0.0, 0.0, 0.0
     for t in range(n):
         time = t - 0.5 * (n - 1)
@@ -280,10 +276,10 @@ def level(curve):
 
 @compiled
 def find_distances(poses, speeds, calm, near, some_poses, distances):
-    """How far poses (K, n) are from the pose at rest, into ``distances`` (n,).
+    """Compute distances of poses (K, n) from the pose at rest, into ``distances`` (n,).
 
-    That is, of the calm poses, those of at most this speed, the one that most others are like; of very many, some of
-    them: as many as fit into ``some_poses`` (M, K) half filled. That and ``near`` (M,) are working memory.
+    That is the pose with the least median distance to the others among those at a speed of at most ``calm``; of very
+    many, a sample. ``some_poses`` (M, K) and ``near`` (M,) are working memory.
     """
     count, n = poses.shape
     calm_ones, some, seen = 0, 0, 0
@@ -317,7 +313,7 @@ def find_distances(poses, speeds, calm, near, some_poses, distances):
 
 @compiled
 def sort_into(values, ordered, room):
-    """Values (n,) in ascending order, into ``ordered`` (n,), by merging runs; ``room`` (n,) is working memory."""
+    """Sort values (n,) into ``ordered`` (n,) by merging runs; ``room`` (n,) is working memory."""
     n, size, swapped = len(values), 8, False
     for first in range(0, n, size):
         for k in range(first, min(first + size, n)):
@@ -345,7 +341,7 @@ def sort_into(values, ordered, room):
 
 @compiled
 def read_quantile(ordered, share):
-    """A quantile of values (n,) that are sorted, linear between two of them, as ``np.quantile`` has it."""
+    """Return a quantile of sorted values (n,), interpolated linearly as by ``np.quantile``."""
     place = (len(ordered) - 1) * share
     below = int(place)
     low, high, part = ordered[below], ordered[min(below + 1, len(ordered) - 1)], place - below
@@ -354,10 +350,9 @@ def read_quantile(ordered, share):
 
 @compiled
 def find_range(ordered, turns):
-    """Where a curve ranges whose values are ``ordered`` (n,): the quantiles of 5 and of 95 %.
+    """Return the quantiles of 5 and of 95 % of a curve with sorted values ``ordered`` (n,), and a sign.
 
-    With ``turns``, of the curve or of its negative, such that most of the time is spent low: repetitions leave a rest.
-    The third is the sign.
+    With ``turns``, of the curve or its negative, such that most of the time is spent low, as repetitions leave a rest.
     """
     low, high = read_quantile(ordered, 0.05), read_quantile(ordered, 0.95)
     if turns and read_quantile(ordered, 0.5) > 0.5 * (ordered[0] + ordered[-1]):
@@ -367,7 +362,7 @@ def find_range(ordered, turns):
 
 @compiled
 def count_swings(curve, sign, least):
-    """Tops, and bottoms, of ``sign`` times a curve (n,) that differ by so much from those before and after."""
+    """Count tops and bottoms of ``sign`` times a curve (n,) that differ by ``least`` from those before and after."""
     tops = bottoms = rising = 0
     high = low = sign * curve[0]
     for t in range(len(curve)):
@@ -382,7 +377,7 @@ def count_swings(curve, sign, least):
 
 @compiled
 def count_crossings(curve, sign, middle):
-    """Half of how often ``sign`` times a curve (n,) crosses a value."""
+    """Return half of how often ``sign`` times a curve (n,) crosses ``middle``."""
     crossed = 0
     for t in range(1, len(curve)):
         crossed += (sign * curve[t] > middle) != (sign * curve[t - 1] > middle)
@@ -391,7 +386,7 @@ def count_crossings(curve, sign, middle):
 
 @compiled
 def count_bouts(speeds, moving, gap):
-    """Bouts of movement: frames faster than ``moving`` with more than ``gap`` frames of rest between them."""
+    """Count bouts of movement: frames faster than ``moving`` with more than ``gap`` frames of rest between them."""
     bouts, last = 1, -1
     for t in range(len(speeds)):
         if speeds[t] > moving:
@@ -402,10 +397,10 @@ def count_bouts(speeds, moving, gap):
 
 @compiled
 def correlate(curves, first, last, products):
-    """The products of curves (K, n), from frame ``first`` to before ``last``, with themselves 0, 1, 2 ... frames later.
+    """Sum products of curves (K, n), from ``first`` to before ``last``, at lags 0, 1, 2 ... frames, into ``products``
+    (L,).
 
-    Into ``products`` (L,). An index that is a sum may be negative to the compiler, which then handles one value at a
-    time; a slice is counted from 0.
+    Slices count from 0, as a sum as index may be negative to the compiler and prevents vectorisation.
     """
     most = len(products)
     products[:] = 0.0
@@ -418,7 +413,7 @@ def correlate(curves, first, last, products):
 
 @compiled
 def normalise(curves, first, last, energy, products):
-    """Make products (L,) of ``correlate`` a correlation, -1 to 1; ``energy`` (n + 1,) is working memory."""
+    """Scale products (L,) of ``correlate`` to a correlation, -1 to 1; ``energy`` (n + 1,) is working memory."""
     n = last - first
     energy[:] = 0.0
     summed = energy[1:]
@@ -435,9 +430,9 @@ def normalise(curves, first, last, energy, products):
 
 @compiled
 def find_period(likeness, shortest, alike, nearly):
-    """The first lag at which what moves resembles itself nearly as well as at any, of ``likeness`` (L,); 0 for none.
+    """Return the first lag whose ``likeness`` (L,) is nearly the highest; 0 for none.
 
-    A lag counts from ``shortest`` on where the likeness is higher than around it, and at least ``alike``.
+    Only peaks from ``shortest`` on count; the highest must be at least ``alike``.
     """
     highest = -1.0
     for lag in range(shortest, len(likeness) - 1):

@@ -1,20 +1,12 @@
-"""Reasons: the few things about a motion that decided the vote of a forest, in words with seconds.
+"""Explain votes of a forest: the few relations that decided them, in words with seconds.
 
-A forest asks about *relations* (where the right hand is, how far the feet are apart, how fast the head moves), each by
-several channels, kinds of values and intervals. What a relation is worth is told by **ablation**: it is taken away, and
-the vote is counted anew. At every node that asks about it the clip is sent to both children, with the shares of the
-training clips that went there, as if nothing were known of it; at all other nodes the clip answers for itself. (This is
-the path-dependent expectation of TreeSHAP: Lundberg et al., "From local explanations to global understanding with
-explainable AI for trees", Nature Machine Intelligence 2, 2020.) A relation without which the vote for the category
-does not fall is no reason. The first reason is the one whose loss costs most; each following one costs most where those
-before are gone already, so that two ways to say the same thing do not stand side by side.
-
-The words of a reason are those of one test of the relation, on the way of the clip down the trees that voted for the
-category, so that all numbers of a sentence belong together: the test with whose channel, interval and direction most
-others agree, each weighed by the bits that it told about the category, that sent many of the other clips away, and that
-the clip passed clearly.
-
-Why two clips are alike is told in the same way: the vote is then the share of trees in which both end in the same leaf.
+A relation (where the right hand is, how far apart the feet are) is measured by several channels, kinds of values and
+intervals. Its worth is the vote lost by **ablation**: at every node that tests it, the clip goes to both children with
+the shares of the training clips there (the path-dependent expectation of TreeSHAP: Lundberg et al., "From local
+explanations to global understanding with explainable AI for trees", Nature Machine Intelligence 2, 2020). The first
+reason costs most when lost, each later one costs most with those before it already lost. The sentence of a reason
+describes one test, so its numbers belong together. Pairs of clips are explained in the same way; the vote is then the
+share of trees in which both end in the same leaf.
 """
 
 from __future__ import annotations
@@ -34,22 +26,22 @@ from dousa.retrieval.explain.questions import Questions, read_questions
 from dousa.retrieval.forest.forest import MotionForest
 
 _LEAST_DROP = 0.005
-"""Of the vote: half a tree of a hundred; less is not worth a sentence."""
+"""Least loss of the vote for a reason: half a tree of a hundred."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """One relation that the vote for a category rests on.
+    """A relation that the vote for a category rests on.
 
     Parameters
     ----------
     text : the relation in words.
-    relation : what is taken away for ``vote_without``.
-    channel, unit, kind : what was measured of it; the kind is ``"mean"``, ``"spread"`` or ``"trend"``.
+    relation : the relation removed for ``vote_without``.
+    channel, unit, kind : the quantity measured; the kind is ``"mean"``, ``"spread"`` or ``"trend"``.
     start, end : s, the interval.
     value, threshold : of the clip and of the test, in ``unit``.
     above : whether the value lies above the threshold.
-    others, away : training clips of other categories that came to the test, and how many of them lie on the other side.
+    others, away : training clips of other categories that reached the test, and how many lie on the other side.
     vote_before, vote_without : share of the trees that vote for the category, with and without the relation.
     """
 
@@ -71,14 +63,9 @@ class Reason:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """Why a forest votes for a category.
+    """The ``reasons`` of a forest for a ``category``, the most important first; none if no tree votes for it.
 
-    Parameters
-    ----------
-    category : the one that is explained.
-    vote : share of the trees that vote for it.
-    reasons : the most important first; none if no tree voted for it, or if nothing in particular matters.
-    vote_without_all : the vote without all of these relations.
+    ``vote`` is the share of the trees that vote for it, ``vote_without_all`` that without all of these relations.
     """
 
     category: str | int
@@ -87,20 +74,20 @@ class Explanation:
     vote_without_all: float
 
     def to_json(self) -> dict[str, Any]:
-        """The explanation as plain lists and dictionaries, the words in the language in use."""
+        """Return plain lists and dictionaries, the text in the current language."""
         return _to_json(self)
 
 
 @dataclass(frozen=True, slots=True)
 class SharedReason:
-    """One relation in which two clips are alike, and unlike others.
+    """A relation that two clips share, unlike other clips.
 
     Parameters
     ----------
     text, relation, channel, unit, kind, threshold, above : as of a ``Reason``.
     start, end, value : of the first clip; ``other_start``, ``other_end`` and ``other_value`` of the second.
-    others, away : training clips that came to the test, and how many of them lie on the other side.
-    alike_before, alike_without : share of the trees in which both end in one leaf, with and without the relation.
+    others, away : training clips that reached the test, and how many lie on the other side.
+    alike_before, alike_without : share of the trees with both in one leaf, with and without the relation.
     """
 
     text: Message
@@ -124,14 +111,14 @@ class SharedReason:
 
 @dataclass(frozen=True, slots=True)
 class Likeness:
-    """Why two clips are alike: the share of trees in which both end in one leaf, the reasons, and without them all."""
+    """The share of trees with two clips in one leaf, with and without all the reasons, and the reasons."""
 
     alike: float
     reasons: tuple[SharedReason, ...]
     alike_without_all: float
 
     def to_json(self) -> dict[str, Any]:
-        """As plain lists and dictionaries, the words in the language in use."""
+        """Return plain lists and dictionaries, the text in the current language."""
         return _to_json(self)
 
 
@@ -144,7 +131,7 @@ def _to_json(found: Explanation | Likeness) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class Speaker:
-    """A node, the other clips that came to it, and how many of them it sent away."""
+    """A node, the other clips that reached it, and how many of them went the other way."""
 
     node: int
     others: int
@@ -153,14 +140,14 @@ class Speaker:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WayDown:
-    """The tests on the way of a clip.
+    """The tests on the path of a clip.
 
     Parameters
     ----------
-    nodes, above : (P,) and the answers.
-    gaps : (P,) how far the clip is from the threshold.
-    bits : (P,) told by each.
-    others, away : (P,) other clips that came to the test, and those of them that it sent away.
+    nodes, above : (P,) nodes and answers.
+    gaps : (P,) distance of the clip from the threshold.
+    bits : (P,) information of each test about the category.
+    others, away : (P,) other clips that reached the test, and those that went the other way.
     """
 
     nodes: IntArray
@@ -171,7 +158,7 @@ class WayDown:
     away: FloatArray
 
     def best(self, questions: Questions, relation: int) -> Speaker:
-        """The test that speaks for a relation."""
+        """Return the best test of a relation, by support, distance from the threshold and clips sent away."""
         own = np.flatnonzero((questions.relation[self.nodes] == relation) & (self.bits > 0.0))
         nodes, bits = self.nodes[own], self.bits[own]
         start, stop = questions.start[nodes], questions.stop[nodes]
@@ -188,23 +175,14 @@ class WayDown:
 
 
 def count_bits(inside: FloatArray, sizes: FloatArray, inside_after: FloatArray, sizes_after: FloatArray) -> FloatArray:
-    """Bits that tests told about a category: how much more likely it is after the test; none below 0."""
+    """Return the bits of tests about a category: the log of how much likelier it is after each, at least 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
         bits = np.log2(inside_after * sizes / (inside * sizes_after))
     return np.where(bits > 0.0, bits, 0.0)
 
 
 class Explainer:
-    """Explains the votes of one forest; reads its nodes once.
-
-    Parameters
-    ----------
-    forest : trained.
-
-    Raises
-    ------
-    NotTrainedError
-    """
+    """An explainer of the votes of one trained forest, which reads its nodes once; raises NotTrainedError."""
 
     def __init__(self, forest: MotionForest) -> None:
         self._questions = read_questions(forest)
@@ -259,16 +237,7 @@ class Explainer:
         return Likeness(before, reasons, left)
 
     def votes_without(self, clip: ArrayLike, category: str | int | None = None) -> dict[str, float]:
-        """The vote for a category (by default the winner) without each relation that the trees ask about.
-
-        Parameters
-        ----------
-        clip, category : as in `explain`.
-
-        Returns
-        -------
-        relation -> share of the trees; the relations in the order of the channels.
-        """
+        """Return the vote for a category (by default the winner) without each relation of the trees, in their order."""
         questions = self._questions
         above = questions.evaluate(clip) > questions.threshold
         number = self._number(category, self._voted[questions.find_leaves(above)])
@@ -277,7 +246,6 @@ class Explainer:
         return dict(zip(questions.relations, without.tolist(), strict=True))
 
     def _number(self, category: str | int | None, voted: NDArray[np.int32]) -> int:
-        """Which category is meant: by default the one with most votes, the first of equals."""
         if category is None:
             return int(np.bincount(voted, minlength=len(self._classes)).argmax())
         found = np.flatnonzero(self._classes == category)
@@ -286,7 +254,6 @@ class Explainer:
         return int(found[0])
 
     def _count_leaves(self, number: int) -> FloatArray:
-        """(L,) training clips of one category in each leaf."""
         trees = self._questions.trees
         counts = np.where(trees.leaf_classes == number, trees.leaf_counts, 0)
         return np.add.reduceat(counts, trees.leaf_starts[:-1]).astype(np.float64)
@@ -294,10 +261,10 @@ class Explainer:
     def _ablate(
         self, above: BoolArray, other: BoolArray, worth: FloatArray, removed: BoolArray
     ) -> tuple[float, FloatArray]:
-        """The vote without some relations, and (R,) the votes without each of the rest besides."""
+        """Return the vote without the removed relations, and (R,) votes without each other relation as well."""
         questions = self._questions
         without, seen = np.empty(len(removed)), np.empty(len(removed), np.int64)
-        places = np.empty(len(questions.children) + 2, np.int64)  # never all of it is touched
+        places = np.empty(len(questions.children) + 2, np.int64)  # only partly used
         base = kernels.ablate(
             self._roots, questions.children, above, other, questions.relation, questions.sizes, worth, removed,
             places, np.empty(len(places)), seen, without,
@@ -307,7 +274,7 @@ class Explainer:
     def _choose(
         self, above: BoolArray, other: BoolArray, worth: FloatArray, told: WayDown, limit: int
     ) -> tuple[float, list[tuple[int, float]], float]:
-        """The vote, the most important relations with the vote without each, and the vote without all of them."""
+        """Return the vote, the chosen relations with the vote without each, and the vote without all of them."""
         relations = self._questions.relations
         removed = np.zeros(len(relations), bool)
         before, alone = self._ablate(above, other, worth, removed)
@@ -366,7 +333,6 @@ class Explainer:
 
 
 def _plain(fact: Fact) -> dict[str, Any]:
-    """The fields that a fact gives to a reason."""
     channel, names = fact.channel, ("kind", "start", "end", "value", "threshold", "above", "others", "away")
     words = {"relation": channel.relation, "channel": channel.name, "unit": channel.unit}
     return words | {name: getattr(fact, name) for name in names}
@@ -383,19 +349,15 @@ def _check(limit: int, *durations: float) -> None:
 def explain(
     forest: MotionForest, clip: ArrayLike, duration: float, category: str | int | None = None, limit: int = 3
 ) -> Explanation:
-    """Why a forest takes a clip for a category.
+    """Explain why a forest assigns a clip to a category; removing any of the reasons lowers the vote.
 
     Parameters
     ----------
-    forest : trained. Who explains many clips makes one `Explainer`.
+    forest : trained. Use one `Explainer` for many clips.
     clip : (T, F) features, those of the forest's feature set.
     duration : s, of the clip.
     category : by default the one that most trees vote for.
     limit : reasons at most, at least 1.
-
-    Returns
-    -------
-    The explanation; each of its reasons lowers the vote when it is taken away.
 
     Raises
     ------
@@ -409,7 +371,7 @@ def explain(
 def explain_pair(
     forest: MotionForest, query: ArrayLike, hit: ArrayLike, durations: tuple[float, float], limit: int = 3
 ) -> Likeness:
-    """Why a forest finds two clips alike.
+    """Explain why two clips are similar; removing any reason lowers the share of trees with both in one leaf.
 
     Parameters
     ----------
@@ -417,10 +379,6 @@ def explain_pair(
     query, hit : (T, F) features.
     durations : s, of the query and of the hit.
     limit : reasons at most, at least 1.
-
-    Returns
-    -------
-    The reasons; each of them lowers the share of trees in which both end in one leaf when it is taken away.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""The tests of a forest in words: plain, short, with seconds and units that a person can picture.
+"""Describe the tests of a forest in plain sentences, with seconds and familiar units.
 
-A sentence is a message made of messages: a clause ("the right hand is higher than usual"), an interval, what was
-measured, and where the other clips are. What a channel is called by the forest tells which clause fits.
+A sentence is a message made of messages: a clause ("the right hand is higher than usual"), an interval, the
+measurement, and the bound of the other clips. The name of a channel selects its clause.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from dousa.messages import Message
 from dousa.retrieval.features.channels import Channel
 
 FEW = 4.0
-"""Clips added to those that a test could have sent away, so that the last two of a tree do not count as most."""
+"""Clips added to the others of a test, so that the last few of a tree do not dominate."""
 
 _MOST, _MANY = 0.5, 0.25
 
 
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """What is true of a clip, and not of most others.
+    """A test that a clip passes, unlike most others.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class Fact:
     above : whether the value lies above the threshold.
     start, end : s, the interval; ``whole`` if that is the whole clip.
     value, threshold : in the unit of the channel.
-    others, away : number of other clips that it was compared with, and of those on the other side of the threshold.
+    others, away : number of other clips compared, and of those on the other side of the threshold.
     """
 
     channel: Channel
@@ -47,24 +47,24 @@ class Fact:
 
     @property
     def share(self) -> float:
-        """Of the others on the other side; of few, cautiously."""
+        """Share of the others on the other side, reduced if they are few."""
         return self.away / (self.others + FEW)
 
 
 @dataclass(frozen=True, slots=True)
 class _Form:
-    """Codes of the clauses about a kind of channel.
+    """Codes of the clauses of a kind of channel.
 
     Parameters
     ----------
     mean : of a large and of a small mean.
     varies : of the spread.
-    trend : of a value that rises, and of one that falls.
-    signs : what a mean above and below 0 is called; None without a direction.
-    ways : what a change above and below 0 is called.
-    measure : of a mean that has one direction only.
+    trend : of a rise and of a fall.
+    signs : names of a mean above and below 0; None without a direction.
+    ways : names of a change above and below 0.
+    measure : of a mean with one direction only.
 
-    Clauses whose ways and signs are the same name the way themselves.
+    If ways and signs are the same, the clause names the direction.
     """
 
     mean: tuple[str, str]
@@ -161,8 +161,7 @@ def _curving(ways: tuple[str, str]) -> _Form:
 
 _TURNING = _directed("reasons.turns_more", "reasons.turning_varies", "reasons.turning_changes", _LEFT_RIGHT)
 
-# Channel names as the forest has them -> form. Left, up and forward are x, y and z; from the side is from the
-# performer's right.
+# Patterns of channel names -> form. Left, up and forward are x, y and z; the side view is from the performer's right.
 _FORMS: tuple[tuple[str, _Form], ...] = (
     (r"distance (?P<part>.+) - (?P<other>.+)", _DISTANCE),
     (r"(?P<part>.+?) (?:to the )?left of (?P<other>.+)", _LEFT),
@@ -211,7 +210,7 @@ _PARTS = {
     "body": "reasons.body",
 }
 
-# Unit -> what a value is multiplied by, digits, code of a value, code of a bound.
+# Unit -> factor of a value, digits, code of a value, code of a bound.
 _UNITS = {
     "body heights": (1.0, 2, "reasons.body_heights", "reasons.bound_body_heights"),
     "body heights a second": (1.0, 2, "reasons.body_heights_a_second", "reasons.bound_body_heights"),
@@ -224,17 +223,17 @@ _BARE = (1.0, 2, "reasons.number", "reasons.bound_number")
 
 
 def knows_channel(name: str) -> bool:
-    """Whether a channel has clauses of its own, not those for anything."""
+    """Return whether a channel has clauses of its own."""
     return _find_form(name)[0] is not _ANYTHING
 
 
 def say_fact(fact: Fact) -> Message:
-    """One fact as a sentence without its full stop: "the right hand is higher than usual from 0.4 s to 1.1 s: ..."."""
+    """Return a sentence without its full stop: "the right hand is higher than usual from 0.4 s to 1.1 s: ..."."""
     return _say([fact], _when(fact))
 
 
 def say_shared_fact(fact: Fact, other: Fact) -> Message:
-    """A fact that is true of two clips; ``other`` has the interval and the value of the second."""
+    """Describe a fact of two clips; ``other`` has the interval and the value of the second."""
     when = _when(fact)
     if not fact.whole and abs(other.start - fact.start) + abs(other.end - fact.end) >= 0.1:
         when = Message("reasons.when_both", when=when, there=_when(other))
@@ -258,7 +257,7 @@ def _say(facts: Sequence[Fact], when: Message) -> Message:
 
 
 def _say_clause(facts: Sequence[Fact], form: _Form, named: dict[str, Message]) -> Message:
-    """ "The right hand is higher than usual"; a trend by the direction in which all of them go."""
+    """Return "the right hand is higher than usual"; a trend takes the direction that all facts share."""
     fact = facts[0]
     usual = Message("reasons.than_usual" if fact.share >= _MOST else "reasons.than_many")
     names = {name: value for name, value in named.items() if name != "other" or form is _DISTANCE}
@@ -274,7 +273,7 @@ def _say_clause(facts: Sequence[Fact], form: _Form, named: dict[str, Message]) -
 
 
 def _say_others(facts: Sequence[Fact], signs: tuple[str | None, str] | None, other: Message | None) -> Message:
-    """Where the others are: on the other side of the threshold; the direction only where it is another."""
+    """Describe the others: beyond the threshold, with a direction only if it differs."""
     fact = facts[0]
     who = (
         "reasons.others_most"
@@ -299,7 +298,7 @@ def _say_others(facts: Sequence[Fact], signs: tuple[str | None, str] | None, oth
 
 
 def _say_values(facts: Sequence[Fact], signs: tuple[str | None, str] | None, other: Message | None) -> Message:
-    """ "0.42 and 0.45 body heights above the pelvis"; no direction if the clause has it and it is the same for all."""
+    """Return "0.42 and 0.45 body heights above the pelvis"; no direction if the clause has it for all."""
     factor, _, code, _ = _find_unit(facts[0])
     digits = _count_digits(facts)
     numbers = [f"{abs(factor * fact.value):.{digits}f}" for fact in facts]
@@ -323,12 +322,11 @@ def _say_way(way: str, other: Message | None) -> Message:
 
 
 def _find_unit(fact: Fact) -> tuple[float, int, str, str]:
-    """In units that people picture: degrees for radians, per cent for shares."""
     return _UNITS.get(fact.channel.unit, _BARE)
 
 
 def _count_digits(facts: Sequence[Fact]) -> int:
-    """Decimals as people say them, and one more where that tells a value from the threshold."""
+    """Return the usual decimals, plus one where a value would equal the threshold."""
     factor, digits, _, _ = _find_unit(facts[0])
     bound = f"{abs(factor * facts[0].threshold):.{digits}f}"
     return digits + any(f"{abs(factor * fact.value):.{digits}f}" == bound for fact in facts)
@@ -342,7 +340,7 @@ def _when(fact: Fact) -> Message:
 
 
 def _find_form(name: str) -> tuple[_Form, dict[str, Message]]:
-    """The clauses of a channel, and what they name: ``part``, ``other``, ``view``."""
+    """Return the clauses of a channel, and the parts that it names: ``part``, ``other``, ``view``."""
     matches = ((re.fullmatch(pattern, name, re.DOTALL), form) for pattern, form in _FORMS)
     match, form = next(((match, form) for match, form in matches if match), (None, _ANYTHING))
     if match is None:
@@ -354,7 +352,6 @@ def _find_form(name: str) -> tuple[_Form, dict[str, Message]]:
 
 
 def _say_part(name: str) -> Message:
-    """ "Left hand" as the left hand."""
     name = name.removeprefix("the ")
     side, _, bare = name.partition(" ")
     code, bare = (_SIDES[side], bare) if side in _SIDES else ("reasons.part", name)

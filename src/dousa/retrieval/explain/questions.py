@@ -1,4 +1,4 @@
-"""What a forest asks, read once from its nodes, and what clips answer, at all nodes at a time."""
+"""The tests of a forest, read once from its nodes, and the answers of clips at all nodes at once."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dousa.retrieval.forest.trees import KIND_NAMES, Trees
 
 @njit(cache=True, nogil=True)
 def sum_upwards(children: IntArray, leaves: FloatArray, sums: FloatArray) -> None:
-    """The sums over the leaves below every node, into ``sums`` (M,)."""
+    """Sum the leaves below every node into ``sums`` (M,)."""
     for node in range(len(children) - 1, -1, -1):
         child = children[node]
         sums[node] = leaves[-1 - child] if child < 0 else sums[child] + sums[child + 1]
@@ -40,11 +40,11 @@ def _expect(
     weights: FloatArray,
     seen: IntArray,
 ) -> float:
-    """The expected value of the leaf that both clips reach, if removed tests send them on together by lot.
+    """Return the expected value of the leaf that both clips reach together.
 
-    At a node that asks about a removed relation, or about ``extra``, they go to either child with the share of
-    the training clips that went there; elsewhere they follow their answers, and count no more once they part.
-    Relations that were asked are marked in ``seen`` with ``mark``.
+    At a node with a removed relation, or ``extra``, they go to both children with the shares of the training clips
+    there; elsewhere they follow their answers, and add nothing once they part. Other relations are marked in ``seen``
+    with ``mark``.
     """
     expected = 0.0
     places[0], weights[0] = root, 1.0
@@ -86,21 +86,17 @@ def ablate(
     seen: IntArray,
     without: FloatArray,
 ) -> float:
-    """The mean over the trees of what their leaves are worth, as it is and without each relation.
+    """Compute the mean value of the leaves of two clips over the trees, and that without each relation.
 
     Parameters
     ----------
     roots : (n_trees,) first node of each tree.
-    above, other : (M,) the answers of two clips to the test of every node; twice the same for one clip.
+    above, other : (M,) answers of two clips at every node; equal for one clip.
     sizes : (M,) training clips at each node.
-    values : (L,) what each leaf is worth: 1 where it votes for the category.
-    removed : (R,) relations that are left out anyway.
+    values : (L,) value of each leaf: 1 where it votes for the category.
+    removed : (R,) relations already removed, also from the mean returned.
     places, weights, seen : memory for (M + 2,), (M + 2,) and (R,).
-    without : (R,) out: the same without this relation too.
-
-    Returns
-    -------
-    The mean without the ``removed`` relations alone.
+    without : (R,) filled with the mean without each relation as well.
     """
     total = 0.0
     without[:] = 0.0
@@ -122,7 +118,7 @@ def ablate(
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What one node asks: the ``kind`` of value of a channel over the cells ``start ... stop - 1``."""
+    """The test of a node: the ``kind`` of value of a channel over the cells ``start ... stop - 1``."""
 
     channel: Channel
     kind: str
@@ -138,13 +134,13 @@ class Questions:
     Parameters
     ----------
     trees : of the forest.
-    channels : (F,) what the columns of the features are.
-    relations : the names of the different relations that are asked about; one empty name if nothing is.
+    channels : (F,) of the columns of the features.
+    relations : names of the relations tested; one empty name if there are none.
     children : (M,) left child or ``-1 - leaf``.
-    kind, column, partner, start, stop : (M,) see ``tree_kernels``; of no meaning at leaves.
+    kind, column, partner, start, stop : (M,) see ``tree_kernels``; meaningless at leaves.
     threshold : (M,) of the mean, spread or trend.
     relation : (M,) number of the relation.
-    sizes : (M,) training clips that came to each node.
+    sizes : (M,) training clips at each node.
     """
 
     trees: Trees
@@ -161,7 +157,7 @@ class Questions:
     sizes: FloatArray
 
     def evaluate(self, clip: ArrayLike) -> FloatArray:
-        """The value of every node's test for a clip (T, F): (M,); InvalidMotionError for another shape or NaN."""
+        """Compute the (M,) values of all tests for a clip (T, F); InvalidMotionError for another shape or NaN."""
         pose = np.asarray(clip, dtype=np.float64)
         wanted = (self.trees.n_frames, self.trees.n_features)
         if pose.shape != wanted or not np.isfinite(pose).all():
@@ -187,13 +183,13 @@ class Questions:
         return values
 
     def sum_leaves(self, leaves: FloatArray) -> FloatArray:
-        """(M,) the sums over the leaves below every node."""
+        """Return the (M,) sums over the leaves below every node."""
         sums = np.empty(len(self.children))
         sum_upwards(self.children, leaves, sums)
         return sums
 
     def follow(self, above: BoolArray, trees: BoolArray) -> tuple[IntArray, IntArray]:
-        """The inner nodes on the way of a clip with these answers (M,) down some trees, and the child taken at each."""
+        """Return the inner nodes on the paths of a clip with answers (M,) in some trees, and the child of each."""
         places = self.trees.roots[trees]
         nodes = []
         while len(places):
@@ -204,7 +200,7 @@ class Questions:
         return asked, self.children[asked] + above[asked]
 
     def find_leaves(self, above: BoolArray) -> IntArray:
-        """(n_trees,) the leaf that a clip with these answers reaches in each tree."""
+        """Return the (n_trees,) leaves of a clip with these answers."""
         places = self.trees.roots.copy()
         while True:
             inner = np.flatnonzero(self.children[places] >= 0)
@@ -213,7 +209,7 @@ class Questions:
             places[inner] = self.children[places[inner]] + above[places[inner]]
 
     def question(self, node: int) -> Question:
-        """What an inner node asks."""
+        """Return the test of an inner node."""
         return Question(
             self.channels[self.column[node]],
             KIND_NAMES[self.kind[node]],
@@ -224,7 +220,7 @@ class Questions:
 
 
 def read_questions(forest: MotionForest) -> Questions:
-    """The questions of a trained forest; NotTrainedError before ``fit``."""
+    """Read the tests of a trained forest; NotTrainedError before ``fit``."""
     trees, width = forest.trees_, forest.trees_.n_frames + 1
     nodes = trees.nodes.astype(np.int64)
     children, shift = nodes[:, 2], nodes[:, 3]
@@ -233,10 +229,10 @@ def read_questions(forest: MotionForest) -> Questions:
     leaf = children < 0
     column[leaf], start[leaf], stop[leaf], shift[leaf] = 0, 0, 1, 0
     kind = np.where(shift == 0, MEAN, np.where(shift > 0, SPREAD, TREND))
-    # The threshold of a mean is kept times the length of the interval.
+    # The stored threshold of a mean is multiplied by the length of the interval.
     threshold = trees.cuts[:, 2] / np.where(kind == MEAN, stop - start, 1)
     channels = _find_channels(forest.feature_names_)
-    asked = np.unique(column[~leaf])  # columns of squares and moments are asked as partners only
+    asked = np.unique(column[~leaf])  # columns of squares and moments occur as partners only
     names = tuple(dict.fromkeys(channels[i].relation for i in asked)) or ("",)
     number = np.zeros(len(channels), np.int64)
     number[asked] = [names.index(channels[i].relation) for i in asked]
@@ -260,7 +256,6 @@ def read_questions(forest: MotionForest) -> Questions:
 
 
 def _find_channels(names: tuple[str, ...]) -> tuple[Channel, ...]:
-    """The channels by their names; a column of no known set is its own relation, in no unit."""
     known = {channel.name: channel for features in FEATURE_SETS.values() for channel in features.channels}
     known[DURATION.name] = DURATION
     return tuple(known.get(name, Channel(name, name, "")) for name in names)

@@ -1,10 +1,7 @@
-"""Compiled loops of the channels: from the joints of every frame to the integrals of all channels, and from these to
-the cells of windows.
+"""Compiled loops of the channels, from the joints of every frame to the integrals of all channels and cells of windows.
 
-What each number means is told in ``channels``, in whose order the columns stand.
-
-An index that is a sum may be negative to the compiler, which then handles one value at a time; so parts of rows are
-slices, counted from 0, and a loop writes to one of them.
+``channels`` describes the numbers, in the order of the columns. Loops write to slices counted from 0, as a sum as index
+may be negative to the compiler and prevents vectorisation.
 """
 
 from __future__ import annotations
@@ -14,17 +11,17 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-# None of these allocates: without reference counts they compile in half the time.
+# No allocations: without reference counts the code compiles in half the time.
 _njit: Any = njit  # whose types leave out some of its options
 compiled = _njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, _nrt=False)
 
 _NARROW = 4  # numbers in a row
-_HORIZONTAL_ENOUGH = 0.1  # share of the hip line that must be horizontal for it to say where left is
+_HORIZONTAL_ENOUGH = 0.1  # share of the hip line that must be horizontal to give the left
 
 
 @compiled
 def _smooth_narrow(values, count, weights, out):
-    """``smooth`` of rows of ``count`` numbers, one after another (n * count,): many rows at a time, step by step."""
+    """Do ``smooth`` for narrow rows, flat (n * count,), many rows at a time."""
     size = len(values)
     for k in range(size):
         out[k] = weights[0] * values[k]
@@ -42,7 +39,7 @@ def _smooth_narrow(values, count, weights, out):
 
 @compiled
 def smooth(values, weights, out):
-    """Weighted means over time of ``values`` (n, K), into ``out``; the ends are held.
+    """Compute weighted means over time of ``values`` (n, K), into ``out``; the ends are held.
 
     ``weights`` (r + 1,) of the middle and of the frames 1 ... r away from it on either side.
     """
@@ -64,7 +61,7 @@ def smooth(values, weights, out):
 
 @compiled
 def _find_horizontal(points, t, tip, base, left):
-    """Unit x and z of base -> tip in frame t, into ``left`` (n, 2); whether that is horizontal enough to tell."""
+    """Write unit x and z of base -> tip in frame t into ``left`` (n, 2); return whether it is horizontal enough."""
     x = (points[t, tip, 0] - points[t, 0, 0]) - (points[t, base, 0] - points[t, 0, 0])
     y = (points[t, tip, 1] - points[t, 0, 1]) - (points[t, base, 1] - points[t, 0, 1])
     z = (points[t, tip, 2] - points[t, 0, 2]) - (points[t, base, 2] - points[t, 0, 2])
@@ -78,7 +75,8 @@ def _find_horizontal(points, t, tip, base, left):
 
 @compiled
 def find_lateral(points, hips, shoulders, left):
-    """Unit x and z of the direction to the left, into ``left`` (n, 2): of the hips, else the shoulders, else as before.
+    """Find unit x and z of the direction to the left, into ``left`` (n, 2): of the hips, else the shoulders, else as
+    before.
 
     ``points`` (n, J, 3) with Y up; ``hips`` and ``shoulders`` (2,) are the left and the right one.
     """
@@ -91,14 +89,14 @@ def find_lateral(points, hips, shoulders, left):
             first, last = t if first < 0 else first, t
         elif last >= 0:
             left[t, 0], left[t, 1] = left[last, 0], left[last, 1]
-    # A performer who lies on one side at the start: the first direction that will be known.
+    # Before the first known direction, as when the performer lies on one side: that direction.
     for t in range(first if first >= 0 else len(points)):
         left[t, 0], left[t, 1] = (left[first, 0], left[first, 1]) if first >= 0 else (1.0, 0.0)
 
 
 @compiled
 def turn_to_body(points, left, body):
-    """``points`` (n, J, 3) with Y up, seen from the first joint, in body axes: left, up, forward."""
+    """Turn ``points`` (n, J, 3) with Y up, relative to the first joint, into body axes: left, up, forward."""
     for t in range(points.shape[0]):
         length = max(np.hypot(left[t, 0], left[t, 1]), 1e-9)
         across, along = left[t, 0] / length, left[t, 1] / length
@@ -111,7 +109,6 @@ def turn_to_body(points, left, body):
 
 @compiled
 def _wrap(angle):
-    """An angle within -pi ... pi."""
     if angle > np.pi:
         return angle - 2.0 * np.pi
     if angle < -np.pi:
@@ -121,7 +118,7 @@ def _wrap(angle):
 
 @compiled
 def find_angle(y, x):
-    """``np.arctan2`` to the last digit but one, in a form of which several are computed at a time.
+    """Compute ``np.arctan2`` to the last digit but one, in a form that vectorises.
 
     Source: Moshier, Cephes mathematical library, ``atan.c``, 2001: by a ratio of polynomials up to an eighth of a turn.
     """
@@ -147,14 +144,17 @@ def find_angle(y, x):
 
 @compiled
 def _turned(angles, before, after, t):
-    """How far an angle has turned from frame ``before`` over t to ``after``, by the shorter way each."""
+    """Return the turn of an angle from frame ``before`` over t to ``after``, each by the shorter way."""
     return _wrap(angles[after] - angles[t]) + _wrap(angles[t] - angles[before])
 
 
 @compiled
 def find_angles(even, left, fast, headings, angles):
-    """Which way the body faces, into ``headings`` (n,), and which way each joint moves in the three planes of the body,
-    and how far it does so, into ``angles`` (2, n, 3 joints): radians, and what ``even`` is in."""
+    """Find the heading of the body, into ``headings`` (n,), and of each joint, into ``angles`` (2, n, 3 joints),
+    radians.
+
+    The latter are directions in the three planes of the body, and the ways there, in the unit of ``even``.
+    """
     last = even.shape[0] - 1
     for t in range(even.shape[0]):
         headings[t] = find_angle(-left[t, 1], left[t, 0])
@@ -172,7 +172,6 @@ def find_angles(even, left, fast, headings, angles):
 
 @compiled
 def _measure(one, other):
-    """The distance of two points."""
     square = 0.0
     for axis in range(3):
         square += (one[axis] - other[axis]) ** 2
@@ -181,7 +180,7 @@ def _measure(one, other):
 
 @compiled
 def _fill_pose(body, placed, apart, feet, row):
-    """Positions, distances and the height of the pelvis; returns the next column."""
+    """Write positions, distances and the height of the pelvis; return the next column."""
     column = 0
     for j in placed:
         for axis in range(3):
@@ -196,7 +195,7 @@ def _fill_pose(body, placed, apart, feet, row):
 
 @compiled
 def _fill_travel(sooner, later, left, per_second, row, column):
-    """How fast the pelvis moves to the left, upwards, forwards; returns the next column."""
+    """Write the pelvis's speed to the left, upwards, forwards; return the next column."""
     length = max(np.hypot(left[0], left[1]), 1e-9)
     across, along = left[0] / length, left[1] / length
     x, z = later[0] - sooner[0], later[2] - sooner[2]
@@ -208,11 +207,11 @@ def _fill_travel(sooner, later, left, per_second, row, column):
 
 @compiled
 def compute_rows(points, left, body, even, fast, placed, apart, feet, pointing, rate, slow, headings, angles, rows):
-    """All channels of every frame, into ``rows`` (n, C).
+    """Compute all channels of every frame, into ``rows`` (n, C).
 
     ``points`` (n, J, 3) smooth and in body heights, ``left`` (n, 2), ``body`` and ``even`` (n, J, 3) in body axes, the
     second smoothed once more; ``fast``, ``placed`` (joints,), ``apart`` (pairs, 2), ``feet`` (2,) and ``pointing``
-    (joints,) say whose; ``headings`` and ``angles`` are of ``find_angles``.
+    (joints,) are joint numbers; ``headings`` and ``angles`` are of ``find_angles``.
     """
     last = points.shape[0] - 1
     for t in range(points.shape[0]):
@@ -243,9 +242,9 @@ def describe_frames(
     positions, height, pose_weights, heading_weights, hips, shoulders, fast, placed, apart, feet, pointing, rate, slow,
     room, lefts, headings, angles, rows,
 ):  # fmt: skip
-    """All channels of the frames of ``positions`` (n, J, 3), into ``rows`` (n, C), by the steps above.
+    """Compute all channels of ``positions`` (n, J, 3), into ``rows`` (n, C), by the steps above.
 
-    ``room`` (3, n, J, 3), ``lefts`` (2, n, 2), ``headings`` and ``angles`` are working memory; the rest is as there.
+    ``room`` (3, n, J, 3), ``lefts`` (2, n, 2), ``headings`` and ``angles`` are working memory; the rest as above.
     """
     n, width = len(positions), 3 * positions.shape[1]
     points, body, even = room[0], room[1], room[2]
@@ -266,8 +265,10 @@ def describe_frames(
 
 @compiled
 def integrate_rows(rows, first_speed, n_speeds, at_rest, step, times, integrals):
-    """Motion time into ``times`` (n + 1,), and the integrals over it of the channels, of their squares, and of the
-    channels times the time, into ``integrals`` (n + 1, 3 C); both begin as they are in their first row."""
+    """Compute motion time into ``times`` (n + 1,), and integrals over it into ``integrals`` (n + 1, 3 C).
+
+    The integrals are of the channels, their squares, and the channels times the time; both start from their first row.
+    """
     n, count = rows.shape
     for t in range(n):
         effort = at_rest
@@ -288,7 +289,7 @@ def integrate_rows(rows, first_speed, n_speeds, at_rest, step, times, integrals)
 
 @compiled
 def read_edge(integrals, times, edge, n_channels, row):
-    """The integrals up to one instant, into ``row`` (banks * n_channels,); returns the instant in motion time."""
+    """Read the integrals up to one instant into ``row`` (banks * n_channels,); return the instant in motion time."""
     width = integrals.shape[1]
     below = min(int(edge), integrals.shape[0] - 2)
     share = edge - below
@@ -308,13 +309,12 @@ def read_edge(integrals, times, edge, n_channels, row):
 
 @compiled
 def read_cells(integrals, times, edges, n_channels, work, out):
-    """Cell means of windows, into ``out`` (W, T, F).
+    """Compute cell means of windows, into ``out`` (W, T, F).
 
     ``integrals`` (n + 1, banks * n_channels) are the integrals of the values over ``times`` (n + 1,) and, with three
     banks, of their squares and of the values times the time; ``edges`` (W, T + 1) are the edges of the cells in frames.
-    With three banks F is 3 C + 1: the means, a column that is left as it is, the means of the squares, and those of the
-    values times the time, counted in cells from the start of the window. ``work`` (2, banks * n_channels) is working
-    memory.
+    With three banks F is 3 C + 1: the means, an unwritten column, the means of the squares, and those of the values
+    times the time, in cells from the start of the window. ``work`` (2, banks * n_channels) is working memory.
     """
     before, now = work[0], work[1]
     for w in range(out.shape[0]):
@@ -340,7 +340,7 @@ def read_cells(integrals, times, edges, n_channels, work, out):
 
 @compiled
 def _read_time(times, frame):
-    """The instant at a fractional frame, of ``times`` (n + 1,) at whole ones."""
+    """Return the instant at a fractional frame, of ``times`` (n + 1,) at whole ones."""
     below = int(frame)
     if below >= len(times) - 1:
         return times[len(times) - 1]
@@ -349,7 +349,7 @@ def _read_time(times, frame):
 
 @compiled
 def _find_frame(times, wanted, low, high):
-    """Where ascending ``times`` (n + 1,) reach a value that lies between those of two frames, as a fraction."""
+    """Return the fractional frame where ascending ``times`` (n + 1,) reach a value, between two frames."""
     while high - low > 1:
         middle = (low + high) // 2
         if times[middle] <= wanted:
@@ -363,10 +363,10 @@ def _find_frame(times, wanted, low, high):
 
 @compiled
 def find_edges(times, starts, stops, parts, edges):
-    """Where the cells of windows begin and end, in frames, into ``edges`` (W, E).
+    """Find the edges of the cells of windows, in frames, into ``edges`` (W, E).
 
-    ``times`` (n + 1,) are those of whole frames; ``starts`` and ``stops`` (W,) of the windows, in frames; ``parts``
-    (E,) from 0 to 1, of the time of a window.
+    ``times`` (n + 1,) at whole frames; ``starts`` and ``stops`` (W,) of the windows, in frames; ``parts`` (E,) from 0
+    to 1, of the time of a window.
     """
     last = len(times) - 1
     for w in range(len(starts)):
@@ -380,7 +380,7 @@ def find_edges(times, starts, stops, parts, edges):
 
 @compiled
 def read_means(integrals, times, edges, columns, scale, out):
-    """Means of some channels over the cells of windows, into ``out`` (W, E - 1, K).
+    """Compute means of some channels over the cells of windows, into ``out`` (W, E - 1, K).
 
     ``integrals`` (n + 1, banks * C) over ``times`` (n + 1,); ``edges`` (W, E) as in ``find_edges``, of cells that last
     equally long in those times; ``columns`` (K,), whose means are multiplied by ``scale`` (K,).
@@ -405,14 +405,13 @@ def describe_clips(
     rate, slow, room, lefts, headings, angles, rows, answered, first_speed, n_speeds, at_rest, times, integrals, parts,
     edges, work, cells, mean_parts, mean_edges, columns, scale, means, ends,
 ):  # fmt: skip
-    """The cells of clips, each as a whole, into ``cells`` (N, T, 3 C + 1), and the means of some channels over other
-    cells, into ``means`` (N, E - 1, K), by the steps above.
+    """Compute the cells of clips into ``cells`` (N, T, 3 C + 1), and other means into ``means`` (N, E - 1, K).
 
-    ``positions`` (n, J, 3) of all clips, one after another, of which ``bounds`` (N + 1,) are the first frames;
-    ``heights`` (N,); ``answered`` (C,) are the channels that are not 0; ``parts`` (T + 1,) and ``mean_parts`` (E,) as
-    in ``find_edges``; ``columns`` (K,) and ``scale`` (K,) as in ``read_means``; ``ends`` (2, 1) is room for where a
-    clip begins and ends. The other rooms are for the longest clip, ``room``, ``lefts`` and ``angles`` of one dimension;
-    ``times`` (n + 1,) and ``integrals`` (n + 1, 3 C) begin with zeros.
+    ``positions`` (n, J, 3) of all clips, one after another; ``bounds`` (N + 1,) are their first frames; ``heights``
+    (N,); ``answered`` (C,) are the channels that are not 0; ``parts`` (T + 1,) and ``mean_parts`` (E,) as in
+    ``find_edges``; ``columns`` (K,) and ``scale`` (K,) as in ``read_means``; ``ends`` (2, 1) is working memory. The
+    other working memory is for the longest clip; ``room``, ``lefts`` and ``angles`` are flat; ``times`` (n + 1,) and
+    ``integrals`` (n + 1, 3 C) begin with zeros.
     """
     n_channels, n_joints, n_angles = rows.shape[1], positions.shape[1], 3 * len(fast)
     for clip in range(len(heights)):

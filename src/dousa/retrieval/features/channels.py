@@ -1,12 +1,10 @@
-"""The channels of the ``extended`` features: what a body does from frame to frame, in words and numbers.
+"""The channels of the ``extended`` features: numbers that describe the body in every frame at 30 Hz.
 
-A channel is one number a frame at 30 Hz: where a joint is, how far two are apart, how fast one moves, which way a hand
-turns. All are functions of the recording's time alone, and none knows where the performer stands, which way he or she
-faces, or how tall he or she is; so a window of a long recording has the channels of the recording, and needs nothing
-computed anew. What a forest asks about them is told in ``feature_sets``.
+Examples are the place of a joint, a distance, a speed, the turning of a hand. None depends on the performer's place,
+heading or height, so windows of a recording share its channels. ``feature_sets`` lists the tests of them.
 
-The body-fixed system is that of ``features``: origin in the pelvis, lateral axis along the hips (here smoothed over
-time, as a noisy hip line would make everything tremble), vertical axis gravity's.
+The body-fixed system is that of ``pose_features``, but its lateral axis is smoothed over time against noise of the
+hips.
 """
 
 from __future__ import annotations
@@ -29,7 +27,7 @@ CHANNEL_RATE = 30.0
 # Frames, standard deviation: without it speeds and turns of Kinect recordings drown in noise.
 _POSE_SMOOTHING, _HEADING_SMOOTHING = 1.0, 8.0
 
-_AT_REST = 0.5  # body heights a second: what stands still counts in motion time; in walking all speeds sum to about 5
+_AT_REST = 0.5  # body heights a second: standing still counts in motion time; in walking all speeds sum to about 5
 _SLOW = 0.3  # body heights a second: the direction of a slower hand is noise and counts less
 
 
@@ -40,9 +38,9 @@ class Channel:
     Parameters
     ----------
     name : in words.
-    relation : the words without the direction, the same for all channels that say the same thing.
+    relation : the words without the direction, the same for all directions of one quantity.
     unit : of its values.
-    joints : canonical joints without which it has no value, beside those that tell where and how the body stands.
+    joints : canonical joints that it needs, beside those that give the body's place and heading.
     """
 
     name: str
@@ -133,7 +131,7 @@ def _list_mirrored() -> tuple[IntArray, FloatArray]:
 
 
 MIRRORED_CHANNELS: tuple[IntArray, FloatArray] = _list_mirrored()
-"""(C,) each: which channel of a motion is which one of its mirror image, and its sign there."""
+"""(C,) each: the channel in the mirror image that corresponds to each channel, and its sign there."""
 
 _PLACED_INDEX = np.array([JOINT_INDEX[joint] for joint in _PLACED])
 _APART_INDEX = np.array([[JOINT_INDEX[joint] for joint in pair] for pair in _APART])
@@ -144,20 +142,15 @@ _FIRST_SPEED = [channel.name for channel in CHANNELS].index(f"speed of the {say_
 
 
 def sample_positions(positions: FloatArray, frame_rate: float) -> FloatArray:
-    """Positions at ``CHANNEL_RATE``: means over the frames of faster recordings, in between those of slower ones.
+    """Resample positions to ``CHANNEL_RATE``: means over frames of faster recordings, interpolation in slower ones.
 
     Parameters
     ----------
     positions : (n, J, 3).
     frame_rate : Hz.
 
-    Returns
-    -------
-    (m, J, 3), m = the duration times ``CHANNEL_RATE``, rounded, at least 1.
-
-    Raises
-    ------
-    InvalidMotionError : a frame rate below 1 Hz.
+    Returns (m, J, 3), m = the duration times ``CHANNEL_RATE``, rounded, at least 1. Raises InvalidMotionError: a frame
+    rate below 1 Hz.
     """
     check_frame_rate(frame_rate)
     count = count_samples(len(positions), frame_rate)
@@ -175,12 +168,11 @@ def sample_positions(positions: FloatArray, frame_rate: float) -> FloatArray:
 
 
 def count_samples(n_frames: int, frame_rate: float) -> int:
-    """Frames that ``sample_positions`` makes of so many."""
+    """Return the number of frames that ``sample_positions`` makes of ``n_frames``."""
     return max(1, round(n_frames * CHANNEL_RATE / frame_rate))
 
 
 def _read_between(rows: FloatArray, places: FloatArray) -> FloatArray:
-    """Rows at fractional places, linearly."""
     below = np.minimum(places.astype(np.intp), max(len(rows) - 2, 0))
     share = (places - below)[:, None]
     read: FloatArray = rows[below] * (1.0 - share) + rows[np.minimum(below + 1, len(rows) - 1)] * share
@@ -188,16 +180,9 @@ def _read_between(rows: FloatArray, places: FloatArray) -> FloatArray:
 
 
 def compute_channels(positions: FloatArray, height: float) -> FloatArray:
-    """The channels of every frame.
+    """Compute the channels (n, C) of every frame, in the order of ``CHANNELS``.
 
-    Parameters
-    ----------
-    positions : (n, 20, 3) m, canonical joints at ``CHANNEL_RATE``, Y up, finite.
-    height : m.
-
-    Returns
-    -------
-    (n, C) in the order of ``CHANNELS``.
+    ``positions`` are (n, 20, 3) m, canonical joints at ``CHANNEL_RATE``, Y up, finite; ``height`` is in m.
     """
     n = len(positions)
     room, lefts = np.empty((3, *positions.shape)), np.empty((2, n, 2))
@@ -212,14 +197,7 @@ def compute_channels(positions: FloatArray, height: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WantedMeans:
-    """Means of some channels over the cells of a clip, which are asked for beside its features.
-
-    Parameters
-    ----------
-    n_cells : of equal motion time.
-    columns : (K,) which channels.
-    scale : (K,) that their means are multiplied by.
-    """
+    """Means over ``n_cells`` cells of equal motion time, of channels ``columns`` (K,) times ``scale`` (K,)."""
 
     n_cells: int
     columns: IntArray
@@ -227,26 +205,25 @@ class WantedMeans:
 
 
 NO_MEANS = WantedMeans(0, np.empty(0, np.intp), np.empty(0))
-"""Features alone."""
 
 
 def describe_clips(
     clips: Sequence[FloatArray], heights: FloatArray, answered: BoolArray, n_cells: int, wanted: WantedMeans
 ) -> tuple[FloatArray, FloatArray]:
-    """Means, duration, means of squares and of values times time, in the cells of clips, each as a whole.
+    """Compute means, duration, means of squares and of values times time in the cells of clips.
 
     Parameters
     ----------
-    clips : N times (n, 20, 3) m, each as for ``compute_channels``; one at least.
+    clips : N times (n, 20, 3) m, each as for ``compute_channels``; at least one.
     heights : (N,) m.
     answered : (C,) whether a channel counts; the others are 0.
     n_cells : T, of equal motion time.
-    wanted : what is asked for beside them.
+    wanted : further means.
 
     Returns
     -------
     cells : (N, T, 3 C + 1).
-    means : (N, cells, K) of what is wanted.
+    means : (N, cells, K) of ``wanted``.
     """
     bounds = np.cumsum([0, *map(len, clips)])
     positions: FloatArray = np.concatenate(clips) if len(clips) > 1 else clips[0]
@@ -267,16 +244,12 @@ def describe_clips(
 
 
 def integrate_channels(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Motion time, and the integrals of the channels over it.
-
-    Parameters
-    ----------
-    rows : (n, C) of ``compute_channels``.
+    """Compute motion time, and the integrals over it of the channels (n, C) of ``compute_channels``.
 
     Returns
     -------
-    times : (n + 1,) from 0. A second counts as many as the sum of the speeds of head, elbows, hands and feet, in body
-        heights a second, and a little more: nothing stands still in it.
+    times : (n + 1,) from 0. A second adds the sum of the speeds of head, elbows, hands and feet, in body heights a
+        second, and ``_AT_REST``.
     integrals : (n + 1, 3 C) of the values, of their squares, and of the values times the time.
     """
     times, integrals = np.zeros(len(rows) + 1), np.zeros((len(rows) + 1, 3 * rows.shape[1]))
@@ -285,7 +258,7 @@ def integrate_channels(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def smooth_positions(positions: FloatArray, deviation: float) -> FloatArray:
-    """Positions (n, J, 3) averaged over time with Gaussian weights of a standard deviation in frames; ends are held."""
+    """Smooth positions (n, J, 3) over time with a Gaussian of a standard deviation in frames; ends are held."""
     return _smooth(np.asarray(positions, np.float64), _gaussian(deviation))
 
 
@@ -296,7 +269,7 @@ def _smooth(values: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def _gaussian(deviation: float) -> FloatArray:
-    """Weights of the middle and of the frames up to three standard deviations away."""
+    """Return weights of the middle and of the frames up to three standard deviations away."""
     weights = np.exp(-0.5 * (np.arange(int(3.0 * deviation + 0.5) + 1) / deviation) ** 2)
     shares: FloatArray = weights / (2.0 * weights.sum() - weights[0])
     return shares

@@ -1,15 +1,13 @@
-"""The sets of features a forest can be trained on, by name: what is computed, and what a tree may ask of it.
+"""The feature sets of a forest, by name: what is computed, and the tests that a tree may use.
 
-``paper``: the means of the 56 pose features over intervals of a clip that is thinned to 10 frames, split where the gain
-is largest (eq. 7).
+``paper``: means of the 56 pose features over intervals of a clip thinned to 10 frames, split where the gain is largest
+(eq. 7).
 
-``extended``: means, spreads (standard deviations) and trends (the change along the fitted line) of the channels of
-``channels`` over intervals of a clip that is cut into 10 cells of equal movement (``compute_track``), and the clip's
-duration; split at random thresholds. All three kinds come from integral features: of the values, of their squares, and
-of the values times the time.
+``extended``: means, spreads (standard deviations) and trends (the change along the fitted line) of ``channels`` over
+intervals of a clip cut into 10 cells of equal movement (``compute_track``), and the clip's duration; split at random
+thresholds.
 
-A set may leave out some joints, which a part of a body does not have (see ``posed_motion``): then the values of the
-channels that need them are 0, and nothing is asked about them. Its name says so: ``extended without left_hand``.
+A set without some joints (``extended without left_hand``) sets the channels that need them to 0 and never tests them.
 """
 
 from __future__ import annotations
@@ -47,23 +45,15 @@ from dousa.retrieval.features.posed_motion import (
 from dousa.retrieval.features.sensor_noise import reduce_noise
 
 MEAN, SPREAD, TREND = 0, 1, 2
-"""Kinds of tests: the mean of a column over an interval, its standard deviation, its change along the fitted line."""
+"""Kinds of tests: mean of a column over an interval, standard deviation, change along the fitted line."""
 
 
 def integrate(features: ArrayLike) -> FloatArray:
-    """Running sums of pose features, from which every mean over an interval is one subtraction.
+    """Compute running sums of pose features: every mean over an interval is one subtraction.
 
-    Parameters
-    ----------
-    features : (N, T, F) pose features of N clips, thinned to T frames.
-
-    Returns
-    -------
-    (N, F, T + 1) with ``g[..., 0] = 0`` and ``g[..., t] = g[..., t - 1] + p[..., t]``.
-
-    Raises
-    ------
-    InvalidMotionError : not three axes, or an axis of length 0 other than the first.
+    ``features``: (N, T, F) pose features of N clips, thinned to T frames. Returns (N, F, T + 1) with ``g[..., 0] = 0``
+    and ``g[..., t] = g[..., t - 1] + p[..., t]``. Raises InvalidMotionError: not three axes, or an axis of length 0
+    other than the first.
 
     Source: Hamada et al., eq. 4.
     """
@@ -77,20 +67,14 @@ def integrate(features: ArrayLike) -> FloatArray:
 
 
 def compute_interval_means(integrals: ArrayLike, start: int, stop: int) -> FloatArray:
-    """Mean pose features over the frames ``start ... stop - 1``, counted from 0.
+    """Compute mean pose features over the frames ``start ... stop - 1``, counted from 0.
 
     Parameters
     ----------
     integrals : (..., T + 1) of ``integrate``.
     start, stop : t0 and t1 of the paper, 0 <= start < stop <= T.
 
-    Returns
-    -------
-    (...,) in the unit of the features.
-
-    Raises
-    ------
-    OptionError : an interval outside the clip.
+    Returns (...,) in the unit of the features. Raises OptionError: an interval outside the clip.
 
     Source: Hamada et al., eq. 3 and 5.
     """
@@ -101,33 +85,25 @@ def compute_interval_means(integrals: ArrayLike, start: int, stop: int) -> Float
 
 
 def list_tests(n_features: int, n_frames: int) -> IntArray:
-    """Every mean that a tree may ask for: the set R of the paper.
+    """List every mean that a tree may test: the set R of the paper.
 
-    Parameters
-    ----------
-    n_features, n_frames : F and T, at least 1.
-
-    Returns
-    -------
-    (F T (T + 1) / 2, 5) rows (kind, i, i, t0, t1) with the kind 0, a mean; 3,080 for 56 features and 10 frames. Longer
-    intervals come first, then earlier ones: of tests that part the clips equally well a tree without randomness takes
-    the first, and the mean over a longer time says more about the motion and less about the moment.
+    ``n_features``, ``n_frames``: F and T, at least 1. Returns (F T (T + 1) / 2, 5) rows (kind, i, i, t0, t1) with the
+    kind 0, a mean; 3,080 for 56 features and 10 frames. Longer intervals come first, then earlier ones: of equally good
+    tests, a tree without randomness takes the first.
     """
     columns = np.arange(n_features)
     return list_interval_tests([(0, columns, columns)], n_frames)
 
 
 def list_interval_tests(kinds: Sequence[tuple[int, IndexArray, IndexArray]], n_frames: int) -> IntArray:
-    """Tests of several kinds over every interval, in the order of ``list_tests``.
+    """List tests of several kinds over every interval, in the order of ``list_tests``.
 
     Parameters
     ----------
-    kinds : for each kind its number, the columns that it may ask for, and the partner of each column.
+    kinds : for each kind its number, the columns to test, and the partner of each column.
     n_frames : T.
 
-    Returns
-    -------
-    (R, 5) rows (kind, column, partner, t0, t1).
+    Returns (R, 5) rows (kind, column, partner, t0, t1).
     """
     starts, stops = np.triu_indices(n_frames + 1, k=1)
     order = np.lexsort((starts, starts - stops))
@@ -147,8 +123,6 @@ DURATION = Channel("duration", "duration", "s")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Completed:
-    """A motion of which every joint has a place."""
-
     positions: FloatArray
     frame_rate: float
     height: float
@@ -156,16 +130,16 @@ class _Completed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureSet:
-    """What forests look at.
+    """The columns and tests of a forest.
 
     Parameters
     ----------
     name : for people and files.
-    channels : what is known of every frame.
+    channels : values of every frame.
     n_frames : T, cells that a clip is cut into.
-    kinds : what a tree may ask of a channel over an interval of cells.
+    kinds : of tests of a channel over an interval of cells.
     thresholds, n_trials : how trees are grown on it, see ``MotionForest``.
-    hidden : canonical joints that it does not look at, though the whole set does.
+    hidden : canonical joints of the whole set that this one leaves out.
     """
 
     name: str
@@ -178,41 +152,35 @@ class FeatureSet:
 
     @property
     def base(self) -> str:
-        """The name of the whole set."""
+        """Return the name of the whole set."""
         return self.name.partition(_WITHOUT)[0]
 
     @property
     def answered(self) -> BoolArray:
-        """(C,) which channels need no joint that is hidden."""
+        """Return (C,) which channels need no hidden joint."""
         return _list_answered(self)
 
     @property
     def needed(self) -> frozenset[str]:
-        """Joints that must have a place."""
+        """Return the joints that must have a place."""
         return _list_needed(self)
 
     def without(self, joints: Iterable[str]) -> FeatureSet:
-        """The set for bodies that lack some joints; the same set where it never looks at them.
+        """Return the set for bodies without some joints; the same set if it uses none of them.
 
-        Parameters
-        ----------
-        joints : canonical joints, beside those that are hidden already.
-
-        Raises
-        ------
-        OptionError : joints that there are not.
+        ``joints``: canonical joints, beside those hidden already. Raises OptionError: an unknown joint.
         """
         more = set(joints)
         return _hide(self.base, order_joints(more.union(self.hidden))) if more else self
 
     @property
     def has_banks(self) -> bool:
-        """Whether columns of squares and of values times time stand behind the means."""
+        """Return whether columns of squares and of values times time follow the means."""
         return len(self.kinds) > 1
 
     @property
     def column_names(self) -> tuple[str, ...]:
-        """(F,) names of the columns."""
+        """Return (F,) names of the columns."""
         names = tuple(channel.name for channel in self.channels)
         if not self.has_banks:
             return names
@@ -221,12 +189,11 @@ class FeatureSet:
 
     @property
     def n_columns(self) -> int:
-        """F."""
         return 3 * len(self.channels) + 1 if self.has_banks else len(self.channels)
 
     @property
     def tests(self) -> IntArray:
-        """(R, 5) everything a tree may ask, see ``list_interval_tests``."""
+        """Return (R, 5) all tests, see ``list_interval_tests``."""
         count = len(self.channels)
         columns = np.flatnonzero(self.answered)
         if not self.has_banks:
@@ -240,39 +207,33 @@ class FeatureSet:
         return np.concatenate([duration, list_interval_tests(kinds, self.n_frames)])
 
     def compute(self, motion: PosedMotion, samples_per_frame: int = 8) -> FloatArray:
-        """The features of a clip; with banks, of what is left without the noise of its sensor.
+        """Compute the features (T, F) of a clip; with banks, after its sensor's noise is reduced.
 
         Parameters
         ----------
         motion : the clip.
-        samples_per_frame : poses whose mean stands for a frame of ``paper``, see ``compute_clip_features``.
+        samples_per_frame : poses averaged for a frame of ``paper``, see ``compute_clip_features``.
 
-        Returns
-        -------
-        (T, F)
-
-        Raises
-        ------
-        InvalidMotionError : positions that are not finite, or no body height.
+        Raises InvalidMotionError: positions that are not finite, or no body height.
         """
         if not self.has_banks:
             return self.blank(compute_clip_features(self.complete(motion), self.n_frames, samples_per_frame))
         return self.compute_quiet(reduce_noise(motion))
 
     def compute_quiet(self, motion: PosedMotion) -> FloatArray:
-        """The features (T, F) of a clip whose noise has been taken off, for a set with banks; else as ``compute``."""
+        """Compute the features (T, F) of a clip with reduced noise, for a set with banks; else as ``compute``."""
         cells: FloatArray = self.compute_quiet_all([motion])[0]
         return cells
 
     def compute_quiet_all(self, motions: Sequence[PosedMotion]) -> FloatArray:
-        """The same (N, T, F) of several clips, in less time."""
+        """Compute the same (N, T, F) of several clips, faster."""
         if not self.has_banks:
             shape = len(motions), self.n_frames, self.n_columns
             return np.array([self.compute(motion) for motion in motions], np.float64).reshape(shape)
         return self.compute_quiet_with(motions, NO_MEANS)[0]
 
     def compute_quiet_with(self, motions: Sequence[PosedMotion], wanted: WantedMeans) -> tuple[FloatArray, FloatArray]:
-        """The same for a set with banks, and (N, cells, K) what else is wanted of the channels."""
+        """Compute the same for a set with banks, and (N, cells, K) the ``wanted`` means of channels."""
         if not motions:
             return np.empty((0, self.n_frames, self.n_columns)), np.empty((0, wanted.n_cells, len(wanted.columns)))
         points = [self._sample(motion) for motion in motions]
@@ -280,25 +241,24 @@ class FeatureSet:
         return describe_clips(points, heights, self.answered, self.n_frames, wanted)
 
     def _sample(self, motion: PosedMotion) -> FloatArray:
-        """Positions of all joints at ``CHANNEL_RATE``."""
         return sample_positions(self.complete(motion).positions, motion.frame_rate)
 
     def complete(self, motion: PosedMotion) -> PosedMotion:
-        """A motion of which every joint has a place, for what needs them all; hidden ones lie on the pelvis."""
+        """Return a motion without gaps; hidden joints lie on the pelvis."""
         points = complete_positions(
             check_shape(motion.positions, motion.height), motion.height, self.hidden, self.needed
         )
         return _Completed(points, motion.frame_rate, motion.height)
 
     def blank(self, values: FloatArray) -> FloatArray:
-        """Values (..., C) of the channels, 0 where a joint is hidden; in place."""
+        """Set values (..., C) of channels of hidden joints to 0, in place."""
         if self.hidden:
             values[..., ~self.answered] = 0.0
         return values
 
 
 def _list_joints(feature: Feature) -> tuple[str, ...]:
-    """What a pose feature is made of; a position is told from the pelvis, which every body has or gets."""
+    """List the joints of a pose feature; a position leaves out the pelvis, which every body has or gets."""
     return feature.joints[:1] if feature.kind == "position" else feature.joints
 
 
@@ -314,11 +274,11 @@ FEATURE_SETS: dict[str, FeatureSet] = {
 """The sets by name."""
 
 DEFAULT_FEATURE_SET = "extended"
-"""What ``dousa train`` takes."""
+"""The set that ``dousa train`` uses."""
 
 
 def get_feature_set(name: str) -> FeatureSet:
-    """The set of a name, whole or without some joints; OptionError for one that does not exist."""
+    """Return the set of a name, whole or without some joints; OptionError for an unknown one."""
     base, _, hidden = name.partition(_WITHOUT)
     if base not in FEATURE_SETS:
         raise OptionError("features.unknown", known=tuple(FEATURE_SETS), name=name)
@@ -342,14 +302,14 @@ def _list_needed(feature_set: FeatureSet) -> frozenset[str]:
 
 
 def _hide(base: str, joints: tuple[str, ...]) -> FeatureSet:
-    """The set without those of the joints that it, or what clips are aligned by, looks at."""
+    """Return the set without those joints that it, or the alignment of clips, uses."""
     hidden = tuple(joint for joint in joints if joint in FEATURE_SETS[base].needed)
     return _restrict(base, hidden) if hidden else FEATURE_SETS[base]
 
 
 @lru_cache(maxsize=256)
 def _restrict(base: str, hidden: tuple[str, ...]) -> FeatureSet:
-    """One object for each set, so that sets can be compared by identity."""
+    """Return one object for each set, so that sets can be compared by identity."""
     return replace(FEATURE_SETS[base], name=f"{base}{_WITHOUT}{' '.join(hidden)}", hidden=hidden)
 
 
@@ -359,8 +319,8 @@ class FeatureTrack:
 
     Parameters
     ----------
-    feature_set : which channels.
-    times : (n + 1,) when each frame begins, and the last ends: frames, or motion time.
+    feature_set : defines the channels.
+    times : (n + 1,) start of each frame, and end of the last: frames, or motion time.
     integrals : (n + 1, C) of the channels over these times (eq. 4); with banks (n + 1, 3 C): of the values, of their
         squares, and of the values times the time.
     """
@@ -371,25 +331,17 @@ class FeatureTrack:
 
     @property
     def n_frames(self) -> int:
-        """n, at ``frame_rate``."""
         return len(self.integrals) - 1
 
     @property
     def frame_rate(self) -> float:
-        """Hz."""
+        """Return the frame rate, Hz."""
         return CHANNEL_RATE
 
     def find_edges(self, starts: ArrayLike, stops: ArrayLike, n_cells: int | None = None) -> FloatArray:
-        """Where the cells of windows begin and end, in frames.
+        """Return (N, n_cells + 1) the edges of the cells of windows, in frames; ``n_cells`` None for the feature set's.
 
-        Parameters
-        ----------
-        starts, stops : as in ``describe``, which raises the same errors.
-        n_cells : as many as the feature set has, if it is None.
-
-        Returns
-        -------
-        (N, n_cells + 1)
+        ``starts``, ``stops`` and errors are as in ``describe``.
         """
         first, last = (np.atleast_1d(np.asarray(given, np.float64)) for given in (starts, stops))
         inside = (first >= 0) & (first < last) & (last <= self.n_frames)
@@ -401,19 +353,10 @@ class FeatureTrack:
         return edges
 
     def describe(self, starts: ArrayLike, stops: ArrayLike) -> FloatArray:
-        """The features of windows.
+        """Compute the features (N, T, F) of windows.
 
-        Parameters
-        ----------
-        starts, stops : (N,) frames of the track, whole or not; 0 <= start < stop <= n_frames.
-
-        Returns
-        -------
-        (N, T, F) what a forest takes.
-
-        Raises
-        ------
-        InvalidMotionError : a window outside the recording or without length.
+        ``starts``, ``stops``: (N,) frames of the track, whole or not; 0 <= start < stop <= n_frames. Raises
+        InvalidMotionError: a window outside the recording or without length.
         """
         edges, spec = self.find_edges(starts, stops), self.feature_set
         cells = np.empty((len(edges), spec.n_frames, spec.n_columns))
@@ -430,20 +373,14 @@ def _divide(n_cells: int) -> FloatArray:
 
 
 def compute_track(motion: PosedMotion, feature_set: FeatureSet) -> FeatureTrack:
-    """Sum the channels of a recording.
+    """Integrate the channels of a recording.
 
     Parameters
     ----------
     motion : of any frame rate and length.
-    feature_set : which channels.
+    feature_set : defines the channels.
 
-    Returns
-    -------
-    FeatureTrack
-
-    Raises
-    ------
-    InvalidMotionError : another shape than (n, 20, 3), no frame, positions that are not finite, no body height.
+    Raises InvalidMotionError: another shape than (n, 20, 3), no frame, positions that are not finite, no body height.
 
     Source: Hamada et al., eq. 4, with the integrals of squares and of moments beside it.
     """

@@ -1,7 +1,6 @@
-"""Compiled loops of the splines that take a sensor's noise off: all but the Fourier transform.
+"""Compiled loops of the noise-reducing splines of ``sensor_noise``, without the Fourier transform.
 
-Courses are the places of joints over time (J, 3, n). What each step is for is told in ``sensor_noise``. Nothing here
-allocates: without reference counts it compiles in half the time.
+Courses are the places of joints over time (J, 3, n). No allocations, which halves the compile time.
 """
 
 from __future__ import annotations
@@ -17,10 +16,10 @@ compiled = _njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=T
 
 @compiled
 def level(courses, rows, ends, ramp, lines, folded):
-    """Take the line from the beginning to the end off some courses, and fold them: every second frame there and back.
+    """Subtract the line from beginning to end from some courses, and fold them: even frames, then odd ones backwards.
 
-    ``rows`` (R,) of ``courses``; ``ends`` frames at either end tell the line; ``ramp`` (n,) from -0.5 to 0.5; into the
-    same rows of ``lines`` (J, 3, n), and into ``folded`` (R, 3, n): frames 0, 2, 4 ... and the others backwards.
+    ``rows`` (R,) of ``courses``; ``ends`` frames at either end define the line; ``ramp`` (n,) from -0.5 to 0.5. Writes
+    the same rows of ``lines`` (J, 3, n), and ``folded`` (R, 3, n).
     """
     n = courses.shape[2]
     for r in range(len(rows)):
@@ -41,8 +40,11 @@ def level(courses, rows, ends, ramp, lines, folded):
 
 @compiled
 def turn_waves(spectrum, rows, turns, waves):
-    """The waves (J, 3, n) of some courses reflected at their ends, from the ``spectrum`` (R, 3, n // 2 + 1) of the
-    folded ones; ``turns`` (2, n // 2 + 1) are cosines and sines of 0 to an eighth of a turn."""
+    """Compute the waves (J, 3, n) of some courses reflected at their ends.
+
+    ``spectrum`` (R, 3, n // 2 + 1) is of the folded courses; ``turns`` (2, n // 2 + 1) are cosines and sines of 0 to an
+    eighth of a turn.
+    """
     n = waves.shape[2]
     for r in range(len(rows)):
         for axis in range(3):
@@ -56,7 +58,7 @@ def turn_waves(spectrum, rows, turns, waves):
 
 @compiled
 def measure(waves, rows, lost, left):
-    """What the splines of every weight leave of some courses: squared residuals, into the rows of ``left`` (J, L).
+    """Compute the squared residuals of the splines of every weight for some courses, into the rows of ``left`` (J, L).
 
     ``waves`` (J, 3, n) of the reflected courses; ``lost`` (n, L) share of their power.
     """
@@ -73,7 +75,7 @@ def measure(waves, rows, lost, left):
 
 @compiled
 def find_middle(values):
-    """The median of ``values`` (n,), which are put into another order (Hoare's selection)."""
+    """Return the median of ``values`` (n,), which are reordered (Hoare's selection)."""
     wanted, first, last = len(values) // 2, 0, len(values) - 1
     while first < last:
         pivot, i, j = values[(first + last) // 2], first, last
@@ -102,7 +104,7 @@ def find_middle(values):
 
 @compiled
 def choose(left, freedom, n, room, chosen):
-    """The spline of each course, into ``chosen`` (J,); returns the variance of the errors of all.
+    """Choose the spline of each course, into ``chosen`` (J,); return the variance of the errors of all.
 
     ``left`` (J, L) of ``measure``, ``freedom`` (L,) of the splines, ``room`` (2, J).
     """
@@ -115,7 +117,7 @@ def choose(left, freedom, n, room, chosen):
                 best, least = weight, score
         sizes[j] = ordered[j] = left[j, best] / (3.0 * (n - freedom[best]))
     variance = find_middle(ordered)
-    # A joint whose errors are larger than the others' has them; one of which too little is thought has not.
+    # Errors above the median variance count as measured; those below it are raised to the median.
     for j in range(len(left)):
         best, least = 0, np.inf
         for weight in range(len(freedom)):
@@ -128,9 +130,8 @@ def choose(left, freedom, n, room, chosen):
 
 @compiled
 def choose_all(left, freedom, n, recordings, n_joints, room, chosen, variances):
-    """``choose`` for ``recordings`` (R,) out of those whose courses are all in ``left`` and ``chosen``.
-
-    The variance of each into ``variances`` (R,).
+    """Do ``choose`` for ``recordings`` (R,) of those in ``left`` and ``chosen``, with variances into ``variances``
+    (R,).
     """
     for r in range(len(recordings)):
         first, stop = recordings[r] * n_joints, (recordings[r] + 1) * n_joints
@@ -139,7 +140,7 @@ def choose_all(left, freedom, n, recordings, n_joints, room, chosen, variances):
 
 @compiled
 def weigh(waves, rows, kept, chosen, turns, spectrum):
-    """What the chosen splines keep of the waves (J, 3, n) of some courses, as a ``spectrum`` of folded ones.
+    """Compute the ``spectrum`` of the folded courses from the waves (J, 3, n) weighted by the chosen splines.
 
     ``kept`` (L, n); ``turns`` and ``spectrum`` are as of ``turn_waves``.
     """
@@ -157,7 +158,7 @@ def weigh(waves, rows, kept, chosen, turns, spectrum):
 
 @compiled
 def raise_again(folded, rows, lines, smooth):
-    """Unfold some courses (R, 3, n), and put the lines (J, 3, n) back under them; into ``smooth`` (J, 3, n)."""
+    """Unfold some courses (R, 3, n), and add the lines (J, 3, n) back; into ``smooth`` (J, 3, n)."""
     n = lines.shape[2]
     for r in range(len(rows)):
         for axis in range(3):
@@ -170,11 +171,11 @@ def raise_again(folded, rows, lines, smooth):
 
 @compiled
 def believe(courses, smooth, limit, rows, room, changed, believed, glitches):
-    """Put what the splines say in the stead of glitches: into ``believed`` (J, 3, n), of joints that have any.
+    """Replace glitches by the splines' values, into ``believed`` (J, 3, n), for joints with any.
 
-    A glitch is a place whose squared error is beyond ``limit`` medians of its joint. ``rows`` (R,) are the joints that
-    are looked at; ``changed`` (J,) those that had one before, or have one now; ``room`` (2, n). How many there are in
-    each recording is added to ``glitches``, which has a number for each, of as many joints.
+    A glitch is a place whose squared error is beyond ``limit`` medians of its joint. ``rows`` (R,) are the joints to
+    check; ``changed`` (J,) those with a glitch before or now; ``room`` (2, n). The number in each recording is added to
+    ``glitches``, which has one entry for each, of as many joints.
     """
     n, n_joints = courses.shape[2], len(courses) // len(glitches)
     squared, ordered = room
@@ -197,10 +198,10 @@ def believe(courses, smooth, limit, rows, room, changed, believed, glitches):
 
 @compiled
 def measure_chain(points, bones, shares, lengths):
-    """The median over time of the length of a chain of bones.
+    """Return the median over time of the length of a chain of bones.
 
-    ``points`` (n, J, 3) finite; ``bones`` (B, 3) are joints: one end, and two that the other end is in the middle of;
-    ``shares`` (B,) of them; ``lengths`` (n,) is room.
+    ``points`` (n, J, 3) finite; ``bones`` (B, 3) are joints: one end, and two whose middle is the other end; ``shares``
+    (B,) of them; ``lengths`` (n,) is working memory.
     """
     for t in range(len(points)):
         lengths[t] = 0.0
@@ -215,10 +216,10 @@ def measure_chain(points, bones, shares, lengths):
 
 @compiled
 def measure_unsteadiness(points, bones, room):
-    """The standard deviation of the length of a bone as a share of its median, the median over the bones; or 0.
+    """Return the standard deviation of a bone's length as a share of its median, the median over the bones; or 0.
 
-    ``points`` (n, J, 3); ``bones`` (B, 2) are joints, of which those that are missing in any frame are left out;
-    ``room`` (2, R) for n or B numbers.
+    ``points`` (n, J, 3); ``bones`` (B, 2) are joints, left out if missing in any frame; ``room`` (2, R) for n or B
+    numbers.
     """
     lengths, shares = room
     n, found = len(points), 0

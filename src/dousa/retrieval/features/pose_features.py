@@ -1,13 +1,12 @@
-"""The 56 pose features: relations between parts of one body, whoever it is and wherever it stands.
+"""The 56 pose features: relations between parts of one body, independent of place, heading and height.
 
-Source: Hamada et al., section 2.2: (a) positions of joints in a body-fixed system, (b) distances between two
-joints, (c) inclination of the trunk against the axes of that system; lengths are divided by the body height
-(eq. 2). The paper counts 56 and lists none; ``FEATURES`` is our choice, made with performers left out (HDM05,
-UTD-MHAD) and within one training half (Bandai Namco), where each group of features had to prove its worth.
+Source: Hamada et al., section 2.2: (a) positions of joints in a body-fixed system, (b) distances between two joints,
+(c) inclination of the trunk against the axes of that system; lengths are divided by the body height (eq. 2). The paper
+counts 56 and lists none; ``FEATURES`` was chosen on HDM05 and UTD-MHAD with performers left out, and on one training
+half of Bandai Namco.
 
-The body-fixed system has its origin in the pelvis. Its lateral axis points to the performer's left along the
-hips, made horizontal; its vertical axis is gravity's; forward follows by the right-hand rule. So no feature
-knows place, heading or height, but all know which way is up.
+The body-fixed system has its origin in the pelvis. Its lateral axis points to the performer's left along the hips, made
+horizontal; its vertical axis is gravity's; forward follows by the right-hand rule.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ _DIRECTIONS = {
 HIPS, SHOULDERS = (
     np.array([JOINT_INDEX[f"{side}_{joint}"] for side in ("left", "right")]) for joint in ("hip", "shoulder")
 )
-"""Numbers of the left one and the right one."""
+"""Indices of the left one and the right one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +47,9 @@ class Feature:
     ----------
     name : in words.
     kind : ``"position"`` in the body-fixed system, ``"distance"`` or ``"inclination"``.
-    joints : canonical joints that it is made of.
+    joints : its canonical joints.
     axis : of the body-fixed system: 0 left, 1 up, 2 forward; None for a distance.
-    sign : -1 where the name says right: positions of arms and legs grow outwards on both sides.
+    sign : -1 where the name has right: positions of arms and legs grow outwards on both sides.
     unit : ``"body heights"`` or ``"radians"``.
     """
 
@@ -63,7 +62,7 @@ class Feature:
 
 
 def say_joint(joint: str) -> str:
-    """The word a person would use: the ankle stands for the foot."""
+    """Return the everyday word of a joint: the ankle is the foot."""
     return joint.replace("_", " ").replace("ankle", "foot")
 
 
@@ -122,20 +121,15 @@ _DISTANCE_FROM, _DISTANCE_TO = (
 
 
 def compute_pose_features(positions: ArrayLike, height: float) -> FloatArray:
-    """The 56 features of every pose.
+    """Compute the 56 features of every pose.
 
     Parameters
     ----------
     positions : (T, 20, 3) m, canonical joints in the order of ``CANONICAL_JOINTS``, Y up, without gaps.
     height : m, body height of eq. 1.
 
-    Returns
-    -------
-    (T, 56) in body heights and radians, in the order of ``FEATURES``.
-
-    Raises
-    ------
-    InvalidMotionError : another shape, positions that are not finite, a height that is not above 0.
+    Returns (T, 56) in body heights and radians, in the order of ``FEATURES``. Raises InvalidMotionError: another shape,
+    positions that are not finite, a height that is not above 0.
 
     Source: Hamada et al., eq. 2 and section 2.2.
     """
@@ -151,31 +145,23 @@ def compute_pose_features(positions: ArrayLike, height: float) -> FloatArray:
 
 
 def compute_clip_features(canonical: PosedMotion, n_frames: int = 10, samples_per_frame: int = 8) -> FloatArray:
-    """The 56 features of a clip thinned to equally long parts.
+    """Compute the 56 features of a clip thinned to equally long parts.
 
     Parameters
     ----------
-    canonical : the clip; a shorter one than is asked for has frames repeated.
+    canonical : the clip; in a short one, frames repeat.
     n_frames : T, at least 1; 10 in the paper.
-    samples_per_frame : poses, equally spaced over a part, whose mean stands for it; 1 takes the pose in the
-        middle alone.
+    samples_per_frame : poses, equally spaced over a part, that are averaged; 1 takes the middle pose alone.
 
-    Returns
-    -------
-    (n_frames, 56)
+    Returns (n_frames, 56). Raises OptionError: a number below 1.
 
-    Raises
-    ------
-    OptionError : a number below 1.
-
-    Source: Hamada et al., section 2.3. The paper thins to single frames; ten instants of a long walk fall on
-    steps at random, and the integral of eq. 3 is then poorly known. Means of parts are that integral more
-    closely, and tell people apart better on every data set tried (docs/retrieval.md).
+    Source: Hamada et al., section 2.3. The paper thins to single frames; means of parts are closer to the integral of
+    eq. 3 and separate people better on every data set tried (docs/retrieval.md).
     """
     if n_frames < 1 or samples_per_frame < 1:
         raise OptionError("features.samples", frames=repr(n_frames), samples=repr(samples_per_frame))
     wanted = n_frames * samples_per_frame
-    # In whole numbers: a middle that falls between two frames is that of the later one, however division rounds.
+    # In whole numbers: a middle between two frames is the later one, independent of rounding.
     middles = (2 * np.arange(wanted) + 1) * len(canonical.positions) // (2 * wanted)
     poses = compute_pose_features(canonical.positions[middles], canonical.height)
     parts: FloatArray = poses.reshape(n_frames, samples_per_frame, -1).mean(axis=1)
@@ -183,7 +169,7 @@ def compute_clip_features(canonical: PosedMotion, n_frames: int = 10, samples_pe
 
 
 def turn_to_body(points: FloatArray) -> FloatArray:
-    """(T, 20, 3) from the pelvis with Y up to body axes: left, up, forward."""
+    """Turn (T, 20, 3), from the pelvis with Y up, into body axes: left, up, forward."""
     left = find_lateral_axis(points)
     body = np.empty_like(points)
     across, along = left[:, :1], left[:, 1:]  # x and z of the lateral axis; forward is lateral x vertical
@@ -195,14 +181,14 @@ def turn_to_body(points: FloatArray) -> FloatArray:
 
 
 def find_lateral_axis(points: FloatArray) -> FloatArray:
-    """(T, 2) unit x and z of the direction to the left: of the hips, else the shoulders, else as before."""
+    """Return (T, 2) unit x and z of the direction to the left: of the hips, else the shoulders, else as before."""
     left = np.empty((len(points), 2))
     find_lateral(np.ascontiguousarray(points, np.float64), HIPS, SHOULDERS, left)
     return left
 
 
 def _trunk_inclination(body: FloatArray) -> FloatArray:
-    """(T, 3) angles of pelvis -> neck: out of the sagittal plane, off the vertical, out of the frontal plane.
+    """Return (T, 3) angles of pelvis -> neck: out of the sagittal plane, off the vertical, out of the frontal plane.
 
     The first and last are the right angle less the angle to the axis, so that upright is 0 for all three.
     """

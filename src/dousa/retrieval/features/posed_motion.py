@@ -1,4 +1,4 @@
-"""What retrieval takes for a motion, and whether it can be used."""
+"""The motions that retrieval accepts, and the checks of them."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX, Canonic
 from dousa.motion.canonical.tree_shape import spread_frames
 
 SLOWEST_RATE = 1.0
-"""Hz: everything is brought to 30 Hz, so a rate near zero would fill the memory."""
+"""Hz: motions are resampled to 30 Hz, so a rate near zero would fill the memory."""
 
 
 class PosedMotion(Protocol):
-    """A motion on canonical joints: a ``CanonicalMotion``, a ``LabelledClip`` or anything like them."""
+    """A motion on canonical joints, such as a ``CanonicalMotion`` or a ``LabelledClip``."""
 
     @property
     def positions(self) -> FloatArray:
@@ -40,11 +40,9 @@ class PosedMotion(Protocol):
 
 
 def check_motion(motion: PosedMotion) -> FloatArray:
-    """The positions (n, 20, 3) of a motion.
+    """Return the positions (n, 20, 3) of a motion.
 
-    Raises
-    ------
-    InvalidMotionError : another shape, no frame, positions that are not finite, no body height.
+    Raises InvalidMotionError: another shape, no frame, positions that are not finite, no body height.
     """
     points = check_shape(motion.positions, motion.height)
     if not np.isfinite(points).all():
@@ -53,7 +51,7 @@ def check_motion(motion: PosedMotion) -> FloatArray:
 
 
 def check_shape(positions: ArrayLike, height: float) -> FloatArray:
-    """The positions (n, 20, 3); InvalidMotionError for another shape, no frame or no body height."""
+    """Return the positions (n, 20, 3); InvalidMotionError for another shape, no frame or no body height."""
     points = np.asarray(positions, np.float64)
     if points.ndim != 3 or points.shape[1:] != (len(CANONICAL_JOINTS), 3) or not len(points):
         raise InvalidMotionError("posed_motion.shape", shape=points.shape)
@@ -70,13 +68,13 @@ def check_frame_rate(frame_rate: float) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledClip:
-    """A motion on canonical joints, with what it shows and who performs it.
+    """A motion on canonical joints with its category and performer.
 
     Parameters
     ----------
     name : path or other name, for messages.
     category : the label.
-    performer : who moves; None where unknown.
+    performer : None where unknown.
     positions : (T, 20, 3) m.
     frame_rate : Hz.
     height : m, of the performer.
@@ -92,17 +90,17 @@ class LabelledClip:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AnnotatedTake:
-    """An uncut recording on canonical joints, with what happens in it and who performs it.
+    """An uncut recording on canonical joints with its annotation and performer.
 
     Parameters
     ----------
     name : path or other name, for messages.
-    performer : who moves; None where unknown.
+    performer : None where unknown.
     positions : (T, 20, 3) m.
     frame_rate : Hz.
     height : m, of the performer.
-    stretches : from beginning to end without gaps. One without a category shows what "nothing" and "between" look like,
-        unless it is not ``counted``: then nobody can say what it is.
+    stretches : from beginning to end without gaps. One without a category is an example of "nothing" or "between", or
+        is unclear if it is not ``counted``.
     """
 
     name: str
@@ -114,7 +112,7 @@ class AnnotatedTake:
 
 
 FRAME_JOINTS = ("pelvis", "left_hip", "right_hip", "left_shoulder", "right_shoulder", "neck")
-"""What tells where the body stands and which way it faces."""
+"""Joints that give the body's place and heading."""
 
 _LIMB_JOINTS = tuple(f"{side}_{joint}" for joint in ("elbow", "hand", "knee", "ankle") for side in ("left", "right"))
 _WITH = (("hand", "wrist"), ("ankle", "toe"))
@@ -123,20 +121,13 @@ _PELVIS = JOINT_INDEX["pelvis"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HiddenMotion(CanonicalPoses):
-    """A motion of which some joints are hidden.
-
-    Parameters
-    ----------
-    positions : (T, 20, 3) m, NaN where hidden.
-    frame_rate : Hz.
-    height : m, of the performer, by the bones that are left.
-    """
+    """A motion with hidden joints, NaN in ``positions``, and the performer's ``height``, m, by the remaining bones."""
 
     height: float
 
 
 def order_joints(joints: Iterable[str]) -> tuple[str, ...]:
-    """Canonical joints in their order, each once; OptionError for one that there is not."""
+    """Return canonical joints in their order, each once; OptionError for an unknown one."""
     asked = set(joints)
     unknown = sorted(asked.difference(CANONICAL_JOINTS))
     if unknown:
@@ -145,7 +136,7 @@ def order_joints(joints: Iterable[str]) -> tuple[str, ...]:
 
 
 def is_comparable(hidden: Iterable[str]) -> bool:
-    """Whether a body without some joints can be compared: it must face some way, and have a limb that moves."""
+    """Return whether a body without some joints can be compared: it needs a heading, and a limb that moves."""
     gone = set(hidden)
     faces = any(not gone & {f"left_{joint}", f"right_{joint}"} for joint in ("hip", "shoulder"))
     return faces and bool(set(_LIMB_JOINTS) - gone)
@@ -155,12 +146,12 @@ _PLACED_JOINTS = ("head", "neck", "left_shoulder", "right_shoulder", *_LIMB_JOIN
 
 
 def count_placed(hidden: Iterable[str]) -> int:
-    """How many of the joints by which poses are compared a body has."""
+    """Count the joints of a body by which poses are compared."""
     return len(set(_PLACED_JOINTS).difference(hidden))
 
 
 _SIDED = (
-    # Word of both sides, of one side, and the joints without which the part is gone; larger parts first.
+    # Word for both sides, for one side, and the joints without which the part is missing; larger parts first.
     ("arms", "arm", ("elbow", "hand")),
     ("hands", "hand", ("hand",)),
     ("elbows", "elbow", ("elbow",)),
@@ -173,7 +164,7 @@ _SIDED = (
 
 
 def name_parts(joints: Iterable[str]) -> tuple[Message, ...]:
-    """What a person calls joints that are missing: the arms, the left leg, the head."""
+    """Return everyday names of missing joints: the arms, the left leg, the head."""
     gone = set(joints)
     named: list[str] = []
     for single in ("head", "neck"):
@@ -191,27 +182,25 @@ def name_parts(joints: Iterable[str]) -> tuple[Message, ...]:
         named.append("pelvis")
     named += ["spine"] if not named and "spine" in gone else []
     named += ["toes"] if not named and gone else []
-    # A shoulder without its arm, a neck without its head, are no parts that anybody misses.
+    # Shoulders and neck are not mentioned beside other missing parts.
     without = {"shoulders", "left_shoulder", "right_shoulder", "neck"} if len(named) > 1 else set()
     return tuple(Message(f"body_part.{name}") for name in named if name not in without)
 
 
 def hide_joints(motion: PosedMotion, hidden: Collection[str]) -> PosedMotion:
-    """A motion as if some of its joints had not been recorded; the motion itself if none is to be hidden.
+    """Hide some joints, as if they had not been recorded; return the motion itself if there are none.
 
     Parameters
     ----------
     motion : canonical positions in m, of a whole body or a part.
     hidden : canonical joints.
 
-    Returns
-    -------
-    A motion whose hidden joints are NaN, and whose height follows from the bones that are left.
+    Returns a motion whose hidden joints are NaN, and whose height follows from the remaining bones.
     """
     if not hidden:
         return motion
     joints = set(order_joints(hidden))
-    # Who lacks a hand lacked its wrist too: the one is made from the other where it is not recorded.
+    # Without a hand there is no wrist either: each is derived from the other where it is not recorded.
     joints |= {
         f"{side}_{beyond}" for side in ("left", "right") for joint, beyond in _WITH if f"{side}_{joint}" in joints
     }
@@ -224,23 +213,17 @@ def hide_joints(motion: PosedMotion, hidden: Collection[str]) -> PosedMotion:
 def complete_positions(
     positions: ArrayLike, height: float, hidden: Iterable[str], needed: Collection[str]
 ) -> FloatArray:
-    """Positions without gaps: hidden joints, of which nothing is asked, lie on the pelvis.
+    """Fill gaps in positions: hidden joints, which are not tested, lie on the pelvis.
 
     Parameters
     ----------
     positions : (n, 20, 3) m, Y up.
     height : m, of the performer.
-    hidden : joints whose positions do not count, whatever they are.
-    needed : joints that somebody looks at; others that are NaN in all frames are hidden too.
+    hidden : joints whose positions are ignored.
+    needed : joints that are used; others that are NaN in all frames are hidden too.
 
-    Returns
-    -------
-    (n, 20, 3) finite. A hidden pelvis lies between the hips, else as far below the neck, or the shoulders, as the trunk
-    of a standing person of this height is long; else at the hip or shoulder that there is.
-
-    Raises
-    ------
-    InvalidMotionError : joints that are needed have no place.
+    Returns (n, 20, 3) finite. A hidden pelvis lies between the hips, else a standing trunk's length, for this height,
+    below the neck or shoulders; else at a hip or shoulder. Raises InvalidMotionError: needed joints have no place.
     """
     points = np.asarray(positions, np.float64)
     gone = set(hidden)
@@ -257,9 +240,9 @@ def complete_positions(
 
 
 def place_pelvis(positions: FloatArray, height: float) -> FloatArray:
-    """Positions (n, 20, 3) whose pelvis lies where ``complete_positions`` puts it, where the body has none of its own.
+    """Put a missing pelvis where ``complete_positions`` does, in positions (n, 20, 3).
 
-    Other joints that are absent stay NaN; so does the pelvis where nothing tells its place.
+    Other absent joints stay NaN; so does the pelvis where no joint gives its place.
     """
     gone = set(find_absent(positions))
     if "pelvis" not in gone:

@@ -1,14 +1,11 @@
-"""Noise that the sensor added: measured in the recording itself, and taken off before anything is asked of it.
+"""Sensor noise: measured in the recording itself, and reduced before features are computed.
 
-A joint moves smoothly, the errors of a depth camera do not: each frame has its own. So the spline through a joint's
-places that predicts the places left out best (generalised cross-validation: Craven and Wahba, Numerische Mathematik 31,
-1979) tells how large the errors are, and all joints together tell it well. Each joint then gets the spline of least
-expected error given that size (Mallows, "Some comments on C_p", Technometrics 15, 1973): one that hardly moves is
-smoothed much, a hand that throws is not; so is one that is tracked worse than the others. Places far beyond the errors
-are glitches; they count as what the spline says in their stead. It is the third derivative that a spline keeps small.
+The spline through a joint's places with the least generalised cross-validation (Craven and Wahba, Numerische Mathematik
+31, 1979) gives the size of its errors; the median of all joints is reliable. Each joint then gets the spline of least
+expected error given that size (Mallows, "Some comments on C_p", Technometrics 15, 1973). Splines penalise the third
+derivative. Places far beyond the errors are glitches, replaced by the spline.
 
-A recording whose errors are below half a millimetre comes back as it is: optical motion capture does. Nothing here
-depends on the rate, the body or the movement.
+A recording with errors below half a millimetre, such as optical motion capture, is returned unchanged.
 """
 
 from __future__ import annotations
@@ -28,14 +25,14 @@ from dousa.retrieval.features.channels import CHANNEL_RATE, sample_positions
 from dousa.retrieval.features.posed_motion import PosedMotion, check_frame_rate, check_shape
 
 _ORDER = 3  # the derivative that is kept small
-_WEIGHTS = np.logspace(-3.0, 6.0, 28)  # of it; the last one leaves movements of some seconds
-_FEWEST = 8  # frames in which noise and movement can be told apart
+_WEIGHTS = np.logspace(-3.0, 6.0, 28)  # of its penalty; the last one leaves movements of some seconds
+_FEWEST = 8  # frames needed to separate noise from movement
 _NO_NOISE = 5e-4  # m
-_GLITCH = 8.0  # standard deviations: what moves fast for a moment is no glitch; 5 did a little worse
+_GLITCH = 8.0  # standard deviations: a fast movement is no glitch; 5 was a little worse (measured)
 _MEDIAN_OF_SQUARES = 2.366  # of three normal deviates together, chi-squared
 _ROUNDS = 3
-_AT_ONCE = 1 << 18  # frames of joints: an hour does not fill the memory
-_TOGETHER = 1024  # frames of recordings of one length that are smoothed together: what a core's cache holds
+_AT_ONCE = 1 << 18  # frames of joints, so that an hour does not fill the memory
+_TOGETHER = 1024  # frames of recordings smoothed together: the size of a core's cache
 _SHORT = 300  # frames: the splines of clips are kept in memory, at most 34 MB of them
 _END = 3  # frames whose mean is where a joint begins, or ends
 _BONES = [
@@ -48,7 +45,7 @@ _BONE_ENDS = np.array([[JOINT_INDEX[joint] for joint in bone] for bone in _BONES
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QuietMotion:
-    """A motion without the noise of its sensor; ``noise`` is the standard deviation of what was taken off, m."""
+    """A motion with reduced noise; ``noise`` is the standard deviation of what was removed, m."""
 
     positions: FloatArray
     frame_rate: float
@@ -57,26 +54,17 @@ class QuietMotion:
 
 
 def reduce_noise(motion: PosedMotion) -> PosedMotion:
-    """A motion without the noise of its sensor; itself, where there is none to speak of.
+    """Reduce a motion's sensor noise; return the motion itself where there is hardly any.
 
-    Parameters
-    ----------
-    motion : of any frame rate and length; joints may be absent (NaN in all frames).
-
-    Returns
-    -------
-    At ``CHANNEL_RATE``, where the recording was faster, else at its own rate. The height is that of the smoothed bones,
-    which errors no longer lengthen.
-
-    Raises
-    ------
-    InvalidMotionError : another shape than (n, 20, 3), no frame, no body height, a frame rate below 1 Hz.
+    ``motion`` has any frame rate; joints may be absent (NaN in all frames). Returns a motion at ``CHANNEL_RATE`` if it
+    was faster, else at its own rate, with the height of the smoothed bones. Raises InvalidMotionError: another shape
+    than (n, 20, 3), no frame, no body height, a frame rate below 1 Hz.
     """
     return reduce_noise_of_all([motion])[0]
 
 
 def reduce_noise_of_all(motions: Sequence[PosedMotion]) -> list[PosedMotion]:
-    """The same of several motions, in less time: those that have as many frames, and the same joints, go together."""
+    """Do the same for several motions, faster: those of equal length and joints go together."""
     quiet, points = list(motions), [_thin(motion) for motion in motions]
     alike: dict[tuple[int, bytes], list[int]] = {}
     for number, places in enumerate(points):
@@ -97,7 +85,6 @@ def reduce_noise_of_all(motions: Sequence[PosedMotion]) -> list[PosedMotion]:
 
 
 def _thin(motion: PosedMotion) -> FloatArray:
-    """The places of a motion, at ``CHANNEL_RATE`` where it is faster."""
     points = check_shape(motion.positions, motion.height)
     check_frame_rate(motion.frame_rate)
     return sample_positions(points, motion.frame_rate) if motion.frame_rate > CHANNEL_RATE else points
@@ -106,7 +93,7 @@ def _thin(motion: PosedMotion) -> FloatArray:
 def _put_back(
     motion: PosedMotion, points: FloatArray, there: BoolArray, smooth: FloatArray, noise: float
 ) -> QuietMotion:
-    """A motion whose ``points`` (n, 20, 3) are the smooth ones, of the joints that are there."""
+    """Return a motion of ``points`` (n, 20, 3) with the joints ``there`` smoothed."""
     quiet = smooth
     if not there.all():
         quiet = points.copy()
@@ -117,38 +104,29 @@ def _put_back(
 
 
 def measure_unsteadiness(motion: PosedMotion) -> float:
-    """How unsteady the bones of arms and legs are: what is wrong with the places, also where it lasts and stays.
+    """Return the standard deviation of a limb bone's length as a share of its median, the median over the bones; 0 for
+    none.
 
-    Parameters
-    ----------
-    motion : of any frame rate; joints may be absent.
-
-    Returns
-    -------
-    The standard deviation of the length of a bone as a share of its median, the median over the bones; 0 without any.
+    ``motion`` has any frame rate; joints may be absent. Lasting errors of places count, too.
     """
     points = np.ascontiguousarray(motion.positions, np.float64)
     return float(kernels.measure_unsteadiness(points, _BONE_ENDS, np.empty((2, max(len(points), len(_BONE_ENDS))))))
 
 
 def smooth_places(points: FloatArray) -> tuple[FloatArray, float]:
-    """Smoothed places, and the standard deviation of the errors.
-
-    Parameters
-    ----------
-    points : (n, J, 3) finite, n at least 3.
+    """Smooth places (n, J, 3), finite, n at least 3.
 
     Returns
     -------
     points : (n, J, 3); the same array where there is neither noise nor a glitch.
-    noise : in the unit of the points, along each axis.
+    noise : standard deviation of the errors, in the unit of the points, along each axis.
     """
     (smooth,), noise = smooth_together(points[None])
     return points if smooth is None else smooth, float(noise[0])
 
 
 def smooth_together(points: FloatArray) -> tuple[list[FloatArray | None], FloatArray]:
-    """The same of R recordings of the same length (R, n, J, 3), each for itself.
+    """Do the same for R recordings of the same length (R, n, J, 3), each independently.
 
     Returns
     -------
@@ -182,15 +160,13 @@ def smooth_together(points: FloatArray) -> tuple[list[FloatArray | None], FloatA
 
 
 class _Splines:
-    """The splines of all weights through the courses of the joints of recordings, one of which is chosen for each.
+    """The splines of all weights through the courses of the joints of recordings, one of them chosen for each.
 
-    In the frequencies of a recording that is reflected at its ends, the penalty of a spline is diagonal (Garcia,
-    "Robust smoothing of gridded data", Computational Statistics and Data Analysis 54, 2010). They come from a transform
-    as long as the recording, not twice as long (Makhoul, "A fast cosine transform in one and two dimensions", IEEE
-    Transactions on Acoustics, Speech and Signal Processing 28, 1980).
+    In the frequencies of a recording reflected at its ends, the penalty of a spline is diagonal (Garcia, "Robust
+    smoothing of gridded data", Computational Statistics and Data Analysis 54, 2010). They come from a transform as long
+    as the recording, not twice as long (Makhoul, "A fast cosine transform in one and two dimensions", IEEE Transactions
+    on Acoustics, Speech and Signal Processing 28, 1980).
 
-    Parameters
-    ----------
     courses : (R J, 3, n), recording after recording.
     n_recordings : R.
     """
@@ -205,7 +181,6 @@ class _Splines:
         self.read(courses, np.arange(n_courses))
 
     def list_joints(self, recordings: IndexArray) -> IndexArray:
-        """Which courses are of some recordings."""
         rows: IndexArray = (recordings[:, None] * self._n_joints + np.arange(self._n_joints)).ravel()
         return rows
 
@@ -214,7 +189,7 @@ class _Splines:
         return (rows[first : first + some] for first in range(0, len(rows), some))
 
     def read(self, courses: FloatArray, rows: IndexArray) -> None:
-        """Look again at the courses of some joints."""
+        """Read the courses of some joints again."""
         for some in self._portions(rows):
             folded = np.empty((len(some), 3, self._count))
             kernels.level(courses, some, min(_END, self._count // 2), self._list.ramp, self._lines, folded)
@@ -223,7 +198,7 @@ class _Splines:
         self._fitted[rows] = -1
 
     def choose(self, recordings: IndexArray) -> FloatArray:
-        """Choose the spline of each joint of some recordings; returns the standard deviation of the errors in each."""
+        """Choose the spline of each joint of some recordings; return the standard deviation of the errors in each."""
         variances = np.empty(len(recordings))
         kernels.choose_all(
             self._left, self._list.freedom, self._count, recordings, self._n_joints, self._room, self._chosen, variances
@@ -231,7 +206,7 @@ class _Splines:
         return np.sqrt(variances)
 
     def draw(self, recordings: IndexArray) -> FloatArray:
-        """The splines (R J, 3, n), of which those of some recordings are drawn as they are chosen now."""
+        """Return the splines (R J, 3, n), with those of some recordings updated to the current choice."""
         rows = self.list_joints(recordings)
         rows = rows[self._chosen[rows] != self._fitted[rows]]
         for some in self._portions(rows):
@@ -244,15 +219,11 @@ class _Splines:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SplineList:
-    """Splines of all weights through so many frames.
+    """Splines of all weights through n frames.
 
-    Parameters
-    ----------
-    kept : (L, n) what each keeps of each wave.
-    lost : (n, L) share of the power that it takes off.
-    freedom : (L,) degrees of freedom.
-    ramp : (n,) from -0.5 to 0.5.
-    turns : (2, n // 2 + 1) cosines and sines of 0 to an eighth of a turn, by which waves are turned.
+    ``kept`` (L, n) is the share of each wave that each keeps, ``lost`` (n, L) that of the power it removes, ``freedom``
+    (L,) its degrees of freedom; ``ramp`` (n,) from -0.5 to 0.5; ``turns`` (2, n // 2 + 1) are cosines and sines of 0 to
+    an eighth of a turn.
     """
 
     kept: FloatArray
@@ -279,7 +250,7 @@ _keep_list = lru_cache(maxsize=256)(_make_list)
 
 
 def _measure_bones(points: FloatArray) -> float:
-    if np.isnan(points[0]).any():  # a joint that is missing is so in all frames
+    if np.isnan(points[0]).any():  # a missing joint is missing in all frames
         height = chain_height(points)
     else:
         placed = read_only(np.ascontiguousarray(points))

@@ -1,1 +1,1 @@
-"""The motion forest: growing, asking, keeping it in a file; new categories; how far its answer can be trusted."""
+"""The motion forest: growing, prediction, storage, new categories, and calibration."""

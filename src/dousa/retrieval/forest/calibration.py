@@ -1,25 +1,13 @@
-"""How far the guess of a forest can be trusted, learned from people and categories that are held back.
+"""How far the guess of a forest can be trusted, learned from held-back people and categories.
 
-A forest names one of its categories for any motion, also for one that belongs to none, and where a sensor is noisy its
-votes are spread although the guess is right. How much the evidence on a guess (``evidence``) says is learned by
-rounds: each holds back a part of the categories and the clips of some performers, trains a small forest on the rest,
-and looks at both, and at disturbed copies of both. Clips of people held back are known; those of categories held back
-play the unknown, and so do motions half way between two clips of different categories, as the categories of a library
-may be further from each other than a new one is from them.
+Each round holds back some categories and the clips of some performers, trains a small forest on the rest, and collects
+the evidence (``evidence``) on both, on disturbed copies of both, on motions half way between clips of different
+categories, and on made-up gestures (``strangers``). Clips of held-back people are known, all others unknown.
 
-Logistic curves over the evidence then give two probabilities, for somebody who does not know beforehand whether the
-library knows the action, one motion in ten or so being of no category that it knows: that the motion is known, and
-that the guess is right. The curves stay near those learned over several sets where a library has little to learn from.
-No library is asked about motions of another kind in its own rounds, so it is told of gestures that nobody named
-(``strangers``), and where hardly any known motion is, no curve is trusted (``Calibration.limit``).
-
-Where the guess is more likely wrong than right, the motion is called unknown; and also where it is less likely known
-than 80 % of the disturbed motions of people held back. A library whose categories are far apart is sure of all
-of them, and nothing that it holds back lies between: what does is a stranger of another kind. A motion of which it is
-clear that it is known, but not which of two categories it belongs to, is no stranger.
-
-But so may a known motion of another sensor or another style lie there. So one that is likelier known than 98 % of the
-gestures that nobody named is not simply unknown: perhaps it is what was guessed.
+Logistic curves over the evidence give the probabilities that the motion is known and that the guess is right, for about
+one unknown motion in ten, near curves learned over several data sets. A motion is called unknown if the guess is more
+likely wrong than right, or if it is less likely known than 80 % of the disturbed motions of held-back people. It is
+still possibly the guess if it is likelier known than 98 % of the made-up gestures.
 """
 
 from __future__ import annotations
@@ -61,33 +49,33 @@ from dousa.retrieval.forest.pose_space import (
 from dousa.workers.threads import map_pieces
 
 _ROUNDS = 8
-_CATEGORY_PARTS = 4  # a round holds back a quarter, so that its forest has almost as many categories as the real one
+_CATEGORY_PARTS = 4  # a round holds back a quarter, so its forest has almost as many categories as the real one
 _PERFORMER_PARTS = 3
 _TREES = 50
-_MOST_JUDGED = 500  # clips that are known, and as many that are not, in a round
+_MOST_JUDGED = 500  # known clips in a round, and as many unknown ones
 _MOST_BETWEEN = 250
-_AT_A_TIME = 256  # clips that are copied
+_AT_A_TIME = 256  # clips copied in one step
 _COPY_WEIGHT = 2 / 3
 _SAME_HEIGHT = 0.04  # m
 _THRESHOLD = 0.5
 _LEAST_KNOWN = (0.5, 0.97)  # the lowest and the highest
-_LOST = 20  # % of the disturbed motions of people held back that are not known enough; a library of all knows more
-_EARLIER_LOST = 15  # of an earlier dousa, whose copies were less far from the clips
+_LOST = 20  # % of the disturbed motions of held-back people called unknown; the full library knows more
+_EARLIER_LOST = 15  # of an earlier dousa, with weaker disturbances
 _LEAST_SHARE = 0.04
 _NEVER = 1.0
 STRANGERS = 0.1
-"""Motions of no category that the library knows, for each one of a known category."""
+"""Unknown motions for each known one."""
 ALIEN = 0.98
-"""Share of the gestures that nobody named than which a motion that is perhaps known is likelier known."""
+"""Share of the made-up gestures that a possibly known motion must exceed in probability."""
 
 _WHAT = Message("stored.calibration")
 Watch = Callable[[int, MotionForest, IndexArray, IndexArray, IndexArray], None]
-"""Looks at a round: its number, its forest, and the clips that train it, that are known, and that are unknown."""
+"""Called with each round: its number, its forest, and its training, known and unknown clips."""
 
 _COLUMNS = ("around", "log_share", "log_lead", "typical", "pose_lead", "near", "apart")
-# Fitted to libraries of HDM05, UTD-MHAD, Bandai and UTKinect, each with one person left out, asked by their rounds, and
-# by all clips of the other three sets, which count half as much as the strangers of the rounds. With any one of the
-# four left out of the fit, the curves were nearly as good on it (docs/confidence.md).
+# Fitted to libraries of HDM05, UTD-MHAD, Bandai and UTKinect, each with one person left out, on their rounds, and on
+# all clips of the other three sets, at half the weight of the strangers of the rounds. With any one of the
+# four left out of the fit, the curves are nearly as good on it (docs/confidence.md).
 KNOWN_PRIOR = Judgement(
     spread_curve(Curve(2.21, (3.08, 2.2, 0.0)), _COLUMNS[:3]),
     spread_curve(Curve(2.29, (0.51, 0.13, 0.23, 2.82, 0.0, 1.37, 2.5)), _COLUMNS),
@@ -96,14 +84,14 @@ SURE_PRIOR = Judgement(
     spread_curve(Curve(0.67, (3.49, 1.94, 0.74)), _COLUMNS[:3]),
     spread_curve(Curve(0.95, (0.7, 0.0, 0.75, 3.19, 2.69, 2.19, 1.68)), _COLUMNS),
 )
-# The same without made-up gestures, and by clips of the other sets that mean something else.
+# The same without made-up gestures, fitted with clips of the other sets that have other meanings.
 _KNOWN_ALONE = replace(KNOWN_PRIOR, by_poses=spread_curve(Curve(2.93, (1.56, 1.2, 0.0, 5.27, 0.0, 0.3)), _COLUMNS[:-1]))
 _SURE_ALONE = replace(SURE_PRIOR, by_poses=spread_curve(Curve(2.06, (1.16, 0.7, 0.4, 5.03, 1.49, 2.27)), _COLUMNS[:-1]))
 _JUDGEMENTS = ("known", "sure")
 _NUMBERS = ("threshold", "auroc", "false_alarms", "misses")
-_LATER_NUMBER = "least_known"  # an earlier dousa had none
-_LEAST_POSSIBLE = "least_possible"  # nor this
-_LOWEST = "lowest"  # nor these
+_LATER_NUMBER = "least_known"  # missing in files of an earlier dousa
+_LEAST_POSSIBLE = "least_possible"  # likewise
+_LOWEST = "lowest"  # likewise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,30 +102,30 @@ class Copies:
     features: FloatArray
 
     def find(self, rows: IndexArray) -> IndexArray:
-        """Places of the copies of clips, ascending."""
+        """Return the places of the copies of clips, ascending."""
         return np.flatnonzero(np.isin(self.rows, rows))
 
     def of(self, rows: IndexArray) -> Copies:
-        """The copies of some clips, whose rows are now 0 ... M - 1 in this order."""
+        """Return the copies of some clips, with rows renumbered 0 ... M - 1 in the order of ``rows``."""
         places, order = self.find(rows), np.argsort(rows, kind="stable")
         return Copies(order[np.searchsorted(rows, self.rows[places], sorter=order)], self.features[places])
 
     def join(self, features: FloatArray, chosen: IndexArray, rows: IndexArray) -> tuple[FloatArray, IndexArray]:
-        """What ``MotionForest.fit`` takes of some clips and their copies.
+        """Join some clips and their copies for ``MotionForest.fit``.
 
         Parameters
         ----------
-        features : (N, T, F), of which those of the places ``chosen`` (M,) are meant.
-        rows : (M,) theirs among the rows of the copies.
+        features : (N, T, F), of which the places ``chosen`` (M,) are taken.
+        rows : (M,) their rows among the copies.
 
         Returns
         -------
-        features : (M + K, T, F) of the clips, and behind them of the copies.
+        features : (M + K, T, F) of the clips, then of the copies.
         copied : (K,) clips among the M that have a copy.
         """
         places = self.find(rows)
         _, frames, columns = features.shape
-        # As ``order_for_trees`` has them, so that no forest orders a copy of its own.
+        # Ordered as by ``order_for_trees``, so that no forest makes its own copy.
         joined = np.empty((len(chosen) + len(places), columns, frames), features.dtype).transpose(0, 2, 1)
         for first in range(0, len(chosen), _AT_A_TIME):
             some = chosen[first : first + _AT_A_TIME]
@@ -146,12 +134,9 @@ class Copies:
         return joined, self.of(rows).rows
 
     def append(self, room: FloatArray, rows: IndexArray) -> tuple[FloatArray, IndexArray]:
-        """The same as ``join`` of all the clips that ``room`` begins with, without a second place for them.
+        """Join all clips at the front of ``room`` (N + M, T, F) with their copies, as ``join``, in place.
 
-        Parameters
-        ----------
-        room : (N + M, T, F) features of the clips, and behind them room for the copies, which is written to.
-        rows : (N,) theirs among the rows of the copies.
+        ``room`` has space for the copies behind the clips; ``rows`` (N,) are the clips' rows among the copies.
         """
         places, end = self.find(rows), len(rows)
         room[end : end + len(places)] = self.features[places]
@@ -160,23 +145,22 @@ class Copies:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """What the evidence on a guess means: whether the motion is known, and whether the guess is right.
+    """The curves and limits that turn the evidence on a guess into a verdict.
 
     Parameters
     ----------
-    known : does it belong to any category of the forest?
-    sure : is the guess right?
-    poses : in which poses are compared.
-    usual : (C, 2) cosine, and logarithm of the distance, that are usual for a clip of each category, in the order of
-        ``poses``, by somebody who did not train it.
-    threshold : a clip whose guess has a smaller probability to be right is called unknown.
-    auroc : over the rounds, how well ``known`` told held back categories from the others; 0.5 to 1.
-    false_alarms, misses : over the rounds, the share of known clips called unknown, and of unknown ones called known.
-    least_known : so is a clip that is known with a smaller probability.
-    lowest : (21,) or none, ascending: probabilities to be known below which 0, 1 ... 20 % of the disturbed motions of
-        people held back are; of an earlier dousa (16,), up to 15 %.
-    least_possible : a clip that is called unknown is perhaps what was guessed if it is known with a greater
-        probability, before that is limited; 1 for never.
+    known : whether the motion belongs to any category of the forest.
+    sure : whether the guess is right.
+    poses : space in which poses are compared.
+    usual : (C, 2) usual cosine and logarithm of the distance of a clip of each category by a performer outside the
+        training, in the order of ``poses``.
+    threshold : a clip whose guess is right with a smaller probability is called unknown.
+    auroc : over the rounds, how well ``known`` separates held-back categories from the others; 0.5 to 1.
+    false_alarms, misses : over the rounds, share of known clips called unknown, and of unknown ones called known.
+    least_known : a clip known with a smaller probability is called unknown.
+    lowest : (21,) or none, ascending: probabilities to be known that 0, 1 ... 20 % of the disturbed motions of
+        held-back people stay below; of an earlier dousa (16,), up to 15 %.
+    least_possible : a clip known with a greater probability, before ``limit``, is possibly the guess; 1 for never.
     """
 
     known: Judgement
@@ -192,12 +176,10 @@ class Calibration:
     least_possible: float = _NEVER
 
     def limit(self, known: FloatArray) -> FloatArray:
-        """At most how likely motions (N,) are known that are ``known`` with some probability.
+        """Compute upper limits (N,) of the probabilities to be known.
 
-        Where a motion is not known enough, hardly any that teaches the curves is, and they say what they like; a
-        stranger of another kind may be there and nowhere else. So its odds are no better than those of all that is
-        known and no likelier so, against as many strangers as are met; but a body or a sensor of another kind may have
-        brought it there, too, so that they are never taken for less than ``_LEAST_SHARE`` of the known.
+        Below ``least_known`` hardly any clip trains the curves, so the odds are at most the share of known motions at
+        or below that probability, but at least ``_LEAST_SHARE`` for another body or sensor, against ``STRANGERS``.
         """
         if not self.lowest:
             return np.ones(len(known))
@@ -205,24 +187,24 @@ class Calibration:
         return np.where(known < self.least_known, shares / (shares + STRANGERS), 1.0)
 
     def is_unknown(self, known: FloatArray, confidence: FloatArray) -> BoolArray:
-        """Which clips (N,) are called unknown, from the probabilities to be known, and of the guess to be right."""
+        """Return which clips (N,) are called unknown, from the probabilities to be known and of a right guess."""
         unknown: BoolArray = (confidence < self.threshold) | (known < self.least_known)
         return unknown
 
     def is_possible(self, belongs: FloatArray) -> BoolArray:
-        """Which clips (N,) may be what was guessed, from the probabilities to be known before they are limited."""
+        """Return which clips (N,) may be the guess, from the probabilities to be known before ``limit``."""
         possible: BoolArray = belongs > self.least_possible
         return possible
 
     def with_clips(self, features: FloatArray, categories: ArrayLike) -> Calibration:
-        """The calibration of a forest that has taken up clips (M, T, F) of categories (M,), old or new."""
+        """Return the calibration of a forest that has taken up clips (M, T, F) of categories (M,), old or new."""
         poses = self.poses.with_clips(features, np.asarray(categories))
         usual = np.tile(np.median(self.usual, axis=0), (len(poses.categories), 1))
         usual[np.searchsorted(poses.categories, self.poses.categories)] = self.usual
         return replace(self, poses=poses, usual=usual)
 
     def to_json(self) -> dict[str, Any]:
-        """The curves and numbers, ready for ``json.dumps``; without the poses."""
+        """Return the curves and numbers for ``json.dumps``, without the poses."""
         judgements = {name: getattr(self, name).to_json() for name in _JUDGEMENTS}
         return {
             **judgements,
@@ -230,17 +212,17 @@ class Calibration:
         }
 
     def to_bytes(self) -> bytes:
-        """An .npz file (no pickle); the same calibration gives the same bytes."""
+        """Pack into an .npz file (no pickle); the same calibration gives the same bytes."""
         arrays = {"numbers": np.array(json.dumps(self.to_json())), "usual": self.usual, **self.poses.to_arrays()}
         return pack_arrays(arrays)
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Calibration:
-        """The calibration that ``to_bytes`` wrote, or an earlier dousa; DousaError where it is anything else."""
+        """Read what ``to_bytes`` wrote, or an earlier dousa; DousaError for anything else."""
         arrays = unpack_arrays(data, {"numbers", *ARRAYS}, _WHAT, ("usual", *LATER_ARRAYS))
         poses = PoseSpace.from_arrays(arrays, _WHAT)
         usual = arrays.get("usual", np.zeros(len(poses.categories)))
-        if usual.ndim == 1:  # an earlier dousa knew no distance
+        if usual.ndim == 1:  # an earlier dousa stored no distance
             usual = np.stack([usual, np.zeros_like(usual)], axis=1)
         check(usual.shape == (len(poses.categories), 2) and usual.dtype == np.float64, _WHAT, "bad cosines")
         check(bool(np.isfinite(usual).all()), _WHAT, "bad cosines")
@@ -264,7 +246,7 @@ class Calibration:
 
 
 def _read_earlier(written: Mapping[str, Any]) -> Judgement:
-    """Of a dousa that called a motion unknown where it was not likely known, whatever the guess."""
+    """Read the curve for known motions of an earlier dousa, which judged no guesses."""
     curves = (
         spread_curve(read_curve(written["known"], 2), ("share", "around")),
         spread_curve(read_curve(written["known_by_poses"], 3), ("share", "around", "cosine")),
@@ -274,16 +256,16 @@ def _read_earlier(written: Mapping[str, Any]) -> Judgement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdicts:
-    """What is thought of N clips.
+    """The verdicts on N clips.
 
     Parameters
     ----------
-    guess : (N,) number of the category that was judged: the most voted one, unless another was asked about.
+    guess : (N,) number of the judged category: the most voted one, unless another was given.
     known : (N,) probability that the clip belongs to any category of the forest.
     confidence : (N,) probability that the guess is right; at most ``known``.
     unknown : (N,) whether the clip is called unknown.
-    possible : (N,) whether it may be what was guessed: where it is called unknown, too, perhaps it is.
-    evidence : (N, 11) what was weighed, see ``evidence``.
+    possible : (N,) whether the clip may be the guess, even if it is called unknown.
+    evidence : (N, 11) columns of ``evidence``.
     """
 
     guess: IndexArray
@@ -313,13 +295,13 @@ class Assessor:
         features: FloatArray | None = None,
         guess: IndexArray | None = None,
     ) -> Verdicts:
-        """What is thought of clips.
+        """Judge clips.
 
         Parameters
         ----------
-        leaves : (N, n_trees) as ``apply`` gives them.
-        features : (N, T, F) of the same clips; with them, unknown ones are told better.
-        guess : (N,) numbers of the categories that are asked about; None for the most voted.
+        leaves : (N, n_trees) of ``apply``.
+        features : (N, T, F) of the same clips; they improve the detection of unknown ones.
+        guess : (N,) category numbers to judge; None for the most voted.
         """
         guess, scores = self.scale.measure(leaves, guess)
         calibration, names = self.calibration, self.forest.classes_[guess]
@@ -344,29 +326,22 @@ def learn_calibration(
     watch: Watch | None = None,
     alien: float = ALIEN,
 ) -> Calibration:
-    """Learn from people and categories that are held back how far guesses can be trusted.
+    """Learn from held-back people and categories how far guesses can be trusted.
 
     Parameters
     ----------
-    forest : whose parameters the small forests of the rounds take; it need not be trained.
+    forest : gives the parameters of the rounds' small forests; it need not be trained.
     features : (N, T, F) of the training clips.
     categories : (N,) words or whole numbers.
-    performers : (N,); a clip whose performer is not known counts as a performer of its own. Without performers, clips
-        of people that the forest knows stand for the known, and strangers are called unknown too often;
-        ``guess_performers`` helps.
+    performers : (N,); a clip of unknown performer counts as one of its own. Without performers, clips of people that
+        the forest knows are the known ones, and strangers are called unknown too often; ``guess_performers`` helps.
     feature_set : that of ``MotionForest.fit``.
-    copies : disturbed copies of some of the clips, of any rows. Without them, noise is taken for strangeness.
-    random_state : seed; the same seed gives the same calibration, however many workers.
-    watch : called in each round with its number, its forest, and the rows that train it, that are known and unknown.
-    alien : share of the gestures that nobody named than which a motion that is perhaps known is likelier known.
+    copies : disturbed copies of some clips, of any rows. Without them, noise is taken for strangeness.
+    random_state : seed; the same seed gives the same calibration for any number of workers.
+    watch : called in each round, see ``Watch``.
+    alien : share of the made-up gestures that a possibly known motion must exceed in probability.
 
-    Returns
-    -------
-    Calibration
-
-    Raises
-    ------
-    TrainingError : fewer than 3 categories, or too few clips to hold some back.
+    Raises TrainingError: fewer than 3 categories, or too few clips to hold some back.
     """
     labels = np.asarray(categories)
     labels = labels.astype(np.str_) if labels.dtype == object else labels
@@ -376,7 +351,7 @@ def learn_calibration(
     people = [None] * len(labels) if performers is None else performers
     judge = _Judge(forest.get_params(), features, labels, feature_set, copies, watch, describe_strangers(feature_set))
     rounds = list(_draw_rounds(labels, people, random_state))
-    # Side by side, each by one worker, as small forests are not worth dividing.
+    # One worker a round, as small forests are not worth dividing.
     seen = map_pieces(lambda number: judge.hold(number, *rounds[number]), range(len(rounds)), forest.n_jobs, 1)
     if not seen:
         raise TrainingError("calibration.clips")
@@ -385,15 +360,8 @@ def learn_calibration(
 
 
 def guess_performers(heights: ArrayLike) -> tuple[str, ...]:
-    """Who may have performed clips of which only the body height is known: people of one height count as one.
-
-    Parameters
-    ----------
-    heights : (N,) m.
-
-    Returns
-    -------
-    (N,) a word for each; of use only to part strangers in ``learn_calibration``.
+    """Guess performers (N,) from ``heights`` (N,), m: people of one height count as one. For ``learn_calibration``
+    only.
     """
     return tuple(f"{_SAME_HEIGHT * round(float(height) / _SAME_HEIGHT):.2f} m" for height in np.asarray(heights))
 
@@ -403,7 +371,7 @@ _UNKNOWN, _KNOWN, _BETWEEN, _MADE = range(4)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Round:
-    """Motions that were asked about: evidence (M, 11), and guesses, kinds, which are copies or guessed right (M,)."""
+    """The motions of a round: evidence (M, 11); guess, kind, whether it is a copy and guessed right (M,)."""
 
     evidence: FloatArray
     guess: NDArray[Any]
@@ -414,7 +382,7 @@ class _Round:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Judge:
-    """Holds rounds: parameters of the forests, the clips' features and categories, and what the columns are."""
+    """Holds the rounds: forest parameters, the clips' features and categories, and the feature set."""
 
     parameters: dict[str, Any]
     features: FloatArray
@@ -437,7 +405,6 @@ class _Judge:
         return _Round(evidence, names, kinds, copied, (names == labels) & (kinds == _KNOWN))
 
     def train(self, number: int, train: IndexArray, known: IndexArray, unknown: IndexArray) -> MotionForest:
-        """The forest of a round, which is watched."""
         trees = min(_TREES, self.parameters["n_trees"])
         small = MotionForest(**{**self.parameters, "n_trees": trees, "random_state": number, "n_jobs": 1})
         copies = Copies(np.zeros(0, np.intp), self.features[:0]) if self.copies is None else self.copies
@@ -451,9 +418,8 @@ class _Judge:
     def _choose(
         self, number: int, known: IndexArray, unknown: IndexArray
     ) -> tuple[list[FloatArray], NDArray[Any], IndexArray, BoolArray]:
-        """Clips held back, their copies, and motions between two: features, labels, kinds, and which are copies.
-
-        The features in parts, as they take much room.
+        """Choose held-back clips, their copies, and motions between two; return features in parts, labels, kinds,
+        copied or not.
         """
         chance = np.random.default_rng(number)
         known, unknown = (chance.permutation(rows)[:_MOST_JUDGED] for rows in (known, unknown))
@@ -482,10 +448,10 @@ class _Judge:
         )
 
     def fit_space(self, rows: IndexArray | slice) -> PoseSpace:
-        """The space of some clips and of their copies: what noise changes is scatter within a category."""
+        """Fit the space of some clips and their copies, so that noise counts as scatter within a category."""
         labels, copies = self.labels[rows], None
         if self.copies is not None:
-            places = rows if isinstance(rows, slice) else self.copies.find(rows)  # of all clips all, where they stand
+            places = rows if isinstance(rows, slice) else self.copies.find(rows)  # a slice moves nothing
             copies = self.copies.features[places]
             labels = np.concatenate([labels, self.labels[self.copies.rows[places]]])
         others = None if self.strangers is None else self.strangers.beside
@@ -528,7 +494,7 @@ def _summarise(rounds: list[_Round], poses: PoseSpace, alien: float) -> Calibrat
 
 
 def _weigh(kinds: IndexArray, copied: BoolArray) -> FloatArray:
-    """As many strangers as are met, of each kind that there is the same; copies weigh twice as much as the clips."""
+    """Return weights: ``STRANGERS`` split evenly over the kinds of strangers; copies weigh twice as much as clips."""
     weights = np.zeros(len(kinds))
     strange = [kind for kind in np.unique(kinds).tolist() if kind != _KNOWN]
     for kind, weight in ((_KNOWN, 1.0), *((kind, STRANGERS / len(strange)) for kind in strange)):
@@ -542,7 +508,7 @@ def _weigh(kinds: IndexArray, copied: BoolArray) -> FloatArray:
 def _draw_rounds(
     labels: NDArray[Any], performers: Sequence[str | None], random_state: int
 ) -> Iterator[tuple[IndexArray, IndexArray, IndexArray]]:
-    """Clips that train, that are known, and that are unknown, for each round that can be held."""
+    """Yield the training, known and unknown clips of each round that is possible."""
     generator = np.random.default_rng(random_state)
     names, own = np.unique(labels, return_inverse=True)
     parts = _part_performers(own, performers, generator)
@@ -559,13 +525,13 @@ def _draw_rounds(
 
 
 def _part_performers(own: IndexArray, performers: Sequence[str | None], generator: np.random.Generator) -> IndexArray:
-    """(N,) the part of each clip: performers, and clips without one, dealt out evenly."""
+    """Return (N,) the part of each clip, dealing out performers, and clips without one, evenly."""
     people = sorted({name for name in performers if name})
     count = len(people) if 1 < len(people) < _PERFORMER_PARTS else _PERFORMER_PARTS
     dealt = dict(zip(generator.permutation(people), np.arange(len(people)) % count, strict=True))
     drawn = generator.random(len(own))
     parts = np.zeros(len(own), np.intp)
-    # One performer alone cannot be left out, so his or her clips are dealt out one by one.
+    # A single performer cannot be left out, so those clips are dealt out one by one.
     single = np.array([len(people) < 2 or not name for name in performers], bool)
     order = np.lexsort((drawn, own))
     alone = order[single[order]]

@@ -1,15 +1,15 @@
 """Evidence for and against a guess of a forest: of the votes, of the leaves, and of the poses.
 
-- *share*, *lead*: the share of the trees that vote for the guess, and its lead over the second category;
-- *around*: how many clips of that category stand in the clip's leaves, in proportion to how many usually stand around
-  one of its own clips (Breiman's proximity, section 10 of "Random forests", Machine Learning 45, 2001);
-- *cosine*: how well its poses go with those of the category (``pose_space``); *typical*: the same, less what is usual
-  for a clip of that category by somebody else; *pose_lead*: less what it is for the best other category;
-- *distance*: the logarithm of how far its poses are from the centre of the category; *near*: how much less that is than
-  usual for a clip of that category by somebody else;
-- *apart*: the cosine, less that to the nearest of the motions that are of no category (``strangers``).
+- *share*, *lead*: share of the trees that vote for the guess, and its lead over the second category;
+- *around*: clips of the category in the clip's leaves, relative to the usual number around one of its own clips
+  (Breiman's proximity, section 10 of "Random forests", Machine Learning 45, 2001);
+- *cosine*: agreement of the poses with those of the category (``pose_space``); *typical*: the same, less the usual
+  value for a clip of the category by another performer; *pose_lead*: less that of the best other category;
+- *distance*: logarithm of the distance of the poses from the centre of the category; *near*: how much less that is than
+  usual for a clip of the category by another performer;
+- *apart*: the cosine, less that to the nearest motion of no category (``strangers``).
 
-How much each of them says is learned (``calibration``). Here are also the judgements that weigh them.
+Their weights are learned in ``calibration``.
 """
 
 from __future__ import annotations
@@ -38,23 +38,23 @@ OF_VOTES = ("share", "around", "lead", "log_share", "log_lead")
 EVIDENCE: tuple[str, ...] = (*OF_VOTES, "cosine", "typical", "pose_lead", "distance", "near", "apart")
 """All columns; those of earlier libraries end before the distance, or before the last."""
 
-_OF_POSES = ("cosine", "distance")  # what has a usual value in each category
-_EARLIER = (8, 10)  # columns, before there was a distance, and before there were strangers
+_OF_POSES = ("cosine", "distance")  # columns with a usual value in each category
+_EARLIER = (8, 10)  # columns, before the distance, and before the strangers
 
 _LEAST_SHARE = 0.02
 _LEAST_USUAL = 1e-3
-_USUAL_WEIGHT = 3.0  # clips of the usual category that stand beside those of each
+_USUAL_WEIGHT = 3.0  # clips of median value added to those of each category
 
 
 class VoteScale:
-    """How many clips of each category stand in a leaf, and how many usually do around a clip of that category."""
+    """Clips of each category in a leaf, relative to the usual number around a clip of that category."""
 
     def __init__(self, forest: MotionForest) -> None:
         trees = forest.trees_
         self._forest, n_trees = forest, len(trees.roots)
         counts = trees.leaf_counts.astype(np.float64)
-        # Every clip stands in one leaf of each tree, so the leaves know how large the categories are, and how many
-        # neighbours of its category each clip has: the sum of squares counts the pairs.
+        # Every clip is in one leaf of each tree, so the leaves give the category sizes, and the sum of squares counts
+        # the pairs, so the neighbours of its category that each clip has.
         sizes = np.bincount(trees.leaf_classes, counts, trees.n_classes) / n_trees
         pairs = np.bincount(trees.leaf_classes, counts**2, trees.n_classes) / n_trees
         usual = (pairs - sizes) / np.maximum(sizes * (sizes - 1.0), 1e-9)
@@ -66,18 +66,17 @@ class VoteScale:
     def measure(
         self, leaves: NDArray[np.integer[Any]], guess: IndexArray | None = None
     ) -> tuple[IndexArray, FloatArray]:
-        """The guesses and the scores of clips.
+        """Return the guesses and the scores of clips.
 
         Parameters
         ----------
-        leaves : (N, n_trees) as ``apply`` gives them.
-        guess : (N,) numbers of the categories that are asked about; None for the most voted, the first of equals.
+        leaves : (N, n_trees) of ``apply``.
+        guess : (N,) category numbers to score; None for the most voted, the first of equals.
 
         Returns
         -------
         guess : (N,) as given, or the most voted.
-        scores : (N, 3) share of the votes for it; clips of it in the leaves in proportion to the usual, at most 2; lead
-            over the best other category in votes.
+        scores : (N, 3) share of the votes; clips of it in the leaves relative to the usual, at most 2; lead in votes.
         """
         trees = self._forest.trees_
         if leaves.ndim != 2 or leaves.shape[1] != len(trees.roots):
@@ -99,17 +98,17 @@ class VoteScale:
 def learn_usual(
     evidence: FloatArray, guess: NDArray[Any], right: BoolArray, categories: NDArray[Any]
 ) -> tuple[FloatArray, FloatArray]:
-    """What cosine and distance are usual for a clip of each category, by somebody who did not train it.
+    """Learn the usual cosine and distance of a clip of each category by a performer outside the training.
 
     Parameters
     ----------
     evidence, guess : (N, 11) and (N,) categories, of clips held back.
-    right : (N,) those from which it is learned: clips of people held back whose guess is right.
+    right : (N,) clips to learn from: of held-back people, with a right guess.
     categories : (C,) sorted.
 
     Returns
     -------
-    usual : (C, 2) cosine, and logarithm of the distance; categories that were seldom guessed are like the others.
+    usual : (C, 2) cosine, and logarithm of the distance; seldom guessed categories stay near the median.
     own : (N, 2) for each clip, learned without it.
     """
     values = evidence[:, [EVIDENCE.index(name) for name in _OF_POSES]]
@@ -124,7 +123,7 @@ def learn_usual(
 
 
 def relate_to_usual(evidence: FloatArray, usual: FloatArray) -> FloatArray:
-    """The evidence (N, 11) with what it is relative to usual values (N, 2) of ``learn_usual``."""
+    """Return the evidence (N, 11) with its columns relative to the usual values (N, 2) of ``learn_usual``."""
     related = evidence.copy()
     cosine, distance = (evidence[:, EVIDENCE.index(name)] for name in _OF_POSES)
     related[:, EVIDENCE.index("typical")] = cosine - usual[:, 0]
@@ -135,16 +134,20 @@ def relate_to_usual(evidence: FloatArray, usual: FloatArray) -> FloatArray:
 def gather_evidence(
     scores: FloatArray, space: PoseSpace, features: FloatArray | None, guess: NDArray[Any]
 ) -> tuple[FloatArray, BoolArray, IndexArray]:
-    """Evidence (N, 11) on guesses, not yet related to what is usual, and which of them (N,) have all of it.
-
-    The poses of a category may be missing. The third is the place (N,) of each category in the space.
+    """Gather evidence on guesses, not yet related to the usual values.
 
     Parameters
     ----------
     scores : (N, 3) of ``VoteScale.measure``.
     space : of the poses.
-    features : (N, T, F); None where poses are not looked at.
+    features : (N, T, F); None to leave out the poses.
     guess : (N,) categories.
+
+    Returns
+    -------
+    evidence : (N, 11).
+    has_poses : (N,) whether the evidence of the poses is there.
+    places : (N,) of each category in the space.
     """
     share, around, lead = scores.T
     logs = np.log(share + _LEAST_SHARE), np.log((share + _LEAST_SHARE) / (share - lead + _LEAST_SHARE))
@@ -168,28 +171,22 @@ def gather_evidence(
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """A probability from evidence.
-
-    Parameters
-    ----------
-    by_votes : curve over all columns for guesses without poses.
-    by_poses : for the others.
-    """
+    """A probability from evidence, by a curve for guesses without poses and one for the others."""
 
     by_votes: Curve
     by_poses: Curve
 
     def evaluate(self, evidence: FloatArray, has_poses: BoolArray) -> FloatArray:
-        """Probabilities (N,) of evidence (N, 11)."""
+        """Return probabilities (N,) of evidence (N, 11)."""
         return np.where(has_poses, self.by_poses.evaluate(evidence), self.by_votes.evaluate(evidence))
 
     def to_json(self) -> dict[str, Any]:
-        """Numbers for ``json.dumps``."""
+        """Return numbers for ``json.dumps``."""
         return asdict(self)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Judgement:
-        """What ``to_json`` gave; KeyError, TypeError or ValueError where it is anything else."""
+        """Read what ``to_json`` gave; KeyError, TypeError or ValueError for anything else."""
         curves = []
         for name in ("by_votes", "by_poses"):
             found = len(data[name]["slopes"])
@@ -200,7 +197,7 @@ class Judgement:
 
 
 def spread_curve(curve: Curve, columns: Sequence[str]) -> Curve:
-    """A curve over some columns as one over all."""
+    """Extend a curve over some columns to all columns."""
     slopes = dict(zip(columns, curve.slopes, strict=True))
     return Curve(curve.intercept, tuple(slopes.get(name, 0.0) for name in EVIDENCE))
 
@@ -210,13 +207,13 @@ _POSE_COLUMNS = (*_VOTE_COLUMNS, "typical", "pose_lead", "near", "apart")
 
 
 def fit_judgement(evidence: FloatArray, positive: BoolArray, weights: FloatArray, prior: Judgement) -> Judgement:
-    """Learn from guesses (N,) of which is known whether they are positive.
+    """Fit both curves to guesses with poses, near a prior.
 
     Parameters
     ----------
     evidence : (N, 11), of guesses with poses.
     positive, weights : (N,).
-    prior : what was learned over several sets.
+    prior : learned over several data sets.
     """
     curves = []
     for columns, own in ((_VOTE_COLUMNS, prior.by_votes), (_POSE_COLUMNS, prior.by_poses)):
@@ -232,20 +229,14 @@ _BESIDE, _ASKED = 80, 40  # gestures; each is there with its mirror image
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strangers:
-    """Features of made-up gestures.
-
-    Parameters
-    ----------
-    beside : (M, T, F) those that stand in spaces of poses.
-    asked : (K, T, F) others, that are asked about.
-    """
+    """Features of made-up gestures: ``beside`` (M, T, F) for the spaces of poses, ``asked`` (K, T, F) to be judged."""
 
     beside: FloatArray
     asked: FloatArray
 
 
 def describe_strangers(feature_set: FeatureSet | None) -> Strangers | None:
-    """Made-up gestures as a feature set describes them; None for one without banks: the paper knows no strangers."""
+    """Describe made-up gestures by a feature set; None for one without banks, as the paper has no strangers."""
     return None if feature_set is None or not feature_set.has_banks else _describe(feature_set)
 
 

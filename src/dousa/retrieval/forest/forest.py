@@ -1,11 +1,9 @@
-"""The motion forest: 100 trees that ask for mean pose features over intervals, and vote.
+"""The motion forest: 100 trees that test mean pose features over intervals and vote.
 
-Source: Hamada, Kuriyama, Mukai, "Human motion retrieval using random forest", sections 3.2-3.4.
-
-Where the text slips or is silent: step 3 says that the threshold maximises the entropy, which must mean the
-information gain of eq. 7; nothing is said of a bootstrap, so there is none unless asked for; the number of
-tests tried at a node is not given: Breiman's int(log2 M) + 1 ("Random forests", Machine Learning 45, 2001) is
-taken, 12 of 3,080, which recognised as much as the square root (55) or more, and is faster.
+Source: Hamada, Kuriyama, Mukai, "Human motion retrieval using random forest", sections 3.2-3.4. Step 3 of the paper
+maximises "the entropy", read here as the information gain of eq. 7; it describes no bootstrap, so that is off by
+default; it gives no number of tests tried at a node: int(log2 M) + 1 is used (Breiman, "Random forests", Machine
+Learning 45, 2001), 12 of 3,080, measured as accurate as the square root (55) and faster.
 """
 
 from __future__ import annotations
@@ -53,7 +51,10 @@ def count_trials(n_trials: int | str | None, n_tests: int) -> int:
 
 
 def check_features(features: ArrayLike, shape: tuple[int, int] | None = None, *, for_trees: bool = False) -> FloatArray:
-    """(N, T, F), float32 if they are and else float64, C-ordered or as ``order_for_trees``; finite or not."""
+    """Return (N, T, F) features, float32 if given as such, else float64; C-ordered or as ``order_for_trees``.
+
+    Values may be infinite or NaN. Raises InvalidMotionError for non-numbers or another shape.
+    """
     try:
         given = np.asarray(features)
         kind: Any = np.float32 if given.dtype == np.float32 else np.float64
@@ -67,7 +68,7 @@ def check_features(features: ArrayLike, shape: tuple[int, int] | None = None, *,
 
 
 def _measure_finite(pose: FloatArray) -> FloatArray:
-    """(F,) of ``measure_columns``; InvalidMotionError for features (N, T, F) that are not finite, or too large."""
+    """Return (F,) of ``measure_columns``; InvalidMotionError for features (N, T, F) not finite or too large."""
     largest = measure_columns(pose)
     if not np.isfinite(largest).all():
         bad = next(number for number, clip in enumerate(pose) if not np.isfinite(clip).all())
@@ -78,7 +79,7 @@ def _measure_finite(pose: FloatArray) -> FloatArray:
 
 
 def number_categories(categories: ArrayLike, n_clips: int) -> tuple[NDArray[Any], NDArray[np.int32]]:
-    """The different categories, sorted, and each clip's number among them."""
+    """Return the sorted distinct categories and each clip's index among them."""
     labels = np.asarray(categories)
     if labels.dtype == object and all(isinstance(label, str) for label in labels.flat):
         labels = labels.astype(np.str_)
@@ -91,7 +92,7 @@ def number_categories(categories: ArrayLike, n_clips: int) -> tuple[NDArray[Any]
 
 
 def _check_copied(copied: ArrayLike | None, n_clips: int) -> IntArray:
-    """The clips that the last ones are copies of."""
+    """Return (K,) the clips that the last K clips are copies of."""
     if copied is None:
         return np.zeros(0, np.int64)
     rows = np.asarray(copied, dtype=np.int64)
@@ -112,17 +113,17 @@ def check_names(names: Sequence[str] | None, count: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """One question that a tree asked about a clip, and the answer.
+    """One test of a tree on a clip, and its result.
 
     Parameters
     ----------
-    tree : which tree, from 0.
-    node : number of the node that asked, through all trees.
+    tree : index of the tree, from 0.
+    node : index of the node, counted through all trees.
     feature : name of the pose feature, or channel.
     kind : ``"mean"``, ``"spread"`` (standard deviation) or ``"trend"`` (change along the fitted line).
     start, stop : the interval, frames ``start ... stop - 1`` of the thinned clip, counted from 0.
     threshold : of the mean, spread or trend of the feature over the interval.
-    value : that of this clip.
+    value : the same of this clip.
     """
 
     tree: int
@@ -154,19 +155,17 @@ class MotionForest:
     Parameters
     ----------
     n_trees : trees, at least 1.
-    n_trials : tests drawn at each node without replacement; None for int(log2(number of tests)) + 1, ``"sqrt"``
-        for the square root, ``"all"`` for every test: then nothing is random and one tree says it all.
+    n_trials : tests drawn at each node without replacement; None for int(log2(number of tests)) + 1, ``"sqrt"`` for the
+        square root, ``"all"`` for every test.
     max_entropy : bits; a node of at most this entropy becomes a leaf.
     bootstrap : draw each tree's clips with replacement (the paper does not).
-    thresholds : ``"best"``, the threshold of largest gain of each drawn test (step 3 of the paper); ``"random"``, one
-        threshold drawn between the lowest and the highest value, of which only the best test is kept: extremely
-        randomised trees (Geurts, Ernst, Wehenkel, Machine Learning 63, 2006).
-    random_state : seed; None for a new one each time. One seed gives one forest, however many workers.
+    thresholds : ``"best"``, the threshold of largest gain of each test (step 3 of the paper); ``"random"``, one drawn
+        between the lowest and highest value (Geurts, Ernst, Wehenkel, "Extremely randomized trees", Machine Learning
+        63, 2006). The best test is kept.
+    random_state : seed; None for a new one each time. One seed gives one forest for any number of workers.
     n_jobs : workers as in joblib; None is one, unless a joblib backend is set; -1 is all.
 
-    Raises
-    ------
-    OptionError : a value outside its range.
+    Raises OptionError: a value outside its range.
     """
 
     def __init__(
@@ -194,11 +193,11 @@ class MotionForest:
         return f"MotionForest({', '.join(f'{key}={value!r}' for key, value in self.get_params().items())})"
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
-        """The parameters of the constructor, as scikit-learn wants them (``deep`` changes nothing)."""
+        """Return the constructor's parameters, as scikit-learn requires (``deep`` changes nothing)."""
         return {name: getattr(self, name) for name in _PARAMETERS}
 
     def set_params(self, **params: Any) -> MotionForest:
-        """Change parameters for the next ``fit``; OptionError for an unknown name or a value out of range."""
+        """Set parameters for the next ``fit``; OptionError for an unknown name or a value out of range."""
         for name, value in params.items():
             if name not in _PARAMETERS:
                 raise OptionError("forest.parameter", name=name, known=tuple(_PARAMETERS))
@@ -220,12 +219,12 @@ class MotionForest:
         Parameters
         ----------
         features : (N, T, F) pose features of the training clips, thinned to T frames; (N + K, T, F) with copies.
-        categories : (N,) words or whole numbers; a single category is allowed and is then always the answer.
+        categories : (N,) words or whole numbers; with a single category, that is always predicted.
         feature_names : (F,) for ``decisions``; those of ``FEATURES`` where F is 56.
-        feature_set : what the columns are and what may be asked of them; without one, their means.
-        copied : (K,) different clips of which the last K are copies, as a worse sensor may have seen them. Each tree
-            learns a clip by itself or by its copy, so the forest does not rely on what noise changes; half of the clips
-            by copies, or fewer where there are not as many.
+        feature_set : defines the columns and the tests; without one, their means are tested.
+        copied : (K,) distinct clips of which the last K are noisy copies. Each tree learns a clip or its copy, half of
+            the clips by copies, or fewer where there are not as many, so that the forest does not rely on what noise
+            changes.
 
         Raises
         ------
@@ -254,7 +253,7 @@ class MotionForest:
         return self
 
     def make_spec(self, n_tests: int) -> TreesSpec:
-        """How trees are grown with the forest's parameters, of so many tests."""
+        """Return how trees are grown with the forest's parameters and ``n_tests`` tests."""
         return TreesSpec(
             n_trials=count_trials(self.n_trials, n_tests),
             max_entropy=float(self.max_entropy),
@@ -264,46 +263,29 @@ class MotionForest:
         )
 
     def predict(self, features: ArrayLike, histogram: Histogram = "votes") -> NDArray[Any]:
-        """The category of largest share in ``predict_proba``, the first of equals: (N,)."""
+        """Return (N,) the category of largest share in ``predict_proba``, the first of equals."""
         named: NDArray[Any] = self.classes_[self.predict_proba(features, histogram).argmax(axis=1)]
         return named
 
     def predict_proba(self, features: ArrayLike, histogram: Histogram = "votes") -> FloatArray:
-        """How the trees see clips: the histograms H of section 3.4.
+        """Compute the histograms H of section 3.4.
 
         Parameters
         ----------
         features : (N, T, F) as in ``fit``.
-        histogram : ``"votes"``, each tree names its leaf's most frequent category (the first of equals); or
-            ``"leaves"``, the mean of the leaves' histograms, which is also what the trees of very many clips vote by
-            (``Trees.pooled``).
+        histogram : ``"votes"``, each tree votes for its leaf's most frequent category (the first of equals), or by
+            shares if ``Trees.pooled``; ``"leaves"``, the mean of the leaves' histograms.
 
-        Returns
-        -------
-        (N, C) shares in the order of ``classes_``; rows sum to 1, less where trees that have grown know nothing.
-
-        Raises
-        ------
-        NotTrainedError, InvalidMotionError, OptionError
+        Returns (N, C) shares in the order of ``classes_``; rows sum to 1, or less where a leaf of a grown forest is
+        empty. Raises NotTrainedError, InvalidMotionError or OptionError.
         """
-        self._entries(histogram)  # a wrong word is told before the work
+        self._entries(histogram)  # fails on a wrong word before the work
         return self.histograms_of(self.apply(features), histogram)
 
     def histograms_of(self, leaves: IntArray, histogram: Histogram = "votes") -> FloatArray:
-        """The histograms of clips whose leaves are known: ``predict_proba`` without going down the trees again.
+        """Compute ``predict_proba`` from leaves (N, n_trees) of ``apply``, without going down the trees again.
 
-        Parameters
-        ----------
-        leaves : (N, n_trees) as ``apply`` gives them.
-        histogram : as in ``predict_proba``.
-
-        Returns
-        -------
-        (N, C) shares in the order of ``classes_``; rows sum to 1, less where trees that have grown know nothing.
-
-        Raises
-        ------
-        NotTrainedError, OptionError
+        Raises NotTrainedError or OptionError.
         """
         entries = self._entries(histogram)
         shares = np.zeros((len(leaves), self._fitted.n_classes))
@@ -312,16 +294,7 @@ class MotionForest:
         return shares
 
     def count_votes(self, clip: FloatArray) -> FloatArray:
-        """The votes for one clip, by the shortest way: for search while somebody types or moves.
-
-        Parameters
-        ----------
-        clip : (T, F) float64 pose features.
-
-        Returns
-        -------
-        (C,) number of trees that name each category.
-        """
+        """Count the trees that vote for each category (C,), for one clip (T, F) float64, by the shortest way."""
         trees = self._fitted
         if clip.shape != (trees.n_frames, trees.n_features) or clip.dtype != np.float64:
             wanted = trees.n_frames, trees.n_features
@@ -334,7 +307,7 @@ class MotionForest:
         return counts
 
     def apply(self, features: ArrayLike) -> IntArray:
-        """The leaf that each clip reaches in each tree: (N, n_trees), numbered through all trees from 0."""
+        """Return (N, n_trees) the leaf that each clip reaches in each tree, numbered through all trees from 0."""
         trees = self._fitted
         pose = check_features(features, (trees.n_frames, trees.n_features))
         leaves = np.empty((len(pose), len(trees.roots)), np.int64)
@@ -342,20 +315,14 @@ class MotionForest:
         return leaves
 
     def apply_windows(self, track: FeatureTrack, starts: ArrayLike, stops: ArrayLike) -> IntArray:
-        """The leaf that each window of a recording reaches in each tree.
+        """Return (N, n_trees) the leaf that each window of a recording reaches in each tree, as ``apply``.
 
         Parameters
         ----------
         track : of the feature set that the forest was fitted with.
         starts, stops : (N,) frames of the track.
 
-        Returns
-        -------
-        (N, n_trees), as ``apply``; the features of all windows never stand in memory at once.
-
-        Raises
-        ------
-        InvalidMotionError : a window outside the recording, or a track of other features.
+        Raises InvalidMotionError: a window outside the recording, or a track of other features.
         """
         trees = self._fitted
         if (track.feature_set.n_frames, track.feature_set.n_columns) != (trees.n_frames, trees.n_features):
@@ -372,7 +339,7 @@ class MotionForest:
         return leaves
 
     def decisions(self, clip: ArrayLike) -> list[Decision]:
-        """Every question asked about one clip (T, F) on its way down all trees, in order."""
+        """List every test of one clip (T, F) on its way down all trees, in order."""
         trees = self._fitted
         pose = check_features(np.asarray(clip)[None], (trees.n_frames, trees.n_features))
         integrals = integrate(pose)[0]
@@ -389,40 +356,35 @@ class MotionForest:
 
     @property
     def classes_(self) -> NDArray[Any]:
-        """(C,) the categories of the training, sorted."""
+        """Return (C,) the sorted categories of the training."""
         self._fitted  # noqa: B018  (raises before the training)
         return self._classes
 
     @property
     def feature_names_(self) -> tuple[str, ...]:
-        """(F,) names of the pose features."""
+        """Return (F,) names of the pose features."""
         self._fitted  # noqa: B018
         return self._feature_names
 
     @property
     def trees_(self) -> Trees:
-        """The grown trees in flat arrays."""
+        """Return the grown trees in flat arrays."""
         return self._fitted
 
     @property
     def vote_entries(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """What the leaves vote: where the entries of each begin (L + 1,), their categories and weights (E,)."""
+        """Return the votes of the leaves: (L + 1,) starts of their entries, (E,) categories and weights."""
         return self._entries("votes")
 
     def to_bytes(self) -> bytes:
-        """The trained forest as the bytes of an .npz file (no pickle); NotTrainedError before ``fit``."""
+        """Pack the trained forest as an .npz file (no pickle); NotTrainedError before ``fit``."""
         from dousa.retrieval.forest.forest_file import ForestFile, pack_forest
 
         return pack_forest(ForestFile(self.get_params(), self.trees_, self.classes_, self.feature_names_))
 
     @classmethod
     def from_bytes(cls, data: bytes) -> MotionForest:
-        """The forest that ``to_bytes`` wrote.
-
-        Raises
-        ------
-        DousaError : bytes that are damaged, are something else, or come from a newer dousa.
-        """
+        """Read a forest that ``to_bytes`` wrote; DousaError if damaged, something else, or from a newer dousa."""
         from dousa.retrieval.forest.forest_file import unpack_forest
 
         file = unpack_forest(data)
@@ -431,7 +393,7 @@ class MotionForest:
         return forest
 
     def with_trees(self, trees: Trees, classes: NDArray[Any]) -> MotionForest:
-        """A forest of the same parameters and features with other trees; ``classes`` (C,) are its sorted categories."""
+        """Return a forest of the same parameters and features with other trees; ``classes`` (C,) are sorted."""
         forest = MotionForest().set_params(**self.get_params())
         forest._take(trees, classes, self.feature_names_)
         return forest

@@ -18,18 +18,18 @@ from dousa.retrieval.forest.trees import LeafEntries, Trees
 
 
 def damaged(what: Message, reason: object) -> DousaError:
-    """The error that stored bytes are not ``what``, for a reason: another error, or the part that is wrong."""
+    """Return the error that stored bytes are not ``what``; ``reason`` is another error, or the wrong part."""
     return DousaError("stored.damaged", what=what, reason=reason)
 
 
 def check(condition: bool | np.bool_, what: Message, part: str) -> None:
-    """DousaError unless a condition holds; ``what`` should have been there, and this part of it is wrong."""
+    """Raise DousaError with the wrong ``part`` of ``what`` unless ``condition`` holds."""
     if not condition:
         raise damaged(what, part)
 
 
 def pack_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """The bytes of some arrays; the same arrays give the same bytes."""
+    """Pack arrays into bytes; the same arrays give the same bytes."""
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)  # type: ignore[arg-type]
     return buffer.getvalue()
@@ -38,17 +38,17 @@ def pack_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 def unpack_arrays(
     data: bytes, names: Collection[str], what: Message, optional: Collection[str] = ()
 ) -> dict[str, NDArray[Any]]:
-    """The arrays of exactly these names, and of ``optional`` ones; DousaError if the bytes are anything else."""
+    """Read the arrays ``names`` and any ``optional`` ones; DousaError for any other content."""
     with open_npz(data, lambda message: damaged(what, message)) as archive:
         check(sorted({*archive.names} - {*optional}) == sorted(names), what, "other arrays")
-        # We store plainly, so nothing that unpacks to more than it weighs can be ours.
+        # Arrays are stored uncompressed, so no file may unpack to more than its size.
         check(not archive.compressed, what, "it is compressed")
         # Copied, as numba compiles for arrays that may be written to.
         return {name: archive.read(name, "biufU", most=len(data)).copy("K") for name in archive.names}
 
 
 def check_version(arrays: Mapping[str, NDArray[Any]], what: Message, known: Sequence[int]) -> None:
-    """DousaError unless the ``version`` among some arrays is one of those known, of which the newest stands last."""
+    """Raise DousaError unless the array ``version`` is one of ``known``, of which the last is the newest."""
     version = arrays["version"]
     check(version.shape == () and version.dtype.kind in "iu", what, "no version")
     if int(version) not in known:
@@ -56,8 +56,8 @@ def check_version(arrays: Mapping[str, NDArray[Any]], what: Message, known: Sequ
 
 
 _WHAT = Message("stored.forest")
-_VERSION, _PLAIN = 3, 2  # without what the training left in the leaves, which a forest has that has grown
-_WITHOUT_KINDS = 1  # in this version every test was a mean, which is what its nodes say in version 2 as well
+_VERSION, _PLAIN = 3, 2  # plain: without the entries of the training, which a grown forest keeps
+_WITHOUT_KINDS = 1  # every test was a mean; its nodes read the same as in version 2
 
 # Arrays of the trees by the names of their fields.
 _TREE_ARRAYS = {
@@ -72,7 +72,7 @@ _TRAINED_ARRAYS = {"trained_starts": (np.int64, 1), "trained_classes": (np.int32
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForestFile:
-    """What is stored of a forest: constructor parameters, trees, categories (C,), feature names (F,)."""
+    """The stored parts of a forest: constructor parameters, trees, categories (C,), feature names (F,)."""
 
     parameters: dict[str, Any]
     trees: Trees
@@ -81,7 +81,7 @@ class ForestFile:
 
 
 def pack_forest(file: ForestFile) -> bytes:
-    """The bytes of a forest; the same forest gives the same bytes."""
+    """Pack a forest; the same forest gives the same bytes."""
     trees = file.trees
     parameters = {
         key: value.item() if isinstance(value, np.generic) else value for key, value in file.parameters.items()
@@ -102,7 +102,7 @@ def pack_forest(file: ForestFile) -> bytes:
 
 
 def unpack_forest(data: bytes) -> ForestFile:
-    """The forest in the bytes; DousaError if they are damaged, something else, or of a newer version."""
+    """Read a forest; DousaError if the bytes are damaged, something else, or of a newer version."""
     names = {"version", "parameters", "classes", "feature_names", *_TREE_ARRAYS, "sizes"}
     arrays = unpack_arrays(data, names, _WHAT, ("homes", "pooled", *_TRAINED_ARRAYS))
     check_version(arrays, _WHAT, (_WITHOUT_KINDS, _PLAIN, _VERSION))
@@ -144,7 +144,7 @@ def _read_parameters(text: NDArray[Any]) -> dict[str, Any]:
 
 
 def _check_trees(trees: Trees) -> None:
-    """Every index in range and every child behind its parent, so that each way down ends in a leaf."""
+    """Check that every index is in range and every child behind its parent, so that each path ends in a leaf."""
     count = len(trees.nodes)
     _check(trees.nodes.shape == (count, 6) and count > 0, "bad nodes")
     roots = trees.roots

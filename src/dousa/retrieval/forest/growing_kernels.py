@@ -1,12 +1,10 @@
 """Compiled loops that grow a tree of the motion forest (steps 1-8 of the paper).
 
-What tests and nodes are is told in ``tree_kernels``. Clips are rows of the features, here (N, F, T), float32 or
-float64: a test adds a few neighbours, and a node asks a block of clips several tests at a time, so that their rows are
-read from memory once and not once for every test.
+``tree_kernels`` describes tests and nodes. The features are (N, F, T) here, float32 or float64: a test adds a few
+neighbours, and a block of clips gets several tests at a time, so that its rows are read from memory once.
 
-Entropies are compared as integers: ``n log2 n`` is tabulated in fixed point, so sums do not depend on their
-order and two splits of equal gain are equal to the last bit, however clips are ordered and categories are
-numbered.
+Entropies are compared as integers, with ``n log2 n`` tabulated in fixed point: equal gains are equal to the last bit,
+for any order of clips and numbering of categories.
 """
 
 from __future__ import annotations
@@ -20,8 +18,8 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray, IntArray
 from dousa.retrieval.features.feature_sets import MEAN, SPREAD
 
-# None of these allocates. Counting references to rows took a fifth of the time, and half of that of compiling. Numbers
-# that are known beforehand are handed over as np.int64: else numba compiles what takes them once for each number.
+# No allocations: reference counting took a fifth of the run time and half of the compile time. Constants
+# are passed as np.int64, else numba compiles a function once for each of them.
 _njit: Any = njit  # whose types leave out some of its options
 _OPTIONS: dict[str, Any] = {
     "cache": True,
@@ -39,15 +37,15 @@ _NO_SCORE = -(2**62)
 _SAME_SCORE = 256  # units of the table: 6 log2 6 = 2 * 3 log2 3 + 6, but for the rounding of the entries
 _KEY_RANGE = 2.0**31 - 1.0  # a key is 31 bits of value above 32 bits of place: positive as int64
 _PLACE = 0xFFFFFFFF
-_HALVES = 2**24  # places for a random threshold: never at the ends, where it would part nothing
+_HALVES = 2**24  # places for a random threshold: never at the ends, where it would split nothing
 _MANY = 64  # from here on, counting digits is faster than insertion sort
-_AT_ONCE = 16  # tests that a block of clips is asked
-_BLOCK = 64  # clips: their rows stay in the cache meanwhile
-_FIRST = 8  # tests of a node that are asked before it is known that many will be
-_MOST_ASKED, _ASKED_CLIPS = 128, (64, 256)  # then so many at once, if a node has so many clips
-_MOST_LOOKED = 256  # clips by which a node of more chooses a few of its tests
-_MOST_WEIGHED = 2048  # clips by which it chooses among these; all clips are then parted by the best
-_KEPT = 8  # tests that are weighed again
+_AT_ONCE = 16  # tests evaluated at once on a block of clips
+_BLOCK = 64  # clips, whose rows fit into the cache
+_FIRST = 8  # tests of a node before it counts as one of many tests
+_MOST_ASKED, _ASKED_CLIPS = 128, (64, 256)  # tests at once then, in a node of 64 to 256 clips
+_MOST_LOOKED = 256  # clips by which a larger node preselects tests
+_MOST_WEIGHED = 2048  # clips by which it chooses among those; the best splits all clips
+_KEPT = 8  # preselected tests
 
 _NODE_STEP = np.uint64(0xD1342543DE82EF95)
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
@@ -57,7 +55,7 @@ _SHIFT_27, _SHIFT_30, _SHIFT_31, _SHIFT_32 = np.uint64(27), np.uint64(30), np.ui
 
 
 class Workspace(NamedTuple):
-    """Memory that a tree needs while it grows; made by NumPy, as compiling an allocation takes long."""
+    """Working memory of a growing tree; made by NumPy, as compiling an allocation is slow."""
 
     values: FloatArray
     asked: FloatArray
@@ -88,7 +86,7 @@ class Workspace(NamedTuple):
 
     @classmethod
     def create(cls, features: FloatArray, n_clips: int, n_classes: int, n_tests: int) -> Workspace:
-        """For trees of some of the features (N, F, T): of so many clips, categories and tests."""
+        """Allocate for trees of features (N, F, T), for ``n_clips``, ``n_classes`` and ``n_tests``."""
         keys, spare = np.empty((2, n_clips), np.int64)
         counts, looked_counts, left, present, number = np.empty((5, n_classes), np.int64)
         return cls(
@@ -123,7 +121,7 @@ class Workspace(NamedTuple):
 
 @_compiled
 def _draw_below(state, bound):
-    """The next number of splitmix64, scaled to 0 <= number < bound (bound < 2**31)."""
+    """Return the next number of splitmix64, scaled to 0 <= number < bound (bound < 2**31)."""
     state[0] += _GOLDEN
     z = state[0]
     z = (z ^ (z >> _SHIFT_30)) * _MIX_1
@@ -134,7 +132,7 @@ def _draw_below(state, bound):
 
 @_compiled
 def _sort_digits(keys, spare, counts, n):
-    """Ascending in place: four counted digits of the value (an even number, so the result is in ``keys``)."""
+    """Sort ascending in place by four 8-bit digits of the value; an even number, so the result is in ``keys``."""
     for digit in range(4):
         for bucket in range(256):
             counts[digit, bucket] = 0
@@ -159,23 +157,20 @@ def _sort_digits(keys, spare, counts, n):
 
 @_compiled
 def _measure_spread(difference, square_difference, length):
-    """Standard deviation over an interval, from the sums of values and of squares."""
+    """Compute the standard deviation over an interval from the sums of values and of squares."""
     mean = difference / length
     return np.sqrt(max(square_difference / length - mean * mean, 0.0))
 
 
 @_compiled
 def _measure_trend(difference, moment_difference, length, middle):
-    """Change along the line of least squares over an interval, from the sums of values and value times time."""
+    """Compute the change along the line of least squares from the sums of values and of value times time."""
     return 12.0 * (moment_difference - middle * difference) / (length * length)
 
 
 @_compiled
 def _add_cells(cells, size, start, length, samples, sums):
-    """The sums of ``length`` cells of a few clips, from the place ``start`` of each clip on: eq. 5.
-
-    One cell of all clips, then the next one, so that no clip waits until the memory has given another.
-    """
+    """Sum ``length`` cells of some clips, from the place ``start`` of each clip on (eq. 5); memory reads overlap."""
     for k in range(len(samples)):
         sums[k] = 0.0
     for place in range(start, start + length):
@@ -185,12 +180,12 @@ def _add_cells(cells, size, start, length, samples, sums):
 
 @_compiled
 def _evaluate(cells, size, width, test, samples, others, values):
-    """The value of one test for some clips of a node, into ``values``, a block of clips after the other.
+    """Compute the value of one test for some clips of a node, into ``values``, block by block.
 
-    ``cells`` holds the features one clip after the other, ``size`` values each, in columns of ``width`` cells;
-    ``others`` is room for the numbers of a block.
+    ``cells`` holds the features clip by clip, ``size`` values each, in columns of ``width`` cells; ``others`` is
+    working memory of one block.
     """
-    # Unsigned, so that no place is looked at for being counted from the end.
+    # Unsigned, to avoid the check for negative indices.
     first, count = np.uint64(test[3]), np.uint64(test[4] - test[3])
     kind, column, partner = test[0], np.uint64(test[1]), np.uint64(test[2])
     length, middle = float(test[4] - test[3]), 0.5 * (test[3] + test[4])
@@ -210,7 +205,7 @@ def _evaluate(cells, size, width, test, samples, others, values):
 
 @_compiled
 def _evaluate_all(cells, size, width, tests, chosen, samples, others, values):
-    """The values of some tests for the clips of a node, into ``values`` (tests, clips)."""
+    """Compute the values of some tests for the clips of a node, into ``values`` (tests, clips)."""
     n = len(samples)
     for start in range(0, n, _BLOCK):
         stop = min(start + _BLOCK, n)
@@ -220,10 +215,7 @@ def _evaluate_all(cells, size, width, tests, chosen, samples, others, values):
 
 @_compiled
 def _evaluate_many(cells, size, width, tests, chosen, samples, work, values):
-    """The same where the tests are many: the rows of a few clips at a time are read from end to end before.
-
-    Memory gives them much faster than cell by cell.
-    """
+    """Compute the same for many tests: the rows of a block are first copied, which is faster than single cells."""
     rows = work.rows
     for start in range(0, len(samples), _BLOCK):
         count = min(_BLOCK, len(samples) - start)
@@ -237,7 +229,7 @@ def _evaluate_many(cells, size, width, tests, chosen, samples, work, values):
 
 @_njit(fastmath={"nnan", "nsz"}, **_OPTIONS)
 def _find_range(values, n):
-    """The lowest and the highest of the first n values."""
+    """Return the lowest and the highest of the first n values."""
     low, high = np.inf, -np.inf
     for k in range(n):
         low = min(low, values[k])
@@ -247,7 +239,7 @@ def _find_range(values, n):
 
 @_compiled
 def _order_clips(values, low, high, n, keys, spare, digits):
-    """The node's clips in ascending order of their values: keys whose low half is the clip's place in the node."""
+    """Sort the node's clips by their values: keys whose low half is the clip's place in the node."""
     scale = _KEY_RANGE / (high - low)
     if n >= _MANY:
         for k in range(n):
@@ -265,9 +257,9 @@ def _order_clips(values, low, high, n, keys, spare, digits):
 
 @_compiled
 def _split_best(values, keys, n, labels, counts, left, total, log_table, tolerance, best):
-    """Step 3: the threshold of largest gain (eq. 7) of one test, whose clips are in order.
+    """Find the threshold of largest gain (eq. 7) of one test, whose clips are in order: step 3.
 
-    Returns its score and the threshold; the score is ``best``, and the threshold nothing, where none is better.
+    Returns its score and the threshold; the score is ``best``, and the threshold 0, where none is better.
     """
     threshold = 0.0
     for c in range(len(counts)):
@@ -291,7 +283,7 @@ def _split_best(values, keys, n, labels, counts, left, total, log_table, toleran
 
 @_compiled
 def _split_at(values, threshold, n, labels, counts, left, log_table):
-    """The score of one test at a given threshold."""
+    """Return the score of one test at a given threshold."""
     for c in range(len(counts)):
         left[c] = 0
     for k in range(n):
@@ -305,9 +297,9 @@ def _split_at(values, threshold, n, labels, counts, left, log_table):
 
 @_compiled
 def _draw_tests(drawn, count, is_all, random_thresholds, work):
-    """The next tests of a node into ``chosen``, and how far between lowest and highest value each has its threshold.
+    """Draw the next tests of a node into ``chosen``, and their thresholds as shares of the range of values.
 
-    ``states`` keeps the random numbers as they stood before each threshold: one that tells no clips apart needs none.
+    ``states`` keeps the state of the random numbers before each threshold, for tests that separate no clips.
     """
     order, swaps = work.order, work.swaps
     for q in range(count):
@@ -330,9 +322,9 @@ def _put_back(order, swaps, first, last):
 
 @_compiled
 def _score_test(values, n, part, labels, counts, total, log_table, tolerance, best, random_thresholds, work):
-    """Score and threshold of one test; the score is not above ``best`` where the test tells no clips apart.
+    """Return score and threshold of one test; the score is not above ``best`` where the test separates no clips.
 
-    ``part`` says how far between the lowest and the highest value a random threshold lies.
+    ``part`` is the place of a random threshold between the lowest and the highest value, 0 to 1.
     """
     low, high = _find_range(values, n)
     if high - low <= tolerance:
@@ -346,7 +338,7 @@ def _score_test(values, n, part, labels, counts, total, log_table, tolerance, be
 
 @_compiled
 def _keep(work, n_kept, test, threshold, score):
-    """Put a test among the best, of which equal ones stay in order; returns how many these are."""
+    """Insert a test among the best, equal ones in order; return how many these are."""
     place = n_kept
     while place > 0 and work.kept_scores[place - 1] + _SAME_SCORE < score:
         work.kept[place] = work.kept[place - 1]
@@ -362,22 +354,21 @@ def _find_splits(
     cells, size, width, tolerances, tests, samples, labels, counts, total, log_table, n_trials, random_thresholds,
     most, work,
 ):  # fmt: skip
-    """Steps 1-4 for one node: the tests and thresholds of largest gain (eq. 7) among ``n_trials`` drawn tests.
+    """Steps 1-4 for one node: find the tests and thresholds of largest gain (eq. 7) among ``n_trials`` drawn tests.
 
-    Gains are compared by their score, which leaves out what all splits of the node share; ``total`` is the
-    sum of the table over ``counts``. The best ``most`` tests are in ``kept``, their places in ``tests`` and the
-    thresholds of their values; returns how many, 0 if none tells the clips apart. Leaves ``order`` as it was, so that
-    no node depends on how many tests another has drawn.
+    The score of a gain leaves out the part that all splits of the node share; ``total`` is the sum of the table over
+    ``counts``. Writes the best ``most`` tests into ``kept`` (places in ``tests``), with thresholds; returns how many, 0
+    if none separates the clips. Restores ``order``, so that no node depends on the draws of another.
     """
     n, n_tests = len(samples), len(tests)
     is_all = n_trials >= n_tests
     best, n_kept, drawn, begun = np.int64(_NO_SCORE), np.int64(0), np.int64(0), np.int64(0)
-    # No split gains more than all the entropy there is, nor more than the one bit a clip of an even split.
-    # Once that is reached, drawing on cannot change the answer: the first of equals is kept.
+    # No split gains more than the node's entropy, nor more than the one bit a clip of an even split.
+    # Once that is reached, more draws cannot change the answer: the first of equals is kept.
     perfect = min(np.int64(0), total - log_table[n // 2] - log_table[n - n // 2])
-    # If no drawn test tells two clips apart, drawing goes on, as in scikit-learn.
+    # If no drawn test separates two clips, drawing goes on, as in scikit-learn.
     while drawn < n_tests and (drawn < n_trials or n_kept == 0) and best < perfect - _SAME_SCORE:
-        # Few at first: small nodes are often parted by the first.
+        # Few at first: small nodes are often split by the first.
         count, left = min(2 + drawn - begun, _AT_ONCE), (n_trials if drawn < n_trials else n_tests) - drawn
         is_many = _ASKED_CLIPS[0] <= n <= _ASKED_CLIPS[1] and min(drawn - begun, left) >= _FIRST
         count = min(_MOST_ASKED if is_many else count, left)
@@ -401,7 +392,7 @@ def _find_splits(
             if score > _NO_SCORE and (most > 1 or score > best + _SAME_SCORE):
                 n_kept = min(_keep(work, n_kept, test, threshold, score), most)
                 best = max(best, work.kept_scores[0])
-                # Beyond the trials the first that tells clips apart will do.
+                # Beyond the trials, the first that separates clips is taken.
                 if best >= perfect - _SAME_SCORE or drawn > n_trials:
                     break
         if not is_all:
@@ -413,7 +404,7 @@ def _find_splits(
 
 @_compiled
 def _look_at_some(samples, labels, n_present, count, log_table, work):
-    """Some clips of a large node, one from each of equally long stretches; returns the sum of the table over them."""
+    """Sample clips of a large node, one from each of equally long stretches; return the sum of the table over them."""
     counts = work.looked_counts[:n_present]
     counts[:] = 0
     step = len(samples) / count
@@ -431,7 +422,7 @@ def _look_at_some(samples, labels, n_present, count, log_table, work):
 def _weigh_again(
     cells, size, width, tolerances, tests, samples, labels, counts, total, log_table, n_kept, random_thresholds, work
 ):  # fmt: skip
-    """The best of the tests in ``kept`` by more clips, and its threshold."""
+    """Return the best of the tests in ``kept`` by more clips, and its threshold."""
     best, best_test, best_threshold = np.int64(_NO_SCORE), work.kept[0], work.kept_thresholds[0]
     _evaluate_all(cells, size, width, tests, work.kept[:n_kept], samples, work.others, work.values)
     for q in range(n_kept):
@@ -450,7 +441,7 @@ def _weigh_again(
 
 @_compiled
 def _partition(values, threshold, samples, spare):
-    """Step 5: clips at or below the threshold to the front, order kept; returns how many."""
+    """Move clips at or below the threshold to the front, order kept (step 5); return how many."""
     n_left = 0
     n_right = 0
     for k in range(len(samples)):
@@ -468,10 +459,9 @@ def _partition(values, threshold, samples, spare):
 
 @_compiled
 def _count_labels(categories, samples, labels, counts, present, number, log_table):
-    """Numbers the categories of a node from 0, so that a small node costs little however many there are.
+    """Renumber the categories of a node from 0, so that a small node is cheap for any number of categories.
 
-    Fills each clip's new number, how many clips each has, and which category it stands for. Returns how
-    many categories there are and the sum of the table over their counts.
+    Fills each clip's new number, and each category's count and old number; returns their number and the table's sum.
     """
     for c in range(len(number)):
         number[c] = 0
@@ -494,15 +484,15 @@ def _count_labels(categories, samples, labels, counts, present, number, log_tabl
 def _choose_split(
     cells, size, width, tolerances, tests, samples, n_present, total, log_table, n_trials, random_thresholds, work
 ):  # fmt: skip
-    """The test of a node, -1 if none tells its clips apart, and the threshold.
+    """Return the test of a node, -1 if none separates its clips, and the threshold.
 
-    In a node of very many clips some of them choose a few tests, and more of them the best of these.
+    In a very large node, a sample preselects a few tests, and a larger one chooses among these.
     """
     labels, counts, n = work.labels, work.counts[:n_present], len(samples)
     if n > _MOST_LOOKED:
         some = _look_at_some(samples, labels, n_present, np.int64(_MOST_LOOKED), log_table, work)
         n_kept = 0
-        if log_table[_MOST_LOOKED] - some > _SAME_SCORE:  # they are of several categories
+        if log_table[_MOST_LOOKED] - some > _SAME_SCORE:  # several categories
             n_kept = _find_splits(
                 cells, size, width, tolerances, tests, work.looked[:_MOST_LOOKED], work.looked_labels,
                 work.looked_counts[:n_present], some, log_table, n_trials, random_thresholds, np.int64(_KEPT), work,
@@ -524,7 +514,6 @@ def _choose_split(
 
 @_compiled
 def _write_node(nodes, cuts, node, test, threshold, n_frames, child):
-    """An inner node in the layout of ``tree_kernels``."""
     kind, i, j, width = test[0], test[1], test[2], n_frames + 1
     nodes[node, 0], nodes[node, 1] = i * width + test[4], i * width + test[3]
     nodes[node, 2] = child
@@ -537,11 +526,11 @@ def grow_tree(
     features, tolerances, categories, tests, log_table, samples, n_trials, random_thresholds, max_entropy, seed,
     work, nodes, cuts, leaf_starts, leaf_classes, leaf_counts,
 ):  # fmt: skip
-    """Steps 1-8 for one tree: fills ``nodes``, ``cuts`` and the leaves' histograms, and counts both.
+    """Grow one tree by steps 1-8: fill ``nodes``, ``cuts`` and the leaves' histograms; return the numbers of nodes and
+    leaves.
 
-    ``samples`` are the clips, permuted in place; ``max_entropy``
-    is in fixed point. Nodes are worked off depth first, left before right; each draws its tests with its own
-    random numbers, from the seed and the node's number. All tests at once are taken in order.
+    ``samples`` are the clips, permuted in place; ``max_entropy`` is in fixed point. Nodes are processed depth first,
+    left before right; each draws its tests from the seed and the node's number. All tests at once are taken in order.
     """
     n_frames = features.shape[2]
     cells, width = features.reshape(-1), np.uint64(n_frames)

@@ -1,30 +1,15 @@
 """New categories without training again: the leaves of a forest take up new clips, and grow where they must.
 
-New clips run down the trees. Where one arrives in a leaf of another category, the leaf becomes a small tree, grown by
-the forest's own rule from all the clips that stand in it; the splits above stay as they are. So what the forest has
-learned is kept, and the work is that of a few leaves.
+A leaf that receives clips of another category becomes a small tree, grown by the forest's own rule from the clips in
+it; the splits above stay. Growing categories below the median size also get points half way between two of
+their clips (as in SMOTE: Chawla et al., Journal of Artificial Intelligence Research 16, 2002), which are counted in the
+leaves only. A leaf of the training (``Trees.homes``) depends only on the clips in it, so the same clips give the same
+forest, in any order and portions.
 
-A category of few clips is met by few leaves only, and a query falls between them. So while a category that receives
-clips is smaller than half of the others are, points half way between two of its clips stand beside them (as in SMOTE:
-Chawla et al., Journal of Artificial Intelligence Research 16, 2002): features are means over cells of time, and so is
-the mean of two of them. These points live in the counts of the leaves only.
-
-What becomes of a leaf of the training follows from the clips that stand in it and from nothing else: not from their
-order, nor from what stood in it before (``Trees.homes`` says which leaf of the training each leaf grew from; a leaf
-that is met again is grown anew, and one from which all points have gone is as the training left it). So the same clips
-give the same forest, in whatever portions they were added.
-
-In a large library a leaf has hundreds of clips, and where each tree grew from a sample, of several categories. So what
-growing costs is bounded: a leaf grows only when the strangers that came after the training are a 64th of it (one among
-hundreds is the mistake of a tree, and to part it from them, all of them would have to be looked at), it grows from a
-sample of its clips where these are many, and the others are read in portions, to see where they stand then.
-
-Of a library so large that its trees grow from samples not even that is read. Each leaf of the training has a few of its
-clips as examples (``leaves.examples``). It grows where strangers, which are then clips of categories that are less than
-a 64th of what the training left in it, are a 64th of it; and what grows parts these from the examples. The clips of the
-training stay in the leaf, which keeps its number and its counts, whatever nodes lead to it: none of them is read, and
-none moves. Nor does a leaf vote otherwise for a clip more among hundreds: those that came later count in it where they
-are a 64th of it, so that most clips of the library keep their votes.
+The cost is bounded: a leaf grows only where strangers from after the training are at least a 64th of its clips, and
+from a sample of at most ``_MOST_DRAWN`` clips. In a very large library only a few examples of each leaf are read
+(``examples``); the other clips of the training stay in the leaf, and later clips count there only from a share of 1 in
+``_MOST_SILENT``.
 """
 
 from __future__ import annotations
@@ -50,33 +35,33 @@ from dousa.retrieval.forest.subtrees import (
 )
 from dousa.retrieval.forest.trees import LeafEntries, Trees, put_counts
 
-_AT_ONCE = 4096  # clips whose features are read
-_MOST_OTHERS = 64  # a leaf grows where this many times the strangers in it are all of its clips, or more
-_MOST_SILENT = 256  # clips that came later count beside examples where this many times they are all clips of the leaf
+_AT_ONCE = 4096  # clips whose features are read in one step
+_MOST_OTHERS = 64  # a leaf grows where this many times its strangers are at least all of its clips
+_MOST_SILENT = 256  # beside examples, later clips count where this many times their number is at least all
 _MOST_DRAWN = 256  # clips that a leaf grows from
 
 
 FeatureReader = Callable[[IntArray], FloatArray]
 
 Examples = Callable[[IntArray], IntArray]
-"""Gives the places (n, E) of examples of some leaves of the training (n,), -1 where one has fewer."""
+"""Returns the places (n, E) of examples of leaves (n,) of the training, -1 where a leaf has fewer."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StandingClips:
-    """The clips that a forest was trained with, or has taken up since.
+    """The clips that a forest was trained with or has taken up since.
 
     Parameters
     ----------
     categories : (N,) words or whole numbers.
-    leaves : (N, n_trees) as ``apply`` gives them.
-    read_features : gives the features (n, T, F) of some clips by their places (n,); it is asked only for those whose
-        leaves grow.
-    keys : (N,) uint64, that stand for the contents of the clips; their places by default, and then the forest depends
-        on the order in which clips are added. Read for some clips only.
-    later : (N,) whether each was taken up after the training; by default none was.
-    names : where there are some, the categories are places in it.
-    examples : of each leaf a few clips of the training; the others are not read then, and stay where they are.
+    leaves : (N, n_trees) of ``apply``.
+    read_features : returns the features (n, T, F) of clips by their places (n,); called only for clips of growing
+        leaves.
+    keys : (N,) uint64 keys of the clips' contents, read for some clips only; their places by default, and then the
+        forest depends on the order in which clips are added.
+    later : (N,) whether each came after the training; by default none did.
+    names : if given, the categories are places in it.
+    examples : a few training clips of each leaf; the others are then not read, and stay where they are.
     """
 
     categories: ArrayLike
@@ -90,19 +75,17 @@ class StandingClips:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Growth:
-    """What has become of a forest.
+    """The result of growing a forest.
 
     Parameters
     ----------
     forest : the new one; the old one stays as it was.
     leaves : (M, n_trees) of the new clips.
-    moved : (K,) places of the standing clips that have come into other leaves.
-    moved_leaves : (K, n_trees) of theirs. The histograms of these clips change, and where there are new categories
-        those of all clips get their columns: ``forest.histograms_of(leaves)``.
-    changed : (L,) the leaves of the old forest from which any clip, also one that the forest was not taught, may have
-        come into others.
-    stay : (L,) the leaf in which clips of the training are that were in each of the old forest; None where these are
-        looked up as all others are.
+    moved : (K,) places of the standing clips that are now in other leaves.
+    moved_leaves : (K, n_trees) their leaves, for ``forest.histograms_of``. With new categories, the histograms of all
+        clips gain columns.
+    changed : (L,) the leaves of the old forest that any clip may have left.
+    stay : (L,) the new leaf of training clips in each old leaf; None where these are looked up as all others are.
     """
 
     forest: MotionForest
@@ -128,17 +111,12 @@ def grow_forest(
     Parameters
     ----------
     forest : trained, or grown before.
-    standing : all clips that it knows.
-    features : (M, T, F) of the new clips; without any, the forest comes back as it is.
-    categories : (M,) theirs.
+    standing : all clips that it has taken up.
+    features : (M, T, F) of the new clips; without any, the forest is unchanged.
+    categories : (M,) of the new clips.
     keys : (M,) as those of the standing clips.
     feature_set : that of ``MotionForest.fit``.
-    random_state : seed; the same seed and clips give the same forest but for the numbers of its leaves, however many
-        are added at a time.
-
-    Returns
-    -------
-    Growth
+    random_state : seed; one seed and set of clips give one forest, but for the numbers of its leaves, in any portions.
 
     Raises
     ------
@@ -175,11 +153,8 @@ def grow_forest(
 
 
 def find_changed(before: MotionForest, now: MotionForest) -> BoolArray:
-    """(L,) which leaves of a forest that has grown vote otherwise than before, or were not there.
-
-    Parameters
-    ----------
-    before, now : of categories that are among those of the other.
+    """Return (L,) which leaves of the grown forest ``now``, with all categories of ``before``, are new or vote
+    differently.
     """
     starts, classes, weights = before.vote_entries
     new_starts, new_classes, new_weights = now.vote_entries
@@ -198,17 +173,15 @@ def find_changed(before: MotionForest, now: MotionForest) -> BoolArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Material:
-    """Standing clips, then the new ones, then the points between clips, all numbered through.
+    """Standing clips, then the new ones, then the points between clips, numbered through.
 
-    Parameters
-    ----------
-    leaves : (N, n_trees) in which the standing ones are.
-    features : (M + P, T, F) of what does not stand.
-    homes : (M + P, n_trees) leaves of the training that it reaches.
-    own : (N + M + P,) number of each one's category.
-    later : (N + M + P,) whether it came after the training.
+    leaves : (N, n_trees) of the standing clips.
+    features : (M + P, T, F) of new clips and points.
+    homes : (M + P, n_trees) leaves of the training that these reach.
+    own : (N + M + P,) category numbers.
+    later : (N + M + P,) whether each came after the training.
     keys : of the contents of all N + M + P.
-    touched : (L,) whether a leaf of the training must be looked at: something has come, or a point has gone.
+    touched : (L,) whether a leaf of the training has received a clip or point, or lost a point.
     """
 
     standing: StandingClips
@@ -222,27 +195,25 @@ class _Material:
 
     @property
     def n_standing(self) -> int:
-        """N."""
         return len(self.own) - len(self.homes)
 
     @property
     def moving(self) -> StandingLeaves:
-        """Leaves of the standing clips that go where the nodes lead them."""
+        """Return the leaves of the standing clips that follow the nodes."""
         return self.leaves if self.standing.examples is None else self.leaves.among(self.later[: self.n_standing])
 
     def find_examples(self, leaves: IntArray) -> list[IntArray]:
-        """Those of some leaves of the training; none where all that stands in them is read."""
+        """Return the examples of some leaves of the training; none where all clips are read."""
         if self.standing.examples is None or not len(leaves):
             return [np.zeros(0, np.int64)] * len(leaves)
         return [some[some >= 0] for some in self.standing.examples(leaves)]
 
     def read(self, rows: IntArray) -> FloatArray:
-        """Features of any of them."""
         known = rows < self.n_standing
-        n_cells, n_columns = self.features.shape[1:]  # in the order in which trees read them
+        n_cells, n_columns = self.features.shape[1:]  # ordered as by ``order_for_trees``
         read = np.empty((len(rows), n_columns, n_cells), self.features.dtype).transpose(0, 2, 1)
         there = np.flatnonzero(known)
-        for first in range(0, len(there), _AT_ONCE):  # so that they are in memory once
+        for first in range(0, len(there), _AT_ONCE):  # no second copy of all
             some = there[first : first + _AT_ONCE]
             read[some] = self.standing.read_features(rows[some])
         read[~known] = self.features[rows[~known] - self.n_standing]
@@ -255,7 +226,7 @@ def _read_labels(categories: ArrayLike) -> NDArray[Any]:
 
 
 def _number_labels(standing: StandingClips) -> tuple[NDArray[Any], IntArray]:
-    """Categories, and (N,) which of them each clip has."""
+    """Return the categories, and (N,) the number of each clip's."""
     if standing.names is not None:
         return _read_labels(standing.names), np.asarray(standing.categories, np.int64)
     known, numbers = np.unique(_read_labels(standing.categories), return_inverse=True)
@@ -263,7 +234,7 @@ def _number_labels(standing: StandingClips) -> tuple[NDArray[Any], IntArray]:
 
 
 class _JoinedKeys:
-    """Keys of the standing clips, and behind them those of others."""
+    """Keys of the standing clips, followed by those of others."""
 
     def __init__(self, standing: Keys, count: int, others: NDArray[np.uint64]) -> None:
         self._standing, self._count, self._others = standing, count, others
@@ -277,7 +248,6 @@ class _JoinedKeys:
         return keys
 
     def join(self, more: NDArray[np.uint64]) -> _JoinedKeys:
-        """With some more behind them."""
         return _JoinedKeys(self._standing, self._count, np.concatenate([self._others, more]))
 
 
@@ -288,7 +258,7 @@ def _gather(
     new: tuple[FloatArray, IntArray, NDArray[np.uint64] | None],
     own: NDArray[np.int32],
 ) -> _Material:
-    """What there is to grow from; ``new`` are features (M, T, F), leaves and keys."""
+    """Gather the material of growing; ``new`` are features (M, T, F), leaves and keys."""
     features, leaves, new_keys = new
     count, total = len(own) - len(features), len(own)
     plain = np.arange(total, dtype=np.uint64)
@@ -323,13 +293,13 @@ def _gather(
 
 
 def _count_usual(own: NDArray[np.int32], later: BoolArray) -> int:
-    """Clips of a category in the training, in the middle of all categories."""
+    """Return the median size of a category in the training."""
     sizes = np.bincount(own[~later])
     return int(np.median(sizes[sizes > 0])) if (~later).any() else 0
 
 
 def _make_points(forest: MotionForest, material: _Material, pairs: Pairs) -> tuple[FloatArray, NDArray[np.int32]]:
-    """Features (P, T, F) half way between pairs of clips, and the leaves of the training (P, n_trees) they reach."""
+    """Return features (P, T, F) half way between pairs of clips, and their leaves of the training (P, n_trees)."""
     rows, places = np.unique(np.concatenate([pairs.first, pairs.second]), return_inverse=True)
     ends = material.read(rows)
     points = ends[places[: len(pairs.first)]]
@@ -340,15 +310,13 @@ def _make_points(forest: MotionForest, material: _Material, pairs: Pairs) -> tup
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Touched:
-    """Leaves of the training to which something has come, or from which a point has gone.
+    """Leaves of the training that have received a clip or point, or lost a point.
 
-    Parameters
-    ----------
-    numbers : (K,) which, ascending.
-    counts, stayed : (K, C) what counts in them, and what of it never moves.
+    numbers : (K,) leaf numbers, ascending.
+    counts, stayed : (K, C) clips counted in them, and those of them that never move.
     known : (K, C) categories that are no strangers there.
     usual : (K,) the category of most clips of the training.
-    grows : (K,) whether strangers are many enough.
+    grows : (K,) whether there are enough strangers.
     """
 
     numbers: IntArray
@@ -366,7 +334,7 @@ def _grow(
     feature_set: FeatureSet | None,
     random_state: int,
 ) -> tuple[MotionForest, BoolArray, tuple[IntArray, NDArray[np.int32]]]:
-    """The grown forest, which leaves of the training became trees now, and the clips of these with their leaves."""
+    """Return the grown forest, which leaves of the training became trees, and the clips of these with their leaves."""
     trees = _renumber(forest, classes)
     touched = _look_at_leaves(material, trees, len(classes))
     chosen = touched.numbers[touched.grows]
@@ -374,7 +342,7 @@ def _grow(
     growing[chosen] = True
     clips, leaves = _list_members(material, trees, growing)
     rows, places = np.unique(clips, return_inverse=True)
-    order = np.lexsort((material.keys[rows][places], leaves))  # keys may be read: of each clip once
+    order = np.lexsort((material.keys[rows][places], leaves))  # each clip's key is read once
     parts = np.split(clips[order], np.searchsorted(leaves[order], chosen[1:])) if len(chosen) else []
     shown = material.find_examples(chosen)
     drawn = [np.concatenate([few, _draw(part, material.own[part])]) for few, part in zip(shown, parts, strict=True)]
@@ -404,11 +372,11 @@ def _grow(
 
 
 def _name_clips(material: _Material, touched: _Touched, drawn: list[IntArray]) -> list[NDArray[np.int32]]:
-    """Categories by which the clips that leaves grow from are parted."""
+    """Return the categories by which the clips of growing leaves are separated."""
     own = [material.own[some] for some in drawn]
     if material.standing.examples is None:
         return own
-    # Whatever is no stranger is one there: it has its share of the vote already.
+    # All clips that are no strangers count as one category: they have their share of the vote already.
     leaves = np.flatnonzero(touched.grows)
     return [
         np.where(touched.known[leaf, some], touched.usual[leaf], some).astype(np.int32)
@@ -423,12 +391,10 @@ def _count_again(
     members: tuple[IntArray, IntArray],
     now: NDArray[np.int32],
 ) -> MotionForest:
-    """The same forest with all clips in the leaves that grew from some.
+    """Count all clips in the leaves that grew from a sample.
 
-    Parameters
-    ----------
-    members : clips and the leaves in which they stood.
-    now : (M, n_trees) where these are.
+    members : clips, and the leaves in which they stood.
+    now : (M, n_trees) their new leaves.
     """
     trees, n_classes = grown.trees_, grown.trees_.n_classes
     clips, leaves = members
@@ -448,7 +414,7 @@ def _count_again(
 
 
 def _draw(members: IntArray, categories: NDArray[np.int32]) -> IntArray:
-    """The members of a leaf that it grows from, in the order in which they were given: of each category as many."""
+    """Sample the members of a leaf for growing, evenly over the categories, in the order given."""
     if len(members) <= _MOST_DRAWN:
         return members
     order = np.argsort(categories, kind="stable")
@@ -461,7 +427,7 @@ def _draw(members: IntArray, categories: NDArray[np.int32]) -> IntArray:
 def _look_up(
     grown: MotionForest, material: _Material, rows: IntArray, known: tuple[IntArray, FloatArray]
 ) -> NDArray[np.int32]:
-    """(n, n_trees) the leaves of some rows, ascending, of which some were read already, with their features."""
+    """Return (n, n_trees) the leaves of ascending rows; ``known`` are rows already read, with their features."""
     numbers, features = known
     leaves = np.empty((len(rows), material.leaves.n_trees), np.int32)
     is_known = np.isin(rows, numbers)
@@ -477,7 +443,7 @@ def _look_up(
 
 
 def _tree_of_leaves(trees: Trees) -> IntArray:
-    """(L,) the tree of each leaf that something leads to."""
+    """Return (L,) the tree of each leaf that a node leads to."""
     children = trees.nodes[:, 2]
     outer = np.flatnonzero(children < 0)
     owners = np.zeros(trees.n_leaves, np.int64)
@@ -486,7 +452,7 @@ def _tree_of_leaves(trees: Trees) -> IntArray:
 
 
 def _renumber(forest: MotionForest, classes: NDArray[Any]) -> Trees:
-    """The trees of a forest with its categories numbered among all, and with what the training left in its leaves."""
+    """Return the trees with their categories numbered among all, and with the leaf entries of the training."""
     numbers = np.searchsorted(classes, forest.classes_).astype(np.int32)
     own, trees = numbers[forest.trees_.leaf_classes], forest.trees_
     trained = trees.trained
@@ -498,11 +464,10 @@ def _renumber(forest: MotionForest, classes: NDArray[Any]) -> Trees:
 
 
 def _look_at_leaves(material: _Material, trees: Trees, n_classes: int) -> _Touched:
-    """What stands in the leaves of the training that are touched, and which of them grow.
+    """Count the clips in the touched leaves of the training, and choose those that grow.
 
-    Strangers came after the training, and are not of the most frequent category of those that were there; where that is
-    told by examples, of none that is a ``_MOST_OTHERS``th of these. There a leaf votes as the training left it until
-    as many of its clips came later.
+    Strangers came later and are not of the leaf's most frequent training category; with examples, of no category with a
+    ``_MOST_OTHERS``th of the training clips. With examples, a leaf with few later clips keeps its votes.
     """
     numbers = np.flatnonzero(material.touched)
     ranks = np.full(trees.n_leaves, -1)
@@ -526,14 +491,14 @@ def _look_at_leaves(material: _Material, trees: Trees, n_classes: int) -> _Touch
         grows[grows] = [len(some) > 0 for some in material.find_examples(numbers[grows])]
         few = later.sum(axis=1) * _MOST_SILENT < sizes
         counts[few] = trained[few]
-    if trees.trained is not None:  # disturbed copies, too, which stand nowhere
+    if trees.trained is not None:  # these include disturbed copies, which are no standing clips
         for row in np.flatnonzero(~later.any(axis=1)):
             counts[row] = trees.trained.of(int(numbers[row]), n_classes)
     return _Touched(numbers, counts, trained if by_examples else np.zeros_like(trained), known, usual, grows)
 
 
 def _list_members(material: _Material, trees: Trees, growing: BoolArray) -> tuple[IntArray, IntArray]:
-    """What stands in some leaves of the training and is no clip that stays there, and in which."""
+    """List the clips in growing leaves of the training that may move, and the leaf of each."""
     homes = trees.home_leaves
     clips, leaves = material.moving.list(growing[homes])
     new, columns = np.nonzero(growing[material.homes])
@@ -544,16 +509,14 @@ def _list_members(material: _Material, trees: Trees, growing: BoolArray) -> tupl
 def _move(
     before: MotionForest, material: _Material, rows: IntArray, now: NDArray[np.int32]
 ) -> tuple[IntArray, IntArray]:
-    """Places of the standing clips that are in other leaves now, and their leaves.
+    """Return the places of the standing clips that are in other leaves now, and their leaves.
 
-    Parameters
-    ----------
-    rows, now : all that stand in a leaf that became a tree, ascending, and their leaves (n, n_trees).
+    ``rows``, ``now``: all clips in a leaf that became a tree, ascending, and their leaves (n, n_trees).
     """
     standing, trees = material.leaves, before.trees_
     count = np.searchsorted(rows, material.n_standing)
     rows, now = rows[:count], now[:count]
-    # In a leaf that had grown, and is one again, are clips whose features were not read: they need none.
+    # Clips of a leaf that had grown and is a single one again were not read: they go to that leaf.
     home = trees.home_leaves
     back = material.touched[home] & (home != np.arange(trees.n_leaves))
     found = standing.find(back) if back.any() else np.zeros(0, np.int64)

@@ -1,16 +1,12 @@
-"""Where likeness ends: the probability that two motions mean the same, and from which one on they are called alike.
+"""The probability that two motions have the same meaning, and the threshold above which they count as the same.
 
-A ranking puts every clip in order, also those that have nothing to do with the query. Two things tell clips of the same
-meaning from others: whether the trees vote for the same meanings, and the angle between both in a space whose axes are
-stretched so that clips of one meaning lie close (``pose_space``). Categories may share a meaning ("walk/active" and
-"walk/tired", or "squat" of one producer and "squat1Reps" of another); the space then learns what a producer or a style
-changes.
+The scores are the agreement of the trees' votes for meanings and the angle in a space where clips of one meaning lie
+close (``pose_space``). Several categories may share a meaning ("walk/active" and "walk/tired").
 
-What values are usual is learned in the rounds of the calibration: clips of people, and of categories, that are held
-back ask a forest that never saw them. A logistic curve over both scores gives the probability, and the threshold is the
-strictest one with the best mean F over the queries that have clips of their meaning: of those called alike against
-those of the same meaning. Queries of categories held back teach the curve, but not the threshold: they made it so
-strict that half of what people held back do was no longer found.
+In the rounds of the calibration, clips of held-back people and categories query a forest that was not trained on them.
+A logistic curve over both scores gives the probability. The threshold is the strictest one with the best mean F over
+the queries that have clips of their meaning. Queries of held-back categories train the curve but not the threshold:
+with them it became so strict that half of the motions of held-back people were lost.
 """
 
 from __future__ import annotations
@@ -37,22 +33,22 @@ from dousa.retrieval.forest.pose_space import (
     read_curve,
 )
 
-_QUERIES = 60  # of each round, that are compared with all clips that trained
-_AS_GOOD = 0.01  # of F: where many thresholds part alike from others, the strictest
-_ODDS = np.linspace(np.log(2.0), 9.0, 43)  # thresholds that are tried, as log odds: from twice as likely as not
+_QUERIES = 60  # of each round, compared with all training clips
+_AS_GOOD = 0.01  # of F: the strictest threshold this near to the best is taken
+_ODDS = np.linspace(np.log(2.0), 9.0, 43)  # thresholds tried, as log odds, from odds of 2
 _WHAT = Message("stored.calibration")
 _NUMBERS = ("threshold", "precision", "recall")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Likeness:
-    """How likely two clips mean the same.
+    """The probability that two clips have the same meaning.
 
     Parameters
     ----------
     space : in which their angle is measured.
     curve : over the agreement of the votes and the cosine of the angle.
-    threshold : probability from which they are called alike.
+    threshold : probability from which they count as the same.
     precision, recall : over the rounds, means of the queries that have clips of their meaning.
     """
 
@@ -63,7 +59,7 @@ class Likeness:
     recall: float
 
     def place(self, features: FloatArray) -> NDArray[np.float32]:
-        """Directions (N, K) of clips (N, T, F) in the space, of length 1: a product of two is their cosine."""
+        """Return unit directions (N, K) of clips (N, T, F) in the space: a product of two is their cosine."""
         return _shorten(self.space.place(features)).astype(np.float32)
 
     def judge(
@@ -74,26 +70,26 @@ class Likeness:
         directions: NDArray[np.float32],
         lengths: FloatArray | None = None,
     ) -> FloatArray:
-        """Probabilities (N,) that clips mean the same as a query.
+        """Compute probabilities (N,) that clips have the same meaning as a query.
 
         Parameters
         ----------
         votes, direction : (M,) share of the trees for each meaning, and (K,) of ``place``, of the query.
         all_votes, directions : (N, M) and (N, K) of the clips.
-        lengths : (N,) Euclidean lengths of the rows of ``all_votes``, if they are known.
+        lengths : (N,) Euclidean lengths of the rows of ``all_votes``, if known.
         """
         own = np.linalg.norm(all_votes, axis=1) if lengths is None else lengths
         return self.curve.evaluate(_score(votes, direction, all_votes, directions, own))
 
     def to_bytes(self) -> bytes:
-        """An .npz file (no pickle)."""
+        """Pack into an .npz file (no pickle)."""
         numbers = {name: getattr(self, name) for name in _NUMBERS}
         curve = {"intercept": self.curve.intercept, "slopes": self.curve.slopes}
         return pack_arrays({"numbers": np.array(json.dumps({**numbers, "curve": curve})), **self.space.to_arrays()})
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Likeness:
-        """What ``to_bytes`` wrote; DousaError where it is anything else."""
+        """Read what ``to_bytes`` wrote; DousaError for anything else."""
         arrays = unpack_arrays(data, {"numbers", *ARRAYS}, _WHAT, LATER_ARRAYS)
         try:
             written = json.loads(str(arrays["numbers"]))
@@ -113,9 +109,9 @@ def _shorten(placed: FloatArray) -> FloatArray:
 def _score(
     votes: FloatArray, direction: NDArray[Any], all_votes: FloatArray, directions: NDArray[Any], lengths: FloatArray
 ) -> FloatArray:
-    """(N, 2): the cosines of the votes, and of the directions.
+    """Return (N, 2) the cosines of the votes, and of the directions.
 
-    Not eq. 8: the votes on a stranger are spread, those on a clip that trained are not, and that alone puts them apart.
+    Not eq. 8, which separates clips by the spread of their votes: large on a stranger, small on a training clip.
     """
     both = lengths * np.linalg.norm(votes)
     # Not in float32: its sums depend on how many directions there are.
@@ -124,21 +120,21 @@ def _score(
 
 
 def merge_votes(votes: FloatArray, meanings: IndexArray) -> FloatArray:
-    """Votes (N, C) for categories as votes (N, M) for meanings; ``meanings`` (C,) is the number of each one's."""
+    """Sum votes (N, C) for categories into votes (N, M) for meanings; ``meanings`` (C,) numbers each category's."""
     merged = np.zeros((int(meanings.max(initial=-1)) + 1, len(votes)))
     np.add.at(merged, meanings, votes.T)
     return merged.T
 
 
 class LikenessLearner:
-    """Looks on while a calibration holds its rounds (``watch``), and learns from them.
+    """Learns from the rounds of a calibration (``watch``).
 
     Parameters
     ----------
     features : (N, T, F) of the clips of the rounds.
-    labels, meanings : (N,) their categories, and what these mean.
-    performers : (N,) who performed them; clips of one person are not compared, if there are several people.
-    feature_set : what the columns are.
+    labels, meanings : (N,) their categories, and the meanings of these.
+    performers : (N,); clips of one person are not compared, if there are several people.
+    feature_set : defines the columns.
     """
 
     def __init__(
@@ -157,7 +153,7 @@ class LikenessLearner:
     def watch(
         self, number: int, forest: MotionForest, train: IndexArray, known: IndexArray, unknown: IndexArray
     ) -> None:
-        """Compare clips that a forest never saw with those that trained it."""
+        """Compare clips outside the training of a forest with its training clips."""
         chance = np.random.default_rng(number)
         space = fit_pose_space(self._features[train], self._meanings[train], self._feature_set)
         of_label = dict(zip(self._labels[train].tolist(), self._meanings[train].tolist(), strict=True))
@@ -181,7 +177,7 @@ class LikenessLearner:
         return merge_votes(forest.histograms_of(leaves.astype(np.int64)), numbers), _shorten(space.place(features))
 
     def finish(self) -> Likeness | None:
-        """What was learned; None if no round had two clips of one meaning."""
+        """Fit curve and threshold; None if no round had two clips of one meaning."""
         pairs = [pair for number in sorted(self._rounds) for pair in self._rounds[number]]
         if not any(has for _, _, has in pairs):
             return None
@@ -204,7 +200,7 @@ class LikenessLearner:
 
 
 def _measure(called: BoolArray, same: BoolArray) -> tuple[float, float, float]:
-    """Precision, recall and F of the clips called alike; 1 where there are none and none are called so."""
+    """Return precision, recall and F of the clips called the same; 1 where none are and none are called so."""
     if not same.any():
         right = float(not called.any())
         return right, right, right

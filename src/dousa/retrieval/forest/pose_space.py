@@ -1,10 +1,8 @@
-"""A space in which clips of one category lie close: how far a clip's poses point where its category's do.
+"""A space in which clips of one category lie close, and the logistic curves over scores.
 
-The trees look for what parts the categories they know. What a clip of another category has on top of that, they do not
-see; the distance of poses does. Its axes are the principal ones of the training clips, stretched so that the scatter
-within the categories is the same along all (within-class covariance normalisation, from the verification of speakers:
-Hatch, Kajarekar, Stolcke, Interspeech 2006); and as there, the angle to the category's centre counts, seen from the
-middle of all clips, and not the distance, which grows with whatever is unusual about a performer.
+The axes are the principal ones of the training clips, stretched so that the scatter within the categories is the same
+along all (within-class covariance normalisation, from speaker verification: Hatch, Kajarekar, Stolcke, Interspeech
+2006). Clips are compared by the angle to a category's centre, seen from the mean of all clips.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from dousa.messages import Message
 from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.forest.forest_file import check
 
-_CELLS = 5  # a clip's cells are joined to so many
+_CELLS = 5  # joined cells of a clip
 _AXES = 60
 _SHRINKING = 0.1  # of the mean scatter, added along every axis
 _STEPS = 3
@@ -37,11 +35,11 @@ class PoseSpace:
     Parameters
     ----------
     layout : (2,) number of columns that are means, and 1 where their squares follow behind the duration, else 0.
-    middle, scale : (D,); the middle is taken from a clip's description, and the rest multiplied by the scale.
+    middle, scale : (D,) subtracted from a clip's description, and then multiplied.
     axes : (D, K) from there into the space.
     sums, counts : (C, K) and (C,) of the training clips of each category in the space.
     categories : (C,) names or whole numbers, sorted.
-    others : (M, K) directions of motions of none of them in the space, of length 1; M is 0 where there are none.
+    others : (M, K) unit directions of motions of no category; M is 0 where there are none.
     """
 
     layout: IntArray
@@ -54,20 +52,20 @@ class PoseSpace:
     others: FloatArray
 
     def place(self, features: FloatArray) -> FloatArray:
-        """Clips (N, T, F) in the space: (N, K)."""
+        """Place clips (N, T, F) in the space: (N, K)."""
         columns, has_squares = (int(number) for number in self.layout)
         if features.ndim != 3 or features.shape[2] < columns * (1 + has_squares) + has_squares:
             raise InvalidMotionError("forest.pose_space", shape=features.shape)
         described = _describe([features], self.layout)
         if described.shape[1] != len(self.middle):
             raise InvalidMotionError("forest.pose_space", shape=features.shape)
-        described -= self.middle  # in its place: there may be many clips
+        described -= self.middle  # in place, to save memory
         described *= self.scale
         placed: FloatArray = described @ self.axes
         return placed
 
     def compare(self, features: FloatArray, categories: NDArray[Any]) -> FloatArray:
-        """The cosine (N,) of the angle between clips and the centres of categories; NaN for one that is not here."""
+        """Return the cosine (N,) of the angle between clips and category centres; NaN for an unknown category."""
         rows = np.minimum(np.searchsorted(self.categories, categories), len(self.categories) - 1)
         placed, centres = self.place(features), self.sums[rows]
         lengths = np.linalg.norm(placed, axis=1) * np.linalg.norm(centres, axis=1)
@@ -75,12 +73,12 @@ class PoseSpace:
         return np.where(self.categories[rows] == categories, np.clip(cosine, -1.0, 1.0), np.nan)
 
     def compare_all(self, placed: FloatArray) -> FloatArray:
-        """The cosines (N, C) of the angles between clips, placed (N, K), and the centres of all categories."""
+        """Return the cosines (N, C) of the angles between placed clips (N, K) and all category centres."""
         lengths = np.outer(np.linalg.norm(placed, axis=1), np.linalg.norm(self.sums, axis=1))
         return np.clip(placed @ self.sums.T / np.maximum(lengths, _TINY), -1.0, 1.0)
 
     def compare_others(self, placed: FloatArray) -> FloatArray:
-        """The best cosines (N,) of the angles between clips, placed (N, K), and motions of no category; 0 without."""
+        """Return the highest cosines (N,) between placed clips (N, K) and motions of no category; 0 without any."""
         if not len(self.others):
             return np.zeros(len(placed))
         lengths = np.maximum(np.linalg.norm(placed, axis=1), _TINY)
@@ -88,33 +86,33 @@ class PoseSpace:
         return cosines
 
     def measure_distances(self, placed: FloatArray, rows: IntArray) -> FloatArray:
-        """Logarithms (N,) of the distances of clips, placed (N, K), from the centres of categories ``rows`` (N,)."""
+        """Return log distances (N,) of placed clips (N, K) from the centres of categories ``rows`` (N,)."""
         centres = self.sums / np.maximum(self.counts, 1)[:, None]
         distances: FloatArray = np.log(np.linalg.norm(placed - centres[rows], axis=1) + _TINY)
         return distances
 
     def with_clips(self, features: FloatArray, categories: NDArray[Any]) -> PoseSpace:
-        """The same space with more clips (N, T, F) in it, of categories old or new."""
+        """Return the space with more clips (N, T, F), of categories old or new."""
         return self.with_placed(self.place(features), categories)
 
     def with_placed(self, placed: FloatArray, categories: NDArray[Any]) -> PoseSpace:
-        """The same of clips (N, K) as ``place`` puts them."""
+        """Return the space with more clips (N, K), placed by ``place``."""
         names = np.unique(np.concatenate([self.categories, categories]))
         sums, counts = np.zeros((len(names), self.axes.shape[1])), np.zeros(len(names), np.int64)
         old, own = np.searchsorted(names, self.categories), np.searchsorted(names, categories)
         sums[old], counts[old] = self.sums, self.counts
-        # On a grid, so that the sums do not depend on the order in which clips come.
+        # On a grid, so that the sums do not depend on the order of clips.
         np.add.at(sums, own, np.rint(placed * _GRID) / _GRID)
         np.add.at(counts, own, 1)
         return PoseSpace(self.layout, self.middle, self.scale, self.axes, sums, counts, names, self.others)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """What ``from_arrays`` takes."""
+        """Return the arrays for ``from_arrays``."""
         return {name: getattr(self, name) for name in (*ARRAYS, *LATER_ARRAYS)}
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]], what: Message) -> PoseSpace:
-        """The space of some arrays; DousaError where they make none."""
+        """Read the space; DousaError if the arrays are invalid."""
         check(arrays["axes"].ndim == 2, what, "bad axes")
         without = {"others": np.zeros((0, arrays["axes"].shape[1]))}
         space = cls(*({**without, **arrays}[name] for name in (*ARRAYS, *LATER_ARRAYS)))
@@ -139,7 +137,7 @@ ARRAYS: Sequence[str] = ("layout", "middle", "scale", "axes", "sums", "counts", 
 """Names of the arrays of a space."""
 
 LATER_ARRAYS: Sequence[str] = ("others",)
-"""Those that an earlier dousa had not."""
+"""Arrays that an earlier dousa did not store."""
 
 
 def fit_pose_space(
@@ -149,15 +147,15 @@ def fit_pose_space(
     others: FloatArray | None = None,
     copies: FloatArray | None = None,
 ) -> PoseSpace:
-    """Learn the space from clips.
+    """Fit the space to clips.
 
     Parameters
     ----------
     features : (N, T, F).
     categories : (N,) words or whole numbers.
-    feature_set : what the columns are; without one, all are means.
-    others : (M, T, F) motions of no category, which have a say in where the axes go, too.
-    copies : (K, T, F) more clips, of the last K of N + K ``categories``; of any precision, as they are kept apart.
+    feature_set : defines the columns; without one, all are means.
+    others : (M, T, F) motions of no category, which also shape the axes.
+    copies : (K, T, F) more clips, of the last K of N + K ``categories``; of any precision.
     """
     layout = np.array([features.shape[2], 0], np.int64)
     if feature_set is not None:
@@ -166,9 +164,9 @@ def fit_pose_space(
     count = len(described) - (0 if others is None else len(others))
     names, own = np.unique(categories, return_inverse=True)
     middle, spread = described.mean(axis=0), described.var(axis=0)
-    # A column that hardly varies must not speak as loudly as the others: half of its scale is that of all.
+    # Half of a column's scale is that of all cells of its channel, so that one that hardly varies does not dominate.
     scale = 1.0 / np.sqrt(spread + _mean_of_channels(spread, layout) + _TINY)
-    centred = described  # in its place: there may be many clips
+    centred = described  # in place, to save memory
     centred -= middle
     centred *= scale
     axes = _find_axes(centred)
@@ -185,7 +183,7 @@ def fit_pose_space(
 
 
 def _describe(parts: Sequence[FloatArray], layout: IntArray) -> FloatArray:
-    """(N, D) of clips (M, T, F) in some parts: means, and spreads where there are squares, over a few joined cells."""
+    """Return (N, D) of clips (M, T, F) in some parts: means, and spreads where there are squares, over joined cells."""
     count, has_squares = (int(number) for number in layout)
     described = np.empty((sum(map(len, parts)), 1 + has_squares, min(_CELLS, parts[0].shape[1]), count))
     first = 0
@@ -202,15 +200,15 @@ def _describe(parts: Sequence[FloatArray], layout: IntArray) -> FloatArray:
 
 
 def _mean_of_channels(values: FloatArray, layout: IntArray) -> FloatArray:
-    """The mean over the cells, for each column of a description: (D,)."""
+    """Return (D,) the mean over the cells for each column of a description."""
     by_cell = values.reshape(1 + int(layout[1]), -1, int(layout[0]))
     return np.broadcast_to(by_cell.mean(axis=1, keepdims=True), by_cell.shape).reshape(-1)
 
 
 def _find_axes(centred: FloatArray) -> FloatArray:
-    """(D, K) axes of the space in which (N, D) vary most, at most ``_AXES``, by a few steps of subspace iteration.
+    """Return at most ``_AXES`` axes (D, K) along which (N, D) vary most, by a few steps of subspace iteration.
 
-    The full decomposition gives no better likeness, and on a busy machine its many small steps take seconds.
+    The full decomposition is no more accurate, and takes seconds on a busy machine.
     """
     width = max(1, min(_AXES, centred.shape[1], len(centred) - 1))
     axes = np.random.default_rng(0).normal(size=(centred.shape[1], width))
@@ -223,7 +221,7 @@ def _find_axes(centred: FloatArray) -> FloatArray:
 
 
 def _join_cells(cells: FloatArray, joined: FloatArray) -> None:
-    """Means (N, T, C) over neighbouring cells, into fewer cells (N, S, C)."""
+    """Average (N, T, C) over neighbouring cells, into fewer cells (N, S, C)."""
     for row, group in enumerate(np.array_split(np.arange(cells.shape[1]), joined.shape[1])):
         mean = joined[:, row]
         mean[:] = cells[:, group[0]]
@@ -232,7 +230,7 @@ def _join_cells(cells: FloatArray, joined: FloatArray) -> None:
         mean /= len(group)
 
 
-_RIDGE = 1e-3  # holds curves finite where the scores part both sides without a mistake
+_RIDGE = 1e-3  # keeps curves finite where the scores separate both sides perfectly
 
 _SPREAD_RIDGE = 0.01  # the same on slopes in spreads of the scores
 _PRIOR_ROWS = 5.0
@@ -242,24 +240,20 @@ _NEWTON_STEPS = 50
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A logistic curve that rises with every score.
-
-    Parameters
-    ----------
-    intercept : the log odds where all scores are 0.
-    slopes : of each score, 0 or more.
+    """A logistic curve that rises with every score; its log odds are ``intercept`` plus scores times ``slopes`` (0 or
+    more).
     """
 
     intercept: float
     slopes: tuple[float, ...]
 
     def evaluate(self, scores: FloatArray) -> FloatArray:
-        """Probabilities (N,) of scores (N, K)."""
+        """Return probabilities (N,) of scores (N, K)."""
         return _logistic(self.intercept + scores @ np.asarray(self.slopes))
 
 
 def compute_auroc(scores: FloatArray, positive: BoolArray) -> float:
-    """How often a positive has a higher score than a negative, equal ones counting half; 0.5 without either."""
+    """Return how often a positive scores higher than a negative, ties counting half; 0.5 without either."""
     n_positive = int(positive.sum())
     n_negative = len(positive) - n_positive
     if not n_positive or not n_negative:
@@ -270,7 +264,7 @@ def compute_auroc(scores: FloatArray, positive: BoolArray) -> float:
 
 
 def fit_curve(scores: FloatArray, positive: BoolArray, *, balanced: bool = True) -> Curve:
-    """The most likely logistic curve without falling slopes, both sides counting the same if ``balanced``."""
+    """Fit the most likely logistic curve without falling slopes; both sides weigh the same if ``balanced``."""
     n_positive, n_negative = int(positive.sum()), int((~positive).sum())
     weight = np.full(len(positive), 1.0 / max(len(positive), 1))
     if balanced and n_positive and n_negative:
@@ -280,14 +274,9 @@ def fit_curve(scores: FloatArray, positive: BoolArray, *, balanced: bool = True)
 
 
 def fit_weighted_curve(scores: FloatArray, positive: BoolArray, weights: FloatArray, prior: Curve) -> Curve:
-    """The most likely logistic curve without falling slopes, near one that is known from elsewhere.
+    """Fit the most likely logistic curve without falling slopes to scores (N, K), near a prior of ``_PRIOR_ROWS`` rows.
 
-    Parameters
-    ----------
-    scores : (N, K).
-    positive : (N,).
-    weights : (N,) of the rows; their sum does not matter.
-    prior : over the same scores; it counts as ``_PRIOR_ROWS`` rows do.
+    ``weights`` (N,) of the rows need not sum to 1.
     """
     share = weights / weights.sum()
     middle = share @ scores
@@ -300,7 +289,7 @@ def fit_weighted_curve(scores: FloatArray, positive: BoolArray, weights: FloatAr
 
 
 def _smooth(positive: BoolArray) -> FloatArray:
-    """Platt's targets, so that no curve is certain."""
+    """Return Platt's targets, so that no curve is certain."""
     n_positive, n_negative = int(positive.sum()), int((~positive).sum())
     return np.where(positive, (n_positive + 1) / (n_positive + 2), 1 / (n_negative + 2))
 
@@ -308,7 +297,7 @@ def _smooth(positive: BoolArray) -> FloatArray:
 def _fit_rising(
     scores: FloatArray, target: FloatArray, weight: FloatArray, centre: FloatArray, pull: FloatArray
 ) -> Curve:
-    """The best curve; scores whose slopes would fall are left out, the worst one first."""
+    """Fit the best curve; scores whose slopes would fall are left out, the worst one first."""
     used = np.arange(scores.shape[1])
     while True:
         kept = np.append(0, used + 1)
@@ -324,7 +313,7 @@ def _fit_rising(
 def _climb(
     scores: FloatArray, target: FloatArray, weight: FloatArray, centre: FloatArray, pull: FloatArray
 ) -> FloatArray:
-    """Intercept and slopes of the largest likelihood, by Newton's method on a strictly concave function."""
+    """Maximise the likelihood by Newton's method on a strictly concave function; return intercept and slopes."""
     design = np.column_stack([np.ones(len(scores)), scores])
     ridge = np.diag(pull)
     solution = np.zeros(design.shape[1])
@@ -345,7 +334,7 @@ def _logistic(odds: FloatArray) -> FloatArray:
 
 
 def read_curve(data: Mapping[str, Any], count: int) -> Curve:
-    """A curve over so many scores from plain numbers; KeyError, TypeError or ValueError where it is none."""
+    """Read a curve over ``count`` scores; KeyError, TypeError or ValueError for anything else."""
     curve = Curve(float(data["intercept"]), tuple(float(slope) for slope in data["slopes"]))
     if len(curve.slopes) != count or not np.isfinite([curve.intercept, *curve.slopes]).all() or min(curve.slopes) < 0:
         raise ValueError(f"expected a rising curve over {count} scores")

@@ -1,7 +1,7 @@
-"""The leaves in which very many clips stand, in as few bytes as they are kept in: counted and looked through in place.
+"""The leaves of very many clips in compact form, pairs of clips for small categories, and examples of leaves.
 
-Leaves are kept as codes: numbers among the leaves of their tree that clips stand in. A million clips in 100 trees are
-200 MB so, which may lie in a file.
+Leaves are stored as codes, numbered among the occupied leaves of their tree: a million clips in 100 trees are 200 MB,
+which may be in a file.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dousa.arrays import BoolArray, IndexArray, IntArray
 from dousa.retrieval.forest import tree_kernels as kernels
 
-_AT_ONCE = 1 << 14  # clips whose leaves are put together
+_AT_ONCE = 1 << 14  # clips whose leaves are read in one step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,8 +26,8 @@ class LeafCodes:
     Parameters
     ----------
     codes : (n, n_trees) whole numbers.
-    table, offsets : (K,) leaves, and (n_trees,) where those of each tree begin; the leaf is table[offset + code].
-    places : (n,) int64, which clip of all each row is; -1 for one that does not count.
+    table, offsets : (K,) leaves, and (n_trees,) start of each tree's; the leaf is table[offset + code].
+    places : (n,) int64, the clip of each row among all; -1 for one that does not count.
     """
 
     codes: NDArray[Any]
@@ -37,13 +37,7 @@ class LeafCodes:
 
 
 class StandingLeaves:
-    """The leaves of N clips, each of which is in one part.
-
-    Parameters
-    ----------
-    parts : rows of clips.
-    count : N.
-    """
+    """The leaves of N clips, each in one of the parts."""
 
     def __init__(self, parts: Sequence[LeafCodes], count: int) -> None:
         self.parts = tuple(parts)
@@ -57,7 +51,7 @@ class StandingLeaves:
 
     @classmethod
     def of(cls, leaves: NDArray[np.integer[Any]] | StandingLeaves, n_leaves: int) -> StandingLeaves:
-        """Plain leaves (N, n_trees) below ``n_leaves`` as such."""
+        """Wrap plain leaves (N, n_trees) below ``n_leaves``."""
         if isinstance(leaves, StandingLeaves):
             return leaves
         table, offsets = np.arange(n_leaves, dtype=np.int32), np.zeros(leaves.shape[1], np.int64)
@@ -69,11 +63,10 @@ class StandingLeaves:
 
     @property
     def n_trees(self) -> int:
-        """Trees."""
         return int(self.parts[0].codes.shape[1])
 
     def only(self, chosen: BoolArray) -> StandingLeaves:
-        """Those of some clips, chosen (N,), which are numbered anew."""
+        """Keep the clips ``chosen`` (N,), renumbered from 0."""
         numbers = np.where(chosen, np.cumsum(chosen) - 1, -1)
         parts = [
             LeafCodes(part.codes, part.table, part.offsets, np.where(part.places < 0, -1, numbers[part.places]))
@@ -82,7 +75,7 @@ class StandingLeaves:
         return StandingLeaves(parts, int(chosen.sum()))
 
     def among(self, chosen: BoolArray) -> StandingLeaves:
-        """Those of some clips, chosen (N,), which keep their numbers; the others stand nowhere."""
+        """Keep the clips ``chosen`` (N,), with their numbers; the others do not count."""
         parts = [
             LeafCodes(
                 part.codes, part.table, part.offsets, np.where(chosen[np.maximum(part.places, 0)], part.places, -1)
@@ -92,7 +85,7 @@ class StandingLeaves:
         return StandingLeaves(parts, self._count)
 
     def take(self, clips: IndexArray) -> NDArray[np.int32]:
-        """(n, n_trees) leaves of some clips."""
+        """Return (n, n_trees) leaves of some clips."""
         taken = np.empty((len(clips), self.n_trees), np.int32)
         rows = self._rows[clips]
         for part, start in zip(self.parts, self._starts, strict=False):
@@ -103,7 +96,7 @@ class StandingLeaves:
         return taken
 
     def find(self, marked: BoolArray) -> IndexArray:
-        """Clips that stand in any of the leaves that are marked (L,), ascending."""
+        """Return the clips in any of the leaves ``marked`` (L,), ascending."""
         found = [np.zeros(0, np.int64)]
         for part in self.parts:
             hits = np.empty(len(part.places), np.bool_)
@@ -112,11 +105,8 @@ class StandingLeaves:
         return np.sort(np.concatenate(found))
 
     def count(self, ranks: IntArray, categories: NDArray[np.int32], n_classes: int) -> IntArray:
-        """(K, C) how many clips of each category (N,) stand in K leaves.
-
-        Parameters
-        ----------
-        ranks : (L,) numbers of these leaves from 0 on, several may have one; -1 for all others.
+        """Count (K, C) the clips of each category (N,) in leaves of ``ranks`` (L,) from 0, which may repeat; -1 for
+        none.
         """
         counts = np.zeros((int(ranks.max(initial=-1)) + 1, n_classes), np.int64)
         for part in self.parts:
@@ -124,7 +114,7 @@ class StandingLeaves:
         return counts
 
     def list(self, marked: BoolArray) -> tuple[IndexArray, IndexArray]:
-        """Clips, ascending, and leaves (M,): one of each pair for every leaf that is marked (L,) and a clip in it."""
+        """List (clip, leaf) pairs of all leaves ``marked`` (L,), as two arrays (M,), by ascending clip."""
         clips, leaves = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
         for part in self.parts:
             wanted = marked[part.table]
@@ -141,7 +131,7 @@ _NO_ROOM = np.empty((2, 0), np.int64)
 
 
 MOST_FILLED = 256
-"""Clips from which on a category has no points: it meets leaves enough of its own."""
+"""Clips from which a category needs no points."""
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -149,13 +139,13 @@ _MIX_2 = np.uint64(0x94D049BB133111EB)
 
 
 class Keys(Protocol):
-    """Numbers that stand for the contents of clips: an array, or what reads them when they are asked for."""
+    """Keys of the contents of clips: an array, or a reader."""
 
     def __getitem__(self, places: IntArray, /) -> NDArray[np.uint64]: ...
 
 
 def mix(one: NDArray[np.uint64], other: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """A 64-bit number for each pair of numbers, as good as drawn: two rounds of splitmix64."""
+    """Return a pseudo-random 64-bit number for each pair of numbers: two rounds of splitmix64."""
     z = one
     for more in (np.uint64(0), other):
         z = (z ^ more) + _GOLDEN
@@ -167,30 +157,30 @@ def mix(one: NDArray[np.uint64], other: NDArray[np.uint64]) -> NDArray[np.uint64
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pairs:
-    """Pairs of clips: the places (P,) of both, and a key (P,) for each pair that follows from those of its clips."""
+    """Pairs of clips: the places (P,) of both, and a key (P,) of each pair, derived from those of its clips."""
 
     first: IntArray
     second: IntArray
     keys: NDArray[np.uint64]
 
     def take(self, places: IntArray) -> Pairs:
-        """Some of them."""
+        """Return the pairs at some places."""
         return Pairs(self.first[places], self.second[places], self.keys[places])
 
     def without(self, others: Pairs) -> IntArray:
-        """Places of those that are not among others."""
+        """Return the places of the pairs that are not among others."""
         last = max((int(part.max()) for part in (self.second, others.second, self.first) if len(part)), default=0) + 1
         return np.flatnonzero(~np.isin(self.first * last + self.second, others.first * last + others.second))
 
 
 def choose_pairs(own: NDArray[np.int32], keys: Keys, later: BoolArray, usual: int) -> Pairs:
-    """Pairs that fill small categories up to the usual number of clips, or to ``MOST_FILLED`` if that is less.
+    """Choose pairs that fill small categories up to the usual number of clips, at most ``MOST_FILLED``.
 
     Parameters
     ----------
     own : (N,) categories of all clips.
-    keys : (N,) that stand for their contents.
-    later : (N,) which came after the training: of each pair at least one did.
+    keys : (N,) of their contents.
+    later : (N,) which came after the training: at least one of each pair did.
     usual : number of clips of a category.
     """
     nothing = np.zeros(0, np.int64)
@@ -200,7 +190,7 @@ def choose_pairs(own: NDArray[np.int32], keys: Keys, later: BoolArray, usual: in
         missing = min(usual, MOST_FILLED) - int(sizes[category])
         if missing > 0:
             inside = np.flatnonzero(own == category)
-            theirs = keys[inside]  # only of these: of a large library they are read
+            theirs = keys[inside]  # only of these, as keys may be read from a file
             order = np.argsort(theirs, kind="stable")
             pairs = _list_pairs(inside[order], later[inside[order]], theirs[order])
             chosen.append(pairs.take(np.argsort(pairs.keys, kind="stable")[:missing]))
@@ -208,7 +198,7 @@ def choose_pairs(own: NDArray[np.int32], keys: Keys, later: BoolArray, usual: in
 
 
 def _list_pairs(inside: IntArray, later: BoolArray, keys: NDArray[np.uint64]) -> Pairs:
-    """Pairs of the clips of one small category, in the order of their keys (n,), of which one came later."""
+    """List pairs of clips of one small category, ordered by their keys (n,), of which at least one came later."""
     first, second = np.triu_indices(len(inside), 1)
     some = later[first] | later[second]
     one, other = first[some], second[some]
@@ -216,7 +206,7 @@ def _list_pairs(inside: IntArray, later: BoolArray, keys: NDArray[np.uint64]) ->
 
 
 MOST_EXAMPLES = 8
-"""Of a leaf."""
+"""Examples of a leaf."""
 
 
 def choose_examples(
@@ -224,7 +214,7 @@ def choose_examples(
     n_leaves: int,
     most: int = MOST_EXAMPLES,
 ) -> NDArray[np.int32]:
-    """(L, E) numbers of the examples of each leaf, -1 where it has fewer clips.
+    """Choose examples (L, E) of each leaf by number, -1 where it has fewer clips.
 
     Parameters
     ----------

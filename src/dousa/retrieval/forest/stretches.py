@@ -1,7 +1,6 @@
-"""Stretches of a recording, judged as clips: what each shows, by its trees and by who found it, and how likely that is.
+"""Stretches of a recording, judged as clips: their most likely category, and how certain it is.
 
-A stretch is cut out at the frame rate of its recording and described as a clip that somebody stored would be. Who found
-it has an opinion on what it shows, too; the trees often know better where a sensor is noisy, so both name it together.
+A stretch is described as a stored clip would be; the category comes from its finder's shares and the trees' votes.
 """
 
 from __future__ import annotations
@@ -19,8 +18,8 @@ from dousa.retrieval.forest.calibration import Assessor
 from dousa.retrieval.forest.evidence import EVIDENCE
 from dousa.workers.threads import map_together
 
-# What a category's share by who found a stretch, and by the trees, weigh in the log odds of the categories. Fitted as
-# those of `label` are (lab/trials/segment_confidence.py).
+# Weights, in the log odds of the categories, of the finder's shares and of the trees' votes. Fitted like those of
+# `label` (lab/trials/segment_confidence.py).
 _BY_FINDER, _BY_VOTES = 1.06, 2.74
 _LEAST_SHARE = 0.02
 _MOST_ODDS = 7.0
@@ -28,16 +27,16 @@ _MOST_ODDS = 7.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StretchOpinions:
-    """What is thought of N stretches.
+    """The judgement of N stretches.
 
     Parameters
     ----------
-    judged : (N,) whether the forest knows the category as which it was found; what follows says nothing where not.
-    names : N categories that the stretches show most likely.
+    judged : (N,) whether the forest knows the category found; the other fields mean nothing where it does not.
+    names : N most likely categories.
     leads : (N,) log odds of those against all others.
-    typical : (N,) how near the poses are to those of the category, less what is usual (``evidence``).
+    typical : (N,) how near the poses are to those of the category, less the usual value (``evidence``).
     unsteady : (N,) unsteadiness of the bones (``measure_unsteadiness``).
-    sure : (N,) whether a clip of these frames would be called by this name.
+    sure : (N,) whether a clip of these frames would be given this name.
     possible : (N,) whether it would be, or perhaps.
     """
 
@@ -52,13 +51,13 @@ class StretchOpinions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StretchJudge:
-    """A forest that is asked about stretches of recordings.
+    """A forest that judges stretches of recordings.
 
     Parameters
     ----------
-    assessor : the forest, and how far it can be trusted.
-    feature_set : what it looks at.
-    spared : categories of which it is not asked, as it has seen too little of them.
+    assessor : the forest and its calibration.
+    feature_set : that of the forest.
+    spared : categories that are not judged, as the forest has seen too few clips of them.
     """
 
     assessor: Assessor
@@ -74,14 +73,14 @@ class StretchJudge:
         categories: Sequence[str],
         n_jobs: int | None = None,
     ) -> StretchOpinions:
-        """What is thought of stretches.
+        """Judge stretches of a recording.
 
         Parameters
         ----------
         motion : the recording, of any frame rate.
-        spans : from when to when, s; one at least.
+        spans : start and stop of each, s; at least one.
         found : the category as which each was found.
-        shares : (N, C) how likely each shows each category, by who found it.
+        shares : (N, C) how likely each shows each category, by its finder.
         categories : C of them.
         n_jobs : threads; None for one. The result does not depend on it.
         """
@@ -93,7 +92,7 @@ class StretchJudge:
 
         lengths = [stop - start for start, stop in spans]
         described, unsteady = zip(*map_together(look, spans, lengths, n_jobs), strict=True)
-        # As stored clips are: what is kept of features is single precision.
+        # Rounded to single precision, as features are stored.
         features = np.stack(described).astype(np.float32).astype(np.float64)
         leaves = forest.apply(features)
         votes = forest.histograms_of(leaves.astype(np.int64))
@@ -119,7 +118,7 @@ class StretchJudge:
         )
 
     def sparing(self, categories: frozenset[str]) -> StretchJudge:
-        """The same judge, which is not asked about some categories."""
+        """Return the same judge with more categories spared."""
         return replace(self, spared=self.spared | categories)
 
 
@@ -133,7 +132,7 @@ class CutStretch:
 
 
 def cut_stretch(motion: PosedMotion, start: float, stop: float) -> CutStretch:
-    """The frames of a recording from ``start`` to ``stop`` (s), one at least."""
+    """Return the frames of a recording from ``start`` to ``stop`` (s), at least one."""
     points = check_shape(motion.positions, motion.height)
     first = min(max(round(start * motion.frame_rate), 0), len(points) - 1)
     last = max(round(stop * motion.frame_rate), first + 1)

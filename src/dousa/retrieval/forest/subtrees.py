@@ -1,4 +1,4 @@
-"""Small trees that take the place of leaves, and what has grown put back into one leaf."""
+"""Small trees that replace leaves, and grown ones collapsed back into one leaf."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dousa.retrieval.forest.trees import Trees, TreesSpec, grow_some, prepare_le
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Subtree:
-    """What takes the place of one leaf.
+    """A tree that replaces one leaf.
 
     Parameters
     ----------
@@ -31,7 +31,6 @@ class Subtree:
 
     @property
     def n_leaves(self) -> int:
-        """Leaves of the subtree."""
         return len(self.leaf_starts) - 1
 
 
@@ -43,12 +42,12 @@ def grow_subtrees(
     members: Sequence[tuple[int, IntArray, NDArray[np.int32]]],
     seeds: NDArray[np.uint64],
 ) -> list[Subtree]:
-    """One subtree for each leaf, by the forest's own rule; a leaf of one category stays one.
+    """Grow one subtree for each leaf by the forest's own rule; a leaf of one category stays one.
 
     Parameters
     ----------
     features, n_classes, tests, spec : as in ``grow_trees``; bootstrap and workers are not used.
-    members : for each leaf its number, the clips that it grows from, and the categories that these have there.
+    members : number, clips, and their categories, for each leaf.
     seeds : 64-bit, one per leaf.
     """
     if not members:
@@ -58,7 +57,7 @@ def grow_subtrees(
 
     def hand_out() -> Iterator[tuple[IntArray, np.uint64]]:
         for (_, inside, own), seed in zip(members, seeds, strict=True):
-            categories[inside] = own  # in the material, of which one leaf at a time is grown
+            categories[inside] = own  # shared with the material; leaves grow one at a time
             yield inside.copy(), seed
 
     grown = grow_some(material, n_classes, spec, hand_out())
@@ -66,13 +65,9 @@ def grow_subtrees(
 
 
 def part_strangers(subtree: Subtree, usual: int) -> Subtree:
-    """A subtree of which all leaves but those with more strangers than others are one, the first.
+    """Merge all leaves but those with more strangers than other clips into the first leaf.
 
-    It is the leaf itself, as it was, where either are missing.
-
-    Parameters
-    ----------
-    usual : the category of all that are no strangers.
+    Returns a single leaf where either are missing; ``usual`` is the category of all clips that are no strangers.
     """
     owner = np.repeat(np.arange(subtree.n_leaves), np.diff(subtree.leaf_starts))
     is_usual = subtree.leaf_classes == usual
@@ -94,20 +89,16 @@ def part_strangers(subtree: Subtree, usual: int) -> Subtree:
 
 
 def make_stump(leaf: int, counts: IntArray) -> Subtree:
-    """A leaf that stays one, with so many clips of each category (C,).
-
-    There may be none where only a disturbed copy taught the leaf, and the points that came to it have gone again.
-    """
+    """Make a single leaf with ``counts`` (C,) of clips, which may all be 0."""
     classes = np.flatnonzero(counts).astype(np.int32) if counts.any() else np.zeros(1, np.int32)
     node = np.array([[0, 0, -1, 0, 0, 0]], np.int32)
     return Subtree(leaf, node, np.array([0, len(classes)]), classes, counts[classes].astype(np.int32))
 
 
 def collapse_leaves(trees: Trees, leaves: IntArray) -> Trees:
-    """The trees with what has grown from some leaves of the training put back into one leaf each.
+    """Collapse what has grown from some leaves of the training back into one leaf each.
 
-    The other leaves that grew from one keep their numbers, but nothing leads to them: ``replace_leaves`` uses them, or
-    leaves them without clips.
+    The other grown leaves keep their numbers without a node: ``replace_leaves`` reuses or empties them.
     """
     homes = trees.home_leaves
     again = np.zeros(trees.n_leaves, bool)
@@ -140,15 +131,14 @@ def collapse_leaves(trees: Trees, leaves: IntArray) -> Trees:
 
 
 def replace_leaves(trees: Trees, subtrees: Sequence[Subtree], n_classes: int) -> Trees:
-    """The trees with subtrees in the place of some of their leaves.
+    """Replace some leaves of the trees by subtrees.
 
-    Old nodes keep their tests and their order. The first leaf of a subtree takes the number of the leaf that it
-    replaces, the others numbers that ``collapse_leaves`` left of the same home, or else numbers behind all leaves; so a
-    clip in any other leaf stays where it is.
+    Old nodes keep their tests and order. The first leaf of a subtree takes the number of the replaced leaf, the others
+    free numbers of the same home, else numbers behind all leaves; a clip in any other leaf stays where it is.
 
     Parameters
     ----------
-    trees : whose leaf classes are numbered as in the subtrees.
+    trees : with leaf classes numbered as in the subtrees.
     subtrees : of different leaves of the training.
     n_classes : C of the new trees.
     """
@@ -182,7 +172,7 @@ def replace_leaves(trees: Trees, subtrees: Sequence[Subtree], n_classes: int) ->
 def _number_leaves(
     trees: Trees, subtrees: Sequence[Subtree], node_of_leaf: IntArray
 ) -> tuple[list[IntArray], NDArray[np.int32], list[int]]:
-    """The numbers of the leaves of each subtree, the homes of all leaves then, and leaves that nothing leads to."""
+    """Return the leaf numbers of each subtree, the homes of all leaves, and the leaves without a node."""
     homes = trees.home_leaves
     spare: dict[int, list[int]] = {}
     for leaf in np.flatnonzero(node_of_leaf < 0):
@@ -202,7 +192,7 @@ def _number_leaves(
 def _replace_entries(
     trees: Trees, subtrees: Sequence[Subtree], numbers: Sequence[IntArray], unused: Sequence[int], n_leaves: int
 ) -> tuple[IntArray, NDArray[np.int32], NDArray[np.int32]]:
-    """Starts, classes and counts of all leaves in the order of their numbers."""
+    """Return starts, classes and counts of all leaves in the order of their numbers."""
     starts = trees.leaf_starts
     begins, stops = np.zeros((2, n_leaves), np.int64)
     begins[: trees.n_leaves], stops[: trees.n_leaves] = starts[:-1], starts[1:]

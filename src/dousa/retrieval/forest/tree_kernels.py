@@ -1,20 +1,19 @@
 """Compiled loops of the motion forest: running clips down all trees, and counting leaves.
 
-Arrays that the loops share
----------------------------
-``tests`` (R, 5): kind, column i, its partner j, t0, t1. A test asks for one value of the frames t0 ... t1:
+Shared arrays
+-------------
+``tests`` (R, 5): kind, column i, its partner j, t0, t1. The value of a test over the frames t0 ... t1 is:
 
 - ``MEAN``: the difference of two integrals of column i (eq. 5, times the length of the interval);
 - ``SPREAD``: the standard deviation, from the means of column i and of its partner, which holds its squares;
-- ``TREND``: the change along the fitted line over the interval, from column i and its partner, which holds the values
-  times the time in frames.
+- ``TREND``: the change along the fitted line, from column i and its partner, the values times the time in frames.
 
-``nodes`` (M, 6) int32 and ``cuts`` (M, 3) float64 are two views of the same memory, 24 bytes a node, so that
-a node costs one cache line: columns 0 and 1 say which two integrals are subtracted (``i * (T + 1) + t1`` and
-``i * (T + 1) + t0``), column 2 is the left child (the right child stands next to it) or ``-1 - leaf``, column
-3 tells the kind and how far the integrals of the partner stand from them (0 for a mean, positive for a spread, negative
-for a trend), and ``cuts[:, 2]`` is the threshold of the value: for a mean, of the difference, which is the threshold of
-the mean times the length of the interval.
+``nodes`` (M, 6) int32 and ``cuts`` (M, 3) float64 are two views of the same memory, 24 bytes a node:
+
+- columns 0 and 1: the two integrals subtracted (``i * (T + 1) + t1`` and ``i * (T + 1) + t0``);
+- column 2: the left child (the right child is next to it), or ``-1 - leaf``;
+- column 3: offset of the partner's integrals, 0 for a mean, positive for a spread, negative for a trend;
+- ``cuts[:, 2]``: the threshold of the value; for a mean, times the length of the interval.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from dousa.retrieval.features.channel_kernels import read_edge
 
 @njit(cache=True, nogil=True)
 def _is_above(integral, later, sooner, partner, cut, width):
-    """Whether a clip lies above the threshold of a node, whatever its kind; nothing is divided, nor a root taken."""
+    """Return whether a clip is above the threshold of a node of any kind, without division or root."""
     difference = integral[later] - integral[sooner]
     if partner == 0:
         return difference > cut
@@ -44,7 +43,7 @@ def _is_above(integral, later, sooner, partner, cut, width):
 
 @njit(cache=True, nogil=True)
 def run_down_means(integral, nodes, cuts, roots, places, trees, leaves):
-    """The leaf of one clip in each tree, from its integrals (F * (T + 1),), where every node asks for a mean."""
+    """Find the leaf of one clip in each tree, from its integrals (F * (T + 1),), where all nodes test means."""
     # One step down all trees at a time: the steps do not wait for each other's memory.
     n_active = len(roots)
     for tree in range(n_active):
@@ -54,7 +53,7 @@ def run_down_means(integral, nodes, cuts, roots, places, trees, leaves):
         for k in range(n_active):
             node, tree = places[k], trees[k]
             child = np.int64(nodes[node, 2])
-            # eq. 5, without the division: the threshold is kept times the length of the interval.
+            # eq. 5 without the division: the threshold is stored times the length of the interval.
             above = integral[nodes[node, 0]] - integral[nodes[node, 1]] > cuts[node, 2]
             leaves[tree] = -1 - child  # the last one written is the leaf
             places[n_kept], trees[n_kept] = child + above, tree
@@ -64,7 +63,7 @@ def run_down_means(integral, nodes, cuts, roots, places, trees, leaves):
 
 @njit(cache=True, nogil=True)
 def run_down(integral, width, nodes, cuts, roots, places, trees, leaves):
-    """``run_down_means`` for nodes of all kinds: it takes a tenth longer."""
+    """Do ``run_down_means`` for nodes of all kinds, a tenth slower."""
     # One step down all trees at a time: the steps do not wait for each other's memory.
     n_active = len(roots)
     for tree in range(n_active):
@@ -83,10 +82,9 @@ def run_down(integral, width, nodes, cuts, roots, places, trees, leaves):
 
 @njit(cache=True, nogil=True)
 def find_leaves(features, nodes, cuts, roots, only_means, leaves):
-    """Section 3.4: the leaf that each clip reaches in each tree, into ``leaves`` (N, n_trees).
+    """Find the leaf that each clip (N, T, F) reaches in each tree (section 3.4), into ``leaves`` (N, n_trees).
 
-    ``features`` is (N, T, F); ``only_means`` says that no node asks for anything else. Returns the first clip with a
-    value that is not finite, or -1.
+    ``only_means`` if no node tests anything else. Returns the first clip with a value that is not finite, or -1.
     """
     n_clips, n_frames, n_features = features.shape
     integral = np.zeros(n_features * (n_frames + 1))
@@ -111,7 +109,7 @@ def find_leaves(features, nodes, cuts, roots, only_means, leaves):
 
 @njit(cache=True, nogil=True)
 def count_leaves(leaves, starts, classes, weights, out):
-    """Adds, for each clip, the entries (class, weight) of every leaf that it reached to ``out`` (N, C)."""
+    """Add, for each clip, the entries (class, weight) of every leaf that it reached to ``out`` (N, C)."""
     for clip in range(leaves.shape[0]):
         for tree in range(leaves.shape[1]):
             leaf = leaves[clip, tree]
@@ -121,10 +119,10 @@ def count_leaves(leaves, starts, classes, weights, out):
 
 @njit(cache=True, nogil=True)
 def find_window_leaves(integrals, times, edges, rate, n_channels, nodes, cuts, roots, only_means, leaves):
-    """The leaf that each window reaches in each tree, into ``leaves`` (W, n_trees).
+    """Find the leaf that each window reaches in each tree, into ``leaves`` (W, n_trees).
 
-    What ``read_cells`` and ``find_leaves`` say one after the other, but for the last bits: the cells of a window are
-    equally long in motion time, so the sums of eq. 4 are integrals of the recording, less those at the start.
+    Equals ``read_cells`` then ``find_leaves`` but for the last bits: the cells of a window are equally long in motion
+    time, so the sums of eq. 4 are integrals of the recording less those at the start.
     """
     width = integrals.shape[1]
     last = edges.shape[1] - 1
@@ -155,9 +153,9 @@ def find_window_leaves(integrals, times, edges, rate, n_channels, nodes, cuts, r
 
 @njit(cache=True, nogil=True)
 def find_marked(codes, offsets, places, marked, found):
-    """Whether each row of codes (n, n_trees) has a leaf that is marked, into ``found`` (n,); not where no clip is.
+    """Write whether each row of codes (n, n_trees) has a leaf ``marked`` in the table into ``found`` (n,).
 
-    ``marked`` says it of the places of the table; ``places`` (n,) is -1 for rows that do not count.
+    ``places`` (n,) is -1 for rows that do not count, which are not found.
     """
     for row in range(codes.shape[0]):
         hit = False
@@ -171,7 +169,7 @@ def find_marked(codes, offsets, places, marked, found):
 
 @njit(cache=True, nogil=True)
 def count_standing(codes, offsets, places, ranks, categories, counts):
-    """Adds every clip in a leaf that has a rank to ``counts`` (ranks, categories); the rest is as above."""
+    """Count every clip in a leaf that has a rank, into ``counts`` (ranks, categories), as in ``find_marked``."""
     for row in range(codes.shape[0]):
         if places[row] >= 0:
             category = categories[places[row]]
@@ -183,9 +181,8 @@ def count_standing(codes, offsets, places, ranks, categories, counts):
 
 @njit(cache=True, nogil=True)
 def list_marked(codes, offsets, places, marked, out):
-    """Clips and places of the table of all leaves that are marked and have a clip, into ``out`` (2, M).
-
-    Returns how many there are; no more are written than there is room for.
+    """List clips and places of all marked leaves with a clip, into ``out`` (2, M) as far as fits; return the full
+    number.
     """
     count = 0
     for row in range(codes.shape[0]):
@@ -201,10 +198,9 @@ def list_marked(codes, offsets, places, marked, out):
 
 @njit(cache=True, nogil=True)
 def keep_examples(numbers, categories, leaves, kept, own):
-    """Puts clips into the rows of their leaves in ``kept`` (L, E), and their categories into ``own``; -1 is free.
+    """Put clips into the rows of their leaves in ``kept`` (L, E), and their categories into ``own``; -1 is free.
 
-    Where a row is full, a clip takes the place of the last one of the category that has most there, if that has two
-    more than its own.
+    In a full row, a clip replaces the last of the most frequent category, if that has at least two more than its own.
     """
     n_kept = kept.shape[1]
     for clip in range(leaves.shape[0]):

@@ -1,4 +1,4 @@
-"""The trees of a forest in a few flat arrays: grown, put together, checked."""
+"""The trees of a forest in a few flat arrays: growing, joining, counting."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ KIND_NAMES = ("mean", "spread", "trend")
 """Names of the kinds of tests, by their numbers in the kernels."""
 
 _SAME_VALUE = 1e-7
-"""Values of a test closer than this share of the feature's largest value are one value."""
+"""Values of a test closer than this share of the feature's largest value count as equal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,37 +35,37 @@ class TreesSpec:
 
 
 class LeafEntries(NamedTuple):
-    """What a training left in its leaves: where the entries of each begin (L + 1,), their categories and counts."""
+    """Leaf entries of the training: starts (L + 1,), categories and counts."""
 
     starts: IntArray
     classes: NDArray[np.int32]
     counts: NDArray[np.int32]
 
     def of(self, leaf: int, n_classes: int) -> IntArray:
-        """(C,) clips of each category in one leaf."""
+        """Return (C,) clips of each category in one leaf."""
         own = slice(int(self.starts[leaf]), int(self.starts[leaf + 1]))
         return np.bincount(self.classes[own], self.counts[own], n_classes).astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trees:
-    """Trees one behind the other; the layout of a node is told in ``tree_kernels``.
+    """Trees one behind the other; ``tree_kernels`` describes the layout of a node.
 
     Parameters
     ----------
     nodes : (M, 6) int32.
     roots : (n_trees,) index of each tree's first node.
-    leaf_starts : (L + 1,) where the entries of each leaf begin.
-    leaf_classes, leaf_counts : (E,) int32, the category and the number of training clips of each entry; an entry
-        without clips in a leaf that nothing leads to, or in which nothing stands any more.
+    leaf_starts : (L + 1,) start of the entries of each leaf.
+    leaf_classes, leaf_counts : (E,) int32, category and number of training clips of each entry; an entry of 0 clips in
+        an empty leaf or one without a node.
     n_features, n_frames, n_classes : F, T and C.
     homes : (L,) int32, the leaf of the training that each leaf has grown from; None where nothing has grown. The first
         leaf of each keeps its number.
-    pooled : whether the leaves hold clips that the trees did not grow from, of several categories: a tree then shares
-        its vote among those of its leaf.
-    trained : what the training left in its leaves, where something has grown since; None where nothing has, or the
-        leaves are pooled, or an earlier dousa grew them.
-    only_means : whether no node asks for a spread or a trend.
+    pooled : whether the leaves hold clips, of several categories, that the trees did not grow from: a tree then votes
+        by the shares in its leaf.
+    trained : the leaf entries of the training, where something has grown since; None where nothing has, or the leaves
+        are pooled, or an earlier dousa grew them.
+    only_means : whether no node tests a spread or a trend.
     """
 
     nodes: NDArray[np.int32]
@@ -86,46 +86,40 @@ class Trees:
 
     @property
     def cuts(self) -> FloatArray:
-        """(M, 3) view of the nodes; column 2 is the threshold of the difference of two integrals."""
+        """Return a (M, 3) view of the nodes; column 2 is the threshold (of a mean: times the interval's length)."""
         return self.nodes.view(np.float64)
 
     @property
     def n_leaves(self) -> int:
-        """Leaves of all trees together."""
         return len(self.leaf_starts) - 1
 
     @property
     def home_leaves(self) -> NDArray[np.int32]:
-        """(L,) ``homes``, also where nothing has grown."""
+        """Return (L,) ``homes``, also where nothing has grown."""
         return np.arange(self.n_leaves, dtype=np.int32) if self.homes is None else self.homes
 
     def leaf_shares(self) -> FloatArray:
-        """(E,) every entry's share of its leaf's clips: the leaf's histogram."""
+        """Return (E,) every entry's share of its leaf's clips: the leaf's histogram."""
         sizes = np.add.reduceat(self.leaf_counts, self.leaf_starts[:-1])
         shares: FloatArray = self.leaf_counts / np.repeat(np.maximum(sizes, 1), np.diff(self.leaf_starts))
         return shares
 
     def leaf_categories(self) -> NDArray[np.int32]:
-        """(L,) the most frequent category of each leaf, the first of equals."""
+        """Return (L,) the most frequent category of each leaf, the first of equals."""
         leaf = np.repeat(np.arange(self.n_leaves), np.diff(self.leaf_starts))
         order = np.lexsort((self.leaf_classes, -self.leaf_counts, leaf))
         return self.leaf_classes[order[self.leaf_starts[:-1]]]
 
     def leaf_votes(self) -> FloatArray:
-        """(L,) 1, or 0 for a leaf without clips, which votes for nothing."""
+        """Return (L,) 1, or 0 for a leaf without clips, which does not vote."""
         return np.maximum.reduceat(self.leaf_counts > 0, self.leaf_starts[:-1]).astype(np.float64)
 
 
 @dataclass(frozen=True, slots=True)
 class Test:
-    """What a node asks.
+    """The test of a node over cells ``start`` ... ``stop`` - 1, with the ``threshold`` of its mean, spread or trend.
 
-    Parameters
-    ----------
-    kind : number, see ``KIND_NAMES``.
-    column, partner : columns of the features; the partner is the column itself for a mean.
-    start, stop : t0 and t1.
-    threshold : of the mean, spread or trend.
+    ``kind`` is a number, see ``KIND_NAMES``; the partner of a mean is its column.
     """
 
     kind: int
@@ -137,7 +131,7 @@ class Test:
 
 
 def read_test(trees: Trees, node: int) -> Test:
-    """The test of an inner node."""
+    """Read the test of an inner node."""
     width = trees.n_frames + 1
     later, sooner, partner = int(trees.nodes[node, 0]), int(trees.nodes[node, 1]), int(trees.nodes[node, 3])
     column, stop = divmod(later, width)
@@ -149,7 +143,7 @@ def read_test(trees: Trees, node: int) -> Test:
 
 
 def evaluate_test(integrals: FloatArray, test: Test) -> float:
-    """The value of a test for one clip, from its integrals (F, T + 1)."""
+    """Compute the value of a test for one clip, from its integrals (F, T + 1)."""
     length = test.stop - test.start
     difference = integrals[test.column, test.stop] - integrals[test.column, test.start]
     if test.kind == MEAN:
@@ -170,13 +164,14 @@ def grow_trees(
     copied: IntArray,
     largest: FloatArray,
 ) -> Trees:
-    """One tree per seed, whatever the number of workers; of more than ``MOST_GROWN`` clips from some for each tree.
+    """Grow one tree per seed, the same for any number of workers; above ``MOST_GROWN`` clips, from a sample for each
+    tree.
 
     Parameters
     ----------
-    features : (N + K, T, F) checked pose features, float64 or float32; not copied where they are ``order_for_trees``.
+    features : (N + K, T, F) checked pose features, float64 or float32; not copied if ordered by ``order_for_trees``.
     categories : (N + K,) 0 ... n_classes - 1.
-    tests : (R, 5) what may be asked at a node, see ``tree_kernels``.
+    tests : (R, 5) see ``tree_kernels``.
     spec : how to grow.
     seeds : 64-bit, one per tree.
     copied : (K,) clips of which the last K are copies: a tree learns one or the other.
@@ -187,7 +182,7 @@ def grow_trees(
     frames, count = features.shape[1:]
     clips = len(features) - len(copied)
     material = prepare_material(features, _SAME_VALUE * largest, categories, tests, min(clips, MOST_GROWN))
-    # A few trees a task: with few clips a tree takes less time than handing it out.
+    # A few trees a task: with few clips a tree takes less time than its dispatch.
     cluster = None if spec.n_jobs == 1 else current_cluster()
     workers = effective_n_jobs(spec.n_jobs) if cluster is None else cluster.n_threads
     tasks = np.array_split(seeds, min(len(seeds), 4 * workers))
@@ -203,12 +198,12 @@ def grow_trees(
 
 
 def _count_again(trees: Trees, features: FloatArray, categories: NDArray[np.int32], n_jobs: int | None) -> Trees:
-    """Trees that were grown from some of the clips, with all clips in their leaves."""
+    """Count all clips in the leaves of trees that were grown from samples."""
     leaves = np.empty((len(features), len(trees.roots)), np.int32)
     parts = [slice(start, start + _AT_ONCE) for start in range(0, len(features), _AT_ONCE)]
     map_pieces(lambda part: _find_leaves(trees, features[part], leaves[part]), parts, n_jobs, at_a_time=1)
     keys, counts = [], []
-    for column in leaves.T:  # the leaves of a tree follow those of the tree before
+    for column in leaves.T:  # leaves are numbered tree by tree, so keys ascend
         own, found = np.unique(column.astype(np.int64) * trees.n_classes + categories, return_counts=True)
         keys.append(own)
         counts.append(found)
@@ -224,12 +219,10 @@ def _find_leaves(trees: Trees, features: FloatArray, leaves: NDArray[np.int32]) 
 
 
 def put_counts(trees: Trees, keys: IntArray, counts: IntArray) -> Trees:
-    """Trees with other clips in some of their leaves.
+    """Replace the clips counted in some leaves.
 
-    Parameters
-    ----------
-    keys, counts : (K,) different leaves times ``n_classes`` and a category, and how many clips of it are there. Leaves
-        that are not named keep theirs: rounding may take a clip past the leaf that it made.
+    ``keys``, ``counts``: (K,) distinct leaf * ``n_classes`` + category, and the number of clips. Other leaves keep
+    theirs: rounding may take a clip past the leaf that it made.
     """
     leaf = np.repeat(np.arange(trees.n_leaves), np.diff(trees.leaf_starts))
     left = ~np.isin(leaf, keys // trees.n_classes)
@@ -242,39 +235,39 @@ def put_counts(trees: Trees, keys: IntArray, counts: IntArray) -> Trees:
 
 
 MOST_GROWN = 100_000
-"""Clips that one tree is grown from; of more, each tree draws its own, and then counts all of them in its leaves."""
+"""Clips that one tree is grown from; of more, each tree draws a sample, then counts all clips in its leaves."""
 
 _LEAST_DRAWN = 20  # clips of a category, if it has as many
 _AT_ONCE = 4096  # clips that go down the trees in one task
 
 
 def _draw_some(categories: NDArray[np.int32], n_classes: int, seed: np.uint64) -> IntArray:
-    """Some of very many clips, ascending: of each category the same share, but a few at least."""
+    """Draw a sample, ascending: of each category the same share, but at least a few."""
     sizes = np.bincount(categories, minlength=n_classes)
     least = min(_LEAST_DRAWN, MOST_GROWN // n_classes)
     share = (MOST_GROWN - least * n_classes) / len(categories)
     wanted = np.minimum(np.maximum((sizes * share).astype(np.int64), least), sizes)
-    # The first so many of each category, in an order that is drawn.
+    # The first of each category, in random order.
     order = np.lexsort((np.random.default_rng(int(seed)).random(len(categories)), categories))
     rank = np.arange(len(categories)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     return np.sort(order[rank < wanted[categories[order]]])
 
 
-_AT_A_TIME = 1024  # clips of which a copy is made
+_AT_A_TIME = 1024  # clips whose sizes are computed in one step
 
 
 def measure_columns(features: FloatArray) -> FloatArray:
-    """(F,) the largest size of each column of features (N, T, F); not finite where a value is not."""
+    """Return (F,) the largest size of each column of features (N, T, F); not finite where a value is not."""
     if not len(features):
         return np.zeros(features.shape[2])
-    # Over the clips first, which NumPy does for many cells at a time.
+    # Over the clips first, where NumPy is fastest.
     sizes = np.maximum(features.max(axis=0), -features.min(axis=0))
     largest: FloatArray = sizes.max(axis=0).astype(np.float64)
     return largest
 
 
 def order_for_trees(features: FloatArray) -> FloatArray:
-    """Features (N, T, F) in memory as (N, F, T), copied if need be: a test asks for some cells of one column or two."""
+    """Store features (N, T, F) in memory as (N, F, T), copied if needed, as a test reads cells of one column."""
     return np.ascontiguousarray(features.transpose(0, 2, 1)).transpose(0, 2, 1)
 
 
@@ -286,9 +279,9 @@ GrownTree = tuple[NDArray[np.int32], IntArray, NDArray[np.int32], NDArray[np.int
 def prepare_material(
     features: FloatArray, tolerances: FloatArray, categories: NDArray[np.int32], tests: IntArray, largest: int
 ) -> Material:
-    """What ``grow_some`` grows trees of at most ``largest`` clips from; the rest as in ``grow_trees``.
+    """Prepare the input of ``grow_some`` for trees of at most ``largest`` clips; the rest as in ``grow_trees``.
 
-    Values of a column (F,) that are closer than its tolerance are one value.
+    Values of a column (F,) that are closer than its tolerance count as equal.
     """
     number = np.arange(largest + 1)
     logarithms = np.rint(number * np.log2(np.maximum(number, 1)) * kernels.FIXED_POINT).astype(np.int64)
@@ -296,9 +289,8 @@ def prepare_material(
 
 
 def prepare_leaves(features: FloatArray, categories: NDArray[np.int32], tests: IntArray, largest: int) -> Material:
-    """The same, where what counts as one value follows from the clips of each tree, and not from all.
-
-    In the stead of the tolerances are the largest sizes of the columns of each clip.
+    """Prepare the same with the largest sizes of each clip's columns as tolerances, which then depend on a tree's clips
+    only.
     """
     sizes = np.empty((len(features), features.shape[2]), features.dtype)
     for start in range(0, len(features), _AT_A_TIME):
@@ -309,7 +301,7 @@ def prepare_leaves(features: FloatArray, categories: NDArray[np.int32], tests: I
 def grow_some(
     material: Material, n_classes: int, spec: TreesSpec, drawn: Iterable[tuple[IntArray, np.uint64]]
 ) -> list[GrownTree]:
-    """Nodes, leaf starts, leaf classes and leaf counts of a tree for some clips, permuted in place, and a seed each."""
+    """Grow a tree for each (clips, permuted in place, and seed); return nodes, leaf starts, classes and counts."""
     largest = len(material[4]) - 1
     nodes, starts = np.zeros((2 * largest - 1, 6), np.int32), np.zeros(largest + 1, np.int64)
     classes, counts = np.zeros(largest, np.int32), np.zeros(largest, np.int32)
@@ -334,7 +326,7 @@ def grow_some(
 def _grow_seeds(
     material: Material, n_classes: int, spec: TreesSpec, copied: IntArray, seeds: NDArray[np.uint64]
 ) -> list[GrownTree]:
-    """A tree of all clips, a bootstrap sample, or some of very many, for each seed; half of them by their copies."""
+    """Grow a tree for each seed from all clips, a bootstrap or other sample; half of the clips by their copies."""
     clips = len(material[0]) - len(copied)
     share = min(1.0, 0.5 * clips / max(len(copied), 1))
 
@@ -353,7 +345,7 @@ def _grow_seeds(
 
 
 def _join(trees: list[GrownTree], sizes: tuple[int, int, int]) -> Trees:
-    """Trees one behind the other, with children and leaves numbered through."""
+    """Join trees one behind the other, with children and leaves numbered through."""
     first_node, first_leaf, first_entry = 0, 0, 0
     roots, starts = [], [np.zeros(1, np.int64)]
     for nodes, leaf_starts, _, _ in trees:

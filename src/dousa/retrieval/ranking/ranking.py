@@ -1,17 +1,16 @@
-"""Ranking of clips: by their histograms (eq. 8), by the leaves they share, by their poses, and by all three.
+"""Rank clips by histograms (eq. 8), by shared leaves, by poses, or by all three.
 
-``histogram`` the Euclidean distance of the histograms of votes (eq. 8): which category. Clips that a forest learned by
-heart have nearly all votes in one category, so it hardly orders the clips of one.
+``histogram`` is the Euclidean distance of the histograms of votes (eq. 8). Clips learned by heart have nearly all votes
+in one category, so it hardly orders the clips within a category.
 
-``leaves`` the share of the trees in which two clips end in different leaves: 1 less the proximity of Breiman and
-Cutler's random forests. It also tells apart what the forest was never taught.
+``leaves`` is the share of trees in which two clips end in different leaves, 1 less the proximity of Breiman and
+Cutler's random forests. It also separates categories that did not train.
 
-``pose`` the distance of the poses after an alignment in time, for the best clips of a cheaper order; the others keep
-that order behind them.
+``pose`` is the distance of the poses after an alignment in time, for the best clips of a cheaper order; the others
+follow in that order.
 
-``fused`` the sum ``histogram / sqrt(2) + leaves / 2 + 8 pose``: each distance on a scale of its own that is the same
-for every query, so that the sums of two queries can be compared. An eighth of a body height between the poses counts as
-much as votes that disagree altogether. The weights are in docs/ranking.md with what they were chosen by.
+``fused`` is ``histogram / sqrt(2) + leaves / 2 + 8 pose``, on a scale that is the same for every query. The weights and
+their choice are in docs/ranking.md.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
     from dousa.retrieval.features.posed_motion import PosedMotion
 
 POSE_CELLS = 16
-"""Cells of a sequence."""
+"""Cells of a pose sequence."""
 
 N_JOINTS = 12
 N_MOVING = 4  # the body moving in three directions, and turning
@@ -45,18 +44,8 @@ POSE_COLUMNS = 3 * N_JOINTS + N_MOVING
 
 
 def compute_pose_sequence(motion: PosedMotion) -> NDArray[np.float32]:
-    """The sequence of a clip.
+    """Compute the pose sequence (POSE_CELLS, POSE_COLUMNS) of a clip of canonical positions, of any length.
 
-    Parameters
-    ----------
-    motion : canonical positions in m, rate in Hz, height in m; of any length.
-
-    Returns
-    -------
-    (POSE_CELLS, POSE_COLUMNS)
-
-    Raises
-    ------
     InvalidMotionError : positions that are not finite, no frame, or no body height.
     """
     from dousa.retrieval.features.feature_sets import FEATURE_SETS
@@ -69,20 +58,9 @@ def compute_pose_sequence(motion: PosedMotion) -> NDArray[np.float32]:
 def compute_with_poses(
     motions: Sequence[PosedMotion], feature_set: FeatureSet
 ) -> tuple[FloatArray, NDArray[np.float32]]:
-    """Features and sequences of clips whose noise has been taken off; the channels are computed once for both.
+    """Compute features and pose sequences of N clips after noise reduction, with the channels computed once.
 
-    Parameters
-    ----------
-    motions : N clips.
-    feature_set : ``extended``, whole or without some joints.
-
-    Returns
-    -------
-    features : (N, T, F).
-    poses : (N, POSE_CELLS, POSE_COLUMNS).
-
-    Raises
-    ------
+    The feature set is ``extended``, whole or without some joints. Returns (N, T, F) and (N, POSE_CELLS, POSE_COLUMNS).
     InvalidMotionError : positions that are not finite, no frame, or no body height.
     """
     wanted = WantedMeans(POSE_CELLS, _COLUMNS, _find_scale(feature_set.hidden))
@@ -91,20 +69,16 @@ def compute_with_poses(
 
 
 def compute_window_poses(track: FeatureTrack, starts: ArrayLike, stops: ArrayLike) -> NDArray[np.float32]:
-    """The sequences of windows of a recording.
+    """Compute the pose sequences (N, POSE_CELLS, POSE_COLUMNS) of windows of a recording.
 
     Parameters
     ----------
     track : of the ``extended`` features.
     starts, stops : (N,) frames of the track, whole or not; 0 <= start < stop <= n_frames.
 
-    Returns
-    -------
-    (N, POSE_CELLS, POSE_COLUMNS)
-
     Raises
     ------
-    OptionError : a track of other features, which has no places of joints.
+    OptionError : a track of other features, which lacks joint positions.
     InvalidMotionError : a window outside the recording or without length.
     """
     columns = _find_columns(track)
@@ -125,7 +99,7 @@ _SCALE = np.append(np.ones(3 * N_JOINTS), np.full(N_MOVING, MOVING_SECONDS)) / n
 
 
 def _find_scale(hidden: Sequence[str]) -> FloatArray:
-    """(POSE_COLUMNS,) so that distances stay root mean squares over the joints that are looked at."""
+    """Return the (POSE_COLUMNS,) scale that keeps distances root mean squares over the joints that are not hidden."""
     n_hidden = sum(joint.replace("_", " ").replace("ankle", "foot") in _JOINTS for joint in hidden)
     scale: FloatArray = _SCALE * np.sqrt(N_JOINTS / max(N_JOINTS - n_hidden, 1)) if n_hidden else _SCALE
     return scale
@@ -144,23 +118,23 @@ RANKINGS: tuple[str, ...] = ("fused", "histogram", "leaves", "pose")
 DEFAULT_RANKING = "fused"
 
 N_REFINED = 64
-"""Clips whose poses are compared: those that the histograms and leaves put first."""
+"""Clips with compared poses: the first by histograms and leaves."""
 
 HISTOGRAM_SCALE = 2.0**-0.5  # histograms without a common vote are sqrt(2) apart
 LEAVES_WEIGHT = 0.5
 _COSINE_WEIGHT = 0.5
 _POSE_SCALE = 8.0  # 1 / body heights
-_REACH = 2.0  # cells by which an aligned pair may lie off the diagonal, of 16
+_REACH = 2.0  # cells of 16 by which an aligned pair may lie off the diagonal
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RankingQuery:
-    """What is known of a query.
+    """A query for a ranking.
 
     Parameters
     ----------
     histogram : (C,) votes or shares of the categories; votes give distances without rounding.
-    leaves : (n_trees,) the leaf it reaches in each tree.
+    leaves : (n_trees,) its leaf in each tree.
     poses : (T, D) its pose sequence, see ``compute_pose_sequence``.
     """
 
@@ -171,16 +145,15 @@ class RankingQuery:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RankedClips:
-    """What is known of the clips that are put in order.
+    """The clips to rank.
 
     Parameters
     ----------
-    histograms : (N, C) in the unit of the query's.
+    histograms : (N, C) in the unit of the query.
     leaves : (N, n_trees)
-    read_poses : gives (n, T, D) of the clips with these n places, asked once a query for those that are refined;
-        ``array.__getitem__`` of an array (N, T, D) will do.
-    cosines : (N,) of the angle to the query, see ``Likeness.place``; None where that was not learned. Of clips that the
-        forest learned by heart, those of all other categories are equally far by histograms and leaves.
+    read_poses : returns (n, T, D) of the clips at n places, called once a query; ``__getitem__`` of an array (N, T, D)
+        is enough.
+    cosines : (N,) of the angle to the query, see ``Likeness.place``; None if not learned.
     """
 
     histograms: NDArray[np.generic]
@@ -191,13 +164,12 @@ class RankedClips:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ranking:
-    """Clips in order, and how far each is from the query.
+    """Clips in order, and their distances from the query.
 
     Parameters
     ----------
     order : (N,) places of the clips, the most similar first.
-    distances : (N,) of the clips in the order given, what ``order`` sorts by: ``distances[order]`` ascends. NaN for
-        ``pose`` where poses were not compared.
+    distances : (N,) in the given order of clips; ``distances[order]`` ascends. NaN for ``pose`` without compared poses.
     histogram : (N,) eq. 8 between shares, 0 to sqrt(2).
     leaves : (N,) share of the trees with different leaves, 0 to 1.
     pose : (N,) body heights; NaN where poses were not compared.
@@ -211,23 +183,11 @@ class Ranking:
 
 
 def rank_by_histogram(query: ArrayLike, histograms: ArrayLike) -> tuple[IndexArray, FloatArray]:
-    """Clips from the most to the least similar, by the Euclidean distance of their histograms.
+    """Rank clips (N, C) by the Euclidean distance of their histograms from that of the query (C,).
 
-    Parameters
-    ----------
-    query : (C,) histogram of the query.
-    histograms : (N, C) of the clips.
-
-    Returns
-    -------
-    order : (N,) indices of the clips, nearest first; equals keep their order.
-    distances : (N,) of the clips in the order given: ``distances[order]`` ascends. 0 to sqrt(2) for shares.
-
-    Raises
-    ------
+    Returns indices, nearest first (equals keep their order), and distances in the given order, 0 to sqrt(2) for shares.
     InvalidMotionError : shapes that disagree, or values that are not finite.
-
-    Source: Hamada et al., eq. 8. The paper calls it a similarity and sorts descending; it is a distance.
+    Source: Hamada et al., eq. 8, which the paper calls a similarity and sorts descending, although it is a distance.
     """
     distances = _compare_histograms(query, histograms)
     return np.argsort(distances, kind="stable"), distances
@@ -238,7 +198,7 @@ def _compare_histograms(query: ArrayLike, histograms: ArrayLike) -> FloatArray:
     stored = np.asarray(histograms)
     if asked.ndim != 1 or stored.ndim != 2 or stored.shape[1] != len(asked):
         raise InvalidMotionError("ranking.histograms", asked=asked.shape, stored=stored.shape)
-    # Votes stay as they are: no copy of a whole library.
+    # Votes keep their type to avoid a copy of the library.
     kind = np.int32 if stored.dtype == np.int32 else np.float64
     distances = np.empty(len(stored))
     measure_distances(np.ascontiguousarray(asked), np.ascontiguousarray(stored, kind), distances)
@@ -248,23 +208,11 @@ def _compare_histograms(query: ArrayLike, histograms: ArrayLike) -> FloatArray:
 
 
 def rank_by_leaves(query: ArrayLike, leaves: ArrayLike) -> tuple[IndexArray, FloatArray]:
-    """Clips from the most to the least similar, by the share of trees in which they end in another leaf.
+    """Rank clips (N, n_trees) by the share of trees in which they end in another leaf than the query (n_trees,).
 
-    Parameters
-    ----------
-    query : (n_trees,) leaves of the query.
-    leaves : (N, n_trees) of the clips.
-
-    Returns
-    -------
-    order : (N,) indices of the clips, nearest first; equals keep their order.
-    distances : (N,) of the clips in the order given, 0 to 1.
-
-    Raises
-    ------
+    Returns indices, nearest first (equals keep their order), and distances in the given order, 0 to 1.
     InvalidMotionError : shapes that disagree, or no trees.
-
-    Source: Breiman and Cutler's proximity of random forests, 1 less it.
+    Source: 1 less the proximity of Breiman and Cutler's random forests.
     """
     distances = _compare_leaves(query, leaves)
     return np.argsort(distances, kind="stable"), distances
@@ -281,21 +229,10 @@ def _compare_leaves(query: ArrayLike, leaves: ArrayLike) -> FloatArray:
 
 
 def rank_by_pose(query: ArrayLike, poses: ArrayLike) -> tuple[IndexArray, FloatArray]:
-    """Clips from the most to the least similar, by the distance of their poses after an alignment in time.
+    """Rank clips (N, T, D) by the distance of their poses from those of the query (T, D) after an alignment in time.
 
-    Parameters
-    ----------
-    query : (T, D) pose sequence of the query.
-    poses : (N, T, D) of the clips.
-
-    Returns
-    -------
-    order : (N,) indices of the clips, nearest first; equals keep their order.
-    distances : (N,) of the clips in the order given, body heights: dynamic time warping within 2 cells of the diagonal,
-        the sum over the path divided by 2 T. The mean distance of two poses is up to twice as large.
-
-    Raises
-    ------
+    Returns indices, nearest first (equals keep their order), and distances in the given order, in body heights: dynamic
+    time warping within 2 cells of the diagonal, the sum over the path divided by 2 T.
     InvalidMotionError : shapes that disagree, or values that are not finite.
     """
     asked = np.ascontiguousarray(query, dtype=np.float32)
@@ -312,22 +249,18 @@ def rank_by_pose(query: ArrayLike, poses: ArrayLike) -> tuple[IndexArray, FloatA
 
 
 def rank_by_fusion(query: RankingQuery, clips: RankedClips, n_refined: int = N_REFINED) -> Ranking:
-    """Clips from the most to the least similar by histogram, leaves and poses together; see ``rank_clips``."""
+    """Rank clips by histogram, leaves and poses together; see ``rank_clips``."""
     return rank_clips("fused", query, clips, n_refined)
 
 
 def rank_clips(by: str, query: RankingQuery, clips: RankedClips, n_refined: int = N_REFINED) -> Ranking:
-    """Put clips in order by one of ``RANKINGS``.
+    """Rank clips by one of ``RANKINGS``; clips at equal distances keep their order.
 
     Parameters
     ----------
     by : ``"fused"``, ``"histogram"`` (equals by their leaves), ``"leaves"`` (equals by their histograms) or ``"pose"``.
-    query, clips : what is known of them. ``"histogram"`` and ``"leaves"`` do not ask for poses.
+    query, clips : ``"histogram"`` and ``"leaves"`` do not read poses.
     n_refined : clips whose poses are compared, 1 or more.
-
-    Returns
-    -------
-    Ranking. Clips that nothing tells apart keep their order.
 
     Raises
     ------
@@ -356,7 +289,7 @@ def rank_clips(by: str, query: RankingQuery, clips: RankedClips, n_refined: int 
 
 
 def add_up(histogram: FloatArray, leaves: FloatArray, cosines: NDArray[np.floating] | None) -> FloatArray:
-    """The distances of eq. 8, of the leaves, and of the angle where that is known, each on its scale: (N,)."""
+    """Add the distances of histograms, leaves and, if known, angles, each on its scale: (N,)."""
     cheap: FloatArray = histogram * HISTOGRAM_SCALE + LEAVES_WEIGHT * leaves
     if cosines is not None:
         cheap += _COSINE_WEIGHT * (1.0 - cosines)
@@ -364,7 +297,7 @@ def add_up(histogram: FloatArray, leaves: FloatArray, cosines: NDArray[np.floati
 
 
 def fuse(cheap: FloatArray, pose: FloatArray, refined: IndexArray) -> FloatArray:
-    """The sums; where poses were not compared they are taken for as far apart as the farthest that were."""
+    """Add the scaled pose distances; clips not compared count as the farthest that were."""
     worst = float(pose[refined].max(initial=0.0))
     return cheap + _POSE_SCALE * np.where(np.isnan(pose), worst, pose)
 
@@ -382,7 +315,7 @@ def measure_distances(query: FloatArray, stored: FloatArray, distances: FloatArr
 
 @njit(cache=True, nogil=True)
 def count_differences(query: NDArray[np.int32], stored: NDArray[np.int32], counts: NDArray[np.int32]) -> None:
-    """In how many places the rows of stored (N, n) int32 differ from query (n,) int32, into (N,) int32."""
+    """Count the places in which rows of stored (N, n) int32 differ from query (n,) int32, into (N,) int32."""
     for k in range(len(stored)):
         count = np.int32(0)
         for t in range(len(query)):
@@ -395,7 +328,7 @@ _FAR = np.float32(1e30)
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
 def _measure(query: NDArray[np.float32], i: int, frames: NDArray[np.float32], j: int) -> Any:
-    """Euclidean distance of row i of query from row j of frames; its own function, as only here order is free."""
+    """Euclidean distance of rows i and j; separate, as only this sum may be reordered."""
     square = np.float32(0.0)
     for k in range(query.shape[1]):
         difference = query[i, k] - frames[j, k]
@@ -413,7 +346,7 @@ def _warp(
     before: NDArray[np.float32],
     now: NDArray[np.float32],
 ) -> Any:
-    """Cost of the cheapest path between query (n, D) and m rows of frames; the last two are room for m + 1 numbers."""
+    """Cost of the cheapest path between query (n, D) and m rows of frames; ``before``, ``now`` hold m + 1."""
     n = len(query)
     slope = (m - 1) / (n - 1) if n > 1 else 0.0
     width = min(max(reach, slope, 1.0), float(m)) + 1e-9 if n > 1 else float(m)  # an edge may round either way
@@ -429,7 +362,7 @@ def _warp(
         for j in range(first, last + 1):
             left = now[j + 1] + min(left, before[j], before[j + 1])
             now[j + 1] = left
-        for j in range(last + 1, min(m, last + 2 + int(slope))):  # the next row's band goes a little further
+        for j in range(last + 1, min(m, last + 2 + int(slope))):  # the next band goes further
             now[j + 1] = _FAR
         before, now = now, before
     return before[m]
@@ -444,14 +377,14 @@ def warp_distances(
     reach: float,
     distances: FloatArray,
 ) -> None:
-    """Distances of one sequence from many.
+    """Compute the warping distances of one sequence from many.
 
     Parameters
     ----------
     query : (n, D) float32.
     frames : (M, D) float32, the other sequences one after the other.
     starts, stops : (N,) rows of ``frames`` where each begins and ends.
-    reach : frames by which a pair may lie off the diagonal (Sakoe and Chiba); wider where the lengths ask for it;
+    reach : frames by which a pair may lie off the diagonal (Sakoe and Chiba), widened for unequal lengths;
         infinity for no band.
     distances : (N,) float64, filled.
     """

@@ -1,23 +1,20 @@
 """The 39 boolean relational features of motion templates.
 
-Each feature answers one yes-or-no question about a pose: is the right hand raised, are the feet crossed, is
-the root fast? The generic features (side of a plane, speed along its normal, angle, speed) are those of Müller,
-Röder, Clausen, "Efficient content-based retrieval of motion capture data", ACM TOG 24(3), 2005; the choice of
-39 (arms F1-F14, legs F15-F26, the whole body F27-F39) is that of Müller, Röder, "Motion templates for automatic
-classification and retrieval of motion capture data", SCA 2006.
+Each feature is a yes-or-no question about a pose: is the right hand raised, are the feet crossed, is the root fast? The
+generic features (side of a plane, speed along its normal, angle, speed) are those of Müller, Röder, Clausen, "Efficient
+content-based retrieval of motion capture data", ACM TOG 24(3), 2005; the choice of 39 (arms F1-F14, legs F15-F26, the
+whole body F27-F39) is that of Müller, Röder, "Motion templates for automatic classification and retrieval of motion
+capture data", SCA 2006.
 
-A question is a measure that grows as the answer nears yes, with two thresholds: the answer turns yes at the
-strong one and stays yes until the weak one fails, so that a measure which trembles about a threshold does not
-make the answer flicker. Thresholds are in body measures, so that the answer does not depend on the size of
-the performer: ``humerus`` (upper arm), ``shoulders`` and ``hips`` (widths), ``height``; speeds are those per
-second.
+A measure has two thresholds: the answer turns yes at the strong one and stays yes until the weak one fails, to avoid
+flicker. Thresholds are in body measures: ``humerus`` (upper arm), ``shoulders`` and ``hips`` (widths), ``height``;
+speeds are per second.
 
-Where we deviate from the publication, as the canonical joints have one spine joint where theirs have belly
-and chest: trunk directions run from pelvis to neck (F5, F6, F27-F30, F32) or from spine to neck (F3, F4), and
-leg planes are spanned by the hip line and the leg (F15, F16), which also works where the pelvis joint lies on
-the hip line. F35 and F36 compare the sine of the angle by which the shoulder line is turned out of the hip
-plane; F38 is the largest horizontal distance between two joints, so that the heading does not matter, and the
-thresholds of F37 and F38 are chosen for these joints and this height.
+Deviations, as the canonical joints have one spine joint instead of belly and chest: trunk directions run from pelvis to
+neck (F5, F6, F27-F30, F32) or from spine to neck (F3, F4); leg planes contain the hip line and the leg (F15, F16),
+which also works where the pelvis joint lies on the hip line. F35 and F36 use the sine of the angle of the shoulder line
+to the hip plane; F38 is the largest horizontal distance between two joints, independent of the heading. The thresholds
+of F37 and F38 are chosen for these joints and this height.
 """
 
 from __future__ import annotations
@@ -35,11 +32,11 @@ from dousa.retrieval.features.posed_motion import check_shape
 
 @dataclass(frozen=True, slots=True)
 class RelationalFeature:
-    """One yes-or-no question about a pose.
+    """A yes-or-no question about a pose.
 
     Parameters
     ----------
-    name : the question's yes in words.
+    name : the positive answer in words.
     weak, strong : the answer turns yes when the measure exceeds ``strong`` and no when it falls to ``weak``.
     unit : of the thresholds: ``"humerus"``, ``"humerus/s"``, ``"shoulders"``, ``"hips"``, ``"height"``,
         ``"degrees"`` or ``"sine"``. Negative thresholds belong to measures that must stay small.
@@ -52,7 +49,6 @@ class RelationalFeature:
 
 
 def _both(name: str, weak: float, strong: float, unit: str) -> tuple[RelationalFeature, RelationalFeature]:
-    """The same question of the right and of the left side."""
     return (
         RelationalFeature(name.replace("this", "right").replace("other", "left"), weak, strong, unit),
         RelationalFeature(name.replace("this", "left").replace("other", "right"), weak, strong, unit),
@@ -86,32 +82,28 @@ RELATIONAL_FEATURES: tuple[RelationalFeature, ...] = (
     RelationalFeature("body stretched out sideways", 0.7, 0.8, "height"),
     RelationalFeature("root fast", 2.0, 2.3, "humerus/s"),
 )
-"""F1 to F39 in the publication's order; where it names two, right stands before left."""
+"""F1 to F39 in the publication's order; of pairs, right before left."""
 
 _SIDES = ("right", "left")
-_SHORT_WINDOW = 0.1  # s, over which positions are averaged before a speed is taken
-_LONG_WINDOW = 0.25  # s, for the directed hand movements, which are slower than the trembling of a hand
+_SHORT_WINDOW = 0.1  # s, over which positions are averaged for speeds
+_LONG_WINDOW = 0.25  # s, for directed hand movements, which are slower than tremor
 _SMALLEST_MEASURE = 1e-6  # m
 
 
 def compute_relational_features(positions: ArrayLike, frame_rate: float, height: float) -> BoolArray:
-    """Answer the 39 questions for every frame.
+    """Compute the 39 features of every frame: (T, 39) bool, columns as ``RELATIONAL_FEATURES``.
 
     Parameters
     ----------
-    positions : (T, 20, 3) m, canonical joints, Y up, finite; 30 Hz is what the thresholds are made for.
+    positions : (T, 20, 3) m, canonical joints, Y up, finite; the thresholds are for 30 Hz.
     frame_rate : Hz.
     height : m, of the performer.
 
-    Returns
-    -------
-    (T, 39) bool, columns as ``RELATIONAL_FEATURES``.
-
     Raises
     ------
-    InvalidMotionError : positions of another shape or not finite; a rate or height that is not above zero.
+    InvalidMotionError : positions of another shape or not finite; a rate or height not above zero.
 
-    Source: Müller, Röder 2006, table 1; see the module's text for the deviations.
+    Source: Müller, Röder 2006, table 1; deviations in the module's docstring.
     """
     joints = check_shape(positions, height)
     if not np.isfinite(joints).all():
@@ -127,7 +119,7 @@ def compute_relational_features(positions: ArrayLike, frame_rate: float, height:
 
 
 class _Body:
-    """Positions by name, body measures and directions that several questions share."""
+    """Positions by name, and body measures and directions shared by questions."""
 
     def __init__(self, joints: FloatArray, frame_rate: float, height: float) -> None:
         self.joints = joints
@@ -152,11 +144,11 @@ class _Body:
         return self.joints[:, JOINT_INDEX[name]]
 
     def _length(self, one: str, other: str) -> float:
-        # The median over time: bones of camera skeletons change their length from frame to frame.
+        # The median over time, as bones of camera skeletons vary in length.
         return float(np.median(np.linalg.norm(self[one] - self[other], axis=1)))
 
     def velocity(self, points: FloatArray, window: float = _SHORT_WINDOW) -> FloatArray:
-        """(T, 3) m/s of points averaged over a window in seconds."""
+        """Return the (T, 3) velocity in m/s of points averaged over a window in seconds."""
         if len(points) < 2:
             return np.zeros_like(points)
         half = round(window * self.frame_rate) // 2
@@ -174,20 +166,19 @@ def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
-    """Vectors of length 1; a vector without length stays zero, so what depends on it answers no."""
+    """Scale vectors to length 1; a zero vector stays zero, so questions on it are negative."""
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
     found: FloatArray = np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 1e-12)
     return found
 
 
 def _angle(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Angle in radians between directions, accurate near 0 and pi."""
+    """Return the angle in radians between directions, accurate near 0 and pi."""
     found: FloatArray = np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), _dot(a, b))
     return found
 
 
 def _flexion(body: _Body, upper: str, middle: str, lower: str) -> list[FloatArray]:
-    """Angle by which a hinge deviates from straight, right then left."""
     return [
         _angle(body[f"{s}_{middle}"] - body[f"{s}_{upper}"], body[f"{s}_{lower}"] - body[f"{s}_{middle}"])
         for s in _SIDES
@@ -249,7 +240,7 @@ def _whole_body(body: _Body) -> list[FloatArray]:
     up = np.broadcast_to(np.array([0.0, 1.0, 0.0]), body.trunk.shape)
     left_ahead = _dot(body.shoulder_line, body.forward)  # the shoulders are turned to the right
     ground = body.joints[:, :, ::2]
-    # The widest pair of joints: the extent along the axes of the room would change with the heading.
+    # The widest pair of joints, as the extent along fixed axes varies with the heading.
     x, z = (ground[:, :, None, k] - ground[:, None, :, k] for k in (0, 1))
     width = np.sqrt((x * x + z * z).max(axis=(1, 2)))
     down = -body.trunk
@@ -268,7 +259,7 @@ def _whole_body(body: _Body) -> list[FloatArray]:
 
 
 def apply_hysteresis(weak: BoolArray, strong: BoolArray) -> BoolArray:
-    """True from a frame where ``strong`` holds until ``weak`` fails; both (T, F)."""
+    """Return true from a frame where ``strong`` holds until ``weak`` fails; both (T, F)."""
     frames = np.arange(len(weak))[:, None]
     last_strong = np.maximum.accumulate(np.where(strong, frames, -1), axis=0)
     last_failure = np.maximum.accumulate(np.where(weak, -1, frames), axis=0)

@@ -1,17 +1,13 @@
-"""Motion templates: the baseline that the random forest is compared with.
+"""Motion templates: the baseline for the random forest.
 
-A template is a matrix that says which relational features are always true, always false or vary, frame by
-frame, in the motions of one category. Source: Müller, Röder, "Motion templates for automatic classification
-and retrieval of motion capture data", SCA 2006. It is learned there and here as follows: every training
-motion in turn is the reference, to which all the others are warped in time; where a motion is stretched its
-frames are given less weight, where it is squeezed they are averaged; the weighted mean is stretched back to
-frames of equal weight. The results take the place of the motions until they change no more. Entries near 0 or
-1 are then rounded, the others become grey and count for nothing when a motion is compared with the template.
+A template gives, frame by frame, the relational features that are always true, always false or vary in the motions of a
+category. Source: Müller, Röder, "Motion templates for automatic classification and retrieval of motion capture data",
+SCA 2006. Every training motion in turn is the reference to which the others are warped; frames weigh less where a
+motion is stretched and are averaged where it is squeezed; the weighted mean is stretched back to frames of equal
+weight. This repeats until nothing changes. Entries near 0 or 1 are then rounded; the others are grey and ignored.
 
-Where we deviate: the paper scores stretches of a long recording and divides by the template's length; whole
-clips are compared here, so diagonal steps weigh double and the sum is divided by both lengths, which favours
-neither short nor long templates. In a large category only some motions serve as references (all are
-averaged).
+Deviations: whole clips are compared instead of stretches of a recording, so diagonal steps weigh double and the sum is
+divided by both lengths. In a large category only some motions serve as references (all are averaged).
 """
 
 from __future__ import annotations
@@ -32,17 +28,7 @@ _CHANGE_THAT_ENDS_LEARNING = 1e-3  # mean change of an entry in one round
 
 
 def compute_relational_sequence(clip: PosedMotion, sampling_rate: float = 30.0) -> BoolArray:
-    """Resample a clip and answer the 39 questions for each of its frames.
-
-    Parameters
-    ----------
-    clip : canonical positions in m, rate in Hz, height in m.
-    sampling_rate : Hz.
-
-    Returns
-    -------
-    (T', 39) bool.
-    """
+    """Compute the (T', 39) features of a clip of canonical positions, resampled to a rate in Hz."""
     positions, rate = clip.positions, clip.frame_rate
     if not np.isclose(rate, sampling_rate):
         from dousa.motion import Trajectories, resample
@@ -53,14 +39,13 @@ def compute_relational_sequence(clip: PosedMotion, sampling_rate: float = 30.0) 
 
 
 class MotionTemplates:
-    """One template per category; a motion belongs to the category of the nearest.
+    """One template per category; a motion has the category of the nearest.
 
     Parameters
     ----------
-    sampling_rate : Hz, to which motions are brought before they are compared.
-    threshold : share of the training motions up to which they may disagree about an entry that is not grey;
-        0 to below 0.5.
-    n_iterations : rounds of warping and averaging at most; learning ends earlier when nothing changes.
+    sampling_rate : Hz, of the compared motions.
+    threshold : share of the training motions that may disagree about an entry that is not grey; 0 to below 0.5.
+    n_iterations : greatest number of rounds of warping and averaging.
     max_references : motions of a category that serve as references.
     n_jobs : threads (joblib); None for one.
 
@@ -68,7 +53,7 @@ class MotionTemplates:
     ----------
     classes_ : (C,) the categories, sorted.
     templates_ : C arrays (K, 39) of int8: 0 never, 1 always, -1 grey.
-    averages_ : C arrays (K, 39), what was rounded: the share of the training motions.
+    averages_ : C arrays (K, 39) before rounding: shares of the training motions.
     """
 
     def __init__(
@@ -86,23 +71,15 @@ class MotionTemplates:
         self.n_jobs = n_jobs
 
     def fit(self, clips: Sequence[PosedMotion], categories: ArrayLike) -> Self:
-        """Learn a template for every category.
+        """Learn a template for every category from training motions and their labels (N,).
 
-        Parameters
-        ----------
-        clips : training motions.
-        categories : (N,) their labels.
-
-        Raises
-        ------
-        TrainingError : no clips, or another number of labels.
-        OptionError : a parameter outside its range.
+        TrainingError : no clips, or another number of labels. OptionError : a parameter outside its range.
         """
         self._check_parameters()
         return self.fit_sequences(self._sequences(clips), categories)
 
     def fit_sequences(self, sequences: Sequence[BoolArray], categories: ArrayLike) -> Self:
-        """As ``fit`` for motions that are relational features (T, 39) already."""
+        """As ``fit``, for relational features (T, 39)."""
         self._check_parameters()
         labels = np.asarray(categories)
         if len(sequences) == 0 or labels.shape != (len(sequences),):
@@ -120,34 +97,28 @@ class MotionTemplates:
         return self
 
     def distances(self, clips: Sequence[PosedMotion]) -> FloatArray:
-        """Distance of every clip to every category's template.
+        """Compute the (N, C) distances of clips to templates, from 0 (equal wherever not grey) to 1.
 
-        Returns
-        -------
-        (N, C) from 0 (agrees wherever the template is not grey) to 1.
-
-        Raises
-        ------
         NotTrainedError : before ``fit``.
         """
         return self.sequence_distances(self._sequences(clips))
 
     def sequence_distances(self, sequences: Sequence[BoolArray]) -> FloatArray:
-        """As ``distances`` for motions that are relational features (T, 39) already."""
+        """As ``distances``, for relational features (T, 39)."""
         self._check_trained()
         rows = _in_threads(self._distances_of_one, [(sequence,) for sequence in sequences], self.n_jobs)
         return np.array(rows, dtype=np.float64).reshape(len(sequences), len(self.classes_))
 
     def predict(self, clips: Sequence[PosedMotion]) -> NDArray[Any]:
-        """The category of the nearest template of every clip, (N,)."""
+        """Return the category of the nearest template for every clip, (N,)."""
         return self.classes_of(self.distances(clips))
 
     def predict_sequences(self, sequences: Sequence[BoolArray]) -> NDArray[Any]:
-        """As ``predict`` for motions that are relational features (T, 39) already."""
+        """As ``predict``, for relational features (T, 39)."""
         return self.classes_of(self.sequence_distances(sequences))
 
     def classes_of(self, distances: FloatArray) -> NDArray[Any]:
-        """The category of the smallest of the distances (N, C) in every row."""
+        """Return the category of the smallest distance in every row of (N, C)."""
         self._check_trained()
         found: NDArray[Any] = self.classes_[np.argmin(distances, axis=1)]
         return found
@@ -174,7 +145,7 @@ class MotionTemplates:
 
 
 def _in_threads(function: Any, arguments: Sequence[tuple[Any, ...]], n_jobs: int | None) -> list[Any]:
-    """``function(*a)`` for every a; the kernels release the interpreter's lock, so threads help."""
+    """Return ``function(*a)`` for every a, in threads, as the kernels release the interpreter's lock."""
     if n_jobs in (None, 1) or len(arguments) < 2:
         return [function(*a) for a in arguments]
     from joblib import Parallel, delayed
@@ -184,7 +155,7 @@ def _in_threads(function: Any, arguments: Sequence[tuple[Any, ...]], n_jobs: int
 
 
 def _learn_average(motions: list[FloatArray], n_iterations: int, max_references: int) -> FloatArray:
-    """The average (K, F) of motions (T_i, F) after warping them in time, before rounding."""
+    """Return the average (K, F) of motions (T_i, F) after warping them in time, before rounding."""
     if len(motions) == 1:
         return motions[0]
     by_length = np.argsort([len(motion) for motion in motions], kind="stable")
@@ -197,14 +168,14 @@ def _learn_average(motions: list[FloatArray], n_iterations: int, max_references:
         references = current = merged
         if stable:
             break
-    # The rounds make the references alike; what is left of their differences is settled by the motions.
+    # The rounds make the references similar; the motions choose among them.
     costs = [_merge(reference, motions)[1] / len(reference) for reference in references]
     found: FloatArray = references[int(np.argmin(costs))]
     return found
 
 
 def _merge(reference: FloatArray, motions: Sequence[FloatArray]) -> tuple[FloatArray, float]:
-    """Average of the motions warped to the reference, at frames of equal weight; and the cost of warping."""
+    """Average the motions warped to the reference, at frames of equal weight; also return the cost of warping."""
     values = np.zeros_like(reference)
     weights = np.zeros(len(reference))
     cost = 0.0
@@ -216,7 +187,7 @@ def _merge(reference: FloatArray, motions: Sequence[FloatArray]) -> tuple[FloatA
 def _equalise(values: FloatArray, weights: FloatArray) -> FloatArray:
     """Stretch frames of weight above 1 and average those below: (K', F), K' the total weight.
 
-    A frame of weight w fills a stretch of length w; a new frame is the mean over an equal part of the whole.
+    A frame of weight w fills a length w; a new frame is the mean over an equal part of the whole.
     """
     ends = np.concatenate([[0.0], np.cumsum(weights)])
     integral = np.vstack([np.zeros(values.shape[1]), np.cumsum(values * weights[:, None], axis=0)])
@@ -233,17 +204,16 @@ def _agree(old: FloatArray, new: FloatArray) -> bool:
 
 
 def _round_off(average: FloatArray, threshold: float) -> NDArray[np.int8]:
-    """0 and 1 where the motions agree up to ``threshold``, -1 (grey) elsewhere."""
-    # Weighted means of ones may fall short of 1 by rounding, so the bounds are met with a little room.
+    """Return 0 and 1 where the motions agree up to ``threshold``, -1 (grey) elsewhere."""
+    # Room for rounding of weighted means.
     room = threshold + 1e-9
     return np.where(average <= room, 0, np.where(average >= 1.0 - room, 1, -1)).astype(np.int8)
 
 
 def _cost_matrices(templates: Sequence[NDArray[np.int8]]) -> tuple[FloatArray, FloatArray, IndexArray]:
-    """What turns a motion X (T, F) into local costs, ``weights @ X.T + offsets``, and where templates start.
+    """Return weights and offsets of the local costs ``weights @ X.T + offsets`` of a motion X (T, F); template bounds.
 
-    The cost of a template frame is the share of its 0 and 1 entries that the motion's frame contradicts, 0
-    where all are grey.
+    The cost of a template frame is the share of its 0 and 1 entries that the motion contradicts, 0 if all are grey.
     """
     stacked = np.concatenate(templates)
     fixed = np.maximum((stacked >= 0).sum(axis=1), 1)
@@ -256,7 +226,7 @@ def _cost_matrices(templates: Sequence[NDArray[np.int8]]) -> tuple[FloatArray, F
 
 @njit(cache=True, nogil=True)
 def _accumulate(reference: FloatArray, motion_by_feature: FloatArray) -> FloatArray:
-    """(K, L) cost of the best path that ends in each pair of frames; local costs are Manhattan distances."""
+    """Return the (K, L) cost of the best path to each pair of frames; local costs are Manhattan distances."""
     n_reference, n_features = reference.shape
     n_motion = motion_by_feature.shape[1]
     total = np.zeros((n_reference, n_motion))
@@ -282,24 +252,19 @@ def _accumulate(reference: FloatArray, motion_by_feature: FloatArray) -> FloatAr
 def merge_along_path(
     reference: FloatArray, motion_by_feature: FloatArray, values: FloatArray, weights: FloatArray
 ) -> float:
-    """Warp a motion to a reference and add it to the reference's running sums.
+    """Warp a motion to a reference, add it to the sums of the reference, and return the cost of the best path.
 
     Parameters
     ----------
     reference : (K, F).
-    motion_by_feature : (F, L), the motion transposed, so that the inner loop runs over memory in order.
+    motion_by_feature : (F, L), transposed for access in memory order.
     values : (K, F), increased by weight x motion frame for every pair on the best path.
-    weights : (K,), increased by the weights. A motion frame that meets n reference frames gives each 1/n, so
-        a motion adds L in all.
-
-    Returns
-    -------
-    Cost of the best path.
+    weights : (K,), increased by 1/n for each of the n reference frames of a motion frame, so by L in all.
     """
     total = _accumulate(reference, motion_by_feature)
     i = len(total) - 1
     for j in range(total.shape[1] - 1, -1, -1):
-        last = i  # motion frame j meets the reference frames i..last
+        last = i  # motion frame j has the reference frames i..last
         while i > 0 and (j == 0 or total[i - 1, j] < min(total[i, j - 1], total[i - 1, j - 1])):
             i -= 1
         share = 1.0 / (last - i + 1)
@@ -315,17 +280,10 @@ def merge_along_path(
 
 @njit(cache=True, nogil=True)
 def warped_costs(costs: FloatArray, bounds: IndexArray) -> FloatArray:
-    """Cost of the best warping of one motion to each of several templates.
+    """Compute the (C,) costs of the best warping of a motion to each of several templates.
 
-    Parameters
-    ----------
-    costs : (sum of template lengths, L) local cost of every template frame against every motion frame.
-    bounds : (C + 1,) where each template starts in ``costs``.
-
-    Returns
-    -------
-    (C,) cost along the best path; diagonal steps count twice, so that every path has weight K + L, by which
-    the sum is divided.
+    ``costs`` (sum of template lengths, L) are local costs of template and motion frames, ``bounds`` (C + 1,) the starts
+    of the templates there. Diagonal steps count twice, and the sum is divided by K + L.
     """
     n_motion = costs.shape[1]
     answer = np.empty(len(bounds) - 1)

@@ -1,9 +1,8 @@
-"""Search inside long takes: where does something like a motion happen?
+"""Search long takes for places similar to a motion.
 
-The query is compared with the windows of all takes that are half to twice as long: by the share of trees in which
-both fall into the same leaf, and by the poses of their eight parts. The best windows, no two of them the same place,
-are moved by parts of their length until their poses fit best, aligned with the query pose by pose, and ordered anew.
-Poses alone carry a query of a category that no tree knows; the leaves add what training has taught.
+The query is compared with all windows half to twice as long, by the share of trees with the same leaf and by the poses
+of eight parts. The best windows at different places are moved until their poses fit best, aligned with the query pose
+by pose, and sorted again. Poses work for categories that no tree knows; leaves add trained knowledge.
 """
 
 from __future__ import annotations
@@ -29,31 +28,25 @@ if TYPE_CHECKING:
 POSE_WEIGHT, _LEAF_WEIGHT, _ALIGNED_WEIGHT = 3.0, 0.05, 2.0
 _LEAST_SHARE = 0.02
 
-# Where the score is one half, and how fast it falls, for costs in units of how much the query moves.
+# Cost of the score one half, and its steepness, in units of the movement of the query.
 _MIDDLE, _STEEPNESS, _LEAST_MOVEMENT = 2.42, 6.3, 0.05
 
-# Weights of the log odds that a place shows the category of the query: of those of the likeness of both as clips, of
-# those of the score, and of the logarithm of the votes. Fitted to hits in joined takes of people who did not train, as
-# recorded and disturbed, of UTD-MHAD, HDM05, Bandai and UTKinect; each counts the same (docs/confidence.md).
+# Weights of the log odds that a place shows the category of the query: of the log odds of the likeness of both as clips
+# and of the score, and of the log of the votes. Fitted to hits in joined takes of people who did not train, as recorded
+# and disturbed, of UTD-MHAD, HDM05, Bandai and UTKinect, each counting the same (docs/confidence.md).
 _OFFSET, _BY_LIKENESS, _BY_SCORE, _BY_VOTES = 1.05, 0.71, 0.34, 2.74
 _LEAST_CHANCE = 1e-4
 
-_MOST_ALIGNED = 64  # poses of either sequence that are aligned
+_MOST_ALIGNED = 64  # aligned poses of either sequence
 _BAND = 0.15
-_STEPS = np.linspace(-0.125, 0.125, 7)  # of the window's length: how far an edge may move
-_SAME_PLACE = 0.3  # overlap (intersection over union) of two answers for the same
-_MOST_WINDOWS = 4000  # best windows that are looked through for different places
+_STEPS = np.linspace(-0.125, 0.125, 7)  # moves of an edge, as shares of the window's length
+_SAME_PLACE = 0.3  # least overlap (intersection over union) of the same place
+_MOST_WINDOWS = 4000  # best windows kept
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TakeQuery:
-    """What is looked for.
-
-    Parameters
-    ----------
-    leaves : (n_trees,) that the query reaches.
-    poses : (n, 27) its small poses at ``TAKE_RATE``.
-    """
+    """A motion to search for: its ``leaves`` (n_trees,), and its small ``poses`` (n, 27) at ``TAKE_RATE``."""
 
     leaves: IntArray
     poses: NDArray[np.float16]
@@ -61,16 +54,16 @@ class TakeQuery:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A place in a take that is like the query.
+    """A place in a take that is similar to the query.
 
     Parameters
     ----------
-    take : its name.
+    take : name of the take.
     start, stop : s, from the beginning of the take.
-    score : 0 to 1, the larger the more alike.
-    distance : of the poses of both along the best alignment, root mean square in body heights.
-    shared_leaves : share of trees in which both fall into the same leaf.
-    tempo : how much faster than the query it goes on; 2 is double speed.
+    score : 0 to 1, larger for more similar places.
+    distance : root mean square of pose distances along the best alignment, body heights.
+    shared_leaves : share of trees with the same leaf for both.
+    tempo : speed relative to the query; 2 is double speed.
     """
 
     take: str
@@ -82,7 +75,7 @@ class Found:
     tempo: float
 
     def to_json(self) -> dict[str, Any]:
-        """Plain words and numbers; times in seconds."""
+        """Return plain words and numbers; times in seconds."""
         return {
             "take": self.take,
             "start_s": round(self.start, 3),
@@ -95,15 +88,8 @@ class Found:
 
 
 def describe_query(forest: MotionForest, feature_set: FeatureSet, motion: PosedMotion) -> TakeQuery:
-    """Make a motion ready to be looked for.
+    """Make a query of a motion of at least 0.27 s, with the forest of the takes and its feature set.
 
-    Parameters
-    ----------
-    forest : the forest that described the takes, trained on ``feature_set``.
-    motion : at least 0.27 s long.
-
-    Raises
-    ------
     InvalidMotionError : too short, another shape, not finite, no body height.
     """
     from dousa.retrieval.features.channels import sample_positions
@@ -125,14 +111,14 @@ def find_in_takes(
     slowest: float = 0.5,
     fastest: float = 2.0,
 ) -> list[Found]:
-    """The places that are most like a query, best first, no two of them the same.
+    """Find the places most similar to a query, best first, no two of them the same.
 
     Parameters
     ----------
-    query : by the same forest as the takes.
+    query : made with the forest of the takes.
     takes : names and windows.
-    limit : answers at most.
-    slowest, fastest : tempo against the query: windows of 1 / fastest to 1 / slowest of its length are compared.
+    limit : most places.
+    slowest, fastest : tempo relative to the query; windows of 1 / fastest to 1 / slowest of its length are compared.
 
     Raises
     ------
@@ -149,7 +135,7 @@ def find_in_takes(
 WINDOW_NUMBERS = np.dtype(
     [("take", "i8"), ("row", "i8"), ("start", "i8"), ("stop", "i8"), ("cost", "f8"), ("share", "f8")]
 )
-"""A window of the n-th take that was shown: where it is, its cost, and the share of trees with the query's leaf."""
+"""A window of a take: its place, its cost, and the share of trees with the query's leaf."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,9 +144,9 @@ class Stretch:
 
     Parameters
     ----------
-    first : frame of the take with which it begins.
+    first : its first frame in the take.
     poses : (n, 27) float16, its small poses.
-    sums : (n + 1, 27) running sums of poses; where they begin makes no difference.
+    sums : (n + 1, 27) running sums of poses from any start.
     n_frames, duration : of the whole take, in frames at ``TAKE_RATE`` and s.
     """
 
@@ -172,23 +158,18 @@ class Stretch:
 
 
 CutStretch = Callable[[int, int], Stretch]
-"""Gives the frames of a take from one to another, as far as there are such."""
+"""Returns the frames of a take from one to another, as far as they exist."""
 
 
 def cut_stretch(windows: TakeWindows, first: int, last: int) -> Stretch:
-    """Frames of a take that is in memory."""
+    """Cut frames from a take in memory."""
     frames = slice(max(first, 0), last)
     sums = windows.sums[frames.start : last + 1]
     return Stretch(frames.start, windows.poses[frames], sums, windows.n_frames, windows.duration)
 
 
 class TakeSearch:
-    """A search through takes that are shown one after the other, and need not be in memory together.
-
-    Parameters
-    ----------
-    query, limit, slowest, fastest : as in ``find_in_takes``, which raises the same errors.
-    """
+    """A search as ``find_in_takes``, with the same errors, through takes that need not be in memory together."""
 
     def __init__(self, query: TakeQuery, limit: int = 20, slowest: float = 0.5, fastest: float = 2.0) -> None:
         if limit < 1 or not 0 < slowest <= fastest < np.inf:
@@ -201,14 +182,14 @@ class TakeSearch:
         self._farthest = np.inf
 
     def look(self, name: str, windows: TakeWindows) -> None:
-        """Look at the next take."""
+        """Search the next take."""
         found = _compare(self._query, windows, self._tempos, self._farthest)
         found["take"] = self.include(name)
         self._wait(found)
 
     @property
     def leaves(self) -> IntArray:
-        """That the query reaches."""
+        """(n_trees,) leaves of the query."""
         return self._query.leaves
 
     @property
@@ -218,22 +199,18 @@ class TakeSearch:
 
     @property
     def lengths(self) -> tuple[float, float]:
-        """The shortest and the longest windows that are compared, in frames; not whole ones."""
+        """The shortest and longest compared windows, in frames, not rounded."""
         return _limit_lengths(len(self._query.poses), self._tempos)
 
     def include(self, name: str) -> int:
-        """The number of the next take, of which some windows will be shown, or none."""
+        """Add a take and return its number."""
         self._names.append(name)
         return len(self._names) - 1
 
     def consider(self, windows: NDArray[Any], sums: FloatArray, places: IntArray) -> None:
-        """Look at some windows of takes that were included.
+        """Compare ``windows`` (M,) ``WINDOW_NUMBERS`` of included takes, without costs.
 
-        Parameters
-        ----------
-        windows : (M,) ``WINDOW_NUMBERS``, without their costs.
-        sums : running sums of poses in which all of them lie.
-        places : (M,) where each begins there.
+        ``sums`` are running sums of poses that contain all of them, ``places`` (M,) their beginnings there.
         """
         from dousa.retrieval.takes.moment_kernels import compare_poses
 
@@ -250,7 +227,6 @@ class TakeSearch:
             self._keep_best()
 
     def _keep_best(self) -> None:
-        """Of all windows so far those that may be looked through; a later one must not cost more than the last."""
         found = np.concatenate([self._best, *self._waiting])
         self._waiting = []
         self._best = found[np.lexsort((found["row"], found["take"], found["cost"]))[:_MOST_WINDOWS]]
@@ -258,7 +234,7 @@ class TakeSearch:
             self._farthest = float(self._best["cost"][-1])
 
     def finish(self, get_windows: Callable[[int], TakeWindows | CutStretch]) -> list[Found]:
-        """The places, best first; ``get_windows`` gives the windows of the n-th take again, or cuts stretches out."""
+        """Return the best places; ``get_windows`` returns the windows of the n-th take, or a ``CutStretch``."""
         self._keep_best()
         chosen = _different_places(self._best, 2 * self._limit + 20)
         found: list[Found] = []
@@ -274,7 +250,7 @@ class TakeSearch:
 
 
 def _compare(query: TakeQuery, take: TakeWindows, tempos: tuple[float, float], farthest: float) -> NDArray[Any]:
-    """The windows of a take that cost no more than ``farthest``, in their order, as ``WINDOW_NUMBERS``."""
+    """Return the windows of a take that cost at most ``farthest``, in order, as ``WINDOW_NUMBERS``."""
     from dousa.retrieval.takes.moment_kernels import compare_leaves, compare_poses
 
     if take.leaves.shape[1] != len(query.leaves):
@@ -285,7 +261,7 @@ def _compare(query: TakeQuery, take: TakeWindows, tempos: tuple[float, float], f
     last = max(int(np.searchsorted(lengths, longest, side="right")), first)
     distances = np.empty(last - first)
     starts, stops = take.starts[first:last], take.stops[first:last]
-    # Leaves that are shared make nothing cheaper than the poses are.
+    # The leaves only add to the cost of the poses.
     compare_poses(take.sums, starts, stops, cut_parts(query.poses), farthest / POSE_WEIGHT, distances)
     near = np.flatnonzero(np.isfinite(distances))
     shares = np.empty(len(near))
@@ -300,19 +276,18 @@ def _compare(query: TakeQuery, take: TakeWindows, tempos: tuple[float, float], f
 
 
 def _limit_lengths(n_frames: int, tempos: tuple[float, float]) -> tuple[float, float]:
-    """The lengths of windows that are compared with a query of so many frames."""
     slowest, fastest = tempos
-    # A grid has gaps: the lengths next to the range may hold an edge of it.
+    # A grid has gaps, so lengths next to the range are included.
     return n_frames / fastest / 1.1, n_frames / slowest * 1.1
 
 
 def cost_windows(distances: Any, shares: Any) -> Any:
-    """Of windows, by the distance of their poses and the share of trees with the same leaf; 0 for the query itself."""
+    """Compute the cost of windows from pose distances and shares of trees with the same leaf; 0 for the query."""
     return POSE_WEIGHT * distances + _LEAF_WEIGHT * np.log((1 + _LEAST_SHARE) / (shares + _LEAST_SHARE))
 
 
 def cut_parts(poses: NDArray[Any]) -> FloatArray:
-    """(8, 27) mean poses of the parts of a sequence, which start at whole frames as those of windows do."""
+    """Return the (8, 27) mean poses of the parts of a sequence; parts start at whole frames, as in windows."""
     count = len(poses)
     edges = (np.arange(N_PARTS + 1) * count * 2 + N_PARTS) // (2 * N_PARTS)
     sums = np.zeros((count + 1, poses.shape[1]))
@@ -322,7 +297,6 @@ def cut_parts(poses: NDArray[Any]) -> FloatArray:
 
 
 def _different_places(ordered: NDArray[Any], wanted: int) -> NDArray[Any]:
-    """The first windows (``WINDOW_NUMBERS``) of which no two share much of their time (non-maximum suppression)."""
     kept: list[int] = []
     spans: dict[int, list[tuple[int, int]]] = {}
     for k, (take, start, stop) in enumerate(ordered[["take", "start", "stop"]].tolist()):
@@ -336,14 +310,14 @@ def _different_places(ordered: NDArray[Any], wanted: int) -> NDArray[Any]:
 
 
 def overlap(one: tuple[float, float], other: tuple[float, float]) -> float:
-    """Intersection over union of two spans (start, stop); 0 where both have no length."""
+    """Return the intersection over union of two spans (start, stop); 0 where both have no length."""
     union = max(one[1], other[1]) - min(one[0], other[0])
     shared = min(one[1], other[1]) - max(one[0], other[0])
     return max(shared, 0.0) / union if union > 0 else 0.0
 
 
 def _refine(query: TakeQuery, named: tuple[str, CutStretch], window: Any, tempos: tuple[float, float]) -> Found:
-    """Move the edges of a window until the poses of its parts fit best, then align it pose by pose."""
+    """Move the edges of a window until its parts fit best, then align it pose by pose."""
     from dousa.retrieval.takes.moment_kernels import compare_poses
 
     name, cut = named
@@ -351,12 +325,12 @@ def _refine(query: TakeQuery, named: tuple[str, CutStretch], window: Any, tempos
     moves = np.unique(np.round(_STEPS * (stop - start)).astype(np.int64))
     starts = np.repeat(start + moves, len(moves))
     stops = np.tile(stop + moves, len(moves))
-    # The window itself comes first, so that it stays where others are only as good.
+    # The window itself comes first and wins ties.
     starts, stops = np.append(start, starts), np.append(stop, stops)
     take = cut(int(starts.min()), int(stops.max()))
     inside = (starts >= 0) & (stops <= take.n_frames) & (stops - starts >= N_PARTS)
     starts, stops = starts[inside], stops[inside]
-    # Windows lie a little beyond the tempos, as the grid has gaps; the answers do not, if they can be moved.
+    # Windows may lie slightly outside the tempos, as the grid has gaps; answers only if they cannot be moved.
     tempo = len(query.poses) / (stops - starts)
     off = np.maximum(tempo / tempos[1], tempos[0] / tempo).clip(1.0)
     starts, stops = starts[off == off.min()], stops[off == off.min()]
@@ -378,18 +352,18 @@ def _refine(query: TakeQuery, named: tuple[str, CutStretch], window: Any, tempos
 
 
 def _score(cost: float, poses: NDArray[np.float16]) -> float:
-    """0 to 1. A query that hardly moves is near to everything at rest, so its costs weigh more."""
+    """Return the score, 0 to 1; costs weigh more for a query with little movement, which is near everything at rest."""
     values = poses.astype(np.float64)
     movement = float(np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)))
     return float(1.0 / (1.0 + (cost / (_MIDDLE * (movement + _LEAST_MOVEMENT))) ** _STEEPNESS))
 
 
 def judge_place(likeness: float, score: float, votes: float) -> float:
-    """The probability that a place shows the category of the query.
+    """Compute the probability that a place shows the category of the query.
 
     Parameters
     ----------
-    likeness : probability that query and place, as clips, mean the same where that is as likely as not.
+    likeness : probability that query and place, as clips, show the same category at even prior odds.
     score : of ``Found``.
     votes : share of the trees that vote for the category of the query at the place.
     """
@@ -399,14 +373,14 @@ def judge_place(likeness: float, score: float, votes: float) -> float:
 
 
 def _align(one: NDArray[np.float16], other: NDArray[np.float16]) -> float:
-    """Mean distance of two sequences of small poses along their cheapest warping path, root mean square."""
+    """Return the root mean square distance of two sequences of small poses along the cheapest warping path."""
     from dousa.retrieval.ranking.ranking import warp_distances
 
     query, frames = _thin(one), _thin(other)
     distance = np.empty(1)
     ends = np.array([0, len(frames)])
     warp_distances(query, frames, ends[:1], ends[1:], _BAND * len(frames), distance)
-    # A straight path pays once for a pair of poses, and is divided by both lengths.
+    # A straight path counts each pair once, but is divided by both lengths.
     return float(2.0 * distance[0] / np.sqrt(query.shape[1]))
 
 
@@ -416,7 +390,7 @@ def _thin(poses: NDArray[np.float16]) -> NDArray[np.float32]:
 
 
 def _drop_same(found: list[Found]) -> list[Found]:
-    """Answers of which no two are the same place, the better one kept: refining may have brought some together."""
+    """Drop the worse of answers at the same place, as refining may move them together."""
     kept: list[Found] = []
     for one in found:
         same = (

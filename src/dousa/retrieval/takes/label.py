@@ -1,10 +1,8 @@
-"""Label a long take over time: which category from when to when, how sure, and where nothing known happens.
+"""Label a long take over time: categories with start, stop and confidence, and unknown stretches.
 
-Discriminants say how likely every category, and nothing, is at every moment (`moment_model`), and the likeliest
-sequence of segments is found (`sequence`), which finds the places and the lengths of the actions at once. Each segment
-is then cut out and judged as a clip, by the forest that clips are judged by (`stretches`); what it is called, and how
-likely that is right, follows from both. What is nothing, and what is not likely enough to be right, is unknown; but of
-the latter the guess is told where a clip of it would perhaps be that.
+Discriminants give the probability of every category, and of nothing, at every moment (`moment_model`), from which the
+likeliest sequence of segments follows (`sequence`). Each segment is then judged as a clip by the forest (`stretches`);
+both together give its name and confidence. Doubtful segments are unknown, with a guess where a clip would have one.
 """
 
 from __future__ import annotations
@@ -51,7 +49,7 @@ from dousa.retrieval.takes.windows import TAKE_RATE
 from dousa.workers.threads import map_pieces
 
 SHORT_GAP = 15
-"""Frames between two actions, or at an end, that are shared out among them."""
+"""Frames, the longest gap between two actions, or at an end, that is added to them."""
 
 _View = Callable[[NDArray[np.float32]], NDArray[np.float32]]  # discriminants of moments
 
@@ -71,11 +69,10 @@ class Segment:
     ----------
     start, stop : s.
     category : None where it is unknown.
-    confidence : 0 to 1, the probability that the category, or else the guess, is right; where there is neither, that
-        none would be.
+    confidence : 0 to 1, the probability that the category, or else the guess, is right; with neither, that none is.
     repetitions : how often the action is done.
-    mirrored : whether it is so with left and right the other way round; never where the library tells sides apart.
-    guess : what it perhaps is, where that is too doubtful to be its category; None where there is no such name.
+    mirrored : whether the action is mirrored; never if the labeller distinguishes sides.
+    guess : a category too doubtful for ``category``; else None.
     """
 
     start: float
@@ -88,11 +85,11 @@ class Segment:
 
     @property
     def perhaps(self) -> bool:
-        """Whether it has no category and perhaps is what was guessed."""
+        """Return whether the segment has a guess in place of a category."""
         return self.guess is not None
 
     def to_json(self) -> dict[str, Any]:
-        """Plain words and numbers; times in seconds."""
+        """Return plain words and numbers; times in seconds."""
         return {
             "start_s": round(self.start, 3),
             "end_s": round(self.stop, 3),
@@ -108,28 +105,21 @@ class Segment:
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """A take from beginning to end.
-
-    Parameters
-    ----------
-    segments : one after another without gaps, in the order of time; none for a take of no length.
-    duration : s.
-    threshold : confidence below which a stretch is unknown.
-    """
+    """A take of ``duration`` s as ``segments`` in the order of time without gaps; unknown below the ``threshold``."""
 
     segments: tuple[Segment, ...]
     duration: float
     threshold: float
 
     def category_at(self, seconds: float) -> str | None:
-        """The category at a moment; None where it is unknown or outside the take."""
+        """Return the category at a moment; None where it is unknown or outside the take."""
         for segment in self.segments:
             if segment.start <= seconds < segment.stop:
                 return segment.category
         return None
 
     def to_json(self) -> dict[str, Any]:
-        """Plain dictionaries, lists, numbers and strings, ready for ``json.dumps``."""
+        """Return plain dictionaries, lists, numbers and strings for ``json.dumps``."""
         return {
             "duration_s": round(self.duration, 3),
             "threshold": round(self.threshold, 4),
@@ -138,13 +128,8 @@ class Timeline:
 
 
 def write_timeline_csv(timeline: Timeline, path: str | os.PathLike[str]) -> None:
-    """Write a row a segment: start_s, end_s, category (empty where unknown), confidence, repetitions, perhaps.
+    """Write a row per segment: start_s, end_s, category (empty if unknown), confidence, repetitions, perhaps (guess).
 
-    A name that is too doubtful for the column of categories stands in the last one: who learns from the table learns
-    neither the name nor that nothing happens there.
-
-    Raises
-    ------
     MotionWriteError : the file cannot be written.
     """
     text = io.StringIO(newline="")
@@ -159,22 +144,20 @@ def write_timeline_csv(timeline: Timeline, path: str | os.PathLike[str]) -> None
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TakeLabeller:
-    """What is learned to label takes with.
+    """A trained labeller of takes.
 
     Parameters
     ----------
     classes : (C,) the categories.
-    model : of moments; what it tells apart are three phases of each class, and nothing.
-    sequence : how states follow one another.
-    calibration : (1 + K,) the log odds that a segment is right: offset, and the weights of its evidence
-        (`describe_run`).
-    threshold : confidence from which a category is said.
-    held : (H, F) bytes of some moments that trained, of which the same is said when an example is taught.
-    held_states : (H,) what they are, as the model counts: 3 c + phase, 3 C for nothing.
-    usual : (C', 28) what one repetition of a category comes to in each tally (`find_usual`); NaN where that is not
-        known. C' is C without the categories only taught, or 0, as in
-        the files of an earlier dousa, which tallied something else.
-    placing : (1 + K,) the same as ``calibration`` of being where any action is; of an earlier dousa none.
+    model : of moments; its states are three phases of each class, and nothing.
+    sequence : order and lengths of the states.
+    calibration : (1 + K,) offset and evidence weights (`describe_run`) of the log odds that a segment is right.
+    threshold : least confidence of a category.
+    held : (H, F) bytes of some training moments, whose states are kept when examples are taught.
+    held_states : (H,) their states: 3 c + phase, 3 C for nothing.
+    usual : (C', 28) one repetition of a category in each tally (`find_usual`), NaN where unknown. C' is C without the
+        categories only taught, or 0 in files of earlier versions, whose tallies differ.
+    placing : (1 + K,) as ``calibration``, of lying where any action is; empty in earlier versions.
     """
 
     classes: tuple[str, ...]
@@ -188,24 +171,17 @@ class TakeLabeller:
     placing: tuple[float, ...] = ()
 
     def judge(self, sampled: FloatArray, height: float, n_jobs: int | None = None) -> NDArray[np.float32]:
-        """How much each phase of each category, and nothing, is shown at the moments of a recording.
+        """Compute the discriminants of a recording ``sampled`` (n, 20, 3) m at ``TAKE_RATE``, of a body ``height`` m.
 
-        Parameters
-        ----------
-        sampled : (n, 20, 3) m at ``TAKE_RATE``.
-        height : m.
-        n_jobs : threads; None for one. The result does not depend on it.
-
-        Returns
-        -------
-        (M, 3 C + 1) discriminants, about 1 for what is shown and about 0 for all else.
+        Returns (M, 3 C + 1) of the phases and of nothing, at its moments: about 1 if shown, else about 0. The result
+        does not depend on ``n_jobs``, threads; None for one.
         """
         return self._judge(sampled, height, n_jobs, (self.model.judge,))[0]
 
     def judge_both(
         self, sampled: FloatArray, height: float, n_jobs: int | None = None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Twice as ``judge``: of a recording, and of its mirror image."""
+        """Compute ``judge`` of a recording and of its mirror image."""
         views = self.model.judge, lambda values: self.model.judge_mirrored(values, *MIRRORED_VALUES)
         own, mirrored = self._judge(sampled, height, n_jobs, views)
         return own, mirrored
@@ -227,11 +203,11 @@ class TakeLabeller:
 
     @property
     def tells_sides(self) -> bool:
-        """Whether the mirror image of some category is another one: a wave with the left hand, one with the right."""
+        """Return whether one category mirrors another, as waves of the left and of the right hand."""
         return _tells_sides(self)
 
     def choose(self, scores: NDArray[np.float32], n_frames: int, *, never_unknown: bool = False) -> list[Chosen]:
-        """The actions of a recording, in the order of time, from the discriminants (M, 3 C + 1) at its moments."""
+        """Return the actions of a recording, in the order of time, from its (M, 3 C + 1) discriminants."""
         shares = sharpen(scores, self.model.sharpness)
         joined = join_phases(shares)
         chosen: list[Chosen] = []
@@ -248,19 +224,19 @@ class TakeLabeller:
         return chosen
 
     def confidence(self, evidence: FloatArray) -> FloatArray:
-        """(W,) probability that segments are right, from their evidence (W, K)."""
+        """Return the (W,) probability that segments are right, from their evidence (W, K)."""
         return _weigh_evidence(evidence, self.calibration)
 
     def place(self, evidence: FloatArray) -> FloatArray:
-        """(W,) probability that segments are where some action is, from their evidence (W, K)."""
+        """Return the (W,) probability that segments lie where some action is, from their evidence (W, K)."""
         return _weigh_evidence(evidence, self.placing or self.calibration)
 
     def find_most(self, evidence: FloatArray) -> FloatArray:
-        """(W,) the greatest probability that segments with some evidence (W, K) are right, whoever judges them."""
+        """Return the (W,) larger of ``place`` and ``confidence``, from evidence (W, K)."""
         return np.maximum(self.place(evidence), self.confidence(evidence))
 
     def to_bytes(self) -> bytes:
-        """The bytes of an .npz file (no pickle); the same labeller gives the same bytes."""
+        """Return the bytes of an .npz file (no pickle); the same labeller gives the same bytes."""
         weights = self.sequence.weights
         return pack_arrays(
             {
@@ -281,7 +257,7 @@ class TakeLabeller:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> TakeLabeller:
-        """The labeller that ``to_bytes`` wrote; DousaError for damaged, other or newer bytes."""
+        """Read the bytes of ``to_bytes``; DousaError for damaged, other or newer bytes."""
         arrays = unpack_arrays(data, _NAMES, _WHAT, ("placing",))
         check_version(arrays, _WHAT, (*_EARLIER, _VERSION))
         arrays.setdefault("placing", arrays["calibration"])
@@ -304,7 +280,7 @@ class TakeLabeller:
         right = held.dtype == np.uint8 and held.ndim == 2 and held.shape[1] == N_VALUES
         check(right and of.dtype == np.int32 and of.shape == (len(held),), _WHAT, "bad held moments")
         usual = arrays["usual"]
-        if int(arrays["version"]) in _EARLIER:  # which had other tallies
+        if int(arrays["version"]) in _EARLIER:  # other tallies
             usual = np.empty((0, len(TALLIES)))
         right = usual.dtype == np.float64 and usual.shape in ((len(classes), len(TALLIES)), (0, len(TALLIES)))
         check(right and bool((np.isnan(usual) | ((usual > 1e-3) & (usual < 1e6))).all()), _WHAT, "bad repetitions")
@@ -330,7 +306,7 @@ def _tells_sides(labeller: TakeLabeller) -> bool:
 
 
 N_EVIDENCE = 6
-"""Numbers that say how sure a segment is."""
+"""K, numbers of evidence of a segment."""
 
 
 def _weigh_evidence(evidence: FloatArray, curve: Sequence[float]) -> FloatArray:
@@ -340,23 +316,22 @@ def _weigh_evidence(evidence: FloatArray, curve: Sequence[float]) -> FloatArray:
 
 
 def average_shares(shares: NDArray[np.float32], run: Run) -> FloatArray:
-    """(C + 1,) how much of each category, and of nothing, a run shows, from the shares (M, 3 C + 1) of all moments."""
+    """Return the (C + 1,) mean share of each category, and of nothing, in a run, from shares (M, 3 C + 1)."""
     return _average(join_phases(shares[run.start : run.stop]), Run(0, run.stop - run.start, run.state))
 
 
 def _average(joined: NDArray[np.float32], run: Run) -> FloatArray:
-    """The same from the shares (M, C + 1) of the phases together."""
     return np.asarray(joined[run.start : run.stop].mean(axis=0), np.float64)
 
 
 def describe_run(
     shares: NDArray[np.float32], run: Run, sequence: SequenceModel, means: FloatArray | None = None
 ) -> FloatArray:
-    """(K,) what speaks for a run of a category, from the probabilities (M, 3 C + 1) at all moments.
+    """Return the (K,) evidence for a run of a category, from the probabilities (M, 3 C + 1) at all moments.
 
     The log of the mean probability of its category, the lead over the second as a share of it, how usual its length is,
-    the log of that length, and the log odds that its category begins where it does, and ends. ``means`` (C + 1,) are
-    those of `average_shares`, where they are at hand.
+    the log of that length, and the log odds of its beginning and its end. ``means`` (C + 1,) are those of
+    `average_shares`, if known.
     """
     means = average_shares(shares, run) if means is None else means
     own = max(float(means[run.state]), 1e-3)
@@ -373,11 +348,11 @@ def describe_run(
     return np.array(evidence, np.float64)
 
 
-# Weights of the log odds that the name of a segment is right if there is an action: of those of the name against all
-# others, of how typical its poses are for that, and of how unsteady the bones are, as a noisy sensor makes all less
-# typical. Fitted to segments in takes of people who did not train, as recorded and disturbed, with and without unknown
-# actions: HDM05's, UTD-MHAD's and Bandai's joined clips, each set counting the same, and UTKinect's own takes, which
-# count less (lab/trials/segment_confidence.py, docs/takes.md).
+# Weights of the log odds that the name of an action is right: of its log odds against all other names, of how typical
+# its poses are, and of how unsteady the bones are, as a noisy sensor makes all less typical. Fitted to segments of
+# people who did not train, as recorded and disturbed, with and without unknown actions: joined clips of HDM05, UTD-MHAD
+# and Bandai, each counting the same, and UTKinect's takes, which count less (lab/trials/segment_confidence.py,
+# docs/takes.md).
 _OFFSET, _BY_LEAD, _BY_TYPICAL, _BY_UNSTEADINESS = -0.91, 0.76, 3.42, 8.38
 _EVEN = 0.5
 
@@ -389,13 +364,9 @@ def weigh_chosen(
     judge: StretchJudge | None,
     n_jobs: int | None = None,
 ) -> list[Chosen]:
-    """Actions with how likely they are right, and by the name that the clips and the labeller give together.
+    """Set the confidence and the name of actions of a motion from the labeller and the judge of clips.
 
-    Parameters
-    ----------
-    motion : what the frames of the actions count in.
-    judge : of clips; None, or one that does not know a category: the labeller's word alone counts.
-    n_jobs : threads; None for one.
+    The labeller alone decides if the judge is None or does not know a category. ``n_jobs`` threads; None for one.
     """
     if not chosen:
         return []
@@ -419,7 +390,7 @@ def weigh_chosen(
         if not judged:
             said.append(believe(k))
             continue
-        # That it is an action the sequence has decided; here is asked whether it is one that has a name.
+        # The sequence decided that it is an action; the judge decides whether it has a name.
         likely = bool(seen.sure[k] or chances[k] >= _EVEN * placed[k])
         category, possible = names.index(seen.names[k]), bool(likely or seen.possible[k])
         chance = float(chances[k])
@@ -427,13 +398,13 @@ def weigh_chosen(
     return said
 
 
-_MOST_PARTS = 6  # of an action that are judged
+_MOST_PARTS = 6  # judged parts of an action
 
 
 def _divide(chosen: Sequence[Chosen]) -> tuple[NDArray[np.intp], list[tuple[float, float]]]:
-    """Parts (P,) of actions, s, and of which action each is.
+    """Return the spans (P,) of parts of actions, s, and the action of each.
 
-    What is repeated without a rest is one action, and much longer than any clip of it; its parts are what clips show.
+    An action repeated without a rest is much longer than its clips; its parts are as long as they are.
     """
     whole: list[int] = []
     spans: list[tuple[float, float]] = []
@@ -446,7 +417,7 @@ def _divide(chosen: Sequence[Chosen]) -> tuple[NDArray[np.intp], list[tuple[floa
 
 
 def _gather(seen: StretchOpinions, whole: NDArray[np.intp]) -> StretchOpinions:
-    """Opinions on N actions from those on their parts: the name that most speaks for, and the means."""
+    """Combine opinions on parts into those on N actions: the name with most support, and the means."""
     if len(whole) == whole.max() + 1:
         return seen
     names, leads, sure, possible = [], [], [], []
@@ -468,10 +439,9 @@ def _gather(seen: StretchOpinions, whole: NDArray[np.intp]) -> StretchOpinions:
 
 
 def combine_chances(placed: FloatArray, seen: StretchOpinions) -> FloatArray:
-    """The probabilities (N,) that segments are right.
+    """Return the (N,) probabilities that segments are right: that they lie where an action is, and have the right name.
 
-    Each is right if some action is where it is, and if that action has the name that the clips give it. How likely the
-    first is (``placed``), the labeller knows of such takes.
+    ``placed`` (N,) are the probabilities of the first.
     """
     odds = _OFFSET + _BY_LEAD * seen.leads + _BY_TYPICAL * seen.typical + _BY_UNSTEADINESS * seen.unsteady
     chances: FloatArray = placed / (1.0 + np.exp(-odds))
@@ -490,11 +460,11 @@ def label_take(
 
     Parameters
     ----------
-    labeller : what was learned.
+    labeller : trained.
     motion : of any length and frame rate.
-    judge : the forest that judges segments as clips; without one the labeller's word alone counts.
-    threshold : confidence from which a category is said, 0 to 1. With 0 nothing is unknown. None: what is more likely
-        right than wrong, as a clip or all in all; without a judge, what the labeller has learned.
+    judge : the forest that judges segments as clips; None for the labeller alone.
+    threshold : least confidence of a category, 0 to 1; 0 leaves nothing unknown. None: more likely right than wrong, as
+        a clip or all in all; without a judge, the threshold of the labeller.
     n_jobs : threads; None for one. The result does not depend on it.
 
     Raises
@@ -517,7 +487,7 @@ def label_take(
         scores = labeller.judge_both(sampled, motion.height, n_jobs)
         own, mirrored = map_pieces(choose, scores, n_jobs, at_a_time=1)
         chosen = weigh_chosen(labeller, own, motion, judge, n_jobs)
-        # The clips make nothing likelier than that some action is there.
+        # Clips never make an action likelier than its place.
         most = labeller.find_most(np.array([one.evidence for one in mirrored]).reshape(len(mirrored), N_EVIDENCE))
         possible = [
             one
@@ -533,20 +503,20 @@ def label_take(
 
 
 def check_threshold(threshold: float | None) -> None:
-    """OptionError for a probability outside 0 to 1."""
+    """Raise OptionError for a probability outside 0 to 1."""
     if threshold is not None and not 0 <= threshold <= 1:
         raise OptionError("labeller.threshold", found=threshold)
 
 
 def usual_threshold(labeller: TakeLabeller, judge: StretchJudge | None) -> float:
-    """The confidence from which a category is said where nobody asks for another."""
+    """Return the default least confidence of a category."""
     return labeller.threshold if judge is None else _EVEN
 
 
 def make_timeline(
     chosen: Sequence[Chosen], said: Sequence[bool], classes: Sequence[str], duration: float, threshold: float
 ) -> Timeline:
-    """Segments without gaps from actions, and which of them are said."""
+    """Make segments without gaps from actions and whether each is named."""
     n_frames = duration * TAKE_RATE
     spans = _share_gaps([(float(one.start), float(one.stop)) for one in chosen], n_frames)
     parts: list[Segment] = []
@@ -562,7 +532,7 @@ def make_timeline(
 
 
 def make_segment(one: Chosen, span: tuple[float, float], name: str, *, said: bool) -> Segment:
-    """A segment of an action that is said to be of a category, or is perhaps, or is not."""
+    """Make a segment of an action: with its category, a guess, or neither."""
     if not said and not one.possible:
         return Segment(*span, None, 1.0 - one.confidence)
     named = (name, None) if said else (None, name)
@@ -570,7 +540,6 @@ def make_segment(one: Chosen, span: tuple[float, float], name: str, *, said: boo
 
 
 def _share_gaps(spans: list[tuple[float, float]], n_frames: float) -> list[tuple[float, float]]:
-    """Overlaps and short gaps between neighbours end in the middle; short gaps at the ends go to the outermost."""
     if not spans:
         return []
     starts, stops = (list(edges) for edges in zip(*spans, strict=True))
@@ -586,7 +555,6 @@ def _share_gaps(spans: list[tuple[float, float]], n_frames: float) -> list[tuple
 
 
 def _merge_unknown(parts: Sequence[Segment]) -> tuple[Segment, ...]:
-    """Neighbouring stretches that have no name at all become one, as sure as their mean over time."""
     merged: list[Segment] = []
     for part in parts:
         before = merged[-1] if merged else None

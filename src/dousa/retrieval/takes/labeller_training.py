@@ -1,10 +1,8 @@
-"""Learn to label takes: discriminants of moments, how segments follow one another, and how sure an answer is.
+"""Train labellers of takes: discriminants of moments, the sequence of segments, and the confidence of answers.
 
-What trains are takes: annotated ones, and takes made of clips, once as they are and some more times disturbed
-(`made_takes`). The discriminants come from sums over all moments. How large their penalty is, how sharp they are, how
-much evidence weighs, how willing the sequence is to say "nothing", and how sure an answer is are learned from moments
-of people who were left out (clips by chance where people are not known), some categories being set aside too: sums are
-subtracted, and nothing has to be seen twice.
+The material is annotated takes, and takes made of clips, as recorded and disturbed (`made_takes`). The discriminants
+follow from sums over all moments. Penalty, sharpness, sequence weights and calibration are chosen on people left out
+(or random groups of clips), with some categories set aside, by leaving parts out of the sums.
 """
 
 from __future__ import annotations
@@ -58,15 +56,15 @@ from dousa.workers.threads import map_pieces
 
 Progress = Callable[[int, int], None]
 
-_MOST_MOMENTS = 9_000  # that are looked at, and for each category some more
+_MOST_MOMENTS = 9_000  # training moments, and more for each category
 _MORE_MOMENTS = 40
-_LEAST_ROUNDS, _MOST_ROUNDS = 3, 5  # times that the material is shown: once as it is, then disturbed
+_LEAST_ROUNDS, _MOST_ROUNDS = 3, 5  # rounds of the material: the first as recorded, the others disturbed
 _PAIRED = 0.3  # chance that a clip is followed by one of its category, if there is one
 _FOLDS = 3
-_SET_ASIDE = 0.25  # share of the categories that a fold does not know
-_LEAST_STATES = 3  # categories, or nothing, that a fold must know
+_SET_ASIDE = 0.25  # share of the categories unknown to a fold
+_LEAST_STATES = 3  # least categories, or nothing, of a fold
 _MOST_HELD = 600  # moments
-_LEAST_COUNTED, _MOST_COUNTED, _ALL_COUNTED = 3, 12, 400  # clips of a category, and of all, that are counted
+_LEAST_COUNTED, _MOST_COUNTED, _ALL_COUNTED = 3, 12, 400  # counted clips of a category, and of all
 _RIDGES = (0.1, 0.4, 1.6, 6.4)
 _SHARPNESSES = (3.0, 4.5, 6.5, 9.0, 13.0, 19.0, 28.0)
 _DEFAULT_RIDGE, _DEFAULT_SHARPNESS = 0.4, 6.5
@@ -80,12 +78,12 @@ def train_labeller(
     n_jobs: int | None = None,
     progress: Progress | None = None,
 ) -> TakeLabeller:
-    """Learn to label takes.
+    """Train a labeller of takes.
 
     Parameters
     ----------
-    clips : whole actions with categories; performers where they are known.
-    takes : with what happens in them from beginning to end.
+    clips : whole actions with categories, and performers if known.
+    takes : annotated from beginning to end.
     random_state : seed; the same seed gives the same labeller.
     n_jobs : threads; None for one. The result does not depend on it.
     progress : called with the steps done and their number.
@@ -108,7 +106,7 @@ def train_labeller(
     report(2, _STEPS)
     generator = np.random.default_rng(seeds[1])
     sequence = fit_lengths(_measure(material, classes), SequenceWeights())
-    del material  # some hundred kilobytes for every take
+    del material  # frees some hundred kilobytes per take
     model, trials = _learn_model(scale, codes, shown, len(classes), generator)
     report(3, _STEPS)
     sequence = replace(sequence, weights=choose_weights(sequence, trials))
@@ -124,7 +122,7 @@ _STEPS = 4
 
 
 def _find_usual(clips: Sequence[LabelledClip], takes: Sequence[AnnotatedTake], classes: Sequence[str]) -> FloatArray:
-    """(C, 28) what one repetition of each category comes to in each tally, by some of its clips and segments."""
+    """Return (C, 28) one repetition of each category in each tally, from some of its clips and segments."""
     from dousa.retrieval.features.channels import sample_positions
 
     shown: dict[str, list[tuple[FloatArray, float, float]]] = {name: [] for name in classes}
@@ -145,7 +143,7 @@ def _find_usual(clips: Sequence[LabelledClip], takes: Sequence[AnnotatedTake], c
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Material:
-    """A take that trains: who performs, and in which round it is shown (0: as it is)."""
+    """A training take, its performer and its round (0: as recorded)."""
 
     take: JoinedTake
     performer: str
@@ -155,7 +153,7 @@ class _Material:
 def _make_material(
     clips: Sequence[LabelledClip], takes: Sequence[AnnotatedTake], generator: np.random.Generator
 ) -> list[_Material]:
-    """Annotated takes and takes made of the clips, in several rounds; of many clips each is shown in one round."""
+    """Make the training takes of several rounds; of many clips, each round has a part."""
     real = [(_to_joined(take), take.performer or take.name) for take in takes]
     most = _MOST_MOMENTS + _MORE_MOMENTS * len({clip.category for clip in clips})
     per_round = sum(len(take.positions) for take, _ in real) / HOP
@@ -165,7 +163,7 @@ def _make_material(
     material: list[_Material] = []
     order = _take_turns([clip.category for clip in clips], generator)
     for number in range(n_rounds):
-        # Of few clips all are shown in every round, of many the next ones of them.
+        # With few clips every round has all, with many the next ones.
         first, count = round(number * share * len(clips)), round(share * len(clips))
         part = [clips[k] for k in np.sort(np.roll(order, -first)[:count])]
         for group in shuffle_into_takes(part, generator) if part else ():
@@ -177,7 +175,7 @@ def _make_material(
 
 
 def _take_turns(categories: Sequence[str], generator: np.random.Generator) -> NDArray[np.intp]:
-    """All clips by chance, but first one of each category, then the second ones, and so on."""
+    """Return a random order of clips: one of each category, then the second of each, and so on."""
     mixed = generator.permutation(len(categories))
     _, which = np.unique(np.array(categories, dtype=np.str_)[mixed], return_inverse=True)
     by_category = np.argsort(which, kind="stable")
@@ -189,7 +187,7 @@ def _take_turns(categories: Sequence[str], generator: np.random.Generator) -> ND
 
 
 def _pair(group: Sequence[int], categories: Sequence[str], generator: np.random.Generator) -> list[int]:
-    """The clips of a take in an order in which some follow one of their own category: where does one end there?"""
+    """Order the clips of a take so that some follow one of their own category, to learn where one ends."""
     rest, order = list(group), list[int]()
     while rest:
         same = [k for k in rest if order and categories[k] == categories[order[-1]]]
@@ -210,7 +208,7 @@ def _to_joined(take: AnnotatedTake) -> JoinedTake:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shown:
-    """The moments of a take: bytes (M, F), states (M,): 3 c + phase of category c, 3 C for nothing; who, and pieces."""
+    """The moments of a take: bytes (M, F), states (M,) as 3 c + phase, 3 C for nothing, performer, and pieces."""
 
     codes: Codes
     states: IntArray
@@ -221,7 +219,7 @@ class _Shown:
 def _describe(
     material: Sequence[_Material], classes: Sequence[str], n_jobs: int | None
 ) -> tuple[Scale, Codes, list[_Shown]]:
-    """The scale, the moments of all takes, one after the other, and those of each take, which are parts of them."""
+    """Return the scale, the moments of all takes in a row, and those of each take as views."""
 
     from dousa.retrieval.features.channels import count_samples, sample_positions
 
@@ -246,7 +244,7 @@ def _describe(
     return scale, codes, map_pieces(show, range(len(material)), n_jobs, at_a_time=1)
 
 
-_SCALED_TAKES, _SCALED_MOMENTS = 12, 3  # takes that the scale is measured on, and every which moment of them
+_SCALED_TAKES, _SCALED_MOMENTS = 12, 3  # takes that set the scale, and the step between their moments
 
 
 def _states_of(take: JoinedTake, n_moments: int, numbers: dict[str, int]) -> IntArray:
@@ -266,7 +264,7 @@ def _states_of(take: JoinedTake, n_moments: int, numbers: dict[str, int]) -> Int
 
 
 def _gather(shown: Sequence[_Shown], n_categories: int, generator: np.random.Generator) -> tuple[Codes, Any]:
-    """(H, F) bytes and (H,) states of some moments, as many of each state as possible."""
+    """Return (H, F) bytes and (H,) states of some moments, spread evenly over the states."""
     places = [(k, m) for k, one in enumerate(shown) for m in np.flatnonzero(one.states >= 0)]
     order = _take_turns([str(shown[k].states[m]) for k, m in places], generator)
     chosen = [places[k] for k in order[:_MOST_HELD]]
@@ -275,7 +273,6 @@ def _gather(shown: Sequence[_Shown], n_categories: int, generator: np.random.Gen
 
 
 def _measure(material: Sequence[_Material], classes: Sequence[str]) -> list[list[float]]:
-    """The lengths (frames) of all segments of each category and of nothing."""
     lengths: dict[str | None, list[float]] = {name: [] for name in (*classes, None)}
     for one in material:
         for piece in one.take.pieces:
@@ -285,7 +282,6 @@ def _measure(material: Sequence[_Material], classes: Sequence[str]) -> list[list
 
 
 def _divide(shown: Sequence[_Shown], generator: np.random.Generator) -> list[set[str]]:
-    """Performers that are left out together."""
     names = sorted({one.performer for one in shown})
     mixed = generator.permutation(np.array(names))
     folds = [set(mixed[k::_FOLDS].tolist()) for k in range(_FOLDS)]
@@ -294,8 +290,6 @@ def _divide(shown: Sequence[_Shown], generator: np.random.Generator) -> list[set
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fold:
-    """Takes of people left out, categories set aside, and the sums of all other moments."""
-
     takes: list[_Shown]
     aside: IntArray
     sums: MomentSums
@@ -304,14 +298,14 @@ class _Fold:
 def _learn_model(
     scale: Scale, codes: Codes, shown: Sequence[_Shown], n_categories: int, generator: np.random.Generator
 ) -> tuple[MomentModel, list[Trial]]:
-    """The discriminants of all, and what those without some people say of these people's takes."""
+    """Return the discriminants of all moments, and trials of models without some people on the takes of these."""
     n_states = N_PHASES * n_categories + 1
     people = _divide(shown, generator)
     mixed, count = generator.permutation(n_categories), round(_SET_ASIDE * n_categories)
     asides = [mixed[k * count : (k + 1) * count] for k in range(len(people))]
     states = np.concatenate([one.states for one in shown])
     weigh = _weigh(states[states >= 0], n_states)
-    # Which folds a moment is no part of, as bits: one sum for all that are in the same ones.
+    # Bits of the folds that lack a moment; moments with the same bits share one sum.
     out = np.zeros(len(states), np.int64)
     for k, (some, aside) in enumerate(zip(people, asides, strict=True)):
         theirs = np.repeat([one.performer in some for one in shown], [len(one.states) for one in shown])
@@ -343,7 +337,7 @@ def _learn_model(
 def _choose_penalty(
     scale: Scale, folds: Sequence[_Fold], n_categories: int, weigh: FloatArray
 ) -> tuple[float, float, list[NDArray[np.float32]]]:
-    """The penalty that suits people left out best, how sharp all is then, and the discriminants of their moments."""
+    """Return the penalty and sharpness best for people left out, and the discriminants of their moments."""
     if not folds:
         return _DEFAULT_RIDGE, _DEFAULT_SHARPNESS, []
     states = [np.concatenate([one.states for one in fold.takes]) for fold in folds]
@@ -362,7 +356,7 @@ def _choose_penalty(
             for scores, of, some in zip(said, states, rows, strict=False)
         )
 
-    # One fold says how much there has to be learned from, all how sharp it is.
+    # The first fold chooses the penalty, all choose the sharpness.
     values: dict[float, float] = {}
     first: dict[float, NDArray[np.float32]] = {}
     place = _RIDGES.index(_DEFAULT_RIDGE)
@@ -384,7 +378,7 @@ def _choose_penalty(
 
 
 def _rate(scores: NDArray[np.float32], states: IntArray, sharpness: float, weigh: FloatArray) -> float:
-    """Log likelihood of what moments show."""
+    """Return the weighted log likelihood of the true states of moments."""
     joined = join_phases(sharpen(scores, sharpness))
     right = joined[np.arange(len(states)), states // N_PHASES]
     return float((np.log(right + FLOOR) * weigh[states]).sum())
@@ -413,14 +407,13 @@ def _runs_of(take: JoinedTake, n_moments: int, numbers: dict[str, int]) -> list[
 
 
 def _weigh(states: IntArray, n_states: int) -> FloatArray:
-    """(S,) what a moment of each state weighs: all of a state together the square root of their number."""
     weights: FloatArray = 1.0 / np.sqrt(np.maximum(np.bincount(states, minlength=n_states), 1.0))
     weights *= len(states) / weights[states].sum()
     return weights
 
 
 def _forgive(states: IntArray, nothing: int) -> IntArray:
-    """Short gaps between two actions are shared out, so nothing there counts neither way."""
+    """Leave short gaps between two actions uncounted, as they are divided among these."""
     forgiven = states.copy()
     for start, stop in find_equal_runs(states):
         if states[start] == nothing and (stop - start) * HOP <= SHORT_GAP + HOP:
@@ -429,42 +422,26 @@ def _forgive(states: IntArray, nothing: int) -> IntArray:
 
 
 _TEACHING_RIDGE = (
-    0.2  # how far an example gives way to others and to the moments that are held; a moment is as like itself as 1
+    0.2  # how far an example yields to other examples and held moments, relative to its likeness to itself, 1
 )
 _MOST_TAUGHT = 1500  # moments of all examples together
-_TAUGHT_COPIES = 5  # disturbed ones of an example
-_LEAST_TAUGHT = 3  # moments of an example that teaches something
+_TAUGHT_COPIES = 5  # disturbed copies of an example
+_LEAST_TAUGHT = 3  # least moments of an example
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Example:
-    """A part of a recording that shows one category.
-
-    Parameters
-    ----------
-    motion : the part alone.
-    category : what it shows.
-    """
+    """A ``motion``, part of a recording, that shows one ``category``."""
 
     motion: PosedMotion
     category: str
 
 
 def teach_labeller(labeller: TakeLabeller, examples: Sequence[Example]) -> TakeLabeller:
-    """A labeller that knows examples too.
+    """Add examples of known or new categories to a labeller that was not taught before; new categories come last.
 
-    Parameters
-    ----------
-    labeller : that no example has taught.
-    examples : of categories old or new. One of less than half a second teaches nothing.
-
-    Returns
-    -------
-    A new labeller with the same calibration; new categories come last.
-
-    Raises
-    ------
-    InvalidMotionError : another shape than (n, 20, 3), positions that are not finite, no body height.
+    Examples under half a second are ignored, and the calibration stays. InvalidMotionError : another shape than
+    (n, 20, 3), positions that are not finite, no body height.
     """
     most = max(_MOST_TAUGHT // max(len(examples) * (_TAUGHT_COPIES + 1), 1), _LEAST_TAUGHT)
     shown = [(codes, one.category) for one in examples for codes in _describe_example(labeller, one.motion)]
@@ -494,13 +471,12 @@ def teach_labeller(labeller: TakeLabeller, examples: Sequence[Example]) -> TakeL
 
 
 def _widen(model: MomentModel, count: int) -> MomentModel:
-    """Room for so many states more before nothing, which are nowhere likely."""
     weights = model.weights
     return replace(model, weights=np.insert(weights, [weights.shape[1] - 1] * count, 0.0, axis=1))
 
 
 def _describe_example(labeller: TakeLabeller, motion: PosedMotion) -> list[Codes]:
-    """(M, F) bytes of the moments of a part as it is, and of disturbed copies: others do the same otherwise."""
+    """Return (M, F) bytes of the moments of a part, and of disturbed copies for other performers."""
     from dousa.retrieval.features.channels import sample_positions
 
     generator = np.random.default_rng(0)
@@ -522,9 +498,9 @@ def _count_phases(n_moments: int, category: int) -> IntArray:
 
 
 def _find_missing(said: NDArray[np.float32], states: IntArray) -> NDArray[np.float32]:
-    """(K, S) what the discriminants (K, S) of moments that show states lack: 1 for its own, 0 for those of others."""
+    """Return (K, S) corrections of discriminants (K, S): own state to 1 above its value or 0, other categories to 0."""
     missing = -said
-    # What is said of another phase of its category is no mistake.
+    # Another phase of the own category is no mistake.
     own = states[:, None] // N_PHASES * N_PHASES + np.arange(N_PHASES)
     np.put_along_axis(missing, own, 0.0, axis=1)
     rows = np.arange(len(states))

@@ -1,8 +1,4 @@
-"""What is learned of a labeller on people left out: how much evidence weighs, how sure an answer is, when to answer.
-
-What trained is known by heart, so none of this can be seen there. The takes of people left out say which weights label
-them best, how often an answer with this evidence is right, and what is gained by not answering.
-"""
+"""Choose sequence weights, calibration and threshold of a labeller on takes of people left out of its training."""
 
 from __future__ import annotations
 
@@ -17,23 +13,20 @@ from dousa.retrieval.takes.label import describe_run
 from dousa.retrieval.takes.sequence import Run, SequenceModel, SequenceWeights
 
 UNCOUNTED, STRANGE = -1, -2
-"""Moments of which nobody can say what they are; of categories that a fold does not know."""
+"""States of moments: not annotated; of categories unknown to a fold."""
 
-_STRANGERS = 0.2  # times as many of those are met elsewhere: one action in twenty
-_ENOUGH = 8  # answers, right and wrong ones each, that a calibration needs
-_PENALTY = 0.3  # on the squares of the weights of evidence: a few answers make nobody sure
+_STRANGERS = 0.2  # weight of unknown categories, as one action in twenty is unknown in use
+_ENOUGH = 8  # least number of answers for a calibration, right and wrong ones each
+_PENALTY = 0.3  # on the squares of the weights of evidence, against overfitting a few answers
 _DEFAULT_CALIBRATION = (3.0, 2.0, 2.0, 0.0, 0.0, 0.0, 0.0)
 _DEFAULT_THRESHOLD = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """A take of somebody left out: probabilities of the phases (M, 3 C + 1), and the truth (M,), C being nothing.
+    """A take of a person left out: probabilities of the phases (M, 3 C + 1), and true states (M,), C for nothing.
 
-    Parameters
-    ----------
-    pieces : actions of categories that the fold knows.
-    strange : actions of the others.
+    ``pieces`` are its actions of categories known to the fold, ``strange`` the others.
     """
 
     shares: NDArray[np.float32]
@@ -42,7 +35,7 @@ class Trial:
     strange: list[Run] = field(default_factory=list)
 
     def answer(self, sequence: SequenceModel) -> list[Answer]:
-        """What the model says, and what of it is right."""
+        """Return the segments of the model with their evidence and truth."""
         answers, n_categories = [], len(sequence.log_lengths) - 1
         for run in sequence.find_runs(self.shares):
             if run.state < n_categories:
@@ -59,8 +52,9 @@ class Trial:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:
-    """A segment that was said: evidence (K,), moments, shares of them that are right, and of categories not known, and
-    whether it overlaps a true one by half: of its category, or of any.
+    """A segment: evidence (K,), counted moments, shares of right moments and of unknown categories.
+
+    ``found`` and ``placed`` : whether it overlaps a true one by half, of its category or of any.
     """
 
     evidence: FloatArray
@@ -72,22 +66,22 @@ class Answer:
 
 
 _EVIDENCE = (0.2, 0.4, 0.8, 1.6)
-_NOTHING = (1.0, 0.0, -1.0, -2.0)  # what is nothing after all is found where segments are judged as clips
+_NOTHING = (1.0, 0.0, -1.0, -2.0)  # false actions are rejected later, when segments are judged as clips
 _EDGES = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)
-_OF_NOTHING = 0.5  # of a category: what nobody named may be an action all the same
+_OF_NOTHING = 0.5  # weight relative to a category, as unnamed moments may be actions
 _EVENTS_OF_NOTHING = 0.3
 _SEARCHED = (
     ("edges", _EDGES, 1.0),
-    ("nothing", _NOTHING, _EVENTS_OF_NOTHING),  # where an action begins matters less than that it is seen
+    ("nothing", _NOTHING, _EVENTS_OF_NOTHING),  # finding an action matters more than its edges
     ("evidence", _EVIDENCE, 1.0),
     ("edges", _EDGES, 1.0),
     ("nothing", _NOTHING, _EVENTS_OF_NOTHING),
 )
-_MOST_WORK = 300_000  # moments times states that weights are tried on
+_MOST_WORK = 300_000  # moments times states used to try weights
 
 
 def choose_weights(sequence: SequenceModel, trials: Sequence[Trial]) -> SequenceWeights:
-    """The weights that label the takes of people left out best, one changed at a time."""
+    """Choose the weights that label takes of people left out best, one at a time."""
     best = sequence.weights
     if not trials:
         return best
@@ -104,7 +98,7 @@ def choose_weights(sequence: SequenceModel, trials: Sequence[Trial]) -> Sequence
 
 
 def _rate(sequence: SequenceModel, trials: Sequence[Trial], events: float) -> float:
-    """Mean share of right moments over the categories and nothing, and the F of the segments times ``events``."""
+    """Return the mean share of right moments over categories and nothing, plus ``events`` times the F of segments."""
     n_states = len(sequence.log_lengths)
     right, total = np.zeros(n_states), np.zeros(n_states)
     matched = said = true = 0
@@ -133,10 +127,9 @@ def _is_there(one: Run, other: Run) -> bool:
 
 
 def calibrate(answers: Sequence[Answer]) -> tuple[tuple[float, ...], float]:
-    """Weights of the log odds that an answer is right, and the confidence from which answering pays.
+    """Return weights of the log odds that an answer is right, and the confidence from which answering pays.
 
-    An answer pays if its frames are more often right than they are of a category that is not known; of those a fold
-    shows more than takes do.
+    It pays if frames are right more often than of unknown categories, which are weighted down, as folds have too many.
     """
     if not answers:
         return _DEFAULT_CALIBRATION, _DEFAULT_THRESHOLD
@@ -155,35 +148,30 @@ def calibrate(answers: Sequence[Answer]) -> tuple[tuple[float, ...], float]:
     best = int(gained.argmax())
     if gained[best] <= 0:
         return (offset, *weights), 1.0
-    # Half way to the next answer, which does not pay any more.
+    # Halfway to the next answer, which no longer pays.
     following = sure[order[best + 1]] if best + 1 < len(order) else 0.0
     return (offset, *weights), float(0.5 * (sure[order[best]] + following))
 
 
 def calibrate_places(answers: Sequence[Answer]) -> tuple[float, ...]:
-    """Weights of the log odds that an answer is where any action is, of whatever category.
+    """Return weights of the log odds that an answer lies where any action is.
 
-    How often nothing is taken for an action differs between libraries more than anything else: hardly ever where clips
-    are joined, every other time where people walk about between what was annotated.
+    Libraries differ most in false actions: rare in joined clips, frequent where people walk between annotated actions.
     """
     placed = np.array([one.placed for one in answers], bool)
     if len(placed) < _ENOUGH:
         return _DEFAULT_CALIBRATION
     often = np.array([_STRANGERS if one.strange > 0.5 else 1.0 for one in answers])
-    # Platt's targets: where all of them are, one that is not will come.
+    # Platt's targets avoid certainty if all answers are in place.
     there, away = int(placed.sum()), int((~placed).sum())
     truth = np.where(placed, (there + 1.0) / (there + 2.0), 1.0 / (away + 2.0))
     return fit_logistic(np.stack([one.evidence for one in answers]), truth, often)
 
 
 def fit_logistic(columns: FloatArray, truth: FloatArray, often: FloatArray | None = None) -> tuple[float, ...]:
-    """Offset and weights of the log odds by Newton's method, with a small penalty on the weights.
+    """Fit offset and weights of the log odds by Newton's method, with a small penalty on the weights.
 
-    Parameters
-    ----------
-    columns : (N, K) evidence.
-    truth : (N,) 0 to 1.
-    often : (N,) how often each counts; None for once.
+    ``columns`` (N, K) are evidence, ``truth`` (N,) is 0 to 1, ``often`` (N,) the weight of each row; None for 1.
     """
     counts = np.ones(len(columns)) if often is None else often
     design = np.column_stack([np.ones(len(columns)), columns])
@@ -194,7 +182,7 @@ def fit_logistic(columns: FloatArray, truth: FloatArray, often: FloatArray | Non
         slope = design.T @ (counts * (truth - guess)) - penalty @ weights
         curvature = (design * (counts * guess * (1.0 - guess))[:, None]).T @ design + penalty
         step = np.linalg.solve(curvature, slope)
-        # Where the evidence parts right from wrong, full steps run away.
+        # Full steps diverge where the evidence separates right from wrong.
         step *= min(1.0, 5.0 / max(float(np.abs(step).max()), 1e-12))
         weights += step
         if np.abs(step).max() < 1e-8:

@@ -1,9 +1,8 @@
-"""Label a motion while it happens: frames go in, answers come out within one window.
+"""Label a motion while it is recorded, frame by frame.
 
-Frames are brought to 30 Hz and the last ones kept, some ten seconds. A few times a second the last moments are judged
-as those of a recorded take are, what is still to come standing still, and the likeliest sequence is found anew from
-where the answer has settled. So memory and work a frame stay the same for hours. A moment is judged for good when all
-that lies around it has been seen; a segment is settled when that holds for some moments of what follows it.
+The last ten seconds of frames are kept at 30 Hz. Five times a second the newest moments are judged as those of a
+recorded take, as if the body then stood still, and the likeliest sequence is searched from the last settled moment, so
+memory and work per frame stay constant. A segment is settled once some moments after it have all their surroundings.
 """
 
 from __future__ import annotations
@@ -37,25 +36,25 @@ from dousa.retrieval.takes.repetitions import Chosen
 from dousa.retrieval.takes.sequence import N_PHASES, Run
 from dousa.retrieval.takes.windows import TAKE_RATE
 
-_BEFORE = REACH + 40  # frames before a moment that are needed: channels are smoothed over time
-_AHEAD = 60  # frames after a moment from which on what is said of it hardly changes
-_LONGEST = 300  # moments that may be open: a minute
-_MEASURED = 30  # frames that the body height is estimated from
-_LONGEST_GAP = 2.0  # s between two frames that are bridged in a straight line
+_BEFORE = REACH + 40  # frames needed before a moment, as channels are smoothed over time
+_AHEAD = 60  # frames after which the judgement of a moment hardly changes
+_LONGEST = 300  # open moments at most: a minute
+_MEASURED = 30  # frames used to estimate the body height
+_LONGEST_GAP = 2.0  # s, bridged linearly
 
 
 @dataclass(frozen=True, slots=True)
 class LiveAnswer:
-    """What is known at a moment.
+    """The state of the labels at a moment.
 
     Parameters
     ----------
-    time : s, of the last frame that counted.
+    time : s, of the last frame used.
     category : of the action that ends about now; None where it is unknown or not over yet.
     confidence : 0 to 1, as of a `Segment`.
-    start : s, when that action began; ``time`` where there is none.
-    settled : stretches that became certain since the last answer; together they are the timeline.
-    guess : what it perhaps is, where that is too doubtful to be the category; else None.
+    start : s, the beginning of that action; ``time`` where there is none.
+    settled : segments settled since the last answer; together they are the timeline.
+    guess : a category too doubtful for ``category``; else None.
     """
 
     time: float
@@ -66,7 +65,7 @@ class LiveAnswer:
     guess: str | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Plain words and numbers; times in seconds."""
+        """Return plain words and numbers; times in seconds."""
         return {
             "time_s": round(self.time, 3),
             "category": self.category,
@@ -80,13 +79,13 @@ class LiveAnswer:
 
 
 class LiveLabeller:
-    """Labels frames as they come.
+    """A labeller of frames as they arrive.
 
     Parameters
     ----------
     labeller : as for takes.
     height : m, of the performer; None to estimate it from the first second.
-    threshold, judge : as for takes; of a long segment the last quarter of a minute is judged as a clip.
+    threshold, judge : as for takes; the judge sees only the kept end of a long segment.
 
     Raises
     ------
@@ -108,20 +107,13 @@ class LiveLabeller:
         self._labeller, self._judge = labeller, judge
         self._threshold = threshold
         self._sampler = _Sampler(2 * (_BEFORE + _AHEAD) + _MEASURED)
-        self._settled = 0  # moments whose label is certain
+        self._settled = 0  # moments with a settled label
         self._scores = np.zeros((0, N_PHASES * len(labeller.classes) + 1), np.float32)  # of the moments after those
 
     def push(self, positions: ArrayLike, time: float) -> LiveAnswer | None:
-        """Take a frame; answers come five times a second, None in between.
+        """Add canonical joints (20, 3) m, Y up, at a time in s; return an answer five times a second, else None.
 
-        Parameters
-        ----------
-        positions : (20, 3) m, canonical joints, Y up, finite.
-        time : s, later than that of the frame before.
-
-        Raises
-        ------
-        InvalidMotionError : another shape, positions that are not finite, a time that does not go on.
+        InvalidMotionError : another shape, positions that are not finite, a time not after the last, or over 2 s later.
         """
         points = np.asarray(positions, np.float64)
         if points.shape != (len(CANONICAL_JOINTS), 3) or not np.isfinite(points).all():
@@ -133,7 +125,7 @@ class LiveLabeller:
         return self._answer(self._settle())
 
     def finish(self) -> LiveAnswer | None:
-        """Take no more frames: the last answer, with all that was not settled; None if there was no frame."""
+        """Return the last answer, with all that was not settled; None if there was no frame."""
         self._sampler.flush()
         if not self._sampler.count:
             return None
@@ -152,7 +144,7 @@ class LiveLabeller:
         return self.height is not None
 
     def _describe(self, n_moments: int) -> None:
-        """Judge the moments that are new, and those before whose surroundings have changed."""
+        """Judge the new moments, and earlier ones whose surroundings have changed."""
         first = max(n_moments - _AHEAD // HOP - _judged_at_once(n_moments - self._settled - len(self._scores)), 0)
         first = max(first, self._settled)
         begin = max(first * HOP - _BEFORE, self._sampler.oldest)
@@ -163,7 +155,7 @@ class LiveLabeller:
         self._scores = np.concatenate([self._scores[: first - self._settled], judged])
 
     def _settle(self, *, rest: bool = False) -> tuple[Segment, ...]:
-        """Segments that will not change any more, in order; with the rest, all."""
+        """Return the segments that are settled now, in order; with ``rest``, all."""
         runs = self._runs()
         done = runs if rest else [run for run in runs[:-1] if run.stop <= len(self._scores) - 2 * _AHEAD // HOP]
         if not done and len(self._scores) > _LONGEST:
@@ -175,7 +167,7 @@ class LiveLabeller:
         return settled
 
     def _runs(self) -> list[Run]:
-        """The likeliest sequence of what has not settled; short gaps belong to the action behind them."""
+        """Return the likeliest sequence after the settled part; short gaps join the action after them."""
         runs = self._labeller.sequence.find_runs(self._share(), never_nothing=self._threshold == 0)
         nothing, joined = len(self._labeller.classes), list[Run]()
         for run in runs:
@@ -185,7 +177,6 @@ class LiveLabeller:
         return joined
 
     def _share(self) -> NDArray[np.float32]:
-        """(M, 3 C + 1) probabilities of what has not settled."""
         return sharpen(self._scores, self._labeller.model.sharpness) if len(self._scores) else self._scores
 
     def _segment(self, run: Run, *, last: bool = False) -> Segment:
@@ -198,14 +189,14 @@ class LiveLabeller:
         return make_segment(weighed, (start, stop), self._labeller.classes[weighed.category], said=known)
 
     def _weigh(self, run: Run) -> Chosen:
-        """How likely a run of a category is right, by what is still there of it."""
+        """Weigh a run of a category by the part of it that is kept."""
         evidence = describe_run(self._share(), run, self._labeller.sequence)
         begin = self._sampler.oldest
         start, stop = ((self._settled + edge) * HOP for edge in (run.start, run.stop))
         first, last = max(start - begin, 0), min(stop, self._sampler.count) - begin
         kept = Chosen(first, last, run.state, evidence, shares=average_shares(self._share(), run)[:-1])
         motion = CutStretch(self._sampler.last(self._sampler.count - begin), TAKE_RATE, float(self.height or 1.0))
-        # Of what is gone the labeller's word counts alone.
+        # Without kept frames the labeller alone decides.
         return weigh_chosen(self._labeller, [kept], motion, self._judge if kept.stop > HOP else None)[0]
 
     def _answer(self, settled: tuple[Segment, ...]) -> LiveAnswer:
@@ -219,19 +210,17 @@ class LiveLabeller:
 
 
 def _judged_at_once(n_new: int) -> int:
-    """Moments to judge beside those whose surroundings have changed."""
     return max(n_new, 0)
 
 
 class _Sampler:
-    """The last frames at 30 Hz, whatever the rate they come at.
+    """The last frames, resampled to 30 Hz.
 
-    Frames that fall into the same thirtieth of a second are averaged; thirtieths without a frame are filled in a
-    straight line.
+    Frames in the same thirtieth of a second are averaged; empty thirtieths are filled linearly.
     """
 
     def __init__(self, capacity: int) -> None:
-        # Twice the room, so that the frames move to its beginning once in a while only.
+        # Twice the room, so that frames are moved rarely.
         self._room = np.empty((2 * capacity, len(CANONICAL_JOINTS), 3))
         self._capacity, self._filled = capacity, 0
         self.count = 0
@@ -241,15 +230,15 @@ class _Sampler:
 
     @property
     def oldest(self) -> int:
-        """Number of the first sample that is still there."""
+        """Number of the first kept sample."""
         return self.count - min(self._filled, self._capacity)
 
     def time_of(self, sample: int) -> float:
-        """s, when a sample begins."""
+        """Return the time at which a sample begins, s."""
         return (self._begin or 0.0) + sample / TAKE_RATE
 
     def last(self, count: int) -> FloatArray:
-        """The last samples, as many as there are."""
+        """Return the last ``count`` samples, or as many as are kept."""
         return self._room[max(self._filled - count, 0) : self._filled]
 
     def push(self, points: FloatArray, time: float) -> None:
@@ -258,7 +247,7 @@ class _Sampler:
         elif not 0 < time - self._time <= _LONGEST_GAP:
             raise InvalidMotionError("live.order", gap=_LONGEST_GAP, time=time, before=self._time)
         self._time = time
-        # A rate of 30 Hz that is written with few digits must not fall beside its thirtieths.
+        # Times at 30 Hz with few digits must not fall into the thirtieth before.
         number = int((time - self._begin) * TAKE_RATE + 0.1)
         if number > self._bin and self._many:
             self._close(number, points)
@@ -267,7 +256,6 @@ class _Sampler:
         self._many += 1
 
     def flush(self) -> None:
-        """Close the thirtieth of a second that is open."""
         if self._many:
             self._store(self._sum / self._many)
             self._sum[:] = 0.0
@@ -293,14 +281,7 @@ _N_JOINTS = len(CANONICAL_JOINTS)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveFrame:
-    """One frame.
-
-    Parameters
-    ----------
-    time : s.
-    positions : (20, 3) m.
-    held : joints that were missing and stay where they were.
-    """
+    """A frame at ``time`` s with ``positions`` (20, 3) m; ``held`` joints were missing and keep their last place."""
 
     time: float
     positions: FloatArray
@@ -308,12 +289,7 @@ class LiveFrame:
 
 
 class LiveFrameParser:
-    """Reads lines one at a time and remembers what a later line needs.
-
-    Attributes
-    ----------
-    height, frame_rate : of the header; None where it did not say.
-    """
+    """A parser of lines of frames; ``height`` and ``frame_rate`` are those of the header, None if not given."""
 
     def __init__(self) -> None:
         self.height: float | None = None
@@ -323,12 +299,7 @@ class LiveFrameParser:
         self._frames = 0
 
     def parse(self, line: str) -> LiveFrame | None:
-        """The frame of a line; None for an empty line and for the header.
-
-        Raises
-        ------
-        InvalidMotionError : with the number of the line, and what was expected.
-        """
+        """Parse a line; None for an empty line and for the header; InvalidMotionError with its number for all else."""
         self._line += 1
         if not line.strip():
             return None
@@ -349,7 +320,7 @@ class LiveFrameParser:
 
     @property
     def line(self) -> int:
-        """Number of the last line that was read, from 1."""
+        """Number of the last line read, from 1."""
         return self._line
 
     def _wrong(self, code: str, **values: Any) -> InvalidMotionError:
@@ -400,7 +371,7 @@ class LiveFrameParser:
     def _read_place(self, name: str, place: object) -> list[float]:
         if not isinstance(place, list) or len(place) != 3:
             raise self._wrong("live.place", name=name, found=reprlib.repr(place))
-        # NaN, which JSON does not have but Python writes, is a joint not seen, as null is.
+        # NaN, which Python writes although JSON lacks it, is a missing joint like null.
         if any(value is None or (isinstance(value, float) and isnan(value)) for value in place):
             return [np.nan] * 3
         if not all(type(value) in (int, float) and abs(value) < 1e9 for value in place):
@@ -419,15 +390,8 @@ class LiveFrameParser:
 
 
 def read_live_frames(lines: Iterable[str], parser: LiveFrameParser | None = None) -> Iterator[LiveFrame]:
-    """The frames of lines as they come.
+    """Yield the frames of lines as they arrive; pass a ``parser`` to read its header afterwards.
 
-    Parameters
-    ----------
-    lines : of a file or of standard input.
-    parser : to know the header; None for one of its own.
-
-    Raises
-    ------
     InvalidMotionError : a line that is no frame, with its number.
     """
     reader = parser or LiveFrameParser()

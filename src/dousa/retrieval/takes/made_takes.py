@@ -1,7 +1,4 @@
-"""Takes whose truth is known: clips played one after another, with rests between them.
-
-A library of clips has no takes to learn from, so takes are made of its clips.
-"""
+"""Make takes with known truth from clips, played one after another with rests, and disturb them for training."""
 
 from __future__ import annotations
 
@@ -21,7 +18,7 @@ from dousa.retrieval.takes.windows import TAKE_RATE
 BLEND_SECONDS = (0.3, 0.5)
 
 SERIES = 3
-"""Neighbours of one category that are one action, repeated: two may be two."""
+"""Least number of neighbours of one category that count as one repeated action."""
 
 _LEFT_HIP, _RIGHT_HIP = JOINT_INDEX["left_hip"], JOINT_INDEX["right_hip"]
 _LEFT_SHOULDER, _RIGHT_SHOULDER = JOINT_INDEX["left_shoulder"], JOINT_INDEX["right_shoulder"]
@@ -29,9 +26,9 @@ _LEFT_SHOULDER, _RIGHT_SHOULDER = JOINT_INDEX["left_shoulder"], JOINT_INDEX["rig
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """What a take shows from ``start`` to ``stop`` (frames at ``TAKE_RATE``, halves in the middle of a blend).
+    """A part of a take from ``start`` to ``stop`` (frames at ``TAKE_RATE``, halves in the middle of a blend).
 
-    Without a category it is nothing that has a name; where it is not ``counted``, nobody can say.
+    The category is None for nothing; ``counted`` is False where the truth is unknown.
     """
 
     start: float
@@ -42,14 +39,7 @@ class Piece:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JoinedTake:
-    """A take of known pieces.
-
-    Parameters
-    ----------
-    positions : (n, 20, 3) m at ``frame_rate``.
-    height : m.
-    pieces : in the order of time, each beginning where the one before it ends.
-    """
+    """A take of ``positions`` (n, 20, 3) m, body ``height`` m, and ``pieces`` in the order of time without gaps."""
 
     positions: FloatArray
     height: float
@@ -60,24 +50,16 @@ class JoinedTake:
 def join_clips(
     clips: Sequence[LabelledClip], generator: np.random.Generator, *, tempos: Sequence[float] | None = None
 ) -> JoinedTake:
-    """Play clips of one performer one after another.
+    """Join clips of one performer into a take, with blends of random lengths, 0.3 to 0.5 s.
 
-    Parameters
-    ----------
-    clips : at least one.
-    generator : draws the lengths of the blends, 0.3 to 0.5 s.
-    tempos : how much faster than recorded each clip is played; None for as recorded.
-
-    Raises
-    ------
-    TrainingError : no clip.
+    ``tempos`` are speeds relative to the recordings; None for as recorded. TrainingError : no clip.
     """
     from dousa.retrieval.features.channels import sample_positions
 
     if not clips:
         raise TrainingError("labeller.no_clips")
     speeds = [1.0] * len(clips) if tempos is None else list(tempos)
-    # A clip played at double speed has the poses of a clip of half the frame rate.
+    # Double speed is the same as half the frame rate.
     played = [
         sample_positions(clip.positions, clip.frame_rate * speed) / clip.height * clips[0].height
         for clip, speed in zip(clips, speeds, strict=True)
@@ -98,7 +80,7 @@ def join_clips(
 
 
 def join_series(pieces: Sequence[Piece]) -> list[Piece]:
-    """Pieces of which three or more of one category in a row are one: an action repeated, as a labeller says it."""
+    """Join three or more pieces of one category in a row, as a labeller joins repeated actions."""
     joined: list[Piece] = []
     for _, run in itertools.groupby(pieces, key=lambda piece: (piece.category, piece.counted)):
         same = list(run)
@@ -107,7 +89,7 @@ def join_series(pieces: Sequence[Piece]) -> list[Piece]:
 
 
 def go_on(last: FloatArray, clip: FloatArray) -> FloatArray:
-    """A clip (n, 20, 3) turned about the vertical and moved along the floor to follow a pose (20, 3)."""
+    """Turn a clip (n, 20, 3) about the vertical and move it along the floor to follow a pose (20, 3)."""
     turn = _heading(clip[0]) - _heading(last)
     across, along = np.cos(turn), np.sin(turn)
     moved = clip - clip[0, 0] * (1.0, 0.0, 1.0)
@@ -119,7 +101,7 @@ def go_on(last: FloatArray, clip: FloatArray) -> FloatArray:
 
 
 def _heading(pose: FloatArray) -> float:
-    """rad, from the line of hips and shoulders: the hips of a person who lies on one side say nothing."""
+    """Return the heading in rad, from hips and shoulders, as hips alone fail for a person lying on one side."""
     line = pose[_LEFT_HIP] - pose[_RIGHT_HIP] + 0.5 * (pose[_LEFT_SHOULDER] - pose[_RIGHT_SHOULDER])
     return float(np.arctan2(line[2], line[0]))
 
@@ -127,7 +109,7 @@ def _heading(pose: FloatArray) -> float:
 def shuffle_into_takes(
     clips: Sequence[LabelledClip], generator: np.random.Generator, n_clips: int = 12
 ) -> list[list[int]]:
-    """The clips of every performer in a random order, in groups of ``n_clips`` or a few more: indices."""
+    """Return indices of the clips of each performer in random order, in groups of ``n_clips`` or a few more."""
     groups = []
     performers = sorted({clip.performer or "" for clip in clips})
     for performer in performers:
@@ -138,25 +120,15 @@ def shuffle_into_takes(
     return groups
 
 
-_BLENDS = (0.2, 1.2)  # s, of the joins that are not those of `join_clips`
+_BLENDS = (0.2, 1.2)  # s, of joins with rests
 _RESTS = (0.3, 4.0)
 _REST_SHARE = 0.4  # of the joins
-_SWAY = 0.002  # m a frame that a resting body drifts, in no direction
+_SWAY = 0.002  # m a frame, random drift of a resting body
 _TEMPO = 0.35  # spread of the log tempo
 
 
 def join_with_rests(clips: Sequence[LabelledClip], generator: np.random.Generator) -> JoinedTake:
-    """Play clips of one performer one after another at other tempos, slowly blended, with rests between some.
-
-    Parameters
-    ----------
-    clips : at least one.
-    generator : draws tempos, blends and rests.
-
-    Returns
-    -------
-    A take in which blends and rests are pieces without a category.
-    """
+    """Join clips of one performer at random tempos, with slow blends and some rests, pieces without a category."""
     from dousa.retrieval.features.channels import sample_positions
 
     parts: list[FloatArray] = []
@@ -182,7 +154,7 @@ def _draw_log(generator: np.random.Generator, least: float, most: float) -> floa
 
 
 def _make_transition(last: FloatArray, following: FloatArray, generator: np.random.Generator) -> FloatArray:
-    """(n, 20, 3) from one pose to another: a blend, and sometimes a rest before or after it."""
+    """Return (n, 20, 3) from one pose to another: a blend, and sometimes a rest before or after it."""
     count = max(round(_draw_log(generator, *_BLENDS) * TAKE_RATE), 1)
     share = (np.arange(1, count + 1) / (count + 1))[:, None, None]
     ease = share * share * (3.0 - 2.0 * share)
@@ -198,35 +170,29 @@ def _make_transition(last: FloatArray, following: FloatArray, generator: np.rand
 
 
 def mirror_positions(points: FloatArray) -> FloatArray:
-    """(n, 20, 3) canonical joints with left and right the other way round."""
+    """Mirror (n, 20, 3) canonical joints."""
     image = np.take(points, MIRRORED_JOINTS, axis=1)
     np.negative(image[..., 0], out=image[..., 0])
     return image
 
 
 MOVED_SHARE = 0.75
-"""Of the clips that are disturbed, by somebody who moves differently."""
+"""Share of the disturbed clips that are moved differently."""
 
-_HELD, _EXTENT, _PLACED = 0.3, 0.3, 0.06  # at most: rad, log extent, m; spreads over the bones
-_PASSED_ON = 0.5  # of how a bone is turned, to those behind it
-_ALIKE = 0.8  # of the people hold both sides alike
+_HELD, _EXTENT, _PLACED = 0.3, 0.3, 0.06  # greatest spreads over the bones: rad, log extent, m
+_PASSED_ON = 0.5  # share of the turn of a bone passed on to its children
+_ALIKE = 0.8  # share of people with symmetric posture
 _BONES, _TILT, _HEIGHT = 0.06, 0.07, 0.03  # spreads: log lengths of bones, rad of the camera, log height
 _SLOWEST = 10.0  # Hz
 _NOISE = 0.035  # m, of the noisiest joints
-_MISSING = 0.1  # of the frames of a joint, at most
+_MISSING = 0.1  # greatest share of missing frames of a joint
 _LONGEST_GAP = 6  # frames
-_DRIFT, _LASTING = 0.05, (0.7, 4.0)  # m, of the largest errors that last; frames of their standard deviation
-_JUMP, _JUMPS, _JUMP_SHARE = 0.1, 0.01, 0.3  # m; share of the frames of a joint; share of the takes that have such
+_DRIFT, _LASTING = 0.05, (0.7, 4.0)  # m, of the largest lasting errors; frames of their standard deviation
+_JUMP, _JUMPS, _JUMP_SHARE = 0.1, 0.01, 0.3  # m; share of the frames of a joint; share of the takes with jumps
 
 
 def disturb(take: JoinedTake, generator: np.random.Generator) -> JoinedTake:
-    """The same take with another body, a tilted camera, a slower and noisier sensor that loses joints.
-
-    Parameters
-    ----------
-    take : at ``TAKE_RATE``.
-    generator : draws how much of each.
-    """
+    """Give a take at ``TAKE_RATE`` another body, a tilted camera, and a slower, noisier sensor that loses joints."""
     points = _tilt(_stretch_bones(take.positions, generator), generator)
     rate = take.frame_rate
     if generator.random() < 0.5:
@@ -246,11 +212,7 @@ def disturb(take: JoinedTake, generator: np.random.Generator) -> JoinedTake:
 
 
 def disturb_motion(motion: PosedMotion, generator: np.random.Generator) -> JoinedTake:
-    """A clip as somebody else may have done it and another sensor seen it; all its joints have a place.
-
-    As in ``disturb``; three of four are moved differently, and half have errors that last for some frames, which no
-    filter takes off.
-    """
+    """Disturb a clip as ``disturb``, move three of four differently, and give half of them errors over some frames."""
     from dousa.retrieval.features.channels import sample_positions, smooth_positions
 
     points = sample_positions(motion.positions, motion.frame_rate)
@@ -269,19 +231,11 @@ _MIRROR = list(MIRRORED_JOINTS)
 
 
 def move_differently(points: FloatArray, generator: np.random.Generator) -> FloatArray:
-    """The same motion by somebody who holds the limbs otherwise and moves them more or less; feet stay on the floor.
+    """Change the posture and the extent of the movement of points (n, 20, 3) m at random; feet stay on the floor.
 
-    Each bone is turned by an angle that stays, its way about its mean direction is longer or shorter, and joints are
-    seen at another place of the body, as every sensor and skeleton has its own: all in the frame of the trunk.
-
-    Parameters
-    ----------
-    points : (n, 20, 3) m.
-    generator : draws how.
-
-    Returns
-    -------
-    (n, 20, 3) m; the pelvis moves as it did, but up or down where otherwise the lowest joint would.
+    Each bone is turned by a constant angle, its way about its mean direction is scaled, and joints are displaced as
+    between sensors and skeletons, all in the frame of the trunk. The whole body is then moved up or down so that the
+    lowest joint keeps its height.
     """
     held, extent, placed = (most * generator.random() for most in (_HELD, _EXTENT, _PLACED))
     turns = generator.normal(0.0, held, (len(_MIRROR), 3))
@@ -311,7 +265,7 @@ _PARENTS = np.array([joint if parent < 0 else parent for joint, parent in enumer
 
 
 def _sum_along_bones(share: float) -> FloatArray:
-    """(20, 20) what each joint gets of its own bone and of those before it, ``share`` of it passed on by each."""
+    """Return (20, 20) shares of all bones in each joint: its own, and its ancestors' times ``share`` for each step."""
     table = np.eye(len(CANONICAL_PARENTS))
     for joint, parent in enumerate(CANONICAL_PARENTS):
         if parent >= 0:
@@ -323,7 +277,7 @@ _PASSING, _REACHED = _sum_along_bones(_PASSED_ON), _sum_along_bones(1.0)
 
 
 def _frame_trunks(points: FloatArray) -> FloatArray:
-    """(n, 3, 3) axes of the trunk as columns: to the left, along the spine, and across both."""
+    """Return (n, 3, 3) axes of the trunk as columns: to the left, along the spine, and across both."""
     along = points[:, _NECK] - points[:, _PELVIS]
     along = along / (np.linalg.norm(along, axis=1, keepdims=True) + _TINY)
     left = points[:, _SIDES[0]] + points[:, _SIDES[1]] - points[:, _SIDES[2]] - points[:, _SIDES[3]]
@@ -334,7 +288,7 @@ def _frame_trunks(points: FloatArray) -> FloatArray:
 
 def _stretch_bones(points: FloatArray, generator: np.random.Generator) -> FloatArray:
     factors = np.exp(generator.normal(0.0, _BONES, points.shape[1]))
-    factors = np.sqrt(factors * factors[list(MIRRORED_JOINTS)])  # left and right alike
+    factors = np.sqrt(factors * factors[list(MIRRORED_JOINTS)])  # the same left and right
     stretched = points.copy()
     for joint, parent in enumerate(CANONICAL_PARENTS):
         if parent >= 0:
@@ -343,7 +297,6 @@ def _stretch_bones(points: FloatArray, generator: np.random.Generator) -> FloatA
 
 
 def _tilt(points: FloatArray, generator: np.random.Generator) -> FloatArray:
-    """Turned a little about both horizontal axes."""
     a, b = generator.normal(0.0, _TILT, 2)
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(a), -np.sin(a)], [0.0, np.sin(a), np.cos(a)]])
     about_z = np.array([[np.cos(b), -np.sin(b), 0.0], [np.sin(b), np.cos(b), 0.0], [0.0, 0.0, 1.0]])
@@ -353,7 +306,7 @@ def _tilt(points: FloatArray, generator: np.random.Generator) -> FloatArray:
 
 
 def _sample_slower(points: FloatArray, count: int) -> FloatArray:
-    """So many single poses at equal distances, as a slow sensor sees them."""
+    """Sample ``count`` single poses at equal distances, as a slow sensor does."""
     places = np.clip((np.arange(count) + 0.5) * len(points) / count - 0.5, 0, len(points) - 1)
     below = np.minimum(places.astype(np.intp), max(len(points) - 2, 0))
     share = (places - below)[:, None, None]
@@ -362,7 +315,7 @@ def _sample_slower(points: FloatArray, count: int) -> FloatArray:
 
 
 def _lose_joints(points: FloatArray, generator: np.random.Generator) -> FloatArray:
-    """Some joints are gone for some frames, and held or bridged in a straight line."""
+    """Remove joints for some frames, and hold or bridge them linearly."""
     share, length = _MISSING * generator.random() ** 2, int(generator.integers(1, _LONGEST_GAP))
     held = generator.random() < 0.5
     lost = generator.random(points.shape[:2]) < share / length

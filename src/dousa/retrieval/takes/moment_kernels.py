@@ -1,7 +1,7 @@
-"""Compiled loops over the moments of a recording: what lies around each, and the best sequence of segments.
+"""Compiled loops over the moments of a recording and over windows.
 
-An index that is a sum may be negative to the compiler, which then handles one value at a time; so parts of rows are
-slices, counted from 0, and a loop writes to one of them.
+Parts of rows are slices from 0, as an index that is a sum may be negative to the compiler, which then does
+not vectorise.
 """
 
 from __future__ import annotations
@@ -12,11 +12,10 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def integrate(rows, padding, first_speed, n_speeds, at_rest, sums, times):  # pragma: no cover - compiled
-    """Running sums of the channels and their squares, into ``sums`` (n + 2 padding + 1, 2 C), and motion time, into
-    ``times`` (n + 2 padding + 1,).
+    """Sum the channels and their squares into ``sums`` (n + 2 padding + 1, 2 C), and motion time into ``times``.
 
-    ``rows`` (n, C); before and after them the body stands as at the ends, all channels from ``first_speed`` on that
-    speak of movement being 0; ``n_speeds`` of these are the speeds that make motion time.
+    ``times`` has as many rows, ``rows`` (n, C) are the channels. Padding repeats the first and last row, with the
+    channels of movement, from ``first_speed`` on, at 0; from the fifth of them ``n_speeds`` speeds make motion time.
     """
     n, count = rows.shape
     for t in range(n + 2 * padding):
@@ -38,7 +37,7 @@ def integrate(rows, padding, first_speed, n_speeds, at_rest, sums, times):  # pr
 
 @njit(cache=True, nogil=True)
 def _place(times, wanted, low, high):  # pragma: no cover - compiled
-    """Where an ascending function of whole frames reaches a value, as a fraction, within ``low`` to ``high``."""
+    """Return where an ascending function of whole frames reaches a value, as a fraction, within ``low`` to ``high``."""
     if wanted <= times[low]:
         return float(low)
     if wanted >= times[high]:
@@ -55,11 +54,10 @@ def _place(times, wanted, low, high):  # pragma: no cover - compiled
 
 @njit(cache=True, nogil=True)
 def describe(sums, times, moments, seconds, efforts, reach, out):  # pragma: no cover - compiled
-    """Mean and spread of all channels in cells of seconds around moments, and their spread in cells of movement, into
-    ``out`` (M, 8 * 3 C) float32.
+    """Fill ``out`` (M, 8 * 3 C) float32: mean and spread in cells of seconds around moments, spread in movement.
 
-    ``moments`` (M,) frames of the padded recording; ``seconds`` (E,) edges of cells in frames from the moment,
-    ``efforts`` (E,) in motion time, none farther than ``reach`` frames away.
+    ``moments`` (M,) are frames of the padded recording; ``seconds`` (E,) edges of cells in frames from the moment,
+    ``efforts`` (E,) in motion time, at most ``reach`` frames away.
     """
     count = sums.shape[1] // 2
     last = sums.shape[0] - 1
@@ -101,7 +99,7 @@ def describe(sums, times, moments, seconds, efforts, reach, out):  # pragma: no 
 
 @njit(cache=True, nogil=True)
 def place(values, lows, scales, highest, out):  # pragma: no cover - compiled
-    """Values of moments (M, F) as steps from 0 to ``highest``, and what lies between, into ``out``; all float32."""
+    """Scale values of moments (M, F) to 0 to ``highest``, not rounded, into ``out``; all float32."""
     nothing = np.float32(0.0)
     for m in range(values.shape[0]):
         for f in range(values.shape[1]):
@@ -110,7 +108,7 @@ def place(values, lows, scales, highest, out):  # pragma: no cover - compiled
 
 @njit(cache=True, nogil=True)
 def place_mirrored(values, order, signs, lows, scales, highest, out):  # pragma: no cover - compiled
-    """The same of the mirror image: value ``order`` (F,) of a motion, times ``signs`` (F,), is that of its image."""
+    """Scale values of the mirror image: value ``order`` (F,) times ``signs`` (F,) gives that of the image."""
     nothing = np.float32(0.0)
     for m in range(values.shape[0]):
         row, own = values[m], out[m]
@@ -122,13 +120,12 @@ def place_mirrored(values, order, signs, lows, scales, highest, out):  # pragma:
 
 @njit(cache=True, nogil=True)
 def find_best_sequence(evidence, opening, closing, lengths, tails, again, begins, before):  # noqa: PLR0912  # pragma: no cover - compiled
-    """The segments whose evidence and lengths are the likeliest together (an explicit-duration Viterbi search).
+    """Find the likeliest segments by evidence and lengths (an explicit-duration Viterbi search); return the last state.
 
-    ``evidence`` (T, S) log likelihood of every state at every step; ``opening`` and ``closing`` (T, S) what is added
-    for the first and for the last step of a segment; ``lengths`` (M, S) log probability of a segment of 1 ... M steps;
-    ``tails`` (S,) what every step beyond M costs; ``again`` (S,) what it costs that a state follows itself. ``begins``
-    (T + 1, S) and ``before`` (T + 1, S) are filled: where the best segment that ends at a step begins, and the state
-    before it (-1 for none). Returns the best last state.
+    ``evidence`` (T, S) is the log likelihood of every state at every step; ``opening`` and ``closing`` (T, S) are added
+    at the first and last step of a segment; ``lengths`` (M, S) is the log probability of 1 ... M steps; ``tails`` (S,)
+    is added for every step beyond M; ``again`` (S,) is the cost of a state after itself. ``begins`` and ``before``
+    (T + 1, S) are filled with the start of the best segment that ends at a step, and the state before it (-1 for none).
     """
     n, count = evidence.shape
     most = lengths.shape[0]
@@ -178,7 +175,7 @@ def find_best_sequence(evidence, opening, closing, lengths, tails, again, begins
 
 @njit(cache=True, nogil=True)
 def compare_leaves(leaves, query, out):  # pragma: no cover - compiled
-    """The share of trees in which a window (row of ``leaves``) and the query fall into the same leaf, into ``out``."""
+    """Compute the shares of trees with the same leaf for windows (rows of ``leaves``) and the query, into ``out``."""
     n_trees = leaves.shape[1]
     for w in range(leaves.shape[0]):
         same = 0
@@ -189,9 +186,7 @@ def compare_leaves(leaves, query, out):  # pragma: no cover - compiled
 
 @njit(cache=True, nogil=True)
 def compare_poses(sums, starts, stops, query, most, out):  # pragma: no cover - compiled
-    """Root mean square distance between windows and a query, both cut into equal parts, into ``out``.
-
-    Of windows that are farther than ``most`` it is not computed to the end: infinite.
+    """Compute root mean square distances of windows from a query by parts into ``out``; infinite above ``most``.
 
     Compared are the mean poses of the parts and the changes from one part to the next. ``sums`` (n + 1, P) are running
     sums of the poses, ``query`` (parts, P) the query's means. Parts start at whole frames.
@@ -199,7 +194,7 @@ def compare_poses(sums, starts, stops, query, most, out):  # pragma: no cover - 
     n_parts, n_values = query.shape
     before, apart = np.empty(n_values), np.empty(n_values)
     divisor = (2 * n_parts - 1) * n_values
-    limit = most * most * divisor * (1.0 + 1e-9)  # rounding must not lose one that is as far
+    limit = most * most * divisor * (1.0 + 1e-9)  # room for rounding
     for w in range(len(starts)):
         length = stops[w] - starts[w]
         total, first = 0.0, starts[w]

@@ -1,9 +1,8 @@
-"""Linear discriminants of the moments of recordings: how likely each state is at a moment.
+"""Linear discriminants of the moments of recordings, which give the probability of each state at a moment.
 
-The least squares of all values, standardised, against what a moment shows (1 for its state, 0 for the others), with a
-penalty on the weights: ridge regression, whose directions are those of Fisher's discriminants. It needs sums over the
-moments alone, so a model without some people is the difference of two sums. Values are clipped to where all but the
-outermost of the training moments lie, and kept as bytes.
+They are the ridge regression of the state (1 for its own, 0 for others) on all standardised values, in the directions
+of Fisher's discriminants. It needs only sums over the moments, so a model without some people is a difference of sums.
+Values are clipped to the range of the training moments without the outermost, and kept as bytes.
 Source: Hastie, Tibshirani, Friedman, "The elements of statistical learning", 2009, sections 3.4.1 and 4.2.
 """
 
@@ -32,50 +31,43 @@ HOP = 6
 """Frames at 30 Hz from one moment to the next."""
 
 REACH = 120
-"""Frames on either side of a moment beyond which nothing of it is seen."""
+"""Frames on either side of a moment that it can depend on."""
 
 _SMOOTHING = 2.0  # frames, standard deviation
 _SECONDS = np.array([-2.0, -1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0, 2.0])
-_PER_SECOND = 3.5  # movement of a second of an ordinary action: body heights, summed over head, elbows, hands and feet
-_AT_REST = 0.5  # body heights a second, as in the motion time of clips
+_PER_SECOND = 3.5  # movement per second of an ordinary action: body heights, summed over head, elbows, hands and feet
+_AT_REST = 0.5  # body heights per second, as in the motion time of clips
 _FIRST_MOVING = [channel.name for channel in CHANNELS].index("body moving to the left")
 _N_SPEEDS = 7
-_PADDING = 60  # frames that the body stands still before and after a recording
-_MARGIN = REACH + 40  # frames on either side of a chunk: channels are smoothed over time, headings with 8 frames
+_PADDING = 60  # frames of standing still added before and after a recording
+_MARGIN = REACH + 40  # frames on either side of a chunk, as channels are smoothed, headings over 8 frames
 _CHUNK = 4092  # frames, a multiple of the hop
 
 N_VALUES = 3 * (len(_SECONDS) - 1) * len(CHANNELS)
-"""F, numbers that describe a moment."""
+"""F, values of a moment."""
 
 
 def count_moments(n_frames: int) -> int:
-    """Moments of a recording of so many frames at 30 Hz; the last one may stand for fewer than ``HOP`` frames."""
+    """Count the moments of a recording at 30 Hz; the last may have fewer than ``HOP`` frames."""
     return -(-n_frames // HOP)
 
 
 def describe_moments(positions: FloatArray, height: float) -> Iterator[tuple[slice, NDArray[np.float32]]]:
-    """The moments of a recording, some two minutes at a time.
+    """Yield the moments of canonical joints (n, 20, 3) m at 30 Hz, Y up, finite: slices, and values (M, F).
 
-    Parameters
-    ----------
-    positions : (n, 20, 3) m, canonical joints at 30 Hz, Y up, finite.
-    height : m.
-
-    Returns
-    -------
-    Which moments, and (M, F) their values.
+    Each slice covers some two minutes; ``height`` in m.
     """
     for first in range(0, len(positions), _CHUNK):
         yield describe_chunk(positions, height, first)
 
 
 def chunk_starts(n_frames: int) -> range:
-    """Where the chunks of a recording begin that `describe_chunk` describes."""
+    """Return the first frames of the chunks of `describe_chunk`."""
     return range(0, n_frames, _CHUNK)
 
 
 def describe_chunk(positions: FloatArray, height: float, first: int) -> tuple[slice, NDArray[np.float32]]:
-    """The moments of the chunk that begins at a frame: which, and (M, F) their values."""
+    """Return the slice and the values (M, F) of the moments of the chunk that begins at frame ``first``."""
     from dousa.retrieval.takes.moment_kernels import describe, integrate
 
     n = len(positions)
@@ -93,12 +85,11 @@ def describe_chunk(positions: FloatArray, height: float, first: int) -> tuple[sl
 
 
 def mirror_moments(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(M, F) values of the moments of the mirror image of a recording, from its own."""
+    """Return the (M, F) values of the mirror image of a recording from its own."""
     return values[:, MIRRORED_VALUES[0]] * MIRRORED_VALUES[1]
 
 
 def _list_mirrored() -> tuple[NDArray[np.intp], NDArray[np.float32]]:
-    """Means and spreads of the channels in each cell of seconds, then spreads in each cell of movement."""
     order, signs = MIRRORED_CHANNELS
     alike, cells = np.ones(len(signs)), len(_SECONDS) - 1
     all_signs = np.concatenate([*([signs, alike] * cells), *([alike] * cells)])
@@ -107,26 +98,26 @@ def _list_mirrored() -> tuple[NDArray[np.intp], NDArray[np.float32]]:
 
 
 MIRRORED_VALUES: tuple[NDArray[np.intp], NDArray[np.float32]] = _list_mirrored()
-"""(F,) each: which value of a moment is which one of its mirror image, and its sign there."""
+"""(F,) each: the value of a moment that gives each value of its mirror image, and the sign."""
 
 
 Codes = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 
-_BLOCK = 2048  # moments that are standardised at a time
+_BLOCK = 2048  # moments standardised at a time
 _STEPS = 255.0
-_PIECE, _STRIP = 128, 512  # columns of a factor, and rows that these are taken from, at a time
+_PIECE, _STRIP = 128, 512  # columns of a factor, and rows computed from them, at a time
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """How values become bytes, and those standard scores.
+    """A conversion of values to bytes, and of bytes to standard scores.
 
     Parameters
     ----------
-    lows : (F,) float32, what becomes 0.
-    scales : (F,) float32, steps a unit.
-    means, spreads : (F,) float32 of the steps.
+    lows : (F,) float32, values at 0.
+    scales : (F,) float32, steps per unit.
+    means, spreads : (F,) float32, in steps.
     """
 
     lows: Floats
@@ -135,18 +126,18 @@ class Scale:
     spreads: Floats
 
     def encode(self, values: Floats) -> Codes:
-        """(M, F) bytes of the values of moments."""
+        """Return the (M, F) bytes of the values of moments."""
         return np.rint(self.place(values)).astype(np.uint8)
 
     def standardise(self, codes: Codes) -> Floats:
-        """(M, F + 1) standard scores of bytes, and a column of ones."""
+        """Return (M, F + 1) standard scores of bytes, and a column of ones."""
         scores = np.ones((len(codes), codes.shape[1] + 1), np.float32)
         np.subtract(codes, self.means, out=scores[:, :-1])
         scores[:, :-1] /= self.spreads
         return scores
 
     def place(self, values: Floats) -> Floats:
-        """(M, F) steps from 0 to 255, and what lies between them."""
+        """Return (M, F) steps from 0 to 255, not rounded."""
         from dousa.retrieval.takes.moment_kernels import place
 
         placed = np.empty(values.shape, np.float32)
@@ -154,7 +145,7 @@ class Scale:
         return placed
 
     def place_mirrored(self, values: Floats, order: IntArray, signs: Floats) -> Floats:
-        """The same of mirror images: value ``order`` (F,), times ``signs`` (F,), of a motion is that of its image."""
+        """Return the same of mirror images: value ``order`` (F,) times ``signs`` (F,) gives that of the image."""
         from dousa.retrieval.takes.moment_kernels import place_mirrored
 
         placed = np.empty(values.shape, np.float32)
@@ -163,7 +154,7 @@ class Scale:
 
 
 def choose_scale(values: Floats) -> Scale:
-    """The scale on which all but the outermost of some moments (M, F) lie."""
+    """Choose the scale that covers moments (M, F) from the 1st to the 99th percentile."""
     low, high = np.percentile(values, (1.0, 99.0), axis=0).astype(np.float32)
     scales = (_STEPS / np.maximum(high - low, 1e-6)).astype(np.float32)
     placed = np.clip((values - low) * scales, 0.0, _STEPS)
@@ -172,13 +163,13 @@ def choose_scale(values: Floats) -> Scale:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MomentModel:
-    """Discriminants.
+    """Discriminants of the states of moments.
 
     Parameters
     ----------
     scale : of the values.
-    weights : (F + 1, S) of the standard scores, the last row being added to all.
-    sharpness : what a difference of two discriminants is multiplied by to be one of log probabilities.
+    weights : (F + 1, S) of the standard scores; the last row is the offset.
+    sharpness : factor from a difference of discriminants to one of log probabilities.
     """
 
     scale: Scale
@@ -193,11 +184,11 @@ class MomentModel:
         object.__setattr__(self, "_folded", folded)
 
     def judge(self, values: Floats) -> Floats:
-        """(M, S) discriminants of the states at moments, from their values (M, F)."""
+        """Return the (M, S) discriminants of the states at moments, from their values (M, F)."""
         return self._weigh(self.scale.place(values))
 
     def judge_mirrored(self, values: Floats, order: IntArray, signs: Floats) -> Floats:
-        """The same of the mirror images of moments; ``order`` and ``signs`` as for `Scale.place_mirrored`."""
+        """Return the same of the mirror images; ``order`` and ``signs`` as for `Scale.place_mirrored`."""
         return self._weigh(self.scale.place_mirrored(values, order, signs))
 
     def _weigh(self, placed: Floats) -> Floats:
@@ -206,7 +197,7 @@ class MomentModel:
         return scores
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays by name."""
+        """Return plain arrays by name."""
         scale = self.scale
         return {
             "lows": scale.lows,
@@ -223,7 +214,7 @@ MODEL_ARRAYS = ("lows", "scales", "means", "deviations", "discriminants", "sharp
 
 
 def read_moment_model(arrays: dict[str, NDArray[Any]], n_states: int, n_values: int, what: Message) -> MomentModel:
-    """The model of stored arrays; DousaError that ``what`` is damaged where no moment could be judged."""
+    """Read the model of stored arrays; DousaError that ``what`` is damaged if they are invalid."""
     lows, scales, means, spreads, weights, sharpness = (arrays[name] for name in MODEL_ARRAYS)
     rows = lows, scales, means, spreads
     right = all(one.shape == (n_values,) and one.dtype == np.float32 and bool(np.isfinite(one).all()) for one in rows)
@@ -239,12 +230,9 @@ _MIRROR_IMAGE = 0.55  # least cosine of the mean of a category and the mirror im
 
 
 def are_mirrored(scale: Scale, values: Floats, images: Floats, categories: NDArray[np.integer[Any]]) -> bool:
-    """Whether there are two categories each of which is most like the mirror image of the other, and much like it.
+    """Return whether two categories are each most similar to the mirror image of the other, above a least cosine.
 
-    Parameters
-    ----------
-    values, images : (N, F) of some moments, and of the same in the mirror.
-    categories : (N,) what they show.
+    ``values`` and ``images`` (N, F) are of moments and their mirror images, ``categories`` (N,) of the moments.
     """
     there = np.unique(categories)
     if len(there) < 2:
@@ -264,7 +252,7 @@ def are_mirrored(scale: Scale, values: Floats, images: Floats, categories: NDArr
 
 
 def sharpen(scores: Floats, sharpness: float) -> Floats:
-    """(M, S) probabilities from discriminants (M, S)."""
+    """Return (M, S) probabilities from discriminants (M, S)."""
     shares: Floats = scores - scores.max(axis=1, keepdims=True)
     shares *= np.float32(sharpness)
     np.exp(shares, out=shares)
@@ -274,30 +262,24 @@ def sharpen(scores: Floats, sharpness: float) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MomentSums:
-    """What discriminants are computed from.
-
-    Parameters
-    ----------
-    squares : (F + 1, F + 1) sums of products of standard scores, weighted.
-    shown : (F + 1, S) sums of the standard scores of each state, weighted.
-    """
+    """Weighted sums over moments: ``squares`` (F + 1, F + 1) of scores, and ``shown`` (F + 1, S) of scores by state."""
 
     squares: Floats
     shown: Floats
 
     @classmethod
     def zero(cls, n_values: int, n_states: int) -> MomentSums:
-        """Of no moment."""
+        """Return the sums of no moment."""
         size = n_values + 1
         return cls(np.zeros((size, size), np.float32), np.zeros((size, n_states), np.float32))
 
     def add(self, other: MomentSums) -> None:
-        """The moments of another are these too."""
+        """Add the sums of other moments."""
         np.add(self.squares, other.squares, out=self.squares)
         np.add(self.shown, other.shown, out=self.shown)
 
     def solve(self, ridge: float) -> Floats:
-        """(F + 1, S) discriminants; ``ridge`` is the penalty as a share of the weight of all moments."""
+        """Return the (F + 1, S) discriminants; ``ridge`` is the penalty as a share of the weight of all moments."""
         penalised = self.squares.copy()
         weight = float(penalised[-1, -1])
         places = np.arange(len(penalised) - 1)
@@ -307,10 +289,10 @@ class MomentSums:
 
 
 def solve_positive(squares: Floats, shown: Floats) -> Floats:
-    """(F, S) what ``squares`` (F, F), symmetric and positive definite, makes ``shown`` (F, S) of.
+    """Solve ``squares`` (F, F), symmetric and positive definite, for ``shown`` (F, S); returns (F, S).
 
-    By Cholesky's factor in pieces of products, in a third of the time of a general solution (for few states) and half
-    of that of NumPy's factor; where rounding leaves no factor, by the general one.
+    A blocked Cholesky factor takes a third of the time of a general solution (for few states) and half of that of
+    NumPy's factor; the general solution is used where rounding leaves no factor.
     """
     try:
         factor, inverses = _factorise(squares)
@@ -328,7 +310,7 @@ def solve_positive(squares: Floats, shown: Floats) -> Floats:
 
 
 def _factorise(squares: Floats) -> tuple[Floats, list[tuple[Floats, slice]]]:
-    """The lower factor, below its diagonal pieces, and the inverse of each of these with its rows."""
+    """Return the lower factor below its diagonal blocks, and the inverse of each block with its rows."""
     factor, inverses, size = squares.copy(), [], len(squares)
     for first in range(0, size, _PIECE):
         stop = min(first + _PIECE, size)
@@ -343,15 +325,7 @@ def _factorise(squares: Floats) -> tuple[Floats, list[tuple[Floats, slice]]]:
 
 
 def sum_moments(scale: Scale, codes: Codes, rows: IntArray, states: IntArray, weights: FloatArray) -> MomentSums:
-    """The sums over some moments.
-
-    Parameters
-    ----------
-    codes : (N, F) bytes.
-    rows : which moments.
-    states : (N,) of all, from 0 to below S.
-    weights : (S,) of a moment of each state.
-    """
+    """Sum over ``rows`` of ``codes`` (N, F), with ``states`` (N,) in 0 ... S - 1 and ``weights`` (S,) of the states."""
     sums = MomentSums.zero(codes.shape[1], len(weights))
     rows = rows[np.argsort(states[rows], kind="stable")]
     for first in range(0, len(rows), _BLOCK):

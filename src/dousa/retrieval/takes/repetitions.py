@@ -1,4 +1,4 @@
-"""How often each action of a take is done: neighbours that are a series are one action, and each action is counted."""
+"""Count how often each action of a take is done, with series of neighbours joined into one action."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
 from dousa.retrieval.takes.made_takes import SERIES
 from dousa.workers.threads import map_pieces
 
-_AT_ONCE = 16  # actions that a thread counts before it asks for more
+_AT_ONCE = 16  # actions that a thread counts at a time
 _LONGEST_REST = 90  # frames between neighbours of a series
-_LONGEST_SLIP = 45  # frames, where something lies there that is not likely right
+_LONGEST_SLIP = 45  # the same across a doubtful action
 
 
 def count_clip(motion: PosedMotion, alike: Sequence[PosedMotion] = ()) -> int:
-    """How often a whole clip shows its action.
+    """Count the repetitions of the action of a whole clip.
 
     Parameters
     ----------
     motion : of any frame rate.
-    alike : clips of the same action by anybody, which say what one repetition is: a cycle, or two if nearly all of them
-        show two (a step left, a step right). Without any a cycle is.
+    alike : clips of the same action, which define one repetition: a cycle, or two if nearly all clips show two (a step
+        left, a step right). Without any it is a cycle.
 
     Raises
     ------
@@ -49,15 +49,15 @@ class Chosen:
     Parameters
     ----------
     start, stop : frames at ``TAKE_RATE``.
-    category : number of it.
-    evidence : (K,) what speaks for it in the labeller.
+    category : its number.
+    evidence : (K,) evidence of the labeller.
     repetitions : how often it is done.
     confidence : probability that the category is right.
-    likely : whether it is named where nobody asks for a confidence.
-    possible : whether it is perhaps what it is not called, where it is not.
-    shares : (C,) how much of each category it shows, on average, by the labeller.
-    parts : its repetitions, where it is much longer than usual, from which frame to which; none for the whole.
-    mirrored : whether it was seen in the mirror image of the recording.
+    likely : whether it is named by default.
+    possible : whether its category is a guess if it is not named.
+    shares : (C,) mean share of each category, by the labeller.
+    parts : first and last frames of its repetitions if much longer than usual; else empty.
+    mirrored : whether it was found in the mirror image of the recording.
     """
 
     start: int
@@ -73,21 +73,21 @@ class Chosen:
     possible: bool = False
 
 
-_LEAD, _LEAST = 1.5, 1.0  # log odds above those of what is there, of which nothing and doubt count as so many
+_LEAD, _LEAST = 1.5, 1.0  # log odds by which a mirrored action must lead; those that doubtful actions count as
 _LEAST_CHANCE = 1e-3
 
 
 def lay_mirrored(chosen: Sequence[Chosen], mirrored: Sequence[Chosen], shortest: int) -> list[Chosen]:
-    """The actions of a recording, and those of its mirror image where they are clearly likelier.
+    """Add the actions of the mirror image of a recording where they are clearly likelier.
 
     Parameters
     ----------
-    chosen, mirrored : in the order of time, with how likely they are right.
-    shortest : frames; of what others are laid over so much stays, or nothing.
+    chosen, mirrored : in the order of time, with their confidence.
+    shortest : frames; shorter rests of covered actions are dropped.
 
     Returns
     -------
-    In the order of time.
+    Actions in the order of time.
     """
     laid = list(chosen)
     for one in sorted((one for one in mirrored if one.likely), key=lambda one: -one.confidence):
@@ -105,7 +105,7 @@ def lay_mirrored(chosen: Sequence[Chosen], mirrored: Sequence[Chosen], shortest:
 
 
 def is_clearer(one: Chosen, laid: Sequence[Chosen]) -> bool:
-    """Whether an action of the mirror image is clearly likelier than those in its place, and no other is the same."""
+    """Return whether an action of the mirror image is clearly likelier than those in its place, and not the same."""
     length, odds, same = one.stop - one.start, 0.0, 0
     first, last = _find_shared(one, laid)
     for other in laid[first:last]:
@@ -117,7 +117,6 @@ def is_clearer(one: Chosen, laid: Sequence[Chosen]) -> bool:
 
 
 def _find_shared(one: Chosen, laid: Sequence[Chosen]) -> tuple[int, int]:
-    """Of actions in the order of time, which do not overlap: the first that shares a frame, and the one after them."""
     return (
         bisect.bisect_right(laid, one.start, key=lambda other: other.stop),
         bisect.bisect_left(laid, one.stop, key=lambda other: other.start),
@@ -136,7 +135,7 @@ def count_all(
     usual: FloatArray | None = None,
     n_jobs: int | None = None,
 ) -> list[Chosen]:
-    """How often each action is done; one that is done three times or more, with rests or without, is one action.
+    """Count the repetitions of each action, with series of three or more joined into one.
 
     Parameters
     ----------
@@ -161,10 +160,7 @@ def _count(one: Chosen, tallies: FloatArray, usual: FloatArray | None) -> int:
 
 
 def _find_series(chosen: Sequence[Chosen]) -> list[list[Chosen]]:
-    """Neighbours of one category, each beginning soon after the one before it ends, and what lies between them.
-
-    What is not likely right is no other action: it parts none, where there are enough that are alike.
-    """
+    """Group neighbours of one category with short gaps, and the doubtful actions between them."""
     series: list[list[Chosen]] = []
     first = 0
     while first < len(chosen):
@@ -179,7 +175,7 @@ def _find_series(chosen: Sequence[Chosen]) -> list[list[Chosen]]:
                 break
         some = list(chosen[first : last + 1])
         same = [one for one in some if one.category == some[0].category]
-        # What is much longer than usual is a series already, or a part of one.
+        # An action much longer than usual counts as a series.
         if len(same) < 2 or sum(max(len(one.parts), 1) for one in same) < SERIES:
             some = some[:1]
         series.append(some)
@@ -188,7 +184,6 @@ def _find_series(chosen: Sequence[Chosen]) -> list[list[Chosen]]:
 
 
 def _join(series: Sequence[Chosen]) -> list[Chosen]:
-    """A series as one action, which is as sure as its surest part: what is hard to tell belongs to what is sure."""
     if len(series) == 1:
         return list(series)
     same = [one for one in series if one.category == series[0].category]

@@ -1,9 +1,9 @@
-"""The likeliest sequence of segments: how likely each category is at each moment, and how long its segments last.
+"""The likeliest sequence of segments, from the probability of each category at each moment and typical lengths.
 
-A hidden semi-Markov model. Its states are the categories, and "nothing": what lies between actions. The score of a
-segment is the sum over its moments of the log probability of its state, times a weight (neighbouring moments see the
-same frames, and do not count fully each), plus the log probability of its length. Lengths are log-normal, fitted to the
-segments of each state that trained, and shrunk to the spread of all; far beyond them they are geometric.
+A hidden semi-Markov model whose states are the categories and "nothing". The score of a segment is the weighted sum of
+the log probability of its state over its moments (neighbours see the same frames), plus the log
+probability of its length. Lengths are log-normal, fitted per state and shrunk to the spread of all; far beyond
+them they are geometric.
 Source: explicit-duration models, Yu, "Hidden semi-Markov models", Artificial Intelligence 174, 2010.
 """
 
@@ -18,19 +18,16 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.retrieval.takes.moment_model import HOP
 
-_SPREAD, _STRENGTH = 0.3, 4.0  # least spread of the log length; segments' worth of the spread of all
-_LONGEST = 250  # moments that are told apart; longer segments are reached one moment at a time
+_SPREAD, _STRENGTH = 0.3, 4.0  # least spread of the log length; weight of the common spread, in segments
+_LONGEST = 250  # moments of the table of lengths; longer segments grow by single moments
 
 
 @dataclass(frozen=True, slots=True)
 class SequenceWeights:
-    """What is learned on people held out.
+    """Weights learned on people left out.
 
-    Parameters
-    ----------
-    evidence : weight of a moment's log probability.
-    nothing : added to the log probability of nothing.
-    edges : weight of the log probability that a segment begins, and ends, where it does.
+    ``evidence`` weighs the log probability of a moment, ``nothing`` is added to that of nothing, ``edges`` weighs the
+    log odds that a segment begins, and ends, where it does.
     """
 
     evidence: float = 0.4
@@ -38,24 +35,24 @@ class SequenceWeights:
     edges: float = 0.5
 
 
-_REPEATED = 2.4  # times as long as usual: what lasts longer is repeated
+_REPEATED = 2.4  # times the usual length, above which an action is repeated
 _NEVER = 1e9
 
 FLOOR = 0.01
-"""Of a probability: no moment forbids a category."""
+"""Added to probabilities, so that no moment excludes a category."""
 
 N_PHASES = 3
-"""Of an action: its beginning, its middle, its end."""
+"""Phases of an action: beginning, middle, end."""
 
 PHASE_FRAMES = 12
-"""Frames that are the beginning, and the end, of an action; no more than half of it each."""
+"""Frames of the beginning, and of the end, of an action; at most half of it each."""
 
 
 def join_phases(shares: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(M, C + 1) probabilities of the categories and of nothing, from those of all their phases (M, 3 C + 1)."""
+    """Return (M, C + 1) probabilities of the categories and of nothing, from those of the phases (M, 3 C + 1)."""
     count = shares.shape[1] // N_PHASES
     joined = np.empty((len(shares), count + 1), np.float32)
-    phases = shares[:, :-1]  # added one by one: NumPy sums many short rows one number at a time
+    phases = shares[:, :-1]  # added one by one, as NumPy is slow at sums over short rows
     np.add(phases[:, ::N_PHASES], phases[:, 1::N_PHASES], out=joined[:, :-1])
     joined[:, :-1] += phases[:, 2::N_PHASES]
     joined[:, -1] = shares[:, -1]
@@ -73,30 +70,16 @@ class Run:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SequenceModel:
-    """States, the last of them nothing.
-
-    Parameters
-    ----------
-    log_lengths : (S,) means of the log lengths in frames.
-    spreads : (S,) standard deviations.
-    weights : of what speaks for a sequence.
-    """
+    """Means and standard deviations (S,) of the log lengths in frames of the states, the last of which is nothing."""
 
     log_lengths: FloatArray
     spreads: FloatArray
     weights: SequenceWeights
 
     def find_runs(self, shares: NDArray[np.float32], *, never_nothing: bool = False) -> list[Run]:
-        """The best sequence of states.
+        """Find the best sequence of states from the probabilities (M, 3 C + 1) of the phases and of nothing at moments.
 
-        Parameters
-        ----------
-        shares : (M, 3 C + 1) probabilities of the phases of the categories, and of nothing, at moments.
-        never_nothing : whether every moment gets a category.
-
-        Returns
-        -------
-        One after another without gaps; none for no moment.
+        Runs follow in order without gaps, none for no moment; ``never_nothing`` gives every moment a category.
         """
         if not len(shares):
             return []
@@ -109,12 +92,9 @@ class SequenceModel:
         return _search(evidence, opening, closing, lengths, tails[:last], again[:last])
 
     def cut_repetitions(self, shares: NDArray[np.float32], run: Run) -> list[Run]:
-        """The parts of a run that are each as long as its category usually is, cut where it likeliest ends and begins.
+        """Cut a run of a category into parts of about its usual length, where it likeliest ends and begins.
 
-        Parameters
-        ----------
-        shares : as for `find_runs`, of all moments.
-        run : of a category. One that is not much longer than usual is its own only part.
+        ``shares`` are those of `find_runs`, of all moments. A run not much longer than usual is returned whole.
         """
         usual = float(np.exp(self.log_lengths[run.state])) / HOP
         if run.stop - run.start <= _REPEATED * usual:
@@ -128,7 +108,7 @@ class SequenceModel:
         return [Run(run.start + one.start, run.start + one.stop, run.state) for one in parts]
 
     def _weigh(self, shares: NDArray[np.float32]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(M, S) what speaks for each state at each moment, for its beginning there, and for its end."""
+        """Return (M, S) weighted evidence for each state, for its beginning and for its end at each moment."""
         weights = self.weights
         joined = np.maximum(join_phases(shares), 0.0).astype(np.float64)
         evidence = np.log(joined + FLOOR)
@@ -141,7 +121,7 @@ class SequenceModel:
         return evidence, opening, closing
 
     def _tabulate(self, n_moments: int) -> tuple[FloatArray, FloatArray]:
-        """(L, S) log probabilities of lengths of 1, 2 ... moments, and (S,) what each further moment costs."""
+        """Return (L, S) log probabilities of lengths of 1, 2 ... moments, and (S,) that of each further moment."""
         longest = np.exp(self.log_lengths[:-1] + 2.0 * self.spreads[:-1]).max(initial=1.0) / HOP
         most = int(min(max(longest, 10.0), _LONGEST, max(n_moments, 1)))
         frames = np.arange(1, most + 1)[:, None] * float(HOP)
@@ -151,7 +131,7 @@ class SequenceModel:
         return table, tails
 
     def with_lengths(self, lengths: Sequence[Sequence[float]]) -> SequenceModel:
-        """A model of more states: new ones stand before nothing, with the lengths (frames) of their segments."""
+        """Add states before nothing, with the lengths (frames) of their segments."""
         new = fit_lengths([*lengths, [1.0]], self.weights, pooled=float(np.median(self.spreads[:-1])))
         means = np.concatenate([self.log_lengths[:-1], new.log_lengths[:-1], self.log_lengths[-1:]])
         spreads = np.concatenate([self.spreads[:-1], new.spreads[:-1], self.spreads[-1:]])
@@ -182,12 +162,12 @@ def _search(
 def fit_lengths(
     lengths: Sequence[Sequence[float]], weights: SequenceWeights, pooled: float | None = None
 ) -> SequenceModel:
-    """A model of the segments that trained.
+    """Fit the lengths of the states.
 
     Parameters
     ----------
-    lengths : for each state the lengths of its segments in frames; a state without any gets those of all.
-    weights : of what speaks for a sequence.
+    lengths : for each state the lengths of its segments in frames; a state without any gets the mean of all.
+    weights : of evidence, nothing and edges.
     pooled : spread of the log lengths within states; None to measure it.
     """
     logs = [np.log(np.maximum(np.asarray(some, np.float64), 1.0)) for some in lengths]

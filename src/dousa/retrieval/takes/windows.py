@@ -1,8 +1,7 @@
-"""Long takes as windows: described once, kept in little room, searched and labelled without the motion.
+"""Long takes as windows, stored compactly, and searched and labelled without the motion.
 
-A take is cut into overlapping windows of several lengths. Of each window the leaf that it reaches in every tree is
-kept, and of the take itself one small pose a frame, from which the mean pose of any part of any window is one
-subtraction.
+A take is cut into overlapping windows of several lengths. The leaf of each window in every tree is kept, and one small
+pose per frame of the take, from which the mean pose of any part of a window is one subtraction.
 Source: the integral features of Hamada et al., eq. 4 and 5; long takes are the paper's future work.
 """
 
@@ -29,19 +28,19 @@ if TYPE_CHECKING:
     from dousa.retrieval.forest.forest import MotionForest
 
 TAKE_RATE = 30.0
-"""Frames a second of a described take."""
+"""Hz, of the frames of a described take."""
 
 N_PARTS = 8
-"""Parts of a window whose mean poses are compared; the lengths of all windows are multiples of it."""
+"""Parts of a window whose mean poses are compared; divides all window lengths."""
 
 Progress = Callable[[int, int], None]
 
 _SHORTEST, _LONGEST = 16, 4096  # frames: windows of 0.5 s to more than two minutes
 _LADDER = tuple(sorted(f * 2**k for f in (2, 3) for k in range(3, 12) if _SHORTEST <= f * 2**k <= _LONGEST))
 
-CHUNK = 4096  # windows that start within as many frames are described at a time
+CHUNK = 4096  # frames; windows that start in the same chunk are described together
 
-_MARGIN = 30  # frames on either side of a chunk: channels are smoothed over time
+_MARGIN = 30  # frames on either side of a chunk, as channels are smoothed over time
 _SMALL_JOINTS = "head left_elbow left_hand right_elbow right_hand left_knee left_ankle right_knee right_ankle".split()
 _SMALL_INDEX = [JOINT_INDEX[joint] for joint in _SMALL_JOINTS]
 N_SMALL = 3 * len(_SMALL_JOINTS)
@@ -55,7 +54,7 @@ _NAMES = ("version", "lengths", "leaves", "poses", "duration")
 
 @dataclass(frozen=True, slots=True)
 class WindowGrid:
-    """Which windows a take is cut into.
+    """The window lengths of a take.
 
     Parameters
     ----------
@@ -75,14 +74,14 @@ class WindowGrid:
         object.__setattr__(self, "lengths", tuple(int(n) for n in self.lengths))
 
     def within(self, shortest: float, longest: float) -> WindowGrid:
-        """The grid of those lengths that lie in a range of frames; the nearest to it if none does."""
+        """Return the grid of the lengths in a range of frames, or of the nearest one."""
         inside = tuple(n for n in self.lengths if shortest <= n <= longest)
         nearest = min(self.lengths, key=lambda n: max(shortest / n, n / longest))
         return WindowGrid(inside or (nearest,))
 
 
 def read_grid(lengths: NDArray[Any], what: Message) -> WindowGrid:
-    """The grid of stored lengths; DousaError that ``what`` is damaged where they make none."""
+    """Make the grid of stored lengths; DousaError that ``what`` is damaged if they are invalid."""
     check(lengths.ndim == 1 and lengths.dtype == np.int64, what, "bad lengths")
     try:
         return WindowGrid(tuple(lengths.tolist()))
@@ -91,13 +90,13 @@ def read_grid(lengths: NDArray[Any], what: Message) -> WindowGrid:
 
 
 def choose_grid(durations: ArrayLike, least: float = 0.45, most: float = 2.2) -> WindowGrid:
-    """Windows for takes in which motions as long as some clips are looked for.
+    """Choose windows to search takes for motions as long as some clips.
 
     Parameters
     ----------
     durations : s, of the labelled clips; the shortest and longest 5 % do not count.
-    least, most : windows from ``least`` times the shortest to ``most`` times the longest clip. What is found may be
-        half to twice as long as a query, and the ladder of lengths has gaps.
+    least, most : windows from ``least`` times the shortest to ``most`` times the longest clip, as matches are
+        half to twice as long as a query.
 
     Returns
     -------
@@ -105,7 +104,7 @@ def choose_grid(durations: ArrayLike, least: float = 0.45, most: float = 2.2) ->
 
     Raises
     ------
-    OptionError : no durations, or some that are not above 0.
+    OptionError : no durations, or some not above 0.
     """
     seconds = np.asarray(durations, np.float64).ravel()
     if not len(seconds) or not np.isfinite(seconds).all() or seconds.min() <= 0:
@@ -115,7 +114,7 @@ def choose_grid(durations: ArrayLike, least: float = 0.45, most: float = 2.2) ->
 
 
 def place_windows(grid: WindowGrid, n_frames: int) -> tuple[IntArray, IntArray]:
-    """Starts and stops (W,) of the windows of a take, in frames; shorter windows first, then earlier ones."""
+    """Return starts and stops (W,) of the windows of a take, in frames; shorter windows first, then earlier ones."""
     starts = [_starts(length, n_frames) for length in grid.lengths]
     lengths = np.repeat(np.array(grid.lengths, np.int64), [len(some) for some in starts])
     first = np.concatenate(starts)
@@ -123,12 +122,12 @@ def place_windows(grid: WindowGrid, n_frames: int) -> tuple[IntArray, IntArray]:
 
 
 def hop_of(length: int) -> int:
-    """Frames between the starts of two windows of a length: a sixth of it, rounded."""
+    """Return the frames between the starts of two windows of a length: a sixth of it, rounded."""
     return (length + 3) // 6
 
 
 def count_windows(length: int, n_frames: int) -> int:
-    """How many windows of a length a take has."""
+    """Count the windows of a length in a take."""
     if length > n_frames:
         return 0
     hops, left = divmod(n_frames - length, hop_of(length))
@@ -180,17 +179,17 @@ class TakeWindows:
 
     @property
     def n_frames(self) -> int:
-        """n, at ``TAKE_RATE``."""
+        """n, frames at ``TAKE_RATE``."""
         return len(self.poses)
 
     @property
     def n_bytes(self) -> int:
-        """Memory that all of it takes."""
+        """Memory of all arrays, bytes."""
         arrays = self.leaves, self.poses, self.starts, self.stops, self.sums
         return sum(array.nbytes for array in arrays)
 
     def rows_within(self, grid: WindowGrid) -> slice:
-        """The windows from the shortest to the longest length of another grid, which follow one another."""
+        """Return the rows from the shortest to the longest length of another grid."""
         lengths = self.stops - self.starts
         return slice(
             int(np.searchsorted(lengths, grid.lengths[0])),
@@ -198,7 +197,7 @@ class TakeWindows:
         )
 
     def to_bytes(self) -> bytes:
-        """The bytes of an .npz file (no pickle); the same windows give the same bytes."""
+        """Return the bytes of an .npz file (no pickle); the same windows give the same bytes."""
         return pack_arrays(
             {
                 "version": np.array(_VERSION, np.int64),
@@ -211,7 +210,7 @@ class TakeWindows:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> TakeWindows:
-        """The windows that ``to_bytes`` wrote; DousaError for damaged, other or newer bytes."""
+        """Read the bytes of ``to_bytes``; DousaError for damaged, other or newer bytes."""
         arrays = unpack_arrays(data, _NAMES, _WHAT)
         check_version(arrays, _WHAT, (_VERSION,))
         leaves, poses, duration = arrays["leaves"], arrays["poses"], arrays["duration"]
@@ -236,19 +235,19 @@ def describe_take(
     n_jobs: int | None = None,
     progress: Progress | None = None,
 ) -> TakeWindows:
-    """Cut a take into windows and run them down the trees, some two minutes at a time.
+    """Cut a take into windows and find their leaves, some two minutes at a time.
 
     Parameters
     ----------
     forest : trained on ``feature_set``.
-    motion : of any length and frame rate; of less than half a second no window is made.
-    grid : which windows.
+    motion : of any length and frame rate; under half a second it has no windows.
+    grid : lengths of the windows.
     n_jobs : threads; None for one. The result does not depend on it.
     progress : called with the frames done and their number.
 
     Raises
     ------
-    NotTrainedError : the forest knows nothing yet.
+    NotTrainedError : the forest is not trained.
     InvalidMotionError : another shape than (n, 20, 3), positions that are not finite, no body height.
     """
     import joblib
@@ -264,7 +263,7 @@ def describe_take(
     dtype = np.uint16 if forest.trees_.n_leaves < 2**16 else np.int32
     leaves = np.empty((len(starts), len(forest.trees_.roots)), dtype)
     portions = list(_portions(starts, len(sampled)))
-    # One portion alone is not worth the threads.
+    # Threads do not pay for a single portion.
     parallel = joblib.Parallel(n_jobs=n_jobs if len(portions) > 1 else 1, prefer="threads", return_as="generator")
     answers = parallel(
         joblib.delayed(_apply_portion)(forest, feature_set, (sampled, quiet.height), starts[rows], stops[rows])
@@ -278,13 +277,13 @@ def describe_take(
 
 
 def compute_small_poses(sampled: FloatArray, height: float, hidden: tuple[str, ...] = ()) -> NDArray[np.float16]:
-    """The small pose of every frame: nine joints in the body-fixed system.
+    """Compute the small pose of every frame: nine joints in the body-fixed system.
 
     Parameters
     ----------
     sampled : (n, 20, 3) m, canonical joints.
     height : m.
-    hidden : joints that do not count, as in ``FeatureSet``: theirs are 0, and the others count the more.
+    hidden : ignored joints, as in ``FeatureSet``; theirs are 0, and the others count more.
 
     Returns
     -------
@@ -292,7 +291,7 @@ def compute_small_poses(sampled: FloatArray, height: float, hidden: tuple[str, .
 
     Raises
     ------
-    InvalidMotionError : joints that count are not finite.
+    InvalidMotionError : needed joints are not finite.
     """
     from dousa.retrieval.features.pose_features import turn_to_body
 
@@ -300,14 +299,14 @@ def compute_small_poses(sampled: FloatArray, height: float, hidden: tuple[str, .
     body = turn_to_body((points - points[:, :1]) / height)
     if hidden:
         n_left = len(set(_SMALL_JOINTS).difference(hidden))
-        body *= np.sqrt(len(_SMALL_JOINTS) / max(n_left, 1))  # root mean squares over the joints that are left
-    # A joint that a recording has in the next town still has a place in half precision.
+        body *= np.sqrt(len(_SMALL_JOINTS) / max(n_left, 1))  # keeps root mean squares over the visible joints
+    # Clip positions that half precision cannot hold.
     return np.clip(body[:, _SMALL_INDEX].reshape(len(body), -1), -_FARTHEST, _FARTHEST).astype(np.float16)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sampled:
-    """Positions at ``TAKE_RATE`` with a body height: what features are computed from."""
+    """Positions at ``TAKE_RATE`` and a body height, from which features are computed."""
 
     positions: FloatArray
     height: float
@@ -315,7 +314,7 @@ class Sampled:
 
 
 def _portions(starts: IntArray, n_frames: int) -> Iterator[IndexArray]:
-    """The windows that start within each chunk of a take."""
+    """Yield the rows of the windows that start within each chunk of a take."""
     order = np.argsort(starts, kind="stable")
     edges = np.searchsorted(starts[order], np.arange(0, n_frames + CHUNK, CHUNK))
     for first, last in pairwise(edges):

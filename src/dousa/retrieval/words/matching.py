@@ -1,9 +1,9 @@
-"""How well motions fit words: what a query asks for, beside what names, categories and relations say.
+"""Match motions with queries in words.
 
-A query is a list of words, each with a weight: an action weighs more than a side or a chair. A word of the query finds
-a word of a motion if both have the same stem or name related concepts. Names and categories are taken together; of the
-relations of a motion one counts at a time, as the left of one and the raised hand of another make no raised left hand.
-The score is the share of the query's weight that is found, 0 to 1.
+A query is a list of weighted words: an action weighs more than a side or a chair. It finds a word of a motion if both
+have the same stem or name related concepts. Names and categories are taken together, relations at most two at a time
+(the left of one and the raised hand of another make no raised left hand). The score is the share of the query's weight
+that is found, 0 to 1.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ from dousa.arrays import FloatArray, IndexArray
 from dousa.retrieval.words.vocabulary import Vocabulary, Word, read_words, stem
 
 LEAST_SCORE, LEAST_OF_BEST = 0.5, 0.78
-"""What a motion must score to be an answer: of the whole query, and of the best answer."""
+"""Least score of an answer: absolute, and as a share of the best score."""
 
-NAME = 0.95  # words of a name, beside those of a category
-DOES, ALSO_DOES = 0.95, 0.7  # what a motion does: where its category says nothing, and where that says something else
-_SPELLING, _MEANING = 0.9, 0.85  # a word that was corrected, or put in the place of one that nobody knows
-OPPOSITE = 0.3  # what is left of words that say the opposite
+NAME = 0.95  # words of a name, relative to those of a category
+DOES, ALSO_DOES = 0.95, 0.7  # relations of motions whose category names no action, and of others
+_SPELLING, _MEANING = 0.9, 0.85  # a corrected word; a similar word in place of an unknown one
+OPPOSITE = 0.3  # factor for words with the opposite meaning
 _LITTLE = 0.3  # of the weight of a part that is implied: the hands of clapping
-_BOTH, _TACIT = "both", 0.1  # hands without a side are both, but to lack that costs little
-_NAMED = 0.5  # a query must name more than this share of a relation's words for it to count
-_ENOUGH = 0.6  # and this share for all of it to count
-_DONE = 0.9  # what it counts at least if the query names what is done
-_MOST_EDITS = {3: 1, 8: 2}  # letters from which a word may be misspelt, and how often
+_BOTH, _TACIT = "both", 0.1  # hands without a side are both, at a small weight
+_NAMED = 0.5  # a relation counts if the query names more than this share of its words
+_ENOUGH = 0.6  # and fully from this share
+_DONE = 0.9  # least factor if the query names the action
+_MOST_EDITS = {3: 1, 8: 2}  # least length of a word: allowed edits
 _OR = re.compile(r"\s+or\s+|または|もしくは|あるいは", re.IGNORECASE)
 _NOT = re.compile(r"\b(?:not?|never|without|except|\w+n't)\b|(?<=[かがさたなばまらわ])ない|ません|以外", re.IGNORECASE)
-_ALIKE, _LONG = 0.45, 4  # cosine from which the vectors of two words speak of the same, and letters that they need
+_ALIKE, _LONG = 0.45, 4  # least cosine of similar words, and their least number of letters
 
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """A word that a query asks for.
+    """A word of a query.
 
     Parameters
     ----------
-    word : as it was understood.
+    word : as understood.
     weight : its share of the query.
-    factor : what finding it counts; less than 1 if the word was corrected or replaced.
-    tacit : whether nobody wrote it, so that nothing contradicts it.
+    factor : value of finding it; below 1 if the word was corrected or replaced.
+    tacit : whether it was added, so that nothing contradicts it.
     """
 
     word: Word
@@ -56,14 +56,14 @@ class Slot:
 
 @dataclass(frozen=True, slots=True)
 class ReadQuery:
-    """A query in words, as it was understood.
+    """A query as understood.
 
     Parameters
     ----------
     slots : its words.
-    corrections : words that were misspelt, and what they were taken for.
-    replaced : words that nobody knows, and known words of a similar meaning.
-    unknown : words that nobody knows.
+    corrections : misspelt words and their corrections.
+    replaced : unknown words and known words of similar meaning.
+    unknown : unknown words without a replacement.
     """
 
     slots: tuple[Slot, ...]
@@ -74,12 +74,12 @@ class ReadQuery:
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """Words that belong together: of a name, or of one relation.
+    """Words that belong together: those of a name or of one relation.
 
     Parameters
     ----------
-    words : of it.
-    weight : the sum of theirs.
+    words : the words.
+    weight : the sum of their weights.
     """
 
     words: tuple[Word, ...]
@@ -88,13 +88,13 @@ class Unit:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """How well a motion fits a query.
+    """The match of a motion with a query.
 
     Parameters
     ----------
     score : 0 to 1.
-    relations : places of the relations that helped, the most helpful first.
-    in_category, in_name : whether words of these helped.
+    relations : places of the relations that raised the score, the most useful first.
+    in_category, in_name : whether their words matched.
     """
 
     score: float
@@ -104,20 +104,20 @@ class Fit:
 
 
 def weigh_word(vocabulary: Vocabulary, word: Word) -> float:
-    """How much of a query hangs on a word."""
+    """Return the weight of a word in a query."""
     if not word.meanings:
         return vocabulary.unknown
     return max(vocabulary.concepts[name].weight for name in word.meanings)
 
 
 def make_unit(vocabulary: Vocabulary, words: Sequence[Word]) -> Unit:
-    """A unit of words; what occurs twice counts once."""
+    """Make a unit of words; duplicates count once."""
     distinct = tuple(dict.fromkeys(words))
     return Unit(distinct, sum(weigh_word(vocabulary, word) for word in distinct))
 
 
 class KnownWords:
-    """The words of motions that the vocabulary lacks, by key; kept with the motions, as there may be very many.
+    """The words of motions that the vocabulary lacks, by key.
 
     Parameters
     ----------
@@ -130,17 +130,17 @@ class KnownWords:
 
 
 Replace = Callable[[str], "tuple[str, float] | None"]
-"""Gives for an English word that nobody knows a known one of similar meaning and its cosine, or None."""
+"""Return a known word similar to an unknown English one, and its cosine, or None."""
 
 
 def read_query(vocabulary: Vocabulary, text: str, known: KnownWords, replacement: Replace | None = None) -> ReadQuery:
-    """Understand a query.
+    """Read a query.
 
     Parameters
     ----------
     text : in English, Japanese or both.
-    known : words of the motions that are searched.
-    replacement : for words that are neither there nor in the vocabulary.
+    known : words of the motions searched.
+    replacement : for words that neither the motions nor the vocabulary have.
     """
     slots: list[Slot] = []
     corrections: dict[str, str] = {}
@@ -171,7 +171,7 @@ def read_query(vocabulary: Vocabulary, text: str, known: KnownWords, replacement
 
 
 def _speaks_of_both(vocabulary: Vocabulary, words: Sequence[Word]) -> bool:
-    """Whether words name a limb in the plural, or in Japanese, and no side."""
+    """Return whether words name a limb in the plural, or in Japanese, without a side."""
     kinds = {vocabulary.concepts[name].kind for word in words for name in word.meanings}
     return "side" not in kinds and any(
         vocabulary.paired.intersection(word.meanings)
@@ -181,7 +181,7 @@ def _speaks_of_both(vocabulary: Vocabulary, words: Sequence[Word]) -> bool:
 
 
 def split_alternatives(vocabulary: Vocabulary, text: str) -> list[str]:
-    """The parts of "walk or sit", where each names an action; else the text as it is."""
+    """Return the parts of "walk or sit" if each names an action, else the text as it is."""
     parts = [part for part in _OR.split(text) if part.strip()]
 
     def acts(part: str) -> bool:
@@ -192,13 +192,12 @@ def split_alternatives(vocabulary: Vocabulary, text: str) -> list[str]:
 
 
 def find_negation(text: str) -> str | None:
-    """The first word that asks for what a motion does not show, if there is one."""
+    """Return the first negation in a text, if any."""
     found = _NOT.search(text)
     return None if found is None else found[0].strip()
 
 
 def _without_extras(slots: list[Slot]) -> tuple[Slot, ...]:
-    """Equal concepts once: "arm" of "arm curl" stays, the second "wave" of "wave waving" does not."""
     seen: dict[tuple[str, ...], Slot] = {}
     for slot in slots:
         seen.setdefault(slot.word.meanings or (slot.word.key,), slot)
@@ -206,7 +205,7 @@ def _without_extras(slots: list[Slot]) -> tuple[Slot, ...]:
 
 
 def _weigh_implied(vocabulary: Vocabulary, slots: tuple[Slot, ...]) -> tuple[Slot, ...]:
-    """Parts that an action of the query is done with anyway weigh little."""
+    """Reduce the weight of parts that an action of the query implies."""
     meant = {name for slot in slots for name in slot.word.meanings}
     implied = {part for part, action in vocabulary.implied if action in meant}
     return tuple(
@@ -216,7 +215,7 @@ def _weigh_implied(vocabulary: Vocabulary, slots: tuple[Slot, ...]) -> tuple[Slo
 
 
 def _correct(vocabulary: Vocabulary, word: Word, known: KnownWords) -> Word | None:
-    """The known word that this one misspells, if one is near enough."""
+    """Return the known word nearest to a misspelt one, if near enough."""
     edits = max((most for letters, most in _MOST_EDITS.items() if len(word.text) >= letters), default=0)
     if not edits or any(letter.isdigit() for letter in word.text):
         return None
@@ -244,7 +243,7 @@ def _correct(vocabulary: Vocabulary, word: Word, known: KnownWords) -> Word | No
 
 
 class Matcher:
-    """Compares one query with units of words; equal units are compared once."""
+    """Compare one query with units of words; equal units are compared once."""
 
     def __init__(self, vocabulary: Vocabulary, query: ReadQuery) -> None:
         self._vocabulary = vocabulary
@@ -254,7 +253,7 @@ class Matcher:
         self._relations: dict[Unit, tuple[float, ...]] = {}
 
     def find(self, unit: Unit) -> tuple[tuple[float, ...], bool]:
-        """What each slot finds in a unit, 0 to 1, and whether the unit says the opposite of one that it lacks."""
+        """Return the value of each slot in a unit, 0 to 1, and whether the unit contradicts a slot that it lacks."""
         found = self._found.get(unit)
         if found is None:
             values = tuple(self._find_slot(slot, unit) for slot in self.query.slots)
@@ -274,7 +273,7 @@ class Matcher:
         return slot.factor * best
 
     def _contradicts(self, unit: Unit, values: Sequence[float]) -> bool:
-        """Whether a unit says the opposite of something that it lacks, or speaks of other parts of the body only."""
+        """Return whether a unit has the opposite of a missing concept, or names only other parts of the body."""
         said = {name for other in unit.words for name in other.meanings}
         opposites = self._vocabulary.opposites
         slots = list(zip(self.query.slots, values, strict=True))
@@ -288,7 +287,7 @@ class Matcher:
         return self._vocabulary.concepts[name].kind == "part"
 
     def find_relation(self, unit: Unit) -> tuple[float, ...]:
-        """What each slot finds in a relation, less if the query names only a small part of it."""
+        """Return the value of each slot in a relation, reduced if the query names only a small part of it."""
         found = self._relations.get(unit)
         if found is None:
             values, against = self.find(unit)
@@ -297,7 +296,7 @@ class Matcher:
         return found
 
     def _scale_relation(self, unit: Unit) -> float:
-        """How much of a relation a query speaks of: of all that is done in it, or of most of its words."""
+        """Return the share of a relation that a query covers: by its action, or by most of its words."""
         named = [word for word in unit.words if any(self._is_named(word, slot) for slot in self.query.slots)]
         actions = [word for word in unit.words if self.is_action(word)]
         share = sum(weigh_word(self._vocabulary, word) for word in named) / unit.weight
@@ -311,12 +310,12 @@ class Matcher:
         )
 
     def fit(self, category: Unit, name: Unit, relations: Sequence[tuple[Unit, float]]) -> Fit:
-        """How well a motion fits.
+        """Match a motion.
 
         Parameters
         ----------
         category, name : its words.
-        relations : its relations, with the share of the motion for which each holds.
+        relations : its relations, each with the share of the motion for which it holds.
         """
         if not self._total:
             return Fit(0.0, (), False, False)
@@ -345,7 +344,7 @@ class Matcher:
                 break
             base = [max(pair) for pair in zip(base, told[place], strict=True)]
             used.append(place)
-            # A second one helps only if the query speaks of all of it: walking, with both hands up.
+            # A second one helps only if the query names its action: walking, with both hands up.
             told = [values if is_whole(values, slots) else (0.0,) * len(values) for values in told]
         helped = any(value > 0.4 for value in by_category), any(value > 0.4 for value in by_name)
         return Fit(self._sum(base), tuple(used), *helped)
@@ -358,7 +357,7 @@ class Matcher:
 
 
 def is_whole(values: Sequence[float], slots: Sequence[Slot]) -> bool:
-    """Whether a relation finds an action of the query, and not its side or limb alone."""
+    """Return whether a relation matches an action of the query, not only its side or limb."""
     return any(value > 0.5 and slot.weight >= 1.0 for value, slot in zip(values, slots, strict=True))
 
 
@@ -367,12 +366,12 @@ _NOTHING = Unit((), 0.0)
 
 @dataclass(frozen=True, slots=True)
 class MotionWords:
-    """What is said of one motion.
+    """The words of one motion.
 
     Parameters
     ----------
-    category, name : words of these.
-    relations : what it does, with the share of the motion for which each holds.
+    category, name : their words.
+    relations : its relations, each with the share of the motion for which it holds.
     """
 
     category: Unit
@@ -381,12 +380,7 @@ class MotionWords:
 
 
 class WordColumns:
-    """The words of N motions.
-
-    Parameters
-    ----------
-    motions : of each.
-    """
+    """The words of N motions."""
 
     def __init__(self, motions: Sequence[MotionWords]) -> None:
         self.motions = tuple(motions)
@@ -405,7 +399,7 @@ class WordColumns:
         self._lasting = 0.8 + 0.2 * np.minimum(1.0, 2.0 * shares)
 
     def score(self, matcher: Matcher) -> FloatArray:
-        """How well each motion fits a query: (N,) ``Fit.score`` of `Matcher.fit`."""
+        """Return the (N,) scores of all motions, as `Matcher.fit`."""
         query = matcher.query
         weights = np.array([slot.weight for slot in query.slots], np.float64)
         if not weights.sum():
@@ -426,12 +420,12 @@ class WordColumns:
         return score
 
     def fit(self, matcher: Matcher, row: int) -> Fit:
-        """All that is to be said of one."""
+        """Return the match of one motion."""
         one = self.motions[row]
         return matcher.fit(one.category, one.name, one.relations)
 
     def _compare_names(self, matcher: Matcher) -> tuple[FloatArray, FloatArray]:
-        """What categories and names say, (N, slots), and what relations count beside each category, (N,)."""
+        """Return (N, slots) values in categories and names, and (N,) factors of relations."""
         n_slots = len(matcher.query.slots)
         category, against = _compare(matcher, self._categories, n_slots)
         name, name_against = _compare(matcher, self._names, n_slots)
@@ -446,7 +440,7 @@ class WordColumns:
         return base, trust[self._category_of]
 
     def _list_spelled(self, keys: set[str]) -> Iterator[tuple[IndexArray, Unit]]:
-        """Motions whose names have words of these keys that the table lacks; each kind with what its names say."""
+        """Yield the motions whose names have unknown words of these keys, with the unit of their names."""
         there = sorted(keys.intersection(self._spelled))
         if not there:
             return
@@ -461,9 +455,8 @@ class WordColumns:
 
 
 def _number(units: Sequence[Unit]) -> tuple[list[Unit], IndexArray]:
-    """Different units, and the place of each one among these."""
     places: dict[Unit, int] = {}
-    # Most units are there many times; to compare their words takes longer than to see that they are the same.
+    # Most units occur many times, and comparing identities is faster than comparing words.
     objects = {id(unit): unit for unit in units}
     known = {key: places.setdefault(unit, len(places)) for key, unit in objects.items()}
     return list(places), np.array([known[id(unit)] for unit in units], np.intp)
@@ -483,9 +476,9 @@ def _compare(matcher: Matcher, units: Sequence[Unit], n_slots: int) -> tuple[Flo
 def _take_best(
     base: FloatArray, score: FloatArray, rows: IndexArray, told: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray, bool]:
-    """What is said of motions (N, slots) with the relation of each that helps it most, the new score, whether any did.
+    """Add to (N, slots) values the relation that helps each motion most; return values, scores, whether any improved.
 
-    ``rows`` ascending: the motion of each relation; ``told`` what these find.
+    ``rows`` are the motions of the relations, ascending, and the array after them holds their values.
     """
     more = np.maximum(base[rows], told) @ weights
     order = np.lexsort((-more, rows))

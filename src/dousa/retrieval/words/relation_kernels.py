@@ -1,7 +1,6 @@
-"""Compiled loops behind the relations: the body as the questions see it, and which of them hold in which frame.
+"""Compiled loops of the relations: the body-fixed system, and which relation holds in which frame.
 
-What each question means is told by its words; the order of the rows is that of ``relations``. A joint that is missing
-(NaN) answers no question.
+The rows are in the order of ``relations``. A missing joint (NaN) fulfils no relation.
 """
 
 from __future__ import annotations
@@ -15,9 +14,8 @@ _SPEED_SPAN = 5  # frames over which a speed is taken
 _LEFT, _RIGHT = 0, 1
 _FULL_TURN = 2.0 * np.pi
 
-# As in ``dousa.estimation.body.kinematics``: none of these allocates, and without reference counts they compile in half
-# the time.
-_njit: Any = njit  # whose types leave out some of its options
+# As in ``dousa.estimation.body.kinematics``: without allocation and reference counts these compile in half the time.
+_njit: Any = njit  # its types lack some options
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
 compiled = _njit(no_cfunc_wrapper=True, **_OPTIONS)
 merged = _njit(no_cfunc_wrapper=True, forceinline=True, **_OPTIONS)
@@ -25,7 +23,7 @@ merged = _njit(no_cfunc_wrapper=True, forceinline=True, **_OPTIONS)
 
 @compiled
 def average(values, half, total, out):
-    """Moving averages over the frames within ``half`` of each, as far as there are: ``values`` (n, K) into ``out``.
+    """Average ``values`` (n, K) over the frames within ``half`` of each into ``out``.
 
     ``total`` (n + 1, K) is room for sums; its first row is 0.
     """
@@ -41,18 +39,18 @@ def average(values, half, total, out):
 
 @merged
 def slope(values, t, rate):
-    """Change a second of ``values`` (n,) at frame t, over a few frames on either side."""
+    """Change per second of ``values`` (n,) at frame t, over a few frames on either side."""
     first, last = max(t - _SPEED_SPAN // 2, 0), min(t + _SPEED_SPAN // 2, len(values) - 1)
     return (values[last] - values[first]) * rate / max(last - first, 1)
 
 
 @compiled
 def turn(points, left, rate, body, lowest, speed, turned):
-    """The body-fixed system of every frame.
+    """Compute the body-fixed system of every frame.
 
-    ``points`` (n, J, 3) in body heights with Y up, ``left`` (n, 2); into ``body`` (n, J, 3) left, up and forward of the
-    first joint, ``lowest`` (n,) height of any joint, ``speed`` (n, 2) of the first joint along X and Z, ``turned`` (n,)
-    radians to the left since the beginning. ``left`` is brought to length 1.
+    ``points`` (n, J, 3) in body heights with Y up, ``left`` (n, 2), brought to length 1; fills ``body`` (n, J, 3) left,
+    up and forward of the first joint, ``lowest`` (n,) height of any joint, ``speed`` (n, 2) of the first joint along X
+    and Z, ``turned`` (n,) radians to the left since the beginning.
     """
     around, before = 0.0, 0.0
     for t in range(len(points)):
@@ -76,7 +74,7 @@ def turn(points, left, rate, body, lowest, speed, turned):
 
 @merged
 def _wrap(angle):
-    """A turn by the shorter way."""
+    """Wrap an angle to -pi ... pi."""
     if angle > np.pi:
         return angle - _FULL_TURN
     if angle < -np.pi:
@@ -96,9 +94,9 @@ def _apart(a, b):
 
 @compiled
 def ask_arms(body, head, limbs, holds):
-    """Above the head, level, aside, ahead, elbow bent: into ``holds`` (5, 2, n).
+    """Arms above the head, level, aside, ahead, elbow bent: into ``holds`` (5, 2, n).
 
-    ``head`` is its joint, and ``limbs`` (2, 4) are shoulder, elbow, wrist and hand of either side.
+    ``head`` is a joint, ``limbs`` (2, 4) are shoulder, elbow, wrist and hand of either side.
     """
     for side in (_LEFT, _RIGHT):
         shoulder, elbow, wrist, hand = limbs[side]
@@ -106,7 +104,7 @@ def ask_arms(body, head, limbs, holds):
         for t in range(len(body)):
             at, middle, end = body[t, shoulder], body[t, elbow], body[t, hand]
             x, y, z = end[0] - at[0], end[1] - at[1], end[2] - at[2]
-            far = _apart(end, at) > 0.24  # of some 0.3 to 0.4 of an arm that is straight
+            far = _apart(end, at) > 0.24  # a straight arm has 0.3 to 0.4
             holds[0, side, t] = end[1] > body[t, head, 1]
             holds[1, side, t] = far and abs(y) < 0.1
             holds[2, side, t] = far and outward * x > 0.17 and y > -0.2 and y < 0.25
@@ -120,9 +118,9 @@ def ask_arms(body, head, limbs, holds):
 
 @compiled
 def ask_hands(body, heights, head, limbs, rate, reach, holds):
-    """Together, meeting, crossed, waving, circling, thrust, behind, low, at the head: into ``holds`` (9, 2, n).
+    """Hands together, meeting, crossed, waving, circling, thrust, behind, low, at the head: into ``holds`` (9, 2, n).
 
-    ``reach`` (n, 3) is room for the way from a shoulder to its hand.
+    ``reach`` (n, 3) is room for the vector from a shoulder to its hand.
     """
     n = len(body)
     left, right = body[:, limbs[_LEFT, 3]], body[:, limbs[_RIGHT, 3]]
@@ -153,7 +151,7 @@ def ask_hands(body, heights, head, limbs, rate, reach, holds):
 
 @merged
 def _find_waves(reach, holds):
-    """Three or more times from side to side, hand not hanging; ``reach`` (n, 3) from the shoulder."""
+    """Mark three or more swings from side to side, hand not hanging; ``reach`` (n, 3) from the shoulder."""
     turns, first, last = 0, 0, 0
     mark, best, way = np.nan, 0.0, 0
     for t in range(len(reach)):
@@ -178,7 +176,7 @@ def _find_waves(reach, holds):
 
 @merged
 def _find_circles(reach, axis, holds):
-    """A whole turn of the arm about the shoulder in the plane of an axis and the next; ``reach`` (n, 3)."""
+    """Mark a whole turn of the arm about the shoulder in the plane of an axis and the next; ``reach`` (n, 3)."""
     n, wide = len(reach), 0
     around, lowest, highest, before = 0.0, 0.0, 0.0, 0.0
     for t in range(n):
@@ -195,9 +193,9 @@ def _find_circles(reach, axis, holds):
 
 @compiled
 def ask_legs(body, heights, legs, rate, starts, holds):
-    """Foot raised, knee raised, kicking forward, stepping aside, apart: into ``holds`` (5, 2, n).
+    """Foot raised, knee raised, kicking forward, stepping aside, legs apart: into ``holds`` (5, 2, n).
 
-    ``legs`` (2, 2) are knee and ankle of either side, ``starts`` (2,) how far to the left each foot is at first.
+    ``legs`` (2, 2) are knee and ankle of either side, ``starts`` (2,) the first places of the feet to the left.
     """
     n = len(body)
     for side in (_LEFT, _RIGHT):
@@ -219,10 +217,7 @@ def ask_legs(body, heights, legs, rate, starts, holds):
 
 @compiled
 def ask_body(body, heights, head, neck, rise, rate, holds):
-    """Lying, low, bent forward, getting up, getting down: into ``holds`` (5, 2, n).
-
-    ``rise`` is how far the pelvis ends above where it began.
-    """
+    """Lying, low, bent forward, getting up, getting down: into ``holds`` (5, 2, n); ``rise`` is that of the pelvis."""
     pelvis = heights[:, 0]
     highest = 0.0
     for t in range(len(body)):
@@ -270,8 +265,10 @@ def ask_travel(body, heights, speed, left, turned, hands, rate, holds):
 
 @compiled
 def find_stretches(holds, found):
-    """Of ``holds`` (Q, 2, n), for both sides at once, the left alone and the right alone: into ``found`` (Q, 3, 3) the
-    number of frames, and the first and the frame after the last of the longest stretch."""
+    """Find the longest stretches of ``holds`` (Q, 2, n), for both sides at once, the left alone and the right alone.
+
+    ``found`` (Q, 3, 3) gets the number of frames, and the first and the frame after the last of the longest stretch.
+    """
     n = holds.shape[2]
     for question in range(len(holds)):
         one, other = holds[question]

@@ -1,11 +1,9 @@
-"""What a body does, in a few words that need no forest: both hands above the head, a step to the side, a turn.
+"""Describe in a few words what a body does, without a forest: both hands above the head, a step to the side, a turn.
 
-Each relation is a question about the pose or the path, asked of every frame at 30 Hz in the body-fixed system of the
-features (left, up, forward; body heights); so who moves, where and facing which way does not matter. A relation is kept
-if it holds for some time, with the longest stretch of it. Of a pair of limbs it is said of both where it holds for both
-at once, else of the one. The thresholds say what the words mean; they are not learned.
-
-The words themselves are messages, ``relations.NAME``, in both languages.
+Each relation is a question about the pose or the path in every frame at 30 Hz, in the body-fixed system of the features
+(left, up, forward; body heights). A relation is kept if it holds long enough, with its longest stretch; for a pair of
+limbs it names both where it holds for both at once, else the one. The thresholds are not learned.
+The words are messages, ``relations.NAME``, in both languages.
 """
 
 from __future__ import annotations
@@ -25,15 +23,14 @@ from dousa.retrieval.features.posed_motion import PosedMotion, place_pelvis
 from dousa.retrieval.words import relation_kernels as kernels
 
 RELATIONS_VERSION = 1
-"""Of the questions: what a library keeps of other ones is computed anew."""
+"""Version of the questions; a library recomputes relations of other versions."""
 
-_SMOOTHED = 5  # frames of the moving average: the joints of a Kinect jump
-_SHARE, _LONG_ENOUGH = 0.2, 0.5  # of the motion, or s, from which a pose is worth words
-_EVENT = 0.13  # s, of what is over quickly
-_STEP = 21  # frames over which the speed of the body is averaged, as it comes and goes with every step
+_SMOOTHED = 5  # frames of the moving average, as the joints of a Kinect jump
+_SHARE, _LONG_ENOUGH = 0.2, 0.5  # share of the motion, or s, for which a pose must hold
+_EVENT = 0.13  # s, least length of an event
+_STEP = 21  # frames over which the speed of the body is averaged, as it varies with every step
 
-# In the order of the rows of the kernels: a name, the limb and the limbs that it is said of, and whether it is over
-# quickly.
+# In the order of the rows of the kernels: name, limb, limbs, and whether it is a short event.
 _OF_ARMS = (
     ("above_head", "hand", "hands", False),
     ("arm_level", "arm", "arms", False),
@@ -93,8 +90,8 @@ class Relation:
 
     Parameters
     ----------
-    name : the code of its words without the section, such as ``"above_head"``.
-    part : what does it, such as ``"both_hands"``; empty for the body.
+    name : the code of its message without the section, such as ``"above_head"``.
+    part : the limbs, such as ``"both_hands"``; empty for the body.
     share : of the motion for which it holds, 0 to 1.
     start, end : s, the longest stretch of it.
     """
@@ -107,14 +104,14 @@ class Relation:
 
     @property
     def message(self) -> Message:
-        """It in words."""
+        """The relation in words."""
         code = f"relations.{self.name}"
         return Message(code, part=Message(f"relations.{self.part}")) if self.part else Message(code)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Posed:
-    """A motion as the questions see it, in body heights.
+    """A motion in body heights, as needed by the questions.
 
     Parameters
     ----------
@@ -133,7 +130,7 @@ class _Posed:
 
 
 def find_relations(motion: PosedMotion) -> tuple[Relation, ...]:
-    """What a motion is in words, in a fixed order; joints that are missing (NaN) give no words."""
+    """Find the relations of a motion, in a fixed order; missing joints (NaN) give none."""
     holds = _ask(_pose(motion))
     stretches = np.empty((len(_QUESTIONS), 3, 3), np.int64)
     kernels.find_stretches(holds, stretches)
@@ -149,14 +146,14 @@ def _pose(motion: PosedMotion) -> _Posed:
     body, speed = np.empty_like(points), np.empty((count, 2))
     lowest, turned = np.empty(count), np.empty(count)
     kernels.turn(points, left, CHANNEL_RATE, body, lowest, speed, turned)
-    # Without feet nobody knows where the floor is, and nothing is said about heights over it.
+    # Without feet the floor is unknown, and so are heights.
     feet = points[:, _LEGS[:, 1], 1]
     floor = _usual(lowest, 5) if np.isfinite(feet).any() else np.nan
     return _Posed(body, points[..., 1] - floor, left, _smooth(speed, _STEP), turned)
 
 
 def _smooth(values: FloatArray, width: int = _SMOOTHED) -> FloatArray:
-    """Moving average over time; at the ends over the frames that there are."""
+    """Return the moving average over time, at the ends over fewer frames."""
     half = min(width // 2, (len(values) - 1) // 2)
     if half < 1:
         return np.array(values, np.float64)
@@ -167,7 +164,7 @@ def _smooth(values: FloatArray, width: int = _SMOOTHED) -> FloatArray:
 
 
 def _ask(posed: _Posed) -> BoolArray:
-    """(Q, 2, T) whether each question holds in a frame, of the left and of the right; of the body, on the left."""
+    """Return (Q, 2, T) whether each question holds in a frame, on the left and right; of the body, on the left."""
     body, heights = posed.body, posed.heights
     holds = np.zeros((len(_QUESTIONS), 2, len(body)), np.bool_)
     rows = np.cumsum([0, *map(len, (_OF_ARMS, _OF_HANDS, _OF_LEGS, _OF_BODY, _OF_TRAVEL, _OF_JUMPS))])
@@ -186,7 +183,7 @@ def _ask(posed: _Posed) -> BoolArray:
 
 
 def _usual(values: FloatArray, percent: float) -> float:
-    """Percentile of the values that there are, in between two of them linearly; NaN where there are none."""
+    """Return the percentile of the finite values, interpolated linearly; NaN if there are none."""
     ordered = np.sort(values[np.isfinite(values)])
     if not len(ordered):
         return float("nan")
@@ -197,7 +194,7 @@ def _usual(values: FloatArray, percent: float) -> float:
 
 
 def _keep(stretches: NDArray[np.int64], n_frames: int) -> tuple[Relation, ...]:
-    """The relations that hold long enough: of ``kernels.find_stretches``."""
+    """Return the relations that hold long enough, from ``kernels.find_stretches``."""
     least = max(min(_SHARE * n_frames / CHANNEL_RATE, _LONG_ENOUGH), _EVENT)
     lengths = (stretches[:, :, 2] - stretches[:, :, 1]) / CHANNEL_RATE
     kept = lengths >= np.where(_IS_EVENT, _EVENT, least)[:, None] - 1e-9

@@ -1,7 +1,7 @@
-"""The table of movement words, English and Japanese: which words name a concept, and how concepts are related.
+"""The table of movement words in English and Japanese, and the reading of texts with it.
 
-The words are data, in ``vocabulary.toml``; here they are read, with the inflections that both languages give them. An
-English word counts by its stem (Porter 2, of Snowball), a Japanese verb by the forms that its last syllable takes.
+The words are in ``vocabulary.toml``. An English word counts by its stem (Porter 2, of Snowball), a Japanese verb by the
+forms of its last syllable.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from typing import Any
 import numpy as np
 
 STOP = "stop"
-"""The concept of words that say nothing."""
+"""The concept of words without meaning for a query."""
 
 _NARROWER, _BROADER, _CLOSE = (
     0.85,
     0.45,
     0.6,
-)  # what another concept counts: a kind of it, what it is a kind of, a like one
+)  # value of another concept: a narrower, a broader, a close one
 _KINDS = ("action", "style", "part", "side", "place", "direction", "object")
 
-# The rows of kana that the last syllable of a verb runs through: 叩く is also 叩き, 叩か, 叩い ...
+# Kana of the last syllable of a verb: 叩く is also 叩き, 叩か, 叩い ...
 _ROWS = {
     "う": "わいうえおっ",
     "く": "かきくけこい",
@@ -41,19 +41,19 @@ _ROWS = {
     "む": "まみむめもん",
     "る": "らりるれろっ",
 }
-_ONE_ROW = frozenset("いきぎしじちにひびみりえけげせぜてでねへべめれ")  # a る after these may fall away: 上げる, 上げて
+_ONE_ROW = frozenset("いきぎしじちにひびみりえけげせぜてでねへべめれ")  # after these る may be dropped: 上げる, 上げて
 
 
 @dataclass(frozen=True, slots=True)
 class Concept:
-    """One thing that words name.
+    """A concept that words name.
 
     Parameters
     ----------
     name : its key in the table.
     kind : such as ``"action"`` or ``"part"``.
-    weight : how much of a query hangs on it.
-    words : its first English and Japanese words, for people.
+    weight : its weight in a query.
+    words : its first English and Japanese words, for display.
     """
 
     name: str
@@ -64,20 +64,19 @@ class Concept:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Vocabulary:
-    """The table, ready to be looked up.
+    """The table of words and concepts.
 
     Parameters
     ----------
     concepts : by name.
-    english : phrases, as tuples of stems, to the concepts that they name, one tuple for each meaning; a compound names
-        several at once.
+    english : phrases as tuples of stems to their concepts, one tuple for each meaning, of several for a compound.
     japanese : forms to the same.
-    related : what concept b counts where concept a is asked for, by (a, b); 1 for the same.
-    opposites : (a, b) where who asks for a does not want b.
-    implied : (part, action) where the action is done with the part anyway.
+    related : value of concept b where concept a is asked for, by (a, b); 1 for the same.
+    opposites : (a, b) where b contradicts a query for a.
+    implied : (part, action) where the action always uses the part.
     paired : parts of the body of which there are two.
     unknown : weight of a word that is not in the table.
-    spelled : English words as they are written, by stem.
+    spelled : English words as written, by stem.
     """
 
     concepts: dict[str, Concept]
@@ -102,7 +101,7 @@ class Vocabulary:
 
 
 def normalise(text: str) -> str:
-    """One form for wide, narrow and combined characters."""
+    """Return one form for wide, narrow and combined characters."""
     return unicodedata.normalize("NFKC", text)
 
 
@@ -115,25 +114,25 @@ def _stemmer() -> Any:
 
 @cache
 def stem(word: str) -> str:
-    """The stem of an English word: "kicking" and "kicks" are "kick"."""
+    """Return the stem of an English word: "kick" for "kicking" and "kicks"."""
     lower = word.casefold()
     return str(_stemmer().stemWord(lower)) if len(lower) > 2 else lower
 
 
 def _list_irregular(phrase: tuple[str, ...], forms: dict[str, str]) -> list[tuple[str, ...]]:
-    """A phrase with its first word in the forms that no rule makes: "bent", "got up"."""
+    """Return a phrase with the irregular forms of its first word: "bent", "got up"."""
     return [(stem(form), *phrase[1:]) for form in forms.get(phrase[0], "").split()]
 
 
 @cache
 def load_vocabulary() -> Vocabulary:
-    """The table that comes with dousa."""
+    """Load the table of dousa."""
     text = resources.files(__package__).joinpath("vocabulary.toml").read_text(encoding="utf-8")
     return make_vocabulary(tomllib.loads(text))
 
 
 def make_vocabulary(table: dict[str, Any]) -> Vocabulary:
-    """A vocabulary from a table in the form of ``vocabulary.toml``."""
+    """Make a vocabulary from a table like ``vocabulary.toml``."""
     weights = table["weights"]
     irregular = {stem(word): forms for word, forms in table["irregular"].items()}
     concepts: dict[str, Concept] = {}
@@ -177,7 +176,7 @@ def make_vocabulary(table: dict[str, Any]) -> Vocabulary:
 
 
 def _split_line(line: str) -> tuple[list[list[str]], str, list[str]]:
-    """English and Japanese words, the broader concept or an empty text, and the close ones."""
+    """Return English and Japanese words, the broader concept or an empty text, and the close ones."""
     rest, _, close = line.partition("~")
     rest, _, broader = rest.partition(">")
     words = [[word.strip() for word in part.split(",")] for part in rest.split("|")]
@@ -204,7 +203,7 @@ def _add(forms: dict[Any, list[tuple[str, ...]]], key: Any, names: tuple[str, ..
 def _relate(
     concepts: dict[str, Concept], broader: dict[str, str], close: dict[str, list[str]]
 ) -> dict[tuple[str, str], float]:
-    """What a concept counts where another is asked for; the broader of the broader counts by the product."""
+    """Return the values of related concepts; several steps up or down multiply."""
     related: dict[tuple[str, str], float] = {(name, name): 1.0 for name in concepts}
     for name in concepts:
         up, down = _BROADER, _NARROWER
@@ -221,7 +220,7 @@ def _relate(
 
 
 def inflect(word: str) -> set[str]:
-    """A Japanese word and, for one that may be a verb or an adjective, what its last syllable turns into."""
+    """Return a Japanese word and, if it may be a verb or an adjective, the forms of its last syllable."""
     last, rest = word[-1], word[:-1]
     if len(word) < 2 or not any("\u3041" <= letter <= "\u309f" for letter in last):
         return {word}
@@ -232,7 +231,7 @@ def inflect(word: str) -> set[str]:
     forms = {word, *(rest + kana for kana in _ROWS[last])}
     if last == "る" and (rest[-1] in _ONE_ROW or "\u4e00" <= rest[-1] <= "\u9fff") and len(rest) >= 2:
         forms.add(rest)
-    if last == "る" and rest in ("寝", "見", "着"):  # one character, and all that is left of them
+    if last == "る" and rest in ("寝", "見", "着"):  # stems of one character
         forms |= {rest + end for end in "ててたなま"}
     return forms
 
@@ -240,9 +239,9 @@ def inflect(word: str) -> set[str]:
 _CHUNKS = re.compile(r"[^\W_]+")
 _LATIN = re.compile(r"[A-Za-z\u00c0-\u024f0-9']+")
 _CAMEL = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z\u00df-\u024f]+|[A-Z]+|\d+")
-_CODE = re.compile(r"[A-Za-z]{1,3}\d+")  # a07, s1: as it is
+_CODE = re.compile(r"[A-Za-z]{1,3}\d+")  # a07, s1: kept whole
 _SIDED = re.compile(r"([LR])([a-z]{3,})")  # "Lelbow"
-_RUNS = re.compile(r"[\u30a1-\u30ffー]+|[\u4e00-\u9fff々]")  # katakana hang together; of kanji each says something
+_RUNS = re.compile(r"[\u30a1-\u30ffー]+|[\u4e00-\u9fff々]")  # katakana together, kanji one by one
 _LATIN_OR_OTHER = re.compile(r"[A-Za-z\u00c0-\u024f0-9']+|[^A-Za-z\u00c0-\u024f0-9']+")
 
 
@@ -252,9 +251,9 @@ class Word:
 
     Parameters
     ----------
-    text : as it is written.
-    key : what it is compared by: its stem; the text for Japanese.
-    meanings : concepts that it may name; those of a compound are words of their own. Empty where the table lacks it.
+    text : as written.
+    key : for comparison: its stem; the text for Japanese.
+    meanings : possible concepts; parts of a compound are separate words. Empty if not in the table.
     """
 
     text: str
@@ -263,7 +262,7 @@ class Word:
 
 
 def split_name(name: str) -> list[str]:
-    """The words of a name: ``a07_tennis_serve`` is a07, tennis, serve."""
+    """Split a name into words: ``a07_tennis_serve`` is a07, tennis, serve."""
     words: list[str] = []
     for chunk in _CHUNKS.findall(normalise(name)):
         for run in _LATIN_OR_OTHER.findall(chunk):
@@ -275,7 +274,7 @@ def split_name(name: str) -> list[str]:
 
 
 def read_words(vocabulary: Vocabulary, text: str, *, name: bool = False) -> tuple[Word, ...]:
-    """The words of a query or, with ``name``, of a name of a file or category; words that say nothing are left out."""
+    """Read the words of a query or, with ``name``, of a name of a file or category, without stop words."""
     pieces = list(_split_sides(vocabulary, split_name(text))) if name else _split_text(text)
     words: list[Word] = []
     place = 0
@@ -300,7 +299,7 @@ def _split_text(text: str) -> list[str]:
 
 
 def _split_sides(vocabulary: Vocabulary, pieces: list[str]) -> Iterator[str]:
-    """``Lelbow`` is l, elbow where it is no word itself and the rest is one."""
+    """Split ``Lelbow`` into l and elbow if only the rest is a known word."""
     for piece in pieces:
         sided = _SIDED.fullmatch(piece)
         if sided and (stem(piece),) not in vocabulary.english and (stem(sided[2]),) in vocabulary.english:
@@ -310,7 +309,7 @@ def _split_sides(vocabulary: Vocabulary, pieces: list[str]) -> Iterator[str]:
 
 
 def _read_english(vocabulary: Vocabulary, pieces: list[str], place: int) -> tuple[int, list[Word]]:
-    """The longest phrase that begins at a place: how many pieces it takes, and what it says."""
+    """Return the number of pieces of the longest phrase at a place, and its words."""
     for length in range(min(vocabulary.longest_phrase, len(pieces) - place), 0, -1):
         some = pieces[place : place + length]
         key = tuple(stem(piece.removesuffix("'s")) for piece in some)
@@ -354,7 +353,7 @@ _PIECES = "tokenizers/l2_supercat_tokenizer_config.json"
 
 
 def find_vectors() -> Path | None:
-    """The folder of the package, None where it or what reads its files is not installed."""
+    """Return the folder of the word vectors; None if wordllama or its readers are not installed."""
     found = [importlib.util.find_spec(name) for name in ("wordllama", "tokenizers", "safetensors")]
     if any(spec is None or spec.origin is None for spec in found):
         return None
@@ -364,13 +363,13 @@ def find_vectors() -> Path | None:
 
 @cache
 def load_replacement() -> Callable[[str], tuple[str, float] | None] | None:
-    """What finds the word of the table that means most nearly the same as an English word, with the cosine; or None."""
+    """Return a function from an English word to the nearest word of the table and its cosine; None without vectors."""
     folder = find_vectors()
     return None if folder is None else cache(_Replacement(folder))
 
 
 class _Replacement:
-    """The words of the table as vectors; read at the first question."""
+    """The words of the table as vectors, read at the first call."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -401,7 +400,7 @@ class _Replacement:
         self._known = np.stack([self._embed(word) for word in self._words])
 
     def _embed(self, word: str) -> Any:
-        """The mean of the vectors of the pieces of a word, of length 1."""
+        """Return the normalised mean of the vectors of the pieces of a word."""
         rows = self._pieces.encode(word.casefold(), add_special_tokens=False).ids
         vector = self._vectors[rows].astype(np.float32).mean(axis=0)
         return vector / max(float(np.linalg.norm(vector)), 1e-9)
