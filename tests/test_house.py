@@ -18,20 +18,30 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (26_000, 130),
+    "app": (25_744, 120),
+    "estimation": (15_783, 62),
+    "evaluation": (12_443, 43),
+    "experiments": (1_817, 10),
+    "files": (481, 6),
+    "formats": (9_570, 68),
+    "library": (16_015, 56),
+    "messages": (206, 3),
+    "motion": (5_810, 38),
+    "retrieval": (14_660, 53),
+    "workers": (418, 6),
 }
 TOTALS = {
-    "lines of tests": 63_500,
-    "lines of JavaScript": 12_600,
-    "constants": 2_040,
-    "numeric constants without a source": 1_300,
-    "functions over 60 lines": 31,
-    "files over 650 lines": 3,
+    "lines of tests": 63_590,
+    "lines of JavaScript": 12_791,
+    "constants": 1_874,
+    "numeric constants without a source": 1_128,
+    "functions over 60 lines": 21,
+    "files over 650 lines": 0,
     "folders with more than 15 files": 0,
-    "lines with words that a native reader stumbles over": 650,
+    "lines with words that a native reader stumbles over": 210,
     "hand-written runs of a mask": 3,
     "commands": 28,
-    "options": 200,
+    "options": 194,
 }
 
 _LONG_FUNCTION, _LONG_FILE, _LARGE_FOLDER = 60, 650, 15
