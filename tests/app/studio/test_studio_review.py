@@ -29,7 +29,7 @@ def test_a_review_is_a_job_with_doubts_and_duplicates(studio):
     library.relabel([first], category="walk")
     job = wait_for(studio, studio.post("/api/jobs/review").json()["id"])
     assert job["state"] == "done"
-    assert job["result"]["doubts"][0]["clip_id"] == first  # on some machines another one comes behind it
+    assert [one["clip_id"] for one in job["result"]["doubts"]] == [first]
     assert job["result"]["doubts"][0]["suggested"] == "squat"
     assert job["result"]["duplicates"] == []
     refused = studio.post("/api/jobs/demo")
