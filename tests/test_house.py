@@ -24,14 +24,14 @@ ROOMS = {
     "experiments": (1_817, 10),
     "files": (481, 6),
     "formats": (9_570, 68),
-    "library": (16_015, 56),
+    "library": (16_048, 56),
     "messages": (206, 3),
     "motion": (5_810, 38),
     "retrieval": (14_660, 53),
     "workers": (418, 6),
 }
 TOTALS = {
-    "lines of tests": 63_590,
+    "lines of tests": 63_599,
     "lines of JavaScript": 12_791,
     "constants": 1_874,
     "numeric constants without a source": 1_128,

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from dousa.app.cli.main import app
 from dousa.errors import OptionError, TrainingError
 from dousa.library import CHECKED
-from dousa.library.care.review import deal, find_pairs
+from dousa.library.care.review import find_pairs, split_halves
 from dousa.motion import Trajectories
 
 N_PEOPLE, N_WRONG = 12, 6
@@ -66,13 +66,14 @@ def test_categories_of_few_clips_are_not_judged(library):
         library.review_labels()
 
 
-def test_every_category_is_spread_over_all_parts():
-    labels = np.repeat(["a", "b", "c"], [10, 5, 7])
-    parts = deal(labels)
+def test_each_half_has_half_of_every_category():
+    labels = np.repeat(["a", "b", "c"], [10, 5, 3])
+    halves = split_halves(labels, 4)
     for name in "abc":
-        counts = np.bincount(parts[labels == name], minlength=5)
-        assert counts.max() - counts.min() <= 1
-    np.testing.assert_array_equal(parts, deal(labels))
+        counts = halves[:, labels == name].sum(axis=1)
+        assert (abs(2 * counts - (labels == name).sum()) <= 1).all()
+    assert len(np.unique(halves, axis=0)) == 4
+    np.testing.assert_array_equal(halves, split_halves(labels, 4))
 
 
 def test_copies_are_found_and_other_repetitions_are_not(library):

@@ -1,16 +1,16 @@
 """Clips whose label is likely wrong, and groups of near duplicates.
 
 A forest that has learned a wrong label repeats it, so each clip is judged by trees trained without it: the clips are
-split into parts, and for each part a forest is grown of the others, as in cross-validation. A clip is in doubt if
-another category has more votes than its own: the normalised margin of confident learning (Northcutt, Jiang, Chuang,
-"Confident Learning: Estimating Uncertainty in Dataset Labels", JAIR 70, 2021). Categories of the same meaning count as
-one.
+split into random halves a dozen times, and trees of each half judge the other (complementary pairs: Shah, Samworth,
+"Variable Selection with Error Control", JRSS B 75, 2013). A clip is in doubt if another category has more votes than
+its own: the normalised margin of confident learning (Northcutt, Jiang, Chuang, "Confident Learning: Estimating
+Uncertainty in Dataset Labels", JAIR 70, 2021). Categories of the same meaning count as one.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +27,7 @@ from dousa.library.store.engine import Database, choose_jobs
 from dousa.library.store.features import ClipFeatures, find_feature_set, lacks, load_features, load_poses
 from dousa.library.store.selection import list_clips
 from dousa.messages import Message
-from dousa.retrieval import DEFAULT_FEATURE_SET, MotionForest
+from dousa.retrieval import DEFAULT_FEATURE_SET, FeatureSet, MotionForest
 
 NEAR = 0.01
 """Largest distance of the joints of near duplicates, root mean square over joints and time, body heights."""
@@ -121,8 +121,8 @@ def find_pairs(poses: NDArray[np.float32], durations: FloatArray, near: float) -
 ReviewProgress = Callable[[int, int, Message], None]
 """Called with (steps done, steps, message about the next step)."""
 
-_PARTS = 5
-_TREES = 50
+_SPLITS = 12  # into halves, and _TREES of each half: python -m lab.trials.label_review
+_TREES = 10
 _LEAST = 3  # fewest clips of a judged category, so that there are others to compare
 _NEIGHBOURS = 3
 
@@ -182,7 +182,7 @@ class LabelReview:
 def review_labels(database: Database, n_jobs: int | None, progress: ReviewProgress | None) -> LabelReview:
     """Find the labels of a library that are likely wrong; as ``Library.review_labels``."""
     tell = progress or (lambda done, total, what: None)
-    tell(0, _PARTS + 1, Message("library_training.describing_clips"))
+    tell(0, 2 * _SPLITS + 1, Message("library_training.describing_clips"))
     with database.reading() as connection:
         name = connection.execute(sa.select(schema.forests.c.parameters)).scalar()
         feature_set = str((name or {}).get("feature_set", DEFAULT_FEATURE_SET))
@@ -195,7 +195,7 @@ def review_labels(database: Database, n_jobs: int | None, progress: ReviewProgre
         raise TrainingError("library_review.too_few", library=database.where, least=_LEAST)
 
     def tell_part(part: int) -> None:
-        tell(1 + part, _PARTS + 1, Message("library_review.comparing"))
+        tell(1 + part, 2 * _SPLITS + 1, Message("library_review.comparing"))
 
     found = _judge(clips, np.array(rows, np.intp), labels, feature_set, n_jobs, tell_part)
     fresh = [one for one in found if not paths[one[0]][1]]
@@ -220,44 +220,76 @@ def _judge(
     kind, named = find_feature_set(feature_set), find_meanings(set(labels.tolist()))
     means = np.array([named[label] for label in labels.tolist()], dtype=np.str_)
     ids = np.array([clips.ids[row] for row in rows])
+    halves = split_halves(labels, _SPLITS)
+    learned = np.concatenate([halves, ~halves])
+    classes, shares, leaves = vote_without(
+        clips.features[rows], labels, kind, learned, n_trees=_TREES, n_jobs=n_jobs, tell=tell
+    )
+    meant = np.array([named[name] for name in classes], dtype=np.str_)
     found: list[tuple[float, _Found]] = []
-    part_of = deal(labels)
-    for part in range(_PARTS):
-        tell(part)
-        held, rest = np.flatnonzero(part_of == part), np.flatnonzero(part_of != part)
-        forest = MotionForest(
-            n_trees=_TREES,
-            n_trials=kind.n_trials,
-            thresholds=kind.thresholds,
-            random_state=part,
-            n_jobs=choose_jobs(n_jobs),
-        )
-        forest.fit(clips.features[rows[rest]], labels[rest], feature_set=kind)
-        leaves, known = forest.apply(clips.features[rows[held]]), forest.apply(clips.features[rows[rest]])
-        shares, classes = forest.histograms_of(leaves), [str(name) for name in forest.classes_]
-        meant = np.array([named[name] for name in classes], dtype=np.str_)
-        for place, row in enumerate(held.tolist()):
-            other, votes, own = _compare(shares[place], meant, str(means[row]))
-            if votes <= own:
-                continue
-            suggested = max(
-                (name for name in classes if named[name] == other), key=lambda n: shares[place][classes.index(n)]
-            )
-            shared = (known == leaves[place]).sum(axis=1)
-            alike, same = (_nearest(shared, means[rest] == meaning, ids[rest]) for meaning in (other, means[row]))
-            one = (int(ids[row]), str(labels[row]), suggested, round(votes, 4), round(own, 4), alike, same)
-            found.append((votes - own, one))
-    tell(_PARTS)
+    for row, meaning in enumerate(means):
+        other, votes, own = _compare(shares[row], meant, str(meaning))
+        if votes <= own:
+            continue
+        suggested = max((name for name in classes if named[name] == other), key=lambda n: shares[row][classes.index(n)])
+        judges = np.flatnonzero(~learned[:, row])
+        shared = sum(learned[judge] * (leaves[judge] == leaves[judge, row]).sum(axis=1) for judge in judges)
+        alike, same = (_nearest(shared, means == name, ids, row) for name in (other, meaning))
+        one = (int(ids[row]), str(labels[row]), suggested, round(votes, 4), round(own, 4), alike, same)
+        found.append((votes - own, one))
     return [one for _, one in sorted(found, key=lambda item: (-item[0], item[1][0]))]
 
 
-def deal(labels: NDArray[np.str_]) -> IndexArray:
-    """Assign each clip to a part, (N,); every category is spread over all parts, with a fixed seed."""
+def vote_without(
+    features: FloatArray,
+    labels: NDArray[np.str_],
+    feature_set: FeatureSet,
+    learned: NDArray[np.bool_],
+    *,
+    n_trees: int,
+    n_jobs: int | None = None,
+    tell: Callable[[int], None] = lambda _: None,
+) -> tuple[list[str], FloatArray, NDArray[np.int32]]:
+    """Let forests vote for the clips that they have not learned.
+
+    Parameters
+    ----------
+    features : (N, frames, columns) of clips; ``labels``, their categories.
+    learned : (J, N) the clips that each forest learns; each clip is left out by at least one.
+    n_trees : of each forest.
+
+    Returns
+    -------
+    The categories, sorted; (N, C) the shares of the votes of the forests that have not learned the clip; and (J, N,
+    n_trees) the leaves that the clips reach.
+    """
+    classes = sorted(set(labels.tolist()))
+    shares = np.zeros((len(labels), len(classes)))
+    leaves = np.empty((*learned.shape, n_trees), np.int32)
+    for number, some in enumerate(learned):
+        tell(number)
+        forest = MotionForest(
+            n_trees=n_trees,
+            n_trials=feature_set.n_trials,
+            thresholds=feature_set.thresholds,
+            random_state=number,
+            n_jobs=choose_jobs(n_jobs),
+        )
+        forest.fit(features[some], labels[some], feature_set=feature_set)
+        leaves[number] = forest.apply(features)
+        places = np.searchsorted(classes, forest.classes_)
+        shares[np.ix_(~some, places)] += forest.histograms_of(leaves[number, ~some])
+    tell(len(learned))
+    return classes, shares / (~learned).sum(axis=0)[:, np.newaxis], leaves
+
+
+def split_halves(labels: NDArray[np.str_], n_splits: int) -> NDArray[np.bool_]:
+    """Split clips into halves with a fixed seed, (n_splits, N); each half has half of every category."""
     chance = np.random.default_rng(0)
-    order = np.lexsort((chance.permutation(len(labels)), labels))
-    parts = np.empty(len(labels), np.intp)
-    parts[order] = np.arange(len(labels)) % _PARTS
-    return parts
+    halves = np.empty((n_splits, len(labels)), np.bool_)
+    for half in halves:
+        half[np.lexsort((chance.permutation(len(labels)), labels))] = np.arange(len(labels)) % 2
+    return halves
 
 
 def _compare(shares: FloatArray, meant: NDArray[np.str_], own: str) -> tuple[str, float, float]:
@@ -270,7 +302,8 @@ def _compare(shares: FloatArray, meant: NDArray[np.str_], own: str) -> tuple[str
     return other, votes.get(other, 0.0), mine
 
 
-def _nearest(shared: Sequence[int] | NDArray[Any], chosen: NDArray[np.bool_], ids: NDArray[Any]) -> tuple[int, ...]:
+def _nearest(shared: IndexArray, chosen: NDArray[np.bool_], ids: NDArray[Any], row: int) -> tuple[int, ...]:
     places = np.flatnonzero(chosen)
-    order = np.argsort(-np.asarray(shared)[places], kind="stable")[:_NEIGHBOURS]
+    places = places[places != row]
+    order = np.argsort(-shared[places], kind="stable")[:_NEIGHBOURS]
     return tuple(int(number) for number in ids[places[order]])
