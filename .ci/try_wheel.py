@@ -51,7 +51,7 @@ PLAIN = (
     f"find moves.dousa {MODEL}",
     f"label moves.dousa {QUERY}",
     f"evaluate {MODEL} --performance {QUERY} --json",
-    f"evaluate {MODEL} --performance {QUERY} --lang ja -o report",
+    f"--lang ja evaluate {MODEL} --performance {QUERY} -o report",
     f"convert {QUERY} query.trc",
     "info query.trc",
     "models --json",

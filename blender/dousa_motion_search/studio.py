@@ -83,7 +83,7 @@ class Studio:
                 "preferences of this extension."
             )
         process = subprocess.Popen(
-            [program, "studio", str(path), "--no-browser", "--port", "0", "--lang", "en"],
+            [program, "--lang", "en", "studio", str(path), "--no-browser", "--port", "0"],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, errors="replace",
         )  # fmt: skip
         try:

@@ -3,7 +3,7 @@
     python -m lab.benchmarks.many_writers [--clips N] [--writers N] [--files N] [--url URL]
 
 Makes a library of N clips as ``lab/benchmarks/search.py`` does, in a temporary file or at the URL of an empty database,
-trains it, and starts ``dousa add`` in as many processes as there are writers, each with motions of its own of people
+trains it, and adds to it from as many processes as there are writers, each with motions of its own of people
 whom the library does not know. Prints the seconds until each was done, how many searches were answered meanwhile and
 the slowest of them, and what is there afterwards: clips, clips that the forest has learned, and the result of a check.
 The exit code is 1 if anything failed or is missing.
@@ -24,6 +24,12 @@ from dousa.motion.synthetic.performers import CATEGORIES, draw_performer, make_m
 from lab.benchmarks.search import make_library
 
 CATEGORIES_MADE = 70
+WRITER = """
+import sys
+from dousa import Library
+with Library.open(sys.argv[1], timeout=600) as library:
+    library.add(sys.argv[2], n_jobs=1)
+"""
 
 
 def write_files(folder: Path, writer: int, n_files: int) -> None:
@@ -55,9 +61,9 @@ def main() -> int:
         for writer in range(options.writers):
             write_files(folder / str(writer), writer, options.files)
         start = time.perf_counter()
-        command = [sys.executable, "-m", "dousa", "add", library]
+        command = [sys.executable, "-c", WRITER, library]
         programs = [
-            subprocess.Popen([*command, str(folder / str(n)), "--wait", "600"], stdout=subprocess.DEVNULL)
+            subprocess.Popen([*command, str(folder / str(n))], stdout=subprocess.DEVNULL)
             for n in range(options.writers)
         ]
         answers, done = [], {}

@@ -3,7 +3,7 @@
     python -m lab.benchmarks.ranking FOLDER --performer-from RULE [--queries N]
 
 FOLDER holds one folder per category. The clips of each performer are the queries, those of the others the gallery, as
-`dousa experiment --ranking --split leave-performer-out` has it. Prints the median time of a query and the mean average
+`python -m lab.ranking --split leave-performer-out` has it. Prints the median time of a query and the mean average
 precision of the following, the descriptions of all clips being known (features and pose sequences for ours, body-fixed
 joint positions at 30 Hz for DTW):
 

@@ -263,8 +263,7 @@ def first_answer(context):
                 names, positions = p.without(*less) if less else (dousa.CANONICAL_JOINTS, p.positions)
                 path = context.folder / f"{command}_{i}_{len(names)}.npz"
                 dousa.write_motion(dousa.Trajectories(names, positions, p.rate), path)
-                extra = ("--jobs", 1) if command == "label" else ()
-                answer, wall, spent = ask(command, library, path, *extra)
+                answer, wall, spent = ask(command, library, path)
                 said = len(answer["segments"]) if command == "label" else answer["guess"]
                 what = f"{body}: {('first', 'second')[i]} {command}"
                 lines.append(Line(what, spent, note=f"{wall:.1f} by the clock; answer: {said}"))

@@ -23,7 +23,7 @@ class CommandError(RuntimeError):
 def ask(*words):
     """(what it answers, s by the clock, s of the processor) of a command."""
     began, used = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
-    command = [sys.executable, "-m", "dousa", *map(str, words), "--json"]
+    command = [sys.executable, "-m", "dousa", "--jobs", "1", *map(str, words), "--json"]
     done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, check=False)
     now = resource.getrusage(resource.RUSAGE_CHILDREN)
     spent = now.ru_utime + now.ru_stime - used.ru_utime - used.ru_stime
@@ -44,17 +44,17 @@ def build(library, clips, takes=(), labels=None, performer=None, train=True):
             rows.writerow(("file", "category", "performer"))
             rows.writerows((c.path, c.category, f"{c.dataset}_{c.person}") for c in clips)
         rule = f"csv:{table}"
-        ask("add", library, *(c.path for c in clips), "--category-from", rule, "--performer-from", rule, "--jobs", 1)
+        ask("add", library, *(c.path for c in clips), "--category-from", rule, "--performer-from", rule)
     if takes:
         extra = ("--labels", labels) if labels else ()
         extra += ("--performer-from", performer) if performer else ()
-        ask("add", library, *takes, "--takes", *extra, "--jobs", 1)
-    return ask("train", library, "--jobs", 1)[1:] if train else (0.0, 0.0)
+        ask("add", library, *takes, "--takes", *extra)
+    return ask("train", library)[1:] if train else (0.0, 0.0)
 
 
 def label(library, take, *extra):
     """[(start, end, category, confidence, repetitions)] of a take, without what is unknown."""
-    answer = ask("label", library, take, "--jobs", 1, *extra)[0]
+    answer = ask("label", library, take, *extra)[0]
     return [
         (s["start_s"], s["end_s"], s["category"], s["confidence"], s.get("repetitions", 1))
         for s in answer["segments"]
@@ -64,6 +64,6 @@ def label(library, take, *extra):
 
 def classify(library, paths):
     """[(guess, category or None, confidence, how likely known)] of files, in their order."""
-    answers = {a["path"]: a for a in ask("classify", library, *paths, "--jobs", 1)[0]}
+    answers = {a["path"]: a for a in ask("classify", library, *paths)[0]}
     rows = (answers[str(p)] for p in paths)
     return [(a.get("guess"), a.get("category"), a.get("confidence") or 0.0, a.get("known") or 0.0) for a in rows]
