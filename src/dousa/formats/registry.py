@@ -247,6 +247,10 @@ def read_motion(
     UnknownFormatError : the suffix is not known.
     MotionFileError : the file is missing, damaged or not of this format.
     OptionError : a unit or axis that does not exist.
+
+    >>> motion = dousa.read_motion("wave.bvh")
+    >>> motion.n_frames, motion.frame_rate
+    (86, 30.0)
     """
     if _suffix(path) in PACKED and not os.path.isdir(path):
         return _read_packed(path, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate)
@@ -330,6 +334,10 @@ def write_motion(motion: Motion | Trajectories, path: str | os.PathLike[str]) ->
     ------
     UnknownFormatError : the suffix is not known, or this format is only read.
     MotionWriteError : the motion does not fit the format, or a disk error.
+
+    >>> dousa.write_motion(dousa.read_motion("wave.bvh"), "wave.trc")
+    >>> dousa.read_motion("wave.trc").frame_rate
+    30.0
     """
     line = _find(path, WRITERS) or _find(path, load_plugins().writers)
     if line is None or line.writer is None:

@@ -53,6 +53,9 @@ class LibraryChanges(LibraryContents):
         ------
         OptionError : nothing is chosen.
         LibraryError : something chosen is not there, or the library cannot be written.
+
+        >>> len(library.remove(category="squat"))
+        4
         """
         try:
             with self.database.writing() as connection:
@@ -96,6 +99,11 @@ class LibraryChanges(LibraryContents):
         ------
         OptionError : nothing is chosen, no new label is given, or an empty one.
         LibraryError : something chosen is not there, or the library cannot be written.
+
+        >>> len(library.relabel(category="greeting", where_category="wave_right"))
+        4
+        >>> library.categories()
+        {'greeting': 4, 'squat': 4, 'walk': 4}
         """
         if category is UNCHANGED and performer is UNCHANGED:
             raise OptionError("library_clips.no_new_label")
@@ -137,6 +145,9 @@ class LibraryChanges(LibraryContents):
         ------
         OptionError : nothing is chosen, no tag is given, or an invalid one.
         LibraryError : something chosen is not there, or the library cannot be written.
+
+        >>> len(library.tag(where_category="walk", add=["favourite"]))
+        4
         """
         from dousa.library.annotations.marks import change_tags, check_tags
 
@@ -152,7 +163,12 @@ class LibraryChanges(LibraryContents):
             return _selection.list_paths(connection, list(changed))
 
     def tags(self) -> dict[str, int]:
-        """Return the number of clips and takes of each tag."""
+        """Return the number of clips and takes of each tag.
+
+        >>> changed = library.tag([1, 2], add=["favourite"])
+        >>> library.tags()
+        {'favourite': 2}
+        """
         from dousa.library.annotations.marks import count_tags
 
         with self.database.reading() as connection:
@@ -162,6 +178,11 @@ class LibraryChanges(LibraryContents):
         """Return the changes that can be undone or redone, the last first.
 
         The last 1,000 are kept, with removed clips of up to 1 GB, until ``compact``.
+
+        >>> removed = library.remove(category="squat")
+        >>> entry = library.journal()[0]
+        >>> entry.kind, entry.n_clips
+        ('remove', 4)
         """
         from dousa.library.history.journal import list_entries
 
@@ -169,7 +190,11 @@ class LibraryChanges(LibraryContents):
             return list_entries(connection)
 
     def removed_paths(self) -> list[str]:
-        """Return the paths of the removed clips that are kept for ``undo``."""
+        """Return the paths of the removed clips that are kept for ``undo``.
+
+        >>> library.remove(1) == library.removed_paths()
+        True
+        """
         from dousa.library.history.journal import list_kept_paths
 
         with self.database.reading() as connection:
@@ -179,6 +204,10 @@ class LibraryChanges(LibraryContents):
     def last_change(self) -> int | None:
         """Number of this thread's last change with ``add``, ``add_motion``, ``relabel``, ``tag``, ``remove`` or
         ``annotations``; None if that changed nothing.
+
+        >>> removed = library.remove(1)
+        >>> library.last_change == library.journal()[0].number
+        True
         """
         return getattr(self._last, "change", None)
 
@@ -188,6 +217,12 @@ class LibraryChanges(LibraryContents):
 
         Changes before an error stay, as the change of ``last_change``. Within a block a clip can be changed once.
         ``kind`` and message values as in ``JournalEntry``; by default those of its first part.
+
+        >>> with library.one_change():
+        ...     changed = library.relabel(1, category="bow"), library.tag(2, add=["favourite"])
+        >>> undone = library.undo()
+        >>> library.tags()
+        {}
         """
         with recording_together(self.database.engine, kind, told) as whole:
             try:
@@ -214,11 +249,20 @@ class LibraryChanges(LibraryContents):
         Raises
         ------
         LibraryError : there is nothing to undo, or the same clips were changed since; nothing changes.
+
+        >>> removed = library.remove(category="squat")
+        >>> library.undo().is_undone, len(library.clips())
+        (True, 12)
         """
         return self._step(number, redo=False, n_jobs=n_jobs)
 
     def redo(self, number: int | None = None, *, n_jobs: int | None = None) -> JournalEntry:
-        """Redo an undone change, as long as no new one was made; parameters and errors as in ``undo``."""
+        """Redo an undone change, as long as no new one was made; parameters and errors as in ``undo``.
+
+        >>> removed, undone = library.remove(category="squat"), library.undo()
+        >>> library.redo().is_undone, len(library.clips())
+        (False, 8)
+        """
         return self._step(number, redo=True, n_jobs=n_jobs)
 
     def _step(self, number: int | None, *, redo: bool, n_jobs: int | None) -> JournalEntry:

@@ -64,16 +64,27 @@ class LibraryContents:
         LibraryDamagedError : not a library, or damaged.
         LibraryVersionError : written by a newer dousa.
         LibraryLockedError : another program is writing, longer than the timeout.
+
+        >>> with dousa.Library.open("moves.dousa", read_only=True) as library:
+        ...     len(library.clips())
+        12
         """
         return cls(open_database(path_or_url, create=create, read_only=read_only, timeout=timeout))
 
     @property
     def name(self) -> str:
-        """The path or URL it was opened with."""
+        """The path or URL it was opened with.
+
+        >>> library.name
+        'moves.dousa'
+        """
         return self.database.where
 
     def close(self) -> None:
-        """Close the file; the library opens again when it is used."""
+        """Close the file; the library opens again when it is used.
+
+        >>> library.close()
+        """
         self.database.engine.dispose()
 
     def __enter__(self) -> Self:
@@ -102,6 +113,9 @@ class LibraryContents:
         Raises
         ------
         LibraryError : nothing fits.
+
+        >>> [clip.id for clip in library.clips(category="squat")]
+        [1, 2, 3, 4]
         """
         with self.database.reading() as connection:
             if selection is None and category is None and performer is None and tag is None:
@@ -111,7 +125,12 @@ class LibraryContents:
             return _selection.list_clips(connection, ids)
 
     def renew_clips(self, known: KnownClips | None = None) -> KnownClips:
-        """Return all clips and takes by number; only changes since the ``known`` result are read."""
+        """Return all clips and takes by number; only changes since the ``known`` result are read.
+
+        >>> known = library.renew_clips()
+        >>> len(known.clips)
+        12
+        """
         with self.database.reading() as connection:
             return _selection.renew_clips(connection, known or KnownClips())
 
@@ -119,6 +138,9 @@ class LibraryContents:
         """Yield clips and takes (of these labels) in the order of their numbers, a thousand in memory at a time.
 
         Clips added meanwhile are included; suitable for a million clips.
+
+        >>> sum(clip.duration > 1.0 for clip in library.iterate_clips())
+        12
         """
         last = 0
         while True:
@@ -131,7 +153,12 @@ class LibraryContents:
 
     @property
     def revision(self) -> int:
-        """Number of the last write, of this program or another; equal if nothing has changed."""
+        """Number of the last write, of this program or another; equal if nothing has changed.
+
+        >>> before, removed = library.revision, library.remove(1)
+        >>> library.revision > before
+        True
+        """
         with self.database.reading() as connection:
             return read_revision(connection)
 
@@ -139,6 +166,9 @@ class LibraryContents:
         """Return content hashes and read options of clips and takes, by number, to identify data derived from them.
 
         Missing numbers are left out.
+
+        >>> list(library.contents([1, 2, 999]))
+        [1, 2]
         """
         clips = schema.clips.c
         query = sa.select(clips.id, clips.content_hash, clips.read_options)
@@ -153,6 +183,9 @@ class LibraryContents:
         Raises
         ------
         LibraryError : no such clip; LibraryDamagedError: its numbers are damaged.
+
+        >>> library.trajectories(1).positions.shape[1:]
+        (20, 3)
         """
         found = dict(self.iterate_trajectories([clip_id]))
         if clip_id not in found:
@@ -163,6 +196,9 @@ class LibraryContents:
         """Yield numbers and canonical joints of clips and takes, in any order, one in memory at a time.
 
         Missing numbers are left out. LibraryDamagedError if the numbers of one are damaged.
+
+        >>> {number: motion.frame_rate for number, motion in library.iterate_trajectories([1, 2])}
+        {1: 30.0, 2: 30.0}
         """
         with self.database.reading() as connection:
             yield from load_trajectories(connection, [number for number in clip_ids if schema.is_id(number)])
@@ -207,6 +243,10 @@ class LibraryContents:
         ------
         LibraryError : nothing fits.
         OptionError : a format that does not exist, the originals put onto a character, a character without a skeleton.
+
+        >>> report = library.export("squats.zip", category="squat", to="trc")
+        >>> len(report.written)
+        4
         """
         from dousa.library.export import ExportFormat, export_clips
 
@@ -215,11 +255,20 @@ class LibraryContents:
         return export_clips(self, clips, path, form, options, progress)
 
     def categories(self) -> dict[str, int]:
-        """Return the number of clips of each category."""
+        """Return the number of clips of each category.
+
+        >>> library.categories()
+        {'squat': 4, 'walk': 4, 'wave_right': 4}
+        """
         with self.database.reading() as connection:
             return _selection.count_by(connection, "category")
 
     def stats(self) -> LibraryStats:
-        """Return the library in numbers."""
+        """Return the library in numbers.
+
+        >>> stats = library.stats()
+        >>> stats.n_clips, stats.forest_is_current
+        (12, True)
+        """
         with self.database.reading() as connection:
             return _selection.summarise(connection)

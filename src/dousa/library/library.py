@@ -48,6 +48,10 @@ class Library(LibraryChanges):
     Parameters
     ----------
     database : with the tables of a library.
+
+    >>> library = dousa.Library.open("moves.dousa")
+    >>> library.search("wave.bvh").verdict.guess
+    'wave_right'
     """
 
     def add(
@@ -92,6 +96,10 @@ class Library(LibraryChanges):
         OptionError : an invalid rule or kind; labels of clips, or of no take at all.
         MotionFileError : a table of labels that cannot be read, or has nothing within its take; nothing is added.
         LibraryError : the library cannot be written.
+
+        >>> report = library.add("wave.bvh", category_from=None, n_jobs=1)
+        >>> len(report.added), report.skipped
+        (1, ())
         """
         from dousa.library.add import Adding
 
@@ -146,6 +154,10 @@ class Library(LibraryChanges):
         JointMappingError : joints that cannot be identified.
         InvalidMotionError : positions or a frame rate beyond measure.
         LibraryError : the library cannot be written.
+
+        >>> report = library.add_motion(dousa.read_motion("wave.bvh"), "my wave", "wave_right")
+        >>> report.added
+        ('my wave',)
         """
         from dousa.library.add import Adding
         from dousa.library.store.ingest import make_record, read_query
@@ -200,6 +212,10 @@ class Library(LibraryChanges):
         TrainingError : fewer than two categories.
         LibraryError : the library cannot be written.
         OptionError : no such features, or a number out of range.
+
+        >>> report = library.train(n_trees=10, n_jobs=1)
+        >>> report.n_clips, report.categories
+        (12, {'squat': 4, 'walk': 4, 'wave_right': 4})
         """
         from dousa.library.labelling import learn_labeller
         from dousa.library.learning.train import train_forest
@@ -261,6 +277,10 @@ class Library(LibraryChanges):
         InvalidMotionError : too little of the body is there.
         LibraryError : no clip of this number, or the library cannot be read.
         OptionError : k below 1, an unknown ranking, a threshold outside 0 to 1.
+
+        >>> found = library.search("wave.bvh", 3)
+        >>> [hit.category for hit in found.results]
+        ['wave_right', 'wave_right', 'wave_right']
         """
         from dousa.library.search.search import Wanted
         from dousa.retrieval import DEFAULT_RANKING
@@ -296,6 +316,10 @@ class Library(LibraryChanges):
         ------
         OptionError : no text, one of more than 500 characters, or k below 1.
         LibraryError : the library cannot be read.
+
+        >>> found = library.search_text("wave the right hand")
+        >>> found.n_found, found.results[0].category
+        (4, 'wave_right')
         """
         if k is not None:
             _check_k(k)
@@ -312,6 +336,9 @@ class Library(LibraryChanges):
         ------
         OptionError : no text, or one of more than 500 characters.
         LibraryError : the library cannot be read.
+
+        >>> len(library.match_text("squatting").ids)
+        4
         """
         return self._text.match(text)
 
@@ -330,6 +357,13 @@ class Library(LibraryChanges):
         ------
         TrainingError : fewer than two categories of three clips.
         LibraryError : the library cannot be read.
+
+        >>> wrong = library.clips(category="squat")[0]
+        >>> library.relabel(wrong.id, category="walk")[0] == wrong.path
+        True
+        >>> doubt = library.review_labels(n_jobs=1).doubts[0]
+        >>> doubt.category, doubt.suggested
+        ('walk', 'squat')
         """
         from dousa.library.care.review import review_labels
 
@@ -347,6 +381,10 @@ class Library(LibraryChanges):
         ------
         OptionError : ``near`` is not above 0 and at most 1.
         LibraryError : the library cannot be read.
+
+        >>> copy = library.add_motion(library.trajectories(1), "the same again")
+        >>> [group.clip_ids for group in library.find_near_duplicates()]
+        [(1, 13)]
         """
         from dousa.library.care.review import find_near_duplicates
 
@@ -367,6 +405,9 @@ class Library(LibraryChanges):
         ------
         MissingExtraError : scikit-learn is not installed (``pip install 'dousa[map]'``).
         LibraryError : the library cannot be read.
+
+        >>> library.map().points.shape
+        (12, 2)
         """
         from dousa.library.care.clip_map import map_clips
 
@@ -403,6 +444,9 @@ class Library(LibraryChanges):
         ------
         NotTrainedError : there is no forest yet.
         LibraryError : the library cannot be read.
+
+        >>> [answer.verdict.category for answer in library.classify("wave.bvh", n_jobs=1)]
+        ['wave_right']
         """
         return self._searcher.classify(
             _as_list(paths),
@@ -448,6 +492,11 @@ class Library(LibraryChanges):
         InvalidMotionError : the query is shorter than 0.27 s.
         LibraryError : no clip of this number, no takes, or the library cannot be read.
         OptionError : k below 1.
+
+        >>> place = library.find("wave.bvh", "take.bvh").results[0]
+        >>> segment = library.label("take.bvh").timeline.segments[1]
+        >>> place.start < segment.end and segment.start < place.end
+        True
         """
         from dousa.motion import CanonicalMotion, Motion, Trajectories
 
@@ -488,6 +537,10 @@ class Library(LibraryChanges):
         MotionFileError, JointMappingError : the take cannot be used.
         LibraryError : no take of this number, or the library cannot be read.
         OptionError : a threshold outside 0 to 1.
+
+        >>> labelled = library.label("take.bvh", n_jobs=1)
+        >>> [segment.category for segment in labelled.timeline.segments]
+        ['walk', 'wave_right', 'squat']
         """
         return self._labellers.label(take, threshold, tuple(examples), options or ReadOptions(), n_jobs, progress)
 
@@ -511,6 +564,10 @@ class Library(LibraryChanges):
         NotTrainedError : there is no forest yet.
         OptionError : a height or threshold out of range.
         LibraryError : the library cannot be read.
+
+        >>> labeller = library.live(n_jobs=1)
+        >>> motion = library.trajectories(1)
+        >>> answers = [labeller.push(pose, frame / 30) for frame, pose in enumerate(motion.positions)]
         """
         return self._labellers.live(height, threshold, n_jobs, progress)
 
@@ -548,14 +605,23 @@ class Library(LibraryChanges):
 
     @cached_property
     def annotations(self) -> Annotations:
-        """Labels of takes, to read and write."""
+        """Labels of takes, to read and write.
+
+        >>> library.annotations.read()
+        []
+        """
         from dousa.library.annotations.store import Annotations
 
         return Annotations(self.database, self._forests, self._note_number)
 
     @cached_property
     def searches(self) -> SavedSearches:
-        """Saved searches and selections."""
+        """Saved searches and selections.
+
+        >>> saved = library.searches.save("squats", {"text": "squat"})
+        >>> [search.name for search in library.searches.all()]
+        ['squats']
+        """
         from dousa.library.annotations.marks import SavedSearches
 
         return SavedSearches(self.database)
@@ -578,6 +644,9 @@ class Library(LibraryChanges):
         Raises
         ------
         LibraryError : to be repaired, but cannot be written.
+
+        >>> library.check().damage
+        ()
         """
         from dousa.library.care.repair import check_library
 
@@ -604,6 +673,8 @@ class Library(LibraryChanges):
         ------
         LibraryError : cannot be written, too little free space, a database server without fragments (it manages its own
             space), or a place for fragments that does not fit the library.
+
+        >>> report = library.compact()
         """
         from dousa.library.care.compact import compact_library
 

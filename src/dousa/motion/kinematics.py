@@ -85,6 +85,10 @@ def compute_trajectories(motion: Motion | Trajectories) -> Trajectories:
 
     Names, parents and rest pose are kept; positions are NaN below a joint whose rotation is missing. Trajectories are
     returned as they are.
+
+    >>> trajectories = dousa.compute_trajectories(dousa.read_motion("wave.bvh"))
+    >>> trajectories.positions.shape[1:] == (len(trajectories.names), 3)
+    True
     """
     if isinstance(motion, Trajectories):
         return motion

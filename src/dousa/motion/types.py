@@ -99,6 +99,10 @@ class Skeleton:
     Raises
     ------
     InvalidMotionError : no joint, shapes that disagree, a parent after its child, offsets that are not finite.
+
+    >>> skeleton = dousa.Skeleton(("hips", "chest"), [-1, 0], [[0, 1, 0], [0, 0.5, 0]])
+    >>> skeleton.n_joints
+    2
     """
 
     names: tuple[str, ...]
@@ -152,6 +156,10 @@ class Motion:
     Raises
     ------
     InvalidMotionError : zero frames, shapes that disagree, quaternions not of unit length, infinite values.
+
+    >>> motion = dousa.read_motion("wave.bvh")
+    >>> motion.rotations.shape == (motion.n_frames, motion.skeleton.n_joints, 4)
+    True
     """
 
     skeleton: Skeleton
@@ -211,6 +219,10 @@ class Trajectories:
     Raises
     ------
     InvalidMotionError : zero frames, no points, shapes that disagree, infinite values.
+
+    >>> steps = dousa.Trajectories(("left_heel", "right_heel"), [[[0, 0, 0], [0.2, 0, 0]]], 100.0)
+    >>> steps.positions.shape
+    (1, 2, 3)
     """
 
     names: tuple[str, ...]

@@ -87,6 +87,10 @@ class CanonicalMotion(CanonicalPoses):
     mapping : where the joints come from.
     warnings : for the user.
     missing : (T, 20) True where a joint was filled in or is absent; None if all were seen.
+
+    >>> canonical = dousa.canonicalise(dousa.read_motion("wave.bvh"))
+    >>> canonical.absent
+    ()
     """
 
     height: float
@@ -131,6 +135,10 @@ def canonicalise(
     Raises
     ------
     JointMappingError : no body and no whole arm or leg is found or seen; or not a person.
+
+    >>> canonical = dousa.canonicalise(dousa.read_motion("wave.bvh"))
+    >>> canonical.positions.shape[1] == len(dousa.CANONICAL_JOINTS)
+    True
     """
     moving = _trajectories(motion)
     positions = moving.positions

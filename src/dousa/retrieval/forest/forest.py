@@ -166,6 +166,12 @@ class MotionForest:
     n_jobs : workers as in joblib; None is one, unless a joblib backend is set; -1 is all.
 
     Raises OptionError: a value outside its range.
+
+    >>> walk, squat = np.zeros((2, 4, 10, 56)) + [[[[0.0]]], [[[1.0]]]]
+    >>> forest = dousa.MotionForest(n_trees=5, random_state=0)
+    >>> forest = forest.fit([*walk, *squat], ["walk"] * 4 + ["squat"] * 4)
+    >>> forest.predict(squat[:1])
+    array(['squat'], dtype='<U5')
     """
 
     def __init__(
