@@ -17,6 +17,8 @@ from griffe import (
     DocstringRaise,
     DocstringReturn,
     DocstringSection,
+    DocstringSectionExamples,
+    DocstringSectionKind,
     DocstringSectionParameters,
     DocstringSectionRaises,
     DocstringSectionReturns,
@@ -62,12 +64,20 @@ def split_docstring(docstring: Docstring, owner: Object) -> list[DocstringSectio
     owner : what it describes; gives the types.
     """
     pieces = _HEADING.split(docstring.value)
-    sections: list[DocstringSection] = [DocstringSectionText(pieces[0].strip())] if pieces[0].strip() else []
+    sections = _split_text(pieces[0].strip())
     for heading, body in zip(pieces[1::2], pieces[2::2], strict=True):
         content, rest = _split_body(body, free=heading in ("Returns", "Yields"))
         sections.append(_make_section(heading, content, owner))
-        if rest:
-            sections.append(DocstringSectionText(rest))
+        sections += _split_text(rest)
+    return sections
+
+
+def _split_text(text: str) -> list[DocstringSection]:
+    """Plain text, and the example that may follow it."""
+    words, prompt, example = f"\n\n{text}".partition("\n\n>>> ")
+    sections: list[DocstringSection] = [DocstringSectionText(words.strip())] if words.strip() else []
+    if prompt:
+        sections.append(DocstringSectionExamples([(DocstringSectionKind.examples, f">>> {example}")]))
     return sections
 
 

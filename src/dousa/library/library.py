@@ -495,7 +495,7 @@ class Library(LibraryChanges):
 
         >>> place = library.find("wave.bvh", "take.bvh").results[0]
         >>> segment = library.label("take.bvh").timeline.segments[1]
-        >>> place.start < segment.end and segment.start < place.end
+        >>> place.start < segment.stop and segment.start < place.end
         True
         """
         from dousa.motion import CanonicalMotion, Motion, Trajectories
