@@ -6,7 +6,7 @@ JOBS ?= 2
 BLENDER ?= 4.5
 
 # Left to `make test-slow`: pages in a browser, commands of the documents, long properties.
-SLOW := browser or documents or slow
+SLOW := browser or documents or nightly
 # A worker begins with its own half and takes from the other's when it is done: files stay together, and what their tests
 # share is made and compiled once. Tests start many processes: each would compile the whole package anew where Python is
 # told to keep nothing of it. The workers fill the cores: threads that share one matrix would wait for each other there.
@@ -16,7 +16,7 @@ MORE := $(shell expr $(JOBS) + 1 2>/dev/null || echo $(JOBS))
 # `make test COVERAGE=1` adds what it ran to the data that `make coverage` prints.
 COVERED := $(if $(COVERAGE),--cov --cov-append --cov-report=)
 
-.PHONY: demo studio test test-slow test-postgres test-all quick quick-and-slow lint types coverage wheel fuzz bench peers blender figures docs lock clean
+.PHONY: demo studio test test-slow test-postgres submission nightly quick lint types coverage wheel fuzz bench peers blender figures docs lock clean
 
 demo: $(VENV)/.demo
 	$(BIN)/dousa demo
@@ -39,12 +39,13 @@ test-slow: $(VENV)/.dev
 test-postgres: $(VENV)/.dev
 	DOUSA_TEST_DATABASE=postgresql $(PYTEST) $(JOBS) -m "not ($(SLOW))" tests/library $(COVERED)
 
-# Both in one go, which reads the tests once, and makes once what quick and slow ones share.
-test-all: $(VENV)/.dev
-	$(MAKE) --no-print-directory -j 2 lint quick-and-slow
+# What CI runs with every submission: tests/submission.py says what is left to `make nightly`.
+submission: $(VENV)/.dev
+	$(PYTEST) $(MORE) -rR -m "not nightly" $(COVERED)
 
-quick-and-slow: $(VENV)/.dev
-	$(PYTEST) $(MORE) -rR $(COVERED)
+# Everything: all tests in one go, those of libraries on PostgreSQL, style, types, the site and the packages.
+nightly: $(VENV)/.all
+	NIGHTLY=1 .ci/run
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check src lab tests docs blender .ci conftest.py

@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, settings
 
 from one_compiler import compile_in_turns
 from processor_times import ProcessorTimes
+from submission import DOCUMENTS, JOBS
 
 os.environ["DOUSA_LANG"] = "en"  # whatever the locale of the machine is; commands in processes of their own inherit it
 # A loaded machine is slow, not wrong; CI tries the same examples each time, whoever works at it tries new ones.
@@ -32,13 +33,19 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests of pages and of documents are known by their fixture and their folder; `make test` leaves them out."""
+    """Tests of pages, of documents and of the lab are known by their fixture and their folder."""
+    jobs = {(ROOT / "tests/app" / file, name) for file, names in JOBS.items() for name in names}
     for item in items:
+        nightly = item.path.is_relative_to(ROOT / "lab") or item.get_closest_marker("slow") is not None
         if "browser" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.browser)
             item.add_marker(pytest.mark.flaky(reruns=1))  # what passes only then is printed by its name
+            nightly |= (item.path, getattr(item, "originalname", "")) not in jobs
         if item.path.is_relative_to(ROOT / "tests" / "documents"):
             item.add_marker(pytest.mark.documents)
+            nightly |= item.name not in DOCUMENTS and getattr(item, "originalname", "") not in DOCUMENTS
+        if nightly:
+            item.add_marker(pytest.mark.nightly)
 
 
 @pytest.fixture(scope="session")

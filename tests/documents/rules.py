@@ -38,8 +38,8 @@ class _Rule:
 _RULES = (
     _Rule(r"(?:.*\s)?--write(?:[\s=].*)?", How.WRITES),  # before all others: on little data it would ship a bad judge
     _Rule(
-        r"make (?:demo|studio|test|test-slow|test-postgres|test-all|types|coverage|wheel|lint|fuzz|bench|peers|blender"
-        r"|figures|docs|lock|clean)",
+        r"make (?:demo|studio|test|test-slow|test-postgres|submission|nightly|types|coverage|wheel|lint|fuzz|bench"
+        r"|peers|blender|figures|docs|lock|clean)",
         How.DRY,
     ),
     _Rule(r"pip install .*", How.INSTALLED),
@@ -119,6 +119,7 @@ BENCHMARKS = {
     "benchmarks.assess": "--memory --minutes 0.2 --rate 30",
     "reliability.compare_versions": f"--before '{ROOT}' --only features",
     "reliability.version_probe": "--help",  # compare_versions runs it
+    "trials.label_review": "--draws 1",
     "trials.irds_grade": "--help",
     "trials.film_cameras": "--help",  # it needs the pose models
     "benchmarks.keypoints": "--help",  # it needs the pose models
