@@ -635,8 +635,7 @@ class Library(LibraryChanges):
 
         Parameters
         ----------
-        repair : compute features, leaves and windows again, read positions again from the original files, and mend
-            single flipped bits by their checksums.
+        repair : compute features, leaves and windows again, and read positions again from the original files.
         salvage : rewrite a file whose structure is damaged, while no other program has it open. If false, nothing of
             such a file is repaired.
         progress : called with (rows done, rows, message about the step).

@@ -6,7 +6,6 @@ import json
 import random
 import shutil
 import sqlite3
-import zlib
 from contextlib import closing
 from dataclasses import replace
 
@@ -15,7 +14,6 @@ import pytest
 
 from dousa.errors import LibraryDamagedError, LibraryError
 from dousa.library import Library
-from dousa.library.care.bits import mend_bytes
 from dousa.library.store.checksums import SEALS
 from dousa.motion import canonicalise
 from dousa.motion.synthetic import draw_performer, make_motion
@@ -71,20 +69,18 @@ def test_a_sound_library_is_sound(library):
 
 
 @pytest.mark.parametrize("column", ["path", "category", "performer"])
-def test_a_label_that_changed_is_told_and_put_right(library_file, moves, column):
+def test_a_label_that_changed_is_told(library_file, moves, column):
     with Library.open(library_file) as library:
-        before = library.clips()
-    number = before[3].id
+        number = library.clips()[3].id
     flip_column(library_file, "clips", column, number, bit=0, key="id")
     with Library.open(library_file) as library:
         for ask in (library.clips, lambda: library.search(1), lambda: library.search_text("wave"), library.train):
             with pytest.raises(LibraryDamagedError, match="labels"):
                 ask()
-        report = library.check(repair=True)
-        assert report.is_sound
-        assert [one.clip_id for one in report.damage] == [number]
-        assert library.clips() == before
-        assert library.check().damage == ()
+        (damage,) = library.check(repair=True).damage
+        assert (damage.clip_id, damage.repaired, damage.remedy.code) == (number, False, "library_check.lost")
+        library.remove([number], for_good=True)  # as the remedy says
+        assert library.check().is_sound
 
 
 def test_what_follows_from_other_things_is_computed_again(library_file, moves):
@@ -117,25 +113,22 @@ def test_positions_are_read_again_from_the_file(library_file):
         np.testing.assert_array_equal(library.trajectories(2).positions, before)
 
 
-def test_without_the_file_one_bit_is_put_right_and_more_is_not(tmp_path, moves):
+def test_without_the_file_positions_are_lost(tmp_path, moves):
     folder, path = tmp_path / "moves", tmp_path / "own.dousa"
     shutil.copytree(moves, folder)
     with Library.open(path, create=True) as library:
         library.add(folder, n_jobs=1)
-        before = library.trajectories(1).positions
     for file in folder.glob("*/*.bvh"):
         file.unlink()
-    flip_column(path, "clip_trajectories", "positions", 1, 8 * 1000 + 3)
-    change(path, "UPDATE clip_trajectories SET positions = zeroblob(length(positions)) WHERE clip_id = 2")
+    flip_column(path, "clip_trajectories", "positions", 2, 8 * 1000 + 3)
     with Library.open(path) as library:
         report = library.check(repair=True)
         said = {one.clip_id: (one.repaired, one.remedy.code) for one in report.damage}
-        assert said == {1: (True, "library_check.one_bit"), 2: (False, "library_check.file_gone")}
-        np.testing.assert_array_equal(library.trajectories(1).positions, before)
+        assert said == {2: (False, "library_check.file_gone")}
         with pytest.raises(LibraryDamagedError):
             library.trajectories(2)
         gone = library.remove(2, for_good=True)  # as the remedy says: an undo could not bring it back
-        assert gone == [report.damage[1].path]
+        assert gone == [report.damage[0].path]
         assert library.check().is_sound
 
 
@@ -144,13 +137,12 @@ def test_positions_that_an_undo_brings_back_are_looked_at_too(library_file):
         before = library.trajectories(2).positions
         library.remove([2])
         library.remove([3])
-    flip_column(library_file, "removed_positions", "positions", 2, 8 * 1000 + 3, key="number")
-    change(library_file, "UPDATE removed_positions SET positions = zeroblob(length(positions)) WHERE number = 3")
+    flip_column(library_file, "removed_positions", "positions", 3, 8 * 1000 + 3, key="number")
     with Library.open(library_file) as library:
         assert {one.what.code for one in library.check().damage} == {"library_damage.removed_positions"}
         report = library.check(repair=True)
         assert report.is_sound
-        assert [one.remedy.code for one in report.damage] == ["library_check.one_bit", "library_check.forgotten"]
+        assert [one.remedy.code for one in report.damage] == ["library_check.forgotten"]
         later, first = library.journal()[:2]
         with pytest.raises(LibraryError, match="not kept any more"):
             library.undo(later.number)
@@ -213,8 +205,8 @@ def test_segments_are_checked_by_the_blocks_they_lie_in(tmp_path):
         for number in (1, first):
             with pytest.raises(LibraryDamagedError, match="positions of take"):
                 library.trajectories(number)
-        assert library.check(repair=True).is_sound
-        library.trajectories(first)
+        (damage,) = library.check(repair=True).damage
+        assert (damage.clip_id, damage.repaired, damage.remedy.code) == (1, False, "library_check.no_file")
 
 
 def test_counts_that_cannot_be_are_counted_again(library_file, write_move, tmp_path):
@@ -245,17 +237,6 @@ def test_a_library_without_checksums_gets_them(library_file):
     flip_column(library_file, "clip_trajectories", "positions", 2, 8 * 100)
     with Library.open(library_file) as library, pytest.raises(LibraryDamagedError):
         library.trajectories(2)
-
-
-@pytest.mark.parametrize("size", [1, 100, 5000])
-def test_the_flipped_bit_is_the_one_that_is_put_right(size):
-    chance = random.Random(size)
-    for _ in range(5):
-        data = chance.randbytes(size)
-        wrong = flip(data, chance.randrange(8 * size))
-        assert mend_bytes(wrong, zlib.crc32(data) ^ zlib.crc32(wrong)) == data
-    other = bytes(reversed(data[:-1])) + b"\0"
-    assert mend_bytes(other, zlib.crc32(data) ^ zlib.crc32(other)) in (None, data)
 
 
 def dump(path):

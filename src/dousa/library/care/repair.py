@@ -1,4 +1,4 @@
-"""Checking and repairing a library: values are computed again, read again from files, or mended by their checksums.
+"""Checking and repairing a library: values are computed again, or read again from files.
 
 If the structure of the file is damaged, its readable rows are copied to a new file.
 """
@@ -17,12 +17,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-import numpy as np
 import sqlalchemy as sa
 
 from dousa.errors import LibraryError
 from dousa.formats.motion_files import ReadOptions, Skipped
-from dousa.library.care.bits import is_one_bit, mend_bytes, mend_values
 from dousa.library.care.damage import (
     REMOVED_POSITIONS,
     WINDOW_FILE,
@@ -35,11 +33,11 @@ from dousa.library.care.damage import (
 )
 from dousa.library.search.text_store import keep_all_relations
 from dousa.library.store import checksums, schema
-from dousa.library.store.checksums import BLOCK_FRAMES, SEALS, Seal, seal_positions, seal_rows
+from dousa.library.store.checksums import SEALS, Seal, seal_positions, seal_rows
 from dousa.library.store.engine import Database
 from dousa.library.store.features import lacks, load_features, pack_positions, save_descriptions
 from dousa.library.store.forests import ask_trees, load_forest, save_answers
-from dousa.library.store.fragments import begin_store, look_at_blocks, put_aside
+from dousa.library.store.fragments import begin_store, put_aside
 from dousa.library.store.ingest import ClipRecord, ReadTask, read_clip
 from dousa.library.store.opening import open_database
 from dousa.library.store.selection import portions
@@ -95,11 +93,15 @@ def _copy(source: sqlite3.Connection, fresh: Database) -> tuple[set[int], dict[i
             owners = [name for name in ("clip_id", "take_id") if name in table.c]
             _insert(fresh, table, [row for row in rows if all(row[name] in saved for name in owners)])
     with fresh.writing() as connection:
-        learned = connection.execute(sa.select(sa.func.max(schema.forests.c.learned))).scalar() or 0
-        state = {"id": 1, "revision": learned + 1, "next_clip_id": last, "clips_revision": learned + 1}
-        connection.execute(sa.delete(schema.library_state))
-        connection.execute(sa.insert(schema.library_state), seal_rows(schema.library_state, [state]))
+        _write_state(connection, last)
     return saved, known
+
+
+def _write_state(connection: sa.Connection, next_clip_id: int) -> None:
+    learned = connection.execute(sa.select(sa.func.max(schema.forests.c.learned))).scalar() or 0
+    state = {"id": 1, "revision": learned + 1, "next_clip_id": next_clip_id, "clips_revision": learned + 1}
+    connection.execute(sa.delete(schema.library_state))
+    connection.execute(sa.insert(schema.library_state), seal_rows(schema.library_state, [state]))
 
 
 def _insert(fresh: Database, table: sa.Table, rows: list[dict[str, Any]]) -> None:
@@ -156,8 +158,6 @@ _COMPUTED = {
 }
 """Parts that follow from positions and forest, and are computed again."""
 
-_MENDED = ("library_damage.labels", "library_damage.numbers", "library_damage.segment", "library_damage.annotation",
-           "library_damage.forest", "library_damage.state", "library_damage.store")  # fmt: skip
 _FORGOTTEN = ("library_damage.tags", "library_damage.search", "library_damage.journal", "library_damage.removed",
               REMOVED_POSITIONS.code)  # fmt: skip
 _FORESEEN = {
@@ -166,7 +166,6 @@ _FORESEEN = {
     "library_damage.fragment": Message("library_check.would_replace"),
     **dict.fromkeys(_FORGOTTEN, Message("library_check.would_forget")),
 }
-_POSITIONS_AT_ONCE = 16
 
 
 def check_library(
@@ -235,19 +234,17 @@ _OF_CLIPS = ("library_damage.positions", "library_damage.windows")
 
 
 def _name(connection: sa.Connection, number: int) -> str:
+    path = schema.clips.c.path
+    # As bytes, as it may no longer be valid text.
+    if connection.dialect.name == "sqlite":
+        raw: sa.ColumnElement[bytes] = sa.cast(path, sa.LargeBinary)
+    else:
+        raw = sa.func.convert_to(path, "UTF8", type_=sa.LargeBinary)
     try:
-        raw = _as_bytes(connection, schema.clips.c.path)
-        path = connection.execute(sa.select(raw).where(schema.clips.c.id == number)).scalar()
+        name = connection.execute(sa.select(raw).where(schema.clips.c.id == number)).scalar()
     except (sa.exc.SQLAlchemyError, ValueError):
         return "?"
-    return path.decode(errors="backslashreplace") if isinstance(path, bytes) else "?"
-
-
-def _as_bytes(connection: sa.Connection, column: sa.Column[Any]) -> sa.ColumnElement[Any]:
-    """Select a text as bytes, as it may no longer be valid text."""
-    if connection.dialect.name == "sqlite":
-        return sa.cast(column, sa.LargeBinary)
-    return sa.func.convert_to(sa.cast(column, sa.Text), "UTF8", type_=sa.LargeBinary)
+    return name.decode(errors="backslashreplace") if isinstance(name, bytes) else "?"
 
 
 def _foresee(database: Database, fault: Fault) -> Message:
@@ -263,40 +260,23 @@ def _foresee(database: Database, fault: Fault) -> Message:
 
 def _repair(database: Database, fault: Fault) -> Message | None:
     """Repair one fault; return how, or None if it cannot be repaired."""
-    code, done = fault.what.code, None
+    code = fault.what.code
     try:
         if code in _COMPUTED:
             _throw_away(database, _COMPUTED[code], fault.key)
-            done = Message("library_check.computed")
-        elif code == "library_damage.fragment":
-            done = Message("library_check.replaced")  # verified by the second check
-        elif code == WINDOW_FILE:
-            with suppress(OSError):
-                os.unlink(fault.key)
-            done = Message("library_check.deleted")
-        elif code == "library_damage.labeller":
-            with database.writing() as connection:
-                connection.execute(sa.update(schema.forests).values(labeller=None))
-            done = Message("library_check.deleted")
-        elif code == "library_damage.positions":
-            done = _restore_positions(database, fault.key)
-        elif code == REMOVED_POSITIONS.code:
-            done = _mend_removed(database, fault.key) or _forget_row(database, checksums.REMOVED, fault.key)
-        elif code in _MENDED and fault.seal is not None:
-            done = _mend_row(database, fault.seal, fault.key)
-            if done is None and code == "library_damage.state":
-                done = _count_again(database)
-            elif done is None and code == "library_damage.store" and database.engine.dialect.name == "sqlite":
-                with database.writing() as connection:
-                    begin_store(connection, "")  # the only possible place
-                done = Message("library_check.computed")
-            elif done is None and code == "library_damage.numbers":
-                done = _read_numbers(database, fault.key)
-        elif code in _FORGOTTEN and fault.seal is not None:
-            done = _mend_row(database, fault.seal, fault.key) or _forget_row(database, fault.seal, fault.key)
+            return Message("library_check.computed")
+        if code in _FORGOTTEN:
+            seal = fault.seal or checksums.REMOVED
+            _delete_row(database, seal.checksum.table, fault.key)
+            return Message("library_check.forgotten")
+        return _REPAIRED[code](database, fault) if code in _REPAIRED else None
     except LibraryError:
         return None
-    return done
+
+
+def _delete_row(database: Database, table: sa.Table, key: Any) -> None:
+    with database.writing() as connection:
+        connection.execute(sa.delete(table).where(next(iter(table.primary_key)) == key))
 
 
 def _throw_away(database: Database, table: sa.Table, key: Any) -> None:
@@ -308,38 +288,31 @@ def _throw_away(database: Database, table: sa.Table, key: Any) -> None:
             connection.execute(sa.delete(schema.clip_poses).where(schema.clip_poses.c.clip_id == key))
 
 
-def _mend_row(database: Database, seal: Seal, key: Any) -> Message | None:
-    table, own = seal.checksum.table, seal.covered[0]
+def _begin_store(database: Database, fault: Fault) -> Message | None:
+    if database.engine.dialect.name != "sqlite":
+        return None
     with database.writing() as connection:
-        raw = [
-            _as_bytes(connection, column) if isinstance(column.type, sa.Text | sa.String | sa.JSON) else column
-            for column in seal.columns
-        ]
-        row = connection.execute(sa.select(*raw).where(own == key)).first()
-        values = None if row is None else mend_values(seal, list(row))
-        if values is None or values[0] != key:
-            return None
-        named = {column.name: value for column, value in zip(seal.covered[1:], values[1:], strict=True)}
-        named[seal.checksum.name] = seal.compute(values)
-        connection.execute(sa.update(table).where(own == key).values(**named))
-    return Message("library_check.one_bit")
+        begin_store(connection, "")  # the only possible place
+    return Message("library_check.computed")
 
 
-def _forget_row(database: Database, seal: Seal, key: Any) -> Message:
-    """Delete a dispensable row: tags of a clip, a saved search, an undoable change."""
+def _delete_file(database: Database, fault: Fault) -> Message:
+    with suppress(OSError):
+        os.unlink(fault.key)
+    return Message("library_check.deleted")
+
+
+def _delete_labeller(database: Database, fault: Fault) -> Message:
     with database.writing() as connection:
-        connection.execute(sa.delete(seal.checksum.table).where(seal.covered[0] == key))
-    return Message("library_check.forgotten")
+        connection.execute(sa.update(schema.forests).values(labeller=None))
+    return Message("library_check.deleted")
 
 
-def _count_again(database: Database) -> Message:
+def _count_again(database: Database, fault: Fault) -> Message:
     """Recompute the counters of clips and writes; the forest no longer counts as current."""
     with database.writing() as connection:
         highest = connection.execute(sa.select(sa.func.max(schema.clips.c.id))).scalar() or 0
-        learned = connection.execute(sa.select(sa.func.max(schema.forests.c.learned))).scalar() or 0
-        values = {"id": 1, "revision": learned + 1, "next_clip_id": highest + 1, "clips_revision": learned + 1}
-        connection.execute(sa.delete(schema.library_state))
-        connection.execute(sa.insert(schema.library_state), checksums.seal_rows(schema.library_state, [values]))
+        _write_state(connection, highest + 1)
     return Message("library_check.computed")
 
 
@@ -377,64 +350,26 @@ def _read_file(task: ReadTask, content: str, number: int, sums: bytes | None) ->
     return Message("library_check.file_changed"), None
 
 
-def _restore_positions(database: Database, number: int) -> Message | None:
-    """Restore positions from the file, else by mending one bit."""
-    table = schema.clip_trajectories
+def _restore_positions(database: Database, fault: Fault) -> Message | None:
+    """Read positions again from the file."""
+    table, number = schema.clip_trajectories, fault.key
     _, record = _look_at_file(database, number)
+    if record is None:
+        return None
+    data = pack_positions(record.motion)
     with database.writing() as connection:
         n_frames = connection.execute(sa.select(schema.clips.c.n_frames).where(schema.clips.c.id == number)).scalar()
-        row = connection.execute(sa.select(table).where(table.c.clip_id == number)).first()
-        if n_frames is None:
-            return None
-        if record is not None:
-            data, how = pack_positions(record.motion), Message("library_check.read_again")
-        elif row is not None and row.block_checksums is not None:
-            found = look_at_blocks(connection, [row], "positions")[0]
-            data, how = _mend_positions(number, found, row.block_checksums), Message("library_check.one_bit")
-        else:
-            return None
-        if not are_positions(number, data, seal_positions(number, data), n_frames):
+        if n_frames is None or not are_positions(number, data, None, n_frames):
             return None
         values = {"clip_id": number, "positions": data, "block_checksums": seal_positions(number, data)}
         connection.execute(sa.delete(table).where(table.c.clip_id == number))
         connection.execute(sa.insert(table), put_aside(connection, [values], "positions"))
-    return how
+    return Message("library_check.read_again")
 
 
-def _mend_removed(database: Database, number: int) -> Message | None:
-    table = schema.removed_positions
-    with database.writing() as connection:
-        row = connection.execute(sa.select(table).where(table.c.number == number)).first()
-        if row is None or row.block_checksums is None:
-            return None
-        data = _mend_positions(number, look_at_blocks(connection, [row], "positions")[0], row.block_checksums)
-        sums = seal_positions(number, data)
-        if not data:
-            return None
-        values = {"number": number, "positions": data, "block_checksums": sums}
-        connection.execute(sa.delete(table).where(table.c.number == number))
-        connection.execute(sa.insert(table), put_aside(connection, [values], "positions"))
-    return Message("library_check.one_bit")
-
-
-def _mend_positions(number: int, data: bytes, sums: bytes) -> bytes:
-    """Mend positions with at most one flipped bit in each block; empty if that does not explain the damage."""
-    size = BLOCK_FRAMES * schema.FRAME_BYTES
-    found, kept = np.frombuffer(seal_positions(number, data), "<u4"), np.frombuffer(sums[: len(sums) // 4 * 4], "<u4")
-    if len(found) != len(kept):
-        return b""
-    blocks = [data[start : start + size] for start in range(0, len(data), size)]
-    for place in np.flatnonzero(found != kept):
-        now, then = int(found[place]), int(kept[place])
-        mended = mend_bytes(blocks[place], now ^ then)
-        if mended is None and not is_one_bit(now, then):
-            return b""
-        blocks[place] = mended or blocks[place]
-    return b"".join(blocks)
-
-
-def _read_numbers(database: Database, number: int) -> Message | None:
+def _read_numbers(database: Database, fault: Fault) -> Message | None:
     """Read the numbers of a clip again from its file, if its positions are the same."""
+    number = fault.key
     _, record = _look_at_file(database, number)
     if record is None:
         return None
@@ -447,6 +382,19 @@ def _read_numbers(database: Database, number: int) -> Message | None:
         sealed = checksums.NUMBERS.compute([whole[column.name] for column in checksums.NUMBERS.covered])
         connection.execute(sa.update(clips).where(clips.c.id == number).values(**values, checksum=sealed))
     return Message("library_check.read_again")
+
+
+_REPAIRED: dict[str, Callable[[Database, Fault], Message | None]] = {
+    "library_damage.positions": _restore_positions,
+    "library_damage.numbers": _read_numbers,
+    "library_damage.state": _count_again,
+    "library_damage.store": _begin_store,
+    "library_damage.labeller": _delete_labeller,
+    "library_damage.fragment": lambda database, fault: Message(
+        "library_check.replaced"
+    ),  # verified by the second check
+    WINDOW_FILE: _delete_file,
+}
 
 
 def _compute_again(database: Database) -> None:
@@ -485,10 +433,10 @@ def _seal_rows(database: Database, findings: Findings) -> int:
     count = 0
     table = schema.clip_trajectories
     numbers = [n for n in findings.unsealed.get(table.name, []) if (checksums.POSITIONS.code, n) not in broken]
-    for start in range(0, len(numbers), _POSITIONS_AT_ONCE):
+    for start in range(0, len(numbers), 16):  # positions of takes are long
         with database.writing() as connection:
             query = sa.select(table.c.clip_id, table.c.positions).where(table.c.block_checksums.is_(None))
-            some = numbers[start : start + _POSITIONS_AT_ONCE]
+            some = numbers[start : start + 16]
             for number, data in connection.execute(query.where(table.c.clip_id.in_(some))).all():
                 sums = seal_positions(number, data)
                 connection.execute(sa.update(table).where(table.c.clip_id == number).values(block_checksums=sums))
