@@ -26,6 +26,9 @@ from starlette.routing import BaseRoute
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 import dousa
+from dousa.app.player.data import encode_pair
+from dousa.app.studio import pages
+from dousa.app.studio.api import ROUTERS
 from dousa.app.studio.api.clips import ONE_LINE
 from dousa.app.studio.api.estimation import FRAMES_FORM
 from dousa.app.studio.api.motions import CHARACTER_FORM
@@ -186,8 +189,6 @@ def create_app(settings: Settings, *, uses_alias: bool = False) -> FastAPI:
     settings : of the studio.
     uses_alias : send browsers to a host name that only this studio has.
     """
-    from dousa.app.studio import pages
-
     studio = Studio(settings, make_lanes)
     if uses_alias:
         settings = replace(settings, alias=studio.workspace.read_alias())
@@ -217,9 +218,6 @@ def create_app(settings: Settings, *, uses_alias: bool = False) -> FastAPI:
 @cache
 def _make_routes() -> tuple[BaseRoute, ...]:
     """Make the routes, which are the same for every studio: to build their models takes 0.1 s."""
-    from dousa.app.studio import pages
-    from dousa.app.studio.api import ROUTERS
-
     app = FastAPI(
         openapi_url=None,
         default_response_class=Answer,
@@ -390,8 +388,6 @@ class PatientProtocol(H11Protocol):
 
 def warm_up(studio: Studio) -> None:
     """Load kernels, the forest and the index by one search and one pair; without a forest there is nothing to load."""
-    from dousa.app.player.data import encode_pair
-
     with suppress(DousaError):
         clips = [clip for clip in studio.library.clips() if clip.kind == "clip" and not clip.absent]
         if clips:

@@ -12,14 +12,16 @@ import socket
 import ssl
 import threading
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from functools import partial
 from ipaddress import IPv4Address
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 from urllib.parse import parse_qsl, quote
 
 from fastapi import APIRouter, Depends, FastAPI, Query, Request
+from starlette.datastructures import Headers
 from starlette.responses import Response
+from starlette.types import ASGIApp, Receive, Scope
 
 from dousa.app.studio import pages
 from dousa.app.studio.api import evaluation, motions
@@ -39,15 +41,6 @@ from dousa.app.studio.core.answers import BYTES, Answer, RefusedError
 from dousa.app.studio.core.guard import RequestGuard, check_names, read_cookies
 from dousa.errors import OptionError
 from dousa.extras import require
-
-if TYPE_CHECKING:
-    from collections.abc import Coroutine
-
-    from starlette.datastructures import Headers
-    from starlette.types import ASGIApp, Receive, Scope
-
-    from dousa.app.studio.content.sharing import ShareLink, ShareLinks
-
 
 LINK = "share_link"
 """Name of the link in the state of a request."""

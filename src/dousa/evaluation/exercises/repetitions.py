@@ -449,15 +449,7 @@ def _describe(one: AssessedRepetition, number: int) -> dict[str, Any]:
     }
 
 
-PAIR_NAMES: Mapping[str, Message] = {
-    "elbow_flexion": Message("exercise_table.elbow_flexion"),
-    "shoulder_elevation": Message("exercise_table.shoulder_elevation"),
-    "shoulder_flexion": Message("exercise_table.shoulder_flexion"),
-    "shoulder_abduction": Message("exercise_table.shoulder_abduction"),
-    "hip_flexion": Message("exercise_table.hip_flexion"),
-    "hip_abduction": Message("exercise_table.hip_abduction"),
-    "knee_flexion": Message("exercise_table.knee_flexion"),
-}
+PAIR_NAMES: Mapping[str, Message] = {name: Message(f"exercise_table.{name}") for name in PAIRED_ANGLES}
 """Angle of both sides -> its name."""
 
 SHORT, FAR = 85.0, 120.0
@@ -600,19 +592,16 @@ def _say_sides(assessment: RepetitionsAssessment, *, unlike_reference: float = 1
 
 
 def _say_trend(name: str, trend: Trend) -> Message:
-    if name == "duration_s":
-        what = Message("exercise_table.measure_duration")
-        return Message("exercise_table.trend_seconds", what=what, slope=trend.slope, p=trend.adjusted_p)
-    if name == "pause_s":
-        what = Message("exercise_table.measure_pause")
-        return Message("exercise_table.trend_seconds", what=what, slope=trend.slope, p=trend.adjusted_p)
-    if name == "score":
-        what = Message("exercise_table.measure_score")
-        return Message("exercise_table.trend_points", what=what, slope=trend.slope, p=trend.adjusted_p)
-    if name == "extent":
-        what = Message("exercise_table.measure_extent")
-        return Message("exercise_table.trend_percent", what=what, slope=100 * trend.slope, p=trend.adjusted_p)
-    if name.startswith("symmetry_"):
-        what = Message("exercise_table.measure_symmetry", angle=PAIR_NAMES[name.removeprefix("symmetry_")])
-        return Message("exercise_table.trend_percent", what=what, slope=trend.slope, p=trend.adjusted_p)
-    return Message("exercise_table.trend_degrees", what=ANGLE_NAMES[name], slope=trend.slope, p=trend.adjusted_p)
+    code, slope = "exercise_table.trend_degrees", trend.slope
+    if name in ("duration_s", "pause_s"):
+        code, what = "exercise_table.trend_seconds", Message(f"exercise_table.measure_{name.removesuffix('_s')}")
+    elif name == "score":
+        code, what = "exercise_table.trend_points", Message("exercise_table.measure_score")
+    elif name == "extent":
+        code, what, slope = "exercise_table.trend_percent", Message("exercise_table.measure_extent"), 100 * slope
+    elif name.startswith("symmetry_"):
+        angle = PAIR_NAMES[name.removeprefix("symmetry_")]
+        code, what = "exercise_table.trend_percent", Message("exercise_table.measure_symmetry", angle=angle)
+    else:
+        what = ANGLE_NAMES[name]
+    return Message(code, what=what, slope=slope, p=trend.adjusted_p)

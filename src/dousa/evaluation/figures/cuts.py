@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.correspondence import compute_correlation_matrix
+from dousa.evaluation.alignment.dynamic_programming import accumulate_likeness, compute_gains, find_ends, trace_repeats
 
 _RATE = 10.0  # Hz, the coarse rate at most
 
@@ -84,13 +85,6 @@ def find_repeats(
     tolerated : 1 - S beyond which a pair costs extra: 18 degrees a segment.
     drop_s : s of tolls by which the score may fall before a repetition ends.
     """
-    from dousa.evaluation.alignment.dynamic_programming import (
-        accumulate_likeness,
-        compute_gains,
-        find_ends,
-        trace_repeats,
-    )
-
     rate, n = coarse.rate, len(coarse.segments)
     shortest = max(2, round(0.8 * min_s * rate))
     if n < 2 * shortest:

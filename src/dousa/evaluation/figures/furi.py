@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, MotionFileError, OptionError
+from dousa.evaluation.alignment.dynamic_programming import compare_stretches
 from dousa.evaluation.figures.cuts import (
     Coarse,
     choose_cuts,
@@ -108,8 +109,6 @@ def _label(
     # same: 1 - S that even two rests are apart; tuned on synthetic dances and on recordings that are not held out
     # nearer_than: figures are one if they are nearer to each other than this share of the motion within them;
     # length_slack: figures whose lengths differ by a larger factor are two
-    from dousa.evaluation.alignment.dynamic_programming import compare_stretches
-
     apart, within = compare_stretches(coarse.similarity, np.array(cuts, np.int64), length_slack)
     tolerated = nearer_than * np.minimum(within, within.T) + same
     distance = (apart / tolerated).astype(np.float64)

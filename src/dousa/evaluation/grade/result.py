@@ -535,23 +535,11 @@ def describe_offset(offset: Offset, reference: Working, *, least_deg: float = 5.
         segments = (*LIMBS[limb], *LIMBS[other]) if together else LIMBS[limb]
         who = group_segments(SEGMENTS[index] for index in segments)
         size = 0.5 * (degrees + pair[1]) if together else degrees
-        said.append(Message("assessment.offset", who=who, degrees=size, way=_WAYS[way]))
+        said.append(Message("assessment.offset", who=who, degrees=size, way=Message(f"offset_ways.{way}")))
     if offset.missing.any():
         who = group_segments(SEGMENTS[index] for index in np.flatnonzero(offset.missing))
         said.append(Message("assessment.not_judged", who=who))
     return tuple(said)
-
-
-_WAYS = {
-    "out": Message("offset_ways.out"),
-    "in": Message("offset_ways.in"),
-    "up": Message("offset_ways.up"),
-    "down": Message("offset_ways.down"),
-    "forward": Message("offset_ways.forward"),
-    "back": Message("offset_ways.back"),
-    "left": Message("offset_ways.left"),
-    "right": Message("offset_ways.right"),
-}
 
 
 def _find_way(limb: str, moved: FloatArray) -> tuple[str, float]:

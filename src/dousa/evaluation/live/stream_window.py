@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
+from dousa.evaluation.alignment.dynamic_programming import extend_lines, trace_lines
 from dousa.evaluation.alignment.lines import (
     COARSE_RATE,
     JUMP_S,
@@ -156,7 +157,6 @@ class LineFollower:
 
     def _extend(self, segments: FloatArray) -> None:
         from dousa.evaluation.alignment.correspondence import compute_correlation_matrix
-        from dousa.evaluation.alignment.dynamic_programming import extend_lines
 
         rows = np.arange(len(self._course) * self._step, len(segments), self._step)
         if not len(rows):
@@ -181,8 +181,6 @@ class LineFollower:
 
     def _trace_back(self) -> NDArray[np.int32]:
         """Cheapest course so far; what is older than the kept part stays as it was."""
-        from dousa.evaluation.alignment.dynamic_programming import trace_lines
-
         first = len(self._course) - len(self._origin)
         self._course[first:] = trace_lines(self._best, self._outside, self._origin, self._ended)
         return self._course.copy()

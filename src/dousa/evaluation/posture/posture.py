@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, MotionFileError, OptionError
+from dousa.evaluation.words import SEGMENT_NAMES
 from dousa.files.disk import read_small_text
 from dousa.messages import Message
 from dousa.motion.canonical.canonicalise import CanonicalMotion
@@ -44,17 +45,7 @@ SEGMENT_JOINTS: tuple[tuple[str, str], ...] = (
 """Start and end of each segment as canonical joints. The trunk is drawn from the pelvis but measured from the
 middle of the hips: the pelvis sits up to 10 cm higher in one kind of file than in another."""
 
-SEGMENTS: tuple[str, ...] = (
-    "trunk",
-    "left_upper_arm",
-    "left_forearm",
-    "right_upper_arm",
-    "right_forearm",
-    "left_thigh",
-    "left_shank",
-    "right_thigh",
-    "right_shank",
-)
+SEGMENTS: tuple[str, ...] = tuple(SEGMENT_NAMES)
 
 MIRRORED_SEGMENTS: tuple[int, ...] = (0, 3, 4, 1, 2, 7, 8, 5, 6)
 """Index of each segment's mirror image, by definition of `SEGMENTS`."""

@@ -9,9 +9,20 @@ from fastapi import APIRouter, Query
 from pydantic import Field
 from starlette.responses import FileResponse, Response
 
-from dousa.app.studio.content.motions import EXPORTED, Address, MotionName, MotionPart, MotionRef, Seconds, name_file
+from dousa.app.player.figures import encode_miniature
+from dousa.app.studio.content.motions import (
+    EXPORTED,
+    Address,
+    MotionName,
+    MotionPart,
+    MotionRef,
+    Seconds,
+    make_file,
+    name_file,
+)
 from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import BYTES, Answer, RefusedError, StrictModel, attachment, say
+from dousa.formats.characters import read_character
 from dousa.library.export import ORIGINAL, ExportFormat, list_formats
 from dousa.messages import Message
 
@@ -101,8 +112,6 @@ class _Download(MotionPart):
 @router.get("/motions/miniature", summary="A small moving figure", response_class=Response, responses=BYTES)
 def get_miniature(studio: StudioNow, asked: Annotated[MotionPart, Query()]) -> Response:
     """Bytes for ``dousa.createMiniature`` of the pages."""
-    from dousa.app.player.figures import encode_miniature
-
     content = encode_miniature(studio.motions.get(asked.ref()).motion)
     return Response(content, media_type="application/octet-stream")
 
@@ -113,9 +122,6 @@ def get_bvh(studio: StudioNow, asked: Annotated[_Download, Query()]) -> Response
 
     Or on the skeleton of a character, as `dousa convert --onto` does.
     """
-    from dousa.app.studio.content.motions import make_file
-    from dousa.formats.characters import read_character
-
     ref = asked.ref()
     named = studio.motions.get(ref)
     character = None if asked.onto is None else read_character(studio.motions.path(MotionRef(motion=asked.onto)))
@@ -219,8 +225,6 @@ class _FormatDownload(MotionPart):
 @export_router.get("/motions/file", summary="Download in any format", response_class=Response, responses=BYTES)
 def get_motion_file(studio: StudioNow, asked: Annotated[_FormatDownload, Query()]) -> Response:
     """As GET /api/motions/bvh, in any format that is written, with the mesh of a GLB character in a GLB."""
-    from dousa.app.studio.content.motions import make_file
-
     ref = asked.ref()
     named = studio.motions.get(ref)
     path = None if asked.onto is None else _find_character(studio, asked.onto)
@@ -239,6 +243,4 @@ def _find_character(studio: Studio, motion: str) -> Path:
 
 
 def _read_character(path: Path) -> Any:
-    from dousa.formats.characters import read_character
-
     return read_character(path)

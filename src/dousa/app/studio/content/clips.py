@@ -30,12 +30,12 @@ from dousa.app.studio.content.motions import Address
 from dousa.app.studio.core.answers import say
 from dousa.app.studio.core.workspace import write_file
 from dousa.arrays import Mask
-from dousa.errors import DousaError, LibraryError
+from dousa.errors import DousaError, InvalidMotionError, LibraryDamagedError, LibraryError
 from dousa.files.npz_arrays import open_npz
+from dousa.library.store.selection import KnownClips
 
 if TYPE_CHECKING:
     from dousa.library import ClipInfo, ClipMap, Library, TextMatches
-    from dousa.library.store.selection import KnownClips
 
 Match = Callable[[str], "TextMatches | None"]
 """Finds the clips that do what a text describes; None if that is not known yet."""
@@ -409,8 +409,6 @@ def _start(connection: sqlite3.Connection) -> None:
 
 
 def _make(library: Library, clip_ids: Sequence[int]) -> dict[int, bytes]:
-    from dousa.errors import InvalidMotionError, LibraryDamagedError
-
     made: dict[int, bytes] = {}
     try:
         for clip_id, motion in library.iterate_trajectories(clip_ids):

@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from dousa.app.studio.core.answers import Gate, RefusedError
 from dousa.app.studio.core.uploads import SOUNDS, VIDEOS
-from dousa.app.studio.core.workspace import write_file
+from dousa.app.studio.core.workspace import Workspace, write_file
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.studio.content.motions import MotionRef, Motions
-    from dousa.app.studio.core.workspace import Workspace
     from dousa.app.studio.jobs.board import Job, JobBoard
     from dousa.evaluation import Beats, BeatTiming
 

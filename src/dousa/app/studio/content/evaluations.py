@@ -9,19 +9,18 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
 
-from dousa.app.studio.content.motions import MotionRef, Seconds
+from dousa.app.studio.content.motions import MotionRef, Motions, Named, Seconds
 from dousa.app.studio.core.answers import Gate, RefusedError, StrictModel, reword
 from dousa.app.studio.core.workspace import write_file
-from dousa.messages import Message, get_language
+from dousa.errors import InvalidMotionError
+from dousa.messages import LANGUAGES, Message, get_language
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from dousa.app.studio.content.motions import Motions, Named
     from dousa.app.studio.jobs.board import Job, JobBoard
     from dousa.evaluation import AdjustableAssessment, Assessment, Furi, Progress
     from dousa.motion import CanonicalMotion
@@ -370,7 +369,6 @@ def read_motions(
 @contextmanager
 def _naming(names: Sequence[str], takes: Sequence[CanonicalMotion]) -> Iterator[None]:
     """Add the name of the motion to errors about it."""
-    from dousa.errors import InvalidMotionError
     from dousa.evaluation import ABOUT_REFERENCES
 
     try:
@@ -394,7 +392,6 @@ def assess_exercise(
     """
     from dousa.app.report import build_exercise, build_exercise_page, to_repetitions_csv
     from dousa.evaluation import assess_repetitions, describe_exercise, describe_trends
-    from dousa.messages import LANGUAGES
 
     names, takes, performance = read_motions(request, find, progress)
     with _naming(names, takes):

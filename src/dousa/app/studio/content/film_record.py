@@ -31,12 +31,12 @@ from numpy.typing import NDArray
 
 from dousa.app.studio.core.answers import Answer, RefusedError
 from dousa.app.studio.core.workspace import write_file
+from dousa.arrays import FloatArray, Image, Mask
 from dousa.files.disk import atomic_write
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.pipelines.film_scene import FilmScene
-    from dousa.arrays import FloatArray, Image, Mask
     from dousa.estimation import Camera, PersonTrack, ViewKeypoints
     from dousa.estimation.multiview.people import MatchedPerson
     from dousa.estimation.tracking.settings import Estimate

@@ -36,12 +36,12 @@ from dousa.app.studio.content.film_record import (
     shrink,
 )
 from dousa.app.studio.core.answers import RefusedError
-from dousa.app.studio.jobs.board import OpenedJobs
+from dousa.app.studio.jobs.board import JobBoard, OpenedJobs
+from dousa.arrays import Image, Mask
+from dousa.files.disk import atomic_write
 
 if TYPE_CHECKING:
     from dousa.app.pictures.overlay_view import ViewPainter
-    from dousa.app.studio.jobs.board import JobBoard
-    from dousa.arrays import Image, Mask
     from dousa.estimation import BodyModel
     from dousa.estimation.tracking.settings import Estimate, TrackedFrame
 
@@ -200,7 +200,6 @@ class FootageWriter:
     def _begin_poses(self, body: BodyModel) -> None:
         """Begin the poses once the girths of the body are fitted."""
         from dousa.estimation.cameras.camera_formats import cameras_to_arrays
-        from dousa.files.disk import atomic_write
 
         assert self._scene is not None
         self._body, self._joints = body, canonical_indices(body)

@@ -16,7 +16,7 @@ import json
 import threading
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -24,15 +24,12 @@ from dousa.app.studio.content.film_record import encode_mask
 from dousa.app.studio.content.footage import MASK, PICTURE, SeenReader
 from dousa.app.studio.core.answers import RefusedError
 from dousa.app.studio.core.workspace import write_file
-from dousa.app.studio.jobs.board import OpenedJobs
+from dousa.app.studio.jobs.board import JobBoard, OpenedJobs
+from dousa.arrays import Image, Mask
 from dousa.estimation.silhouettes.cleaning import doubt_masks, measure_mask
 from dousa.estimation.silhouettes.mask_npz import write_silhouettes
 from dousa.estimation.silhouettes.repairs import MaskRepair, RepairedSilhouettes, repair_from_json
 from dousa.estimation.silhouettes.silhouettes import Silhouettes, checked_frame
-
-if TYPE_CHECKING:
-    from dousa.app.studio.jobs.board import JobBoard
-    from dousa.arrays import Image, Mask
 
 SCENE, CAMERAS, MEASURES, EXPORTED = "masks.json", "cameras.toml", "measures.npy", "masks.npz"
 _REPAIRS = "repairs.json"

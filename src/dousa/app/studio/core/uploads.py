@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
+from starlette.concurrency import run_in_threadpool
+
 from dousa.app.studio.core.answers import RefusedError, describe_disk
 from dousa.app.studio.core.workspace import Settings, Workspace, safe_parts
 from dousa.formats.registry import SUFFIXES
@@ -60,8 +62,6 @@ async def receive(
     batch : where to put it; None for a new one.
     workspace, settings : of the studio.
     """
-    from starlette.concurrency import run_in_threadpool
-
     safe_parts(name)
     suffix = _check_suffix(name)
     made = workspace.new_batch() if batch is None else batch

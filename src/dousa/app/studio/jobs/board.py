@@ -18,16 +18,13 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from dousa.app.studio.core.answers import Answer, RefusedError, name_error, pack, read_message, say, say_packed
-from dousa.app.studio.core.workspace import write_file
+from dousa.app.studio.core.workspace import Workspace, write_file
 from dousa.errors import DousaError
 from dousa.formats.motion_files import find_motion_files
 from dousa.messages import Message, get_language, use_language
-
-if TYPE_CHECKING:
-    from dousa.app.studio.core.workspace import Workspace
 
 ACTIVE = frozenset({"queued", "running", "stopping"})
 _MOST_WAITING, _MOST_KEPT = 50, 200

@@ -17,13 +17,12 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from dousa.app.studio.core.answers import Gate, RefusedError, read_message, say_packed, to_message
-from dousa.app.studio.jobs.board import JobStopped
+from dousa.app.studio.core.workspace import Settings
+from dousa.app.studio.jobs.board import Job, JobBoard, JobStopped
 from dousa.errors import DousaError
 from dousa.messages import Message, get_language
 
 if TYPE_CHECKING:
-    from dousa.app.studio.core.workspace import Settings
-    from dousa.app.studio.jobs.board import Job, JobBoard
     from dousa.library import Library
 
 _WORKER = "dousa.app.studio.work.worker"  # the module that a process runs

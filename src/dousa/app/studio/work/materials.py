@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dousa.app.studio.core.uploads import PICTURES, VIDEOS
+from dousa.errors import CalibrationError
 from dousa.files.frame_names import natural_key
 
 ROLES = ("source", "cameras", "background", "body", "start", "unused")
@@ -148,7 +149,6 @@ def _settle(found: list[Material]) -> list[Material]:
 
 def pair_backgrounds(sources: list[Path], backgrounds: list[Path]) -> list[Path]:
     """Order backgrounds like the sources if their names tell which belong together."""
-    from dousa.errors import CalibrationError
     from dousa.estimation.cameras.camera import find_views
 
     if len(sources) != len(backgrounds):

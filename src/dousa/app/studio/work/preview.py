@@ -8,18 +8,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dousa.app.pipelines.doubts import WatchedSilhouettes, parse_frames
+from dousa.app.pipelines.estimation_views import choose_cameras, open_bare_views, open_views, read_known_stature
 from dousa.app.studio.content.film_record import to_picture_address
 from dousa.app.studio.core.answers import name_error, shorten, to_message
 from dousa.app.studio.jobs.lanes import Context
 from dousa.app.studio.work.estimation import list_materials, make_request
+from dousa.arrays import Mask
 from dousa.errors import CalibrationError, DousaError, OptionError, SilhouetteError
+from dousa.estimation.silhouettes.silhouettes import Silhouettes
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.requests.estimation import EstimationRequest
-    from dousa.arrays import Mask
     from dousa.estimation import Camera
-    from dousa.estimation.silhouettes.silhouettes import Silhouettes
 
 _LONGEST = 320  # px of a picture
 
@@ -54,7 +56,6 @@ def preview(request: dict[str, Any], context: Context) -> dict[str, Any]:
 
 
 def _look(request: dict[str, Any], context: Context, answer: dict[str, Any]) -> None:
-    from dousa.app.pipelines.doubts import parse_frames
     from dousa.app.requests.estimation import Outputs
     from dousa.app.studio.work.films import can_do_without, look_at_films, takes_films
 
@@ -83,8 +84,6 @@ def _look(request: dict[str, Any], context: Context, answer: dict[str, Any]) -> 
 
 def _open(asked: EstimationRequest, context: Context, answer: dict[str, Any]) -> Silhouettes:
     """Open the silhouettes; without a calibration they can be shown but not used."""
-    from dousa.app.pipelines.estimation_views import open_bare_views, open_views
-
     bare = asked.cameras is None and any(path.suffix.lower() != ".npz" for path in asked.sources)
     try:
         if not bare:
@@ -96,8 +95,6 @@ def _open(asked: EstimationRequest, context: Context, answer: dict[str, Any]) ->
 
 
 def _match(asked: EstimationRequest, views: Silhouettes, answer: dict[str, Any]) -> tuple[Camera, ...]:
-    from dousa.app.pipelines.estimation_views import choose_cameras
-
     try:
         cameras, notes = choose_cameras(asked, views)
     except CalibrationError as error:
@@ -113,7 +110,6 @@ def _match(asked: EstimationRequest, views: Silhouettes, answer: dict[str, Any])
 
 
 def _show_first(views: Silhouettes, first: int, last: int, answer: dict[str, Any]) -> None:
-    from dousa.app.pipelines.doubts import WatchedSilhouettes
     from dousa.estimation.tracking.start import find_first
 
     part = WatchedSilhouettes(views, first, last)
@@ -152,7 +148,6 @@ def _draw(mask: Mask, image: NDArray[np.uint8] | None) -> str:
 
 def _check_person(asked: EstimationRequest, context: Context, answer: dict[str, Any]) -> None:
     from dousa.app.pipelines.estimation_body import load_body, read_start
-    from dousa.app.pipelines.estimation_views import read_known_stature
 
     said = None if asked.start is None else read_start(asked.start, asked.options)
     known = read_known_stature(asked.sources)
