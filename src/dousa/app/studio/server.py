@@ -45,8 +45,6 @@ from dousa.errors import DousaError, OptionError
 from dousa.extras import require
 from dousa.messages import Message
 
-_TRIES = 20  # ports after the one asked for
-
 
 def serve(
     settings: Settings, *, opens_browser: bool = True, watched: Path | None = None, shared: IPv4Address | None = None
@@ -160,8 +158,9 @@ def _tame_memory() -> None:
         libc.mallopt(-3, 256 * 1024)  # M_MMAP_THRESHOLD
 
 
-def _listen(settings: Settings) -> tuple[socket.socket, int]:
-    for port in range(settings.port, min(settings.port + _TRIES, 65536)):
+def _listen(settings: Settings, *, tries: int = 20) -> tuple[socket.socket, int]:
+    # tries: ports after the one asked for
+    for port in range(settings.port, min(settings.port + tries, 65536)):
         # The protocol is named, else asyncio does not switch Nagle off, and small answers wait 40 ms.
         listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -172,7 +171,7 @@ def _listen(settings: Settings) -> tuple[socket.socket, int]:
             continue
         listener.listen(128)
         return listener, listener.getsockname()[1]
-    raise OptionError("studio.no_port", first=settings.port, last=settings.port + _TRIES - 1)
+    raise OptionError("studio.no_port", first=settings.port, last=settings.port + tries - 1)
 
 
 _DESCRIPTION = """Motion retrieval, evaluation and estimation over HTTP, on this machine only. Every request carries

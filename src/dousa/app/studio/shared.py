@@ -37,7 +37,7 @@ from dousa.app.studio.content.sharing import (
     provide_certificate,
 )
 from dousa.app.studio.content.studio import Studio, StudioNow
-from dousa.app.studio.core.answers import BYTES, Answer, RefusedError
+from dousa.app.studio.core.answers import FILE, Answer, RefusedError
 from dousa.app.studio.core.guard import RequestGuard, check_names, read_cookies
 from dousa.errors import OptionError
 from dousa.extras import require
@@ -172,7 +172,7 @@ def list_clips(
     return Answer({"total": len(rows), "items": [{name: one[name] for name in names} for one in told]})
 
 
-@router.get("/motions/miniature", dependencies=_EVERYTHING, responses=BYTES)
+@router.get("/motions/miniature", dependencies=_EVERYTHING, **FILE)
 def get_miniature(studio: StudioNow, asked: _Clip) -> Response:
     """A small moving figure."""
     return motions.get_miniature(studio, asked)

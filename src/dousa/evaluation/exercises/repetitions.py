@@ -455,7 +455,6 @@ PAIR_NAMES: Mapping[str, Message] = {name: Message(f"exercise_table.{name}") for
 SHORT, FAR = 85.0, 120.0
 """Percent of the reference's range: a joint that goes less far, or further, is reported."""
 _SLOWER, _FASTER = 1.2, 1 / 1.2  # of the reference's duration
-_UNEVEN = 15.0  # percent, symmetry index that is reported
 _MOST_ANGLES = 4  # that a table has room for
 
 
@@ -577,7 +576,10 @@ def _say_tempo(assessment: RepetitionsAssessment) -> list[Message]:
     return []
 
 
-def _say_sides(assessment: RepetitionsAssessment, *, unlike_reference: float = 10.0) -> list[Message]:
+def _say_sides(
+    assessment: RepetitionsAssessment, *, unlike_reference: float = 10.0, least_uneven: float = 15.0
+) -> list[Message]:
+    # least_uneven: percent, symmetry index that is reported
     # unlike_reference: and by how much it must be beyond the reference's own
     pair = choose_pair(assessment)
     if pair is None:
@@ -585,7 +587,7 @@ def _say_sides(assessment: RepetitionsAssessment, *, unlike_reference: float = 1
     uneven = compute_median([one.symmetry[pair] for one in assessment.complete])
     left, right = (assessment.reference_ranges[f"{side}_{pair}"] for side in ("left", "right"))
     own = compute_symmetry_index(left, right)
-    if not (abs(uneven) >= _UNEVEN and abs(uneven - own) >= unlike_reference):
+    if not (abs(uneven) >= least_uneven and abs(uneven - own) >= unlike_reference):
         return []
     code = "exercise_summary.left_further" if uneven > 0 else "exercise_summary.right_further"
     return [Message(code, angle=PAIR_NAMES[pair], percent=abs(uneven))]

@@ -231,7 +231,6 @@ class LineFollower:
 
 _SHORT_S, _LONG_S = 12.0, 30.0
 _CONTEXT_S = 2.5  # before a stretch that is still open
-_AGAIN_S = 0.5  # judged once more before the look-ahead
 _MOVED = 0.25  # frames by which a line must have moved for its deviations to be measured again
 _HISTORY_S, _NEAR_S = 180.0, 0.6
 _ORDER = ("stop", "skip", "repeat")
@@ -268,7 +267,7 @@ class Window:
         self._settled_to = 0
         self._reported: list[Finding] = []
         self._weighed: _Weighed | None = None
-        self._hop = round(_AGAIN_S * self._rate)
+        self._hop = round(0.5 * self._rate)
         self._history: list[tuple[FloatArray, FloatArray, FloatArray]] = []
         self._counted, self._measured = 0, 0
         self.tolerance = _START

@@ -423,7 +423,6 @@ def _make(library: Library, clip_ids: Sequence[int]) -> dict[int, bytes]:
 
 
 _MAP_NAME = "map.npz"
-_MAP_DIGITS = 4  # of places on the map, from -1 to 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -493,7 +492,8 @@ class KeptMap:
                 return _KeptPoints(ids, marks, points, left_out)
         return None
 
-    def _compare(self, snapshot: Snapshot) -> dict[str, Any]:
+    def _compare(self, snapshot: Snapshot, *, map_digits: int = 4) -> dict[str, Any]:
+        # map_digits: of places on the map, from -1 to 1
         kept = self._read()
         clips = {clip.id: clip for clip in snapshot.clips if clip.kind == "clip"}
         if kept is None:
@@ -510,8 +510,8 @@ class KeptMap:
         return {
             "is_made": True,
             "ids": ids,
-            "x": [round(value, _MAP_DIGITS) for value in kept.points[still, 0].tolist()],
-            "y": [round(value, _MAP_DIGITS) for value in kept.points[still, 1].tolist()],
+            "x": [round(value, map_digits) for value in kept.points[still, 0].tolist()],
+            "y": [round(value, map_digits) for value in kept.points[still, 1].tolist()],
             "categories": names,
             "category": [code[clips[number].category or ""] for number in ids],
             "n_new": len(clips) - len(ids) - len(lacking),

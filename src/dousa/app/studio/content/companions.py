@@ -95,7 +95,7 @@ class Companions:
             stored = json.loads(kept.read_bytes())
             if stored["of"] == [music.batch, music.name]:
                 return Beats(stored["times_s"])
-        with self._gate.enter(60.0):  # s for others whose beats are looked for
+        with self._gate.enter():  # others whose beats are looked for
             beats = find_beats(self.path(job, "music"))
         write_file(kept, json.dumps({"of": [music.batch, music.name], "times_s": beats.times.tolist()}).encode())
         return beats

@@ -30,7 +30,6 @@ _Weight = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
 _Name = Annotated[str, Field(max_length=40)]
 
 _MOST_READY, _MOST_BYTES = 6, 300_000_000  # evaluations in memory
-_LONGEST_S = 600.0  # s of a motion
 _ADJUSTED, _NOTES = "adjusted.json", "notes.txt"
 
 
@@ -426,13 +425,14 @@ def _tell_apart(named: Sequence[Named]) -> tuple[str, ...]:
     return tuple(f"{one.category}/{one.name}" if count[one.name] > 1 and one.category else one.name for one in named)
 
 
-def _check(named: Named) -> Named:
-    if named.motion.duration > _LONGEST_S:
+def _check(named: Named, *, longest_s: float = 600.0) -> Named:
+    # longest_s: of a motion
+    if named.motion.duration > longest_s:
         raise RefusedError(
             422,
             "studio_evaluation.too_long",
             name=named.name,
-            most=_LONGEST_S / 60,
+            most=longest_s / 60,
             minutes=named.motion.duration / 60,
         )
     return named

@@ -51,7 +51,6 @@ STAGES = ("found", "settled", "smoothed")
 MASK, PICTURE = 0, 1
 SEEN = np.dtype([("frame", "<i4"), ("view", "<i2"), ("kind", "<i2"), ("offset", "<i8"), ("size", "<i4")])
 _LONGEST = 480  # px, of what is kept
-_MOST_BYTES = 1_000_000_000  # of all pictures of one estimation
 
 
 def pose_record(n_numbers: int, n_views: int, n_parts: int) -> np.dtype[Any]:
@@ -150,10 +149,18 @@ class FootageWriter:
                     (self._folder / name).unlink()
         self._seen = SeenWriter(self._folder)
 
-    def see(self, frame: int, masks: Sequence[Mask | None], pictures: Sequence[Image | None]) -> None:
+    def see(
+        self,
+        frame: int,
+        masks: Sequence[Mask | None],
+        pictures: Sequence[Image | None],
+        *,
+        most_bytes: int = 1_000_000_000,
+    ) -> None:
         """Write small masks and pictures."""
+        # most_bytes: of all pictures of one estimation
         assert self._seen is not None
-        if self._seen.n_bytes > _MOST_BYTES:
+        if self._seen.n_bytes > most_bytes:
             return
         for view, (mask, picture) in enumerate(zip(masks, pictures, strict=True)):
             if mask is not None:
@@ -216,9 +223,6 @@ class FootageWriter:
         }
         with atomic_write(self._folder / "scene.npz") as file:
             np.savez(file, **arrays)  # type: ignore[arg-type]
-
-
-_JPEG = 88
 
 
 class Footages:
@@ -395,7 +399,7 @@ class Footage:
                 self._overlays.popitem(last=False)
             return image
 
-    def _paint(self, view: int, frame: int) -> bytes:
+    def _paint(self, view: int, frame: int, *, quality: int = 88) -> bytes:
         row = self._rows[frame]
         mask, picture = (_decode(self._seen.read(frame, view, kind)) for kind in (MASK, PICTURE))
         if self.film.version and picture is None:
@@ -408,7 +412,7 @@ class Footage:
             picture,
             row["hidden"],
         )
-        return encode_jpeg(drawn, _JPEG)
+        return encode_jpeg(drawn, quality)
 
     def _painter(self, view: int) -> ViewPainter:
         from dousa.app.pictures.overlay_view import ViewPainter

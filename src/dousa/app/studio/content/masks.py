@@ -33,7 +33,6 @@ from dousa.estimation.silhouettes.silhouettes import Silhouettes, checked_frame
 
 SCENE, CAMERAS, MEASURES, EXPORTED = "masks.json", "cameras.toml", "measures.npy", "masks.npz"
 _REPAIRS = "repairs.json"
-_MOST_REPAIRS = 20_000
 
 
 class StoredMasks(Silhouettes):
@@ -167,12 +166,12 @@ class MaskDesk:
     def _has_pictures(self, view: int) -> bool:
         return any(self.found.picture(view, frame) is not None for frame in (0, self.found.n_frames // 2))
 
-    def repair(self, repair: MaskRepair) -> dict[str, Any]:
+    def repair(self, repair: MaskRepair, *, most_repairs: int = 20_000) -> dict[str, Any]:
         """Add a repair and forget those undone; RefusedError if there are too many, SilhouetteError for an unknown
         frame."""
         with self._lock:
-            if len(self._done) >= _MOST_REPAIRS:
-                raise RefusedError(409, "studio_masks.many", most=_MOST_REPAIRS)
+            if len(self._done) >= most_repairs:
+                raise RefusedError(409, "studio_masks.many", most=most_repairs)
             RepairedSilhouettes(self.found, [repair])  # refuses a view or frame that there is not
             return self._set([*self._done, repair], [], repair)
 

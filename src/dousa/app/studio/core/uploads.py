@@ -32,7 +32,6 @@ LABELS = frozenset({".eaf", ".textgrid"})
 _ARCHIVE = ".zip"
 
 _BOXES = frozenset({b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot"})  # the first one of MP4 and MOV
-_CHUNK = 1 << 20
 _MOST_AT_ONCE = 25_000_000  # bytes; 20,000 files with the longest names that are taken
 _DAMAGE = (
     zipfile.BadZipFile, zlib.error, lzma.LZMAError, NotImplementedError, RuntimeError, EOFError, OSError, ValueError,
@@ -227,7 +226,9 @@ def _check_archive(members: list[zipfile.ZipInfo], packed_bytes: int, room: _Roo
         raise RefusedError(413, "studio_files.archive_large", total=total / 1e6, packed=packed_bytes / 1e6)
 
 
-def _unpack_one(packed: zipfile.ZipFile, member: zipfile.ZipInfo, workspace: Workspace, room: _Room) -> tuple[str, int]:
+def _unpack_one(
+    packed: zipfile.ZipFile, member: zipfile.ZipInfo, workspace: Workspace, room: _Room, *, chunk_bytes: int = 1 << 20
+) -> tuple[str, int]:
     parts = safe_parts(member.filename)
     name = "/".join(parts)
     if member.flag_bits & 1:
@@ -241,7 +242,7 @@ def _unpack_one(packed: zipfile.ZipFile, member: zipfile.ZipInfo, workspace: Wor
         with _temporary(workspace) as (file, path):
             left = member.file_size
             with packed.open(member) as source:
-                while chunk := source.read(_CHUNK):
+                while chunk := source.read(chunk_bytes):
                     left -= len(chunk)
                     if left < 0:
                         raise RefusedError(413, "studio_files.larger_than_said")

@@ -337,9 +337,6 @@ class OpenedJobs(Generic[Opened]):
             return self._open[job.id]
 
 
-LOOK_EVERY = 3.0
-"""s between looks; files that are still being written change in between."""
-
 _Seen = frozenset[tuple[str, int, int]]  # path, bytes, time of the last change
 
 
@@ -388,8 +385,9 @@ class FolderWatch:
                 seen.add((str(file.path), state.st_size, state.st_mtime_ns))
         return frozenset(seen)
 
-    def _run(self) -> None:
-        while not self._over.wait(LOOK_EVERY):
+    def _run(self, *, look_every_s: float = 3.0) -> None:
+        # look_every_s: between looks; files that are still being written change in between
+        while not self._over.wait(look_every_s):
             # A queue that is full, a disk that is away: the next look may do better.
             with suppress(DousaError, OSError):
                 self.look()

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from dousa.app.studio.content.studio import Studio
     from dousa.library import Library
 
-_MOST_DRAWN = 2_000  # clips whose figures are made ahead; a longer list gets its own when it is looked at
-
 
 def add(request: dict[str, Any], context: Context) -> dict[str, Any]:
     """Add a batch; ``request``: batch, kind, category_from, performer_from, labels, tier, unit, up, joint_map."""
@@ -74,11 +72,12 @@ def _inside(rule: str | None, folder: Path) -> str | None:
     return f"csv:{folder.joinpath(*safe_parts(name))}" if kind == "csv" and name else rule
 
 
-def _draw_ahead(library: Library, before: set[int], context: Context) -> None:
+def _draw_ahead(library: Library, before: set[int], context: Context, *, most_drawn: int = 2_000) -> None:
     """Make the figures of new clips, so that the page shows them at once."""
+    # most_drawn: clips whose figures are made ahead; a longer list gets its own when it is looked at
     from dousa.app.studio.content.clips import Thumbnails
 
-    fresh = [clip.id for clip in library.clips() if clip.id not in before][:_MOST_DRAWN]
+    fresh = [clip.id for clip in library.clips() if clip.id not in before][:most_drawn]
     Thumbnails.of(context.home).make_ahead(library, fresh)
 
 

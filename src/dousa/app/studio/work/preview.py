@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from dousa.app.requests.estimation import EstimationRequest
     from dousa.estimation import Camera
 
-_LONGEST = 320  # px of a picture
-
 
 def preview(request: dict[str, Any], context: Context) -> dict[str, Any]:
     """Preview a request for an estimation.
@@ -126,11 +124,12 @@ def _show_first(views: Silhouettes, first: int, last: int, answer: dict[str, Any
     answer["notes"] += part.describe()
 
 
-def _draw(mask: Mask, image: NDArray[np.uint8] | None) -> str:
+def _draw(mask: Mask, image: NDArray[np.uint8] | None, *, longest_px: int = 320) -> str:
+    # longest_px: of a picture
     from dousa.app.pictures.overlay_view import LEFT, WHITE, draw_outlines, find_outlines
     from dousa.extras import cv2
 
-    factor = _LONGEST / max(mask.shape)
+    factor = longest_px / max(mask.shape)
     size = max(1, round(mask.shape[1] * factor)), max(1, round(mask.shape[0] * factor))
     filled = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
     if image is None:
@@ -143,7 +142,7 @@ def _draw(mask: Mask, image: NDArray[np.uint8] | None) -> str:
     if image is not None:
         draw_outlines(canvas, outlines, WHITE, 3)
     draw_outlines(canvas, outlines, LEFT, 1 if image is None else 2)
-    return to_picture_address(canvas, _LONGEST)
+    return to_picture_address(canvas, longest_px)
 
 
 def _check_person(asked: EstimationRequest, context: Context, answer: dict[str, Any]) -> None:
