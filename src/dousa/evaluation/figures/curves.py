@@ -73,9 +73,6 @@ def _smooth_turn(angle: FloatArray, half: int) -> FloatArray:
     return np.median(windows, axis=1)
 
 
-_N_DIRECTIONS = 32  # along which the extreme poses of a segment are looked for: 64 candidates
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Curves:
     """What differs, frame by frame; nan where there is nothing to compare."""
@@ -296,7 +293,7 @@ def _spread_directions(count: int) -> FloatArray:
     return np.stack([across * np.cos(turn), across * np.sin(turn), height])
 
 
-_DIRECTIONS = _spread_directions(_N_DIRECTIONS)
+_DIRECTIONS = _spread_directions(32)  # along which extreme poses are looked for: 64 candidates
 
 
 def _measure_takes(

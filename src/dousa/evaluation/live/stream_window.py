@@ -270,7 +270,7 @@ class Window:
         self._hop = round(0.5 * self._rate)
         self._history: list[tuple[FloatArray, FloatArray, FloatArray]] = []
         self._counted, self._measured = 0, 0
-        self.tolerance = _START
+        self.tolerance = Tolerance(np.full(9, np.radians(21.6)))  # until a second was seen: the least steady one's
         self.lapses: list[Lapse] = []
 
     @property
@@ -406,10 +406,6 @@ class Window:
         alignment = Alignment(self._frames, runs, 0.0, 1.0)
         found = find_lapses(alignment, self._references.working[0], part)
         self.lapses += [_place(lapse, begin) for lapse in found if lapse.kind in _ORDER]
-
-
-_START = Tolerance(np.full(9, np.radians(21.6)))
-"""Until a second has been seen: that of the least steady performer."""
 
 
 def _near(start_s: float, lapse: Lapse) -> bool:

@@ -312,8 +312,6 @@ def interpolate_segments(segments: FloatArray, frames: FloatArray) -> FloatArray
     return np.asarray(mixed / np.maximum(np.linalg.norm(mixed, axis=2, keepdims=True), 1e-9))
 
 
-_LARGEST = 1e6
-
 # From the coarse names to the exact ones, which are laid over them.
 LEVELS: tuple[dict[str, tuple[str, ...]], ...] = (
     {
@@ -400,7 +398,7 @@ def _plain(name: str) -> str:
 def _check(value: Any, name: str, where: str) -> None:
     number = isinstance(value, int | float) and not isinstance(value, bool)
     # nan is in no range; an integer may be too large for a float.
-    if not number or not 0 <= value <= _LARGEST:
+    if not number or not 0 <= value <= 1e6:
         raise OptionError("weights_file.weight", path=where, name=name, found=_shown(value))
 
 
@@ -421,7 +419,7 @@ def spread_weights(weights: Mapping[str, float] | None) -> FloatArray:
     for name, value in given.items():
         if name not in known:
             raise OptionError("evaluation.weight_name", known=tuple(known), name=name)
-        if not isinstance(value, int | float) or not 0.0 <= value <= _LARGEST:
+        if not isinstance(value, int | float) or not 0.0 <= value <= 1e6:
             raise OptionError("evaluation.weight", name=name, value=repr(value))
     shares = np.array(list(_lay_over(given).values()))
     if shares.sum() <= 0.0:
