@@ -167,9 +167,9 @@ def list_clips(
     """Clips of the library: number, name, category and length; no names of performers, no folders."""
     snapshot = studio.listing.now()
     rows = snapshot.find(ClipQuery(text)).rows
-    told = [snapshot.describe(row) for row in rows[offset : offset + limit]]
+    described = [snapshot.describe(row) for row in rows[offset : offset + limit]]
     names = ("id", "name", "category", "duration")
-    return Answer({"total": len(rows), "items": [{name: one[name] for name in names} for one in told]})
+    return Answer({"total": len(rows), "items": [{name: one[name] for name in names} for one in described]})
 
 
 @router.get("/motions/miniature", dependencies=_EVERYTHING, **FILE)

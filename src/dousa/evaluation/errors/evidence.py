@@ -383,7 +383,7 @@ def measure_missing_range(
 
 
 CAP = 9.0
-"""A segment three times out of tolerance is wrong; how much further out says no more."""
+"""The square of three, by definition: three times out of tolerance a segment is wrong; further out says no more."""
 
 SLACK_S = 0.07
 """s; no person is steadier in time than this, so a smaller lag is forgiven."""

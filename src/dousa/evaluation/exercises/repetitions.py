@@ -44,7 +44,8 @@ from dousa.motion import CanonicalMotion
 from dousa.motion.canonical.canonicalise import mirror_canonical
 
 LEVEL = 0.05
-"""Two-sided probability below which a trend is called distinguishable from none."""
+"""Two-sided probability below which a trend is called distinguishable from none: the convention of R. A. Fisher,
+"Statistical Methods for Research Workers", 1925."""
 _EXACT_UP_TO = 40  # repetitions without ties; beyond, and with ties, the normal approximation
 
 

@@ -180,7 +180,7 @@ def _squared(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 LEAST_EXCURSION = 0.25
-"""Chord: what moves less (a limb of two segments by 10 degrees) is standing still."""
+"""Chord: what moves less is standing still; by geometry that of a limb of two segments that turns by 10 degrees."""
 _OTHER = 2.0  # mean squared residual, as a share of the template's mean squared displacement, of other motion
 _ONSET = 0.12  # share of the displacement at which a repetition has begun, see docs/exercises.md
 _SHORTEST_S, _LONGEST_S = 0.4, 20.0

@@ -252,7 +252,7 @@ def mirror_postures(postures: PostureSequence) -> PostureSequence:
 
 
 WORKING_RATE = 30.0
-"""Hz; errors of a dance last half a second and more, so more frames only cost time."""
+"""Hz, see docs/evaluation.md; errors of a dance last half a second and more, so more frames only cost time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -169,5 +169,5 @@ def read_text(
         return Reading(literal, more=int(((scores > 0) & ~literal).sum()), pending=matches is None)
     near, taken_for = (literal, {}) if literal.any() else words.find_misspelt(text)
     scores[near] = np.maximum(scores[near], 1.0)
-    told = {} if matches is None else {word: other for word, other in matches.corrections.items() if word != other}
-    return Reading(scores > 0, scores, {**told, **taken_for}, pending=matches is None)
+    corrected = {} if matches is None else {word: other for word, other in matches.corrections.items() if word != other}
+    return Reading(scores > 0, scores, {**corrected, **taken_for}, pending=matches is None)

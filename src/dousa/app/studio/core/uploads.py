@@ -197,7 +197,7 @@ def _unpack(archive: Path, _name: str, workspace: Workspace, room: _Room) -> Rec
                 except RefusedError as error:
                     if error.status == 413:  # no more room: what lies about its size is not searched on
                         raise
-                    refused.append((member.filename[:1_000], error.message))  # letters, of a name that is told
+                    refused.append((member.filename[:1_000], error.message))  # letters, of a name in an answer
     except BaseException as error:
         for name, size in kept:
             room.give_back(size)

@@ -125,13 +125,13 @@ def _stand_back() -> None:
 
 def _do(task: dict[str, Any], out: Any) -> dict[str, Any]:
     use_language(task["language"])
-    told = 0.0
+    reported = 0.0
 
     def progress(done: int, total: int, what: Message | str) -> None:
-        nonlocal told
+        nonlocal reported
         now = time.monotonic()
-        if done == total or now - told > 0.1:  # s
-            told = now
+        if done == total or now - reported > 0.1:  # s
+            reported = now
             _say(out, {"progress": [int(done), int(total), to_message(what).to_json()]})
 
     def tell(note: Message | str) -> None:
