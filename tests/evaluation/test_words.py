@@ -10,7 +10,11 @@ from hypothesis import strategies as st
 
 from dousa.errors import OptionError
 from dousa.evaluation import ErrorEvent, Lapse
+from dousa.evaluation.advice.directions import OPPOSITES
+from dousa.evaluation.exercises.range_of_motion import ANGLES
 from dousa.evaluation.words import (
+    _JOINTS,
+    _WHOLES,
     KINDS,
     LAPSE_KINDS,
     SEGMENT_NAMES,
@@ -23,6 +27,7 @@ from dousa.evaluation.words import (
     name_all,
 )
 from dousa.messages import LANGUAGES
+from dousa.messages.tables import load_table
 
 ARM = ("right_upper_arm", "right_forearm")
 ALL = tuple(SEGMENT_NAMES)
@@ -141,3 +146,21 @@ def test_unknown_words_are_refused() -> None:
         describe_event("bad", ARM)
     with pytest.raises(OptionError, match="kind"):
         describe_lapse("bad", 0, 0, 0, 0)
+
+
+def test_tables_of_names_hold_what_is_named_and_nothing_else() -> None:
+    """Their codes are put together from names."""
+    parts = {*SEGMENT_NAMES, *_WHOLES, "whole_body", "several"}
+    joints = {message.code.removeprefix("advice_parts.") for message in _JOINTS.values()}
+    directions = {*OPPOSITES, *OPPOSITES.values(), "upright", "turn_left", "turn_right"}
+    expected = {
+        "body_segments": parts | {"unknown"},
+        "advice_parts": parts | joints,
+        "advice_corrections": directions | {"larger", "smaller"},
+        "error_kinds": {*KINDS, "unknown"},
+        "lapse_kinds": {kind.replace(" ", "_").replace("-", "_") for kind in LAPSE_KINDS},
+        "joint_angles": set(ANGLES),
+        "offset_ways": {"out", "in", "up", "down", "forward", "back", "left", "right"},
+    }
+    codes = [code.split(".", 1) for code in load_table("en")]
+    assert {group: {name for first, name in codes if first == group} for group in expected} == expected

@@ -41,6 +41,14 @@ FOUND_BY_NAME = (
     "player_pair.",
     "relations.",
     "body_part.",
+    "body_segments.",
+    "error_kinds.",
+    "lapse_kinds.",
+    "advice_parts.",
+    "advice_corrections.",
+    "joint_angles.",
+    "exercise_table.",
+    "offset_ways.",
 )
 WITHOUT_ENTRY = {"system.error"}
 

@@ -12,54 +12,36 @@ from typing import TypeGuard
 from dousa.errors import OptionError
 from dousa.messages import LANGUAGES, Message
 
-SEGMENT_NAMES: Mapping[str, Message] = {
-    "trunk": Message("body_segments.trunk"),
-    "left_upper_arm": Message("body_segments.left_upper_arm"),
-    "left_forearm": Message("body_segments.left_forearm"),
-    "right_upper_arm": Message("body_segments.right_upper_arm"),
-    "right_forearm": Message("body_segments.right_forearm"),
-    "left_thigh": Message("body_segments.left_thigh"),
-    "left_shank": Message("body_segments.left_shank"),
-    "right_thigh": Message("body_segments.right_thigh"),
-    "right_shank": Message("body_segments.right_shank"),
-}
+_SEGMENTS = (
+    "trunk left_upper_arm left_forearm right_upper_arm right_forearm left_thigh left_shank right_thigh right_shank"
+)
+SEGMENT_NAMES: Mapping[str, Message] = {name: Message(f"body_segments.{name}") for name in _SEGMENTS.split()}
 """Segment -> its name."""
 
 KINDS: Mapping[str, Message] = {
-    "global": Message("error_kinds.global"),
-    "partial": Message("error_kinds.partial"),
-    "incomplete": Message("error_kinds.incomplete"),
-    "shift": Message("error_kinds.shift"),
+    kind: Message(f"error_kinds.{kind}") for kind in ("global", "partial", "incomplete", "shift")
 }
 """Kind of error -> its name."""
 
 LAPSE_KINDS: Mapping[str, Message] = {
-    "stop": Message("lapse_kinds.stop"),
-    "skip": Message("lapse_kinds.skip"),
-    "repeat": Message("lapse_kinds.repeat"),
-    "late start": Message("lapse_kinds.late_start"),
-    "early end": Message("lapse_kinds.early_end"),
-    "lead-in": Message("lapse_kinds.lead_in"),
-    "lead-out": Message("lapse_kinds.lead_out"),
+    kind: Message(f"lapse_kinds.{kind.replace(' ', '_').replace('-', '_')}")
+    for kind in ("stop", "skip", "repeat", "late start", "early end", "lead-in", "lead-out")
 }
 """Kind of lapse -> its name."""
 
 # The larger whole first, and the segments that it takes.
-_WHOLES: tuple[tuple[Message, tuple[str, ...]], ...] = (
-    (
-        Message("body_segments.both_arms"),
-        ("left_upper_arm", "left_forearm", "right_upper_arm", "right_forearm"),
-    ),
-    (Message("body_segments.left_arm"), ("left_upper_arm", "left_forearm")),
-    (Message("body_segments.right_arm"), ("right_upper_arm", "right_forearm")),
-    (Message("body_segments.both_upper_arms"), ("left_upper_arm", "right_upper_arm")),
-    (Message("body_segments.both_forearms"), ("left_forearm", "right_forearm")),
-    (Message("body_segments.both_legs"), ("left_thigh", "left_shank", "right_thigh", "right_shank")),
-    (Message("body_segments.left_leg"), ("left_thigh", "left_shank")),
-    (Message("body_segments.right_leg"), ("right_thigh", "right_shank")),
-    (Message("body_segments.both_thighs"), ("left_thigh", "right_thigh")),
-    (Message("body_segments.both_shanks"), ("left_shank", "right_shank")),
-)
+_WHOLES: Mapping[str, tuple[str, ...]] = {
+    "both_arms": ("left_upper_arm", "left_forearm", "right_upper_arm", "right_forearm"),
+    "left_arm": ("left_upper_arm", "left_forearm"),
+    "right_arm": ("right_upper_arm", "right_forearm"),
+    "both_upper_arms": ("left_upper_arm", "right_upper_arm"),
+    "both_forearms": ("left_forearm", "right_forearm"),
+    "both_legs": ("left_thigh", "left_shank", "right_thigh", "right_shank"),
+    "left_leg": ("left_thigh", "left_shank"),
+    "right_leg": ("right_thigh", "right_shank"),
+    "both_thighs": ("left_thigh", "right_thigh"),
+    "both_shanks": ("left_shank", "right_shank"),
+}
 
 
 def check_language(language: str) -> str:
@@ -96,27 +78,36 @@ def describe_segments(segments: Iterable[str], language: str | None = None) -> s
     return Message("body_segments.several", names=group_segments(segments)).render(language)
 
 
-def group_segments(segments: Iterable[str]) -> tuple[Message, ...]:
+def group_segments(segments: Iterable[str], table: str = "body_segments") -> tuple[Message, ...]:
     """Group segments to whole limbs, from the trunk to the legs; none is the whole body.
+
+    Parameters
+    ----------
+    segments : of `SEGMENT_NAMES`.
+    table : of the messages; ``"advice_parts"`` are the words of a teacher: ``the left arm``, ``both legs``.
 
     Raises
     ------
     OptionError : a segment that there is not.
     """
+    return tuple(Message(f"{table}.{name}") for name in _list_wholes(segments))
+
+
+def _list_wholes(segments: Iterable[str]) -> list[str]:
     left = set(segments)
     if unknown := left - set(SEGMENT_NAMES):
         raise OptionError("body_segments.unknown", known=tuple(SEGMENT_NAMES), names=unknown)
     if not left or len(left) == len(SEGMENT_NAMES):
-        return (Message("body_segments.whole_body"),)
+        return ["whole_body"]
     # Each word stands where its first segment stands, so that the trunk comes before arms and legs.
     order = list(SEGMENT_NAMES)
-    found: list[tuple[int, Message]] = []
-    for name, members in _WHOLES:
+    found: dict[str, int] = {}
+    for name, members in _WHOLES.items():
         if left.issuperset(members):
             left.difference_update(members)
-            found.append((order.index(members[0]), name))
-    found.extend((order.index(segment), SEGMENT_NAMES[segment]) for segment in left)
-    return tuple(name for _, name in sorted(found, key=lambda pair: pair[0]))
+            found[name] = order.index(members[0])
+    found |= {segment: order.index(segment) for segment in left}
+    return sorted(found, key=found.__getitem__)
 
 
 def describe_event(
@@ -192,20 +183,18 @@ def describe_lapse(
     Times are seconds of the performance and seconds of the reference left out, done again or not reached. Raises
     OptionError for an unknown kind.
     """
+    if kind not in LAPSE_KINDS:
+        raise OptionError("error_kinds.unknown", known=tuple(LAPSE_KINDS), kind=kind)
     own, missed = _say_seconds(end_s - start_s), _say_seconds(reference_end_s - reference_start_s)
     start, end = format_time(reference_start_s), format_time(reference_end_s)
-    said = {
-        "stop": Message("lapse.stop", own=own),
-        "skip": Message("lapse.skip", missed=missed, start=start, end=end),
-        "repeat": Message("lapse.repeat", missed=missed, start=start, end=end),
-        "late start": Message("lapse.late_start", missed=missed),
-        "early end": Message("lapse.early_end", missed=missed),
-        "lead-in": Message("lapse.lead_in", own=own),
-        "lead-out": Message("lapse.lead_out", own=own),
-    }
-    if kind not in said:
-        raise OptionError("error_kinds.unknown", known=tuple(said), kind=kind)
-    return said[kind]
+    if kind == "skip":
+        return Message("lapse.skip", missed=missed, start=start, end=end)
+    if kind == "repeat":
+        return Message("lapse.repeat", missed=missed, start=start, end=end)
+    if kind in ("late start", "early end"):
+        return Message("lapse.late_start" if kind == "late start" else "lapse.early_end", missed=missed)
+    code = {"stop": "lapse.stop", "lead-in": "lapse.lead_in", "lead-out": "lapse.lead_out"}[kind]
+    return Message(code, own=own)
 
 
 def _say_seconds(duration: float) -> Message:
@@ -235,92 +224,47 @@ def describe_heading(angle: float) -> Message:
     return Message("dance_heading.left" if turned > 0 else "dance_heading.right", degrees=degrees)
 
 
-_STEP_DEG, _STEP_S = 5.0, 0.05  # what a person can do something with
-
-_PARTS: Mapping[str, Message] = {
-    "body_segments.trunk": Message("advice_parts.trunk"),
-    "body_segments.left_upper_arm": Message("advice_parts.left_upper_arm"),
-    "body_segments.left_forearm": Message("advice_parts.left_forearm"),
-    "body_segments.right_upper_arm": Message("advice_parts.right_upper_arm"),
-    "body_segments.right_forearm": Message("advice_parts.right_forearm"),
-    "body_segments.left_thigh": Message("advice_parts.left_thigh"),
-    "body_segments.left_shank": Message("advice_parts.left_shank"),
-    "body_segments.right_thigh": Message("advice_parts.right_thigh"),
-    "body_segments.right_shank": Message("advice_parts.right_shank"),
-    "body_segments.both_arms": Message("advice_parts.both_arms"),
-    "body_segments.left_arm": Message("advice_parts.left_arm"),
-    "body_segments.right_arm": Message("advice_parts.right_arm"),
-    "body_segments.both_upper_arms": Message("advice_parts.both_upper_arms"),
-    "body_segments.both_forearms": Message("advice_parts.both_forearms"),
-    "body_segments.both_legs": Message("advice_parts.both_legs"),
-    "body_segments.left_leg": Message("advice_parts.left_leg"),
-    "body_segments.right_leg": Message("advice_parts.right_leg"),
-    "body_segments.both_thighs": Message("advice_parts.both_thighs"),
-    "body_segments.both_shanks": Message("advice_parts.both_shanks"),
-    "body_segments.whole_body": Message("advice_parts.whole_body"),
-}
 _JOINTS: Mapping[str, Message] = {
-    "body_segments.both_arms": Message("advice_parts.both_elbows"),
-    "body_segments.left_arm": Message("advice_parts.left_elbow"),
-    "body_segments.right_arm": Message("advice_parts.right_elbow"),
-    "body_segments.both_legs": Message("advice_parts.both_knees"),
-    "body_segments.left_leg": Message("advice_parts.left_knee"),
-    "body_segments.right_leg": Message("advice_parts.right_knee"),
-}
-_OF_LIMBS: Mapping[str, str] = {
-    "up": "advice_corrections.up",
-    "down": "advice_corrections.down",
-    "forward": "advice_corrections.forward",
-    "back": "advice_corrections.back",
-    "outward": "advice_corrections.outward",
-    "inward": "advice_corrections.inward",
-    "bend": "advice_corrections.bend",
-    "straighten": "advice_corrections.straighten",
-}
-_OF_THE_TRUNK: Mapping[str, str] = {
-    "upright": "advice_corrections.upright",
-    "lean_forward": "advice_corrections.lean_forward",
-    "lean_back": "advice_corrections.lean_back",
-    "lean_left": "advice_corrections.lean_left",
-    "lean_right": "advice_corrections.lean_right",
-    "turn_left": "advice_corrections.turn_left",
-    "turn_right": "advice_corrections.turn_right",
+    "both_arms": Message("advice_parts.both_elbows"),
+    "left_arm": Message("advice_parts.left_elbow"),
+    "right_arm": Message("advice_parts.right_elbow"),
+    "both_legs": Message("advice_parts.both_knees"),
+    "left_leg": Message("advice_parts.left_knee"),
+    "right_leg": Message("advice_parts.right_knee"),
 }
 
 
 def name_parts(segments: Iterable[str]) -> tuple[Message, ...]:
     """Name parts of the body as a teacher does: ``the left arm``, ``both legs``."""
-    return tuple(_PARTS[message.code] for message in group_segments(segments))
+    return group_segments(segments, "advice_parts")
 
 
 def say_correction(direction: str, segments: Iterable[str], amount_deg: float) -> Message:
     """Name one correction, without its moment: ``raise the left arm 25 deg higher``."""
     names = tuple(segments)
-    degrees = round_degrees(amount_deg)
-    if direction in _OF_THE_TRUNK:
-        return Message(_OF_THE_TRUNK[direction], degrees=degrees)
-    part = Message("advice_parts.several", names=name_parts(names))
+    code, degrees = f"advice_corrections.{direction}", round_degrees(amount_deg)
+    if direction.startswith(("upright", "lean_", "turn_")):
+        return Message(code, degrees=degrees)
     if direction in ("bend", "straighten"):
-        part = _JOINTS[group_segments(names)[0].code]
-    return Message(_OF_LIMBS[direction], part=part, degrees=degrees)
+        return Message(code, part=_JOINTS[_list_wholes(names)[0]], degrees=degrees)
+    return Message(code, part=Message("advice_parts.several", names=name_parts(names)), degrees=degrees)
 
 
 def say_size(segments: Iterable[str], shortfall_deg: float) -> Message:
     """Name a movement that is too small, or too large if this is negative, without a direction."""
     part = Message("advice_parts.several", names=name_parts(segments))
     degrees = round_degrees(abs(shortfall_deg))
-    if shortfall_deg < 0:
-        return Message("advice_corrections.smaller", part=part, degrees=degrees)
-    return Message("advice_corrections.larger", part=part, degrees=degrees)
+    code = "advice_corrections.smaller" if shortfall_deg < 0 else "advice_corrections.larger"
+    return Message(code, part=part, degrees=degrees)
 
 
-def say_timing(segments: Iterable[str], lag_ms: float | None, where: Message) -> Message:
-    """Name lateness or earliness: ``you were 0.2 s late with both legs at 0:31``."""
+def say_timing(segments: Iterable[str], lag_ms: float | None, where: Message, *, step_s: float = 0.05) -> Message:
+    """Name lateness or earliness in steps of 0.05 s: ``you were 0.2 s late with both legs at 0:31``."""
     names = tuple(segments)
     if lag_ms is None or not math.isfinite(lag_ms):
         return Message("advice.out_of_time", where=where)
     late = lag_ms > 0
-    seconds = round(max(round(abs(lag_ms) / 1000.0 / _STEP_S), 1) * _STEP_S, 2)
+    seconds = round(max(round(abs(lag_ms) / 1000.0 / step_s), 1) * step_s, 2)
     if not names or len(names) == len(SEGMENT_NAMES):
         return Message("advice.late" if late else "advice.early", seconds=seconds, where=where)
     code = "advice.late_with" if late else "advice.early_with"
@@ -329,7 +273,7 @@ def say_timing(segments: Iterable[str], lag_ms: float | None, where: Message) ->
 
 def round_degrees(degrees: float) -> int:
     """Round to 5 degrees, 5 at least."""
-    return int(max(round(degrees / _STEP_DEG), 1) * _STEP_DEG)
+    return max(round(degrees / 5.0), 1) * 5
 
 
 def format_moment(seconds: float) -> str:

@@ -233,7 +233,7 @@ def test_doubtful_names_are_told_apart_in_strips_and_tables(studio, recording, w
 
     name = upload(studio, recording)
     label(studio, name, wait_job)
-    monkeypatch.setattr("dousa.app.studio.content.corrections.lay_over", doubt)
+    monkeypatch.setattr("dousa.app.studio.api.takes.lay_over", doubt)
     told = studio.get("/api/takes/strips", params={"motion": name}).json()["takes"][name]["segments"]
     assert told[0].items() >= {"category": None, "unknown": True, "perhaps": True, "guess": "kick"}.items()
     assert not any(one["perhaps"] for one in told[1:])

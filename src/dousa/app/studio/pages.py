@@ -11,7 +11,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from importlib.resources.abc import Traversable
+from typing import Any
 
 from fastapi import APIRouter, FastAPI, Request
 from jinja2 import Environment, FunctionLoader, StrictUndefined, select_autoescape
@@ -23,10 +24,8 @@ import dousa
 from dousa.app.player.data import format_player_data, read_player_script, read_player_style
 from dousa.app.report import read_report_script, read_report_style
 from dousa.app.studio.core.answers import Answer, RefusedError
+from dousa.extras import find_font
 from dousa.messages import LANGUAGES, get_language
-
-if TYPE_CHECKING:
-    from importlib.resources.abc import Traversable
 
 PAGES = ("library", "search", "takes", "evaluate", "estimate", "live")
 """Pages with a place in the head of every page; each has a template, words and a script of its name."""
@@ -190,8 +189,6 @@ def _collect(folder: Traversable, prefix: str, known: dict[str, tuple[bytes, str
 
 def _read_font() -> bytes:
     """Read a Japanese font for machines that have none; browsers fetch it only when it is needed."""
-    from dousa.extras import find_font
-
     path = find_font()
     return b"" if path is None else path.read_bytes()
 

@@ -26,6 +26,9 @@ from starlette.routing import BaseRoute
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 import dousa
+from dousa.app.player.data import encode_pair
+from dousa.app.studio import pages
+from dousa.app.studio.api import ROUTERS
 from dousa.app.studio.api.clips import ONE_LINE
 from dousa.app.studio.api.estimation import FRAMES_FORM
 from dousa.app.studio.api.motions import CHARACTER_FORM
@@ -41,8 +44,6 @@ from dousa.app.studio.work.worker import make_lanes
 from dousa.errors import DousaError, OptionError
 from dousa.extras import require
 from dousa.messages import Message
-
-_TRIES = 20  # ports after the one asked for
 
 
 def serve(
@@ -157,8 +158,9 @@ def _tame_memory() -> None:
         libc.mallopt(-3, 256 * 1024)  # M_MMAP_THRESHOLD
 
 
-def _listen(settings: Settings) -> tuple[socket.socket, int]:
-    for port in range(settings.port, min(settings.port + _TRIES, 65536)):
+def _listen(settings: Settings, *, tries: int = 20) -> tuple[socket.socket, int]:
+    # tries: ports after the one asked for
+    for port in range(settings.port, min(settings.port + tries, 65536)):
         # The protocol is named, else asyncio does not switch Nagle off, and small answers wait 40 ms.
         listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -169,7 +171,7 @@ def _listen(settings: Settings) -> tuple[socket.socket, int]:
             continue
         listener.listen(128)
         return listener, listener.getsockname()[1]
-    raise OptionError("studio.no_port", first=settings.port, last=settings.port + _TRIES - 1)
+    raise OptionError("studio.no_port", first=settings.port, last=settings.port + tries - 1)
 
 
 _DESCRIPTION = """Motion retrieval, evaluation and estimation over HTTP, on this machine only. Every request carries
@@ -186,8 +188,6 @@ def create_app(settings: Settings, *, uses_alias: bool = False) -> FastAPI:
     settings : of the studio.
     uses_alias : send browsers to a host name that only this studio has.
     """
-    from dousa.app.studio import pages
-
     studio = Studio(settings, make_lanes)
     if uses_alias:
         settings = replace(settings, alias=studio.workspace.read_alias())
@@ -217,9 +217,6 @@ def create_app(settings: Settings, *, uses_alias: bool = False) -> FastAPI:
 @cache
 def _make_routes() -> tuple[BaseRoute, ...]:
     """Make the routes, which are the same for every studio: to build their models takes 0.1 s."""
-    from dousa.app.studio import pages
-    from dousa.app.studio.api import ROUTERS
-
     app = FastAPI(
         openapi_url=None,
         default_response_class=Answer,
@@ -390,8 +387,6 @@ class PatientProtocol(H11Protocol):
 
 def warm_up(studio: Studio) -> None:
     """Load kernels, the forest and the index by one search and one pair; without a forest there is nothing to load."""
-    from dousa.app.player.data import encode_pair
-
     with suppress(DousaError):
         clips = [clip for clip in studio.library.clips() if clip.kind == "clip" and not clip.absent]
         if clips:

@@ -12,14 +12,16 @@ import socket
 import ssl
 import threading
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from functools import partial
 from ipaddress import IPv4Address
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 from urllib.parse import parse_qsl, quote
 
 from fastapi import APIRouter, Depends, FastAPI, Query, Request
+from starlette.datastructures import Headers
 from starlette.responses import Response
+from starlette.types import ASGIApp, Receive, Scope
 
 from dousa.app.studio import pages
 from dousa.app.studio.api import evaluation, motions
@@ -35,19 +37,10 @@ from dousa.app.studio.content.sharing import (
     provide_certificate,
 )
 from dousa.app.studio.content.studio import Studio, StudioNow
-from dousa.app.studio.core.answers import BYTES, Answer, RefusedError
+from dousa.app.studio.core.answers import FILE, Answer, RefusedError
 from dousa.app.studio.core.guard import RequestGuard, check_names, read_cookies
 from dousa.errors import OptionError
 from dousa.extras import require
-
-if TYPE_CHECKING:
-    from collections.abc import Coroutine
-
-    from starlette.datastructures import Headers
-    from starlette.types import ASGIApp, Receive, Scope
-
-    from dousa.app.studio.content.sharing import ShareLink, ShareLinks
-
 
 LINK = "share_link"
 """Name of the link in the state of a request."""
@@ -174,12 +167,12 @@ def list_clips(
     """Clips of the library: number, name, category and length; no names of performers, no folders."""
     snapshot = studio.listing.now()
     rows = snapshot.find(ClipQuery(text)).rows
-    told = [snapshot.describe(row) for row in rows[offset : offset + limit]]
+    described = [snapshot.describe(row) for row in rows[offset : offset + limit]]
     names = ("id", "name", "category", "duration")
-    return Answer({"total": len(rows), "items": [{name: one[name] for name in names} for one in told]})
+    return Answer({"total": len(rows), "items": [{name: one[name] for name in names} for one in described]})
 
 
-@router.get("/motions/miniature", dependencies=_EVERYTHING, responses=BYTES)
+@router.get("/motions/miniature", dependencies=_EVERYTHING, **FILE)
 def get_miniature(studio: StudioNow, asked: _Clip) -> Response:
     """A small moving figure."""
     return motions.get_miniature(studio, asked)

@@ -28,8 +28,6 @@ from dousa.files.json_values import round_number
 from dousa.messages import Message
 from dousa.motion.runs import find_runs
 
-_ALIKE = 1.0 - float(np.cos(np.radians(25.0)))  # mean over segments and moments
-
 
 def find_other_figure(
     reference: PostureSequence,
@@ -43,6 +41,7 @@ def find_other_figure(
     shortest_s: float = 0.6,
     fade_s: float = 0.4,
     better: float = 0.4,
+    most_unlike: float = 1.0 - float(np.cos(np.radians(25.0))),
 ) -> int | None:
     """Find the number of the figure, from 0, that a stretch resembles instead of the expected one.
 
@@ -52,6 +51,7 @@ def find_other_figure(
     by less than better times the difference from the expected one. Returns None if nothing elsewhere is similar, or
     only the same figure again.
     """
+    # most_unlike: 1 - cosine, mean over segments and moments: 25 degrees
     if len(performance) < shortest_s * frame_rate or not np.isfinite(expected_s):
         return None
     fade = int(min(fade_s, 0.2 * len(performance) / frame_rate) * frame_rate)
@@ -73,7 +73,7 @@ def find_other_figure(
     if not away.any():
         return None
     best = int(starts[away][mean[away].argmin()])
-    if mean[best] > _ALIKE or mean[best] > better * mean[here]:
+    if mean[best] > most_unlike or mean[best] > better * mean[here]:
         return None
     spans = [
         (min(one.reference_end_s, start + count * step) - max(one.reference_start_s, start)) / (count * step)

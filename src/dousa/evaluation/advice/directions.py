@@ -144,11 +144,6 @@ def _estimate_yaw(
     return np.angle(turn)
 
 
-LEAST_DEG = 8.0
-"""Degrees; a smaller correction is not said."""
-
-_ACROSS = 0.35  # sine between limb and axis of the body, below which it cannot go further that way
-_LEVEL = 0.1  # horizontal part below which a limb hangs
 _ALIKE_DEG, _ALIKE_SHARE = 10.0, 0.35  # amounts of left and right that are said as one
 _UP, _FRONT, _LEFT = np.eye(3)[1], np.eye(3)[2], np.eye(3)[0]
 
@@ -275,13 +270,14 @@ def _fit_limb(
     return _choose(fits)
 
 
-def _choose(fits: list[_Fit], *, least_share: float = 0.6, rather: float = 0.1) -> _Fit | None:
+def _choose(fits: list[_Fit], *, least_share: float = 0.6, rather: float = 0.1, least_deg: float = 8.0) -> _Fit | None:
     """The one that takes most away, an earlier one if it is nearly as good; the opposite word if it is negative."""
+    # least_deg: Degrees; a smaller correction is not said
     # least_share: of the difference that a direction must take away; rather: more of the difference must a direction
     # take away to be said instead of a more usual one
     most = max((fit.share for fit in fits), default=0.0)
     best = next((fit for fit in fits if fit.share >= max(least_share, most - rather)), None)
-    if best is None or abs(np.degrees(best.angle)) < LEAST_DEG:
+    if best is None or abs(np.degrees(best.angle)) < least_deg:
         return None
     direction = best.direction if best.angle > 0 else OPPOSITES.get(best.direction, best.direction)
     return _Fit(direction, best.members, abs(best.angle), best.share, best.gain)
@@ -310,23 +306,32 @@ def _measure_bend(poses: FloatArray, limb: tuple[int, ...]) -> FloatArray:
 
 
 def _list_axes(
-    ours: FloatArray, theirs: FloatArray, members: tuple[int, ...], side: float, *, hanging_deg: float = -60.0
+    ours: FloatArray,
+    theirs: FloatArray,
+    members: tuple[int, ...],
+    side: float,
+    *,
+    hanging_deg: float = -60.0,
+    least_across: float = 0.35,
+    least_level: float = 0.1,
 ) -> Iterator[tuple[str, FloatArray]]:
     """Directions that a limb can go, the usual words first, with the axes (N, 3) that it turns about."""
+    # least_level: horizontal part below which a limb hangs
+    # least_across: sine between limb and axis of the body, below which it cannot go further that way
     # hanging_deg: elevation below which people say forward and outward rather than higher
     columns = list(members)
     limbs = ours[:, columns].sum(axis=1) + theirs[:, columns].sum(axis=1)
     mean = _unit(limbs)
     level = (limbs * [1.0, 0.0, 1.0]).mean(axis=0) / len(members)
     found: list[tuple[str, FloatArray]] = []
-    if np.linalg.norm(level) >= _LEVEL:
+    if np.linalg.norm(level) >= least_level:
         axis = np.cross(level / np.linalg.norm(level), _UP)
         found.append(("up", np.tile(axis, (len(ours), 1))))
     apart = np.abs((theirs[:, columns] - ours[:, columns]).sum(axis=1).mean(axis=0))
     ways = [("forward", _FRONT), ("outward", side * _LEFT)]
     for direction, way in ways if apart[2] >= apart[0] else ways[::-1]:
         across = np.cross(mean, way)
-        if np.median(np.linalg.norm(across, axis=1)) >= _ACROSS:
+        if np.median(np.linalg.norm(across, axis=1)) >= least_across:
             found.append((direction, _unit(across)))
     hanging = np.sin(np.radians(hanging_deg))
     if max(float(np.median(_unit(poses[:, columns].sum(axis=1))[:, 1])) for poses in (ours, theirs)) < hanging:

@@ -17,14 +17,12 @@ from dousa.evaluation.posture.posture import Working
 from dousa.evaluation.words import date, describe_lapse
 from dousa.messages import Message
 
-COARSE_RATE = 10.0  # Hz
-_SMALL = 1.0 - np.cos(np.radians(8.0))  # dissimilarity of the same pose taken twice
-_LARGE = 25.0 * _SMALL  # about 40 deg: a larger dissimilarity says no more than this
-JUMP_S = 2.5  # s of complete mismatch that are worth a new line
+COARSE_RATE = 10.0  # Hz, see docs/evaluation.md
+_SMALL = 1.0 - np.cos(np.radians(8.0))  # dissimilarity of the same pose taken twice, see docs/evaluation.md
+JUMP_S = 2.5  # s of complete mismatch that are worth a new line, see docs/evaluation.md
 PAUSE = {"same": 1e9, "free": 0.35}  # of a frame's full cost
 OUTSIDE = 0.75
-_ENOUGH = 0.5  # of the shorter motion
-_SAME_LINE_S = 1.0  # s; lines nearer than this are one line and a lag
+_SAME_LINE_S = 1.0  # s; lines nearer than this are one line and a lag, see docs/evaluation.md
 _SLOPES = (0.4, 2.5)  # reference per performance time
 _SHORT_S, _SHORT_RATIO, _SHORT_SHARE = 8.0, 2.0, 0.65
 
@@ -163,9 +161,10 @@ def extrapolate(x: FloatArray, known: FloatArray, values: FloatArray) -> FloatAr
     return np.where(x > known[-1], values[-1] + slope * (x - known[-1]), found)
 
 
-def to_cost(similarity: NDArray[np.floating]) -> FloatArray:
+def to_cost(similarity: NDArray[np.floating], *, large: float = 25.0 * _SMALL) -> FloatArray:
     """0 for equal poses, 1 for poses with nothing in common; steep at first, so that the most frames decide."""
-    cost: FloatArray = np.log1p(np.clip(1.0 - similarity, 0.0, _LARGE) / _SMALL) / np.log1p(_LARGE / _SMALL)
+    # large: about 40 deg: a larger dissimilarity says no more than this
+    cost: FloatArray = np.log1p(np.clip(1.0 - similarity, 0.0, large) / _SMALL) / np.log1p(large / _SMALL)
     return cost
 
 
@@ -174,7 +173,7 @@ def _measure_mismatch(frames: FloatArray, cost: FloatArray) -> float:
     inside = (frames >= -0.5) & (frames <= cost.shape[1] - 0.5)
     columns = np.clip(np.rint(frames).astype(np.intp), 0, cost.shape[1] - 1)
     costs = np.where(inside, cost[np.arange(len(frames)), columns], OUTSIDE)
-    enough = inside.sum() >= _ENOUGH * min(cost.shape)
+    enough = inside.sum() >= 0.5 * min(cost.shape)
     return float(costs[inside].mean() if enough else costs.mean())
 
 
@@ -309,7 +308,6 @@ def _measure_tempo(frames: FloatArray, runs: tuple[Run, ...]) -> float:
 
 _SHORTEST_END_S = 0.7  # recordings are cut half a second earlier or later as it comes
 NO_LIKENESS = 0.74  # mismatch of a performance whose lines mean nothing
-_STILL = 0.35  # of the reference's speed, below which a performer stands still
 
 
 @dataclass(frozen=True, slots=True)
@@ -425,16 +423,18 @@ def _find_still(
     *,
     slowest: float = 0.25,
     still_share: float = 0.7,
+    slow: float = 0.35,
 ) -> tuple[int, int] | None:
     """The stretch around a break, as long as the time lost, in which the performer stands still, if there is one."""
     # slowest: rad/s, as fast as a standing person and a tracker waver; still_share: of the lost time
+    # slow: of the reference's speed: below, a performer stands still
     length = max(1, round(lost))
     # The break between the lines lies somewhere in the stop.
     low, high = max(0, start - length), min(len(speed), start + length)
     if high - low < length:
         return None
     around = usual[max(0, int(span[0])) : max(int(span[1]), int(span[0]) + 1)]
-    limit = max(_STILL * float(np.median(around if len(around) else usual)), slowest)
+    limit = max(slow * float(np.median(around if len(around) else usual)), slowest)
     still = (speed[low:high] < limit).astype(np.float64)
     shares = np.convolve(still, np.ones(length) / length, mode="valid")
     best = shares.max()

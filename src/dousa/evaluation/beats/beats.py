@@ -125,10 +125,9 @@ def read_beats(path: str | os.PathLike[str], *, shown: int = 40) -> Beats:
         raise MotionFileError(path, error.message) from None
 
 
-_RATE = 22_050  # Hz
-
-
-def find_beats(path: str | os.PathLike[str], *, hop: int = 256, silent: float = 1e-4) -> Beats:
+def find_beats(
+    path: str | os.PathLike[str], *, hop: int = 256, silent: float = 1e-4, sample_rate: int = 22050
+) -> Beats:
     """Find the beats of a sound file.
 
     Parameters
@@ -136,6 +135,7 @@ def find_beats(path: str | os.PathLike[str], *, hop: int = 256, silent: float = 
     path : WAV, FLAC, OGG, MP3 and what else libsndfile reads; up to an hour.
     hop : samples from one value of the onset curve to the next.
     silent : share of full scale that silence stays below.
+    sample_rate : Hz, of the sound as it is analysed.
 
     Raises
     ------
@@ -148,14 +148,14 @@ def find_beats(path: str | os.PathLike[str], *, hop: int = 256, silent: float = 
         raise MotionFileError(path, "beats.silent", seconds=len(samples) / rate)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of very short pieces: an error of ours follows
-        samples = librosa.resample(samples, orig_sr=rate, target_sr=_RATE)
-        onsets = librosa.onset.onset_strength(y=samples, sr=_RATE, hop_length=hop, aggregate=np.median)
-        _, frames = librosa.beat.beat_track(onset_envelope=onsets, sr=_RATE, hop_length=hop, trim=False)
-    times = np.asarray(frames, np.float64) * hop / _RATE
+        samples = librosa.resample(samples, orig_sr=rate, target_sr=sample_rate)
+        onsets = librosa.onset.onset_strength(y=samples, sr=sample_rate, hop_length=hop, aggregate=np.median)
+        _, frames = librosa.beat.beat_track(onset_envelope=onsets, sr=sample_rate, hop_length=hop, trim=False)
+    times = np.asarray(frames, np.float64) * hop / sample_rate
     try:
         return Beats(times)
     except OptionError:
-        raise MotionFileError(path, "beats.no_beat", seconds=len(samples) / _RATE) from None
+        raise MotionFileError(path, "beats.no_beat", seconds=len(samples) / sample_rate) from None
 
 
 def _read(soundfile: Any, path: str | os.PathLike[str], *, longest_s: float = 3600.0) -> tuple[FloatArray, int]:
@@ -173,8 +173,7 @@ def _read(soundfile: Any, path: str | os.PathLike[str], *, longest_s: float = 36
 
 
 _FEWEST_ACCENTS = 5  # accents that an answer rests on
-_CHANCE = 0.01  # p: agreement that chance gives as rarely as this is agreement
-_STEEPEST = 30.0  # ms a second of drift looked for
+_CHANCE = 0.01  # p: agreement that chance gives as rarely as this is agreement, see docs/evaluation.md
 
 
 @dataclass(frozen=True, slots=True)
@@ -433,13 +432,14 @@ def _rayleigh(n: int, length: float) -> float:
 
 
 def _find_slope(
-    counted: FloatArray, times: FloatArray, period_s: float, *, drift_gain: float = 6.0
+    counted: FloatArray, times: FloatArray, period_s: float, *, drift_gain: float = 6.0, steepest_ms: float = 30.0
 ) -> tuple[float, float, int]:
     """Drift, beats a second, at which the accents agree best; their agreement; how many drifts were tried."""
+    # steepest_ms: a second, of the drift looked for
     # drift_gain: log-likelihood that a drift must win
     plain = float(np.abs(np.exp(2j * np.pi * counted).mean()))
     lasting = float(np.ptp(times))
-    steepest = _STEEPEST / 1000.0 / period_s
+    steepest = steepest_ms / 1000.0 / period_s
     n = int(np.ceil(steepest * lasting / 0.125))
     slopes = np.linspace(-steepest, steepest, 2 * n + 1)
     middle = times - times.mean()

@@ -24,8 +24,6 @@ from dousa.evaluation.posture.posture import LIMBS, MIRRORED_SEGMENTS, SEGMENTS
 N_LIMBS = len(LIMBS)
 LIMB_OF = np.array([next(i for i, limb in enumerate(LIMBS.values()) if s in limb) for s in range(len(SEGMENTS))])
 """Limb of each segment."""
-RATE = 15.0
-"""Moments a second that are described, about."""
 
 
 _PER_WINDOW = (
@@ -53,7 +51,6 @@ _PER_WINDOW = (
 )
 _LAG = _PER_WINDOW.index("lag")
 _SLIGHT = 0.03  # rad
-_KERNEL = np.ones(9) / 9.0
 _FLIP = np.array([-1.0, 1.0, 1.0])  # mirror image by definition: x negated
 _SORTED = ("own", "best", "at_body", "path", "left_by_gain", "gain", "lag_beside_body")
 
@@ -67,9 +64,9 @@ class Descriptors:
     body: NDArray[np.float32]  # (N, G) float32, of all limbs in common
 
 
-def choose_stride(rate: float) -> int:
-    """Choose the number of working frames from one described moment to the next."""
-    return max(1, round(rate / RATE))
+def choose_stride(rate: float, *, moments_a_second: float = 15.0) -> int:
+    """Choose the number of working frames from one of the described moments, about 15 a second, to the next."""
+    return max(1, round(rate / moments_a_second))
 
 
 _KINDS = ("shift", "incomplete", "partial", "global")
@@ -204,7 +201,7 @@ def _follow_lags(evidence: Evidence, *, beside_s: tuple[float, float] = (1.0, 2.
         if limb == N_LIMBS:
             together, trend = lag, _find_trend(lag)
         here = np.take_along_axis(cost, course[:, None], axis=1)[:, 0]
-        explained = np.convolve(cost[:, evidence.center] - here, _KERNEL, mode="same")[:count] / len(segments)
+        explained = np.convolve(cost[:, evidence.center] - here, np.ones(9) / 9.0, mode="same")[:count] / len(segments)
         edges = np.concatenate([[True], np.sign(lag[1:]) != np.sign(lag[:-1])])
         run = np.cumsum(edges) - 1
         lasts = np.bincount(run)[run] * step_s

@@ -20,8 +20,8 @@ from dousa.evaluation.posture.posture import LIMBS, SEGMENTS, Working, interpola
 from dousa.evaluation.posture.yaw import rotate_yaw
 from dousa.motion.runs import find_runs
 
-MAX_LAG_S = 1.2
-YAW_WINDOW_S = 0.6
+MAX_LAG_S = 1.2  # see docs/evaluation.md
+YAW_WINDOW_S = 0.6  # see docs/evaluation.md
 YAW_SCALE = np.radians(12.0)  # chord from which a segment loses its say in the heading
 
 
@@ -190,8 +190,6 @@ GROUPS: dict[str, NDArray[np.intp]] = {"body": np.arange(len(SEGMENTS))} | {
 }
 """What shrinks as one: the body, or a limb."""
 
-_SMALLER = 0.84  # gain
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GainFit:
@@ -329,6 +327,7 @@ def _weigh(
     evidence: float = 8.0,
     unexplained_share: float = 0.45,
     short: float = np.radians(10.0),
+    most_gain: float = 0.84,
 ) -> FloatArray:
     """(N,) how clearly a gain below one explains windows of (N, S) sums of squares about their means; 0 if not."""
     # short: rad of range that are missing
@@ -345,7 +344,7 @@ def _weigh(
         (same_size - smaller > evidence)
         & (missing > short)
         & (gain > 0.0)
-        & (gain < _SMALLER)
+        & (gain < most_gain)
         & (smaller < unexplained_share * same_size)
     )
     # A longer window must be worth its length.
@@ -384,7 +383,7 @@ def measure_missing_range(
 
 
 CAP = 9.0
-"""A segment three times out of tolerance is wrong; how much further out says no more."""
+"""The square of three, by definition: three times out of tolerance a segment is wrong; further out says no more."""
 
 SLACK_S = 0.07
 """s; no person is steadier in time than this, so a smaller lag is forgiven."""
@@ -394,7 +393,6 @@ LIMB_SEGMENTS: tuple[NDArray[np.intp], ...] = tuple(np.array(indices) for indice
 # All in units of one frame at 30 Hz with one segment at its tolerance.
 LAG_CHANGE = 2.0  # price of one column of lag more or less
 LAG_PRICE = 0.15  # and of being late at all, a frame and column: of two explanations the nearer one
-_BODY = 0.45  # mean over all segments from which the body as a whole is off
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -489,15 +487,16 @@ def refine_lag(evidence: Evidence, course: NDArray[np.intp], first: int = 0) -> 
 
 
 def find_stretches(
-    evidence: Evidence, *, change: float = 8.0, bridge_s: float = 0.25, apart_s: float = 0.3
+    evidence: Evidence, *, change: float = 8.0, bridge_s: float = 0.25, apart_s: float = 0.3, body_off: float = 0.45
 ) -> list[tuple[int, int]]:
     """Find half-open stretches of frames with a wrong limb, body, time or size."""
+    # body_off: mean over all segments from which the body as a whole is off
     # change: price of starting or ending a stretch
     per_frame = 30.0 / evidence.rate
     wrong = np.zeros(len(evidence.ordinary), np.bool_)
     for limb in LIMB_SEGMENTS:
         wrong |= switch_on((evidence.ordinary[:, limb].max(axis=1) - 1.0) * per_frame, change)
-    body = evidence.ordinary.mean(axis=1) - _BODY
+    body = evidence.ordinary.mean(axis=1) - body_off
     wrong |= switch_on(3.0 * body * per_frame, change)
     wrong |= _find_lags(evidence)
     shrunk = find_shrunk(evidence.deviations, evidence.tolerance, evidence.rate)

@@ -75,10 +75,9 @@ def compute_unreached(evidence: Evidence, start: int, end: int, first: int, last
     return averaged
 
 
-_PRICE = 10.0  # of an explanation with a number in it: a lag, a gain
-_SURPRISE = 2.0  # of a segment that does something else, a frame
-_DOUBT = 0.15  # what a frame must be explained better to belong to the error
-_UNREACHED = 5.0  # squared ratio from which an extreme was not reached
+_PRICE = 10.0  # of an explanation with a number in it: a lag, a gain; chosen as lab/notes/evaluation.md says
+_SURPRISE = 2.0  # of a segment that does something else, a frame; chosen as lab/notes/evaluation.md says
+_DOUBT = 0.15  # what a frame must be explained better to belong to the error; chosen as lab/notes/evaluation.md says
 _ON_PATH, _ON_PATH_SHARE, _OFF_PATH = 4.5, 0.55, 9.0
 _OFF_CENTER, _UNEXPLAINED = 1.5, 0.6
 _OFF_CENTER_CLEAR, _CLEAR = 3.0, 0.2  # what shrinks to its first pose, if shrinking explains nearly all
@@ -90,7 +89,7 @@ _LONGEST_LAG, _LONGEST_LAG_S = 0.5, 0.6
 _GLOBAL_LIMBS, _GLOBAL_SEGMENTS = 3, 4  # or so many, spread over the body
 _LARGER, _LEAST_EXCESS = 1.2, np.radians(10.0)
 _BY_TIME = ("shift", "stops short")
-_SHORTEST_S = 0.25
+_SHORTEST_S = 0.25  # s of an error, see "Limits" in docs/evaluation.md
 BODY = np.arange(9)  # all segments, by definition
 
 
@@ -182,8 +181,10 @@ def _explain_by_time(
     *,
     unreached_turning: float = 2.0,
     off_path_segment: float = 4.0,
+    unreached_ratio: float = 5.0,
 ) -> list[_Hypothesis]:
     """Late or early; or on the path of the reference, but not to its end."""
+    # unreached_ratio: squared ratio from which an extreme was not reached
     # unreached_turning: and if the performance is late on the way there, and early on the way back
     scale = _per_frame(evidence)
     ordinary = evidence.ordinary[first:last]
@@ -192,7 +193,7 @@ def _explain_by_time(
     unreached = float(np.where(wrong, 0.0, compute_unreached(evidence, start, end, first, last)).max())
     lag = refine_lag(evidence, evidence.course[start:end], start)
     turned_back = bool((lag > evidence.slack_s).any() and (lag < -evidence.slack_s).any())
-    missed = unreached >= (unreached_turning if turned_back else _UNREACHED)
+    missed = unreached >= (unreached_turning if turned_back else unreached_ratio)
     if missed and not _keeps_its_lag(evidence, start, end):
         if _holds_a_limb(evidence, start, end):
             return []

@@ -48,25 +48,7 @@ ANGLES: tuple[str, ...] = (
 """All joint angles, in the order of reports. ``trunk_lean`` is away from the vertical in any direction; to
 the side, left is positive."""
 
-ANGLE_NAMES: Mapping[str, Message] = {
-    "left_elbow_flexion": Message("joint_angles.left_elbow_flexion"),
-    "right_elbow_flexion": Message("joint_angles.right_elbow_flexion"),
-    "left_shoulder_elevation": Message("joint_angles.left_shoulder_elevation"),
-    "right_shoulder_elevation": Message("joint_angles.right_shoulder_elevation"),
-    "left_shoulder_flexion": Message("joint_angles.left_shoulder_flexion"),
-    "right_shoulder_flexion": Message("joint_angles.right_shoulder_flexion"),
-    "left_shoulder_abduction": Message("joint_angles.left_shoulder_abduction"),
-    "right_shoulder_abduction": Message("joint_angles.right_shoulder_abduction"),
-    "left_hip_flexion": Message("joint_angles.left_hip_flexion"),
-    "right_hip_flexion": Message("joint_angles.right_hip_flexion"),
-    "left_hip_abduction": Message("joint_angles.left_hip_abduction"),
-    "right_hip_abduction": Message("joint_angles.right_hip_abduction"),
-    "left_knee_flexion": Message("joint_angles.left_knee_flexion"),
-    "right_knee_flexion": Message("joint_angles.right_knee_flexion"),
-    "trunk_lean": Message("joint_angles.trunk_lean"),
-    "trunk_forward_lean": Message("joint_angles.trunk_forward_lean"),
-    "trunk_side_lean": Message("joint_angles.trunk_side_lean"),
-}
+ANGLE_NAMES: Mapping[str, Message] = {name: Message(f"joint_angles.{name}") for name in ANGLES}
 """Angle -> its name."""
 
 MOVING_DEG = 20.0

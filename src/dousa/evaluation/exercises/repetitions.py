@@ -44,7 +44,8 @@ from dousa.motion import CanonicalMotion
 from dousa.motion.canonical.canonicalise import mirror_canonical
 
 LEVEL = 0.05
-"""Two-sided probability below which a trend is called distinguishable from none."""
+"""Two-sided probability below which a trend is called distinguishable from none: the convention of R. A. Fisher,
+"Statistical Methods for Research Workers", 1925."""
 _EXACT_UP_TO = 40  # repetitions without ties; beyond, and with ties, the normal approximation
 
 
@@ -449,21 +450,12 @@ def _describe(one: AssessedRepetition, number: int) -> dict[str, Any]:
     }
 
 
-PAIR_NAMES: Mapping[str, Message] = {
-    "elbow_flexion": Message("exercise_table.elbow_flexion"),
-    "shoulder_elevation": Message("exercise_table.shoulder_elevation"),
-    "shoulder_flexion": Message("exercise_table.shoulder_flexion"),
-    "shoulder_abduction": Message("exercise_table.shoulder_abduction"),
-    "hip_flexion": Message("exercise_table.hip_flexion"),
-    "hip_abduction": Message("exercise_table.hip_abduction"),
-    "knee_flexion": Message("exercise_table.knee_flexion"),
-}
+PAIR_NAMES: Mapping[str, Message] = {name: Message(f"exercise_table.{name}") for name in PAIRED_ANGLES}
 """Angle of both sides -> its name."""
 
 SHORT, FAR = 85.0, 120.0
 """Percent of the reference's range: a joint that goes less far, or further, is reported."""
 _SLOWER, _FASTER = 1.2, 1 / 1.2  # of the reference's duration
-_UNEVEN = 15.0  # percent, symmetry index that is reported
 _MOST_ANGLES = 4  # that a table has room for
 
 
@@ -585,7 +577,10 @@ def _say_tempo(assessment: RepetitionsAssessment) -> list[Message]:
     return []
 
 
-def _say_sides(assessment: RepetitionsAssessment, *, unlike_reference: float = 10.0) -> list[Message]:
+def _say_sides(
+    assessment: RepetitionsAssessment, *, unlike_reference: float = 10.0, least_uneven: float = 15.0
+) -> list[Message]:
+    # least_uneven: percent, symmetry index that is reported
     # unlike_reference: and by how much it must be beyond the reference's own
     pair = choose_pair(assessment)
     if pair is None:
@@ -593,26 +588,23 @@ def _say_sides(assessment: RepetitionsAssessment, *, unlike_reference: float = 1
     uneven = compute_median([one.symmetry[pair] for one in assessment.complete])
     left, right = (assessment.reference_ranges[f"{side}_{pair}"] for side in ("left", "right"))
     own = compute_symmetry_index(left, right)
-    if not (abs(uneven) >= _UNEVEN and abs(uneven - own) >= unlike_reference):
+    if not (abs(uneven) >= least_uneven and abs(uneven - own) >= unlike_reference):
         return []
     code = "exercise_summary.left_further" if uneven > 0 else "exercise_summary.right_further"
     return [Message(code, angle=PAIR_NAMES[pair], percent=abs(uneven))]
 
 
 def _say_trend(name: str, trend: Trend) -> Message:
-    if name == "duration_s":
-        what = Message("exercise_table.measure_duration")
-        return Message("exercise_table.trend_seconds", what=what, slope=trend.slope, p=trend.adjusted_p)
-    if name == "pause_s":
-        what = Message("exercise_table.measure_pause")
-        return Message("exercise_table.trend_seconds", what=what, slope=trend.slope, p=trend.adjusted_p)
-    if name == "score":
-        what = Message("exercise_table.measure_score")
-        return Message("exercise_table.trend_points", what=what, slope=trend.slope, p=trend.adjusted_p)
-    if name == "extent":
-        what = Message("exercise_table.measure_extent")
-        return Message("exercise_table.trend_percent", what=what, slope=100 * trend.slope, p=trend.adjusted_p)
-    if name.startswith("symmetry_"):
-        what = Message("exercise_table.measure_symmetry", angle=PAIR_NAMES[name.removeprefix("symmetry_")])
-        return Message("exercise_table.trend_percent", what=what, slope=trend.slope, p=trend.adjusted_p)
-    return Message("exercise_table.trend_degrees", what=ANGLE_NAMES[name], slope=trend.slope, p=trend.adjusted_p)
+    code, slope = "exercise_table.trend_degrees", trend.slope
+    if name in ("duration_s", "pause_s"):
+        code, what = "exercise_table.trend_seconds", Message(f"exercise_table.measure_{name.removesuffix('_s')}")
+    elif name == "score":
+        code, what = "exercise_table.trend_points", Message("exercise_table.measure_score")
+    elif name == "extent":
+        code, what, slope = "exercise_table.trend_percent", Message("exercise_table.measure_extent"), 100 * slope
+    elif name.startswith("symmetry_"):
+        angle = PAIR_NAMES[name.removeprefix("symmetry_")]
+        code, what = "exercise_table.trend_percent", Message("exercise_table.measure_symmetry", angle=angle)
+    else:
+        what = ANGLE_NAMES[name]
+    return Message(code, what=what, slope=slope, p=trend.adjusted_p)

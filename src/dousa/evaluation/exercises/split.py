@@ -27,19 +27,20 @@ from dousa.motion.runs import find_runs
 
 STAY, SKIP = 0.2, 0.2
 """Price of a frame during which the template waits, and of every frame of the template that is left out."""
-ENTRY = 0.03
-"""Price of beginning a repetition, as a share of the template's frames."""
 
 Matrix = NDArray[np.float64]
 
 
-def parse_passes(cost: Matrix, outside: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
+def parse_passes(
+    cost: Matrix, outside: NDArray[np.float64], *, entry: float = 0.03
+) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
     """Find the cheapest reading of a recording as passes through a template and the time between them.
 
     Parameters
     ----------
     cost : (T, n) of pairing a frame of the recording with one of the template.
     outside : (T,) cost of a frame that belongs to no pass.
+    entry : price of beginning a repetition, as a share of the template's frames.
 
     Returns
     -------
@@ -49,7 +50,7 @@ def parse_passes(cost: Matrix, outside: NDArray[np.float64]) -> tuple[NDArray[np
     """
     if len(cost) == 0 or cost.shape[1] == 0:
         return np.zeros((0, 2), np.int64), np.zeros(0), float(outside.sum())
-    total, origin, from_pass = _accumulate(cost, outside, STAY, SKIP, ENTRY * cost.shape[1])
+    total, origin, from_pass = _accumulate(cost, outside, STAY, SKIP, entry * cost.shape[1])
     bounds = _trace(origin, from_pass, total[-1, -1] < total[-1, 0])
     before = np.array([total[start - 1, [0, -1]].min() if start else 0.0 for start, _ in bounds])
     prices = (total[bounds[:, 1] - 1, -1] - before) / np.maximum(bounds[:, 1] - bounds[:, 0], 1)
@@ -110,9 +111,6 @@ def _trace(origin, from_pass, in_pass):  # type: ignore[no-untyped-def]  # pragm
     return bounds[:count][::-1].copy()
 
 
-_RATE = 15.0  # Hz at which repetitions are looked for; their bounds are found at the full rate
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PostureCurve:
     """Postures without heading, as points of a space in which distances are chords."""
@@ -129,13 +127,14 @@ class PostureCurve:
         return self.fine_rate / self.stride
 
 
-def compute_curve(postures: PostureSequence, *, smooth_s: float = 0.06) -> PostureCurve:
+def compute_curve(postures: PostureSequence, *, smooth_s: float = 0.06, coarse_rate: float = 15.0) -> PostureCurve:
     """Take the heading off, which turns slowly, and smooth what a sensor adds."""
+    # coarse_rate: Hz at which repetitions are looked for; their bounds are found at the full rate
     rate = postures.frame_rate
     heading = _follow_heading(thin_postures(postures), postures.n_frames)
     turned = rotate_yaw(postures.segments, -heading).reshape(postures.n_frames, -1)
     fine = smooth_gaussian(turned, max(smooth_s * rate, 0.3))
-    stride = max(1, round(rate / _RATE))
+    stride = max(1, round(rate / coarse_rate))
     return PostureCurve(
         fine, rate, np.ascontiguousarray(fine[::stride]), stride, postures.positions[::stride, 0][:, [0, 2]]
     )
@@ -181,12 +180,9 @@ def _squared(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 LEAST_EXCURSION = 0.25
-"""Chord: what moves less (a limb of two segments by 10 degrees) is standing still."""
-COMPLETE = 0.65
-"""Share of the displacement of the template, or of the usual repetition if that is more, that makes one complete."""
-_BESIDE = 0.5  # share of its displacement by which a broken-off repetition may be beside the exercise's path
+"""Chord: what moves less is standing still; by geometry that of a limb of two segments that turns by 10 degrees."""
 _OTHER = 2.0  # mean squared residual, as a share of the template's mean squared displacement, of other motion
-_ONSET = 0.12  # share of the displacement at which a repetition has begun
+_ONSET = 0.12  # share of the displacement at which a repetition has begun, see docs/exercises.md
 _SHORTEST_S, _LONGEST_S = 0.4, 20.0
 _ALIKE, _ALIKE_ALONE = 1.0, 2.5  # misfit, a share of the template's power, from which on a pass is another motion
 _RETURNS = 0.55  # share of its reach within which a repetition begins and ends at rest
@@ -502,15 +498,16 @@ def _likeness(parse: _Parse) -> float:
 # From passes to repetitions
 
 
-def _describe(curve: PostureCurve, parse: _Parse, *, relative: bool) -> list[Repetition]:
+def _describe(curve: PostureCurve, parse: _Parse, *, relative: bool, complete: float = 0.65) -> list[Repetition]:
     """Repetitions with bounds at the full rate, and those that were broken off between them."""
+    # complete: share of the displacement of the template, or of the usual repetition if that is more
     moved = curve.fine - parse.rest
     away = np.linalg.norm(moved, axis=1)
     spans = [(int(a) * curve.stride, min(int(b) * curve.stride, len(moved))) for a, b in parse.passes]
     reaches = [float(away[a:b].max()) for a, b in spans]
     usual = float(np.median(reaches)) if reaches else 0.0
     measure = usual if relative and reaches else parse.template.reach
-    least = COMPLETE * max(1.0, usual / measure) if measure > 0 else COMPLETE
+    least = complete * max(1.0, usual / measure) if measure > 0 else complete
     if measure < LEAST_EXCURSION:
         return []
     spans = sorted(spans + _broken_off(moved, parse.template, spans, measure, curve.fine_rate))
@@ -534,8 +531,10 @@ def _broken_off(
     rate: float,
     *,
     incomplete: float = 0.25,
+    beside_share: float = 0.5,
 ) -> list[tuple[int, int]]:
     """Excursions outside the passes that follow the exercise's path, and not to its end."""
+    # beside_share: share of its displacement by which a broken-off repetition may be beside the exercise's path
     # incomplete: share below which it is not even tried
     free = np.ones(len(moved), bool)
     for start, end in spans:
@@ -547,7 +546,7 @@ def _broken_off(
         beside = float(np.linalg.norm(template.path - moved[peak], axis=1).min())
         long_enough = _SHORTEST_S * 0.5 <= (end - start) / rate <= _LONGEST_S
         apart = all(end <= a or start >= b for a, b in spans)
-        if long_enough and apart and away[peak] < measure and beside <= _BESIDE * away[peak]:
+        if long_enough and apart and away[peak] < measure and beside <= beside_share * away[peak]:
             found.append((start, end))
     return found
 

@@ -73,9 +73,6 @@ def _smooth_turn(angle: FloatArray, half: int) -> FloatArray:
     return np.median(windows, axis=1)
 
 
-_N_DIRECTIONS = 32  # along which the extreme poses of a segment are looked for: 64 candidates
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Curves:
     """What differs, frame by frame; nan where there is nothing to compare."""
@@ -288,7 +285,7 @@ def _smooth(segments: FloatArray, half: int) -> FloatArray:
     return smooth
 
 
-def _spread_directions(count: int) -> FloatArray:
+def _spread_directions(count: int = 32) -> FloatArray:
     """(3, count) unit vectors spread evenly over half a sphere."""
     number = np.arange(count) + 0.5
     height, turn = number / count, number * np.pi * (1.0 + np.sqrt(5.0))
@@ -296,7 +293,7 @@ def _spread_directions(count: int) -> FloatArray:
     return np.stack([across * np.cos(turn), across * np.sin(turn), height])
 
 
-_DIRECTIONS = _spread_directions(_N_DIRECTIONS)
+_DIRECTIONS = _spread_directions()  # along which extreme poses are looked for, both ways: 64 candidates
 
 
 def _measure_takes(

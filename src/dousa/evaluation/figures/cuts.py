@@ -10,12 +10,7 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.correspondence import compute_correlation_matrix
-
-_RATE = 10.0  # Hz, the coarse rate at most
-
-_MOVING = 0.2  # rad/s over all segments: from here on a person is not at rest
-_LEAST_GAIN = 0.45  # of a repetition, mean over its pairs
-_NEAR_S = 0.4  # repetitions whose lags differ by less are one
+from dousa.evaluation.alignment.dynamic_programming import accumulate_likeness, compute_gains, find_ends, trace_repeats
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,16 +33,17 @@ class Repeat:
     score: float  # height that the alignment climbed to
 
 
-def coarsen(segments: FloatArray, frame_rate: float, *, most_poses: int = 4000) -> Coarse:
+def coarsen(segments: FloatArray, frame_rate: float, *, most_rate: float = 10.0, most_poses: int = 4000) -> Coarse:
     """Reduce a motion to a coarse rate and compute its self-correlation matrix.
 
     Parameters
     ----------
     segments : (T, 9, 3), at least one frame.
     frame_rate : Hz.
+    most_rate : Hz, the coarse rate at most.
     most_poses : coarse poses of a very long take: 64 MB a matrix.
     """
-    block = max(1, int(np.ceil(frame_rate / _RATE - 1e-9)), -(-len(segments) // most_poses))
+    block = max(1, int(np.ceil(frame_rate / most_rate - 1e-9)), -(-len(segments) // most_poses))
     starts = np.arange(0, len(segments), block)
     means = np.add.reduceat(segments, starts, axis=0)
     lengths = np.linalg.norm(means, axis=2, keepdims=True)
@@ -70,6 +66,9 @@ def find_repeats(
     toll: float = 0.45,
     tolerated: float = 0.05,
     drop_s: float = 1.5,
+    moving_speed: float = 0.2,
+    least_gain: float = 0.45,
+    near_s: float = 0.4,
 ) -> tuple[Repeat, ...]:
     """Find all stretches that are repeated, the clearest first.
 
@@ -83,23 +82,19 @@ def find_repeats(
     toll : taken off the gain of every pair of frames.
     tolerated : 1 - S beyond which a pair costs extra: 18 degrees a segment.
     drop_s : s of tolls by which the score may fall before a repetition ends.
+    moving_speed : rad/s over all segments from which on a person is not at rest.
+    least_gain : of a repetition, mean over its pairs.
+    near_s : s; repetitions whose lags differ by less are one.
     """
-    from dousa.evaluation.alignment.dynamic_programming import (
-        accumulate_likeness,
-        compute_gains,
-        find_ends,
-        trace_repeats,
-    )
-
     rate, n = coarse.rate, len(coarse.segments)
     shortest = max(2, round(0.8 * min_s * rate))
     if n < 2 * shortest:
         return ()
-    radius, width = max(1, round(background_s * rate)), max(1, round(_NEAR_S * rate))
-    moving = np.clip(coarse.speed / _MOVING, 0.0, 1.0)
+    radius, width = max(1, round(background_s * rate)), max(1, round(near_s * rate))
+    moving = np.clip(coarse.speed / moving_speed, 0.0, 1.0)
     gains = compute_gains(coarse.similarity, radius, noise, 4.0 * tolerated)
     score, step = accumulate_likeness(coarse.similarity, gains, moving, shortest, toll, tolerated, drop_s * rate * toll)
-    least = _LEAST_GAIN * min_s * rate
+    least = least_gain * min_s * rate
     ends = find_ends(score, least)
     ends = ends[np.argsort(-score[ends[:, 0], ends[:, 1]], kind="stable")]
     pairs, counts = trace_repeats(score, step, ends, width, shortest, least)

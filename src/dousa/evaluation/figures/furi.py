@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, MotionFileError, OptionError
+from dousa.evaluation.alignment.dynamic_programming import compare_stretches
 from dousa.evaluation.figures.cuts import (
     Coarse,
     choose_cuts,
@@ -108,8 +109,6 @@ def _label(
     # same: 1 - S that even two rests are apart; tuned on synthetic dances and on recordings that are not held out
     # nearer_than: figures are one if they are nearer to each other than this share of the motion within them;
     # length_slack: figures whose lengths differ by a larger factor are two
-    from dousa.evaluation.alignment.dynamic_programming import compare_stretches
-
     apart, within = compare_stretches(coarse.similarity, np.array(cuts, np.int64), length_slack)
     tolerated = nearer_than * np.minimum(within, within.T) + same
     distance = (apart / tolerated).astype(np.float64)
@@ -187,7 +186,6 @@ def fit_furi_eigenspaces(
     return spaces
 
 
-_SHOWN = 40  # letters of a wrong line in a message
 _LONGEST_LABEL = 100  # letters; a whole line of a page
 _VALUE = r"[^\s,;\-–—−~〜～]+"
 _LINE = re.compile(rf"({_VALUE})\s*[\s,;\-–—−~〜～]\s*({_VALUE})(?:[\s,;]+(.*))?", re.DOTALL)
@@ -274,8 +272,8 @@ def _clean(label: str) -> str:
     return " ".join(label.split()).strip("\"' ")
 
 
-def _quote(text: str) -> str:
-    return repr(text if len(text) <= _SHOWN else text[:_SHOWN] + "...")
+def _quote(text: str, *, shown: int = 40) -> str:
+    return repr(text if len(text) <= shown else text[:shown] + "...")
 
 
 def _name(found: Sequence[tuple[int, int, str, int]]) -> tuple[Furi, ...]:
@@ -315,7 +313,7 @@ def format_furi(furi: Sequence[Furi], frame_rate: float) -> str:
     lines = [f"# start-end label, frames from 1, last one included, {frame_rate:g} frames/s"]
     for figure in furi:
         if not can_hold(figure.label):
-            raise OptionError("furi_file.label", label=figure.label[:_SHOWN])
+            raise OptionError("furi_file.label", label=figure.label[:40])
         times = f"{_clock(figure.start / frame_rate)} to {_clock(figure.end / frame_rate)}"
         lines.append(f"{figure.start + 1}-{figure.end} {figure.label}  # {times}")
     return "\n".join(lines) + "\n"

@@ -316,7 +316,6 @@ def _summarise_facing(facing: FloatArray) -> dict[str, float | None]:
     return {"median": round_number(np.median(sizes), _DEGREES), "max": round_number(sizes.max(), _DEGREES)}
 
 
-_ALIKE = 0.3  # mismatch along the lines
 _TEMPO_OFF, _TEMPO_BETTER = 0.04, 0.8
 _TURNED, _TURNED_S = np.radians(40.0), 1.0
 
@@ -433,19 +432,21 @@ def describe_warnings(
     side: str,
     *,
     mirror_better: float = 0.6,
+    most_unlike: float = 0.3,
 ) -> tuple[Message, ...]:
     """Describe the reservations about the grade."""
+    # most_unlike: mismatch along the lines
     first, mismatch = references.working[0], comparison.alignment.mismatch
     found = [Message("assessment.sides")] if side == "mirrored" else []
     found += [Message("assessment.left_out", number=number) for number in references.left_out]
     unlike = is_unlike(comparison, share_weights(references, weights))
     if unlike:
         found.append(Message("assessment.unlike", mismatch=mismatch))
-    if mismatch > _ALIKE:
+    if mismatch > most_unlike:
         mirrored = align(first, thin_postures(mirror_postures(performance)), tempo, weights)
         if mirrored.mismatch < mirror_better * mismatch:
             found.append(Message("assessment.unmirrored" if side == "mirrored" else "assessment.mirrored"))
-    if tempo == "same" and mismatch > 0.5 * _ALIKE:
+    if tempo == "same" and mismatch > 0.5 * most_unlike:
         free = align(first, working, "free", weights)
         if abs(free.tempo - 1.0) > _TEMPO_OFF and free.mismatch < _TEMPO_BETTER * mismatch:
             found.append(Message("assessment.tempo", tempo=free.tempo))
@@ -535,23 +536,11 @@ def describe_offset(offset: Offset, reference: Working, *, least_deg: float = 5.
         segments = (*LIMBS[limb], *LIMBS[other]) if together else LIMBS[limb]
         who = group_segments(SEGMENTS[index] for index in segments)
         size = 0.5 * (degrees + pair[1]) if together else degrees
-        said.append(Message("assessment.offset", who=who, degrees=size, way=_WAYS[way]))
+        said.append(Message("assessment.offset", who=who, degrees=size, way=Message(f"offset_ways.{way}")))
     if offset.missing.any():
         who = group_segments(SEGMENTS[index] for index in np.flatnonzero(offset.missing))
         said.append(Message("assessment.not_judged", who=who))
     return tuple(said)
-
-
-_WAYS = {
-    "out": Message("offset_ways.out"),
-    "in": Message("offset_ways.in"),
-    "up": Message("offset_ways.up"),
-    "down": Message("offset_ways.down"),
-    "forward": Message("offset_ways.forward"),
-    "back": Message("offset_ways.back"),
-    "left": Message("offset_ways.left"),
-    "right": Message("offset_ways.right"),
-}
 
 
 def _find_way(limb: str, moved: FloatArray) -> tuple[str, float]:

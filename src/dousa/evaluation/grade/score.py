@@ -22,7 +22,6 @@ from dousa.evaluation.grade.parts import PARTS
 from dousa.evaluation.grade.references import Comparison, ReferenceTakes
 from dousa.messages import Message
 
-_FEWEST = 2  # takes beside the first that tell what is usual
 _MOSTLY = 1.28  # standard deviations around which four of five lie, by definition of the normal distribution
 
 
@@ -117,7 +116,7 @@ def compute_grade(
     unlike : it is not the same dance: no grade.
     same_length : share of the reference that may be missing.
     """
-    calibrated = len(takes) >= _FEWEST
+    calibrated = len(takes) >= 2  # further takes tell what is usual
     nothing = float("nan")
     if unlike or not np.isfinite(parts).all():
         why = Message("grade.unlike") if unlike else Message("grade.nothing")

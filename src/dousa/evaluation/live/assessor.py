@@ -50,7 +50,6 @@ from dousa.evaluation.posture.yaw import (
 from dousa.motion import CanonicalMotion
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
 
-_LOOK_AHEAD_S = 2.0
 _FLIP = np.array([-1.0, 1.0, 1.0])  # mirror image by definition: x negated
 _N_JOINTS = len(CANONICAL_JOINTS)
 
@@ -115,7 +114,7 @@ class IncrementalAssessor:
         tempo: str = "same",
         weights: Mapping[str, float] | None = None,
         importance: str = "learned",
-        look_ahead_s: float = _LOOK_AHEAD_S,
+        look_ahead_s: float = 2.0,
         offset_s: float | None = None,
     ) -> None:
         takes = [reference] if isinstance(reference, CanonicalMotion) else list(reference)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
+from dousa.evaluation.alignment.dynamic_programming import extend_lines, trace_lines
 from dousa.evaluation.alignment.lines import (
     COARSE_RATE,
     JUMP_S,
@@ -156,7 +157,6 @@ class LineFollower:
 
     def _extend(self, segments: FloatArray) -> None:
         from dousa.evaluation.alignment.correspondence import compute_correlation_matrix
-        from dousa.evaluation.alignment.dynamic_programming import extend_lines
 
         rows = np.arange(len(self._course) * self._step, len(segments), self._step)
         if not len(rows):
@@ -181,8 +181,6 @@ class LineFollower:
 
     def _trace_back(self) -> NDArray[np.int32]:
         """Cheapest course so far; what is older than the kept part stays as it was."""
-        from dousa.evaluation.alignment.dynamic_programming import trace_lines
-
         first = len(self._course) - len(self._origin)
         self._course[first:] = trace_lines(self._best, self._outside, self._origin, self._ended)
         return self._course.copy()
@@ -233,7 +231,6 @@ class LineFollower:
 
 _SHORT_S, _LONG_S = 12.0, 30.0
 _CONTEXT_S = 2.5  # before a stretch that is still open
-_AGAIN_S = 0.5  # judged once more before the look-ahead
 _MOVED = 0.25  # frames by which a line must have moved for its deviations to be measured again
 _HISTORY_S, _NEAR_S = 180.0, 0.6
 _ORDER = ("stop", "skip", "repeat")
@@ -270,10 +267,10 @@ class Window:
         self._settled_to = 0
         self._reported: list[Finding] = []
         self._weighed: _Weighed | None = None
-        self._hop = round(_AGAIN_S * self._rate)
+        self._hop = round(0.5 * self._rate)
         self._history: list[tuple[FloatArray, FloatArray, FloatArray]] = []
         self._counted, self._measured = 0, 0
-        self.tolerance = _START
+        self.tolerance = Tolerance(np.full(9, np.radians(21.6)))  # until a second was seen: the least steady one's
         self.lapses: list[Lapse] = []
 
     @property
@@ -409,10 +406,6 @@ class Window:
         alignment = Alignment(self._frames, runs, 0.0, 1.0)
         found = find_lapses(alignment, self._references.working[0], part)
         self.lapses += [_place(lapse, begin) for lapse in found if lapse.kind in _ORDER]
-
-
-_START = Tolerance(np.full(9, np.radians(21.6)))
-"""Until a second has been seen: that of the least steady performer."""
 
 
 def _near(start_s: float, lapse: Lapse) -> bool:

@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, MotionFileError, OptionError
+from dousa.evaluation.words import SEGMENT_NAMES
 from dousa.files.disk import read_small_text
 from dousa.messages import Message
 from dousa.motion.canonical.canonicalise import CanonicalMotion
@@ -44,17 +45,7 @@ SEGMENT_JOINTS: tuple[tuple[str, str], ...] = (
 """Start and end of each segment as canonical joints. The trunk is drawn from the pelvis but measured from the
 middle of the hips: the pelvis sits up to 10 cm higher in one kind of file than in another."""
 
-SEGMENTS: tuple[str, ...] = (
-    "trunk",
-    "left_upper_arm",
-    "left_forearm",
-    "right_upper_arm",
-    "right_forearm",
-    "left_thigh",
-    "left_shank",
-    "right_thigh",
-    "right_shank",
-)
+SEGMENTS: tuple[str, ...] = tuple(SEGMENT_NAMES)
 
 MIRRORED_SEGMENTS: tuple[int, ...] = (0, 3, 4, 1, 2, 7, 8, 5, 6)
 """Index of each segment's mirror image, by definition of `SEGMENTS`."""
@@ -261,7 +252,7 @@ def mirror_postures(postures: PostureSequence) -> PostureSequence:
 
 
 WORKING_RATE = 30.0
-"""Hz; errors of a dance last half a second and more, so more frames only cost time."""
+"""Hz, see docs/evaluation.md; errors of a dance last half a second and more, so more frames only cost time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -320,8 +311,6 @@ def interpolate_segments(segments: FloatArray, frames: FloatArray) -> FloatArray
     mixed = segments[low] * (1.0 - share) + segments[high] * share
     return np.asarray(mixed / np.maximum(np.linalg.norm(mixed, axis=2, keepdims=True), 1e-9))
 
-
-_LARGEST = 1e6
 
 # From the coarse names to the exact ones, which are laid over them.
 LEVELS: tuple[dict[str, tuple[str, ...]], ...] = (
@@ -409,7 +398,7 @@ def _plain(name: str) -> str:
 def _check(value: Any, name: str, where: str) -> None:
     number = isinstance(value, int | float) and not isinstance(value, bool)
     # nan is in no range; an integer may be too large for a float.
-    if not number or not 0 <= value <= _LARGEST:
+    if not number or not 0 <= value <= 1e6:
         raise OptionError("weights_file.weight", path=where, name=name, found=_shown(value))
 
 
@@ -430,7 +419,7 @@ def spread_weights(weights: Mapping[str, float] | None) -> FloatArray:
     for name, value in given.items():
         if name not in known:
             raise OptionError("evaluation.weight_name", known=tuple(known), name=name)
-        if not isinstance(value, int | float) or not 0.0 <= value <= _LARGEST:
+        if not isinstance(value, int | float) or not 0.0 <= value <= 1e6:
             raise OptionError("evaluation.weight", name=name, value=repr(value))
     shares = np.array(list(_lay_over(given).values()))
     if shares.sum() <= 0.0:

@@ -185,12 +185,9 @@ WITHIN_DEG = np.array([2.5, 4.5, 5.0, 4.5, 5.0, 2.5, 3.0, 2.5, 3.0])
 """(9,) deg, the same between two takes of one person that last `WITHIN_S`: what a short clip leaves open. Chosen by
 hand, within 1 deg of the root mean squares that lab/benchmarks/body_offsets.py prints for both sets."""
 
-WITHIN_S = 2.5
-TILT_DEG = 5.0
-"""deg, of a sensor against the vertical."""
+WITHIN_S = 2.5  # see docs/evaluation.md
 
 
-_SCALES = np.radians([3.0, 10.0]) ** 2  # squared deviation from which a moment loses its say, at least and at most
 _N_YAWS, _N_ROUNDS = 2, 5
 _MOST_MOMENTS = 1500
 
@@ -250,10 +247,11 @@ def estimate_offset(
     return Offset(measured, taken, seconds, missing)
 
 
-def find_tilt(measured: FloatArray, shown: NDArray[np.bool_]) -> FloatArray:
+def find_tilt(measured: FloatArray, shown: NDArray[np.bool_], *, tilt_deg: float = 5.0) -> FloatArray:
     """(1, 3) rad, the tilt that all segments (9,) which are shown have in common: of a sensor, not of a body."""
+    # tilt_deg: of a sensor against the vertical, at most
     common = np.median(measured[shown], axis=0) * (1.0, 0.0, 1.0) if shown.any() else np.zeros(3)
-    return _limit(common[None], np.radians([TILT_DEG]))
+    return _limit(common[None], np.radians([tilt_deg]))
 
 
 def _limit(vectors: FloatArray, spread: FloatArray, *, limit: float = 1.6, soft: float = 4.0) -> FloatArray:
@@ -418,8 +416,10 @@ def _refine(
     *,
     steady: float = 4.0,
     ridge: float = 0.03,
+    scales_deg: tuple[float, float] = (3.0, 10.0),
 ) -> tuple[FloatArray, FloatArray]:
     """One round of re-weighted least squares; and (N, 9) what each moment counts."""
+    # scales_deg: deviation from which a moment loses its say, at least and at most
     # steady: of the median squared deviation; ridge: of the moments: about its own axis a segment that hardly moves
     # has no offset
     turned = turn_segments(reference, vectors)
@@ -427,7 +427,7 @@ def _refine(
     squared = (error**2).sum(axis=2)
     # Of a steady performer less is needed to be elsewhere.
     usual = np.array([np.median(squared[some, k]) if some.any() else 0.0 for k, some in enumerate(judged.T)])
-    trust = judged / (1.0 + squared / np.clip(steady * usual, *_SCALES)) ** 2
+    trust = judged / (1.0 + squared / np.clip(steady * usual, *np.radians(scales_deg) ** 2)) ** 2
     count = trust.sum(axis=0)
     # A small turn v moves a direction d by v x d: normal equations of sum |error - v x d|^2.
     spread = np.einsum("ts,tsi,tsj->sij", trust, turned, turned)

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from dousa.app.studio.content.clips import ClipQuery, Snapshot, Sort
 from dousa.app.studio.content.studio import Studio, StudioNow
-from dousa.app.studio.core.answers import BYTES, Answer, RefusedError, StrictModel
+from dousa.app.studio.core.answers import FILE, Answer, RefusedError, StrictModel
 
 if TYPE_CHECKING:
     from dousa.library import Library
@@ -169,7 +169,7 @@ def get_map(studio: StudioNow) -> Answer:
     return Answer(studio.map.describe())
 
 
-@router.post("/clips/thumbnails", summary="Small moving figures of clips", response_class=Response, responses=BYTES)
+@router.post("/clips/thumbnails", summary="Small moving figures of clips", **FILE)
 def get_thumbnails(studio: StudioNow, wanted: Pictured) -> Response:
     """1,456 bytes for each number, in their order; zeros for a clip that is not there."""
     content = studio.thumbnails.get(studio.library, wanted.clips)

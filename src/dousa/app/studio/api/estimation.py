@@ -14,7 +14,7 @@ from dousa.app.requests.http import derive_model
 from dousa.app.studio.content.masks import EXPORTED, MaskDesk
 from dousa.app.studio.content.motions import Address, MotionName, MotionRef
 from dousa.app.studio.content.studio import StudioNow
-from dousa.app.studio.core.answers import BYTES, Answer, Gate, RefusedError, StrictModel, describe_bytes
+from dousa.app.studio.core.answers import FILE, Answer, Gate, RefusedError, StrictModel, give_files
 from dousa.app.studio.core.workspace import safe_parts
 from dousa.app.studio.jobs.lanes import ask_process
 from dousa.estimation.silhouettes.repairs import MaskRepair, MaskStroke, find_part, follow_part
@@ -35,7 +35,6 @@ FILES = {
 FRAMES_FORM = r"^-?\d{0,9}:-?\d{0,9}$"
 """The form of a range of frames."""
 
-_PATIENCE = 180.0  # s; backgrounds of long films take a while, kernels compile at first
 _Name = Annotated[str, Field(min_length=1, max_length=1000, description="name in the batch")]
 JobId = Annotated[str, Path(pattern="^[0-9a-f]{16}$")]
 _Track = Annotated[
@@ -152,7 +151,7 @@ def estimate(studio: StudioNow, wanted: EstimateRequest) -> Answer:
 def preview(studio: StudioNow, wanted: EstimateRequest) -> Answer:
     """What each file is for, the views with their cameras and first silhouettes, and what is missing."""
     folder = studio.workspace.batch_folder(wanted.batch)
-    return Answer(ask_process(studio.settings, "preview", wanted.model_dump(), folder.parent, _PATIENCE))
+    return Answer(ask_process(studio.settings, "preview", wanted.model_dump(), folder.parent))
 
 
 @router.post("/estimations/example", status_code=201, summary="Make a short example to estimate")
@@ -161,7 +160,7 @@ def make_example(studio: StudioNow) -> Answer:
     batch = studio.workspace.new_batch()
     folder = studio.workspace.root / "files"
     try:
-        made = ask_process(studio.settings, "example", {"batch": batch}, folder, _PATIENCE)
+        made = ask_process(studio.settings, "example", {"batch": batch}, folder)
     except BaseException:
         studio.workspace.discard(batch)
         raise
@@ -185,7 +184,7 @@ def get_player(studio: StudioNow, job_id: JobId, language: Literal["en", "ja"] =
     return Answer(studio.footage.get(job_id).player(language))
 
 
-_JPEG = describe_bytes("image/jpeg")
+_JPEG = give_files("image/jpeg")
 ViewPath = Annotated[int, Path(ge=0, le=1000)]
 FramePath = Annotated[int, Path(ge=0, le=10_000_000)]
 
@@ -196,10 +195,7 @@ def show_picture(content: bytes, kind: str = "image/jpeg") -> Response:
 
 
 @router.get(
-    "/estimations/{job_id}/overlay/{view}/{frame}",
-    summary="One view of one frame: silhouette and model",
-    response_class=Response,
-    responses=_JPEG,
+    "/estimations/{job_id}/overlay/{view}/{frame}", summary="One view of one frame: silhouette and model", **_JPEG
 )
 def get_overlay(studio: StudioNow, job_id: JobId, view: ViewPath, frame: FramePath) -> Response:
     """JPEG, at most 480 pixels wide and high, from films 720."""
@@ -229,20 +225,14 @@ def get_people(
 @router.get(
     "/estimations/{job_id}/film/picture/{view}/{frame}",
     summary="The picture of a film at a moment that all films share",
-    response_class=Response,
-    responses=_JPEG,
+    **_JPEG,
 )
 def get_picture(studio: StudioNow, job_id: JobId, view: ViewPath, frame: FramePath) -> Response:
     """JPEG, at most 720 pixels wide and high."""
     return show_picture(studio.footage.get(job_id).film.picture(view, frame))
 
 
-@router.get(
-    "/estimations/{job_id}/files/{name}",
-    summary="A file that was estimated",
-    response_class=FileResponse,
-    responses=BYTES,
-)
+@router.get("/estimations/{job_id}/files/{name}", summary="A file that was estimated", **FILE)
 def get_file(studio: StudioNow, job_id: JobId, name: str) -> Response:
     """``motion.bvh``, ``joints.trc``, ``angles.csv``, ``overlay.mp4``, ``cameras.toml``, ``masks.npz``."""
     job = studio.jobs.get(job_id)
@@ -278,9 +268,8 @@ def add_to_library(studio: StudioNow, job_id: JobId, wanted: AddEstimate) -> Ans
 masks_router = APIRouter(tags=["estimation"])
 
 _Pixel = Annotated[float, Field(ge=-100_000, le=100_000, allow_inf_nan=False)]
-_IMAGE = describe_bytes("image/png", "image/jpeg")
+_IMAGE = give_files("image/png", "image/jpeg")
 _following = Gate(2, 6, Message("studio_jobs.busy_files"))
-_WAIT = 60.0  # s
 
 
 class RepairRequest(StrictModel):
@@ -314,23 +303,13 @@ def describe_masks(studio: StudioNow, job_id: JobId) -> Answer:
     return Answer(studio.masks.get(job_id).describe())
 
 
-@masks_router.get(
-    "/masks/{job_id}/mask/{view}/{frame}",
-    summary="A silhouette as it is repaired",
-    response_class=Response,
-    responses=_IMAGE,
-)
+@masks_router.get("/masks/{job_id}/mask/{view}/{frame}", summary="A silhouette as it is repaired", **_IMAGE)
 def get_mask(studio: StudioNow, job_id: JobId, view: ViewPath, frame: FramePath) -> Response:
     """PNG, white on black, of full size."""
     return show_picture(studio.masks.get(job_id).mask(view, frame), "image/png")
 
 
-@masks_router.get(
-    "/masks/{job_id}/picture/{view}/{frame}",
-    summary="The picture behind a silhouette",
-    response_class=Response,
-    responses=_IMAGE,
-)
+@masks_router.get("/masks/{job_id}/picture/{view}/{frame}", summary="The picture behind a silhouette", **_IMAGE)
 def get_mask_picture(studio: StudioNow, job_id: JobId, view: ViewPath, frame: FramePath) -> Response:
     """JPEG, at most 720 pixels wide and high, of the same proportions."""
     return show_picture(studio.masks.get(job_id).picture(view, frame), "image/jpeg")
@@ -349,7 +328,7 @@ def _make_repair(desk: MaskDesk, wanted: RepairRequest) -> MaskRepair:
         return MaskStroke(wanted.view, wanted.frame, points, wanted.radius, wanted.action == "add")
     if wanted.action == "exclude":
         return find_part(desk.repaired, wanted.view, wanted.frame, points[0])
-    with _following.enter(_WAIT):
+    with _following.enter():
         return follow_part(desk.repaired, wanted.view, wanted.frame, points[0])
 
 
@@ -365,15 +344,10 @@ def redo(studio: StudioNow, job_id: JobId) -> Answer:
     return Answer(studio.masks.get(job_id).redo())
 
 
-@masks_router.get(
-    "/masks/{job_id}/masks.npz",
-    summary="The repaired silhouettes as a file",
-    response_class=FileResponse,
-    responses=BYTES,
-)
+@masks_router.get("/masks/{job_id}/masks.npz", summary="The repaired silhouettes as a file", **FILE)
 def export_masks(studio: StudioNow, job_id: JobId) -> Response:
     """With cameras and stature where they are known, as `dousa estimate` takes it."""
     desk = studio.masks.get(job_id)
-    with _following.enter(_WAIT):
+    with _following.enter():
         path = desk.export()
     return FileResponse(path, media_type="application/octet-stream", filename=EXPORTED)

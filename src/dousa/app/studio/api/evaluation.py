@@ -20,14 +20,17 @@ from dousa.app.studio.content.evaluations import (
     format_weights,
 )
 from dousa.app.studio.content.studio import Studio, StudioNow
-from dousa.app.studio.core.answers import BYTES, Answer, RefusedError, StrictModel, say
+from dousa.app.studio.core.answers import FILE, Answer, RefusedError, StrictModel, say
 from dousa.app.studio.jobs.board import Job
 from dousa.errors import DousaError, InvalidMotionError, OptionError
 from dousa.messages import use_language
 
 router = APIRouter(tags=["evaluation"])
 
-_SVG: dict[int | str, dict[str, Any]] = {200: {"content": {"image/svg+xml": {"schema": {"type": "string"}}}}}
+_SVG: dict[str, Any] = {
+    "response_class": Response,
+    "responses": {200: {"content": {"image/svg+xml": {"schema": {"type": "string"}}}}},
+}
 
 
 class AdjustRequest(Adjustment):
@@ -127,12 +130,7 @@ def get_progress(studio: StudioNow, job_id: str, language: _Language = "en") -> 
     return Answer({"progress": None if found is None else found.to_json(language)})
 
 
-@router.get(
-    "/evaluations/{job_id}/progress.svg",
-    response_class=Response,
-    responses=_SVG,
-    summary="The same as a picture",
-)
+@router.get("/evaluations/{job_id}/progress.svg", summary="The same as a picture", **_SVG)
 def draw_progress(studio: StudioNow, job_id: str, language: _Language = "en") -> Response:
     """An SVG."""
     use_language(language)
@@ -172,12 +170,7 @@ def compare(studio: StudioNow, job: _Jobs, language: _Language = "en") -> Answer
     )
 
 
-@router.get(
-    "/comparisons/progress.svg",
-    response_class=Response,
-    responses=_SVG,
-    summary="The same as a picture",
-)
+@router.get("/comparisons/progress.svg", summary="The same as a picture", **_SVG)
 def draw_comparison(studio: StudioNow, job: _Jobs, language: _Language = "en") -> Response:
     """An SVG."""
     use_language(language)
@@ -288,8 +281,6 @@ for _name, (_kind, _what) in _FILES.items():
 
 companions_router = APIRouter(prefix="/evaluations/{job_id}", tags=["evaluation"])
 
-_CompanionLanguage = Annotated[Language, Query(description="of the words")]
-
 
 class CompanionRequest(StrictModel):
     """A film or a piece of music that was uploaded."""
@@ -323,9 +314,7 @@ def remove_companion(studio: StudioNow, job_id: str, kind: Kind) -> Answer:
     return _describe_companions(studio, job)
 
 
-@companions_router.get(
-    "/companions/{kind}/file", summary="The film or the music", response_class=FileResponse, responses=BYTES
-)
+@companions_router.get("/companions/{kind}/file", summary="The film or the music", **FILE)
 def get_companion_file(studio: StudioNow, job_id: str, kind: Kind) -> FileResponse:
     """As it was uploaded; parts of it by the header Range."""
     path = studio.companions.path(studio.evaluations.find_job(job_id), kind)
@@ -334,7 +323,7 @@ def get_companion_file(studio: StudioNow, job_id: str, kind: Kind) -> FileRespon
 
 
 @companions_router.get("/beats", summary="The beats of the music, and the accents of the dance against them")
-def get_beats(studio: StudioNow, job_id: str, language: _CompanionLanguage = "en") -> Answer:
+def get_beats(studio: StudioNow, job_id: str, language: _Language = "en") -> Answer:
     """``times_s`` of the music; ``timing`` as of `dousa evaluate --music`; all null without music."""
     from dousa.app.report import build_beats
 

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Request
 from pydantic import Field
+from starlette.concurrency import run_in_threadpool
 
 from dousa.app.studio.content import live
 from dousa.app.studio.content.motions import MotionRef
@@ -57,8 +58,6 @@ async def see(
 ) -> Answer:
     """``person`` (or null) with ``points`` in shares of the picture, ``label``, ``grade`` and ``ms``. The picture
     is not kept."""
-    from starlette.concurrency import run_in_threadpool
-
     session = studio.live.get(session_id)
     content = b""
     async for part in request.stream():

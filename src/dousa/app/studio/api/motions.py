@@ -9,9 +9,21 @@ from fastapi import APIRouter, Query
 from pydantic import Field
 from starlette.responses import FileResponse, Response
 
-from dousa.app.studio.content.motions import EXPORTED, Address, MotionName, MotionPart, MotionRef, Seconds, name_file
+from dousa.app.player.figures import encode_miniature
+from dousa.app.studio.content.motions import (
+    EXPORTED,
+    Address,
+    MotionName,
+    MotionPart,
+    MotionRef,
+    Named,
+    Seconds,
+    make_file,
+    name_file,
+)
 from dousa.app.studio.content.studio import Studio, StudioNow
-from dousa.app.studio.core.answers import BYTES, Answer, RefusedError, StrictModel, attachment, say
+from dousa.app.studio.core.answers import FILE, Answer, RefusedError, StrictModel, attachment, say
+from dousa.formats.characters import read_character
 from dousa.library.export import ORIGINAL, ExportFormat, list_formats
 from dousa.messages import Message
 
@@ -98,29 +110,30 @@ class _Download(MotionPart):
     onto: MotionName | None = Field(default=None, description="a motion over the skeleton that it is brought onto")
 
 
-@router.get("/motions/miniature", summary="A small moving figure", response_class=Response, responses=BYTES)
+@router.get("/motions/miniature", summary="A small moving figure", **FILE)
 def get_miniature(studio: StudioNow, asked: Annotated[MotionPart, Query()]) -> Response:
     """Bytes for ``dousa.createMiniature`` of the pages."""
-    from dousa.app.player.figures import encode_miniature
-
     content = encode_miniature(studio.motions.get(asked.ref()).motion)
     return Response(content, media_type="application/octet-stream")
 
 
-@router.get("/motions/bvh", summary="Download as BVH", response_class=Response, responses=BYTES)
+@router.get("/motions/bvh", summary="Download as BVH", **FILE)
 def get_bvh(studio: StudioNow, asked: Annotated[_Download, Query()]) -> Response:
     """With every joint of the file it came from, if that is still there; else the joints that dousa compares.
 
     Or on the skeleton of a character, as `dousa convert --onto` does.
     """
-    from dousa.app.studio.content.motions import make_file
-    from dousa.formats.characters import read_character
-
     ref = asked.ref()
     named = studio.motions.get(ref)
-    character = None if asked.onto is None else read_character(studio.motions.path(MotionRef(motion=asked.onto)))
-    content = make_file(named, studio.motions.path(ref), ref, ".bvh", character)
-    headers = {"content-disposition": attachment(name_file(named, ref, ".bvh"))}
+    return _answer_file(studio, named, ref, ".bvh", None if asked.onto is None else _find_character(studio, asked.onto))
+
+
+def _answer_file(
+    studio: Studio, named: Named, ref: MotionRef, suffix: str, onto: Path | None, keep_reach: bool = False
+) -> Response:
+    character = None if onto is None else read_character(onto)
+    content = make_file(named, studio.motions.path(ref), ref, suffix, character, keep_reach)
+    headers = {"content-disposition": attachment(name_file(named, ref, suffix))}
     return Response(content, media_type="application/octet-stream", headers=headers)
 
 
@@ -162,7 +175,7 @@ def get_character(studio: StudioNow, motion: Annotated[_Character, Query()]) -> 
     from dousa.motion import canonicalise
 
     path = _find_character(studio, motion)
-    character = _read_character(path)
+    character = read_character(path)
     body = canonicalise(character, any_skeleton=True, whole=True)
     address = Address.parse(motion)
     if address.batch:
@@ -197,9 +210,7 @@ def export(studio: StudioNow, wanted: ExportRequest) -> Answer:
     return Answer(studio.jobs.submit("export", request, title).to_json(), 202)
 
 
-@export_router.get(
-    "/exports/{job_id}", summary="The ZIP file of an export", response_class=FileResponse, responses=BYTES
-)
+@export_router.get("/exports/{job_id}", summary="The ZIP file of an export", **FILE)
 def get_export(studio: StudioNow, job_id: str) -> Response:
     """``export.zip``."""
     job = studio.jobs.get(job_id)
@@ -216,29 +227,17 @@ class _FormatDownload(MotionPart):
     keep_reach: bool = Field(default=False, description="hands reach the same places, instead of arm directions")
 
 
-@export_router.get("/motions/file", summary="Download in any format", response_class=Response, responses=BYTES)
+@export_router.get("/motions/file", summary="Download in any format", **FILE)
 def get_motion_file(studio: StudioNow, asked: Annotated[_FormatDownload, Query()]) -> Response:
     """As GET /api/motions/bvh, in any format that is written, with the mesh of a GLB character in a GLB."""
-    from dousa.app.studio.content.motions import make_file
-
     ref = asked.ref()
     named = studio.motions.get(ref)
     path = None if asked.onto is None else _find_character(studio, asked.onto)
     form = ExportFormat(asked.to, path, asked.keep_reach)
     if form.to == ORIGINAL:
         raise RefusedError(422, "export.format", found=form.to, known=tuple(list_formats()))
-    suffix = list_formats()[form.to]
-    character = None if path is None else _read_character(path)
-    content = make_file(named, studio.motions.path(ref), ref, suffix, character, form.keep_reach)
-    headers = {"content-disposition": attachment(name_file(named, ref, suffix))}
-    return Response(content, media_type="application/octet-stream", headers=headers)
+    return _answer_file(studio, named, ref, list_formats()[form.to], path, form.keep_reach)
 
 
 def _find_character(studio: Studio, motion: str) -> Path:
     return studio.motions.path(MotionRef(motion=motion))
-
-
-def _read_character(path: Path) -> Any:
-    from dousa.formats.characters import read_character
-
-    return read_character(path)

@@ -12,7 +12,7 @@ from dousa.app.requests.http import derive_model, pick_fields
 from dousa.app.studio.content.motions import Address, MotionRef
 from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import Answer, StrictModel, name_error, to_answer
-from dousa.errors import DousaError, InvalidMotionError
+from dousa.errors import DousaError, InvalidMotionError, NotTrainedError
 
 if TYPE_CHECKING:
     from dousa.library import SearchResult, TextResult
@@ -116,8 +116,6 @@ def classify(studio: StudioNow, wanted: ClassifyRequest) -> Answer:
 
 
 def _classify(studio: Studio, ref: MotionRef, wanted: ClassifyRequest) -> dict[str, Any]:
-    from dousa.errors import NotTrainedError
-
     try:
         result = studio.library.search(
             studio.motions.query(ref),

@@ -7,20 +7,28 @@ import io
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query
 from pydantic import Field
 from starlette.responses import Response
 
+from dousa.app.studio.content.corrections import (
+    find_take,
+    forget_correction,
+    lay_over,
+    learn_correction,
+    list_corrections,
+)
 from dousa.app.studio.content.motions import MotionName, MotionRef, Seconds
 from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import Answer, RefusedError, StrictModel, attachment, say
 from dousa.app.studio.jobs.board import Job
+from dousa.formats.annotations import read_label_file
+from dousa.formats.annotations.label_file import to_annotation
+from dousa.formats.annotations.tables import about_one_take
 from dousa.messages import Message
-
-if TYPE_CHECKING:
-    from dousa.motion.annotation import Stretch
+from dousa.motion.annotation import Stretch
 
 router = APIRouter(tags=["takes"])
 
@@ -96,8 +104,6 @@ def _summarise(studio: Studio, ref: MotionRef) -> dict[str, Any]:
 
 
 def _describe(studio: Studio, ref: MotionRef) -> dict[str, Any]:
-    from dousa.app.studio.content.corrections import lay_over, list_corrections
-
     corrections = list_corrections(studio, ref)
     job = _last_label(studio, ref)
     labels = None if job is None else job.result
@@ -114,8 +120,6 @@ def _describe(studio: Studio, ref: MotionRef) -> dict[str, Any]:
 
 
 def _describe_given(studio: Studio, ref: MotionRef) -> dict[str, Any] | None:
-    from dousa.app.studio.content.corrections import find_take
-
     take = find_take(studio, ref)
     known = [] if take is None else studio.library.annotations.read([take])
     if not known or not known[0].is_complete:
@@ -150,11 +154,6 @@ def annotate(studio: StudioNow, wanted: AnnotateRequest) -> Answer:
 
     An empty table takes them all away. One of which nothing lies in the take is refused.
     """
-    from dousa.app.studio.content.corrections import find_take
-    from dousa.formats.annotations import read_label_file
-    from dousa.formats.annotations.label_file import to_annotation
-    from dousa.formats.annotations.tables import about_one_take
-
     take = find_take(studio, MotionRef(motion=wanted.motion))
     if take is None:
         raise RefusedError(409, "studio_takes.not_a_take")
@@ -231,8 +230,6 @@ def _format_csv(segments: Sequence[dict[str, Any]]) -> str:
 
 
 def _to_stretch(one: dict[str, Any]) -> Stretch:
-    from dousa.motion.annotation import Stretch
-
     return Stretch(one["start_s"], one["end_s"], one["category"], one.get("counted", True))
 
 
@@ -244,8 +241,6 @@ def correct(studio: StudioNow, wanted: CorrectRequest) -> Answer:
     one ``change`` of the journal, by whose number POST /journal/undo takes it back. Label the take again to see what
     has changed.
     """
-    from dousa.app.studio.content.corrections import learn_correction
-
     ref = MotionRef(motion=wanted.motion, start_s=wanted.start_s, end_s=wanted.end_s)
     return Answer(
         learn_correction(studio, ref, wanted.category, wanted.split_s, wanted.replaces, wanted.instead_of), 201
@@ -255,7 +250,5 @@ def correct(studio: StudioNow, wanted: CorrectRequest) -> Answer:
 @router.delete("/takes/corrections/{number}", summary="Take a correction back")
 def undo(studio: StudioNow, number: str) -> Answer:
     """Its clip leaves the library; what the forest learned from it stays until the next training."""
-    from dousa.app.studio.content.corrections import forget_correction
-
     removed, change = forget_correction(studio, number)
     return Answer({"removed": removed.to_json(), "change": change})

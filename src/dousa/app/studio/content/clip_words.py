@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 _WORD = re.compile(r"[^\W_]+")
 _MOST_EDITS = {4: 1, 8: 2}  # letters from which a word may be misspelt, and how often
-_PATIENCE = 0.15  # s that a list waits for the words of the library to be read
 
 
 def plain(text: str) -> str:
@@ -119,8 +118,9 @@ class Meanings:
         self._reader: ThreadPoolExecutor | None = None
         self._busy: Future[TextMatches] | None = None
 
-    def match(self, text: str) -> TextMatches | None:
+    def match(self, text: str, *, patience_s: float = 0.15) -> TextMatches | None:
         """Find the clips that fit a text; None while the words of the library are being read."""
+        # patience_s: that a list waits for the words of the library to be read
         with self._lock:
             if self._busy is not None and not self._busy.done():
                 return None
@@ -129,7 +129,7 @@ class Meanings:
             self._busy = self._reader.submit(lambda: self._library().match_text(text))
             busy = self._busy
         try:
-            return busy.result(_PATIENCE)
+            return busy.result(patience_s)
         except TimeoutError:
             return None
         except DousaError:  # what the library lacks for this, lists do not need
@@ -169,5 +169,5 @@ def read_text(
         return Reading(literal, more=int(((scores > 0) & ~literal).sum()), pending=matches is None)
     near, taken_for = (literal, {}) if literal.any() else words.find_misspelt(text)
     scores[near] = np.maximum(scores[near], 1.0)
-    told = {} if matches is None else {word: other for word, other in matches.corrections.items() if word != other}
-    return Reading(scores > 0, scores, {**told, **taken_for}, pending=matches is None)
+    corrected = {} if matches is None else {word: other for word, other in matches.corrections.items() if word != other}
+    return Reading(scores > 0, scores, {**corrected, **taken_for}, pending=matches is None)

@@ -30,12 +30,12 @@ from dousa.app.studio.content.motions import Address
 from dousa.app.studio.core.answers import say
 from dousa.app.studio.core.workspace import write_file
 from dousa.arrays import Mask
-from dousa.errors import DousaError, LibraryError
+from dousa.errors import DousaError, InvalidMotionError, LibraryDamagedError, LibraryError
 from dousa.files.npz_arrays import open_npz
+from dousa.library.store.selection import KnownClips
 
 if TYPE_CHECKING:
     from dousa.library import ClipInfo, ClipMap, Library, TextMatches
-    from dousa.library.store.selection import KnownClips
 
 Match = Callable[[str], "TextMatches | None"]
 """Finds the clips that do what a text describes; None if that is not known yet."""
@@ -409,8 +409,6 @@ def _start(connection: sqlite3.Connection) -> None:
 
 
 def _make(library: Library, clip_ids: Sequence[int]) -> dict[int, bytes]:
-    from dousa.errors import InvalidMotionError, LibraryDamagedError
-
     made: dict[int, bytes] = {}
     try:
         for clip_id, motion in library.iterate_trajectories(clip_ids):
@@ -425,7 +423,6 @@ def _make(library: Library, clip_ids: Sequence[int]) -> dict[int, bytes]:
 
 
 _MAP_NAME = "map.npz"
-_MAP_DIGITS = 4  # of places on the map, from -1 to 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -495,7 +492,8 @@ class KeptMap:
                 return _KeptPoints(ids, marks, points, left_out)
         return None
 
-    def _compare(self, snapshot: Snapshot) -> dict[str, Any]:
+    def _compare(self, snapshot: Snapshot, *, map_digits: int = 4) -> dict[str, Any]:
+        # map_digits: of places on the map, from -1 to 1
         kept = self._read()
         clips = {clip.id: clip for clip in snapshot.clips if clip.kind == "clip"}
         if kept is None:
@@ -512,8 +510,8 @@ class KeptMap:
         return {
             "is_made": True,
             "ids": ids,
-            "x": [round(value, _MAP_DIGITS) for value in kept.points[still, 0].tolist()],
-            "y": [round(value, _MAP_DIGITS) for value in kept.points[still, 1].tolist()],
+            "x": [round(value, map_digits) for value in kept.points[still, 0].tolist()],
+            "y": [round(value, map_digits) for value in kept.points[still, 1].tolist()],
             "categories": names,
             "category": [code[clips[number].category or ""] for number in ids],
             "n_new": len(clips) - len(ids) - len(lacking),

@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from dousa.app.studio.core.answers import Gate, RefusedError
 from dousa.app.studio.core.uploads import SOUNDS, VIDEOS
-from dousa.app.studio.core.workspace import write_file
+from dousa.app.studio.core.workspace import Workspace, write_file
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.studio.content.motions import MotionRef, Motions
-    from dousa.app.studio.core.workspace import Workspace
     from dousa.app.studio.jobs.board import Job, JobBoard
     from dousa.evaluation import Beats, BeatTiming
 
@@ -96,7 +95,7 @@ class Companions:
             stored = json.loads(kept.read_bytes())
             if stored["of"] == [music.batch, music.name]:
                 return Beats(stored["times_s"])
-        with self._gate.enter(60.0):  # s for others whose beats are looked for
+        with self._gate.enter():  # others whose beats are looked for
             beats = find_beats(self.path(job, "music"))
         write_file(kept, json.dumps({"of": [music.batch, music.name], "times_s": beats.times.tolist()}).encode())
         return beats

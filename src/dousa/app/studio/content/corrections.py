@@ -21,14 +21,13 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
-from dousa.app.studio.content.motions import Address, MotionRef
+from dousa.app.studio.content.motions import Address, MotionRef, Named, make_file
 from dousa.app.studio.core.answers import RefusedError, say
 from dousa.app.studio.core.workspace import write_file
 from dousa.errors import LibraryError, LibraryLockedError
 from dousa.formats.annotations.label_file import is_unknown
 
 if TYPE_CHECKING:
-    from dousa.app.studio.content.motions import Named
     from dousa.app.studio.content.studio import Studio
 
 _FILE = "corrections.json"
@@ -334,8 +333,6 @@ def _check_category(category: str) -> str:
 
 
 def _write_clip(studio: Studio, named: Named, ref: MotionRef, batch: str, category: str) -> Path:
-    from dousa.app.studio.content.motions import make_file
-
     stem = "".join(character if character.isalnum() or character in "_-" else "_" for character in _stem(named))
     path = studio.workspace.place(batch, f"{stem[:50]}_{ref.start_s or 0:.2f}s.bvh")
     path.write_bytes(make_file(named, studio.motions.path(ref), ref, ".bvh"))

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 OLD_DAYS = 30
 """After which uploads that nothing names any more are offered to be taken away."""
 
-_DAY = 86_400.0  # s
+_DAY = 86_400.0  # s, by definition
 
 
 def describe_space(studio: Studio) -> dict[str, Any]:

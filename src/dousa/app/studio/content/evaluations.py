@@ -9,19 +9,18 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
 
-from dousa.app.studio.content.motions import MotionRef, Seconds
+from dousa.app.studio.content.motions import MotionRef, Motions, Named, Seconds
 from dousa.app.studio.core.answers import Gate, RefusedError, StrictModel, reword
 from dousa.app.studio.core.workspace import write_file
-from dousa.messages import Message, get_language
+from dousa.errors import InvalidMotionError
+from dousa.messages import LANGUAGES, Message, get_language
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from dousa.app.studio.content.motions import Motions, Named
     from dousa.app.studio.jobs.board import Job, JobBoard
     from dousa.evaluation import AdjustableAssessment, Assessment, Furi, Progress
     from dousa.motion import CanonicalMotion
@@ -31,7 +30,6 @@ _Weight = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
 _Name = Annotated[str, Field(max_length=40)]
 
 _MOST_READY, _MOST_BYTES = 6, 300_000_000  # evaluations in memory
-_LONGEST_S = 600.0  # s of a motion
 _ADJUSTED, _NOTES = "adjusted.json", "notes.txt"
 
 
@@ -370,7 +368,6 @@ def read_motions(
 @contextmanager
 def _naming(names: Sequence[str], takes: Sequence[CanonicalMotion]) -> Iterator[None]:
     """Add the name of the motion to errors about it."""
-    from dousa.errors import InvalidMotionError
     from dousa.evaluation import ABOUT_REFERENCES
 
     try:
@@ -394,7 +391,6 @@ def assess_exercise(
     """
     from dousa.app.report import build_exercise, build_exercise_page, to_repetitions_csv
     from dousa.evaluation import assess_repetitions, describe_exercise, describe_trends
-    from dousa.messages import LANGUAGES
 
     names, takes, performance = read_motions(request, find, progress)
     with _naming(names, takes):
@@ -429,13 +425,14 @@ def _tell_apart(named: Sequence[Named]) -> tuple[str, ...]:
     return tuple(f"{one.category}/{one.name}" if count[one.name] > 1 and one.category else one.name for one in named)
 
 
-def _check(named: Named) -> Named:
-    if named.motion.duration > _LONGEST_S:
+def _check(named: Named, *, longest_s: float = 600.0) -> Named:
+    # longest_s: of a motion
+    if named.motion.duration > longest_s:
         raise RefusedError(
             422,
             "studio_evaluation.too_long",
             name=named.name,
-            most=_LONGEST_S / 60,
+            most=longest_s / 60,
             minutes=named.motion.duration / 60,
         )
     return named

@@ -31,12 +31,12 @@ from numpy.typing import NDArray
 
 from dousa.app.studio.core.answers import Answer, RefusedError
 from dousa.app.studio.core.workspace import write_file
+from dousa.arrays import FloatArray, Image, Mask
 from dousa.files.disk import atomic_write
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.pipelines.film_scene import FilmScene
-    from dousa.arrays import FloatArray, Image, Mask
     from dousa.estimation import Camera, PersonTrack, ViewKeypoints
     from dousa.estimation.multiview.people import MatchedPerson
     from dousa.estimation.tracking.settings import Estimate
@@ -45,7 +45,6 @@ LONGEST = 720
 """px, of a picture's longer side."""
 
 SHOWN = np.dtype([("frame", "<i4"), ("size", "<i4"), ("offset", "<i8")])
-_MOST_BYTES = 1_500_000_000  # of all films of a batch; of longer ones not every frame is kept
 
 Progress = Callable[[int, int, Message], None]
 
@@ -56,9 +55,10 @@ def name_pictures(film: Path) -> Path:
     return film.with_name(f".{digest}.jpg")
 
 
-def choose_stride(n_frames: int) -> int:
+def choose_stride(n_frames: int, *, most_bytes: int = 1_500_000_000) -> int:
     """Choose every how many frames a picture is stored, for the number of frames of all films of a batch."""
-    return max(1, -(-n_frames * 45_000 // _MOST_BYTES))  # of a picture
+    # most_bytes: of all films of a batch; of longer ones not every frame is kept
+    return max(1, -(-n_frames * 45_000 // most_bytes))  # of a picture
 
 
 def write_pictures(film: Path, stride: int, report: Progress) -> None:
@@ -161,10 +161,9 @@ def to_picture_address(canvas: Image, longest: int) -> str:
     return "data:image/jpeg;base64," + encode_base64(np.frombuffer(encode_jpeg(shrink(canvas, longest), 85), np.uint8))
 
 
-UNSEEN = -32768
+UNSEEN = int(np.iinfo(np.int16).min)
 STAGES = ("films", "found", "placed", "matched", "fitted")
-_SCALE = 16384
-_SIGHT = 0.9  # m, how far the pyramid of a camera is drawn
+_SCALE = 16384  # of a width or height, by definition of points-V.npy above
 _HEAD = ("nose", "left_ear", "right_ear")
 
 Track = tuple[int, int]
@@ -323,13 +322,14 @@ def _describe_track(person: PersonTrack) -> dict[str, Any]:
     return {"seen": float(present.mean()), "first": first}
 
 
-def describe_camera(camera: Camera) -> dict[str, Any]:
+def describe_camera(camera: Camera, *, sight_m: float = 0.9) -> dict[str, Any]:
     """Return name, position, and the corners (4, 3) of the view at a short distance; m, Y up."""
+    # sight_m: how far the pyramid of a camera is drawn
     right, low = camera.width - 1.0, camera.height - 1.0
     corners = np.array(((0.0, 0.0), (right, 0.0), (right, low), (0.0, low)))
     starts, ways = camera.compute_rays(corners)
     forward = np.maximum(np.nan_to_num(ways) @ camera.rotation[2], 0.2)
-    ends = starts + _SIGHT * np.nan_to_num(ways) / forward[:, None]
+    ends = starts + sight_m * np.nan_to_num(ways) / forward[:, None]
     return {
         "name": camera.name,
         "position": camera.position.round(4).tolist(),

@@ -36,12 +36,12 @@ from dousa.app.studio.content.film_record import (
     shrink,
 )
 from dousa.app.studio.core.answers import RefusedError
-from dousa.app.studio.jobs.board import OpenedJobs
+from dousa.app.studio.jobs.board import JobBoard, OpenedJobs
+from dousa.arrays import Image, Mask
+from dousa.files.disk import atomic_write
 
 if TYPE_CHECKING:
     from dousa.app.pictures.overlay_view import ViewPainter
-    from dousa.app.studio.jobs.board import JobBoard
-    from dousa.arrays import Image, Mask
     from dousa.estimation import BodyModel
     from dousa.estimation.tracking.settings import Estimate, TrackedFrame
 
@@ -51,7 +51,6 @@ STAGES = ("found", "settled", "smoothed")
 MASK, PICTURE = 0, 1
 SEEN = np.dtype([("frame", "<i4"), ("view", "<i2"), ("kind", "<i2"), ("offset", "<i8"), ("size", "<i4")])
 _LONGEST = 480  # px, of what is kept
-_MOST_BYTES = 1_000_000_000  # of all pictures of one estimation
 
 
 def pose_record(n_numbers: int, n_views: int, n_parts: int) -> np.dtype[Any]:
@@ -150,10 +149,18 @@ class FootageWriter:
                     (self._folder / name).unlink()
         self._seen = SeenWriter(self._folder)
 
-    def see(self, frame: int, masks: Sequence[Mask | None], pictures: Sequence[Image | None]) -> None:
+    def see(
+        self,
+        frame: int,
+        masks: Sequence[Mask | None],
+        pictures: Sequence[Image | None],
+        *,
+        most_bytes: int = 1_000_000_000,
+    ) -> None:
         """Write small masks and pictures."""
+        # most_bytes: of all pictures of one estimation
         assert self._seen is not None
-        if self._seen.n_bytes > _MOST_BYTES:
+        if self._seen.n_bytes > most_bytes:
             return
         for view, (mask, picture) in enumerate(zip(masks, pictures, strict=True)):
             if mask is not None:
@@ -200,7 +207,6 @@ class FootageWriter:
     def _begin_poses(self, body: BodyModel) -> None:
         """Begin the poses once the girths of the body are fitted."""
         from dousa.estimation.cameras.camera_formats import cameras_to_arrays
-        from dousa.files.disk import atomic_write
 
         assert self._scene is not None
         self._body, self._joints = body, canonical_indices(body)
@@ -217,9 +223,6 @@ class FootageWriter:
         }
         with atomic_write(self._folder / "scene.npz") as file:
             np.savez(file, **arrays)  # type: ignore[arg-type]
-
-
-_JPEG = 88
 
 
 class Footages:
@@ -396,7 +399,7 @@ class Footage:
                 self._overlays.popitem(last=False)
             return image
 
-    def _paint(self, view: int, frame: int) -> bytes:
+    def _paint(self, view: int, frame: int, *, quality: int = 88) -> bytes:
         row = self._rows[frame]
         mask, picture = (_decode(self._seen.read(frame, view, kind)) for kind in (MASK, PICTURE))
         if self.film.version and picture is None:
@@ -409,7 +412,7 @@ class Footage:
             picture,
             row["hidden"],
         )
-        return encode_jpeg(drawn, _JPEG)
+        return encode_jpeg(drawn, quality)
 
     def _painter(self, view: int) -> ViewPainter:
         from dousa.app.pictures.overlay_view import ViewPainter

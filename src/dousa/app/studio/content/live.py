@@ -12,18 +12,18 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dousa.app.studio.core.answers import RefusedError, name_error
 from dousa.arrays import FloatArray, Image
-from dousa.errors import DousaError
+from dousa.errors import DousaError, KeypointError
+from dousa.extras import require
 from dousa.messages import Message, get_language
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from dousa.estimation.keypoints.keypoint_search import LandmarkModel
     from dousa.evaluation import FrameState, IncrementalAssessor
     from dousa.library import Library
@@ -62,9 +62,7 @@ def choose_model() -> LandmarkModel:
 
     Raises KeypointError if no model is installed, MissingExtraError without LiteRT or OpenCV.
     """
-    from dousa.errors import KeypointError
     from dousa.estimation.keypoints.pose_models import DETECTOR, find_pose_model
-    from dousa.extras import require
 
     require("cv2", "film")
     require("ai_edge_litert", "film")

@@ -16,7 +16,7 @@ import json
 import threading
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -24,19 +24,15 @@ from dousa.app.studio.content.film_record import encode_mask
 from dousa.app.studio.content.footage import MASK, PICTURE, SeenReader
 from dousa.app.studio.core.answers import RefusedError
 from dousa.app.studio.core.workspace import write_file
-from dousa.app.studio.jobs.board import OpenedJobs
+from dousa.app.studio.jobs.board import JobBoard, OpenedJobs
+from dousa.arrays import Image, Mask
 from dousa.estimation.silhouettes.cleaning import doubt_masks, measure_mask
 from dousa.estimation.silhouettes.mask_npz import write_silhouettes
 from dousa.estimation.silhouettes.repairs import MaskRepair, RepairedSilhouettes, repair_from_json
 from dousa.estimation.silhouettes.silhouettes import Silhouettes, checked_frame
 
-if TYPE_CHECKING:
-    from dousa.app.studio.jobs.board import JobBoard
-    from dousa.arrays import Image, Mask
-
 SCENE, CAMERAS, MEASURES, EXPORTED = "masks.json", "cameras.toml", "measures.npy", "masks.npz"
 _REPAIRS = "repairs.json"
-_MOST_REPAIRS = 20_000
 
 
 class StoredMasks(Silhouettes):
@@ -170,12 +166,12 @@ class MaskDesk:
     def _has_pictures(self, view: int) -> bool:
         return any(self.found.picture(view, frame) is not None for frame in (0, self.found.n_frames // 2))
 
-    def repair(self, repair: MaskRepair) -> dict[str, Any]:
+    def repair(self, repair: MaskRepair, *, most_repairs: int = 20_000) -> dict[str, Any]:
         """Add a repair and forget those undone; RefusedError if there are too many, SilhouetteError for an unknown
         frame."""
         with self._lock:
-            if len(self._done) >= _MOST_REPAIRS:
-                raise RefusedError(409, "studio_masks.many", most=_MOST_REPAIRS)
+            if len(self._done) >= most_repairs:
+                raise RefusedError(409, "studio_masks.many", most=most_repairs)
             RepairedSilhouettes(self.found, [repair])  # refuses a view or frame that there is not
             return self._set([*self._done, repair], [], repair)
 

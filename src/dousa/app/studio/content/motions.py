@@ -41,7 +41,6 @@ MotionName = Annotated[
 ]
 Seconds = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 _KEPT, _KEPT_BYTES = 24, 60_000_000  # motions that were read from files last
-_WAIT = 60.0  # s for others that read
 _LONGEST_S, _MOST_FRAMES = 3 * 3600.0, 1_500_000  # of a motion that is looked at as one
 
 
@@ -188,7 +187,7 @@ class Motions:
         kept = self._look(key)
         if kept is not None:
             return kept
-        with self._reading.enter(_WAIT):
+        with self._reading.enter():
             kept = self._look(key)  # read for another request meanwhile
             if kept is None:
                 kept = _read(path, ref)
@@ -308,7 +307,7 @@ def make_file(
     from dousa.formats.registry import write_motion
     from dousa.motion.retargeting import retarget
 
-    with _gate.enter(_WAIT), tempfile.TemporaryDirectory(prefix="dousa-") as folder:
+    with _gate.enter(), tempfile.TemporaryDirectory(prefix="dousa-") as folder:
         path = Path(folder) / f"motion{suffix}"
         original = _read_original(named, source, ref)
         motion = _fit(named) if original is None else original

@@ -28,7 +28,6 @@ from dousa.extras import require
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate as _Signed
 
-_MOST_LINKS = 200
 
 KEY = "key"
 """The name of the secret of a link in its address."""
@@ -59,14 +58,14 @@ class ShareLinks:
         self._links: list[ShareLink] = []
         self._lock = threading.Lock()
 
-    def add(self, report: str | None) -> ShareLink:
+    def add(self, report: str | None, *, most_links: int = 200) -> ShareLink:
         """Return the link to one evaluation or to everything, made if missing; RefusedError if there are too many."""
         with self._lock:
             for link in self._links:
                 if link.report == report:
                     return link
-            if len(self._links) >= _MOST_LINKS:
-                raise RefusedError(409, "studio_share.many_links", most=_MOST_LINKS)
+            if len(self._links) >= most_links:
+                raise RefusedError(409, "studio_share.many_links", most=most_links)
             self._links.append(ShareLink(report))
             return self._links[-1]
 

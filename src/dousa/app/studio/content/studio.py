@@ -20,14 +20,13 @@ from dousa.app.studio.content.live import Live
 from dousa.app.studio.content.masks import MaskDesks
 from dousa.app.studio.content.motions import Motions
 from dousa.app.studio.core.answers import Gate
-from dousa.app.studio.core.workspace import MentionedBatches, Workspace
+from dousa.app.studio.core.workspace import MentionedBatches, Settings, Workspace
 from dousa.app.studio.jobs.board import JobBoard, Lane
 from dousa.errors import LibraryError
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.studio.content.sharing import Sharing
-    from dousa.app.studio.core.workspace import Settings
     from dousa.library import Library
 
 Step = tuple[int, int, Message]

@@ -17,7 +17,7 @@ from typing import Any
 from urllib.parse import quote
 
 from pydantic import BaseModel, ConfigDict
-from starlette.responses import JSONResponse
+from starlette.responses import JSONResponse, Response
 
 from dousa.errors import (
     DousaError,
@@ -52,16 +52,17 @@ def name_error(error: DousaError, home: Path) -> Message:
 def shorten(message: Message, home: Path) -> Message:
     """Replace paths below the studio's folder in a message by their place in the batch or job."""
     inside = re.compile(re.escape(str(home)) + r"/(?:(?:files|jobs)(?:/[0-9a-f]{16}(?:/|$)|$))?")
-    short: Message = _map_values(message, lambda text: inside.sub("", text))
+    short: Message = _map_message(message, lambda text: inside.sub("", text), lambda code: code)
     return short
 
 
-def _map_values(value: Any, change: Callable[[str], str]) -> Any:
+def _map_message(value: Any, change_text: Callable[[str], str], change_code: Callable[[str], str]) -> Any:
     if isinstance(value, Message):
-        return Message(value.code, **{name: _map_values(one, change) for name, one in value.values.items()})
+        values = {name: _map_message(one, change_text, change_code) for name, one in value.values.items()}
+        return Message(change_code(value.code), **values)
     if isinstance(value, tuple):
-        return tuple(_map_values(one, change) for one in value)
-    return change(value) if isinstance(value, str) else value
+        return tuple(_map_message(one, change_text, change_code) for one in value)
+    return change_text(value) if isinstance(value, str) else value
 
 
 def say(message: Message) -> str:
@@ -71,16 +72,14 @@ def say(message: Message) -> str:
 
 def reword(message: Message) -> Message:
     """Return the message that the pages have instead, if there is one."""
-    found: Message = _reword(message, load_table(LANGUAGES[0]))
+    table = load_table(LANGUAGES[0])
+
+    def change(code: str) -> str:
+        instead = f"studio_instead.{code}"
+        return instead if instead in table else code
+
+    found: Message = _map_message(message, lambda text: text, change)
     return found
-
-
-def _reword(value: Any, table: Mapping[str, str]) -> Any:
-    if isinstance(value, Message):
-        code = f"studio_instead.{value.code}"
-        values = {name: _reword(one, table) for name, one in value.values.items()}
-        return Message(code if code in table else value.code, **values)
-    return tuple(_reword(one, table) for one in value) if isinstance(value, tuple) else value
 
 
 def pack(value: Any) -> Any:
@@ -171,8 +170,13 @@ def describe_bytes(*kinds: str) -> dict[int | str, dict[str, Any]]:
     return {200: {"content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in kinds}}}
 
 
-BYTES = describe_bytes("application/octet-stream")
-"""The responses in OpenAPI of an address that answers with a file."""
+def give_files(*kinds: str) -> dict[str, Any]:
+    """Return the arguments of a route that answers with files of these media types."""
+    return {"response_class": Response, "responses": describe_bytes(*kinds)}
+
+
+FILE = give_files("application/octet-stream")
+"""The arguments of a route that answers with a file."""
 
 
 def describe_body(kind: str) -> dict[str, Any]:
@@ -225,8 +229,8 @@ class Gate:
         self._problem = problem
 
     @contextmanager
-    def enter(self, seconds: float) -> Iterator[None]:
-        """Wait at most so many s; RefusedError if too many wait already, or it takes longer."""
+    def enter(self, seconds: float = 60.0) -> Iterator[None]:
+        """Wait at most so many s for others; RefusedError if too many wait already, or it takes longer."""
         if not self._known.acquire(blocking=False):
             raise RefusedError(429, self._problem)
         try:

@@ -21,14 +21,14 @@ from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl, quote, unquote, urlencode
 
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import HTMLResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from dousa.app.studio.core.answers import Answer, RefusedError, say, to_answer
 from dousa.messages import LANGUAGES, get_language, use_language
 from dousa.messages import Message as _Words
 
 if TYPE_CHECKING:
-    from starlette.types import ASGIApp, Message, Receive, Scope, Send
-
     from dousa.app.studio.core.workspace import Settings
 
 UPLOAD_PATH = "/api/uploads"
@@ -302,8 +302,6 @@ async def refuse(
     if not is_page and scope["path"] != form_at:
         await Answer(to_answer(error.message), error.status, headers)(scope, receive, send)
         return
-    from starlette.responses import HTMLResponse
-
     # The form needs a referrer, else its origin would be "null".
     headers = {**(headers or {}), "referrer-policy": "same-origin"}
     form = _FORM.format(

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
+from starlette.concurrency import run_in_threadpool
+
 from dousa.app.studio.core.answers import RefusedError, describe_disk
 from dousa.app.studio.core.workspace import Settings, Workspace, safe_parts
 from dousa.formats.registry import SUFFIXES
@@ -30,7 +32,6 @@ LABELS = frozenset({".eaf", ".textgrid"})
 _ARCHIVE = ".zip"
 
 _BOXES = frozenset({b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot"})  # the first one of MP4 and MOV
-_CHUNK = 1 << 20
 _MOST_AT_ONCE = 25_000_000  # bytes; 20,000 files with the longest names that are taken
 _DAMAGE = (
     zipfile.BadZipFile, zlib.error, lzma.LZMAError, NotImplementedError, RuntimeError, EOFError, OSError, ValueError,
@@ -60,8 +61,6 @@ async def receive(
     batch : where to put it; None for a new one.
     workspace, settings : of the studio.
     """
-    from starlette.concurrency import run_in_threadpool
-
     safe_parts(name)
     suffix = _check_suffix(name)
     made = workspace.new_batch() if batch is None else batch
@@ -198,7 +197,7 @@ def _unpack(archive: Path, _name: str, workspace: Workspace, room: _Room) -> Rec
                 except RefusedError as error:
                     if error.status == 413:  # no more room: what lies about its size is not searched on
                         raise
-                    refused.append((member.filename[:1_000], error.message))  # letters, of a name that is told
+                    refused.append((member.filename[:1_000], error.message))  # letters, of a name in an answer
     except BaseException as error:
         for name, size in kept:
             room.give_back(size)
@@ -227,7 +226,9 @@ def _check_archive(members: list[zipfile.ZipInfo], packed_bytes: int, room: _Roo
         raise RefusedError(413, "studio_files.archive_large", total=total / 1e6, packed=packed_bytes / 1e6)
 
 
-def _unpack_one(packed: zipfile.ZipFile, member: zipfile.ZipInfo, workspace: Workspace, room: _Room) -> tuple[str, int]:
+def _unpack_one(
+    packed: zipfile.ZipFile, member: zipfile.ZipInfo, workspace: Workspace, room: _Room, *, chunk_bytes: int = 1 << 20
+) -> tuple[str, int]:
     parts = safe_parts(member.filename)
     name = "/".join(parts)
     if member.flag_bits & 1:
@@ -241,7 +242,7 @@ def _unpack_one(packed: zipfile.ZipFile, member: zipfile.ZipInfo, workspace: Wor
         with _temporary(workspace) as (file, path):
             left = member.file_size
             with packed.open(member) as source:
-                while chunk := source.read(_CHUNK):
+                while chunk := source.read(chunk_bytes):
                     left -= len(chunk)
                     if left < 0:
                         raise RefusedError(413, "studio_files.larger_than_said")

@@ -120,9 +120,6 @@ def ask_running(home: Path) -> str | None:
     return None
 
 
-MEGABYTE = 1_000_000
-
-
 @dataclass(frozen=True, slots=True)
 class Settings:
     """A studio and its limits.
@@ -148,8 +145,8 @@ class Settings:
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     home: Path | None = None
     alias: str = ""
-    most_bytes: int = 500 * MEGABYTE
-    most_unpacked_bytes: int = 4_000 * MEGABYTE
+    most_bytes: int = 500_000_000
+    most_unpacked_bytes: int = 4_000_000_000
     most_files: int = 20_000
 
     def __post_init__(self) -> None:
@@ -181,10 +178,10 @@ _ALIAS = re.compile(r"dousa-[0-9a-f]{16}\.localhost")
 _DEEPEST, _LONGEST, _LONGEST_PATH = 12, 200, 1_000  # folders; bytes of a name; bytes of all
 # Characters that some system cannot store, or that turn the direction of writing, so that a name reads as another.
 _NOWHERE = frozenset(':*?"<>|\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069')
+# Reserved by Windows: "Naming Files, Paths, and Namespaces", https://learn.microsoft.com/windows/win32/fileio/
 _DEVICES = frozenset({"con", "prn", "aux", "nul", *(f"{name}{n}" for name in ("com", "lpt") for n in range(1, 10))})
 _KEPT = ".kept"  # marks a batch that a library or a job lives from
 _OF_LIBRARY = "library"  # in that file: kept as long as clips come from it
-_STALE = 7 * 86_400.0  # s after which other batches are cleared away when a studio starts
 
 
 def write_file(path: Path, content: bytes) -> None:
@@ -390,13 +387,14 @@ class Workspace:
                 found.append((folder, time.time() - last, kept.read_text() if there else None))
         return found
 
-    def _clear_stale(self) -> None:
+    def _clear_stale(self, *, stale_s: float = 7 * 86_400.0) -> None:
+        # stale_s: after which other batches are cleared away when a studio starts
         for part in self.root.rglob(".*.part"):  # of what ended with its studio
             with suppress(OSError):
                 part.unlink()
         for folder in (self.root / "files").iterdir():
             with suppress(OSError):
-                old = time.time() - folder.stat().st_mtime > _STALE
+                old = time.time() - folder.stat().st_mtime > stale_s
                 if old and _BATCH.fullmatch(folder.name) and not (folder / _KEPT).exists():
                     shutil.rmtree(folder, ignore_errors=True)
 

@@ -18,16 +18,13 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from dousa.app.studio.core.answers import Answer, RefusedError, name_error, pack, read_message, say, say_packed
-from dousa.app.studio.core.workspace import write_file
+from dousa.app.studio.core.workspace import Workspace, write_file
 from dousa.errors import DousaError
 from dousa.formats.motion_files import find_motion_files
 from dousa.messages import Message, get_language, use_language
-
-if TYPE_CHECKING:
-    from dousa.app.studio.core.workspace import Workspace
 
 ACTIVE = frozenset({"queued", "running", "stopping"})
 _MOST_WAITING, _MOST_KEPT = 50, 200
@@ -340,9 +337,6 @@ class OpenedJobs(Generic[Opened]):
             return self._open[job.id]
 
 
-LOOK_EVERY = 3.0
-"""s between looks; files that are still being written change in between."""
-
 _Seen = frozenset[tuple[str, int, int]]  # path, bytes, time of the last change
 
 
@@ -391,8 +385,9 @@ class FolderWatch:
                 seen.add((str(file.path), state.st_size, state.st_mtime_ns))
         return frozenset(seen)
 
-    def _run(self) -> None:
-        while not self._over.wait(LOOK_EVERY):
+    def _run(self, *, look_every_s: float = 3.0) -> None:
+        # look_every_s: between looks; files that are still being written change in between
+        while not self._over.wait(look_every_s):
             # A queue that is full, a disk that is away: the next look may do better.
             with suppress(DousaError, OSError):
                 self.look()

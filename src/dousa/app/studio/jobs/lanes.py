@@ -17,13 +17,12 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from dousa.app.studio.core.answers import Gate, RefusedError, read_message, say_packed, to_message
-from dousa.app.studio.jobs.board import JobStopped
+from dousa.app.studio.core.workspace import Settings
+from dousa.app.studio.jobs.board import Job, JobBoard, JobStopped
 from dousa.errors import DousaError
 from dousa.messages import Message, get_language
 
 if TYPE_CHECKING:
-    from dousa.app.studio.core.workspace import Settings
-    from dousa.app.studio.jobs.board import Job, JobBoard
     from dousa.library import Library
 
 _WORKER = "dousa.app.studio.work.worker"  # the module that a process runs
@@ -221,10 +220,13 @@ _lock = threading.Lock()
 _under_way: dict[str, subprocess.Popen[bytes]] = {}
 
 
-def ask_process(settings: Settings, kind: str, request: dict[str, Any], folder: Path, seconds: float) -> dict[str, Any]:
+def ask_process(
+    settings: Settings, kind: str, request: dict[str, Any], folder: Path, *, seconds: float = 180.0
+) -> dict[str, Any]:
     """Return the result of short work in a process; an older question about the same batch is dropped.
 
-    Raises RefusedError if the work failed, took longer than ``seconds``, or ended without an answer.
+    Raises RefusedError if the work failed, took longer than ``seconds`` (backgrounds of long films take a while, and
+    kernels compile at first), or ended without an answer.
     """
     key = f"{settings.folder} {kind} {request.get('batch')}"
     with _lock:

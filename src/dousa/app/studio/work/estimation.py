@@ -11,24 +11,27 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dousa.app.pipelines.doubts import WatchedSilhouettes, parse_frames
+from dousa.app.pipelines.estimation_views import choose_cameras, open_bare_views, open_views, read_known_stature
 from dousa.app.studio.content.film_record import LONGEST, encode_jpeg, encode_mask, shrink
-from dousa.app.studio.content.footage import MASK, PICTURE, SeenWriter
-from dousa.app.studio.content.masks import CAMERAS, MEASURES, SCENE
+from dousa.app.studio.content.footage import MASK, PICTURE, FootageWriter, SeenWriter
+from dousa.app.studio.content.masks import CAMERAS, EXPORTED, MEASURES, SCENE, StoredMasks, export_masks
 from dousa.app.studio.content.motions import Address
 from dousa.app.studio.core.answers import RefusedError, shorten, to_message
 from dousa.app.studio.core.workspace import safe_parts
 from dousa.app.studio.jobs.lanes import Context
 from dousa.app.studio.work.materials import Material, pair_backgrounds, sort_materials
+from dousa.arrays import Image, Mask
 from dousa.errors import CalibrationError, OptionError
+from dousa.estimation.silhouettes.cleaning import measure_mask
+from dousa.estimation.silhouettes.silhouettes import Silhouettes
+from dousa.extras import require
+from dousa.formats.registry import write_motion
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.pipelines.estimate import Estimation
     from dousa.app.requests.estimation import EstimationRequest, Outputs
-    from dousa.app.studio.content.footage import FootageWriter
-    from dousa.app.studio.content.masks import StoredMasks
-    from dousa.arrays import Image, Mask
-    from dousa.estimation.silhouettes.silhouettes import Silhouettes
 
 
 def estimate(request: dict[str, Any], context: Context) -> dict[str, Any]:
@@ -38,8 +41,6 @@ def estimate(request: dict[str, Any], context: Context) -> dict[str, Any]:
     for films. A stopped job continues where it was when it is resumed.
     """
     from dousa.app.requests.estimation import Outputs
-    from dousa.app.studio.content.footage import FootageWriter
-    from dousa.app.studio.content.masks import EXPORTED
     from dousa.app.studio.work.films import CAMERAS
 
     folder = context.folder
@@ -88,8 +89,6 @@ def _estimate(
 
 def _take_masks(job: str, asked: EstimationRequest, context: Context) -> tuple[EstimationRequest, StoredMasks]:
     """Replace the sources by a copy of the repaired silhouettes of a job, which later repairs do not change."""
-    from dousa.app.studio.content.masks import EXPORTED, StoredMasks, export_masks
-
     folder, path = context.home / "jobs" / job, context.folder / EXPORTED
     if not path.is_file():
         export_masks(folder, path, context.progress)
@@ -203,8 +202,6 @@ def _find_start(request: dict[str, Any], context: Context) -> str | None:
 
 
 def _write_clip(clip: int, context: Context) -> Path:
-    from dousa.formats.registry import write_motion
-
     path = context.folder / "start.trc"
     with context.open_library() as library:
         write_motion(library.trajectories(clip), path)
@@ -271,10 +268,7 @@ def _codes(value: Any) -> Iterator[str]:
 def prepare_masks(request: dict[str, Any], context: Context) -> dict[str, Any]:
     """Write the silhouettes of an estimation's request into the folder of the job, see
     `dousa.app.studio.content.masks`."""
-    from dousa.app.pipelines.doubts import WatchedSilhouettes, parse_frames
-    from dousa.app.pipelines.estimation_views import open_bare_views, open_views, read_known_stature
     from dousa.app.requests.estimation import Outputs
-    from dousa.extras import require
 
     require("cv2", "film")
     asked = make_request(request, context, Outputs())
@@ -302,7 +296,6 @@ def prepare_masks(request: dict[str, Any], context: Context) -> dict[str, Any]:
 
 def _write_cameras(asked: EstimationRequest, views: Silhouettes, context: Context) -> bool:
     """Write a camera for each view; returns whether they are known. Silhouettes can be repaired without."""
-    from dousa.app.pipelines.estimation_views import choose_cameras
     from dousa.estimation.cameras.camera_files import write_cameras
 
     try:
@@ -315,8 +308,6 @@ def _write_cameras(asked: EstimationRequest, views: Silhouettes, context: Contex
 
 
 def _write_frames(views: Silhouettes, context: Context) -> Any:
-    from dousa.estimation.silhouettes.cleaning import measure_mask
-
     measures = np.full((2, views.n_views, views.n_frames), np.nan)
     with closing(SeenWriter(context.folder)) as seen:
         for frame in range(views.n_frames):

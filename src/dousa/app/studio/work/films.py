@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 from dousa.app.studio.core.answers import shorten, to_message
 from dousa.app.studio.jobs.lanes import Context
 from dousa.app.studio.work.materials import holds_keypoints
-from dousa.errors import OptionError
+from dousa.arrays import Image, Mask
+from dousa.errors import KeypointError, OptionError
+from dousa.extras import require
 from dousa.messages import Message
 
 if TYPE_CHECKING:
@@ -19,7 +21,6 @@ if TYPE_CHECKING:
     from dousa.app.requests.estimation import EstimationRequest
     from dousa.app.studio.content.film_record import FilmRecordWriter, Track
     from dousa.app.studio.content.footage import FootageWriter
-    from dousa.arrays import Image, Mask
     from dousa.estimation import ViewKeypoints
     from dousa.estimation.multiview.people import MatchedPerson
     from dousa.estimation.tracking.settings import Estimate, TrackedFrame
@@ -93,7 +94,6 @@ def can_do_without(asked: EstimationRequest) -> bool:
 def check_films(asked: EstimationRequest) -> tuple[FilmSource, ...]:
     """Return the views; DousaError if a model, a package or the stature is missing."""
     from dousa.estimation.keypoints.pose_models import DETECTOR, choose_pose_model, find_pose_model
-    from dousa.extras import require
 
     views = pair_films(asked.sources)
     if asked.mirrored:
@@ -126,7 +126,6 @@ def estimate_from_films(
     from dousa.app.pipelines.film_estimate import check_agreement, estimate_person
     from dousa.app.pipelines.film_scene import place_films
     from dousa.app.studio.content.film_record import FilmRecordWriter
-    from dousa.errors import KeypointError
     from dousa.estimation.cameras.camera_files import write_cameras
     from dousa.estimation.multiview.people import match_people
 

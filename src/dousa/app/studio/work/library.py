@@ -10,21 +10,19 @@ from typing import TYPE_CHECKING, Any
 
 from dousa.app.studio.content.motions import EXPORTED, Address, MotionRef
 from dousa.app.studio.core.answers import shorten
+from dousa.app.studio.core.workspace import safe_parts
 from dousa.app.studio.jobs.lanes import Context
+from dousa.errors import TrainingError
+from dousa.formats.motion_files import ReadOptions
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.studio.content.studio import Studio
-    from dousa.app.studio.jobs.lanes import Context
     from dousa.library import Library
-
-_MOST_DRAWN = 2_000  # clips whose figures are made ahead; a longer list gets its own when it is looked at
 
 
 def add(request: dict[str, Any], context: Context) -> dict[str, Any]:
     """Add a batch; ``request``: batch, kind, category_from, performer_from, labels, tier, unit, up, joint_map."""
-    from dousa.formats.motion_files import ReadOptions
-
     folder = context.home / "files" / str(request["batch"])
     options = {
         "kind": request["kind"],
@@ -70,17 +68,16 @@ def _take_in(paths: Sequence[Path], options: Mapping[str, Any], context: Context
 
 def _inside(rule: str | None, folder: Path) -> str | None:
     """Resolve the table of a rule inside the batch, so that no other file of this machine is read."""
-    from dousa.app.studio.core.workspace import safe_parts
-
     kind, _, name = (rule or "").partition(":")
     return f"csv:{folder.joinpath(*safe_parts(name))}" if kind == "csv" and name else rule
 
 
-def _draw_ahead(library: Library, before: set[int], context: Context) -> None:
+def _draw_ahead(library: Library, before: set[int], context: Context, *, most_drawn: int = 2_000) -> None:
     """Make the figures of new clips, so that the page shows them at once."""
+    # most_drawn: clips whose figures are made ahead; a longer list gets its own when it is looked at
     from dousa.app.studio.content.clips import Thumbnails
 
-    fresh = [clip.id for clip in library.clips() if clip.id not in before][:_MOST_DRAWN]
+    fresh = [clip.id for clip in library.clips() if clip.id not in before][:most_drawn]
     Thumbnails.of(context.home).make_ahead(library, fresh)
 
 
@@ -107,8 +104,6 @@ def train(request: dict[str, Any], context: Context) -> dict[str, Any]:
 
 def review(request: dict[str, Any], context: Context) -> dict[str, Any]:
     """Find labels that are likely wrong, and clips that are nearly the same."""
-    from dousa.errors import TrainingError
-
     with context.open_library() as library:
         groups = [group.to_json() for group in library.find_near_duplicates()]
         try:
@@ -172,8 +167,6 @@ def export(request: dict[str, Any], context: Context) -> dict[str, Any]:
 
 
 def _find_character(library: Library, motion: str, home: Path) -> Path:
-    from dousa.app.studio.core.workspace import safe_parts
-
     address = Address.parse(motion)
     if address.clip is not None:
         return Path(library.clips([address.clip])[0].path)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dousa.app.studio.core.uploads import PICTURES, VIDEOS
+from dousa.errors import CalibrationError
 from dousa.files.frame_names import natural_key
 
 ROLES = ("source", "cameras", "background", "body", "start", "unused")
@@ -16,7 +17,6 @@ _CALIBRATIONS = frozenset({".toml", ".xml", ".yaml", ".yml", ".json", ".txt"})
 _MOTIONS = frozenset({".bvh", ".amc", ".c3d", ".trc"})
 _PLATE = re.compile(r"background|backdrop|plate|empty|(^|[/_ -])bg([/_ .-]|$)|背景", re.IGNORECASE)
 _PERSON = re.compile(rb"^\s*(stature\s*=|\[\[part\]\]|\[measures\])", re.MULTILINE)
-_MOST_MEMBERS = 1000  # names of an npz looked at
 _KEYPOINTS = re.compile(rb'"(\w*keypoints\w*|\w*landmarks\w*)"')
 
 
@@ -105,11 +105,12 @@ def _gather_frames(found: list[Material]) -> list[Material]:
     return [item for item in found if item.name not in frames] + whole
 
 
-def _look_into_npz(path: Path, name: str) -> Material:
+def _look_into_npz(path: Path, name: str, *, most_members: int = 1000) -> Material:
     """Find the role of an npz by its arrays; other files count as silhouettes, whose reader tells what is wrong."""
+    # most_members: names of an npz looked at
     try:
         with zipfile.ZipFile(path) as file:
-            inside = {member.removesuffix(".npy") for member in file.namelist()[:_MOST_MEMBERS]}
+            inside = {member.removesuffix(".npy") for member in file.namelist()[:most_members]}
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
         return Material(name, "source", "npz")
     if {"points", "visibility", "names"} <= inside:
@@ -148,7 +149,6 @@ def _settle(found: list[Material]) -> list[Material]:
 
 def pair_backgrounds(sources: list[Path], backgrounds: list[Path]) -> list[Path]:
     """Order backgrounds like the sources if their names tell which belong together."""
-    from dousa.errors import CalibrationError
     from dousa.estimation.cameras.camera import find_views
 
     if len(sources) != len(backgrounds):

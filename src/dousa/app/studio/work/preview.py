@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dousa.app.pipelines.doubts import WatchedSilhouettes, parse_frames
+from dousa.app.pipelines.estimation_views import choose_cameras, open_bare_views, open_views, read_known_stature
 from dousa.app.studio.content.film_record import to_picture_address
 from dousa.app.studio.core.answers import name_error, shorten, to_message
 from dousa.app.studio.jobs.lanes import Context
 from dousa.app.studio.work.estimation import list_materials, make_request
+from dousa.arrays import Mask
 from dousa.errors import CalibrationError, DousaError, OptionError, SilhouetteError
+from dousa.estimation.silhouettes.silhouettes import Silhouettes
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.requests.estimation import EstimationRequest
-    from dousa.arrays import Mask
     from dousa.estimation import Camera
-    from dousa.estimation.silhouettes.silhouettes import Silhouettes
-
-_LONGEST = 320  # px of a picture
 
 
 def preview(request: dict[str, Any], context: Context) -> dict[str, Any]:
@@ -54,7 +54,6 @@ def preview(request: dict[str, Any], context: Context) -> dict[str, Any]:
 
 
 def _look(request: dict[str, Any], context: Context, answer: dict[str, Any]) -> None:
-    from dousa.app.pipelines.doubts import parse_frames
     from dousa.app.requests.estimation import Outputs
     from dousa.app.studio.work.films import can_do_without, look_at_films, takes_films
 
@@ -83,8 +82,6 @@ def _look(request: dict[str, Any], context: Context, answer: dict[str, Any]) -> 
 
 def _open(asked: EstimationRequest, context: Context, answer: dict[str, Any]) -> Silhouettes:
     """Open the silhouettes; without a calibration they can be shown but not used."""
-    from dousa.app.pipelines.estimation_views import open_bare_views, open_views
-
     bare = asked.cameras is None and any(path.suffix.lower() != ".npz" for path in asked.sources)
     try:
         if not bare:
@@ -96,8 +93,6 @@ def _open(asked: EstimationRequest, context: Context, answer: dict[str, Any]) ->
 
 
 def _match(asked: EstimationRequest, views: Silhouettes, answer: dict[str, Any]) -> tuple[Camera, ...]:
-    from dousa.app.pipelines.estimation_views import choose_cameras
-
     try:
         cameras, notes = choose_cameras(asked, views)
     except CalibrationError as error:
@@ -113,7 +108,6 @@ def _match(asked: EstimationRequest, views: Silhouettes, answer: dict[str, Any])
 
 
 def _show_first(views: Silhouettes, first: int, last: int, answer: dict[str, Any]) -> None:
-    from dousa.app.pipelines.doubts import WatchedSilhouettes
     from dousa.estimation.tracking.start import find_first
 
     part = WatchedSilhouettes(views, first, last)
@@ -130,11 +124,12 @@ def _show_first(views: Silhouettes, first: int, last: int, answer: dict[str, Any
     answer["notes"] += part.describe()
 
 
-def _draw(mask: Mask, image: NDArray[np.uint8] | None) -> str:
+def _draw(mask: Mask, image: NDArray[np.uint8] | None, *, longest_px: int = 320) -> str:
+    # longest_px: of a picture
     from dousa.app.pictures.overlay_view import LEFT, WHITE, draw_outlines, find_outlines
     from dousa.extras import cv2
 
-    factor = _LONGEST / max(mask.shape)
+    factor = longest_px / max(mask.shape)
     size = max(1, round(mask.shape[1] * factor)), max(1, round(mask.shape[0] * factor))
     filled = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
     if image is None:
@@ -147,12 +142,11 @@ def _draw(mask: Mask, image: NDArray[np.uint8] | None) -> str:
     if image is not None:
         draw_outlines(canvas, outlines, WHITE, 3)
     draw_outlines(canvas, outlines, LEFT, 1 if image is None else 2)
-    return to_picture_address(canvas, _LONGEST)
+    return to_picture_address(canvas, longest_px)
 
 
 def _check_person(asked: EstimationRequest, context: Context, answer: dict[str, Any]) -> None:
     from dousa.app.pipelines.estimation_body import load_body, read_start
-    from dousa.app.pipelines.estimation_views import read_known_stature
 
     said = None if asked.start is None else read_start(asked.start, asked.options)
     known = read_known_stature(asked.sources)

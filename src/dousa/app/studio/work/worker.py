@@ -16,9 +16,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
+from dousa.app.studio.core.answers import Answer, describe_disk, name_error, pack, to_message
 from dousa.app.studio.core.workspace import TAKEN, lock_file, open_private
 from dousa.app.studio.jobs.board import Lane
 from dousa.app.studio.jobs.lanes import READY, Context, run_in_process, run_in_thread
+from dousa.errors import DousaError
+from dousa.messages import Message, use_language
 
 if TYPE_CHECKING:
     from dousa.app.studio.content.studio import Studio
@@ -121,19 +124,14 @@ def _stand_back() -> None:
 
 
 def _do(task: dict[str, Any], out: Any) -> dict[str, Any]:
-    from dousa.app.studio.core.answers import describe_disk, name_error, pack, to_message
-    from dousa.app.studio.jobs.lanes import Context
-    from dousa.errors import DousaError
-    from dousa.messages import Message, use_language
-
     use_language(task["language"])
-    told = 0.0
+    reported = 0.0
 
     def progress(done: int, total: int, what: Message | str) -> None:
-        nonlocal told
+        nonlocal reported
         now = time.monotonic()
-        if done == total or now - told > 0.1:  # s
-            told = now
+        if done == total or now - reported > 0.1:  # s
+            reported = now
             _say(out, {"progress": [int(done), int(total), to_message(what).to_json()]})
 
     def tell(note: Message | str) -> None:
@@ -161,8 +159,6 @@ def _do(task: dict[str, Any], out: Any) -> dict[str, Any]:
 
 
 def _say(out: Any, message: dict[str, Any]) -> None:
-    from dousa.app.studio.core.answers import Answer
-
     out.write(Answer(None).render(message).decode() + "\n")
     out.flush()
 
