@@ -21,8 +21,7 @@ from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.recipes import JointMap
 from dousa.motion.kinematics import forward_kinematics
 from dousa.motion.retargeting.contacts import body_size, find_contacts
-from dousa.motion.retargeting.feet import Foot, FootPlan, level_foot, plan_foot
-from dousa.motion.retargeting.planting import bend, lower_pelvis, share_moves
+from dousa.motion.retargeting.planting import Foot, FootPlan, bend, level_foot, lower_pelvis, plan_foot, share_moves
 from dousa.motion.retargeting.rig import LIMBS, SIDES, Rig, body_axes, build_rig
 from dousa.motion.retargeting.transfer import Poses, Transfer, find_floor
 from dousa.motion.rotations import conjugate, multiply, normalise, rotate

@@ -114,7 +114,7 @@ def get_bvh(studio: StudioNow, asked: Annotated[_Download, Query()]) -> Response
     Or on the skeleton of a character, as `dousa convert --onto` does.
     """
     from dousa.app.studio.content.motions import make_file
-    from dousa.formats.characters import read_character
+    from dousa.formats.registry import read_character
 
     ref = asked.ref()
     named = studio.motions.get(ref)
@@ -239,6 +239,6 @@ def _find_character(studio: Studio, motion: str) -> Path:
 
 
 def _read_character(path: Path) -> Any:
-    from dousa.formats.characters import read_character
+    from dousa.formats.registry import read_character
 
     return read_character(path)
