@@ -13,7 +13,7 @@ import numpy as np
 from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.errors import InvalidMotionError, MotionFileError, OptionError
 from dousa.messages import Message
-from dousa.motion import Motion, Provenance, Skeleton, Trajectories, compute_rest_positions, forward_kinematics, thin
+from dousa.motion import Motion, Provenance, Skeleton, Trajectories, thin
 from dousa.motion.canonical.reference_frame import infer_reference_frame, parse_unit, parse_up, to_reference_frame
 from dousa.motion.rotations import conjugate, identity, multiply, rotate
 from dousa.motion.types import freeze
@@ -63,6 +63,8 @@ def settle_motion(
     ------
     MotionFileError : arrays that make no motion, such as infinite positions.
     """
+    from dousa.motion.kinematics import compute_rest_positions, forward_kinematics  # numba
+
     known_unit = unit_in_file if unit is None else parse_unit(unit)
     known_up = up_in_file if up is None else parse_up(up)
     try:

@@ -15,8 +15,17 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from dousa.errors import DousaError, InvalidMotionError, MotionFileError
-from dousa.formats.motion_files import OVERRULED, FrameClaim, describe_frame
-from dousa.formats.motion_files import ReadOptions, Skipped, describe_problem, is_unicode, read_both, read_canonical
+from dousa.formats.motion_files import (
+    OVERRULED,
+    FrameClaim,
+    ReadOptions,
+    Skipped,
+    describe_frame,
+    describe_problem,
+    is_unicode,
+    read_both,
+    read_canonical,
+)
 from dousa.library.store.engine import check_jobs, choose_jobs
 from dousa.library.store.features import (
     BEYOND_MEASURE,

@@ -23,30 +23,24 @@ _CHAIN = (
     ("spine", "pelvis"),
     *((f"{side}_{upper}", f"{side}_{lower}") for upper, lower in _LEG for side in ("left", "right")),
 )
-_BONES = np.zeros((len(_CHAIN) + 1, len(J)))
+CHAIN_BONES = np.array([[J[a], J[b], J[b]] for a, b in _CHAIN] + [[J["pelvis"], J["left_hip"], J["right_hip"]]])
+"""The bones of the chain: one end, and two joints in the middle of which the other end lies."""
 
-for _bone, (_a, _b) in enumerate(_CHAIN):
-    _BONES[_bone, [J[_a], J[_b]]] = 1.0, -1.0
-
-_BONES[-1, [J["pelvis"], J["left_hip"], J["right_hip"]]] = 1.0, -0.5, -0.5
+# The rows that make them of the joints, by this definition.
+_BONES = np.einsum("k,nkj->nj", [1.0, -0.5, -0.5], np.eye(len(J))[CHAIN_BONES])
 
 # A standing body is shorter than its bones end to end: the spine is curved, the legs are apart. Measured on the
 # upright rest poses of HDM05: 0.957 to 0.976.
 _POSTURE = 0.967
 
-# A standing foot slopes: the ankle is higher than the toe joint by this share of their distance.
-_FOOT_SLOPE = 0.4
-CHAIN_SHARES = _POSTURE * np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5, 0.5, 0.5 * _FOOT_SLOPE, 0.5 * _FOOT_SLOPE, 1.0])
-"""Of the bones of the chain, what each adds to the height."""
+CHAIN_SHARES = _POSTURE * np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5, 0.5, 0.2, 0.2, 1.0])
+"""Of the bones of the chain, what each adds to the height: by definition each leg half.
 
-CHAIN_BONES = np.array([[J[a], J[b], J[b]] for a, b in _CHAIN] + [[J["pelvis"], J["left_hip"], J["right_hip"]]])
-"""The bones of the chain: one end, and two joints in the middle of which the other end lies."""
+A standing foot slopes: the ankle is higher than the toe joint by 0.4 of their distance.
+"""
 
 STATURE_PER_HEIGHT = 1.1
 """The crown of the head and the sole of the foot lie beyond the joints."""
-
-_MAX_REST_MISMATCH = 0.1  # a rest pose whose bones are longer or shorter than the moving ones is not believed
-_UPRIGHT = 0.9  # cosine; a rest pose with trunk and legs this well along an axis is upright
 
 
 def chain_height(points: FloatArray) -> float:
@@ -81,9 +75,9 @@ class RestPose:
     axis: int
     chain: float
 
-    def fits(self, chain: float) -> bool:
-        """Return whether the moving body has these bones: files may replace the offsets frame by frame."""
-        return abs(self.chain - chain) <= _MAX_REST_MISMATCH * chain
+    def fits(self, chain: float, mismatch: float = 0.1) -> bool:
+        """Return whether the moving body has these bones, but for a share: files may replace the offsets."""
+        return abs(self.chain - chain) <= mismatch * chain
 
 
 def measure_rest(recipe: Recipe, rest_positions: FloatArray | None) -> RestPose | None:
@@ -106,7 +100,7 @@ def _measure_rest(recipe: Recipe, rest_bytes: bytes) -> RestPose | None:
     limbs = np.stack([trunk, *legs])
     axis = int(np.argmax(np.abs(trunk)))
     along = limbs[:, axis] * np.sign(trunk[axis])
-    if not (along > _UPRIGHT * np.sqrt((limbs * limbs).sum(axis=1))).all():
+    if not (along > 0.9 * np.sqrt((limbs * limbs).sum(axis=1))).all():
         return None
     return RestPose(float(np.ptp(pose[:, axis])), axis, chain_height(rest))
 
@@ -152,29 +146,36 @@ def _seen_mean(points: FloatArray) -> FloatArray:
     return mean
 
 
-# m/s; m; cosine between the way out and the way back; the shorter of both as a share of the longer
-_LEAP_SPEED, _LEAST_LEAP, _BACK, _ALIKE = 10.0, 0.1, -0.5, 0.4
-
-
-def find_leaps(points: FloatArray, frame_rate: float) -> BoolArray:
+def find_leaps(
+    points: FloatArray,
+    frame_rate: float,
+    *,
+    fastest: float = 10.0,
+    least: float = 0.1,
+    back: float = -0.5,
+    similar: float = 0.4,
+) -> BoolArray:
     """Find joints (T, 20) that leap for one frame and come back: glitches of a recording.
 
-    A leap goes out and back at over 10 m/s, by at least 10 cm: the fastest hands and feet take longer to turn round.
+    The fastest hands and feet take longer to turn round.
 
     Parameters
     ----------
     points : (T, 20, 3) m.
     frame_rate : Hz.
+    fastest, least : m/s and m of a leap, out and back.
+    back : largest cosine between the way out and the way back.
+    similar : the shorter of both as a share of the longer.
     """
     found = np.zeros(points.shape[:2], bool)
     steps = np.diff(points, axis=0)
     squared = np.einsum("tjk,tjk->tj", steps, steps)
-    far = np.sqrt(squared) > max(_LEAST_LEAP, _LEAP_SPEED / frame_rate)
+    far = np.sqrt(squared) > max(least, fastest / frame_rate)
     both = far[:-1] & far[1:]
     if both.any():
-        back = np.einsum("tjk,tjk->tj", steps[:-1], steps[1:])
-        alike = np.minimum(squared[:-1], squared[1:]) > _ALIKE**2 * np.maximum(squared[:-1], squared[1:])
-        found[1:-1] = both & alike & (back < _BACK * np.sqrt(squared[:-1] * squared[1:]))
+        returned = np.einsum("tjk,tjk->tj", steps[:-1], steps[1:])
+        both &= np.minimum(squared[:-1], squared[1:]) > similar**2 * np.maximum(squared[:-1], squared[1:])
+        found[1:-1] = both & (returned < back * np.sqrt(squared[:-1] * squared[1:]))
     return found
 
 
@@ -182,13 +183,11 @@ def find_leaps(points: FloatArray, frame_rate: float) -> BoolArray:
 # Acta Paediatrica Belgica 28 suppl. (1974): femur 9.52 cm, ankle 6.68, humerus 6.48, between the acromia 38.04, at
 # 170.18. A marker stands 7 mm off the bone (skin, and half of a ball of 9 to 14 mm).
 _STATURE = 170.18
-_MARKER = 0.7 / _STATURE
+_MARKER = 0.7 / _STATURE  # as Ross & Wilson 1974
 _KNEE, _ANKLE, _ELBOW = (0.5 * breadth / _STATURE + _MARKER for breadth in (9.52, 6.68, 6.48))
-_BIACROMIAL = 38.04 / _STATURE
+_BIACROMIAL = 38.04 / _STATURE  # Ross & Wilson 1974
 # Rab, Petuskey, Bagley, "A method for determination of upper extremity kinematics", Gait & Posture 15 (2002).
 _SHOULDER_DROP = 0.17  # of the distance between the acromia, down the trunk
-_SURE = 0.25  # sine of a bend from which on the plane of a limb gives the axis of its joint
-_BENT = 2.0  # weight of a bent limb for the axis, against the trunk's
 
 
 def hips_from_markers(
@@ -249,7 +248,7 @@ def move_inside(points: FloatArray, skin: frozenset[str]) -> None:
     hips, shoulders = _outward(points, "hip"), _outward(points, "shoulder")
     legs, arms = _limbs(("hip", "knee", "ankle")), _limbs(("shoulder", "elbow", "wrist"))
     hand = _handedness(points, legs, hips)
-    for side, sign in _SIDES:
+    for side, sign in (("left", 1.0), ("right", -1.0)):
         leg, arm = legs[side], arms[side]
         raw = points[:, leg].copy()
         for _ in range(2):  # the second time with the plane of a limb that is nearly in place
@@ -264,11 +263,8 @@ def move_inside(points: FloatArray, skin: frozenset[str]) -> None:
             points[:, arm[1]] -= stature * _ELBOW * _bounded(axis)
 
 
-_SIDES = (("left", 1.0), ("right", -1.0))
-
-
 def _limbs(joints: tuple[str, ...]) -> dict[str, list[int]]:
-    return {side: [J[f"{side}_{joint}"] for joint in joints] for side, _ in _SIDES}
+    return {side: [J[f"{side}_{joint}"] for joint in joints] for side in ("left", "right")}
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
@@ -285,10 +281,13 @@ def _across(vectors: FloatArray, axis: FloatArray) -> FloatArray:
     return across
 
 
-def _bounded(axis: FloatArray) -> FloatArray:
-    """A direction (T, 3) of length 1; shorter where the vector is too short, 0 where it is unknown."""
+def _bounded(axis: FloatArray, sure: float = 0.25) -> FloatArray:
+    """A direction (T, 3) of length 1; shorter where the vector is too short, 0 where it is unknown.
+
+    ``sure`` : sine of a bend from which on the plane of a limb gives the axis of its joint.
+    """
     size = np.linalg.norm(axis, axis=1, keepdims=True)
-    bounded: FloatArray = np.nan_to_num(axis / np.maximum(size, _SURE))
+    bounded: FloatArray = np.nan_to_num(axis / np.maximum(size, sure))
     return bounded
 
 
@@ -310,20 +309,25 @@ def _normal(points: FloatArray, limb: list[int]) -> tuple[FloatArray, FloatArray
 def _handedness(points: FloatArray, legs: dict[str, list[int]], hips: FloatArray) -> float:
     """-1 if the coordinates are left-handed: knees bend to the back and elbows to the front."""
     total = 0.0
-    for side, _ in _SIDES:
+    for side in ("left", "right"):
         normal, upper = _normal(points, legs[side])
         total += float(np.nansum(normal * _across(hips, upper)))
     return -1.0 if total < 0 else 1.0
 
 
-def _joint_axis(points: FloatArray, limb: list[int], outward: FloatArray, sense: float) -> FloatArray:
+def _joint_axis(
+    points: FloatArray, limb: list[int], outward: FloatArray, sense: float, bent: float = 2.0
+) -> FloatArray:
     """Outward axis (T, 3) of the middle joint of a limb, longer where it is better known.
 
-    ``sense`` : 1 if the cross product of upper and lower bone points outwards, -1 if inwards.
+    Parameters
+    ----------
+    sense : 1 if the cross product of upper and lower bone points outwards, -1 if inwards.
+    bent : weight of a bent limb for the axis, against the trunk's.
     """
     normal, upper = _normal(points, limb)
     aside = _across(outward, upper)
-    axis: FloatArray = np.nan_to_num(aside) + sense * _BENT * np.nan_to_num(normal)
+    axis: FloatArray = np.nan_to_num(aside) + sense * bent * np.nan_to_num(normal)
     return np.where(np.isnan(upper), np.nan, axis)
 
 

@@ -1,4 +1,8 @@
-"""Holding feet and hands in place: bending two bones so that the end of a limb reaches a place."""
+"""Holding feet and hands in place: plans for the feet of a character, and limbs that bend to reach a place.
+
+A standing foot moves in proportion to the source's: not at all, or rolling over heel or toe. The slower of the two
+carries it, so that a longer foot rolls over its own toe. In the air the foot swings from one place to the next.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +17,10 @@ from dousa.motion.retargeting.rig import Rig
 from dousa.motion.rotations import between, conjugate, from_axis_angle, identity, multiply, rotate, to_axis_angle
 from dousa.motion.runs import find_runs
 
-_REACH = 0.9999  # of the length of a limb: beyond, the knee would leap
-_BENT = 0.999  # of the length of a leg: the pelvis goes down so far that knees keep a little bend
-_BIAS = 0.02  # of the upper bone
-_EASED, _SWINGING = 0.1, 0.1  # s; how much of a foot in the air counts
-_SMOOTH = 0.08  # s, over which the pelvis gives way
 
-
-def share_moves(moves: FloatArray, stands: BoolArray, frame_rate: float) -> FloatArray:
+def share_moves(
+    moves: FloatArray, stands: BoolArray, frame_rate: float, eased: float = 0.1, swinging: float = 0.1
+) -> FloatArray:
     """Compute the move (T, 3) m of the whole body from those of its feet, so that the legs bend little.
 
     A standing foot counts most.
@@ -30,15 +30,23 @@ def share_moves(moves: FloatArray, stands: BoolArray, frame_rate: float) -> Floa
     moves : (T, 2, 3) m, of the feet.
     stands : (T, 2) which of them are held.
     frame_rate : Hz.
+    eased : s, over which it is smoothed.
+    swinging : weight of a foot in the air.
     """
-    around = max(1, round(_EASED * frame_rate))
-    weights = np.where(stands, 1.0, _SWINGING)
+    around = max(1, round(eased * frame_rate))
+    weights = np.where(stands, 1.0, swinging)
     shared = (weights[..., None] * moves).sum(axis=1) / weights.sum(axis=1)[:, None]
     return np.stack([smooth(shared[:, axis], around) for axis in range(3)], axis=1)
 
 
 def bend(
-    root: FloatArray, middle: FloatArray, end: FloatArray, wanted: FloatArray, outward: FloatArray
+    root: FloatArray,
+    middle: FloatArray,
+    end: FloatArray,
+    wanted: FloatArray,
+    outward: FloatArray,
+    reach: float = 0.9999,
+    bias: float = 0.02,
 ) -> tuple[FloatArray, FloatArray]:
     """Compute turns (T, 4) in the world of the upper and lower bone that bring the end of a limb to a place.
 
@@ -49,17 +57,19 @@ def bend(
     root, middle, end : (T, 3) m, joints of the limb, such as hip, knee and ankle.
     wanted : (T, 3) m, place for the end.
     outward : (T, 3) of any length, direction of the middle joint if the limb is straight: knees to the front.
+    reach : share of the length of the limb beyond which the knee would leap.
+    bias : share of the upper bone by which a limb that is nearly straight bends outward.
     """
     upper, lower = np.linalg.norm(middle - root, axis=1), np.linalg.norm(end - middle, axis=1)
     line, goal = end - root, wanted - root
-    furthest, nearest = _REACH * (upper + lower), 1.001 * np.abs(upper - lower) + 1e-6
+    furthest, nearest = reach * (upper + lower), 1.001 * np.abs(upper - lower) + 1e-6
     distance = np.clip(np.linalg.norm(goal, axis=1), nearest, np.maximum(furthest, nearest))
     ahead = goal / np.maximum(np.linalg.norm(goal, axis=1, keepdims=True), 1e-9)
     turned = rotate(between(line, goal), middle - root)
     # A straight limb has no plane of its own, and one that is nearly straight an unsteady one.
     side = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
     own = turned - (turned * ahead).sum(axis=1, keepdims=True) * ahead
-    lacking = np.maximum(_BIAS * upper - np.linalg.norm(own, axis=1), 0.0)
+    lacking = np.maximum(bias * upper - np.linalg.norm(own, axis=1), 0.0)
     turned = turned + lacking[:, None] * side
     across = turned - (turned * ahead).sum(axis=1, keepdims=True) * ahead
     length = np.linalg.norm(across, axis=1, keepdims=True)
@@ -71,19 +81,28 @@ def bend(
     return between(middle - root, knee), between(end - middle, reached - knee)
 
 
-def lower_pelvis(hips: FloatArray, wanted: FloatArray, lengths: FloatArray, frame_rate: float) -> FloatArray:
+def lower_pelvis(
+    hips: FloatArray,
+    wanted: FloatArray,
+    lengths: FloatArray,
+    frame_rate: float,
+    bent: float = 0.999,
+    over: float = 0.08,
+) -> FloatArray:
     """Compute how far down (T,) m the pelvis must go so that all feet are within reach, smooth over time.
 
     Parameters
     ----------
     hips, wanted : (T, 2, 3) m, hip joints, and places for the ankles.
     lengths : (2,) m of the legs.
+    bent : share of the length of a leg, so that knees keep a little bend.
+    over : s, in which the pelvis gives way.
     """
     gap = hips - wanted
     beside = np.square(gap[..., 0]) + np.square(gap[..., 2])
-    highest = np.sqrt(np.maximum(np.square(_BENT * lengths) - beside, 0.0))
+    highest = np.sqrt(np.maximum(np.square(bent * lengths) - beside, 0.0))
     needed = np.maximum(gap[..., 1] - highest, 0.0).max(axis=1)
-    return _widen(needed, max(1, round(_SMOOTH * frame_rate)))
+    return _widen(needed, max(1, round(over * frame_rate)))
 
 
 def _widen(values: FloatArray, around: int) -> FloatArray:
@@ -93,16 +112,6 @@ def _widen(values: FloatArray, around: int) -> FloatArray:
     highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * around + 1).max(axis=1)
     weights = np.hanning(2 * around + 3)[1:-1]
     return np.convolve(highest, weights / weights.sum(), mode="valid")
-
-
-_EASE = 0.05  # m/s: of two points slower than this each carries half the foot
-_STANDS, _FEWEST = 0.8, 5  # how firmly ankle and toe are held in frames that show a flat foot, and how many it takes
-_LOWEST, _LOW = 5, 0.03  # percentile, m above it
-_ALIKE, _RISING, _STEEPEST = 0.1, 0.2, 1.3  # rad: feet of a reference pose that show the flat foot
-_MOST, _FLAT = 0.45, 0.3  # rad; share of a vector that lies across the foot
-_PASSING = 0.04  # s, over which the one takes over from the other
-_TURNS = (0.10, 0.30)  # rad: what turns this little is held, what turns this much is not
-_FLOOR = (0.05, 0.15)  # m: a foot as near to the floor as the one stands on it, one beyond the other does not
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,7 +184,21 @@ def plan_foot(source: Foot, made: Foot, scale: float, floor: float, frame_rate: 
 
 
 def level_foot(
-    source: Foot, made: Foot, world: FloatArray, rig: Rig, side: str, frame_rate: float, size: float
+    source: Foot,
+    made: Foot,
+    world: FloatArray,
+    rig: Rig,
+    side: str,
+    frame_rate: float,
+    size: float,
+    *,
+    firm: float = 0.8,
+    fewest: int = 5,
+    low: float = 0.03,
+    most_unequal: float = 0.1,
+    slopes: tuple[float, float] = (-1.3, 0.2),
+    most_tilt: float = 0.45,
+    least_across: float = 0.3,
 ) -> FloatArray:
     """Compute turns (T, 4) in the world that make a character's foot flat where the source's stands flat.
 
@@ -190,17 +213,22 @@ def level_foot(
     side : ``"left"`` or ``"right"``.
     frame_rate : Hz.
     size : of the source, in bodies of 1.6 m over the joints.
+    firm, low, fewest : frames show a flat foot if ankle and toe are held so firmly and the ankle is at most so many m
+        above its fifth percentile; so many frames are needed.
+    most_unequal, slopes : rad, between the feet of the reference pose, and by which they rise, to show a flat foot.
+    most_tilt : rad.
+    least_across : share of a vector that lies across the foot.
     """
     still = identity((len(world),))
     if source.toe is None or made.toe is None:
         return still
     ankle, toe = (find_stances(points, frame_rate, size) for points in (source.ankle, source.toe))
-    lowest = np.percentile(source.ankle[:, 1], _LOWEST)
-    stands = (ankle.held * toe.held > _STANDS) & (source.ankle[:, 1] < lowest + _LOW * size)  # not on tiptoe
+    lowest = np.percentile(source.ankle[:, 1], 5)
+    stands = (ankle.held * toe.held > firm) & (source.ankle[:, 1] < lowest + low * size)  # not on tiptoe
     up = rotate(rig.body, np.array([0.0, 1.0, 0.0]))
     feet = [rig.direction(f"{one}_ankle", f"{one}_toe") for one in ("left", "right")]
     steep = [_measure_slope(foot, up) for foot in feet]
-    if stands.sum() < _FEWEST or abs(steep[0] - steep[1]) > _ALIKE or not -_STEEPEST < max(steep) < _RISING:
+    if stands.sum() < fewest or abs(steep[0] - steep[1]) > most_unequal or not slopes[0] < max(steep) < slopes[1]:
         return still
     since = multiply(world, conjugate(rig.world[rig.joints[f"{side}_ankle"]]))
     # What is up in the frame of the foot while it stands should be what is up in the reference pose.
@@ -208,11 +236,11 @@ def level_foot(
     ahead = feet[0 if side == "left" else 1]
     ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
     sides = [vector - vector.dot(ahead) * ahead for vector in (up, wanted)]
-    if min(float(np.linalg.norm(vector)) for vector in sides) < _FLAT:
+    if min(float(np.linalg.norm(vector)) for vector in sides) < least_across:
         return still
     roll = between(*sides)
     tilt = to_axis_angle(between(up, rotate(conjugate(roll), wanted)))
-    tilt = tilt * min(1.0, _MOST / max(float(np.linalg.norm(tilt)), 1e-9))
+    tilt = tilt * min(1.0, most_tilt / max(float(np.linalg.norm(tilt)), 1e-9))
     turns: FloatArray = multiply(multiply(since, multiply(roll, from_axis_angle(tilt))), conjugate(since))
     return turns
 
@@ -224,36 +252,48 @@ def _measure_slope(directions: FloatArray, up: FloatArray) -> FloatArray:
     return slope
 
 
-def _weigh(stances: Stances) -> FloatArray:
-    """Weight (T,) of a frame for the direction of a standing foot."""
-    weights: FloatArray = 1.0 / (1.0 + np.square(stances.speed / (2 * _EASE))) ** 2 * stances.near + 1e-9
+def _weigh(stances: Stances, slow: float = 0.1) -> FloatArray:
+    """Weight (T,) of a frame for the direction of a standing foot; much less where it is faster than ``slow`` m/s."""
+    weights: FloatArray = 1.0 / (1.0 + np.square(stances.speed / slow)) ** 2 * stances.near + 1e-9
     return weights
 
 
-def _still_direction(directions: FloatArray, held: FloatArray) -> FloatArray:
-    """Turns (T, 4) that keep a foot's direction (T, 3) where it hardly changes while ankle and toe are held."""
+def _still_direction(directions: FloatArray, held: FloatArray, turns: tuple[float, float] = (0.10, 0.30)) -> FloatArray:
+    """Turns (T, 4) that keep a foot's direction (T, 3) where it hardly changes while ankle and toe are held.
+
+    ``turns`` : rad; a foot that turns as little as the one is held, one that turns as much as the other is not.
+    """
     unit = directions / np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9)
     wanted = unit.copy()
     for start, end in find_runs(held > 0).tolist():
         mean = np.average(unit[start:end], axis=0, weights=held[start:end] ** 2)
         mean /= max(float(np.linalg.norm(mean)), 1e-9)
         away = np.linalg.norm(unit[start:end] - mean, axis=1)
-        share = held[start:end] * (1 - ramp(away, *_TURNS))
+        share = held[start:end] * (1 - ramp(away, *turns))
         wanted[start:end] += share[:, None] * (mean - unit[start:end])
     return between(unit, wanted)
 
 
-def _share(ankle: Stances, toe: Stances, frame_rate: float) -> FloatArray:
-    """Share (T - 1,) of the foot that the toe carries between frames: all of it where the ankle moves about it."""
-    slow = _EASE**2
+def _share(ankle: Stances, toe: Stances, frame_rate: float, ease: float = 0.05, passing: float = 0.04) -> FloatArray:
+    """Share (T - 1,) of the foot that the toe carries between frames: all of it where the ankle moves about it.
+
+    ``ease`` : m/s; of two slower points each carries half the foot. ``passing`` : s, over which one takes over.
+    """
+    slow = ease**2
     share = (ankle.speed**2 + slow) / (ankle.speed**2 + toe.speed**2 + 2 * slow)
-    share = smooth(share, max(1, round(_PASSING * frame_rate)))
+    share = smooth(share, max(1, round(passing * frame_rate)))
     middle: FloatArray = 0.5 * (share[1:] + share[:-1])
     return middle
 
 
 def _height_over(
-    own: FloatArray, made: FloatArray, low: float, height: float, scale: float, floor: float
+    own: FloatArray,
+    made: FloatArray,
+    low: float,
+    height: float,
+    scale: float,
+    floor: float,
+    near: tuple[float, float] = (0.05, 0.15),
 ) -> FloatArray:
     """Lift (T,) m that puts a point over the floor as the source's is, or on it if that nearly is.
 
@@ -261,9 +301,10 @@ def _height_over(
     ----------
     own, made : (T, 3) m, of the source and of the character.
     low, height : m over the floor, where they are in a standing foot.
+    near : m; a foot as near to the floor as the one stands on it, one beyond the other does not.
     """
     over = own[:, 1] - floor - low
-    over = over * ramp(np.abs(over), *_FLOOR)
+    over = over * ramp(np.abs(over), *near)
     lifts: FloatArray = floor + height + scale * over - made[:, 1]
     return lifts
 

@@ -21,8 +21,6 @@ from dousa.motion.types import Motion, Skeleton
 
 # Directions and headings: a livelier performer does not turn further round or raise the arms more sideways.
 _UNSCALED = ("turn", "arm_side", "arm_turn", "toe_out", "arm_out")
-_HINGES = {"elbow": (0.0, 150.0), "knee": (0.0, 150.0), "arm_raise": (-75.0, 178.0)}
-_STANCE = {"arm_side": 12.0, "arm_raise": 2.0, "knee": 3.0, "thigh": 1.0, "spread": 1.5}
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +33,8 @@ class Plan:
 
 
 def _posture(performer: Performer) -> dict[str, float]:
-    side = {"arm_out": performer.arm_out, "elbow": performer.elbow, "toe_out": performer.toe_out, **_STANCE}
+    side = {"arm_out": performer.arm_out, "elbow": performer.elbow, "toe_out": performer.toe_out}
+    side |= {"arm_side": 12.0, "arm_raise": 2.0, "knee": 3.0, "thigh": 1.0, "spread": 1.5}
     stance = {f"{hand}_{name}": value for hand in ("left", "right") for name, value in side.items()}
     # The working shoulder hangs lower and its elbow is bent a little more.
     stance |= {"bend": performer.stoop, "nod": 0.6 * performer.stoop, "lean": -performer.tilt}
@@ -49,6 +48,7 @@ def _posture(performer: Performer) -> dict[str, float]:
 def play_score(score: Score, performer: Performer, plan: Plan, rng: np.random.Generator) -> dict[str, FloatArray]:
     """Degrees (T,) of every degree of freedom."""
     stance = _posture(performer)
+    hinges = {"elbow": (0.0, 150.0), "knee": (0.0, 150.0), "arm_raise": (-75.0, 178.0)}
     periodic = score.kind != "once"
     own = np.random.default_rng([performer.seed, 1])
     habits: dict[str, float] = {}
@@ -70,7 +70,7 @@ def play_score(score: Score, performer: Performer, plan: Plan, rng: np.random.Ge
         if kind not in ("flight", "turn"):
             rest = rest + _unsteadiness(plan.times, performer.noise * (0.4 if kind == "foot" else 1.0), rng)
         values = weights * values + rest
-        low, high = _HINGES.get(kind, (-np.inf, np.inf))
+        low, high = hinges.get(kind, (-np.inf, np.inf))
         pose[name] = np.clip(values, low, high)
     pose["turn"] = pose["turn"] + rng.normal(0.0, 5.0)
     return pose
@@ -87,8 +87,6 @@ def _unsteadiness(times: FloatArray, degrees: float, rng: np.random.Generator) -
 
 CATEGORIES: tuple[str, ...] = tuple(SCORES)
 """The kinds of motion of `make_motion`."""
-
-_MAX_FRAMES = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,8 +238,8 @@ def _plan(score: Score, performer: Performer, frame_rate: float, rng: np.random.
         before = after = 0.0
     total = before + rounds * seconds + after
     frames = max(round(total * frame_rate), 2)
-    if frames > _MAX_FRAMES:
-        raise OptionError("synthetic.too_long", most=_MAX_FRAMES, frames=frames)
+    if frames > 1_000_000:
+        raise OptionError("synthetic.too_long", most=1_000_000, frames=frames)
     times = np.arange(frames) / frame_rate
     phases = start + np.clip((times - before) / seconds, 0.0, rounds)
     hurry = np.clip(performer.timing + rng.normal(0.0, 0.06), -0.5, 0.5)
@@ -254,16 +252,14 @@ def _plan(score: Score, performer: Performer, frame_rate: float, rng: np.random.
     return Plan(times, phases, weights)
 
 
-_SEED = 0x6E57
 _SIDES = ("left", "right")
-_APART = 0.08  # of a round, between two poses
-_FIRST_PERFORMER = 5000  # no performer of the other synthetic libraries
 
 
 def make_gesture(seed: int, frame_rate: float = 30.0) -> Motion:
     """Make a gesture of a random performer, in metres with Y up as by ``make_motion``; the same for the same seed."""
-    rng = np.random.default_rng([_SEED, seed])
-    return perform_score(draw_score(rng), draw_performer(_FIRST_PERFORMER + seed), rng, frame_rate)
+    rng = np.random.default_rng([0x6E57, seed])
+    performer = draw_performer(5000 + seed)  # no performer of the other synthetic libraries
+    return perform_score(draw_score(rng), performer, rng, frame_rate)
 
 
 def draw_score(rng: np.random.Generator) -> Score:
@@ -288,11 +284,14 @@ def draw_score(rng: np.random.Generator) -> Score:
     return Score(kind, seconds, (1, rounds if kind == "repeat" else 1), False, True, tracks)
 
 
-def _draw_keys(rng: np.random.Generator, kind: str, values: FloatArray) -> Track:
-    """Draw poses and their times, from standing and back to it unless the motion ends elsewhere."""
+def _draw_keys(rng: np.random.Generator, kind: str, values: FloatArray, apart: float = 0.08) -> Track:
+    """Draw poses and their times, from standing and back to it unless the motion ends elsewhere.
+
+    ``apart`` : least share of a round between two poses.
+    """
     while True:
         phases = np.sort(rng.uniform(0.15, 0.85, len(values)))
-        if len(values) == 1 or np.diff(phases).min() >= _APART:
+        if len(values) == 1 or np.diff(phases).min() >= apart:
             break
     if kind == "once":
         return np.concatenate([[0.0, 0.05], phases]), np.concatenate([[0.0, 0.0], values])
