@@ -23,7 +23,7 @@ from dousa.arrays import FloatArray
 from dousa.errors import DousaError, JointMappingError
 from dousa.formats.registry import SUFFIXES, read_motion
 from dousa.motion import CANONICAL_JOINTS, Motion, Trajectories, canonicalise
-from dousa.motion.canonical.joint_centres import hips_from_markers
+from dousa.motion.canonical.geometry import hips_from_markers
 from dousa.motion.canonical.naming import normalise_names, rank_matches
 
 SIDES = ("left", "right")

@@ -16,7 +16,7 @@ from dousa.app.tables.lines import print_tables
 from dousa.experiments.takes import run_takes_experiment
 from dousa.formats import write_motion
 from dousa.formats.annotations.reading import read_label_file
-from dousa.formats.annotations.writing import write_labels_csv
+from dousa.formats.annotations.tables import write_labels_csv
 from dousa.library import Library
 from dousa.motion import CANONICAL_JOINTS, Trajectories, canonicalise, compute_trajectories
 from dousa.motion.annotation import Stretch

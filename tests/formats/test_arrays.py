@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from dousa.errors import MotionFileError, OptionError
 from dousa.formats.registry import read_motion, write_motion
-from dousa.formats.smpl.body import mean_body
+from dousa.formats.smpl import mean_body
 from dousa.motion import Motion, canonicalise, compute_trajectories
 from formats import made_files as made
 

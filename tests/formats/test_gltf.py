@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from dousa.errors import MotionFileError, MotionWriteError
 from dousa.formats.gltf import read_gltf_character
 from dousa.formats.gltf.document import FLOAT, load_document, pack_document
-from dousa.formats.gltf.sampling import Curve, choose_times
+from dousa.formats.gltf.reading import Curve, choose_times
 from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import Motion, Skeleton, canonicalise, compute_trajectories
 from dousa.motion.rotations import from_axis_angle, from_matrix, multiply, normalise, to_matrix

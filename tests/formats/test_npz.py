@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dousa.errors import MotionFileError, MotionWriteError
-from dousa.formats.npz import read_npz, write_npz
+from dousa.formats.arrays.npz import read_npz, write_npz
 from dousa.motion import Motion, Provenance, Skeleton, Trajectories
 from dousa.motion.rotations import normalise
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dousa.errors import MotionFileError
-from dousa.formats.poses import localise, order_tree
+from dousa.formats.assembly import localise, order_tree
 from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import Motion, Skeleton, Trajectories, canonicalise, compute_trajectories, forward_kinematics
 from dousa.motion.rotations import normalise

@@ -7,8 +7,12 @@ import sys
 import numpy as np
 import pytest
 
-from dousa.errors import UnknownFormatError
-from dousa.formats.registry import find_reader, load_plugins, read_motion, write_motion
+from dousa.app.pipelines.estimation_body import load_given_body
+from dousa.app.studio.core.uploads import motion_suffixes
+from dousa.app.targets import check_table
+from dousa.errors import JointMappingError, OptionError, UnknownFormatError
+from dousa.formats import ReadOptions
+from dousa.formats.registry import find_reader, list_suffixes, load_plugins, read_motion, write_motion
 from dousa.motion import Trajectories
 
 CODE = """
@@ -61,3 +65,16 @@ def test_a_bad_plugin_fails_only_for_its_files(install, tmp_path, entry):
     assert read_motion(tmp_path / "take.trc").n_frames == 4
     with pytest.raises(UnknownFormatError, match="plug-in 'lost' cannot be used"):
         read_motion(tmp_path / "take.lost")
+
+
+def test_the_suffixes_of_plugins_are_known_everywhere(install, tmp_path):
+    install("walk = walk_format:WALK", "broken = walk_format:NOTHING")
+    path = tmp_path / "take.walk"
+    write_motion(POINTS, path)
+    assert ".walk" in list_suffixes() and ".walk" in motion_suffixes()
+    with pytest.raises(OptionError, match="motion"):
+        check_table("--output", path, (), overwrite=True)
+    with pytest.raises(JointMappingError):  # it was read as a motion, and not as the TOML of a body
+        load_given_body(path, ReadOptions())
+    with pytest.raises(UnknownFormatError, match=r"\.bvh, .*\.walk; the plug-in 'broken' cannot be used"):
+        read_motion(tmp_path / "take.max")

@@ -59,7 +59,7 @@ def test_looking_at_the_table_imports_no_reader():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == str(
-        [f"dousa.formats.{name}" for name in ("characters", "frame_folders", "motion_files", "registry")]
+        [f"dousa.formats.{name}" for name in ("motion_files", "registry")]
     )
 
 

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dousa.errors import DousaError, MotionFileError
+from dousa.formats.exchange.usd import build_usd
 from dousa.formats.registry import read_motion
-from dousa.formats.usd.reading import build_usd
 from dousa.motion import compute_trajectories
 from formats import made_usd as made
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dousa.errors import MotionFileError, OptionError
-from dousa.formats.annotations.writing import format_labels_csv
+from dousa.formats.annotations.tables import format_labels_csv
 from dousa.library import Library
 from dousa.motion.annotation import Annotation
 

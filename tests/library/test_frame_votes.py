@@ -11,8 +11,7 @@ import pytest
 from dousa.app.cli.library import _check_before_making
 from dousa.app.requests.library import LabelRules
 from dousa.errors import OptionError
-from dousa.formats.frame_votes import FrameClaim, FrameVotes
-from dousa.formats.motion_files import ReadOptions
+from dousa.formats.motion_files import FrameClaim, FrameVotes, ReadOptions
 from dousa.library import Library
 from dousa.motion import Trajectories, compute_trajectories
 

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.ndimage import gaussian_filter1d
 
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.motion import Motion, Provenance, Skeleton, Trajectories, fill_gaps, resample, thin
-from dousa.motion.resampling import smooth_gaussian
 from dousa.motion.rotations import from_axis_angle
 
 
@@ -151,11 +149,3 @@ def test_fill_gaps_keeps_what_was_seen(seed):
 def test_fill_gaps_wants_points():
     with pytest.raises(InvalidMotionError):
         fill_gaps(np.zeros((3, 3)))
-
-
-@settings(max_examples=60)
-@given(st.integers(1, 50), st.integers(1, 5), st.floats(0.05, 9.0), st.integers(0, 2**32 - 1))
-def test_smoothing_is_that_of_scipy_bit_for_bit(n_frames, n_values, deviation, seed):
-    values = np.random.default_rng(seed).normal(size=(n_frames, n_values)) * 100.0
-    expected = gaussian_filter1d(values, deviation, axis=0, mode="nearest")
-    np.testing.assert_array_equal(smooth_gaussian(values, deviation), expected)

@@ -115,9 +115,9 @@ def _read_head(path: Path) -> bytes:
 
 
 def _holds_motion(path: Path) -> bool:
-    from dousa.formats.registry import SUFFIXES, read_motion
+    from dousa.formats.registry import find_reader, read_motion
 
-    if not path.name.lower().endswith(tuple(SUFFIXES)):
+    if find_reader(path) is None:
         return False
     if path.suffix.lower() not in (".csv", ".tsv", ".json"):  # these may be tables of anything
         return True

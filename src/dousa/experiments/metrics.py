@@ -147,9 +147,6 @@ def _check(truth: ArrayLike, predicted: ArrayLike) -> tuple[NDArray[Any], NDArra
 
 # Timelines
 
-_ENOUGH_OVERLAP = 0.5
-
-
 TrueSegment = Stretch
 """What a take shows; category None where it is none that is known."""
 
@@ -238,7 +235,7 @@ def compare_timeline(segments: Sequence[Segment], truth: Sequence[TrueSegment], 
             (-overlap((a.start, a.stop), (b.start, b.stop)), i, k)
             for i, a in enumerate(labelled)
             for k, b in enumerate(events)
-            if a.category == b.category and overlap((a.start, a.stop), (b.start, b.stop)) >= _ENOUGH_OVERLAP
+            if a.category == b.category and overlap((a.start, a.stop), (b.start, b.stop)) >= 0.5
         )
     )
     used: tuple[set[int], set[int]] = (set(), set())

@@ -47,9 +47,6 @@ _SYSTEM_WORDS = {
 }
 
 _WITHOUT_RANDOMNESS = ("full_tree", "motion_templates")
-_LISTED_CONFUSIONS = 20
-
-_SHOWN_CONFUSIONS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +137,7 @@ class ExperimentResult(Result):
             *(Message("trial_recognition.untrained", name=k, n=n) for k, n in self.untrained.items()),
             *(
                 Message("trial_recognition.mistake", true=one.truth, said=one.predicted, n=one.count)
-                for one in mistakes[:_SHOWN_CONFUSIONS]
+                for one in mistakes[:5]
             ),
         ]
         heads = ("system", "recall", "precision", "f_measure", "accuracy", "train_s", "query_ms")
@@ -420,7 +417,7 @@ def _summarise(trials: list[_Trial], categories: NDArray[Any], differ: bool) -> 
         fit_seconds=_mean([trial.fit_seconds for trial in trials]),
         query_seconds=query,
         query_milliseconds=1000.0 * query / len(truths[0]),
-        confusions=list_confusions(np.concatenate(truths), np.concatenate(answers), _LISTED_CONFUSIONS),
+        confusions=list_confusions(np.concatenate(truths), np.concatenate(answers), 20),
         folds=_summarise_folds(trials, categories) if len(trials[0].folds) > 1 else (),
         repeats_differ=differ,
     )

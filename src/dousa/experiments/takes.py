@@ -51,7 +51,6 @@ OURS, NEVER_UNKNOWN = "discriminants of moments, best sequence", "the same, all 
 FRAMEWISE = "votes, frame by frame"
 AS_RECORDED, OTHER_TEMPO = "as recorded", "tempo 0.5 to 2"
 WITH_UNKNOWN, BOTH = "unknown pieces", "unknown pieces, tempo 0.5 to 2"
-_PLAIN_LENGTHS = 0.6, 1.6  # of the windows whose votes are counted, as shares of the shortest and longest clip
 KNOWN_QUERIES, NEW_QUERIES = "known categories", "categories never trained"
 
 
@@ -235,7 +234,8 @@ class _Trial:
         labeller = train_labeller(known, random_state=self.random_state, n_jobs=self.n_jobs)
         judge = learn_judge(forest, self.features, np.array(kept), known, self.copies, self.feature_set)
         seconds = [len(clip.positions) / clip.frame_rate for clip in known]
-        grid = choose_grid(seconds, *_PLAIN_LENGTHS)
+        # Windows whose votes are counted: shares of the shortest and the longest clip.
+        grid = choose_grid(seconds, 0.6, 1.6)
         kinds = (WITH_UNKNOWN, BOTH) if unknown else (AS_RECORDED, OTHER_TEMPO)
         for kind, other_tempo in zip(kinds, (False, True), strict=True):
             takes = self._join(test, number, other_tempo=other_tempo)

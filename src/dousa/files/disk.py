@@ -12,8 +12,6 @@ from typing import IO
 
 from dousa.errors import MotionFileError, MotionWriteError
 
-_MOST_BYTES = 1_000_000  # of a small text
-
 NO_ROOM = frozenset({"disk.full", "disk.quota"})
 """Codes of errors after which nothing else can be written either."""
 
@@ -59,22 +57,22 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
     return data
 
 
-def read_small_text(path: str | os.PathLike[str]) -> str:
+def read_small_text(path: str | os.PathLike[str], most: int = 1_000_000) -> str:
     """Read the text of a file of a few lines written by hand, also of a pipe.
 
     Raises
     ------
-    MotionFileError : it cannot be read, is larger than 1 MB, or is no text in UTF-8.
+    MotionFileError : it cannot be read, is larger than ``most`` bytes, or is no text in UTF-8.
     """
     try:
         # The size by the system is no limit: a device or a pipe has none, and may never end.
         with open(path, "rb") as file:
-            data = file.read(_MOST_BYTES + 1)
+            data = file.read(most + 1)
     except OSError as error:
         raise MotionFileError(path, "small_text.unreadable", reason=error) from error
     except ValueError as error:  # a zero byte in the name
         raise MotionFileError(path, "small_text.not_a_name", reason=error) from error
-    if len(data) > _MOST_BYTES:
+    if len(data) > most:
         raise MotionFileError(path, "small_text.too_large")
     try:
         text = data.decode("utf-8-sig")

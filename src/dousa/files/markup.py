@@ -30,11 +30,8 @@ def parse_xml(content: bytes) -> ET.Element:
         raise CalibrationError("markup.not_xml", reason=error) from error
 
 
-_MOST_DOTS = 200  # in a line; numbers have them too
-
-
-def parse_toml(text: str) -> dict[str, Any]:
-    """Parse TOML with any line ends.
+def parse_toml(text: str, most_dots: int = 200) -> dict[str, Any]:
+    """Parse TOML with any line ends; ``most_dots`` : in a line, as numbers have them too.
 
     Raises
     ------
@@ -42,7 +39,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     RecursionError : brackets or keys are nested too deep.
     """
     lines = text.replace("\r\n", "\n")
-    if any(line.count(".") > _MOST_DOTS for line in lines.split("\n")):
+    if any(line.count(".") > most_dots for line in lines.split("\n")):
         raise RecursionError("a line with more dots than any key or list of numbers needs")
     return tomllib.loads(lines)
 

@@ -11,6 +11,7 @@ import lzma
 import math
 import os
 import re
+import sys
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
@@ -25,10 +26,6 @@ from dousa.errors import DousaError, MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.messages import Message
 
-_MOST_MEMBERS, _MOST_AXES, _LONGEST_AXIS = 256, 8, 2**40
-_MOST_BYTES = 64_000_000  # default limit of an array
-_LONGEST_HEADER = 10_000
-_LAST_CODE_POINT = 0x10FFFF
 _MAGIC = b"\x93NUMPY"
 
 # The header that numpy writes, taken apart without evaluating it.
@@ -100,7 +97,7 @@ class NpzFile:
     def __init__(self, archive: zipfile.ZipFile, fail: Fail) -> None:
         self._archive, self._fail = archive, fail
         members = archive.infolist()
-        if len(members) > _MOST_MEMBERS:
+        if len(members) > 256:
             raise fail(Message("npz.many_members", found=len(members)))
         self._members = {member.filename.removesuffix(".npy"): member for member in members}
 
@@ -133,7 +130,7 @@ class NpzFile:
             raise self._fail(Message("npz.no_numpy", array=name))
         length = head[8:10] if head[6] < 2 else head[8:10] + stream.read(2)
         start = 8 + len(length) + int.from_bytes(length, "little")
-        text = b"" if start > min(size, _LONGEST_HEADER) else stream.read(start - 8 - len(length))
+        text = b"" if start > min(size, 10_000) else stream.read(start - 8 - len(length))
         found = _HEADER.fullmatch(text.decode("latin-1"))
         if found is None:
             raise self._fail(Message("npz.not_plain", array=name))
@@ -145,7 +142,7 @@ class NpzFile:
             raise self._fail(Message("npz.no_dtype", array=name, found=found[1]))
         shape = tuple(int(axis) for axis in found[3].replace(" ", "").split(",") if axis)
         n_bytes = math.prod(shape) * dtype.itemsize
-        if n_bytes != size - start or len(shape) > _MOST_AXES or max(shape, default=0) > _LONGEST_AXIS:
+        if n_bytes != size - start or len(shape) > 8 or max(shape, default=0) > 2**40:
             raise self._fail(
                 Message("npz.size", array=name, shape=str(shape), declared=str(n_bytes), found=str(size - start))
             )
@@ -165,7 +162,7 @@ class NpzFile:
         flat = whole.view(header.dtype)
         return flat.reshape(header.shape, order="F" if header.order == "F" else "C")
 
-    def read(self, name: str, kinds: str, ndim: int | None = None, most: int = _MOST_BYTES) -> NDArray[Any]:
+    def read(self, name: str, kinds: str, ndim: int | None = None, most: int = 64_000_000) -> NDArray[Any]:
         """Read an array; read-only.
 
         Parameters
@@ -185,7 +182,7 @@ class NpzFile:
             array = self.read_data(name, header, stream)
         if array.dtype.kind == "U" and array.size:
             codes = np.ascontiguousarray(array, array.dtype.newbyteorder("=")).reshape(-1).view(np.uint32)
-            if codes.max() > _LAST_CODE_POINT:
+            if codes.max() > sys.maxunicode:
                 raise self._fail(Message("npz.not_text", array=name))
         return array
 

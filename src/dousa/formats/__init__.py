@@ -1,9 +1,17 @@
 """Motion files: one module per format; ``read_motion`` and ``write_motion`` choose by suffix."""
 
-from dousa.formats.characters import read_character
-from dousa.formats.frame_folders import is_frame_folder
+from dousa.files.frame_files import is_frame_folder
 from dousa.formats.motion_files import FoundFile, ReadOptions, Skipped, find_motion_files, read_canonical
-from dousa.formats.registry import FORMATS, READERS, SUFFIXES, WRITERS, Format, read_motion, write_motion
+from dousa.formats.registry import (
+    FORMATS,
+    READERS,
+    SUFFIXES,
+    WRITERS,
+    Format,
+    read_character,
+    read_motion,
+    write_motion,
+)
 
 __all__ = [
     "FORMATS",

@@ -28,14 +28,15 @@ from numpy.typing import NDArray
 from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.errors import MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
-from dousa.formats.markers import declared_unit, settle_trajectories
+from dousa.formats.assembly import declared_unit, settle_trajectories
 from dousa.messages import Message
 from dousa.motion import Motion, Trajectories
 
 BLOCK = 512
-_MAGIC = 0x50
-_MOST_PARAMETERS = 20_000  # 127 groups of real files hold some hundreds
-_INTEL, _DEC, _MIPS = 84, 85, 86
+"""Bytes of a block, by the definition of the format (user guide)."""
+
+# By the definition of the format: the key in the second byte, the processors.
+_MAGIC, _INTEL, _DEC, _MIPS = 0x50, 84, 85, 86
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +184,10 @@ def _parse_header(data: bytes, processor: int) -> Header:
     )
 
 
-def _parse_parameters(path: str | os.PathLike[str], section: bytes, processor: int) -> dict[str, Parameter]:
+def _parse_parameters(
+    path: str | os.PathLike[str], section: bytes, processor: int, most: int = 20_000
+) -> dict[str, Parameter]:
+    """Parse groups and parameters, at most so many: 127 groups of real files hold some hundreds."""
     groups: dict[int, str] = {}
     found: list[tuple[int, str, Parameter]] = []
     order = "big" if processor == _MIPS else "little"
@@ -206,8 +210,8 @@ def _parse_parameters(path: str | os.PathLike[str], section: bytes, processor: i
             found.append((number, name, _parse_parameter(section[link + 2 : stop], processor)))
         if offset == 0:
             break
-        if len(found) > _MOST_PARAMETERS:
-            raise MotionFileError(path, "c3d.too_many_parameters", most=_MOST_PARAMETERS)
+        if len(found) > most:
+            raise MotionFileError(path, "c3d.too_many_parameters", most=most)
         if offset < 2 or link + offset > len(section):
             raise MotionFileError(path, "c3d.parameter_place", name=name)
         place = link + offset
@@ -232,11 +236,8 @@ def _parse_parameter(entry: bytes, processor: int) -> Parameter:
     return Parameter(item_size, shape, entry[start : start + size] if whole else None, processor)
 
 
-_AWAY_FROM_ZERO = 50.0  # file units
-_BEYOND = 9.9e6  # file units, outside any room: some programs write it for points not seen
-_MOST_LABELS = 255  # of one parameter, whose sizes are bytes
-_FULL_COUNTER = 65_535
-_CHUNK_FRAMES = 4096
+# By the definition of the format: sizes of a parameter are bytes, counts of the header are 16 bits.
+_MOST_LABELS, _FULL_COUNTER = 255, 65_535
 
 
 def write_c3d(motion: Trajectories, path: str | os.PathLike[str]) -> None:
@@ -258,8 +259,8 @@ def write_c3d(motion: Trajectories, path: str | os.PathLike[str]) -> None:
     with atomic_write(path) as file:
         file.write(_header(motion, 2 + blocks))
         file.write(section)
-        for start in range(0, motion.n_frames, _CHUNK_FRAMES):
-            file.write(_encode_frames(path, motion.positions[start : start + _CHUNK_FRAMES]))
+        for start in range(0, motion.n_frames, 4096):
+            file.write(_encode_frames(path, motion.positions[start : start + 4096]))
         file.write(bytes(-file.tell() % BLOCK))
 
 
@@ -491,15 +492,18 @@ def _read_positions(sections: Sections, data: bytes, chosen: IndexArray) -> tupl
     return positions, tuple(notes)
 
 
-def _find_unmarked(positions: FloatArray) -> BoolArray:
+def _find_unmarked(positions: FloatArray, away_from_zero: float = 50.0, beyond: float = 9.9e6) -> BoolArray:
     """(T, K) points that were not seen without a residual for it: put to zero, or to 1e9.
 
-    A point counts as put to zero where all three coordinates are exactly zero and it is far from there otherwise.
+    Parameters
+    ----------
+    away_from_zero : file units that a point whose coordinates are exactly zero is away from there in other frames.
+    beyond : file units, outside any room.
     """
     with np.errstate(invalid="ignore"):
         size = np.abs(positions).max(axis=2)
-        away = np.nanmax(size, axis=0, initial=0.0) > _AWAY_FROM_ZERO
-        lost: BoolArray = (size == 0) & away | (size >= _BEYOND) & np.isfinite(size)
+        away = np.nanmax(size, axis=0, initial=0.0) > away_from_zero
+        lost: BoolArray = (size == 0) & away | (size >= beyond) & np.isfinite(size)
     return lost
 
 

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numba import njit
 
 from dousa.arrays import FloatArray, IntArray
-from dousa.errors import InvalidMotionError, MotionFileError
-from dousa.motion.canonical.reference_frame import ReferenceFrame, infer_reference_frame, to_reference_frame
-from dousa.motion.kinematics import compute_rest_positions, forward_kinematics
-from dousa.motion.types import Motion, Provenance, Skeleton, Trajectories, freeze
-
-_SAMPLED_FRAMES = 16
-_MOST_FRAMES = 20_000  # that are looked at where the sample leaves a doubt
-_LARGE_MOTION = 50_000_000  # joints x frames, about 3 GB
+from dousa.errors import MotionFileError
+from dousa.formats.assembly import settle_motion
+from dousa.motion.types import Motion, Skeleton, freeze
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,7 +29,6 @@ class ChannelProgram:
     axes : (J, 3, 3) in Acclaim files the orientation C of a bone's axes: a turn M becomes C M C^-1, and positions t are
         added to the offset as C t; (0, 3, 3) where the axes are the joints' own and positions replace the offset.
     added : joints whose positions are added, not replaced.
-    rest_positions : (J, 3) the joints with no turn at all.
     stretches : (joint, column, direction): the joint moves by the column's value along the direction.
     """
 
@@ -46,29 +40,13 @@ class ChannelProgram:
     axes: FloatArray = field(default_factory=lambda: np.empty((0, 3, 3)))
     stretches: tuple[tuple[int, int, tuple[float, float, float]], ...] = ()
     added: tuple[int, ...] = field(init=False)
-    rest_positions: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
         moved = (joint for joint in range(len(self.axes)) if (self._kinds_of(joint) < 3).any())
         object.__setattr__(self, "added", tuple(moved))
-        with np.errstate(over="ignore", invalid="ignore"):
-            rest = freeze(compute_rest_positions(self.skeleton))
-        object.__setattr__(self, "rest_positions", rest)
 
     def _kinds_of(self, joint: int) -> IntArray:
         return self.kinds[self.starts[joint] : self.starts[joint + 1]]
-
-
-@dataclass(frozen=True, slots=True)
-class FileUnits:
-    """Unit and up axis of a file, as far as known before its poses are read.
-
-    ``unit`` and ``up`` come from the caller; ``declared_unit`` from the file, found plausible.
-    """
-
-    unit: float | None = None
-    up: str | None = None
-    declared_unit: float | None = None
 
 
 @njit(cache=True, nogil=True)
@@ -154,59 +132,32 @@ def compute_poses(program: ChannelProgram, values: FloatArray) -> tuple[FloatArr
 
 def build_motion(
     path: str,
+    format_name: str,
     program: ChannelProgram,
-    values: FloatArray,
+    rows: FloatArray,
     frame_rate: float,
-    provenance: Provenance,
-    units: FileUnits,
+    *,
+    largest: int = 50_000_000,
+    **settings: Any,
 ) -> Motion:
     """Build a motion, in metres with Y up, from channel values; the sources of unit and axis are in its provenance.
 
-    MotionFileError for values that make no motion, such as positions beyond the largest float.
+    Parameters
+    ----------
+    rows : (T, C) channel values.
+    largest : joints times frames, about 3 GB, beyond which a file must hold a sixteenth as many values.
+    settings : of `settle_motion`.
+
+    Raises
+    ------
+    MotionFileError : values that make no motion, such as positions beyond the largest float.
     """
-    skeleton = program.skeleton
-    poses = len(values) * skeleton.n_joints
-    if poses > max(_LARGE_MOTION, 16 * values.size):
-        raise MotionFileError(
-            path, "channels.too_few", frames=len(values), joints=skeleton.n_joints, channels=values.shape[1]
-        )
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):
-            rotations, translations = compute_poses(program, values)
-            frame = _infer_frame(program, rotations, translations, frame_rate, units)
-            offsets = skeleton.offsets * frame.unit
-            translations *= frame.unit
-            scaled = Skeleton(skeleton.names, skeleton.parents, offsets, skeleton.end_sites)
-            rotations, translations = freeze(rotations), freeze(translations)
-            located = dataclasses.replace(
-                provenance,
-                unit=frame.unit,
-                unit_source=frame.unit_source,
-                up=frame.up,
-                up_source=frame.up_source,
-                notes=(*provenance.notes, *frame.notes),
-            )
-            motion = Motion(scaled, rotations, translations, frame_rate, located)
-            return motion if frame.up == "y" else to_reference_frame(motion, ReferenceFrame(up=frame.up))
-    except InvalidMotionError as error:
-        raise MotionFileError(path, "channels.no_motion", reason=error) from error
-
-
-def _infer_frame(
-    program: ChannelProgram, rotations: FloatArray, translations: FloatArray, frame_rate: float, units: FileUnits
-) -> ReferenceFrame:
-    skeleton = program.skeleton
-
-    def place(frames: IntArray | slice, rate: float) -> Trajectories:
-        positions, _ = forward_kinematics(skeleton.parents, rotations[frames], translations[frames])
-        return Trajectories(skeleton.names, freeze(positions), rate, skeleton.parents, program.rest_positions)
-
-    count = min(len(rotations), _SAMPLED_FRAMES)
-    frames = np.arange(count) * (len(rotations) - 1) // max(count - 1, 1)
-    return infer_reference_frame(
-        place(frames, frame_rate),
-        unit=units.unit,
-        up=units.up,
-        declared_unit=units.declared_unit,
-        whole=lambda: place(slice(0, _MOST_FRAMES), frame_rate),
-    )
+    n_joints = program.skeleton.n_joints
+    if len(rows) * n_joints > max(largest, 16 * rows.size):
+        raise MotionFileError(path, "channels.too_few", frames=len(rows), joints=n_joints, channels=rows.shape[1])
+    with np.errstate(over="ignore", invalid="ignore"):
+        rotations, translations = compute_poses(program, rows)
+    return settle_motion(
+        path, format_name, program.skeleton, rotations, translations, frame_rate,
+        most_frames=20_000, damaged="channels.no_motion", **settings,
+    )  # fmt: skip

@@ -18,9 +18,9 @@ from dousa.arrays import FloatArray
 from dousa.errors import CalibrationError, MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.files.markup import parse_xml
-from dousa.formats.poses import localise, median_offsets, order_tree, settle_motion
+from dousa.formats.assembly import add_ends, localise, median_offsets, order_tree, rest_offsets, settle_motion
 from dousa.motion import Motion, Skeleton
-from dousa.motion.rotations import identity, normalise
+from dousa.motion.rotations import normalise
 
 _TIPS = {
     "Head": "pTopOfHead",
@@ -29,7 +29,6 @@ _TIPS = {
     "LeftToe": "pLeftToe",
     "RightToe": "pRightToe",
 }
-_MOST_SEGMENTS = 500
 
 
 def read_mvnx(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Motion:
@@ -54,7 +53,7 @@ def read_mvnx(path: str | os.PathLike[str], *, unit: float | str | None = None, 
         raise MotionFileError(path, "mvnx.no_subject")
     segments = [node for group in _children(subject, "segments") for node in _children(group, "segment")]
     names = tuple(node.get("label", f"segment{index}") for index, node in enumerate(segments))
-    if not names or len(names) > _MOST_SEGMENTS or len(set(names)) != len(names):
+    if not names or len(names) > 500 or len(set(names)) != len(names):
         raise MotionFileError(path, "mvnx.segments", found=len(names))
     frames = [node for group in _children(subject, "frames") for node in _children(group, "frame")]
     taken = [frame for frame in frames if frame.get("type", "normal") == "normal"]
@@ -66,17 +65,12 @@ def read_mvnx(path: str | os.PathLike[str], *, unit: float | str | None = None, 
     resting = _read_values(path, rest, "position", len(names), 3)[0] if rest else None
     order, parents = order_tree(names, _read_parents(subject))
     rotations, translations = localise(parents, normalise(world[:, order]), positions[:, order])
-    if resting is None:
-        offsets = median_offsets(translations)
-    else:
-        offsets = resting[order].copy()
-        offsets[1:] -= np.where(np.array(parents[1:])[:, None] >= 0, resting[order][parents[1:]], 0.0)
-    skeleton, rotations, translations = _add_tips(
-        tuple(names[index] for index in order), parents, offsets, rotations, translations,
-        {names[index]: segments[index] for index in order},
-    )  # fmt: skip
+    offsets = median_offsets(translations) if resting is None else rest_offsets(parents, resting[order])
+    tips = [_find_point(segments[index], _TIPS.get(names[index], "")) for index in order]
+    ends = [(joint, place) for joint, place in enumerate(tips) if place is not None]
+    skeleton = Skeleton(tuple(names[index] for index in order), np.array(parents, np.intp), offsets)
     return settle_motion(
-        path, "mvnx", skeleton, rotations, translations, _read_rate(path, subject),
+        path, "mvnx", *add_ends(skeleton, rotations, translations, ends), _read_rate(path, subject),
         unit=unit, up=up, unit_in_file=1.0, up_in_file="z",
     )  # fmt: skip
 
@@ -122,32 +116,6 @@ def _read_parents(subject: ET.Element) -> dict[str, str]:
             above, below = ((node.text or "").partition("/")[0].strip() if node is not None else "" for node in ends)
             parents[below] = above
     return parents
-
-
-def _add_tips(
-    names: tuple[str, ...],
-    parents: list[int],
-    offsets: FloatArray,
-    rotations: FloatArray,
-    translations: FloatArray,
-    segments: dict[str, ET.Element],
-) -> tuple[Skeleton, FloatArray, FloatArray]:
-    """The skeleton with end sites where its last segments end."""
-    tips = []
-    for joint, name in enumerate(names):
-        place = _find_point(segments[name], _TIPS.get(name, ""))
-        if place is not None:
-            tips.append((f"{name}_end", joint, place))
-    count, n_frames = len(tips), len(rotations)
-    skeleton = Skeleton(
-        (*names, *(name for name, _, _ in tips)),
-        np.array([*parents, *(joint for _, joint, _ in tips)], np.intp),
-        np.concatenate((offsets, np.array([place for *_, place in tips]).reshape(-1, 3))),
-        np.arange(len(names) + count) >= len(names),
-    )
-    still = np.tile(skeleton.offsets[len(names) :], (n_frames, 1, 1))
-    rotations = np.concatenate((rotations, identity((n_frames, count))), axis=1)
-    return skeleton, rotations, np.concatenate((translations, still), axis=1)
 
 
 def _find_point(segment: ET.Element, label: str) -> FloatArray | None:

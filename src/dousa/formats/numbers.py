@@ -27,13 +27,14 @@ Bytes = NDArray[np.uint8]
 DONE, SHORT, LONG, FULL = range(4)
 
 _SMALLEST_POWER, _LARGEST_POWER = -342, 308
-_EXACT_POWERS = np.array([10.0**k for k in range(23)])
+_EXACT_POWERS = np.array([10.0**k for k in range(23)])  # Clinger 1990: up to 10^22 float64 is exact
 
 _ZERO, _ONE, _TEN = np.uint64(0), np.uint64(1), np.uint64(10)
 _LOW_HALF, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
+# Lemire 2021, algorithm 1.
 _PRECISION_MASK = np.uint64(0x1FF)
 _HIDDEN_BIT, _ALL_BITS = np.uint64(1 << 52), np.uint64(0xFFFFFFFFFFFFFFFF)
-_TOP_BIT = np.uint64(63)
+_TOP_BIT = np.uint64(63)  # by the definition of uint64
 _NUMBER = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|infinity|nan)", re.IGNORECASE)
 _WINDOWS_NAN = re.compile(rb"[+-]?(?:1\.#(?:IND|QNAN|SNAN)\w*|nan\([a-z0-9_]*\))", re.IGNORECASE)
 

@@ -16,9 +16,6 @@ from typing import IO
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
 
-_TIMES_LARGER, _SMALL = 200, 100_000_000  # bytes; numbers as text shrink ten times, and a thousand times never
-_MOST_MEMBERS, _MOST_FRAMES = 1000, 200_000  # files, files of one frame each
-_CHUNK = 1 << 20
 _DAMAGE = (
     zipfile.BadZipFile, zlib.error, lzma.LZMAError, NotImplementedError, RuntimeError, EOFError, OSError, ValueError,
 )  # fmt: skip
@@ -35,7 +32,7 @@ def unpack(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iterator[st
     MotionFileError : damaged, encrypted, larger than is plausible, no motion file inside, or several.
     """
     data = read_bytes(path)
-    most = max(_TIMES_LARGER * len(data), _SMALL)
+    most = max(200 * len(data), 100_000_000)  # numbers as text shrink ten times, and a thousand times never
     with tempfile.TemporaryDirectory(prefix="dousa-") as folder:
         try:
             if os.fspath(path).lower().endswith(".gz"):
@@ -52,7 +49,7 @@ def unpack(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iterator[st
 def _copy(path: str | os.PathLike[str], source: IO[bytes] | gzip.GzipFile, target: str, most: int) -> int:
     size = 0
     with open(target, "wb") as file:
-        while chunk := source.read(_CHUNK):
+        while chunk := source.read(1 << 20):
             size += len(chunk)
             if size > most:
                 raise MotionFileError(path, "packed.large", most=most / 1e6)
@@ -60,12 +57,21 @@ def _copy(path: str | os.PathLike[str], source: IO[bytes] | gzip.GzipFile, targe
     return size
 
 
-def _unpack_zip(path: str | os.PathLike[str], data: bytes, folder: str, suffixes: Sequence[str], most: int) -> str:
+def _unpack_zip(
+    path: str | os.PathLike[str],
+    data: bytes,
+    folder: str,
+    suffixes: Sequence[str],
+    most: int,
+    most_members: int = 1000,
+    most_frames: int = 200_000,
+) -> str:
+    """Unpack at most ``most`` bytes, so many members and files of one frame each; returns the path of the motion."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         members = [member for member in archive.infolist() if not member.is_dir()]
         frames = sum(member.filename.lower().endswith(".json") for member in members)
-        if len(members) - frames > _MOST_MEMBERS or frames > _MOST_FRAMES:
-            raise MotionFileError(path, "packed.many", found=len(members), most=_MOST_MEMBERS)
+        if len(members) - frames > most_members or frames > most_frames:
+            raise MotionFileError(path, "packed.many", found=len(members), most=most_members)
         # Names are flattened: nothing can be written outside the folder.
         names = {os.path.basename(member.filename.replace("\\", "/")): member for member in members}
         motions = [name for name in names if name.lower().endswith(tuple(suffixes)) and not name.startswith(".")]

@@ -12,7 +12,7 @@ import functools
 import importlib
 import os
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +24,8 @@ from dousa.errors import (
     OptionError,
     UnknownFormatError,
 )
-from dousa.formats.frame_folders import is_frame_folder
+from dousa.files.frame_files import is_frame_folder
+from dousa.messages import Message
 from dousa.motion import Motion, Trajectories
 
 
@@ -42,6 +43,7 @@ class Format:
     holds : ``"motion"``, ``"trajectories"`` or ``"both"``: possible content of a file of this format.
     options : of the reader besides ``unit`` and ``up``: ``"skeleton"``, ``"frame_rate"``.
     signs : pattern in the first bytes of such files, for suffixes that other programs use too; else None.
+    character : name of the function that reads a file at rest, for formats whose files need no motion; else None.
     """
 
     name: str
@@ -52,10 +54,10 @@ class Format:
     holds: str
     options: tuple[str, ...] = ()
     signs: bytes | None = None
+    character: str | None = None
 
 
 _ARRAYS = ("skeleton", "frame_rate")
-_HEAD_BYTES = 4096
 
 PACKED: tuple[str, ...] = (".gz", ".zip")
 """Suffixes of packed files, see `dousa.formats.packed`."""
@@ -86,11 +88,20 @@ FORMATS: tuple[Format, ...] = (
     ),
     Format("vmd", (".vmd",), "dousa.formats.mmd", "read_vmd", None, "motion", ("skeleton",)),
     Format("mvnx", (".mvnx",), "dousa.formats.mvnx", "read_mvnx", None, "motion"),
-    Format("fbx", (".fbx",), "dousa.formats.exchange", "read_exchange", "write_fbx", "motion"),
-    Format("dae", (".dae",), "dousa.formats.exchange", "read_exchange", None, "motion"),
-    Format("usd", (".usd", ".usda", ".usdc", ".usdz"), "dousa.formats.usd", "read_usd", None, "motion"),
-    Format("glb", (".glb",), "dousa.formats.gltf", "read_gltf", "write_glb", "motion"),
-    Format("gltf", (".gltf", ".vrm", ".vrma"), "dousa.formats.gltf", "read_gltf", None, "motion"),
+    Format(
+        "fbx", (".fbx",), "dousa.formats.exchange", "read_exchange", "write_fbx", "motion",
+        character="read_exchange_character",
+    ),
+    Format(
+        "dae", (".dae",), "dousa.formats.exchange", "read_exchange", None, "motion",
+        character="read_exchange_character",
+    ),
+    Format("usd", (".usd", ".usda", ".usdc", ".usdz"), "dousa.formats.exchange.usd", "read_usd", None, "motion"),
+    Format("glb", (".glb",), "dousa.formats.gltf", "read_gltf", "write_glb", "motion", character="read_gltf_character"),
+    Format(
+        "gltf", (".gltf", ".vrm", ".vrma"), "dousa.formats.gltf", "read_gltf", None, "motion",
+        character="read_gltf_character",
+    ),
 )  # fmt: skip
 
 READERS: dict[str, Format] = {suffix: line for line in FORMATS if line.reader for suffix in line.suffixes}
@@ -100,7 +111,10 @@ WRITERS: dict[str, Format] = {suffix: line for line in FORMATS if line.writer fo
 """Format by suffix, for writing."""
 
 SUFFIXES: tuple[str, ...] = tuple(READERS)
-"""The suffixes of ``read_motion``, lower case with the dot; each also with ``.gz`` or ``.zip`` behind it."""
+"""The suffixes of ``read_motion``, lower case with the dot; each also with ``.gz`` or ``.zip`` behind it.
+
+Those of plug-ins are missing: see `list_suffixes`.
+"""
 
 _ADVICE = {
     ".asf": "formats.asf_alone",
@@ -161,6 +175,11 @@ def _check_plugin(line: object) -> None:
         raise ValueError(f"expected a tuple of lower-case suffixes with the dot, got {line.suffixes!r}")
 
 
+def list_suffixes() -> tuple[str, ...]:
+    """Return the suffixes of files that can be read, those of plug-ins included; lower case with the dot."""
+    return (*SUFFIXES, *load_plugins().readers)
+
+
 def _function(path: str | os.PathLike[str], line: Format, name: str) -> Callable[..., Any]:
     try:
         function: Callable[..., Any] = getattr(importlib.import_module(line.module), name)
@@ -201,22 +220,23 @@ def is_motion_file(path: str | os.PathLike[str]) -> bool:
         return line is not None
     try:
         with open(path, "rb") as file:
-            return re.search(line.signs, file.read(_HEAD_BYTES)) is not None
+            return re.search(line.signs, file.read(4096)) is not None
     except OSError:
         return True  # its reader raises the error
 
 
-def _no_format(path: str | os.PathLike[str], known: Iterable[str], *, read: bool) -> UnknownFormatError:
-    plugins = load_plugins()
-    suffix, names = _suffix(path), (*known, *(plugins.readers if read else plugins.writers))
+def _no_format(path: str | os.PathLike[str], *, read: bool) -> UnknownFormatError:
+    """The error for a file without a format: the known suffixes, and the plug-ins that failed."""
     if os.path.isdir(path):
         return UnknownFormatError(path, "formats.folder")
+    suffix, plugins = _suffix(path), load_plugins()
+    known = list_suffixes() if read else (*WRITERS, *plugins.writers)
     if not suffix:
-        return UnknownFormatError(path, "formats.unreadable_name" if read else "formats.unwritable_name", known=names)
+        return UnknownFormatError(path, "formats.unreadable_name" if read else "formats.unwritable_name", known=known)
+    problem = Message("formats.unreadable_suffix" if read else "formats.unwritable_suffix", suffix=suffix, known=known)
     for plugin, reason in plugins.failures.items():
-        return UnknownFormatError(path, "formats.bad_plugin", plugin=plugin, reason=reason)
-    code = "formats.unreadable_suffix" if read else "formats.unwritable_suffix"
-    return UnknownFormatError(path, code, suffix=suffix, known=names)
+        problem = Message("formats.failed_plugin", problem=problem, plugin=plugin, reason=reason)
+    return UnknownFormatError(path, problem)
 
 
 def read_motion(
@@ -258,7 +278,7 @@ def read_motion(
         raise UnknownFormatError(path, _ADVICE[_suffix(path)])
     line = find_reader(path)
     if line is None or line.reader is None:
-        raise _no_format(path, READERS, read=True)
+        raise _no_format(path, read=True)
     from dousa.motion.canonical.reference_frame import parse_unit, parse_up
 
     options: dict[str, Any] = {
@@ -298,7 +318,7 @@ def read_motion(
 def _read_packed(path: str | os.PathLike[str], **options: Any) -> Motion | Trajectories:
     from dousa.formats.packed import unpack
 
-    with unpack(path, (*SUFFIXES, *load_plugins().readers)) as inner:
+    with unpack(path, list_suffixes()) as inner:
         try:
             motion = read_motion(inner, **options)
         except MotionFileError as error:
@@ -341,7 +361,7 @@ def write_motion(motion: Motion | Trajectories, path: str | os.PathLike[str]) ->
     """
     line = _find(path, WRITERS) or _find(path, load_plugins().writers)
     if line is None or line.writer is None:
-        raise _no_format(path, WRITERS, read=False)
+        raise _no_format(path, read=False)
     if line.holds == "trajectories" and isinstance(motion, Motion):
         from dousa.motion import compute_trajectories
 
@@ -349,3 +369,26 @@ def write_motion(motion: Motion | Trajectories, path: str | os.PathLike[str]) ->
     elif line.holds == "motion" and isinstance(motion, Trajectories):
         motion = _fit(motion, path)
     _function(path, line, line.writer)(motion, path)
+
+
+def read_character(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Motion:
+    """Read the skeleton of a file, as a motion or as a single pose.
+
+    Parameters
+    ----------
+    path : any file of joint rotations; a glTF, GLB, VRM or FBX needs no animation.
+    unit, up : if not in the file.
+
+    Raises
+    ------
+    MotionFileError : the file cannot be read.
+    OptionError : it holds positions, and no skeleton.
+    """
+    line = find_reader(path)
+    if line is not None and line.character is not None:
+        character = _function(path, line, line.character)(path, unit=unit, up=up)
+    else:
+        character = read_motion(path, unit=unit, up=up)
+    if not isinstance(character, Motion):
+        raise OptionError("retarget.no_skeleton", path=path)
+    return character

@@ -20,12 +20,10 @@ import numpy as np
 from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
-from dousa.formats.markers import declared_unit, settle_trajectories
+from dousa.formats.assembly import declared_unit, settle_trajectories
 from dousa.messages import Message
 from dousa.motion import Trajectories
 
-_HEADER_LINES = 20  # where the header must have appeared
-_CHUNK_CELLS = 200_000  # cells held as text at a time
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|\s*[+-]?(nan|inf|infinity)\s*", re.IGNORECASE)
 
 
@@ -77,7 +75,7 @@ def read_trc(path: str | os.PathLike[str], *, unit: float | str | None = None, u
 
 def _with_tabs(lines: list[str]) -> list[str]:
     """Replace the separators of the lines with tabs."""
-    header = next((line for line in lines[:_HEADER_LINES] if line.lstrip().lower().startswith("datarate")), "")
+    header = next((line for line in lines[:20] if line.lstrip().lower().startswith("datarate")), "")
     if "\t" in header:
         return lines
     mark = next((mark for mark in ",;" if mark in header), None)
@@ -107,7 +105,7 @@ def _cells(line: str) -> list[str]:
 
 def _read_fields(path: str | os.PathLike[str], lines: list[str]) -> tuple[dict[str, str], int]:
     """Header fields by lower-case name, and the 1-based line of their values."""
-    for number, line in enumerate(lines[:_HEADER_LINES]):
+    for number, line in enumerate(lines[:20]):
         if line.lstrip().lower().startswith("datarate"):
             if number + 1 >= len(lines):
                 break
@@ -127,7 +125,7 @@ def _field_number(path: str | os.PathLike[str], fields: dict[str, str], key: str
 
 def _read_names(path: str | os.PathLike[str], lines: list[str]) -> tuple[tuple[str, ...], int]:
     """Marker names, and the index of the first line after the header."""
-    for number, line in enumerate(lines[:_HEADER_LINES]):
+    for number, line in enumerate(lines[:20]):
         cells = line.split("\t")
         if not cells[0].strip().lower().startswith("frame"):
             continue
@@ -147,8 +145,10 @@ def _read_names(path: str | os.PathLike[str], lines: list[str]) -> tuple[tuple[s
     raise MotionFileError(path, "trc.no_names")
 
 
-def _read_rows(path: str | os.PathLike[str], lines: list[str], body: int, names: tuple[str, ...]) -> FloatArray:
-    """Positions (T, K, 3) in file units."""
+def _read_rows(
+    path: str | os.PathLike[str], lines: list[str], body: int, names: tuple[str, ...], chunk: int = 200_000
+) -> FloatArray:
+    """Positions (T, K, 3) in file units; so many cells are held as text at a time."""
     width = 2 + 3 * len(names)
     rows = lines[body:]
     if any("," in row for row in rows) and not any("." in row for row in rows):
@@ -156,7 +156,7 @@ def _read_rows(path: str | os.PathLike[str], lines: list[str], body: int, names:
     numbered = [(number, row) for number, row in enumerate(rows, body + 1) if row and not row.isspace()]
     if not numbered:
         raise MotionFileError(path, "trc.no_frames", body)
-    step = max(1, _CHUNK_CELLS // width)
+    step = max(1, chunk // width)
     chunks = []
     for start in range(0, len(numbered), step):
         part = numbered[start : start + step]

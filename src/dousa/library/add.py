@@ -19,8 +19,7 @@ import sqlalchemy as sa
 
 from dousa.errors import DousaError
 from dousa.formats.annotations.label_file import to_annotation
-from dousa.formats.frame_votes import FrameVotes
-from dousa.formats.motion_files import FoundFile, ReadOptions, Skipped, find_motion_files, is_unicode
+from dousa.formats.motion_files import FoundFile, FrameVotes, ReadOptions, Skipped, find_motion_files, is_unicode
 from dousa.library.annotations.matching import FoundLabels, TakeLength, check_fit, choose_labels, find_labels
 from dousa.library.annotations.store import annotate_takes, read_annotations, rename_segments
 from dousa.library.care.compact import BEGIN_AT, begin_where_large

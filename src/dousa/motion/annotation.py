@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-_LEAST = 1e-3  # s of a stretch: tables are written to the millisecond
-
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
@@ -49,7 +47,12 @@ class Annotation:
 
 
 def lay_out(
-    segments: Sequence[Stretch], unclear: Sequence[tuple[float, float]], duration: float, *, complete: bool = True
+    segments: Sequence[Stretch],
+    unclear: Sequence[tuple[float, float]],
+    duration: float,
+    *,
+    complete: bool = True,
+    least: float = 1e-3,
 ) -> tuple[Stretch, ...]:
     """Divide a recording into labelled parts and the rest, without gaps; neighbours of one segment or kind join.
 
@@ -59,6 +62,7 @@ def lay_out(
     unclear : (start, stop) s of unclear parts; segments within them count.
     duration : s; later parts are cut off.
     complete : whether everything of note was labelled; if not, the rest is unclear.
+    least : s of a part, as tables are written to the millisecond.
     """
     rest = Stretch(0.0, duration, None, counted=complete)
     spans = [Stretch(start, stop, None, counted=False) for start, stop in unclear]
@@ -66,7 +70,7 @@ def lay_out(
     edges = sorted({0.0, duration, *(min(max(t, 0.0), duration) for one in spans for t in (one.start, one.stop))})
     parts: list[tuple[Stretch, float, float]] = []
     for start, stop in pairwise(edges):
-        if stop - start < _LEAST:
+        if stop - start < least:
             parts[-1:] = [(one, first, stop) for one, first, _ in parts[-1:]]
             continue
         begin = start if parts else 0.0

@@ -14,9 +14,6 @@ from dousa.motion.types import Motion, Trajectories, freeze
 
 _Moving = TypeVar("_Moving", Motion, Trajectories)
 
-_MOST_FRAMES = 20_000_000
-_FRAME_TOLERANCE = 1e-9  # a last frame missed only by rounding counts
-
 
 def resample(moving: _Moving, frame_rate: float) -> _Moving:
     """Resample a motion to another frame rate; the same object if it has this rate already.
@@ -47,20 +44,31 @@ def resample(moving: _Moving, frame_rate: float) -> _Moving:
     return moving.replace(positions=positions, frame_rate=rate)
 
 
-def find_neighbours(n_frames: int, old_rate: float, new_rate: float) -> tuple[IndexArray, IndexArray, FloatArray]:
+def find_neighbours(
+    n_frames: int, old_rate: float, new_rate: float, most: int = 20_000_000, tolerance: float = 1e-9
+) -> tuple[IndexArray, IndexArray, FloatArray]:
     """Find the old frames before and after each frame at another rate, and the fraction between them.
 
-    Rates are in Hz, ``n_frames`` at the old rate; OptionError for a new rate not above 0, or too many frames.
+    Parameters
+    ----------
+    n_frames : at the old rate.
+    old_rate, new_rate : Hz.
+    most : frames at the new rate.
+    tolerance : frames; a last one that is missed only by rounding counts.
+
+    Raises
+    ------
+    OptionError : a new rate not above 0, or too many frames.
     """
     if not (np.isfinite(new_rate) and 0 < new_rate <= 1e6):
         raise OptionError("resampling.rate", rate=new_rate)
-    count = int(np.floor((n_frames - 1) / old_rate * new_rate + _FRAME_TOLERANCE)) + 1
-    if count > _MOST_FRAMES:
+    count = int(np.floor((n_frames - 1) / old_rate * new_rate + tolerance)) + 1
+    if count > most:
         raise OptionError("resampling.too_many", rate=new_rate, count=count)
     place = np.minimum(np.arange(count) * (old_rate / new_rate), n_frames - 1.0)
     nearest = np.round(place)
     # Frames that fall together but for rounding are copied, so that NaN beside them does not spread.
-    place = np.where(np.abs(place - nearest) < _FRAME_TOLERANCE * np.maximum(1.0, nearest), nearest, place)
+    place = np.where(np.abs(place - nearest) < tolerance * np.maximum(1.0, nearest), nearest, place)
     before = place.astype(np.intp)
     return before, np.minimum(before + 1, n_frames - 1), place - before
 
@@ -128,14 +136,9 @@ def fill_gaps(positions: ArrayLike) -> FloatArray:
 def smooth_gaussian(values: FloatArray, deviation: float) -> FloatArray:
     """Smooth values (T, ...) with a Gaussian of four standard deviations (in frames) to either side; ends are repeated.
 
-    The result is, bit for bit, ``scipy.ndimage.gaussian_filter1d(values, deviation, axis=0, mode="nearest")``.
+    Missing values make all within reach of them missing.
     """
-    n_frames, reach = len(values), int(4.0 * deviation + 0.5)
-    weights = np.exp(-0.5 / (deviation * deviation) * np.arange(-reach, reach + 1) ** 2)
-    weights = weights / weights.sum()
-    padded = np.pad(values, [(reach, reach), *[(0, 0)] * (np.ndim(values) - 1)], mode="edge")
-    smooth: FloatArray = padded[reach : reach + n_frames] * weights[reach]
-    for step in range(reach, 0, -1):
-        before, after = (padded[start : start + n_frames] for start in (reach - step, reach + step))
-        smooth += (before + after) * weights[reach - step]
+    from scipy.ndimage import gaussian_filter1d
+
+    smooth: FloatArray = gaussian_filter1d(values, deviation, axis=0, output=np.float64, mode="nearest")
     return smooth

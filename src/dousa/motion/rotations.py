@@ -13,10 +13,7 @@ from numpy.typing import ArrayLike
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError
 
-_AXES = {"X": 0, "Y": 1, "Z": 2}
-_GIMBAL_COSINE = 1e-7  # below this the first and third axes are parallel to double precision
-_SMALL_ANGLE = 1e-8
-_OPPOSITE = 1e-14  # 1 + cosine of two opposite directions, whose axis is undefined
+_SMALL_ANGLE = 1e-8  # rad; below it sin(x) / x is 1 to the last bit of double precision (IEEE 754)
 
 
 def identity(shape: tuple[int, ...] = ()) -> FloatArray:
@@ -120,9 +117,9 @@ def from_matrix(matrices: ArrayLike) -> FloatArray:
 
 def _axis_numbers(order: str) -> list[int]:
     letters = order.upper()
-    if not 1 <= len(letters) <= 3 or len(set(letters)) != len(letters) or set(letters) - set(_AXES):
+    if not 1 <= len(letters) <= 3 or len(set(letters)) != len(letters) or set(letters) - set("XYZ"):
         raise InvalidMotionError("rotations.order", order=order)
-    return [_AXES[letter] for letter in letters]
+    return ["XYZ".index(letter) for letter in letters]
 
 
 def from_euler(angles: ArrayLike, order: str) -> FloatArray:
@@ -167,7 +164,7 @@ def to_euler(quaternions: ArrayLike, order: str) -> FloatArray:
     sign = 1.0 if (j - i) % 3 == 1 else -1.0
     m = to_matrix(quaternions)
     cosine = np.hypot(m[..., i, i], m[..., i, j])
-    locked = cosine < _GIMBAL_COSINE
+    locked = cosine < 1e-7  # the first and third axes are parallel to double precision
     first = np.where(
         locked, np.arctan2(sign * m[..., k, j], m[..., j, j]), np.arctan2(-sign * m[..., j, k], m[..., k, k])
     )
@@ -204,7 +201,7 @@ def between(start: ArrayLike, end: ArrayLike) -> FloatArray:
     q = np.concatenate((scalar[..., None], np.cross(u, v)), axis=-1)
     helper = np.eye(3)[np.argmin(np.abs(np.nan_to_num(u)), axis=-1)]
     across = np.concatenate((np.zeros((*u.shape[:-1], 1)), np.cross(u, helper)), axis=-1)
-    q = np.where((scalar < _OPPOSITE)[..., None], across, q)
+    q = np.where((scalar < 1e-14)[..., None], across, q)  # opposite, so that the axis is undefined
     directed = (u != 0).any(-1) & (v != 0).any(-1)
     return normalise(np.where(directed[..., None], q, identity()))
 

@@ -18,8 +18,6 @@ from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.errors import InvalidMotionError
 from dousa.messages import Message
 
-_UNIT_TOLERANCE = 1e-6
-
 
 def freeze(array: NDArray[Any]) -> NDArray[Any]:
     """Mark an array without other references as read-only, so that constructors do not copy it."""
@@ -177,7 +175,7 @@ class Motion:
         translations = _frozen_array(self.translations, np.float64, (frames, joints, 3), "motion translations")
         with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300 and infinities
             squares = np.einsum("tjk,tjk->tj", rotations, rotations)
-            off = np.abs(squares - 1.0) > _UNIT_TOLERANCE  # false for NaN: missing values are allowed
+            off = np.abs(squares - 1.0) > 1e-6  # false for NaN: missing values are allowed
             whole = np.isfinite(translations.sum())  # spares the look at every value
         if off.any() or np.isinf(squares).any() or (not whole and np.isinf(translations).any()):
             raise InvalidMotionError("motion.quaternions")

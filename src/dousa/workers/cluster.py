@@ -24,12 +24,8 @@ _Task = TypeVar("_Task")
 _Answer = TypeVar("_Answer")
 
 _CONNECT = 10.0  # s to wait for a scheduler
-_ALONE = 60.0  # s to wait for workers to come back when all are gone
-_TURN = 2.0  # s between two looks at whether there are workers
-_ATTEMPTS = 5  # of a portion whose data were lost with their workers
 _MOST_BYTES = 1 << 23  # of the files or arrays of a portion
 _INLINE = 1 << 18  # bytes; larger data are scattered to the workers first
-_SEEN = 100  # files checked on every worker
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,9 +44,9 @@ class Cluster:
         workers: dict[str, Any] = self.client.scheduler_info(n_workers=-1)["workers"]
         return workers
 
-    def check_paths(self, paths: Sequence[str | os.PathLike[str]]) -> None:
-        """Raise ClusterError where a worker cannot see the files to read; a sample of them is checked."""
-        step = max(1, len(paths) // _SEEN)
+    def check_paths(self, paths: Sequence[str | os.PathLike[str]], n_checked: int = 100) -> None:
+        """Raise ClusterError where a worker cannot see the files to read; about so many of them are checked."""
+        step = max(1, len(paths) // n_checked)
         sizes = {}
         for given in paths[::step]:
             path = os.fspath(given)
@@ -99,12 +95,19 @@ class Cluster:
             for left in waiting:
                 left.cancel()
 
-    def wait(self, future: Any) -> Any:
-        """Return the result of a future; ClusterError if no worker is left."""
+    def wait(self, future: Any, patience: float = 60.0, turn: float = 2.0) -> Any:
+        """Return the result of a future; ClusterError if no worker is left.
+
+        Parameters
+        ----------
+        future : of Dask.
+        patience : s to wait for workers to come back when all are gone.
+        turn : s between two looks at whether there are workers.
+        """
         alone_since = None
         while True:
             try:
-                return future.result(timeout=_TURN)
+                return future.result(timeout=turn)
             except TimeoutError:
                 if future.status == "error":
                     raise  # the work's own
@@ -112,7 +115,7 @@ class Cluster:
                 raise ClusterError("cluster.lost", address=self.address)
             now = time.monotonic()
             alone_since = None if self._workers() else alone_since or now
-            if alone_since is not None and now - alone_since > _ALONE:
+            if alone_since is not None and now - alone_since > patience:
                 raise ClusterError("cluster.no_workers", address=self.address)
 
 
@@ -123,11 +126,11 @@ class _Shared:
         self._cluster, self._work = cluster, work
         self._held: Any = None
 
-    def hold(self, anew: bool = False) -> Any:
+    def hold(self, again: bool = False) -> Any:
         """Return the work, or a reference to it on the workers."""
         if len(self._work) <= _INLINE:
             return self._work
-        if self._held is None or anew:
+        if self._held is None or again:
             self._held = self._cluster.client.scatter(self._work, broadcast=True, hash=False)
         return self._held
 
@@ -137,20 +140,20 @@ class _Portion:
 
     def __init__(self, cluster: Cluster, shared: _Shared, tasks: bytes) -> None:
         self._cluster, self._shared, self._tasks = cluster, shared, tasks
-        self._future = self._submit(anew=False)
+        self._future = self._submit()
 
-    def _submit(self, anew: bool) -> Any:
+    def _submit(self, again: bool = False) -> Any:
         client, tasks = self._cluster.client, self._tasks
         given = tasks if len(tasks) <= _INLINE else client.scatter(tasks, hash=False)
-        return client.submit(run_portion, self._shared.hold(anew), given, list_versions(), pure=False)
+        return client.submit(run_portion, self._shared.hold(again), given, list_versions(), pure=False)
 
-    def finish(self) -> list[Any]:
-        """Wait for the answers."""
+    def finish(self, attempts: int = 5) -> list[Any]:
+        """Wait for the answers; so many attempts are made where data are lost with their workers."""
         from concurrent.futures import CancelledError
 
         from distributed.scheduler import KilledWorker
 
-        for attempt in range(_ATTEMPTS):
+        for attempt in range(attempts):
             try:
                 answers: list[Any] = self._cluster.wait(self._future)
                 return answers
@@ -159,7 +162,7 @@ class _Portion:
             except CancelledError:  # data that were handed out were lost with a worker
                 if self._cluster.client.status != "running":
                     break
-                self._future = self._submit(anew=attempt > 0)
+                self._future = self._submit(again=attempt > 0)
         raise ClusterError("cluster.lost", address=self._cluster.address)
 
     def cancel(self) -> None:

@@ -17,7 +17,6 @@ from typing import Any
 
 from dousa.errors import ClusterError
 
-_MOST_KEPT = 2
 _KEPT: OrderedDict[tuple[int, int], Callable[[Any], Any]] = OrderedDict()
 _LOCK = Lock()
 
@@ -62,12 +61,13 @@ def run_portion(work: bytes, tasks: bytes, expected: dict[str, str]) -> list[Any
     return [function(task) for task in pickle.loads(tasks)]
 
 
-def _unpack(work: bytes) -> Callable[[Any], Any]:
+def _unpack(work: bytes, most_kept: int = 2) -> Callable[[Any], Any]:
+    """Unpickle work, or return it where it was unpacked before; the last ``most_kept`` are kept."""
     key = len(work), zlib.crc32(work)
     with _LOCK:
         if key not in _KEPT:
             _KEPT[key] = pickle.loads(work)
-            while len(_KEPT) > _MOST_KEPT:
+            while len(_KEPT) > most_kept:
                 _KEPT.popitem(last=False)
         _KEPT.move_to_end(key)
         return _KEPT[key]

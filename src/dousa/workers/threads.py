@@ -13,12 +13,9 @@ from typing import TypeVar
 _One = TypeVar("_One")
 _Answer = TypeVar("_Answer")
 
-_AT_A_TIME = 16
-"""Pieces that a thread takes at once: handing over takes as long as half of a segment of a take."""
-
 
 def map_pieces(
-    work: Callable[[_One], _Answer], pieces: Sequence[_One], n_jobs: int | None = None, at_a_time: int = _AT_A_TIME
+    work: Callable[[_One], _Answer], pieces: Sequence[_One], n_jobs: int | None = None, at_a_time: int = 16
 ) -> list[_Answer]:
     """Compute the answers to all pieces, in their order.
 
@@ -27,7 +24,7 @@ def map_pieces(
     work : called with one piece; compiled loops, transforms and linear algebra run in parallel, Python does not.
     pieces : arguments of ``work``.
     n_jobs : threads as for joblib: one for None, unless set by ``joblib.parallel_config``.
-    at_a_time : pieces that a thread takes at once.
+    at_a_time : pieces that a thread takes at once: handing over takes as long as half of a segment of a take.
 
     Raises
     ------
@@ -52,7 +49,7 @@ def map_together(
     pieces: Sequence[_One],
     sizes: Sequence[float],
     n_jobs: int | None = None,
-    at_a_time: int = _AT_A_TIME,
+    at_a_time: int = 16,
 ) -> list[_Answer]:
     """Compute the answers to all pieces, in their order, for work that is cheaper on several of one size together.
 

@@ -169,9 +169,9 @@ def test_many_new_categories_of_a_report_are_a_list_and_few_a_line(show, bvh, tm
 
 
 def test_an_fbx_file_is_a_motion_and_what_reads_it_is_named(show, tmp_path, monkeypatch):
-    from dousa.formats.exchange import reading
+    from dousa.formats.exchange import conversion
 
-    monkeypatch.setattr(reading, "find_program", lambda name: None)
+    monkeypatch.setattr(conversion, "find_program", lambda name: None)
     (tmp_path / "hero.fbx").write_bytes(FBX)
     page = show("/library")
     click(page, "#add-button")

@@ -25,7 +25,7 @@ from dousa.estimation.silhouettes.mask_npz import (
 )
 from dousa.estimation.silhouettes.silhouette_files import open_silhouettes
 from dousa.estimation.silhouettes.silhouettes import PackedSilhouettes, View, synchronise
-from dousa.files.frame_names import number_frames
+from dousa.files.frame_files import number_frames
 
 
 def _masks(n_views=2, n_frames=3, height=12, width=21, seed=0):

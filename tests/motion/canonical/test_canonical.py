@@ -12,7 +12,7 @@ from oracles.name_lists import NAME_LISTS
 from dousa.errors import JointMappingError
 from dousa.formats.registry import read_motion
 from dousa.motion import CANONICAL_JOINTS, JOINT_INDEX, Trajectories, canonicalise
-from dousa.motion.canonical.joint_centres import hips_from_markers
+from dousa.motion.canonical.geometry import hips_from_markers
 
 
 def _canonical_points(n_frames: int = 20) -> np.ndarray:

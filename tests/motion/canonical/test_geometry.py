@@ -10,8 +10,7 @@ from oracles.bodies import walking_body
 
 from dousa.formats.registry import read_motion
 from dousa.motion import CANONICAL_JOINTS, JOINT_INDEX, MIRRORED_JOINTS, canonicalise, compute_trajectories
-from dousa.motion.canonical.geometry import chain_height, measure_rest
-from dousa.motion.canonical.joint_centres import hips_from_markers
+from dousa.motion.canonical.geometry import chain_height, hips_from_markers, measure_rest
 from dousa.motion.canonical.recipes import named_recipes
 from dousa.motion.canonical.tree_shape import compare_sides, compute_forward, score_sides
 

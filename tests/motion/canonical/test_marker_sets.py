@@ -12,7 +12,7 @@ from oracles.marker_bodies import MarkerSet, read_sets, wear
 
 from dousa.formats.registry import read_motion
 from dousa.motion import CANONICAL_JOINTS, JOINT_INDEX, Trajectories, canonicalise
-from dousa.motion.canonical.joint_centres import move_inside
+from dousa.motion.canonical.geometry import move_inside
 from dousa.motion.canonical.naming import REQUIRED_JOINTS, match_names
 
 ORACLES = Path(__file__).parents[2] / "oracles"

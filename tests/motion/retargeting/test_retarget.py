@@ -13,8 +13,7 @@ from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import Motion, Skeleton, Trajectories, canonicalise, compute_trajectories, retarget
 from dousa.motion.kinematics import forward_kinematics
 from dousa.motion.retargeting import find_contacts, measure_directions, measure_skating
-from dousa.motion.retargeting.feet import Foot, plan_foot
-from dousa.motion.retargeting.planting import bend, lower_pelvis, share_moves
+from dousa.motion.retargeting.planting import Foot, bend, lower_pelvis, plan_foot, share_moves
 from dousa.motion.retargeting.rig import build_rig
 from dousa.motion.rotations import conjugate, multiply, rotate
 from dousa.motion.runs import find_runs

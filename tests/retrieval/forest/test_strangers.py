@@ -7,7 +7,7 @@ import pytest
 
 from dousa.motion import canonicalise
 from dousa.motion.synthetic import CATEGORIES, draw_performer, make_motion
-from dousa.motion.synthetic.gestures import make_gesture
+from dousa.motion.synthetic.performers import make_gesture
 from dousa.retrieval import FEATURE_SETS, MotionForest
 from dousa.retrieval.forest.calibration import Assessor, learn_calibration
 from dousa.retrieval.forest.evidence import EVIDENCE, describe_strangers

@@ -7,7 +7,7 @@ import pytest
 
 from dousa.motion import canonicalise
 from dousa.motion.canonical.joints import CANONICAL_PARENTS
-from dousa.motion.synthetic.gestures import make_gesture
+from dousa.motion.synthetic.performers import make_gesture
 from dousa.retrieval.takes import made_takes as disturbances
 from dousa.retrieval.takes.made_takes import mirror_positions, move_differently
 

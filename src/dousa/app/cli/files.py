@@ -198,7 +198,7 @@ def _put_onto(
 ) -> tuple[Motion, dict[str, Any]]:
     import math
 
-    from dousa.formats.characters import read_character
+    from dousa.formats.registry import read_character
     from dousa.motion import retarget
 
     made = retarget(motion, read_character(onto), joint_map=options.joint_map, keep_reach=keep_reach)
@@ -225,7 +225,7 @@ def _put_onto_smpl(
     """The motion on the mean body of SMPL, and the error where it was on another."""
     import math
 
-    from dousa.formats.smpl.writing import is_smpl, put_onto_smpl
+    from dousa.formats.smpl import is_smpl, put_onto_smpl
     from dousa.motion import Motion
 
     if isinstance(motion, Motion) and is_smpl(motion):

@@ -186,7 +186,7 @@ def _show_timeline(answer: LabelledTake, *, json: bool) -> None:
 
 def _write_labels(answer: LabelledTake, path: Path) -> None:
     """The timeline as a table, or as a document of ELAN, which has no place for how sure it is."""
-    from dousa.formats.annotations.writing import write_eaf
+    from dousa.formats.annotations.elan import write_eaf
     from dousa.motion.annotation import Stretch
     from dousa.retrieval.takes.label import write_timeline_csv
 
@@ -199,7 +199,8 @@ def _write_labels(answer: LabelledTake, path: Path) -> None:
 
 def _show_given(library: str, take: str, path: Path | None, *, json: bool) -> None:
     """Print the labels that a take was given, and write them into a file that can be read again."""
-    from dousa.formats.annotations.writing import write_eaf, write_labels_csv
+    from dousa.formats.annotations.elan import write_eaf
+    from dousa.formats.annotations.tables import write_labels_csv
 
     with open_to_read(library) as opened:
         takes = [clip.id for clip in opened.clips([clip_or_path(take)]) if clip.kind == "take"]

@@ -149,9 +149,9 @@ def load_given_body(file: Path, options: ReadOptions) -> tuple[BodyModel, tuple[
     ------
     DousaError : the file is no body.
     """
-    from dousa.formats.registry import SUFFIXES, read_motion
+    from dousa.formats.registry import find_reader, read_motion
 
-    if file.suffix.lower() not in SUFFIXES:
+    if find_reader(file) is None:
         from dousa.estimation.body.body_file import read_body
 
         return read_body(file), ()

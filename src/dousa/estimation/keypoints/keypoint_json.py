@@ -20,7 +20,7 @@ from dousa.arrays import FloatArray
 from dousa.errors import KeypointError, MotionFileError
 from dousa.estimation.keypoints.keypoints import MEDIAPIPE_NAMES
 from dousa.files.disk import read_bytes
-from dousa.files.frame_names import natural_key, number_frames
+from dousa.files.frame_files import natural_key, number_frames
 
 
 def _pairs(words: str) -> tuple[str, ...]:

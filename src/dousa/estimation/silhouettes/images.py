@@ -16,7 +16,7 @@ from dousa.estimation.cameras.camera import format_size
 from dousa.estimation.silhouettes.silhouettes import View, checked_frame, checked_rate
 from dousa.extras import require
 from dousa.files.disk import read_bytes
-from dousa.files.frame_names import natural_key, number_frames
+from dousa.files.frame_files import natural_key, number_frames
 from dousa.messages import Message
 
 _MOST_PIXELS = 200_000_000

@@ -15,11 +15,8 @@ from dousa.errors import MotionFileError, OptionError
 from dousa.messages import LANGUAGES, Message
 from dousa.motion.annotation import Annotation, Stretch
 
-_TOUCHING = 1e-3  # s that neighbours may overlap by
-_LATEST = 1e7  # s
-
 MOST_BYTES = 1000
-"""Of a label in UTF-8: a database server cannot look up longer ones."""
+"""Of a label in UTF-8: indexes of PostgreSQL take a third of a page (https://www.postgresql.org/docs/current/btree.html)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,12 +190,13 @@ def _say_where(path: str, line: int | None, note: Message) -> Message:
     return Message("text.in_line", path=path, line=line, problem=note)
 
 
-def _find_overlaps(path: str, spans: Sequence[LabelSpan]) -> list[Message]:
+def _find_overlaps(path: str, spans: Sequence[LabelSpan], touching: float = 1e-3) -> list[Message]:
+    """Note spans that overlap their neighbours by more than ``touching`` s."""
     ordered = sorted(spans, key=lambda one: (one.start, one.stop))
     both = []
     last: LabelSpan | None = None
     for one in ordered:
-        if last is not None and one.start < last.stop - _TOUCHING:
+        if last is not None and one.start < last.stop - touching:
             both.append((last, one))
         if last is None or one.stop > last.stop:
             last = one
@@ -243,7 +241,7 @@ def check_category(path: str, category: str, line: int | None) -> None:
 def make_span(path: str, start: float, stop: float, category: str, line: int | None) -> LabelSpan:
     """Make a label of some length; MotionFileError for invalid times or a category that is too long."""
     check_category(path, category, line)
-    if not (isfinite(start) and isfinite(stop) and abs(start) < _LATEST and abs(stop) < _LATEST):
+    if not (isfinite(start) and isfinite(stop) and max(abs(start), abs(stop)) < 1e7):
         raise MotionFileError(path, "label_files.no_time", line, found=f"{start:g}, {stop:g}")
     if stop <= start:
         raise MotionFileError(path, "label_files.backwards", line, start=start, stop=stop, category=category)

@@ -6,10 +6,9 @@ import os
 from collections.abc import Callable
 
 from dousa.files.disk import read_bytes
-from dousa.formats.annotations.cmu import is_cmu_list, read_cmu_list
 from dousa.formats.annotations.elan import read_eaf
 from dousa.formats.annotations.label_file import LabelFile
-from dousa.formats.annotations.tables import find_head, read_table
+from dousa.formats.annotations.tables import find_head, is_cmu_list, read_cmu_list, read_table
 from dousa.formats.annotations.textgrid import read_textgrid
 
 LABEL_SUFFIXES = (".labels.csv", ".labels.tsv", ".eaf", ".textgrid", ".boris.csv", ".boris.tsv")

@@ -1,23 +1,32 @@
-"""Label tables as comma, semicolon or tab separated text, and those that BORIS exports.
+"""Tables of labels as text: dousa's own CSV, those that BORIS exports, and the lists of actions of CMU's subject 86.
 
-dousa's own has the columns ``start_s``, ``end_s`` and ``category``, and may have ``tier``; with ``path`` or ``file`` it
-is about several takes. A row without a category means that nothing happens, or, with a name in the column ``perhaps``,
-that it is unclear. BORIS (Friard and Gamba, Methods in Ecology and Evolution 7, 2016) exports "tabular events", a row
-for each start and stop, and "aggregated events", a row per behaviour; its subjects are the tiers.
+dousa's own has comma, semicolon or tab separated columns ``start_s``, ``end_s`` and ``category``, and may have
+``tier``; with ``path`` or ``file`` it is about several takes. A row without a category means that nothing happens, or,
+with a name in the column ``perhaps``, that it is unclear. BORIS (Friard and Gamba, Methods in Ecology and Evolution 7,
+2016) exports "tabular events", a row for each start and stop, and "aggregated events", a row per behaviour; its
+subjects are the tiers.
+
+CMU's lists (``mocap.txt``) have, after a line with the numbers of subject and take, a line for each action: its name
+and the earliest, likely and latest frame of its end, where the next begins. The part between the earliest and the
+latest end is unclear.
 """
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Sequence
+import os
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from dousa.errors import MotionFileError
+from dousa.files.disk import atomic_write
 from dousa.formats.annotations.label_file import (
     LabelFile,
     LabelSpan,
     LabelTier,
+    check_category,
     clean_category,
     decode_text,
     finish_tier,
@@ -25,6 +34,8 @@ from dousa.formats.annotations.label_file import (
     make_span,
     parse_number,
 )
+from dousa.messages import Message
+from dousa.motion.annotation import Stretch
 
 _START = ("start_s", "start", "begin_s", "begin", "start (s)", "onset")
 _STOP = ("end_s", "end", "stop_s", "stop", "stop (s)", "offset")
@@ -226,3 +237,69 @@ def about_one_take(file: LabelFile) -> LabelFile:
     if len(file.takes) != 1:
         return file
     return replace(file, takes={"": next(iter(file.takes.values()))})
+
+
+COLUMNS = ("start_s", "end_s", "category")
+
+
+def format_labels_csv(segments: Iterable[Stretch]) -> str:
+    """Format a row per segment: start_s, end_s, category (empty where nothing happens).
+
+    If some are unclear, they have a question mark in a column ``perhaps``.
+    """
+    rows = list(segments)
+    doubtful = not all(one.counted for one in rows)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow((*COLUMNS, *(("perhaps",) if doubtful else ())))
+    for one in rows:
+        perhaps = ("" if one.counted else "?",) if doubtful else ()
+        writer.writerow((f"{one.start:.3f}", f"{one.stop:.3f}", one.category or "", *perhaps))
+    return text.getvalue()
+
+
+def write_labels_csv(segments: Iterable[Stretch], path: str | os.PathLike[str]) -> None:
+    """Write ``format_labels_csv`` to a file; MotionWriteError if it cannot be written."""
+    with atomic_write(path) as file:
+        file.write(format_labels_csv(segments).encode())
+
+
+_CMU_TAKE = re.compile(r"\s*(\d+)[\s_]+(\d+)\s*")
+_ACTION = re.compile(r"\s*(\S*[^\W\d]\S*)\s+(\d+)\s+(\d+)\s+(\d+)\s*")
+
+
+def is_cmu_list(text: str) -> bool:
+    """Return whether the first lines of a text are those of such a list."""
+    lines = [line for line in text.splitlines()[:20] if line.strip()][:2]
+    return len(lines) == 2 and bool(_CMU_TAKE.fullmatch(lines[0])) and bool(_ACTION.fullmatch(lines[1]))
+
+
+def read_cmu_list(path: str, data: bytes) -> LabelFile:
+    """Read labels of several takes, in frames; MotionFileError for a line that is neither a take nor an action."""
+    takes: dict[str, tuple[LabelTier, ...]] = {}
+    name, begin = "", 0.0
+    spans: list[LabelSpan] = []
+    unclear: list[tuple[float, float]] = []
+    warnings: list[Message] = []
+    for number, line in enumerate(decode_text(path, data).splitlines(), 1):
+        take, action = _CMU_TAKE.fullmatch(line), _ACTION.fullmatch(line)
+        if take:
+            name, begin, spans, unclear, warnings = f"{take[1]}_{take[2]}", 0.0, [], [], []
+        elif action and name:
+            earliest, likely, latest = sorted(float(action[k]) for k in (2, 3, 4))
+            if earliest <= begin < likely:  # a typing error: only the likely end is used
+                note = Message("label_files.cmu_order", frame=earliest, before=begin, likely=likely)
+                warnings.append(Message("text.in_line", path=path, line=number, problem=note))
+                earliest = likely
+            if earliest <= begin:
+                raise MotionFileError(path, "label_files.cmu_backwards", number, frame=latest, before=begin)
+            check_category(path, action[1], number)
+            spans.append(LabelSpan(begin, earliest, action[1], number))
+            if latest > earliest:
+                unclear.append((earliest, latest))
+            begin = latest
+        elif line.strip():
+            raise MotionFileError(path, "label_files.cmu_line", number, found=line.strip()[:60])
+        if name:
+            takes[name] = (LabelTier("", tuple(spans), tuple(unclear), warnings=tuple(warnings)),)
+    return LabelFile(path, takes, counts_frames=True)

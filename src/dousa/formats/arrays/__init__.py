@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dousa.formats.arrays.joints import read_npy
-from dousa.formats.arrays.npz_kinds import read_any_npz
+from dousa.formats.arrays.npz import read_any_npz, write_npz
 from dousa.formats.arrays.pickles import read_pickle
-from dousa.formats.npz import write_npz
 
 __all__ = ["read_any_npz", "read_npy", "read_pickle", "write_npz"]

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
-from dousa.formats.markers import settle_trajectories
-from dousa.formats.smpl.body import mean_body
+from dousa.formats.assembly import settle_trajectories
+from dousa.formats.smpl import mean_body
 from dousa.messages import Message
 from dousa.motion import Trajectories
 from dousa.motion.canonical.naming import match_names
@@ -33,7 +33,6 @@ _MAGIC = b"\x93NUMPY"
 _HEADER = re.compile(
     r"\{'descr': '([<>|=]?[iuf]\d{1,2})', 'fortran_order': (True|False), 'shape': \(([\d, ]{0,200})\), ?\}\s*"
 )
-_MOST_JOINTS = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +139,7 @@ def build_joints(
     points = array.reshape([axis for axis in array.shape if axis != 1]).astype(np.float64)
     if points.shape[2] != 3:
         points = np.moveaxis(points, 2, 0)
-    if points.shape[1] > _MOST_JOINTS:
+    if points.shape[1] > 1000:
         raise MotionFileError(path, "arrays.shape", found=str(array.shape))
     points = np.where(
         (points == 0).all(axis=2, keepdims=True) & (np.arange(points.shape[1]) > 0)[:, None], np.nan, points

@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.formats.arrays.joints import build_joints, find_joints
-from dousa.formats.smpl.reading import AIST_RATE, build_smpl, find_poses, read_rate
+from dousa.formats.smpl import AIST_RATE, build_smpl, find_poses, read_rate
 from dousa.motion import Motion, Trajectories
 
-_MOST_AXES = 8
 _DAMAGE = (
     pickle.UnpicklingError, struct.error, EOFError, AttributeError, ImportError, LookupError, TypeError, ValueError,
     ArithmeticError, MemoryError, RecursionError, AssertionError,
@@ -73,7 +72,7 @@ class _Array:
         if not isinstance(shape, tuple) or not all(isinstance(n, int) and n >= 0 for n in shape):
             raise _Refused("an array without a shape")
         dtype = kind.build()
-        if not isinstance(data, bytes) or len(shape) > _MOST_AXES or math.prod(shape) * dtype.itemsize != len(data):
+        if not isinstance(data, bytes) or len(shape) > 8 or math.prod(shape) * dtype.itemsize != len(data):
             raise _Refused("an array whose size is not that of its data")
         self.value = np.frombuffer(data, dtype).reshape(shape, order="F" if fortran else "C")
 
@@ -125,14 +124,11 @@ def _load_bytearray(unpickler: Any) -> None:
     unpickler.append(unpickler.read(size))
 
 
-_CODES = frozenset(getattr(pickle, name)[0] for name in _INSTRUCTIONS.split())
-
-
 class _Unpickler(pickle._Unpickler):
     """Python's own unpickler, not that in C: its memory follows the file, not the numbers in it."""
 
     dispatch: ClassVar[dict[int, Callable[..., Any]]] = {
-        code: run for code, run in pickle._Unpickler.dispatch.items() if code in _CODES
+        code: pickle._Unpickler.dispatch[code] for code in [getattr(pickle, name)[0] for name in _INSTRUCTIONS.split()]
     } | {pickle.BYTEARRAY8[0]: _load_bytearray}
 
     def find_class(self, module: str, name: str) -> Any:

@@ -21,10 +21,10 @@ from dousa.arrays import FloatArray, IntArray
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.formats.asf_amc.skeleton import AsfSkeleton, channel_program, read_asf
-from dousa.formats.channels import FileUnits, build_motion
+from dousa.formats.channels import build_motion
 from dousa.formats.numbers import Bytes, line_number, scan_short, scannable, settle
 from dousa.messages import Message
-from dousa.motion.types import Motion, Provenance
+from dousa.motion.types import Motion
 
 _DONE, _BAD_NUMBER, _SKIPPED, _MISSING, _UNKNOWN, _TWICE, _COUNT = range(7)
 _LINE = re.compile(rb"[^\r\n]*")
@@ -241,9 +241,6 @@ def _problem(
 TOP = ".dousa-top"
 """A file of this name in a folder: what lies above does not belong to the motions here, and is not looked at."""
 
-_USUAL_RATE = 120.0
-_LEVELS = 4  # folders looked at: that of the motion and three above
-
 
 def read_amc(
     path: str | os.PathLike[str],
@@ -276,20 +273,20 @@ def read_amc(
     values = parse_frames(name, data, header.first_frame_at, asf)
     degrees = asf.degrees if header.degrees is None else header.degrees
     rate = header.frame_rate or _rate_of_name(name)
-    units = FileUnits(unit, up, asf.declared_unit)
-    return build_motion(name, channel_program(asf, degrees), values, rate, Provenance(name, "amc"), units)
+    program = channel_program(asf, degrees)
+    return build_motion(name, "amc", program, values, rate, unit=unit, up=up, declared_unit=asf.declared_unit)
 
 
 def _rate_of_name(path: str) -> float:
     found = re.search(r"HDM_.*_(\d{2,3})\.amc$", os.path.basename(path), re.IGNORECASE)
-    return float(found[1]) if found and int(found[1]) > 0 else _USUAL_RATE
+    return float(found[1]) if found and int(found[1]) > 0 else 120.0
 
 
-def find_skeleton(path: str) -> str:
-    """Find the ``.asf`` of a motion; names are compared without regard to case."""
+def find_skeleton(path: str, levels: int = 4) -> str:
+    """Find the ``.asf`` of a motion in so many folders, from its own upwards; names without regard to case."""
     folder, name = os.path.split(os.path.abspath(path))
     folders: list[str] = []
-    while len(folders) < _LEVELS and folder not in folders:
+    while len(folders) < levels and folder not in folders:
         folders.append(folder)
         if os.path.exists(os.path.join(folder, TOP)):
             break
@@ -306,7 +303,7 @@ def find_skeleton(path: str) -> str:
             return os.path.join(folder, skeletons[0])
         if skeletons:
             raise MotionFileError(path, "amc.several_skeletons", skeletons=skeletons[:8], folder=folder)
-    raise MotionFileError(path, "amc.no_skeleton", levels=_LEVELS - 1)
+    raise MotionFileError(path, "amc.no_skeleton", levels=levels - 1)
 
 
 def _shorter_names(stem: str) -> list[str]:

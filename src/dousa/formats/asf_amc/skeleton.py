@@ -22,10 +22,7 @@ from dousa.motion.types import Skeleton
 
 Vector = tuple[float, float, float]
 
-_INCH = 0.0254
-_POSSIBLE_HEIGHT = (0.4, 3.0)  # m
 _CHANNELS = ("tx", "ty", "tz", "rx", "ry", "rz")
-MAX_BONES = 10_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +82,7 @@ class AsfSkeleton:
     def declared_unit(self) -> float | None:
         """Return the unit if it makes the body between 0.4 and 3 m tall, else None."""
         height = _rest_height(self) * self.unit
-        return self.unit if _POSSIBLE_HEIGHT[0] <= height <= _POSSIBLE_HEIGHT[1] else None
+        return self.unit if 0.4 <= height <= 3.0 else None
 
 
 @functools.lru_cache(maxsize=64)
@@ -235,13 +232,13 @@ class _AsfParser:
         elif key == "dof":
             self.bone.dof = self._dof(line, rest, allowed=(*_CHANNELS, "l"))
 
-    def _finish_bone(self, bone: _BoneText) -> None:
+    def _finish_bone(self, bone: _BoneText, most: int = 10_000) -> None:
         if not bone.name:
             raise self.fail("asf.no_name", bone.line)
         if bone.name in self.bones or bone.name == "root":
             raise self.fail("asf.twice", bone.line, bone=bone.name)
-        if len(self.bones) == MAX_BONES:
-            raise self.fail("asf.too_many", bone.line, most=MAX_BONES)
+        if len(self.bones) == most:
+            raise self.fail("asf.too_many", bone.line, most=most)
         self.bones[bone.name] = bone
 
     def numbers(self, line: _Line, words: list[str], count: int) -> list[float]:
@@ -310,7 +307,7 @@ def _parse(path: str, data: bytes) -> AsfSkeleton:
         root_axis_order=parser.root_axis,
         root_position=parser.root_position,
         root_orientation=(orientation[0] * turn, orientation[1] * turn, orientation[2] * turn),
-        unit=_INCH / parser.length,
+        unit=0.0254 / parser.length,
         degrees=parser.degrees,
     )
 

@@ -22,17 +22,12 @@ import numpy as np
 from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
-from dousa.formats.channels import ChannelProgram, FileUnits, build_motion
+from dousa.formats.channels import ChannelProgram, build_motion
 from dousa.formats.numbers import DONE, FULL, LONG, line_number, parse_number, scan_rows, scannable, settle
 from dousa.messages import Message
-from dousa.motion.types import Motion, Provenance, Skeleton
+from dousa.motion.types import Motion, Skeleton
 
 CHANNEL_NAMES = ("Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation")
-MAX_JOINTS = 10_000
-_MOST_WITH_ENDS = 40_000  # joints and end sites
-_USUAL_RATES = (
-    24, 25, 30, 48, 50, 60, 72, 75, 90, 100, 120, 125, 144, 150, 180, 200, 240, 250, 300, 360, 480, 500
-)  # fmt: skip
 _KINDS = {name.lower(): kind for kind, name in enumerate(CHANNEL_NAMES)}
 _STATEMENT = re.compile(rb"[{}]|[^\r\n{}]+")
 _KEYWORD = re.compile(rb"(?:ROOT|JOINT|END|ENDSITE|OFFSET|CHANNELS)(?!\S)", re.IGNORECASE)
@@ -74,12 +69,15 @@ class BvhLayout:
     @property
     def frame_rate(self) -> float:
         """Hz: the only usual rate that rounds to the frame time, else one over the time."""
+        usual = (
+            24, 25, 30, 48, 50, 60, 72, 75, 90, 100, 120, 125, 144, 150, 180, 200, 240, 250, 300, 360, 480, 500
+        )  # fmt: skip
         seconds, (_, digits, exponent) = float(self.frame_time), Decimal(self.frame_time).as_tuple()
         if len(digits) > 1 and isinstance(exponent, int) and exponent < 0:
             last = 10.0**exponent
-            rounded = [rate for rate in _USUAL_RATES if abs(1 / rate - seconds) <= 0.500001 * last]
+            rounded = [rate for rate in usual if abs(1 / rate - seconds) <= 0.500001 * last]
             # 0.0166 is 60 Hz with the other digits cut off.
-            near = rounded or [rate for rate in _USUAL_RATES if seconds <= 1 / rate < seconds + last]
+            near = rounded or [rate for rate in usual if seconds <= 1 / rate < seconds + last]
             if len(near) == 1:
                 return float(near[0])
         return 1.0 / seconds
@@ -172,10 +170,10 @@ class _Parser:
             raise BvhSyntaxError(position, "bvh.joint_in_end")
         self._add(_Joint(name.decode(self.encoding), self.open[-1] if self.open else -1, position, False))
 
-    def _add(self, joint: _Joint) -> None:
+    def _add(self, joint: _Joint, most: int = 10_000, most_with_ends: int = 40_000) -> None:
         self.n_joints += not joint.is_end
-        if self.n_joints > MAX_JOINTS or len(self.joints) >= _MOST_WITH_ENDS:
-            raise BvhSyntaxError(joint.position, "bvh.too_many", most=MAX_JOINTS)
+        if self.n_joints > most or len(self.joints) >= most_with_ends:
+            raise BvhSyntaxError(joint.position, "bvh.too_many", most=most)
         self.joints.append(joint)
         self.pending = True
 
@@ -307,7 +305,6 @@ def _program(skeleton: Skeleton, channels: tuple[tuple[str, ...], ...]) -> Chann
     return ChannelProgram(skeleton, starts, kinds, np.arange(len(kinds)), math.pi / 360)
 
 
-_LONGEST_HIERARCHY = 10_000_000  # bytes searched for an unusual spelling; a skeleton takes some thousand
 _HIERARCHY = re.compile(rb"(?:\xef\xbb\xbf)?\s*HIERARCHY\b", re.IGNORECASE)
 _MOTION = re.compile(rb"(?:^|(?<=[\r\n}]))[ \t]*MOTION\b", re.IGNORECASE)
 _FRAMES = re.compile(rb"\s*Frames[ \t]*:?[ \t]*(\S*)", re.IGNORECASE)
@@ -332,12 +329,12 @@ def read_bvh(path: str | os.PathLike[str], *, unit: float | None = None, up: str
     """
     data = scannable(read_bytes(path))
     try:
-        return _parse(os.fspath(path), data, FileUnits(unit, up))
+        return _parse(os.fspath(path), data, unit, up)
     except BvhSyntaxError as error:
         raise MotionFileError(path, error.message, line_number(data, error.position)) from None
 
 
-def _parse(path: str, data: bytes, units: FileUnits) -> Motion:
+def _parse(path: str, data: bytes, unit: float | None, up: str | None) -> Motion:
     start = _HIERARCHY.match(data)
     if start is None:
         raise BvhSyntaxError(0, "bvh.no_hierarchy")
@@ -352,15 +349,18 @@ def _parse(path: str, data: bytes, units: FileUnits) -> Motion:
     n_frames, frames_at, frame_time, values_at = _parse_motion_header(data, motion.end())
     values, notes = _read_values(data, values_at, hierarchy.n_channels, n_frames, frames_at)
     layout = BvhLayout(hierarchy.channels, hierarchy.offsets, frame_time, hierarchy.encoding)
-    provenance = Provenance(path, "bvh", layout=layout, values=values, notes=notes)
-    return build_motion(path, hierarchy.program, values, layout.frame_rate, provenance, units)
+    return build_motion(
+        path, "bvh", hierarchy.program, values, layout.frame_rate,
+        unit=unit, up=up, layout=layout, values=values, notes=notes,
+    )  # fmt: skip
 
 
 def _find_motion(data: bytes, start: int) -> re.Match[bytes]:
     quick = data.find(b"\nMOTION", start)
     found = _MOTION.match(data, quick + 1) if quick >= 0 else None
-    # The usual spelling may stand behind an unusual one only in a damaged file, which fails later anyway.
-    found = found or _MOTION.search(data, start, start + _LONGEST_HIERARCHY)
+    # The usual spelling may stand behind an unusual one only in a damaged file, which fails later anyway; that is
+    # looked for in 10 MB: a skeleton takes some thousand bytes.
+    found = found or _MOTION.search(data, start, start + 10_000_000)
     if found is None:
         raise BvhSyntaxError(len(data), "bvh.no_motion")
     return found

@@ -15,11 +15,7 @@ from dousa.motion.canonical.reference_frame import ReferenceFrame, from_referenc
 from dousa.motion.rotations import to_euler, unwrap_euler
 from dousa.motion.types import Motion, Skeleton
 
-_CENTIMETRES = ReferenceFrame(unit=0.01)
 _DEFAULT_TURNS = ("Zrotation", "Xrotation", "Yrotation")
-_SAME_ANGLE = 1e-6  # rad
-_SAME_LENGTH = 1e-6  # m
-_DEEPEST_INDENT = 64  # deeper ones would make the file grow with the square of the depth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,12 +80,12 @@ def _kept_content(motion: Motion) -> _Content | None:
 
 
 def _made_content(motion: Motion) -> _Content:
-    layout, frame = _layout_of(motion), _CENTIMETRES
+    layout, frame = _layout_of(motion), ReferenceFrame(unit=0.01)
     if layout is not None and motion.provenance is not None:
         frame = ReferenceFrame(unit=motion.provenance.unit, up=motion.provenance.up)
     in_file = from_reference_frame(motion, frame)
     order = _depth_first(motion.skeleton)
-    positions = _position_channels(in_file, layout, _SAME_LENGTH / frame.unit)
+    positions = _position_channels(in_file, layout, 1e-6 / frame.unit)
     turns, angles = _rotation_channels(in_file, layout)
     channels: list[tuple[str, ...]] = [()] * len(order)
     columns = []
@@ -161,15 +157,18 @@ def _rotation_channels(motion: Motion, layout: BvhLayout | None) -> tuple[list[t
     return turns, angles
 
 
-def _plain_ends(motion: Motion) -> BoolArray:
-    """(J,) end sites that can be written as such: no child, no rotation, no motion of their own."""
+def _plain_ends(motion: Motion, same: float = 1e-6) -> BoolArray:
+    """(J,) end sites that can be written as such: no child, no rotation, no motion of their own.
+
+    ``same`` : rad, and share of the longest offset, that do not count.
+    """
     skeleton = motion.skeleton
     plain = skeleton.end_sites & (skeleton.parents >= 0)
     plain[skeleton.parents[skeleton.parents >= 0]] = False
     for joint in np.flatnonzero(plain):
-        unturned = np.abs(motion.rotations[:, joint, 1:]).max() <= _SAME_ANGLE
+        unturned = np.abs(motion.rotations[:, joint, 1:]).max() <= same
         length = np.abs(skeleton.offsets).max()
-        still = np.abs(motion.translations[:, joint] - skeleton.offsets[joint]).max() <= 1e-6 * length
+        still = np.abs(motion.translations[:, joint] - skeleton.offsets[joint]).max() <= same * length
         plain[joint] = unturned and still
     return plain
 
@@ -178,15 +177,15 @@ def _letters(names: tuple[str, ...]) -> str:
     return "".join(name[0] for name in names)
 
 
-def _few_angles(rotations: FloatArray, names: tuple[str, ...]) -> FloatArray | None:
-    """(T, k) angles about fewer than three axes, continuous; None if the rotations need more axes."""
+def _few_angles(rotations: FloatArray, names: tuple[str, ...], same: float = 1e-6) -> FloatArray | None:
+    """(T, k) angles about fewer than three axes, continuous; None if the rest is more than ``same`` rad."""
     letters = _letters(names)
     full = letters + "".join(axis for axis in "XYZ" if axis not in letters)
     first = to_euler(rotations, full)
     second = np.stack((first[:, 0] + np.pi, np.pi - first[:, 1], first[:, 2] + np.pi), axis=-1)
     missing = slice(len(names), None)
     rest = [np.abs(np.remainder(a[:, missing] + np.pi, 2 * np.pi) - np.pi).sum(axis=-1) for a in (first, second)]
-    if (np.minimum(*rest) > _SAME_ANGLE).any():
+    if (np.minimum(*rest) > same).any():
         return None
     angles: FloatArray = np.where((rest[1] < rest[0])[:, None], second, first)[:, : len(names)]
     for column in angles.T:
@@ -228,7 +227,7 @@ def _hierarchy_lines(content: _Content, path: str | os.PathLike[str]) -> list[st
 
 
 def _indent(depth: int) -> str:
-    return "\t" * min(depth, _DEEPEST_INDENT)
+    return "\t" * min(depth, 64)  # deeper ones would make the file grow with the square of the depth
 
 
 def _checked(name: str, path: str | os.PathLike[str]) -> str:

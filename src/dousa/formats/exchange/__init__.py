@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dousa.formats.exchange.reading import read_exchange, read_exchange_character
-from dousa.formats.exchange.writing import write_fbx
+from dousa.formats.exchange.conversion import read_exchange, read_exchange_character, write_fbx
 
 __all__ = ["read_exchange", "read_exchange_character", "write_fbx"]

@@ -19,7 +19,6 @@ from dousa.formats.gltf.document import GltfDocument
 from dousa.motion.rotations import from_matrix, to_matrix
 
 _MARK = "_$AssimpFbx$_"
-_CENTIMETRE = 0.01
 _TEXT_SCALE = re.compile(rb'"UnitScaleFactor"[^\n]{0,80}?,\s*(\d{1,9}(?:\.\d{0,17})?)\s*[\r\n]')
 
 
@@ -34,7 +33,7 @@ def read_unit(data: bytes) -> float:
         start = data.find(b"D", place + len(b"UnitScaleFactor") + 5 + len(b"double"), place + 80)
         if 0 <= start <= len(data) - 9:
             (factor,) = struct.unpack_from("<d", data, start + 1)
-    return _CENTIMETRE * factor if 1e-6 < factor < 1e6 else _CENTIMETRE
+    return 0.01 * factor if 1e-6 < factor < 1e6 else 0.01
 
 
 def collapse_helpers(document: GltfDocument) -> None:

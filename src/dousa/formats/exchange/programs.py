@@ -22,9 +22,7 @@ _USUAL_PLACES = {
     "assimp": (),
 }
 _TITLES = {"blender": "Blender", "assimp": "assimp", "usd": "usd-core"}
-_SECONDS, _POLL = 300.0, 0.02
 _MOST_LOG, _MOST_RESULT = 50_000_000, 4_000_000_000  # bytes
-_LONGEST_LINE = 160
 
 
 class ProgramError(DousaError):
@@ -99,7 +97,7 @@ def run_program(program: Program, words: Sequence[str], folder: str, result: str
                 if os.path.getsize(log) > _MOST_LOG:
                     raise ProgramError("exchange.failed", program=program.title, reason="-")
                 with suppress(subprocess.TimeoutExpired):
-                    process.wait(_POLL)
+                    process.wait(0.02)
         finally:
             _kill(process)
     try:
@@ -115,7 +113,7 @@ def run_program(program: Program, words: Sequence[str], folder: str, result: str
 def _time_limit() -> float:
     given = os.environ.get("DOUSA_PROGRAM_SECONDS")
     if given is None:
-        return _SECONDS
+        return 300.0
     try:
         seconds = float(given)
     except ValueError:
@@ -135,12 +133,12 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
     process.wait()
 
 
-def _last_words(log: str) -> str:
-    """Last line of a program's log, preferably of an error."""
+def _last_words(log: str, longest: int = 160) -> str:
+    """Last line of a program's log, preferably of an error; of at most so many letters."""
     with open(log, "rb") as file:
         file.seek(max(0, os.path.getsize(log) - 20_000))
         text = file.read().decode("utf-8", "replace")
     lines = ["".join(c for c in line if c.isprintable()).strip() for line in text.splitlines()]
     lines = [line for line in lines if line]
     errors = [line for line in lines if "error" in line.lower()]
-    return (errors or lines or ["-"])[-1][:_LONGEST_LINE]
+    return (errors or lines or ["-"])[-1][:longest]

@@ -20,12 +20,13 @@ from dousa.files.disk import read_bytes
 
 MAGIC, JSON_CHUNK, BIN_CHUNK = b"glTF", 0x4E4F534A, 0x004E4942
 FLOAT, USHORT, UINT = 5126, 5123, 5125
+# Component types and what normalised integers are divided by: glTF 2.0 specification, section 3.6.2.
 _TYPES: dict[int, tuple[str, float]] = {
     5120: ("<i1", 127.0), 5121: ("<u1", 255.0), 5122: ("<i2", 32767.0), 5123: ("<u2", 65535.0), 5125: ("<u4", 1.0),
     FLOAT: ("<f4", 1.0),
 }  # fmt: skip
+# Columns: glTF 2.0 specification, section 3.6.2.
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-_MOST_ITEMS = 100_000
 
 
 class GltfDocument:
@@ -48,7 +49,7 @@ class GltfDocument:
     def items(self, name: str) -> list[dict[str, Any]]:
         """Return the list of objects of a name: nodes, skins ...; empty if there is none."""
         found = self.tree.get(name, [])
-        if not isinstance(found, list) or len(found) > _MOST_ITEMS or not all(isinstance(x, dict) for x in found):
+        if not isinstance(found, list) or len(found) > 100_000 or not all(isinstance(x, dict) for x in found):
             raise MotionFileError(self.path, "gltf.list", name=name)
         return found
 

@@ -11,8 +11,6 @@ from dousa.arrays import FloatArray
 from dousa.formats.gltf.document import GltfDocument
 from dousa.motion.rotations import conjugate, from_matrix, multiply, normalise, rotate
 
-_SAME_LENGTH = 0.01  # of a bone: where the skin's rest pose and the nodes' differ by more, the nodes count
-
 
 @dataclass(frozen=True, slots=True)
 class Nodes:
@@ -192,11 +190,13 @@ def _compose(nodes: Nodes) -> tuple[FloatArray, FloatArray, FloatArray]:
     return positions, rotations, scales
 
 
-def _bind_pose(document: GltfDocument, nodes: Nodes, positions: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+def _bind_pose(
+    document: GltfDocument, nodes: Nodes, positions: FloatArray, same_length: float = 0.01
+) -> tuple[FloatArray, FloatArray] | None:
     """Places and orientations (NaN: as the parent's) in the pose in which the skins were attached.
 
-    Nodes often stand in the first frame of an animation; the skin has the rest pose. None where its bones have other
-    lengths than those of the nodes: then the skin was attached in other units.
+    Nodes often stand in the first frame of an animation; the skin has the rest pose. None where its bones differ from
+    those of the nodes by more than the share ``same_length``: then the skin was attached in other units.
     """
     place_of = {index: number for number, index in enumerate(nodes.order)}
     bound: dict[int, FloatArray] = {}
@@ -224,7 +224,7 @@ def _bind_pose(document: GltfDocument, nodes: Nodes, positions: FloatArray) -> t
             at[number], turns[number] = matrix[:3, 3], from_matrix(axes)
             if parent in bound:
                 length, other = (float(np.linalg.norm(p[number] - p[parent])) for p in (at, positions))
-                if abs(length - other) > _SAME_LENGTH * max(length, other, 1e-9):
+                if abs(length - other) > same_length * max(length, other, 1e-9):
                     return None
         elif parent >= 0 and not np.isnan(turns[parent, 0]):
             change = multiply(turns[parent], conjugate(standing[parent]))

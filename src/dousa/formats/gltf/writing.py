@@ -22,10 +22,6 @@ from dousa.motion import Motion, compute_rest_positions
 from dousa.motion.canonical.reference_frame import ReferenceFrame, from_reference_frame
 from dousa.motion.rotations import conjugate, multiply, rotate
 
-_STILL = 1e-6  # m
-_THICKNESS, _WIDEST = 0.12, 0.03  # of a bone: share of its length, and m
-_FALLBACK = 0.02  # m: half the size of what a motion without bones is drawn as
-
 
 class _Buffer:
     """A binary buffer under construction, with its views and accessors."""
@@ -82,7 +78,7 @@ def write_glb(motion: Motion, path: str | os.PathLike[str]) -> None:
         buffer = _Buffer(tree)
         _add_skeleton(motion, tree, buffer)
         turns, moves = _continuous(motion.rotations), motion.translations
-        moving: BoolArray = np.max(np.abs(moves - motion.skeleton.offsets), axis=(0, 2)) > _STILL
+        moving: BoolArray = np.max(np.abs(moves - motion.skeleton.offsets), axis=(0, 2)) > 1e-6
         turning: BoolArray = np.logical_or(~motion.skeleton.end_sites, (np.abs(turns[..., 1:]) > 1e-7).any(axis=(0, 2)))
         _add_animation(motion, tree, buffer, list(range(motion.skeleton.n_joints)), (turns, turning), (moves, moving))
     tree["buffers"] = [{"byteLength": buffer.size}]
@@ -185,22 +181,27 @@ def _add_skeleton(motion: Motion, tree: dict[str, Any], buffer: _Buffer) -> None
     tree["scenes"] = [{"nodes": [*roots, len(nodes) - 1]}]
 
 
-def _draw_bones(rest: FloatArray, parents: list[int]) -> tuple[FloatArray, NDArray[Any], NDArray[Any]]:
-    """Corners (C, 3), triangles (F, 3) and the joint (C,) that carries each corner: an octahedron per bone."""
+def _draw_bones(
+    rest: FloatArray, parents: list[int], thickness: float = 0.12, widest: float = 0.03
+) -> tuple[FloatArray, NDArray[Any], NDArray[Any]]:
+    """Corners (C, 3), triangles (F, 3) and the joint (C,) that carries each corner: an octahedron per bone.
+
+    ``thickness`` : of a bone, as a share of its length; at most ``widest`` m.
+    """
     corners: list[FloatArray] = []
     faces: list[tuple[int, int, int]] = []
     owners: list[int] = []
     bones = [(parent, rest[parent], rest[joint]) for joint, parent in enumerate(parents) if parent >= 0]
     bones = [bone for bone in bones if np.linalg.norm(bone[2] - bone[1]) > 1e-4]
     if not bones:
-        up = np.array([0.0, 2 * _FALLBACK, 0.0])
+        up = np.array([0.0, 0.04, 0.0])
         bones = [(joint, place - up, place + up) for joint, place in enumerate(rest)]
     for joint, start, end in bones:
         axis = end - start
         length = float(np.linalg.norm(axis))
         helper = np.eye(3)[np.argmin(np.abs(axis))]
         side = np.cross(axis, helper)
-        side *= min(_THICKNESS * length, _WIDEST) / np.linalg.norm(side)
+        side *= min(thickness * length, widest) / np.linalg.norm(side)
         other = np.cross(axis / length, side)
         waist = start + 0.15 * axis
         first = 6 * len(owners)

@@ -17,12 +17,10 @@ import numpy as np
 from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
-from dousa.formats.mmd.cursor import MOST_BONES, Cursor, decode_name
+from dousa.formats.mmd.vmd import Cursor, decode_name
 
 SUFFIXES = (".pmx", ".pmd")
-_LONGEST_TEXT = 1_000_000
 _TAIL, _IK, _TURNS_WITH, _MOVES_WITH, _FIXED, _LOCAL, _OUTSIDE = 0x01, 0x20, 0x100, 0x200, 0x400, 0x800, 0x2000
-_NO_PARENT = 0xFFFF
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,10 +87,10 @@ def load_model(path: str | os.PathLike[str]) -> Model:
     raise MotionFileError(path, "mmd.no_model")
 
 
-def _order(cursor: Cursor, name: str, bones: list[Bone]) -> Model:
+def _order(cursor: Cursor, name: str, bones: list[Bone], most: int = 10_000) -> Model:
     """The model with an order in which every bone follows those that it depends on."""
-    if not bones or len(bones) > MOST_BONES:
-        raise cursor.fail("mmd.many_bones", found=len(bones), most=MOST_BONES)
+    if not bones or len(bones) > most:
+        raise cursor.fail("mmd.many_bones", found=len(bones), most=most)
     numbers = {number for bone in bones for number in _links(bone)}
     if not numbers <= set(range(-1, len(bones))):
         raise cursor.fail("mmd.bone_number", count=len(bones))
@@ -137,7 +135,7 @@ def _read_pmx(cursor: Cursor) -> tuple[str, list[Bone]]:
         raise cursor.fail("mmd.version", found=f"{version:g}")
 
     def text() -> str:
-        return cursor.take(cursor.count("i", 1)).decode(encoding, "replace")[:_LONGEST_TEXT]
+        return cursor.take(cursor.count("i", 1)).decode(encoding, "replace")[:1_000_000]
 
     name = text()
     for _ in range(3):
@@ -224,7 +222,7 @@ def _read_pmd(cursor: Cursor) -> tuple[str, list[Bone]]:
         chains[bone] = IkChain(target, cursor.unpack(f"{number}H"))
     bones = []
     for number, (raw, parent, _, _, _, *place) in enumerate(rows):
-        above = -1 if parent == _NO_PARENT else parent
+        above = -1 if parent == 0xFFFF else parent
         bones.append(Bone(decode_name(raw), above, _vector(tuple(place)), ik=chains.get(number)))
     return name, bones
 

@@ -15,8 +15,7 @@ from dousa.formats.mmd.models import Bone, Model
 from dousa.formats.mmd.vmd import VmdFile
 from dousa.motion.rotations import between, conjugate, from_axis_angle, identity, multiply, rotate, slerp
 
-_LEAST_BEND = np.deg2rad(0.5)  # of a knee, as models limit it
-_ROUNDS, _MOST_STEP = 12, 2.0  # of the descent; rad, of a knee in a round
+_LEAST_BEND = np.deg2rad(0.5)  # of a knee: the limit in the definition of the usual models
 
 
 class Poses:
@@ -140,7 +139,9 @@ class Poses:
         self._place(self._below(link))
 
 
-def _descend(leg: FloatArray, thigh: FloatArray, shank: FloatArray, wanted: FloatArray) -> FloatArray:
+def _descend(
+    leg: FloatArray, thigh: FloatArray, shank: FloatArray, wanted: FloatArray, rounds: int = 12, most_step: float = 2.0
+) -> FloatArray:
     """Orientation (T, 4) of the thigh after some rounds: the knee turns towards the goal, then the thigh.
 
     Parameters
@@ -148,14 +149,16 @@ def _descend(leg: FloatArray, thigh: FloatArray, shank: FloatArray, wanted: Floa
     leg : (T, 4) orientation of the thigh in the world by its keys.
     thigh, shank : (3,) from hip to knee, from knee to ankle, at rest.
     wanted : (T, 3) from hip to goal in the world.
+    rounds : of the descent.
+    most_step : rad, of a knee in a round.
     """
     bend = np.full(len(leg), _LEAST_BEND)
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         goal = rotate(conjugate(leg), wanted)
         y, z = (goal - thigh).T[1:]
         shank_y, shank_z = _bend(shank, bend).T[1:]
         step = np.arctan2(shank_y * z - shank_z * y, shank_y * y + shank_z * z)
-        bend = np.clip(bend + np.clip(step, -_MOST_STEP, _MOST_STEP), _LEAST_BEND, np.pi)
+        bend = np.clip(bend + np.clip(step, -most_step, most_step), _LEAST_BEND, np.pi)
         leg = multiply(leg, between(thigh + _bend(shank, bend), goal))
     return leg
 

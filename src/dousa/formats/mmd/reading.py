@@ -12,21 +12,17 @@ import unicodedata
 import numpy as np
 
 from dousa.errors import MotionFileError
+from dousa.formats.assembly import add_ends, localise, rest_offsets, settle_motion
 from dousa.formats.mmd.models import Model, find_model, load_model, template
 from dousa.formats.mmd.posing import Poses, find_needed
 from dousa.formats.mmd.vmd import VmdFile, load_vmd
-from dousa.formats.poses import localise, settle_motion
 from dousa.messages import Message
 from dousa.motion import Motion, Skeleton
-from dousa.motion.rotations import identity
 
-_RATE, _UNIT = 30.0, 0.08
 _TRUNK = ("上半身", "上半身2", "首", "頭", "下半身")
 _LIMBS = ("肩", "腕", "ひじ", "手首", "足", "ひざ", "足首", "つま先")
 _FINGERS = tuple(f"{finger}{n}" for finger in ("親指", "人指", "中指", "薬指", "小指") for n in "0123")
 _KEPT = frozenset((*_TRUNK, *(side + name for side in "左右" for name in (*_LIMBS, *_FINGERS))))
-_ENDS = ("頭",)
-_MOST_VALUES = 50_000_000
 
 
 def read_vmd(
@@ -85,7 +81,7 @@ def _build(
     up: str | None,
 ) -> Motion:
     bones = model.bones
-    if motion.n_frames * len(kept) * 3 > _MOST_VALUES:
+    if motion.n_frames * len(kept) * 3 > 50_000_000:
         raise MotionFileError(path, "disk.too_large")
     poses = Poses(model, motion, needed)
     joint_of = {number: joint for joint, number in enumerate(kept)}
@@ -98,26 +94,16 @@ def _build(
     turns = np.stack([poses.turns[number] for number in kept], axis=1)
     places = np.stack([poses.places[number] for number in kept], axis=1)
     rotations, translations = localise(parents, turns, places)
-    rest = np.array([bones[number].place for number in kept])
-    offsets = rest - np.where(np.array(parents)[:, None] >= 0, rest[parents], 0.0)
-    names = [bones[number].name for number in kept]
+    offsets = rest_offsets(parents, np.array([bones[number].place for number in kept]))
+    skeleton = Skeleton(tuple(bones[number].name for number in kept), np.array(parents, np.intp), offsets)
     ends = []
     for joint, number in enumerate(kept):
         end = bones[number].end
-        if names[joint] in _ENDS and end is not None:
-            ends.append((f"{names[joint]}_end", joint, end - bones[number].place))
-    skeleton = Skeleton(
-        (*names, *(name for name, _, _ in ends)),
-        np.array([*parents, *(joint for _, joint, _ in ends)], np.intp),
-        np.concatenate((offsets, np.array([offset for *_, offset in ends]).reshape(-1, 3))),
-        np.arange(len(names) + len(ends)) >= len(names),
-    )
-    count = len(rotations)
-    rotations = np.concatenate((rotations, identity((count, len(ends)))), axis=1)
-    still = np.tile(skeleton.offsets[len(names) :], (count, 1, 1))
+        if bones[number].name == "頭" and end is not None:
+            ends.append((joint, end - bones[number].place))
     return settle_motion(
-        path, "vmd", skeleton, rotations, np.concatenate((translations, still), axis=1), _RATE,
-        unit=unit, up=up, unit_in_file=_UNIT, up_in_file="y", notes=notes,
+        path, "vmd", *add_ends(skeleton, rotations, translations, ends), 30.0,
+        unit=unit, up=up, unit_in_file=0.08, up_in_file="y", notes=notes,
     )  # fmt: skip
 
 

@@ -9,23 +9,87 @@ back: z is mirrored here, so that a model faces +Z. Later tables may be missing.
 from __future__ import annotations
 
 import os
+import struct
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
-from dousa.formats.mmd.cursor import MOST_BONES, Cursor, decode_name
 from dousa.motion.rotations import slerp
 
+
+class Cursor:
+    """A place in the bytes of a file, little endian.
+
+    Parameters
+    ----------
+    path : for messages.
+    data : all bytes.
+    place : where to begin.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], data: bytes, place: int = 0) -> None:
+        self.path, self.data, self.place = path, data, place
+
+    @property
+    def left(self) -> int:
+        """Number of bytes that follow."""
+        return len(self.data) - self.place
+
+    def fail(self, code: str, **values: Any) -> MotionFileError:
+        """Return an error about this file."""
+        return MotionFileError(self.path, code, **values)
+
+    def take(self, size: int) -> bytes:
+        """Return the next bytes."""
+        if not 0 <= size <= self.left:
+            raise self.fail("mmd.truncated", place=self.place)
+        self.place += size
+        return self.data[self.place - size : self.place]
+
+    def unpack(self, form: str) -> tuple[Any, ...]:
+        """Return values of a format of `struct`."""
+        return struct.unpack("<" + form, self.take(struct.calcsize("<" + form)))
+
+    def count(self, form: str, smallest: int) -> int:
+        """Return a number of items of at least so many bytes each; no more than fit in the rest of the file."""
+        (number,) = self.unpack(form)
+        if number < 0 or number * smallest > self.left:
+            raise self.fail("mmd.truncated", place=self.place)
+        return int(number)
+
+    def rows(self, dtype: np.dtype[Any], form: str = "I") -> NDArray[Any]:
+        """Return a counted table of rows of one size."""
+        number = self.count(form, dtype.itemsize)
+        return np.frombuffer(self.take(number * dtype.itemsize), dtype)
+
+    def index(self, size: int) -> int:
+        """Return an index, -1 for none, in 1, 2 or 4 bytes."""
+        return int(self.unpack({1: "b", 2: "h", 4: "i"}[size])[0])
+
+
+def decode_name(raw: bytes) -> str:
+    """Decode a name of a VMD or PMD file: Shift-JIS up to the first zero byte; a letter cut at the end is left out."""
+    text = raw.split(b"\0", 1)[0]
+    try:
+        return text.decode("cp932")
+    except UnicodeDecodeError as error:
+        if error.end >= len(text):
+            return text[: error.start].decode("cp932", "replace")
+        return text.decode("cp932", "replace")
+
+
 _MAGIC = b"Vocaloid Motion Data "
+# A key of a bone, by the definition of the format.
 _BONE = np.dtype(
     [("name", "S15"), ("frame", "<u4"), ("place", "<f4", 3), ("turn", "<f4", 4), ("curve", "u1", 64)]
 )  # fmt: skip
+# Bytes of a row of the tables that follow, by the definition of the format.
 _SIZES = {"face": 23, "camera": 61, "light": 28, "shadow": 9}
-_FEW_FRAMES, _FRAMES_PER_KEY = 1000, 100
-_BISECTIONS = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +123,7 @@ class BoneKeys:
         return places, slerp(self.turns[before], self.turns[after], ease(share, self.curves[after, 3]))
 
 
-def ease(share: FloatArray, curves: FloatArray) -> FloatArray:
+def ease(share: FloatArray, curves: FloatArray, bisections: int = 20) -> FloatArray:
     """Compute the progress (T,) of a value after a share (T,) of the time, by Bezier curves (T, 4) x1, y1, x2, y2."""
     x1, y1, x2, y2 = curves.T
     result = share.copy()
@@ -67,7 +131,7 @@ def ease(share: FloatArray, curves: FloatArray) -> FloatArray:
     if bent.any():
         x1, y1, x2, y2, wanted = x1[bent], y1[bent], x2[bent], y2[bent], share[bent]
         low, high = np.zeros(len(wanted)), np.ones(len(wanted))
-        for _ in range(_BISECTIONS):
+        for _ in range(bisections):
             middle = (low + high) / 2
             rest = 1 - middle
             left = 3 * rest * rest * middle * x1 + 3 * rest * middle * middle * x2 + middle**3 < wanted
@@ -108,21 +172,22 @@ def load_vmd(path: str | os.PathLike[str]) -> VmdFile:
     if not len(rows):
         raise MotionFileError(path, "mmd.no_bones")
     last = int(rows["frame"].max())
-    most = max(_FEW_FRAMES, _FRAMES_PER_KEY * len(rows))
+    most = max(1000, 100 * len(rows))
     if last >= most:
         raise MotionFileError(path, "mmd.frames", found=last, keys=len(rows))
     return VmdFile(model, _sort_keys(cursor, rows), last + 1, _read_switches(cursor))
 
 
-def _sort_keys(cursor: Cursor, rows: np.ndarray) -> dict[str, BoneKeys]:
+def _sort_keys(cursor: Cursor, rows: np.ndarray, most: int = 10_000) -> dict[str, BoneKeys]:
+    """Keys by the name of the bone; MotionFileError for values that are not finite, or more than ``most`` bones."""
     if not (np.isfinite(rows["place"]).all() and np.isfinite(rows["turn"]).all()):
         raise cursor.fail("mmd.finite")
     raw, inverse = np.unique(rows["name"], return_inverse=True)
     # What follows the zero byte of a name is anything.
     decoded = [decode_name(bytes(name)) for name in raw]
     names = list(dict.fromkeys(decoded))
-    if len(names) > MOST_BONES:
-        raise cursor.fail("mmd.many_bones", found=len(names), most=MOST_BONES)
+    if len(names) > most:
+        raise cursor.fail("mmd.many_bones", found=len(names), most=most)
     owner = np.array([names.index(name) for name in decoded], np.intp)[inverse]
     order = np.lexsort((rows["frame"], owner))
     counts = np.bincount(owner, minlength=len(names))

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dousa.formats.optical.motive import read_motive
-from dousa.formats.optical.motive_writing import write_motive
+from dousa.formats.optical.motive import read_motive, write_motive
 from dousa.formats.optical.qualisys import read_qualisys
 
 __all__ = ["read_motive", "read_qualisys", "write_motive"]

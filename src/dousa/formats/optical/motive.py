@@ -11,6 +11,7 @@ quaternions or Euler angles; else the positions of its bones; without bones the 
 from __future__ import annotations
 
 import csv
+import math
 import os
 import re
 from dataclasses import dataclass
@@ -18,17 +19,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from dousa.arrays import FloatArray
-from dousa.errors import MotionFileError
-from dousa.files.disk import read_bytes
-from dousa.formats.markers import declared_unit, settle_trajectories
-from dousa.formats.optical.tables import read_rows, strip_owner
-from dousa.formats.optical.trees import guess_parents
-from dousa.formats.poses import localise, median_offsets, order_tree, settle_motion
+from dousa.errors import MotionFileError, MotionWriteError
+from dousa.files.disk import atomic_write, read_bytes
+from dousa.formats.assembly import declared_unit, settle_trajectories, settle_world
+from dousa.formats.optical.tables import guess_parents, read_rows, strip_owner
 from dousa.messages import Message
-from dousa.motion import Motion, Skeleton, Trajectories
+from dousa.motion import Motion, Trajectories, forward_kinematics
 from dousa.motion.rotations import from_euler, normalise
 
-_HEADER_ROWS = 12
 _UNLABELLED = re.compile(r"(?:.*:)?(?:Unlabeled\b.*|\d+)", re.IGNORECASE)
 
 
@@ -109,15 +107,9 @@ def _build(
             path, "motive", tuple(names), positions, rate,
             unit=unit, up=up, unit_in_file=unit_in_file, up_in_file=None, default_up="y", notes=tuple(notes),
         )  # fmt: skip
-    order, tree = order_tree(tuple(names), parents)
-    world, places = turns[:, order], positions[:, order]
-    if table.fields.get("coordinate space", "global").lower() == "local":
-        rotations, translations = world, places
-    else:
-        rotations, translations = localise(tree, world, places)
-    skeleton = Skeleton(tuple(names[joint] for joint in order), np.array(tree), median_offsets(translations))
-    return settle_motion(
-        path, "motive", skeleton, rotations, translations, rate,
+    return settle_world(
+        path, "motive", names, parents, turns, positions, rate,
+        are_local=table.fields.get("coordinate space", "global").lower() == "local",
         unit=unit, up=up, unit_in_file=unit_in_file, default_up="y", notes=tuple(notes),
     )  # fmt: skip
 
@@ -128,7 +120,7 @@ def _read_header(path: str | os.PathLike[str], rows: list[list[str]]) -> _Table:
     first = [cell.strip() for cell in rows[0]]
     fields = {key.lower(): value for key, value in zip(first[::2], first[1::2], strict=False)}
     labelled: dict[str, list[str]] = {}
-    for number, row in enumerate(rows[1:_HEADER_ROWS], 1):
+    for number, row in enumerate(rows[1:12], 1):
         cells = [cell.strip() for cell in row]
         key = (cells[1] if len(cells) > 1 else "").lower().replace(" ", "")
         if key in ("type", "name", "parent"):
@@ -189,3 +181,51 @@ def _read_turns(
         return None
     # The columns are X, Y, Z, whatever the order of the turns.
     return from_euler(np.radians(numbers[..., ["XYZ".index(letter) for letter in kind]]), kind)
+
+
+def write_motive(motion: Motion | Trajectories, path: str | os.PathLike[str]) -> None:
+    """Write a table as Motive exports it: metres, Y up, rotations of bones as quaternions in the world.
+
+    A motion is written with the row ``Parent`` of version 1.24; missing values are blank.
+
+    Raises
+    ------
+    MotionWriteError : a name with a comma, a quote or a line break, a disk error.
+    """
+    bones = isinstance(motion, Motion)
+    names = motion.skeleton.names if isinstance(motion, Motion) else motion.names
+    for name in names:
+        if not name.strip() or any(sign in name for sign in ',"\r\n:'):
+            raise MotionWriteError(path, "motive.name", name=name)
+    if isinstance(motion, Motion):
+        skeleton = motion.skeleton
+        positions, world = forward_kinematics(skeleton.parents, motion.rotations, motion.translations)
+        values = np.concatenate((world[..., [1, 2, 3, 0]], positions), axis=2)
+        above = tuple(names[parent] if parent >= 0 else "" for parent in skeleton.parents)
+    else:
+        values, above = motion.positions, ()
+    width = values.shape[2]
+    rate = repr(float(motion.frame_rate))
+    keys = (
+        "Format Version", "1.24", "Take Name", "dousa", "Capture Frame Rate", rate, "Export Frame Rate", rate,
+        "Total Exported Frames", str(motion.n_frames), "Rotation Type", "Quaternion", "Length Units", "Meters",
+        "Coordinate Space", "Global",
+    )  # fmt: skip
+
+    def spread(title: str, cells: tuple[str, ...]) -> str:
+        return ",".join(("", title, *(cell for cell in cells for _ in range(width))))
+
+    kind = "Bone" if bones else "Marker"
+    rows = [",".join(keys), "", spread("Type", (kind,) * len(names)), spread("Name", names)]
+    rows.append(spread("ID", tuple(str(number) for number in range(1, len(names) + 1))))
+    if bones:
+        rows.append(spread("Parent", above))
+    rotations = ("Rotation",) * 4 if bones else ()
+    quantities, axes = (*rotations, *("Position",) * 3), "XYZWXYZ" if bones else "XYZ"
+    rows.append(",".join(("", "", *quantities * len(names))))
+    rows.append(",".join(("Frame", "Time (Seconds)", *axes * len(names))))
+    with atomic_write(path) as file:
+        file.write(("\r\n".join(rows) + "\r\n").encode())
+        for frame, row in enumerate(values.reshape(motion.n_frames, -1).tolist()):
+            cells = ",".join("" if math.isnan(value) else repr(value) for value in row)
+            file.write(f"{frame},{frame / motion.frame_rate!r},{cells}\r\n".encode())

@@ -16,17 +16,13 @@ import numpy as np
 from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
-from dousa.formats.markers import settle_trajectories
-from dousa.formats.optical.tables import read_rows, strip_owner
-from dousa.formats.optical.trees import guess_parents
-from dousa.formats.poses import localise, median_offsets, order_tree, settle_motion
-from dousa.motion import Motion, Skeleton, Trajectories
+from dousa.formats.assembly import settle_trajectories, settle_world
+from dousa.formats.optical.tables import guess_parents, read_rows, strip_owner
+from dousa.motion import Motion, Trajectories
 from dousa.motion.rotations import normalise
 
-_HEADER_ROWS = 40
 _KEY = re.compile(r"[A-Z][A-Z0-9_]{2,40}")
 _SEGMENT = ["X", "Y", "Z", "QX", "QY", "QZ", "QW"]
-_MILLIMETRE = 0.001
 
 
 def read_qualisys(
@@ -48,7 +44,7 @@ def read_qualisys(
     rows = [line.split("\t") for line in text.split("\n")]
     fields: dict[str, list[str]] = {}
     number = 0
-    while number < min(len(rows), _HEADER_ROWS) and (_KEY.fullmatch(rows[number][0].strip()) or not any(rows[number])):
+    while number < min(len(rows), 40) and (_KEY.fullmatch(rows[number][0].strip()) or not any(rows[number])):
         fields[rows[number][0].strip()] = [cell.strip() for cell in rows[number][1:]]
         number += 1
     if "NO_OF_FRAMES" not in fields:
@@ -75,7 +71,7 @@ def read_qualisys(
     points = np.where((points == 0).all(axis=2, keepdims=True), np.nan, points)
     return settle_trajectories(
         path, "qualisys", tuple(names), points, rate,
-        unit=unit, up=up, unit_in_file=_MILLIMETRE, up_in_file=None, default_up="z",
+        unit=unit, up=up, unit_in_file=0.001, up_in_file=None, default_up="z",
     )  # fmt: skip
 
 
@@ -109,12 +105,9 @@ def _read_skeleton(
     if not parents:
         return settle_trajectories(
             path, "qualisys", tuple(names), positions, rate,
-            unit=unit, up=up, unit_in_file=_MILLIMETRE, up_in_file=None, default_up="z",
+            unit=unit, up=up, unit_in_file=0.001, up_in_file=None, default_up="z",
         )  # fmt: skip
-    order, tree = order_tree(tuple(names), parents)
-    rotations, translations = localise(tree, world[:, order], positions[:, order])
-    skeleton = Skeleton(tuple(names[joint] for joint in order), np.array(tree), median_offsets(translations))
-    return settle_motion(
-        path, "qualisys", skeleton, rotations, translations, rate,
-        unit=unit, up=up, unit_in_file=_MILLIMETRE, default_up="z", rest_in_world=False,
+    return settle_world(
+        path, "qualisys", names, parents, world, positions, rate,
+        unit=unit, up=up, unit_in_file=0.001, default_up="z", rest_in_world=False,
     )  # fmt: skip

@@ -1,8 +1,9 @@
-"""Numbers of a table of text: rows of cells, blank where a value is missing."""
+"""Tables of optical systems as text: numbers, blank where a value is missing; owners of names; trees by usual names."""
 
 from __future__ import annotations
 
 import os
+from itertools import pairwise
 
 import numpy as np
 
@@ -54,3 +55,39 @@ def strip_owner(names: list[str]) -> tuple[list[str], list[str]]:
         bare = [name.removeprefix(prefix) for name in bare]
         owners = [prefix[:-1]]
     return bare, owners
+
+
+_SIDES = ("L", "R")
+_FINGERS = ("Thumb", "Index", "Middle", "Ring", "Pinky")
+
+_MOTIVE_CHAINS = [
+    "Hip Ab Chest Neck Head",
+    "Hip Ab Spine2 Spine3 Spine4 Chest",
+    *(f"Chest {s}Shoulder {s}UArm {s}FArm {s}Hand" for s in _SIDES),
+    *(f"Hip {s}Thigh {s}Shin {s}Foot {s}Toe" for s in _SIDES),
+    *(f"{s}Hand {s}{finger}1 {s}{finger}2 {s}{finger}3" for s in _SIDES for finger in _FINGERS),
+]
+_FBX_CHAINS = [
+    "Hips Spine Spine1 Spine2 Spine3 Spine4 Neck Neck1 Head",
+    *(f"TRUNK {s}Shoulder {s}Arm {s}ForeArm {s}ForeArmRoll {s}Hand" for s in ("Left", "Right")),
+    *(f"Hips {s}UpLeg {s}Leg {s}Foot {s}ToeBase" for s in ("Left", "Right")),
+    *(f"{s}Hand {s}Hand{f}1 {s}Hand{f}2 {s}Hand{f}3 {s}Hand{f}4" for s in ("Left", "Right") for f in _FINGERS),
+    *(f"{s}Hand {s}InHand{f} {s}Hand{f}1" for s in ("Left", "Right") for f in _FINGERS),
+]
+
+
+def guess_parents(names: list[str]) -> dict[str, str]:
+    """Return the parent of each joint of Motive's or Qualisys' skeletons by name; {} for other names.
+
+    Joints that a skeleton lacks are skipped.
+    """
+    present = set(names)
+    chains = _MOTIVE_CHAINS if "Hip" in present else _FBX_CHAINS if "Hips" in present else []
+    trunk = [name for name in ("Hips", "Spine", "Spine1", "Spine2", "Spine3", "Spine4") if name in present]
+    parents: dict[str, str] = {}
+    for chain in chains:
+        joints = [trunk[-1] if name == "TRUNK" and trunk else name for name in chain.split()]
+        for parent, child in pairwise([name for name in joints if name in present]):
+            parents[child] = parent
+    roots = [name for name in names if name not in parents]
+    return parents if len(roots) == 1 else {}

@@ -15,13 +15,12 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
-from dousa.formats.markers import declared_unit
-from dousa.formats.poses import localise, median_offsets, order_tree, settle_motion
-from dousa.motion import Motion, Skeleton
+from dousa.formats.assembly import declared_unit, settle_world
+from dousa.motion import Motion
 from dousa.motion.rotations import from_matrix
 
 ITEMS = 17
-"""Numbers of a segment in a frame."""
+"""Numbers of a segment in a frame: a matrix and a residual (c3d.org, "Rotation data": the format's definition)."""
 
 _SUFFIX = re.compile(r"_4x4$", re.IGNORECASE)
 _WORLD = ("worldbody", "world", "lab")
@@ -71,11 +70,8 @@ def build_segments(
     turns = from_matrix(axes)
     turns[lost] = np.nan
     places = np.where(lost[..., None], np.nan, columns[..., 3, :3])
-    order, tree = order_tree(tuple(names), _find_parents(names))
-    rotations, translations = localise(tree, turns[:, order], places[:, order])
-    skeleton = Skeleton(tuple(names[joint] for joint in order), np.array(tree), median_offsets(translations))
-    return settle_motion(
-        path, "c3d", skeleton, rotations, translations, frame_rate,
+    return settle_world(
+        path, "c3d", names, _find_parents(names), turns, places, frame_rate,
         unit=unit, up=up, declared_unit=declared_unit(unit_in_file), default_up="z", rest_in_world=False,
     )  # fmt: skip
 

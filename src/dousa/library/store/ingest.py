@@ -15,8 +15,17 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from dousa.errors import DousaError, InvalidMotionError, MotionFileError
-from dousa.formats.frame_votes import OVERRULED, FrameClaim, describe_frame
-from dousa.formats.motion_files import ReadOptions, Skipped, describe_problem, is_unicode, read_both, read_canonical
+from dousa.formats.motion_files import (
+    OVERRULED,
+    FrameClaim,
+    ReadOptions,
+    Skipped,
+    describe_frame,
+    describe_problem,
+    is_unicode,
+    read_both,
+    read_canonical,
+)
 from dousa.library.store.engine import check_jobs, choose_jobs
 from dousa.library.store.features import (
     BEYOND_MEASURE,
@@ -116,7 +125,7 @@ def look_at(path: str, options: ReadOptions) -> SourceState:
     """
     files = [path]
     if os.path.isdir(path):  # a file for each frame
-        from dousa.formats.frame_folders import list_frame_files
+        from dousa.files.frame_files import list_frame_files
 
         files = [os.path.join(path, name) for name in list_frame_files(path)]
     elif path.lower().endswith(".amc"):

@@ -23,7 +23,7 @@ _BONES = (
 _ENDS = np.array([JOINT_INDEX[end] for end, _ in _BONES])
 _STARTS = np.array([JOINT_INDEX[start] for _, start in _BONES])
 
-# Ratio: typical value, scatter of its logarithm, least and greatest that a map may give.
+# Ratio: typical value and scatter of its logarithm, as measured; least and greatest that a map may give.
 _RATIOS = {
     "arm_per_leg": (0.62, 0.13, 0.35, 1.3),
     "trunk_per_leg": (0.58, 0.25, 0.15, 1.6),
@@ -32,8 +32,6 @@ _RATIOS = {
     "hips_per_leg": (0.23, 0.3, 0.04, 0.7),
     "shoulders_per_leg": (0.43, 0.2, 0.1, 1.2),
 }
-_LEFT_PER_RIGHT = 2.2  # Kinects see a shank up to 1.7 times as long as the other
-_MOST_TERM, _MOST_ODDITY = 16.0, 30.0  # people and rigs of people reach 21, a dog 35
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +51,8 @@ class Proportions:
     def faults(self) -> tuple[str, ...]:
         """Return the ratios that no map of a person gives."""
         wrong = [name for name, value in self.ratios.items() if value < _RATIOS[name][2] or value > _RATIOS[name][3]]
-        return (*wrong, "left_per_right") if self.left_per_right > _LEFT_PER_RIGHT else tuple(wrong)
+        # Kinects see a shank up to 1.7 times as long as the other.
+        return (*wrong, "left_per_right") if self.left_per_right > 2.2 else tuple(wrong)
 
     @property
     def oddity(self) -> float:
@@ -63,12 +62,12 @@ class Proportions:
             for name, value in self.ratios.items()
             if not np.isnan(value)
         ]
-        return float(sum(min(term, _MOST_TERM) for term in terms))
+        return float(sum(min(term, 16.0) for term in terms))
 
     @property
     def is_person(self) -> bool:
         """Return whether a person can have these bones."""
-        return not self.faults and self.oddity <= _MOST_ODDITY
+        return not self.faults and self.oddity <= 30.0  # people and rigs of people reach 21, a dog 35
 
 
 def measure_proportions(points: FloatArray) -> Proportions:
@@ -94,12 +93,9 @@ def measure_proportions(points: FloatArray) -> Proportions:
     )
 
 
-FORE_LEGS = 0.76
-"""Of the legs: the arms of people are 0.55 to 0.75 of them, fore legs nearly as long as hind legs."""
-_ACROSS, _ALONG, _MOSTLY = -0.4, 0.6, 0.8
-
-
-def walks_on_fours(points: FloatArray, fore_legs: float = FORE_LEGS) -> bool:
+def walks_on_fours(
+    points: FloatArray, fore_legs: float = 0.76, across: float = -0.4, along: float = 0.6, mostly: float = 0.8
+) -> bool:
     """Return whether a body is a four-legged animal's: fore legs as long as hind legs, and down beside them.
 
     In most frames the legs go across the trunk and the arms along the legs; a crawling person has shorter arms.
@@ -107,7 +103,9 @@ def walks_on_fours(points: FloatArray, fore_legs: float = FORE_LEGS) -> bool:
     Parameters
     ----------
     points : (T, 20, 3) canonical points, any unit, axes and handedness; some frames over the whole motion.
-    fore_legs : share of the legs from which on arms may be fore legs.
+    fore_legs : share of the legs from which on arms may be fore legs; the arms of people are 0.55 to 0.75 of them.
+    across, along : cosine between trunk and legs, and between arms and legs, from which on they go so.
+    mostly : share of the frames.
     """
     if not measure_proportions(points).ratios["arm_per_leg"] > fore_legs:
         return False
@@ -117,8 +115,8 @@ def walks_on_fours(points: FloatArray, fore_legs: float = FORE_LEGS) -> bool:
         _unit(at["left_ankle"] + at["right_ankle"] - at["left_hip"] - at["right_hip"]),
         _unit(at["left_wrist"] + at["right_wrist"] - at["left_shoulder"] - at["right_shoulder"]),
     )
-    fours = ((trunk * leg).sum(axis=1) > _ACROSS) & ((arm * leg).sum(axis=1) > _ALONG)
-    return bool(fours.mean() > _MOSTLY)
+    fours = ((trunk * leg).sum(axis=1) > across) & ((arm * leg).sum(axis=1) > along)
+    return bool(fours.mean() > mostly)
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
@@ -144,8 +142,7 @@ def find_medians(values: FloatArray) -> FloatArray:
 
 
 def _means(left: FloatArray, right: FloatArray) -> FloatArray:
-    both = np.where(np.isnan(left), right, np.where(np.isnan(right), left, 0.5 * (left + right)))
-    means: FloatArray = both
+    means: FloatArray = np.where(np.isnan(left), right, np.where(np.isnan(right), left, 0.5 * (left + right)))
     return means
 
 
@@ -165,15 +162,12 @@ _SHARES = {
 }
 
 
-_LIMB_SHARES = np.repeat([_SHARES[name] for name in ("thigh", "shank", "upper_arm", "forearm")], 2)
-_TRUNK_SHARES = np.array([_SHARES["shoulders"], _SHARES["trunk"]])
-
-
 def stature_of_parts(points: FloatArray) -> float:
     """Estimate the stature from a part of a body, (T, 20, 3) canonical points, in their unit; NaN if impossible."""
     middle = _measure_bones(points)
-    found = np.sort(middle[:8] / _LIMB_SHARES)  # what is missing comes last
+    limbs = np.repeat([_SHARES[name] for name in ("thigh", "shank", "upper_arm", "forearm")], 2)
+    found = np.sort(middle[:8] / limbs)  # what is missing comes last
     if np.isnan(found[0]):
-        found = np.sort(middle[9:11] / _TRUNK_SHARES)
+        found = np.sort(middle[9:11] / np.array([_SHARES["shoulders"], _SHARES["trunk"]]))
     seen = int(np.count_nonzero(~np.isnan(found)))
     return float(0.5 * (found[max(seen - 1, 0) // 2] + found[seen // 2]))

@@ -29,14 +29,8 @@ from dousa.motion.canonical.mapping import ChosenMap, choose_map, names_of_seen
 from dousa.motion.canonical.naming import NameMatch, match_names
 from dousa.motion.canonical.recipes import HAND_REACH, JointMap, Recipe, recipe_from_joint_map
 from dousa.motion.canonical.tree_shape import compare_sides, compute_forward, spread_frames
+from dousa.motion.resampling import fill_gaps
 from dousa.motion.types import Motion, Trajectories
-
-# m: heights over the joints that no person has, and that nothing has.
-_SMALLEST, _TALLEST, _NO_BODY = 0.3, 3.0, 1e9
-
-_DEGENERATE = 0.05  # of the forearm or shank: a hand or toe this near to its parent is not one
-_TOE_PER_SHANK = 0.35
-_TOE_AHEAD, _TOE_DROP = 0.9165, 0.4  # a standing foot slopes: shares of its length ahead and down
 
 
 def _bone(end: str, start: str) -> FloatArray:
@@ -140,8 +134,11 @@ def canonicalise(
     >>> canonical.positions.shape[1] == len(dousa.CANONICAL_JOINTS)
     True
     """
-    moving = _trajectories(motion)
-    positions = moving.positions
+    if isinstance(motion, Motion):
+        from dousa.motion.kinematics import compute_trajectories
+
+        motion = compute_trajectories(motion)
+    moving, positions = motion, motion.positions
     gaps = bool(np.isnan(positions.sum()))
     never = _never_seen(moving) if gaps else ()
     chosen = _choose_recipe(moving, joint_map, never)
@@ -153,7 +150,7 @@ def canonicalise(
     missing = None
     if gaps:
         missing = _find_missing(recipe, positions)
-        positions = _fill(positions)
+        positions = fill_gaps(positions)
     points = body_points(recipe, positions, metres=True)
     return _finish(moving, chosen, points, _with_absent(missing, recipe, len(points)))
 
@@ -173,23 +170,9 @@ def _with_absent(missing: BoolArray | None, recipe: Recipe, n_frames: int) -> Bo
     return marked
 
 
-def _trajectories(motion: Motion | Trajectories) -> Trajectories:
-    if isinstance(motion, Motion):
-        from dousa.motion.kinematics import compute_trajectories
-
-        return compute_trajectories(motion)
-    return motion
-
-
 def _never_seen(moving: Trajectories) -> tuple[int, ...]:
     unseen = np.isnan(moving.positions).any(axis=2).all(axis=0)
     return tuple(int(index) for index in np.flatnonzero(unseen))
-
-
-def _fill(positions: FloatArray) -> FloatArray:
-    from dousa.motion.resampling import fill_gaps
-
-    return fill_gaps(positions)
 
 
 def _find_missing(recipe: Recipe, positions: FloatArray) -> BoolArray:
@@ -249,7 +232,7 @@ def _finish(moving: Trajectories, chosen: ChosenMap, points: FloatArray, unseen:
     height, height_source = _measure_height(recipe, sample, moving.rest_positions)
     sides = compare_sides(sample)
     warnings = [] if moving.provenance is None else list(moving.provenance.notes)
-    if not _SMALLEST <= height <= _TALLEST:
+    if not 0.3 <= height <= 3.0:
         warnings.append(Message("canonical.no_person", height=height))
     if not chosen.is_person:
         warnings.append(Message("canonical.not_a_person", table=recipe.table))
@@ -299,10 +282,13 @@ def _named_sources(recipe: Recipe, names: tuple[str, ...]) -> tuple[tuple[str, t
     return tuple((joint, tuple(names[i] for i in indices)) for joint, indices in recipe.sources.items())
 
 
-def _coincident_tips(sample: FloatArray) -> tuple[bool, bool]:
-    """Whether hands, and whether toes, lie on their joints in all frames: end sites of no length."""
+def _coincident_tips(sample: FloatArray, degenerate: float = 0.05) -> tuple[bool, bool]:
+    """Whether hands, and whether toes, lie on their joints in all frames: end sites of no length.
+
+    ``degenerate`` : share of the forearm or shank up to which a hand or toe lies on its joint.
+    """
     lengths = np.abs(_TIPS_AND_BONES @ sample).sum(axis=2)
-    flags = (lengths[:, :4] <= _DEGENERATE * lengths[:, 4:]).all(axis=0)
+    flags = (lengths[:, :4] <= degenerate * lengths[:, 4:]).all(axis=0)
     return bool(flags[0] or flags[1]), bool(flags[2] or flags[3])
 
 
@@ -312,12 +298,20 @@ def _make_hands(points: FloatArray) -> None:
         points[:, J[f"{side}_hand"]] = wrist + HAND_REACH * (wrist - points[:, J[f"{side}_elbow"]])
 
 
-def _make_toes(points: FloatArray) -> None:
-    """Put toes before the ankles: to the front of the body and down along the shank's fall."""
+def _make_toes(
+    points: FloatArray, per_shank: float = 0.35, share_ahead: float = 0.9165, share_down: float = 0.4
+) -> None:
+    """Put toes before the ankles: to the front of the body and down along the shank's fall.
+
+    Parameters
+    ----------
+    per_shank : length of the foot, ankle to toe, as a share of the shank.
+    share_ahead, share_down : a standing foot slopes: shares of its length.
+    """
     forward = compute_forward(points)
     if np.isnan(forward).all():
         forward[:] = (0.0, 0.0, 1.0)
-    forward = _fill(forward[:, None])[:, 0]
+    forward = fill_gaps(forward[:, None])[:, 0]
     forward[np.isnan(forward).any(axis=1)] = (0.0, 0.0, 1.0)
     for side in ("left", "right"):
         ankle = points[:, J[f"{side}_ankle"]]
@@ -325,7 +319,7 @@ def _make_toes(points: FloatArray) -> None:
         squared = (shank * shank).sum(axis=1, keepdims=True) + 1e-300
         ahead = forward - shank * (forward * shank).sum(axis=1, keepdims=True) / squared
         ahead *= np.sqrt(squared) / (np.linalg.norm(ahead, axis=1, keepdims=True) + 1e-12)
-        points[:, J[f"{side}_toe"]] = ankle + _TOE_PER_SHANK * (_TOE_AHEAD * ahead + _TOE_DROP * shank)
+        points[:, J[f"{side}_toe"]] = ankle + per_shank * (share_ahead * ahead + share_down * shank)
 
 
 def _measure_height(recipe: Recipe, sample: FloatArray, rest: FloatArray | None) -> tuple[float, str]:
@@ -337,7 +331,7 @@ def _measure_height(recipe: Recipe, sample: FloatArray, rest: FloatArray | None)
         return part, "parts"
     if not chain > 0:
         raise JointMappingError("canonical.no_height")
-    if not chain < _NO_BODY:
+    if not chain < 1e9:
         raise JointMappingError("canonical.no_measure")
     upright = measure_rest(recipe, rest)
     if upright is not None and upright.fits(chain):

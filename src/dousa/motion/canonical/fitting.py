@@ -17,15 +17,13 @@ from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.rotations import between, conjugate, from_matrix, identity, multiply, rotate
 from dousa.motion.types import Motion, Skeleton, Trajectories
 
-# Rest pose: facing +Z, arms to the sides, legs down, feet sloping forward.
-_DOWN = (0.0, -1.0, 0.0)
-_SLOPE = (0.0, -0.4, 0.9165)
+# Directions of bones in the rest pose, by definition: facing +Z, arms to the sides, legs down, feet sloping forward.
 _REST = {
     "neck": (0.0, 1.0, 0.0),
     **{f"left_{joint}": (1.0, 0.0, 0.0) for joint in ("elbow", "wrist", "hand")},
     **{f"right_{joint}": (-1.0, 0.0, 0.0) for joint in ("elbow", "wrist", "hand")},
-    **{f"{side}_{joint}": _DOWN for side in ("left", "right") for joint in ("knee", "ankle")},
-    **{f"{side}_toe": _SLOPE for side in ("left", "right")},
+    **{f"{side}_{joint}": (0.0, -1.0, 0.0) for side in ("left", "right") for joint in ("knee", "ankle")},
+    **{f"{side}_toe": (0.0, -0.4, 0.9165) for side in ("left", "right")},
 }
 _CHILDREN = {
     joint: [child for child, parent in enumerate(CANONICAL_PARENTS) if parent == joint]

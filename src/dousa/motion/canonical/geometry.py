@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 
 from dousa.arrays import BoolArray, FloatArray
 from dousa.motion.canonical.anthropometry import stature_of_parts
-from dousa.motion.canonical.joint_centres import hips_from_markers, move_inside
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.recipes import Recipe
 from dousa.motion.types import Trajectories
@@ -23,30 +23,24 @@ _CHAIN = (
     ("spine", "pelvis"),
     *((f"{side}_{upper}", f"{side}_{lower}") for upper, lower in _LEG for side in ("left", "right")),
 )
-_BONES = np.zeros((len(_CHAIN) + 1, len(J)))
+CHAIN_BONES = np.array([[J[a], J[b], J[b]] for a, b in _CHAIN] + [[J["pelvis"], J["left_hip"], J["right_hip"]]])
+"""The bones of the chain: one end, and two joints in the middle of which the other end lies."""
 
-for _bone, (_a, _b) in enumerate(_CHAIN):
-    _BONES[_bone, [J[_a], J[_b]]] = 1.0, -1.0
-
-_BONES[-1, [J["pelvis"], J["left_hip"], J["right_hip"]]] = 1.0, -0.5, -0.5
+# The rows that make them of the joints, by this definition.
+_BONES = np.einsum("k,nkj->nj", [1.0, -0.5, -0.5], np.eye(len(J))[CHAIN_BONES])
 
 # A standing body is shorter than its bones end to end: the spine is curved, the legs are apart. Measured on the
 # upright rest poses of HDM05: 0.957 to 0.976.
 _POSTURE = 0.967
 
-# A standing foot slopes: the ankle is higher than the toe joint by this share of their distance.
-_FOOT_SLOPE = 0.4
-CHAIN_SHARES = _POSTURE * np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5, 0.5, 0.5 * _FOOT_SLOPE, 0.5 * _FOOT_SLOPE, 1.0])
-"""Of the bones of the chain, what each adds to the height."""
+CHAIN_SHARES = _POSTURE * np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5, 0.5, 0.2, 0.2, 1.0])
+"""Of the bones of the chain, what each adds to the height: by definition each leg half.
 
-CHAIN_BONES = np.array([[J[a], J[b], J[b]] for a, b in _CHAIN] + [[J["pelvis"], J["left_hip"], J["right_hip"]]])
-"""The bones of the chain: one end, and two joints in the middle of which the other end lies."""
+A standing foot slopes: the ankle is higher than the toe joint by 0.4 of their distance.
+"""
 
 STATURE_PER_HEIGHT = 1.1
 """The crown of the head and the sole of the foot lie beyond the joints."""
-
-_MAX_REST_MISMATCH = 0.1  # a rest pose whose bones are longer or shorter than the moving ones is not believed
-_UPRIGHT = 0.9  # cosine; a rest pose with trunk and legs this well along an axis is upright
 
 
 def chain_height(points: FloatArray) -> float:
@@ -81,9 +75,9 @@ class RestPose:
     axis: int
     chain: float
 
-    def fits(self, chain: float) -> bool:
-        """Return whether the moving body has these bones: files may replace the offsets frame by frame."""
-        return abs(self.chain - chain) <= _MAX_REST_MISMATCH * chain
+    def fits(self, chain: float, mismatch: float = 0.1) -> bool:
+        """Return whether the moving body has these bones, but for a share: files may replace the offsets."""
+        return abs(self.chain - chain) <= mismatch * chain
 
 
 def measure_rest(recipe: Recipe, rest_positions: FloatArray | None) -> RestPose | None:
@@ -106,7 +100,7 @@ def _measure_rest(recipe: Recipe, rest_bytes: bytes) -> RestPose | None:
     limbs = np.stack([trunk, *legs])
     axis = int(np.argmax(np.abs(trunk)))
     along = limbs[:, axis] * np.sign(trunk[axis])
-    if not (along > _UPRIGHT * np.sqrt((limbs * limbs).sum(axis=1))).all():
+    if not (along > 0.9 * np.sqrt((limbs * limbs).sum(axis=1))).all():
         return None
     return RestPose(float(np.ptp(pose[:, axis])), axis, chain_height(rest))
 
@@ -152,27 +146,209 @@ def _seen_mean(points: FloatArray) -> FloatArray:
     return mean
 
 
-# m/s; m; cosine between the way out and the way back; the shorter of both as a share of the longer
-_LEAP_SPEED, _LEAST_LEAP, _BACK, _ALIKE = 10.0, 0.1, -0.5, 0.4
-
-
-def find_leaps(points: FloatArray, frame_rate: float) -> BoolArray:
+def find_leaps(
+    points: FloatArray,
+    frame_rate: float,
+    *,
+    fastest: float = 10.0,
+    least: float = 0.1,
+    back: float = -0.5,
+    similar: float = 0.4,
+) -> BoolArray:
     """Find joints (T, 20) that leap for one frame and come back: glitches of a recording.
 
-    A leap goes out and back at over 10 m/s, by at least 10 cm: the fastest hands and feet take longer to turn round.
+    The fastest hands and feet take longer to turn round.
 
     Parameters
     ----------
     points : (T, 20, 3) m.
     frame_rate : Hz.
+    fastest, least : m/s and m of a leap, out and back.
+    back : largest cosine between the way out and the way back.
+    similar : the shorter of both as a share of the longer.
     """
     found = np.zeros(points.shape[:2], bool)
     steps = np.diff(points, axis=0)
     squared = np.einsum("tjk,tjk->tj", steps, steps)
-    far = np.sqrt(squared) > max(_LEAST_LEAP, _LEAP_SPEED / frame_rate)
+    far = np.sqrt(squared) > max(least, fastest / frame_rate)
     both = far[:-1] & far[1:]
     if both.any():
-        back = np.einsum("tjk,tjk->tj", steps[:-1], steps[1:])
-        alike = np.minimum(squared[:-1], squared[1:]) > _ALIKE**2 * np.maximum(squared[:-1], squared[1:])
-        found[1:-1] = both & alike & (back < _BACK * np.sqrt(squared[:-1] * squared[1:]))
+        returned = np.einsum("tjk,tjk->tj", steps[:-1], steps[1:])
+        both &= np.minimum(squared[:-1], squared[1:]) > similar**2 * np.maximum(squared[:-1], squared[1:])
+        found[1:-1] = both & (returned < back * np.sqrt(squared[:-1] * squared[1:]))
     return found
+
+
+# Breadths over the bones as shares of the stature: Ross & Wilson, "A stratagem for proportional growth assessment",
+# Acta Paediatrica Belgica 28 suppl. (1974): femur 9.52 cm, ankle 6.68, humerus 6.48, between the acromia 38.04, at
+# 170.18. A marker stands 7 mm off the bone (skin, and half of a ball of 9 to 14 mm).
+_STATURE = 170.18
+_MARKER = 0.7 / _STATURE  # as Ross & Wilson 1974
+_KNEE, _ANKLE, _ELBOW = (0.5 * breadth / _STATURE + _MARKER for breadth in (9.52, 6.68, 6.48))
+_BIACROMIAL = 38.04 / _STATURE  # Ross & Wilson 1974
+# Rab, Petuskey, Bagley, "A method for determination of upper extremity kinematics", Gait & Posture 15 (2002).
+_SHOULDER_DROP = 0.17  # of the distance between the acromia, down the trunk
+
+
+def hips_from_markers(
+    left_asis: FloatArray, right_asis: FloatArray, sacrum: FloatArray, below: FloatArray, *, metres: bool = False
+) -> FloatArray:
+    """Compute hip joint centres (T, 2, 3), left and right, from markers on the pelvis.
+
+    In metres: Harrington et al., "Prediction of the hip joint centre in adults, children, and patients with cerebral
+    palsy based on magnetic resonance imaging", J. Biomechanics 40 (2007): from the middle of the front spines (ASIS)
+    33 % of their distance and 7.3 mm to the side, 30 % of it and 10.9 mm down, and back 24 % of the depth of the
+    pelvis (from there to the middle of the back spines, or the sacrum) and 9.9 mm, in the plane of the spines. In an
+    unknown unit: Bell, Brand, Pedersen, "Prediction of hip joint centre location from external landmarks", Human
+    Movement Science 8 (1989): 36 % of the distance to the side, 19 % back and 30 % down.
+
+    Parameters
+    ----------
+    left_asis, right_asis, sacrum : (T, 3).
+    below : (T, 3) middle of the knees: the side of the plane that is down, in either handedness.
+    metres : whether the unit is metres.
+    """
+    middle = 0.5 * (left_asis + right_asis)
+    lateral = left_asis - right_asis
+    width = np.linalg.norm(lateral, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore"):  # markers that coincide
+        lateral = lateral / width
+    back = sacrum - middle
+    back = back - (back * lateral).sum(axis=-1, keepdims=True) * lateral
+    depth = np.linalg.norm(back, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore"):
+        back = back / depth
+    down = np.cross(back, lateral)
+    if np.nansum((below - middle) * down) < 0:
+        down = -down
+    if metres:
+        base = middle + (0.24 * depth + 0.0099) * back + (0.30 * width + 0.0109) * down
+        aside = 0.33 * width + 0.0073
+    else:
+        base = middle + width * (0.19 * back + 0.30 * down)
+        aside = 0.36 * width
+    return np.stack((base + aside * lateral, base - aside * lateral), axis=-2)
+
+
+def move_inside(points: FloatArray, skin: frozenset[str]) -> None:
+    """Move joints with a marker on one side only to the joint centres; changes the points.
+
+    Knee, ankle and elbow move inwards by half the breadth of bone and marker along the axis of the joint: across the
+    plane of a bent limb, parallel to hips or shoulders for a straight one. Shoulders move down the trunk.
+
+    Parameters
+    ----------
+    points : (T, 20, 3) canonical points; hips already made.
+    skin : canonical joints that are such markers.
+    """
+    stature = stature_of_parts(points)
+    if not skin or not stature > 0:
+        return
+    _lower_shoulders(points, skin, stature)
+    hips, shoulders = _outward(points, "hip"), _outward(points, "shoulder")
+    legs, arms = _limbs(("hip", "knee", "ankle")), _limbs(("shoulder", "elbow", "wrist"))
+    hand = _handedness(points, legs, hips)
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        leg, arm = legs[side], arms[side]
+        raw = points[:, leg].copy()
+        for _ in range(2):  # the second time with the plane of a limb that is nearly in place
+            axis = _joint_axis(points, leg, sign * hips, sign * hand)
+            if f"{side}_knee" in skin:
+                points[:, leg[1]] = raw[:, 1] - stature * _KNEE * _bounded(axis)
+            if f"{side}_ankle" in skin:
+                shank = points[:, leg[1]] - raw[:, 2]
+                points[:, leg[2]] = raw[:, 2] - stature * _ANKLE * _bounded(_across(axis, shank))
+        if f"{side}_elbow" in skin:
+            axis = _joint_axis(points, arm, sign * shoulders, -sign * hand)
+            points[:, arm[1]] -= stature * _ELBOW * _bounded(axis)
+
+
+def _limbs(joints: tuple[str, ...]) -> dict[str, list[int]]:
+    return {side: [J[f"{side}_{joint}"] for joint in joints] for side in ("left", "right")}
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    size = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore"):
+        units: FloatArray = vectors / np.where(size > 0, size, np.nan)
+    return units
+
+
+def _across(vectors: FloatArray, axis: FloatArray) -> FloatArray:
+    """The part of vectors (T, 3) across an axis (T, 3), not normalised."""
+    along = _unit(axis)
+    across: FloatArray = vectors - (vectors * along).sum(axis=1, keepdims=True) * along
+    return across
+
+
+def _bounded(axis: FloatArray, sure: float = 0.25) -> FloatArray:
+    """A direction (T, 3) of length 1; shorter where the vector is too short, 0 where it is unknown.
+
+    ``sure`` : sine of a bend from which on the plane of a limb gives the axis of its joint.
+    """
+    size = np.linalg.norm(axis, axis=1, keepdims=True)
+    bounded: FloatArray = np.nan_to_num(axis / np.maximum(size, sure))
+    return bounded
+
+
+def _outward(points: FloatArray, joint: str) -> FloatArray:
+    """Unit vectors (T, 3) from the right to the left of a pair; of the other pair where it is missing."""
+    pairs = [_unit(points[:, J[f"left_{one}"]] - points[:, J[f"right_{one}"]]) for one in (joint, "hip", "shoulder")]
+    found = pairs[0]
+    for other in pairs[1:]:
+        found = np.where(np.isnan(found), other, found)
+    return found
+
+
+def _normal(points: FloatArray, limb: list[int]) -> tuple[FloatArray, FloatArray]:
+    """Across the plane of a limb (T, 3), as long as the sine of its bend; and the direction of its upper bone."""
+    upper, lower = (_unit(points[:, a] - points[:, b]) for a, b in pairwise(limb))
+    return np.cross(upper, lower), upper
+
+
+def _handedness(points: FloatArray, legs: dict[str, list[int]], hips: FloatArray) -> float:
+    """-1 if the coordinates are left-handed: knees bend to the back and elbows to the front."""
+    total = 0.0
+    for side in ("left", "right"):
+        normal, upper = _normal(points, legs[side])
+        total += float(np.nansum(normal * _across(hips, upper)))
+    return -1.0 if total < 0 else 1.0
+
+
+def _joint_axis(
+    points: FloatArray, limb: list[int], outward: FloatArray, sense: float, bent: float = 2.0
+) -> FloatArray:
+    """Outward axis (T, 3) of the middle joint of a limb, longer where it is better known.
+
+    Parameters
+    ----------
+    sense : 1 if the cross product of upper and lower bone points outwards, -1 if inwards.
+    bent : weight of a bent limb for the axis, against the trunk's.
+    """
+    normal, upper = _normal(points, limb)
+    aside = _across(outward, upper)
+    axis: FloatArray = np.nan_to_num(aside) + sense * bent * np.nan_to_num(normal)
+    return np.where(np.isnan(upper), np.nan, axis)
+
+
+def _lower_shoulders(points: FloatArray, skin: frozenset[str], stature: float) -> None:
+    """Move shoulders from the acromia down the trunk, by Rab et al. (2002)."""
+    places = [J[f"{side}_shoulder"] for side in ("left", "right") if f"{side}_shoulder" in skin]
+    if not places:
+        return
+    both = points[:, [J["left_shoulder"], J["right_shoulder"]]]
+    width = float(np.nanmedian(np.linalg.norm(both[:, 0] - both[:, 1], axis=1))) if _seen(both) else np.nan
+    if not width > 0:
+        width = _BIACROMIAL * stature
+    top = points[:, J["neck"]]
+    for low in ("pelvis", "spine"):
+        down = points[:, J[low]] - top
+        if _seen(down[:, None]):
+            drop = np.nan_to_num(_SHOULDER_DROP * width * _unit(down))
+            points[:, places] += drop[:, None]
+            return
+
+
+def _seen(points: FloatArray) -> bool:
+    """Whether any frame shows all of some points (T, K, 3)."""
+    return bool((~np.isnan(points).any(axis=(1, 2))).any())

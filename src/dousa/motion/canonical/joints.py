@@ -33,6 +33,7 @@ JOINT_INDEX: dict[str, int] = {name: index for index, name in enumerate(CANONICA
 CANONICAL_PARENTS: tuple[int, ...] = tuple(
     JOINT_INDEX[_PARENT_NAMES[name]] if name in _PARENT_NAMES else -1 for name in CANONICAL_JOINTS
 )
+"""Index of each joint's parent, -1 for the pelvis, by the definition of the chains."""
 
 
 def _mirror(name: str) -> str:

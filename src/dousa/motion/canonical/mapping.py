@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from dousa.motion.canonical.anthropometry import FORE_LEGS, measure_proportions, walks_on_fours
+from dousa.motion.canonical.anthropometry import measure_proportions, walks_on_fours
 from dousa.motion.canonical.geometry import body_points
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
 from dousa.motion.canonical.naming import list_bodies, named_by_estimators, owner_of
@@ -88,25 +88,24 @@ def _candidates(names: tuple[str, ...], sample: Trajectories, *, use_tree: bool)
         yield from partial_recipes(names)
 
 
-_WIDE_HIPS = 0.34  # of the leg: hip joints of people are at most 0.3 of it apart, trochanters 0.4
+def _marks_the_skin(recipe: Recipe, sample: Trajectories, wide_hips: float = 0.34) -> bool:
+    """Whether joints are in fact markers on their outer side: hips are as wide as the trochanters.
 
-
-def _marks_the_skin(recipe: Recipe, sample: Trajectories) -> bool:
-    """Whether joints are in fact markers on their outer side: hips are as wide as the trochanters."""
+    ``wide_hips`` : share of the leg; hip joints of people are at most 0.3 of it apart, trochanters 0.4.
+    """
     if sample.parents is not None or "left_hip" not in recipe.sources or recipe.skin:
         return False
     points = body_points(recipe, spread_frames(sample.positions))
-    return measure_proportions(points).ratios["hips_per_leg"] > _WIDE_HIPS
+    return measure_proportions(points).ratios["hips_per_leg"] > wide_hips
 
 
-_TAILED = 0.6  # as FORE_LEGS, of a skeleton with a tail
 _TAIL = re.compile(r"(?<![A-Za-z])tail|(?<=[a-z])Tail", re.IGNORECASE)
 
 
 def _is_animal(recipe: Recipe, sample: Trajectories) -> bool:
     tailed = any(_TAIL.search(name) for name in sample.names)
     points = body_points(recipe, spread_frames(sample.positions))
-    return walks_on_fours(points, _TAILED if tailed else FORE_LEGS)
+    return walks_on_fours(points, fore_legs=0.6) if tailed else walks_on_fours(points)
 
 
 def _is_person(recipe: Recipe, sample: Trajectories) -> bool:

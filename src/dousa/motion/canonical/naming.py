@@ -37,7 +37,6 @@ _FIRST_WORDS = frozenset(
     {"def", "org", "joint", "jnt", "bone", "c", "m", "f", "avg", "mixamorig", "valvebiped", "bip01", "bip001"}
 )
 _LAST_WORDS = frozenset({"jnt", "joint", "bone", "study"})
-_SHARED = 0.8  # a first or last word of this share of the names is no part of any name
 
 
 def _load_tables() -> dict[str, dict[str, str]]:
@@ -103,11 +102,11 @@ def _split(name: str) -> list[str]:
     return [re.sub(r"(?<!\d)0+(?=\d)", "", word).lower() for word in words]
 
 
-def _common(rows: list[list[str]], place: int) -> str:
-    """First (place 0) or last (-1) word shared by nearly all names of several words; empty if none."""
+def _common(rows: list[list[str]], place: int, shared: float = 0.8) -> str:
+    """First (place 0) or last (-1) word that a share of the names of several words has; empty if none."""
     ends = [row[place] for row in rows if len(row) > 1]
     word = max(set(ends), key=ends.count) if ends else ""
-    return word if word not in _SIDES and ends.count(word) >= _SHARED * sum(map(bool, rows)) else ""
+    return word if word not in _SIDES and ends.count(word) >= shared * sum(map(bool, rows)) else ""
 
 
 def _without_prefix(words: list[list[str]]) -> list[list[str]]:
@@ -126,11 +125,11 @@ def _without_prefix(words: list[list[str]]) -> list[list[str]]:
     return cleaned
 
 
-def _without_numbers(words: list[list[str]]) -> list[list[str]]:
-    """Drop the numbers that count the names: ``23 left hip`` and ``left hip 23``."""
+def _without_numbers(words: list[list[str]], shared: float = 0.8) -> list[list[str]]:
+    """Drop the numbers that count a share of the names: ``23 left hip`` and ``left hip 23``."""
     for place in (0, -1):
         counted = [len(row) > 1 and row[place].isdecimal() for row in words]
-        if sum(counted) < max(5, _SHARED * len(words)):
+        if sum(counted) < max(5, shared * len(words)):
             continue
         rest = slice(1, None) if place == 0 else slice(None, -1)
         bare = [row[rest] if number else row for row, number in zip(words, counted, strict=True)]
@@ -262,24 +261,23 @@ def named_by_estimators(names: tuple[str, ...]) -> bool:
     return any(signs <= cores for signs in _ESTIMATED)
 
 
-_LEAST_MARKERS, _ALIKE = 8, 0.6
 _OWNER = re.compile(r"^\s*([^:_]{2,})[:_]\s*(?=\S)")
 
 
 @lru_cache(maxsize=256)
-def list_bodies(names: tuple[str, ...]) -> tuple[str, ...]:
+def list_bodies(names: tuple[str, ...], least: int = 8, similar: float = 0.6) -> tuple[str, ...]:
     """Return the owners of markers of several people: ``Anna:LASI`` and ``Ben:LASI``, or ``S1_LASI`` ...
 
-    The owners have at least eight markers each, most of which the first has too; () if there is only one.
+    The owners have at least so many markers each, of which the first has a share too; () if there is only one.
     """
     markers: dict[str, set[str]] = {}
     for name in names:
         owner = _OWNER.match(name)
         if owner is not None and owner[1].lower() not in _SIDES and owner[1].lower() not in _FIRST_WORDS:
             markers.setdefault(owner[1], set()).add(name[owner.end() :])
-    owners = [owner for owner, own in markers.items() if len(own) >= _LEAST_MARKERS]
-    alike = [o for o in owners if len(markers[o] & markers[owners[0]]) >= _ALIKE * len(markers[o])]
-    return tuple(alike) if len(alike) > 1 else ()
+    owners = [owner for owner, own in markers.items() if len(own) >= least]
+    bodies = [o for o in owners if len(markers[o] & markers[owners[0]]) >= similar * len(markers[o])]
+    return tuple(bodies) if len(bodies) > 1 else ()
 
 
 def owner_of(name: str) -> str:

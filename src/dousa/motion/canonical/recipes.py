@@ -24,10 +24,6 @@ from dousa.motion.canonical.naming import NameMatch, find_missing, holds_limb, m
 HAND_REACH = 0.4
 """Wrist to knuckles as a share of the forearm; Winter, Biomechanics of human movement: about 0.058 H / 0.146 H."""
 
-_HEAD_REACH = 0.45  # neck to head, as a share of pelvis to neck
-_SPINE_SHARE = 0.4  # where the joint between pelvis and neck lies in most skeletons
-_TROCHANTER_DEPTH = 0.2  # of the distance of the trochanters: how far inside of them the hip joints are
-
 Weights = dict[int, float]
 
 
@@ -95,12 +91,18 @@ def _blend(rows: dict[str, Weights], name: str, *terms: tuple[float, str]) -> No
         rows[name] = _combine(*((factor, rows[joint]) for factor, joint in terms))
 
 
-def _complete(rows: dict[str, Weights]) -> None:
-    """Make joints without a point from those that are there; the others stay absent."""
+def _complete(rows: dict[str, Weights], spine_share: float = 0.4, head_reach: float = 0.45) -> None:
+    """Make joints without a point from those that are there; the others stay absent.
+
+    Parameters
+    ----------
+    spine_share : of pelvis to neck, where the joint between them lies in most skeletons.
+    head_reach : neck to head, as a share of pelvis to neck.
+    """
     _blend(rows, "pelvis", (0.5, "left_hip"), (0.5, "right_hip"))
     _blend(rows, "neck", (0.5, "left_shoulder"), (0.5, "right_shoulder"))
-    _blend(rows, "spine", (1 - _SPINE_SHARE, "pelvis"), (_SPINE_SHARE, "neck"))
-    _blend(rows, "head", (1 + _HEAD_REACH, "neck"), (-_HEAD_REACH, "pelvis"))
+    _blend(rows, "spine", (1 - spine_share, "pelvis"), (spine_share, "neck"))
+    _blend(rows, "head", (1 + head_reach, "neck"), (-head_reach, "pelvis"))
     for side in ("left", "right"):
         _blend(rows, f"{side}_hand", (1 + HAND_REACH, f"{side}_wrist"), (-HAND_REACH, f"{side}_elbow"))
         if f"{side}_ankle" in rows and f"{side}_knee" in rows:
@@ -136,8 +138,13 @@ def compile_recipe(table: str, sources: dict[str, tuple[int, ...]], skin: frozen
     return Recipe(table, kept, derived, gather, tuple(blends), markers, has_toes, absent, skin & set(kept))
 
 
-def _hip_markers(sources: dict[str, tuple[int, ...]], rows: dict[str, Weights]) -> tuple[tuple[int, ...], ...]:
-    """Markers that hips are made from: spines of the pelvis and sacrum; places in ``rows`` until then."""
+def _hip_markers(
+    sources: dict[str, tuple[int, ...]], rows: dict[str, Weights], inward: float = 0.2
+) -> tuple[tuple[int, ...], ...]:
+    """Markers that hips are made from: spines of the pelvis and sacrum; places in ``rows`` until then.
+
+    ``inward`` : how far inside of the trochanters the hip joints are, as a share of their distance.
+    """
     if "left_hip" in rows and "right_hip" in rows:
         return ()
     spines = ("left_asis", "right_asis", "sacrum")
@@ -150,7 +157,6 @@ def _hip_markers(sources: dict[str, tuple[int, ...]], rows: dict[str, Weights]) 
         return markers
     if all(place in sources for place in trochanters):
         left, right = (_mean(sources[place]) for place in trochanters)
-        inward = _TROCHANTER_DEPTH
         rows["left_hip"] = _combine((1 - inward, left), (inward, right))
         rows["right_hip"] = _combine((1 - inward, right), (inward, left))
     return ()
@@ -183,8 +189,6 @@ def on_the_skin(recipe: Recipe) -> Recipe:
 
 JointMap = Mapping[str, str | Sequence[str]]
 
-_MOST_BYTES = 1_000_000
-
 
 def read_joint_map(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
     """Read a joint map, canonical joint -> names in the file, from TOML, JSON or lines ``canonical = name``.
@@ -195,7 +199,7 @@ def read_joint_map(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
     """
     where = os.fspath(path)
     try:
-        if Path(path).stat().st_size > _MOST_BYTES:
+        if Path(path).stat().st_size > 1_000_000:
             raise OptionError("joint_map.too_large", where=where)
         text = Path(path).read_text(encoding="utf-8-sig")
     except OSError as error:

@@ -34,36 +34,12 @@ from dousa.motion.types import Motion, Skeleton, Trajectories, freeze
 CMU_UNIT = 0.0254 / 0.45
 """Metres per unit of the files made from the CMU database, whose lengths are inches times 0.45."""
 
-_UNITS = {
-    "m": 1.0,
-    "metre": 1.0,
-    "metres": 1.0,
-    "meter": 1.0,
-    "meters": 1.0,
-    "dm": 0.1,
-    "cm": 0.01,
-    "mm": 0.001,
-    "inch": 0.0254,
-    "inches": 0.0254,
-    "in": 0.0254,
-    "ft": 0.3048,
-    "foot": 0.3048,
-    "feet": 0.3048,
-    "cmu": CMU_UNIT,
-}
-_PREFIXED = re.compile(r"(milli|centi|deci)met(?:re|er)s?")
-_COMMON = (1.0, 0.01, 0.001)
-_RARE = (CMU_UNIT, 0.0254, 0.1, 0.3048)
-_COMMON_STATURE = (0.8, 2.5)  # m, a child of two to a giant
-_RARE_STATURE = (1.35, 2.2)  # m
-_POSSIBLE_STATURE = (0.3, 3.0)  # m; beyond, a declared unit is not believed
-_USUAL_STATURE = (1.3, 2.15)  # m; beyond, a unit that was inferred is doubtful
-_DECLARED_STATURE = (0.9, 2.3)  # m; beyond, a declared one is
-_SMALLEST_CLOUD, _LARGEST_CLOUD = 0.02, 6.0  # m: extent of points without a map
-_ASSUMED_STATURE = 1.7  # m
-_ADULT_STATURE = (1.4, 2.05)  # m
+# Metres per unit, by definition; words for units of length in all spellings come down to these.
+_UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048, "cmu": CMU_UNIT}
+_METRES = re.compile(r"(milli|centi|deci|)met(?:re|er)s?")
+_SPELLINGS = {"inch": "in", "inches": "in", "foot": "ft", "feet": "ft"}
 
-# Rows: where the file's axes point once the axis of the key points to +Y. All are rotations.
+# Rows, by definition: where the file's axes point once the axis of the key points to +Y. All are rotations.
 _ROTATIONS: dict[str, FloatArray] = {
     "x": np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
     "-x": np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
@@ -111,7 +87,7 @@ def parse_unit(text: str | float) -> float:
     OptionError : anything else.
     """
     key = str(text).strip().lower()
-    key = _PREFIXED.sub(lambda word: word[1][0] + "m", key)
+    key = _SPELLINGS.get(key) or _METRES.sub(lambda word: word[1][:1] + "m", key)
     if key in _UNITS:
         return _UNITS[key]
     try:
@@ -140,6 +116,7 @@ def infer_reference_frame(
     declared_up: str | None = None,
     default_up: str | None = "y",
     whole: Callable[[], Trajectories] | None = None,
+    assumed: float = 1.7,
 ) -> ReferenceFrame:
     """Find the unit and the up axis of a file.
 
@@ -154,6 +131,7 @@ def infer_reference_frame(
     declared_up : up axis in the file; rejected if the body clearly stands along another.
     default_up : usual up axis of the format; None if it has none.
     whole : returns all frames, used where the sample leaves a doubt.
+    assumed : m, stature where no usual unit makes the body a plausible one.
     """
     chosen = choose_map(sample)
     recipe = None if chosen is None else chosen.recipe
@@ -162,10 +140,10 @@ def infer_reference_frame(
     if unit is not None:
         found: tuple[float, str, tuple[Message, ...]] = (unit, "given", ())
     elif declared_unit is None and points is not None and _is_normalised(stature, sample.names):
-        assumed = _ASSUMED_STATURE / stature
-        found = (assumed, "assumed", (Message("units.normalised", stature=stature, unit=assumed, share=1 / stature),))
+        note = Message("units.normalised", stature=stature, unit=assumed / stature, share=1 / stature)
+        found = (assumed / stature, "assumed", (note,))
     else:
-        found = _choose_unit(stature, declared_unit, mapped=points is not None)
+        found = _choose_unit(stature, declared_unit, assumed, mapped=points is not None)
     if up is not None:
         axis: tuple[str, str, tuple[Message, ...]] = (parse_up(up), "given", ())
     elif recipe is None or points is None or not stature > 0:
@@ -222,52 +200,72 @@ def _up_of_a_cloud(
     return up, "guessed", (Message("units.guessed_up", up=up, second="y" if up == "z" else "z"),)
 
 
-def _choose_unit(stature: float, declared: float | None, *, mapped: bool) -> tuple[float, str, tuple[Message, ...]]:
+def _choose_unit(
+    stature: float,
+    declared: float | None,
+    assumed: float,
+    *,
+    mapped: bool,
+    possible: tuple[float, float] = (0.3, 3.0),
+    declarable: tuple[float, float] = (0.9, 2.3),
+    usual: tuple[float, float] = (1.3, 2.15),
+    cloud: tuple[float, float] = (0.02, 6.0),
+) -> tuple[float, str, tuple[Message, ...]]:
     """Metres per unit for a body of this stature in file units (NaN or 0 if it could not be measured).
 
-    ``mapped`` : whether the stature is that of a body, not the extent of some points.
+    Parameters
+    ----------
+    mapped : whether the stature is that of a body, not the extent of some points.
+    possible : m; beyond this stature a declared unit is not believed.
+    declarable, usual : m; beyond this stature a declared, or an inferred unit is doubtful.
+    cloud : m; beyond this extent of points without a map a declared unit is doubtful.
     """
     measured = bool(np.isfinite(stature)) and stature > 0
-    low, high = _POSSIBLE_STATURE
+    low, high = possible
     if declared is not None and (not measured or not mapped or low <= stature * declared <= high):
         extent = stature * declared if measured else 1.0
-        if not mapped and not _SMALLEST_CLOUD <= extent <= _LARGEST_CLOUD:
+        if not mapped and not cloud[0] <= extent <= cloud[1]:
             return declared, "declared", (Message("units.odd_extent", unit=declared, extent=extent),)
-        if mapped and measured and not _DECLARED_STATURE[0] <= extent <= _DECLARED_STATURE[1]:
+        if mapped and measured and not declarable[0] <= extent <= declarable[1]:
             return declared, "declared", (Message("units.odd_body", unit=declared, stature=extent),)
         return declared, "declared", ()
     if not measured:
         return 1.0, "assumed", ()
-    unit, source = _likely_unit(stature)
+    unit, source = _likely_unit(stature, assumed)
     notes = []
     if declared is not None:
         notes.append(Message("units.other_unit", declared=declared, stature=stature * declared, unit=unit))
     if source == "assumed":
         if not mapped:
             return 1.0, "assumed", (Message("units.unknown", extent=stature),)
-        notes.append(Message("units.assumed", unit=unit, share=unit / _ASSUMED_STATURE))
-    elif not _USUAL_STATURE[0] <= stature * unit <= _USUAL_STATURE[1] and mapped:
-        notes.append(Message("units.unusual", unit=unit, stature=stature * unit, adult=_ASSUMED_STATURE / stature))
+        notes.append(Message("units.assumed", unit=unit, share=unit / assumed))
+    elif not usual[0] <= stature * unit <= usual[1] and mapped:
+        notes.append(Message("units.unusual", unit=unit, stature=stature * unit, adult=assumed / stature))
     return unit, source, tuple(notes)
 
 
-def _is_normalised(stature: float, names: tuple[str, ...]) -> bool:
+def _is_normalised(
+    stature: float,
+    names: tuple[str, ...],
+    person: tuple[float, float] = (0.8, 2.5),
+    adult: tuple[float, float] = (1.4, 2.05),
+) -> bool:
     """Whether a body of a pose estimator is about a metre tall in file units, but no adult.
 
-    Such methods scale bodies by a constant; in metres most people are between 1.4 and 2.05 m tall.
+    Such methods scale bodies by a constant. ``person``, ``adult`` : m, least and greatest stature.
     """
-    low, high = _COMMON_STATURE
-    if not low <= stature <= high or _ADULT_STATURE[0] <= stature <= _ADULT_STATURE[1]:
+    if not person[0] <= stature <= person[1] or adult[0] <= stature <= adult[1]:
         return False
     return named_by_estimators(names)
 
 
-def _likely_unit(stature: float) -> tuple[float, str]:
-    for units, (low, high) in ((_COMMON, _COMMON_STATURE), (_RARE, _RARE_STATURE)):
+def _likely_unit(stature: float, assumed: float) -> tuple[float, str]:
+    """The first usual unit that makes a person: a child of two to a giant; rarer units must make an adult."""
+    for units, low, high in (((1.0, 0.01, 0.001), 0.8, 2.5), ((CMU_UNIT, 0.0254, 0.1, 0.3048), 1.35, 2.2)):
         for candidate in units:
             if low <= stature * candidate <= high:
                 return candidate, "inferred"
-    return _ASSUMED_STATURE / stature, "assumed"
+    return assumed / stature, "assumed"
 
 
 def to_reference_frame(moving: _Moving, frame: ReferenceFrame) -> _Moving:

@@ -18,14 +18,6 @@ from dousa.motion.canonical.joints import CANONICAL_JOINTS
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.recipes import Recipe, compile_recipe
 
-_CLEAR = 0.08  # below this score the sides are unclear
-_MOST = 3.0  # of the score of one frame
-_MAX_FRAMES = 32
-_SLACK = 0.05  # a limb straighter than this share of its length has no bend worth counting
-
-# Weights that make one toe-length, one bent knee ... comparable; forward parts are in trunk lengths.
-_TOE, _HAND, _KNEE, _ELBOW = 4.0, 0.5, 2.0, 1.0
-
 
 def _rows(*terms: tuple[float, str]) -> FloatArray:
     row = np.zeros(len(CANONICAL_JOINTS))
@@ -34,8 +26,8 @@ def _rows(*terms: tuple[float, str]) -> FloatArray:
     return row
 
 
-# Across hips and shoulders; the trunk; mean foot; mean reach of the arms; then for both legs and both arms the
-# upper bone (hip to knee, shoulder to elbow) and the whole limb.
+# By definition: across hips and shoulders; the trunk; mean foot; mean reach of the arms; then for both legs and both
+# arms the upper bone (hip to knee, shoulder to elbow) and the whole limb.
 _ROWS = np.stack(
     [
         _rows((1, "left_hip"), (-1, "right_hip")),
@@ -51,14 +43,13 @@ _ROWS = np.stack(
         ),
     ]
 )
+# Trunks of a part of a body, by definition: legs, or head and elbows.
 _PART_TRUNKS = np.stack(
     [
         _rows((0.5, "left_hip"), (0.5, "right_hip"), (-0.5, "left_ankle"), (-0.5, "right_ankle")),
         _rows((1.0, "head"), (-0.5, "left_elbow"), (-0.5, "right_elbow")),
     ]
 )
-_OUTWARD_WEIGHTS = np.array([_TOE, _HAND])
-_BEND_WEIGHTS = 0.5 * np.array([_KNEE, _KNEE, -_ELBOW, -_ELBOW])
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -115,17 +106,30 @@ def compute_forward(points: FloatArray) -> FloatArray:
     return _forward(*_measure(points))
 
 
-def spread_frames(points: FloatArray) -> FloatArray:
+def spread_frames(points: FloatArray, most: int = 32) -> FloatArray:
     """Return at most 32 frames of (T, ..., 3), evenly spread: enough for sides, heights and shapes."""
-    if len(points) <= _MAX_FRAMES:
+    if len(points) <= most:
         return points
-    return points[np.linspace(0, len(points) - 1, _MAX_FRAMES).round().astype(np.intp)]
+    return points[np.linspace(0, len(points) - 1, most).round().astype(np.intp)]
 
 
-def score_sides(points: FloatArray) -> float:
+def score_sides(
+    points: FloatArray,
+    *,
+    outward_weights: tuple[float, float] = (4.0, 0.5),
+    bend_weights: tuple[float, float] = (1.0, 0.5),
+    slack: float = 0.05,
+    most: float = 3.0,
+) -> float:
     """Score the named sides: +1 if left is left, -1 if the body looks mirrored, near 0 if unclear (0 if all is NaN).
 
-    ``points`` : (T, 20, 3) in right-handed axes, any unit; at most 32 frames, evenly spread, are used.
+    Parameters
+    ----------
+    points : (T, 20, 3) in right-handed axes, any unit; at most 32 frames, evenly spread, are used.
+    outward_weights : of feet and arms to the front, in lengths of the trunk.
+    bend_weights : of a knee to the front, and of an elbow to the back.
+    slack : a limb straighter than this share of its length has no bend.
+    most : of the score of one frame: a joint far away in some frames counts no more than others.
     """
     points = spread_frames(points)
     vectors, sizes = _measure(points)
@@ -134,12 +138,13 @@ def score_sides(points: FloatArray) -> float:
     upper, whole = slice(5, 9), slice(9, 13)
     share = np.einsum("tjk,tjk->tj", vectors[:, upper], vectors[:, whole]) / sizes[:, whole] ** 2
     bend = (ahead[:, upper] - share * ahead[:, whole]) / (2.0 * sizes[:, upper])
-    bend -= np.clip(bend, -_SLACK, _SLACK)
+    bend -= np.clip(bend, -slack, slack)
     bend[np.isnan(bend)] = 0.0  # a bone of no length does not bend
     outward = ahead[:, 3:5]
     outward[:, np.isnan(outward).all(axis=0)] = 0.0  # no feet, or no arms
-    scores = (outward @ _OUTWARD_WEIGHTS) / sizes[:, 2] + bend @ _BEND_WEIGHTS
-    scores = np.clip(scores, -_MOST, _MOST)  # a joint far away in some frames counts no more than others
+    knee, elbow = bend_weights
+    scores = (outward @ np.array(outward_weights)) / sizes[:, 2] + bend @ np.array([knee, knee, -elbow, -elbow])
+    scores = np.clip(scores, -most, most)
     total = float(scores.mean())
     if np.isnan(total):
         scores = scores[~np.isnan(scores)]
@@ -147,41 +152,26 @@ def score_sides(points: FloatArray) -> float:
     return total
 
 
-def compare_sides(points: FloatArray) -> str:
+def compare_sides(points: FloatArray, clear: float = 0.08) -> str:
     """Return whether named and geometrical sides ``"agree"``, ``"disagree"`` or are ``"unclear"``."""
     score = score_sides(points)
-    if abs(score) < _CLEAR:
+    if abs(score) < clear:
         return "unclear"
     return "agree" if score > 0 else "disagree"
 
 
-_COINCIDENT = 1e-3  # of the median bone: joints this near are one place
-_MAX_JOINTS = 1000
-
-_UNEQUAL = 0.12  # of the sum: how different the two branches of a pair may be
-_MAX_COST = 4.0
-
-# A person's proportions, and how much their logarithms scatter over skeletons.
-_LEG_PER_TRUNK, _LEG_SCATTER = 2.9, 0.35
-_ARM_PER_LEG, _ARM_SCATTER = 0.72, 0.2
-_THIGH_PER_SHANK = 1.0
-_UPPER_ARM_PER_FOREARM = 1.2
-_TOE_PER_SHANK = 0.35
-_HAND_PER_FOREARM = 0.8
-_SPINE_SHARE = 0.38  # of the way from pelvis to neck
-_LEG = ("hip", "knee", "ankle", "toe")
-_ARM = ("shoulder", "elbow", "wrist", "hand")
-
-
 class _Tree:
-    """The places of a skeleton (coincident joints merged) as an undirected tree with bone lengths."""
+    """The places of a skeleton as an undirected tree with bone lengths.
 
-    def __init__(self, parents: FloatArray, positions: FloatArray) -> None:
+    Joints nearer to each other than the share ``coincident`` of the median bone are one place.
+    """
+
+    def __init__(self, parents: FloatArray, positions: FloatArray, coincident: float = 1e-3) -> None:
         self.positions = positions
         self.neighbours: dict[int, dict[int, float]] = {}
         place = list(range(len(parents)))
         bones = [self.distance(j, int(p)) for j, p in enumerate(parents) if p >= 0]
-        limit = _COINCIDENT * float(np.median([b for b in bones if b > 0] or [0.0]))
+        limit = coincident * float(np.median([b for b in bones if b > 0] or [0.0]))
         for joint, parent in enumerate(parents):
             if parent < 0:
                 self.neighbours[joint] = {}
@@ -234,13 +224,13 @@ class _Fork:
         self.node = node
         self.branches = {first: tree.branch(node, first) for first in tree.neighbours[node]}
 
-    def pairs(self, without: int) -> list[tuple[float, float, list[int], list[int]]]:
-        """Pairs of branches of nearly equal length: (mean length, inequality, path, path)."""
+    def pairs(self, without: int, most_unequal: float = 0.12) -> list[tuple[float, float, list[int], list[int]]]:
+        """Pairs of branches of nearly equal length: (mean length, inequality as a share of the sum, path, path)."""
         found = []
         others = [branch for first, branch in self.branches.items() if first != without]
         for (a, path_a), (b, path_b) in combinations(others, 2):
             unequal = abs(a - b) / (a + b)
-            if unequal < _UNEQUAL and min(len(path_a), len(path_b)) >= 3:
+            if unequal < most_unequal and min(len(path_a), len(path_b)) >= 3:
                 found.append((0.5 * (a + b), unequal, path_a, path_b))
         return found
 
@@ -248,8 +238,17 @@ class _Fork:
 _Body = tuple[float, list[int], list[list[int]], list[list[int]]]
 
 
-def _judge(tree: _Tree, pelvis: _Fork, chest: _Fork) -> _Body | None:
-    """The cheapest reading of two forks as pelvis and chest: (cost, trunk, legs, arms)."""
+def _judge(
+    tree: _Tree,
+    pelvis: _Fork,
+    chest: _Fork,
+    leg_per_trunk: tuple[float, float] = (2.9, 0.35),
+    arm_per_leg: tuple[float, float] = (0.72, 0.2),
+) -> _Body | None:
+    """The cheapest reading of two forks as pelvis and chest: (cost, trunk, legs, arms).
+
+    ``leg_per_trunk``, ``arm_per_leg`` : a person's proportions, and how much their logarithms scatter over skeletons.
+    """
     trunk = tree.path(pelvis.node, chest.node)
     if len(trunk) < 2:
         return None
@@ -261,8 +260,8 @@ def _judge(tree: _Tree, pelvis: _Fork, chest: _Fork) -> _Body | None:
         down = tips - tree.positions[:, pelvis.node]
         cosine = np.median((up * down).sum(axis=1) / np.sqrt((up * up).sum(axis=1) * (down * down).sum(axis=1)))
         for arm, arm_unequal, *arms in chest.pairs(without=trunk[-2]):
-            cost = (np.log(leg / size / _LEG_PER_TRUNK) / _LEG_SCATTER) ** 2
-            cost += (np.log(arm / leg / _ARM_PER_LEG) / _ARM_SCATTER) ** 2
+            cost = (np.log(leg / size / leg_per_trunk[0]) / leg_per_trunk[1]) ** 2
+            cost += (np.log(arm / leg / arm_per_leg[0]) / arm_per_leg[1]) ** 2
             cost += 5.0 * (leg_unequal + arm_unequal) + (1.0 + cosine)
             cost += 0.5 * (len(chest.branches) < 4) + 0.2 * (len(pelvis.branches) > 3)
             if best is None or cost < best[0]:
@@ -270,10 +269,10 @@ def _judge(tree: _Tree, pelvis: _Fork, chest: _Fork) -> _Body | None:
     return best
 
 
-def _find_body(tree: _Tree) -> _Body | None:
+def _find_body(tree: _Tree, most_cost: float = 4.0) -> _Body | None:
     forks = [_Fork(tree, node) for node, neighbours in tree.neighbours.items() if len(neighbours) >= 3]
     bodies = [_judge(tree, a, b) for a in forks for b in forks if a is not b]
-    found = [body for body in bodies if body is not None and body[0] < _MAX_COST]
+    found = [body for body in bodies if body is not None and body[0] < most_cost]
     return min(found, key=lambda body: body[0]) if found else None
 
 
@@ -318,7 +317,8 @@ def _limb_sources(
     return found
 
 
-def _trunk_sources(tree: _Tree, body: _Body, shoulders: list[int]) -> dict[str, int]:
+def _trunk_sources(tree: _Tree, body: _Body, shoulders: list[int], spine_share: float = 0.38) -> dict[str, int]:
+    """The joints of the trunk; the spine is the one nearest to a share of the way from pelvis to neck."""
     _, trunk, _, arms = body
     chest = trunk[-1]
     used = {trunk[-2], arms[0][0], arms[1][0]}
@@ -338,9 +338,7 @@ def _trunk_sources(tree: _Tree, body: _Body, shoulders: list[int]) -> dict[str, 
     inner = spine[1:-1]
     sources = {"pelvis": trunk[0], "neck": neck}
     if inner:
-        sources["spine"] = min(
-            inner, key=lambda j: abs(tree.length(spine[: spine.index(j) + 1]) - _SPINE_SHARE * whole)
-        )
+        sources["spine"] = min(inner, key=lambda j: abs(tree.length(spine[: spine.index(j) + 1]) - spine_share * whole))
     if upper[-1] != neck:
         sources["head"] = upper[-1]
     return sources
@@ -356,7 +354,7 @@ def shape_sources(parents: ArrayLike, positions: FloatArray) -> dict[str, tuple[
     """
     parents = np.asarray(parents)
     seen = positions[~np.isnan(positions).any(axis=(1, 2))]
-    if not len(seen) or not 8 <= len(parents) <= _MAX_JOINTS:
+    if not len(seen) or not 8 <= len(parents) <= 1000:
         return None
     seen = spread_frames(seen)
     tree = _Tree(parents, seen)
@@ -364,8 +362,9 @@ def shape_sources(parents: ArrayLike, positions: FloatArray) -> dict[str, tuple[
     if body is None:
         return None
     _, _, legs, arms = body
-    legs_found = _limb_sources(tree, legs, _LEG, _THIGH_PER_SHANK, _TOE_PER_SHANK)
-    arms_found = _limb_sources(tree, arms, _ARM, _UPPER_ARM_PER_FOREARM, _HAND_PER_FOREARM)
+    # A person's: thigh per shank and toe per shank, upper arm per forearm and hand per forearm.
+    legs_found = _limb_sources(tree, legs, ("hip", "knee", "ankle", "toe"), ratio=1.0, share=0.35)
+    arms_found = _limb_sources(tree, arms, ("shoulder", "elbow", "wrist", "hand"), ratio=1.2, share=0.8)
     shoulders = [arm["shoulder"] for arm in arms_found]
     hips = [leg["hip"] for leg in legs_found]
     across = (seen[:, hips[0]] - seen[:, hips[1]]) * (seen[:, shoulders[0]] - seen[:, shoulders[1]])

@@ -14,6 +14,7 @@ file of them was wrong. Below it the answer is a guess, and the next best axis i
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -25,30 +26,10 @@ from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.recipes import Recipe
 
 AXES = ("y", "z", "x", "-y", "-z", "-x")
+# The unit vector of each axis.
 _VECTORS = {name: np.eye(3)["xyz".index(name[-1])] * (-1.0 if name.startswith("-") else 1.0) for name in AXES}
 
-_CLEAR = 1.5
-_HABIT, _DECLARED, _UNUSUAL = 0.7, 4.0, -3.0
-_CAMERA = -1.5  # points without a skeleton may be in the axes of a camera, y down
-# Mean cosine between the body and the axis, and the logarithm of how often files are like that.
-_POSTURE = ([-1.0, -0.3, 0.0, 0.3, 0.6, 0.8, 1.0], [-8.0, -6.0, -3.5, -2.5, -1.0, -0.1, 0.0])
-_FLOOR_LEVELS = ((0.04, 2.2), (0.1, 1.5), (0.2, 0.5))  # heights of the body: how near to zero the lowest points are
-_STEADY, _UNSTEADY = (0.05, 1.0), (0.15, -1.5)  # heights of the body: scatter of the lowest points over time
-_FAR, _FAR_SCORE = 0.7, -3.0  # heights of the body: a floor this far from zero
-_LYING, _FLAT, _FLAT_SCORE, _BELOW = (
-    0.4,
-    0.4,
-    2.0,
-    -0.035,
-)  # a body across the axis that is no thicker than this lies on the floor
-_CENTRED, _CENTRED_SCORE = 0.02, -1.5  # a pelvis at zero along an axis was put there: people stand on floors
-_REST, _REST_COSINE, _REST_ALONG_X = 2.9, 0.8, 0.3  # rest poses along x are a habit of drawing bones
-_FALL_SCORE, _GRAVITY = 3.0, 9.81
-_STANDING, _NEARLY_ALL, _MOSTLY, _TUMBLING = 0.8, 0.9, 0.6, 0.5
-# A lying body points anywhere, a standing one along an axis.
-_WEAK = 0.5  # a body with only an arm gives no more than a guess
-_ALIGNED, _ALIGNED_SCORE = 0.97, -1.5
-_REST_AGREES = 0.5  # cosine between the rest pose and the axis that the body stands along
+_CLEAR = 1.5  # lead in natural logarithms of odds; measured: from it on no file of the 20 producers was wrong
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,22 +53,19 @@ class Upright:
         return self.lead >= _CLEAR
 
 
-# Ends of a standing body, the surest first, and the weight of their direction: arms hang, but not always.
-_SIDED = ("left", "right")
-_ENDS: tuple[tuple[tuple[str, ...], tuple[str, ...], float], ...] = (
-    *(
-        (top, foot, 1.0)
-        for top in (("head",), ("neck",), ("left_shoulder", "right_shoulder"), ("pelvis",))
-        for foot in (("left_ankle", "right_ankle"), ("left_knee", "right_knee"), ("pelvis",))
-        if top != foot
-    ),
-    *(((top,), (f"{side}_ankle",), 1.0) for top in ("head", "neck", "pelvis") for side in _SIDED),
-    *(((f"{side}_hip",), (f"{side}_ankle",), 1.0) for side in _SIDED),
-    (("neck",), ("spine",), 0.8),
-    (("head",), ("left_shoulder", "right_shoulder"), 0.6),
-    (("head",), ("neck",), 0.6),
-    *(((f"{side}_shoulder",), (f"{side}_elbow",), 0.4) for side in _SIDED),
-)
+def _list_ends() -> Iterator[tuple[tuple[str, ...], tuple[str, ...], float]]:
+    """Ends of a standing body, the surest first, and the weight of their direction: arms hang, but not always."""
+    sides = ("left", "right")
+    for top in (("head",), ("neck",), ("left_shoulder", "right_shoulder"), ("pelvis",)):
+        for foot in (("left_ankle", "right_ankle"), ("left_knee", "right_knee"), ("pelvis",)):
+            if top != foot:
+                yield top, foot, 1.0
+    yield from (((top,), (f"{side}_ankle",), 1.0) for top in ("head", "neck", "pelvis") for side in sides)
+    yield from (((f"{side}_hip",), (f"{side}_ankle",), 1.0) for side in sides)
+    yield ("neck",), ("spine",), 0.8
+    yield ("head",), ("left_shoulder", "right_shoulder"), 0.6
+    yield ("head",), ("neck",), 0.6
+    yield from (((f"{side}_shoulder",), (f"{side}_elbow",), 0.4) for side in sides)
 
 
 def body_direction(points: FloatArray) -> tuple[FloatArray, float]:
@@ -100,7 +78,7 @@ def body_direction(points: FloatArray) -> tuple[FloatArray, float]:
     if (length > 0).all():
         whole: FloatArray = body / length[:, None]
         return whole, 1.0
-    for top, foot, trust in _ENDS:
+    for top, foot, trust in _list_ends():
         ends = (points[:, [J[joint] for joint in joints]].mean(axis=1) for joints in (top, foot))
         body = np.subtract(*ends)
         body = body[~np.isnan(body).any(axis=1)]
@@ -111,7 +89,16 @@ def body_direction(points: FloatArray) -> tuple[FloatArray, float]:
     return np.zeros((0, 3)), 0.0
 
 
-def stands_along(points: FloatArray, axis: str, rest: FloatArray | None) -> bool:
+def stands_along(
+    points: FloatArray,
+    axis: str,
+    rest: FloatArray | None,
+    *,
+    standing: float = 0.8,
+    nearly_all: float = 0.9,
+    mostly: float = 0.6,
+    rest_agrees: float = 0.5,
+) -> bool:
     """Return whether the body stands along an axis so clearly that no other evidence is needed.
 
     Parameters
@@ -119,22 +106,25 @@ def stands_along(points: FloatArray, axis: str, rest: FloatArray | None) -> bool
     points : (T, 20, 3) some frames.
     axis : ``"y"``, ``"-z"`` ...
     rest : (3,) from `rest_direction`; a skeleton that stands along the axis needs to do so in fewer frames.
+    standing : least cosine between the body and the axis, in the share ``nearly_all`` of the frames.
+    mostly : least mean cosine, where the rest pose stands along y.
+    rest_agrees : least cosine between the rest pose and the axis.
     """
     upright = None if rest is None else float(rest @ _VECTORS[axis])
-    if upright is not None and upright < _REST_AGREES:
+    if upright is not None and upright < rest_agrees:
         return False
     body, trust = body_direction(points)
     cosines = body @ _VECTORS[axis]
     if trust < 1:
         return False
-    if upright is not None and upright > _REST_COSINE and axis == "y" and cosines.mean() > _MOSTLY:
+    if rest is not None and points_along(rest, axis) and axis == "y" and cosines.mean() > mostly:
         return True
-    return bool(np.mean(cosines > _STANDING) >= _NEARLY_ALL)
+    return bool(np.mean(cosines > standing) >= nearly_all)
 
 
-def points_along(direction: FloatArray, axis: str) -> bool:
+def points_along(direction: FloatArray, axis: str, cosine: float = 0.8) -> bool:
     """Return whether a direction (3,) is nearly that of an axis."""
-    return bool(direction @ _VECTORS[axis] > _REST_COSINE)
+    return bool(direction @ _VECTORS[axis] > cosine)
 
 
 def rest_direction(recipe: Recipe, rest_positions: FloatArray | None) -> FloatArray | None:
@@ -163,8 +153,13 @@ def weigh_axes(
     habit: str | None,
     declared: str | None,
     fall: FloatArray | None = None,
+    lying: float = 0.4,
+    standing: float = 0.8,
+    aligned: float = 0.97,
+    tumbling: float = 0.5,
+    weak: float = 0.5,
 ) -> Upright:
-    """Weigh the evidence for every axis.
+    """Weigh the evidence for every axis, with the weights set on the files of 20 producers.
 
     Parameters
     ----------
@@ -174,74 +169,94 @@ def weigh_axes(
     habit : up axis of the format; None if it has none.
     declared : up axis that the file declares.
     fall : (3,) direction of free fall, from `find_fall`.
+    lying, standing : cosine between the body and an axis up to which it lies, and from which on it stands.
+    aligned : largest component of the mean direction of a body that stands: a lying one points anywhere.
+    tumbling : length of the mean direction below which a body goes over its head and back.
+    weak : weight of a direction, such as of an arm, that gives no more than a guess.
     """
     body, trust = body_direction(points)
     centred = _find_centred(points, height)
     scores, postures = {}, {}
-    aligned = len(body) > 0 and float(np.abs(body.mean(axis=0)).max()) > _ALIGNED
+    is_aligned = len(body) > 0 and float(np.abs(body.mean(axis=0)).max()) > aligned
+    # Mean cosine between the body and the axis, and the logarithm of how often files are like that.
+    cosines, odds = [-1.0, -0.3, 0.0, 0.3, 0.6, 0.8, 1.0], [-8.0, -6.0, -3.5, -2.5, -1.0, -0.1, 0.0]
     for axis, vector in _VECTORS.items():
         score = _prior(axis, habit, declared, bare=rest is None)
         if len(body):
             posture = float((body @ vector).mean())
             postures[axis] = posture
-            score += trust * float(np.interp(posture, *_POSTURE))
+            score += trust * float(np.interp(posture, cosines, odds))
             column = "xyz".index(axis[-1])
             # One joint after the other in the memory: the lowest of all is found several times as fast.
             along = np.asfortranarray(points[..., column]) * (vector[column] / height)
             fixed = bool(centred[column])
-            score += _floor_score(along, posture, centred=fixed, pinned=centred.sum() > 1)
+            score += _floor_score(along, lying=abs(posture) < lying, centred=fixed, pinned=centred.sum() > 1)
             score += _hover_score(along)
-            if abs(posture) < _LYING and aligned:
-                score += _ALIGNED_SCORE
-        if rest is not None and rest @ vector > _REST_COSINE:
-            score += _REST if axis[-1] != "x" else _REST_ALONG_X
+            if abs(posture) < lying and is_aligned:
+                score -= 1.5
+        if rest is not None and points_along(rest, axis):
+            score += 2.9 if axis[-1] != "x" else 0.3  # rest poses along x are a habit of drawing bones
         if fall is not None:
-            score += _FALL_SCORE * float(-fall @ vector)
+            score += 3.0 * float(-fall @ vector)
         scores[axis] = score
     best, second = sorted(AXES, key=lambda axis: -scores[axis])[:2]
-    tumbles = len(body) > 0 and float(np.linalg.norm(body.mean(axis=0))) < _TUMBLING
+    tumbles = len(body) > 0 and float(np.linalg.norm(body.mean(axis=0))) < tumbling
     if tumbles and fall is None:  # over its head and back: the up axis is one that it turns away from and back to
         spread = body.var(axis=0)
         order = ("z", "y") if spread[2] > spread[1] else ("y", "z")
         return Upright(*order, 0.0)
-    if trust < _WEAK:
+    if trust < weak:
         return Upright(best, second, 0.0)
     if habit is not None and best != habit and scores[best] - scores[habit] < _CLEAR:
         return Upright(habit, best, 0.0)  # nothing clear speaks against the habit
-    standing = max(postures, key=lambda axis: postures[axis], default=best)
-    if fall is None and postures.get(best, 1.0) < _LYING and postures.get(standing, 0.0) > _STANDING:
-        return Upright(best, standing, 0.0)  # a body that lies all the time may stand along an unusual axis
+    along_it = max(postures, key=lambda axis: postures[axis], default=best)
+    if fall is None and postures.get(best, 1.0) < lying and postures.get(along_it, 0.0) > standing:
+        return Upright(best, along_it, 0.0)  # a body that lies all the time may stand along an unusual axis
     return Upright(best, second, scores[best] - scores[second])
 
 
 def _prior(axis: str, habit: str | None, declared: str | None, *, bare: bool) -> float:
-    score = _HABIT if axis == (habit or "z") else 0.0
-    if axis not in ("y", "z"):
-        score += _CAMERA if axis == "-y" and bare else _UNUSUAL
+    score = 0.7 if axis == (habit or "z") else 0.0
+    if axis not in ("y", "z"):  # points without a skeleton may be in the axes of a camera, y down
+        score += -1.5 if axis == "-y" and bare else -3.0
     if declared is not None and axis == declared:
-        score += _DECLARED
+        score += 4.0
     return score
 
 
-def _find_centred(points: FloatArray, height: float) -> BoolArray:
-    """Columns of x, y, z along which the pelvis was put to zero; none if it was along all."""
+def _find_centred(points: FloatArray, height: float, near: float = 0.02) -> BoolArray:
+    """Columns of x, y, z along which the pelvis was put to zero, by ``near`` heights; none if it was along all."""
     pelvis = points[:, J["pelvis"]]
     pelvis = pelvis[~np.isnan(pelvis).any(axis=1)]
-    centred: BoolArray = np.abs(pelvis).max(axis=0, initial=0.0) < _CENTRED * height
+    centred: BoolArray = np.abs(pelvis).max(axis=0, initial=0.0) < near * height
     return centred if len(pelvis) else np.zeros(3, bool)
 
 
-def _floor_score(along: FloatArray, posture: float, *, centred: bool, pinned: bool) -> float:
-    """Score a body that stands, or lies flat, on a floor along an axis.
+def _floor_score(
+    along: FloatArray,
+    *,
+    lying: bool,
+    centred: bool,
+    pinned: bool,
+    steady: float = 0.05,
+    unsteady: float = 0.15,
+    far: float = 0.7,
+    below: float = -0.035,
+    thin: float = 0.4,
+) -> float:
+    """Score a body that stands, or lies flat, on a floor along an axis; all in heights of the body.
 
     Parameters
     ----------
-    along : (T, 20) in heights of the body.
-    posture : mean cosine between the body and the axis.
+    along : (T, 20) places along the axis.
+    lying : whether the body is across the axis.
     centred : whether the pelvis was put to zero along it; then its level does not count, and the axis is unlikely
-        to be up unless the pelvis is ``pinned`` to a place.
+        to be up unless the pelvis is ``pinned`` to a place: people stand on floors.
+    steady, unsteady : scatter of the lowest points over time.
+    far : distance of a floor from zero that speaks against it.
+    below : a lying body below this is on no floor.
+    thin : extent of a body that lies flat.
     """
-    lying = abs(posture) < _LYING
     legs = along[:, [J[f"{side}_{joint}"] for side in ("left", "right") for joint in ("knee", "ankle", "toe")]]
     if np.isnan(legs).all():
         return 0.0
@@ -251,48 +266,53 @@ def _floor_score(along: FloatArray, posture: float, *, centred: bool, pinned: bo
     else:
         lowest, highest = along.min(axis=1), along.max(axis=1)
     level, scatter = float(np.percentile(lowest, 2)), float(lowest.std())
-    score = _STEADY[1] if scatter <= _STEADY[0] else _UNSTEADY[1] if scatter > _UNSTEADY[0] else 0.0
+    score = 1.0 if scatter <= steady else -1.5 if scatter > unsteady else 0.0
     if centred:
-        return score if pinned else score + _CENTRED_SCORE
-    if abs(level) > _FAR:
-        return score + _FAR_SCORE
-    if lying and level < _BELOW:  # a body on a floor is above it
+        return score if pinned else score - 1.5
+    if abs(level) > far:
+        return score - 3.0
+    if lying and level < below:  # a body on a floor is above it
         return score
-    on_floor = next((value for most, value in _FLOOR_LEVELS if abs(level) <= most), 0.0)
-    flat = lying and on_floor > 0 and float(np.percentile(highest - lowest, 90)) < _FLAT
-    return score + on_floor + _FLAT_SCORE * flat
+    on_floor = next((value for most, value in ((0.04, 2.2), (0.1, 1.5), (0.2, 0.5)) if abs(level) <= most), 0.0)
+    flat = lying and on_floor > 0 and float(np.percentile(highest - lowest, 90)) < thin
+    return score + on_floor + 2.0 * flat
 
 
-_HOVER, _HOVER_SCORE = (0.45, 0.95), 1.2  # heights of the body: where shoulders are above a floor at zero
-
-
-def _hover_score(along: FloatArray) -> float:
+def _hover_score(along: FloatArray, low: float = 0.45, high: float = 0.95) -> float:
     """Score shoulders without legs by their height above zero: that of people sitting or standing."""
     if not np.isnan(along[:, [J["left_ankle"], J["right_ankle"], J["left_knee"], J["right_knee"]]]).all():
         return 0.0
     tops = along[:, [J["neck"], J["left_shoulder"], J["right_shoulder"]]]
     if np.isnan(tops).all():
         return 0.0
-    return _HOVER_SCORE if _HOVER[0] < float(np.nanmedian(tops)) < _HOVER[1] else 0.0
+    return 1.2 if low < float(np.nanmedian(tops)) < high else 0.0
 
 
-_FALL_SECONDS, _FALL_TOLERANCE, _LEAST_FALL = 0.12, 0.12, 0.12
+def find_fall(
+    points: FloatArray,
+    frame_rate: float,
+    unit: float,
+    *,
+    window: float = 0.12,
+    tolerance: float = 0.12,
+    least: float = 0.12,
+    gravity: float = 9.81,
+) -> FloatArray | None:
+    """Find the direction (3,) of free fall; None if it does not last, or directions disagree.
 
-
-def find_fall(points: FloatArray, frame_rate: float, unit: float) -> FloatArray | None:
-    """Find the direction (3,) of free fall; None if it lasts less than 0.12 s altogether, or directions disagree.
-
-    The middle of all joints stands for the centre of mass: a parabola is fitted to every 0.12 s of its path, and those
-    count whose acceleration is within 12 % of 9.81 m/s^2.
+    The middle of all joints stands for the centre of mass: a parabola is fitted to every window of its path, and those
+    count whose acceleration is nearly that of gravity.
 
     Parameters
     ----------
     points : (T, 20, 3) of consecutive frames.
     frame_rate : Hz.
     unit : metres per unit.
+    window, least : s, of a parabola and of the whole fall.
+    tolerance : share of ``gravity``, m/s^2.
     """
     there = ~np.isnan(points).any(axis=(0, 2))
-    n = max(5, round(_FALL_SECONDS * frame_rate))
+    n = max(5, round(window * frame_rate))
     if not there.any() or frame_rate < 25 or len(points) < 2 * n:
         return None
     path = points[:, there].mean(axis=1) * unit
@@ -301,11 +321,11 @@ def find_fall(points: FloatArray, frame_rate: float, unit: float) -> FloatArray 
     windows = np.lib.stride_tricks.sliding_window_view(path, n, axis=0)
     acceleration = windows @ pull
     size = np.linalg.norm(acceleration, axis=1)
-    falling = np.abs(size / _GRAVITY - 1) < _FALL_TOLERANCE
+    falling = np.abs(size / gravity - 1) < tolerance
     # A run of windows in the air, not one moment of a landing.
     together = np.convolve(falling, np.ones(n), "same") >= 0.6 * n
     chosen = falling & together
-    if chosen.sum() < _LEAST_FALL * frame_rate:
+    if chosen.sum() < least * frame_rate:
         return None
     mean = (acceleration[chosen] / size[chosen, None]).mean(axis=0)
     return mean if np.linalg.norm(mean) > 0.95 else None

@@ -1,21 +1,26 @@
-"""Holding feet and hands in place: bending two bones so that the end of a limb reaches a place."""
+"""Holding feet and hands in place: plans for the feet of a character, and limbs that bend to reach a place.
+
+A standing foot moves in proportion to the source's: not at all, or rolling over heel or toe. The slower of the two
+carries it, so that a longer foot rolls over its own toe. In the air the foot swings from one place to the next.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from dousa.arrays import BoolArray, FloatArray
-from dousa.motion.retargeting.stances import smooth
-from dousa.motion.rotations import between, rotate
-
-_REACH = 0.9999  # of the length of a limb: beyond, the knee would leap
-_BENT = 0.999  # of the length of a leg: the pelvis goes down so far that knees keep a little bend
-_BIAS = 0.02  # of the upper bone
-_EASED, _SWINGING = 0.1, 0.1  # s; how much of a foot in the air counts
-_SMOOTH = 0.08  # s, over which the pelvis gives way
+from dousa.motion.retargeting.contacts import Stances, find_stances, ramp, smooth
+from dousa.motion.retargeting.rig import Rig
+from dousa.motion.rotations import between, conjugate, from_axis_angle, identity, multiply, rotate, to_axis_angle
+from dousa.motion.runs import find_runs
 
 
-def share_moves(moves: FloatArray, stands: BoolArray, frame_rate: float) -> FloatArray:
+def share_moves(
+    moves: FloatArray, stands: BoolArray, frame_rate: float, eased: float = 0.1, swinging: float = 0.1
+) -> FloatArray:
     """Compute the move (T, 3) m of the whole body from those of its feet, so that the legs bend little.
 
     A standing foot counts most.
@@ -25,15 +30,23 @@ def share_moves(moves: FloatArray, stands: BoolArray, frame_rate: float) -> Floa
     moves : (T, 2, 3) m, of the feet.
     stands : (T, 2) which of them are held.
     frame_rate : Hz.
+    eased : s, over which it is smoothed.
+    swinging : weight of a foot in the air.
     """
-    around = max(1, round(_EASED * frame_rate))
-    weights = np.where(stands, 1.0, _SWINGING)
+    around = max(1, round(eased * frame_rate))
+    weights = np.where(stands, 1.0, swinging)
     shared = (weights[..., None] * moves).sum(axis=1) / weights.sum(axis=1)[:, None]
     return np.stack([smooth(shared[:, axis], around) for axis in range(3)], axis=1)
 
 
 def bend(
-    root: FloatArray, middle: FloatArray, end: FloatArray, wanted: FloatArray, outward: FloatArray
+    root: FloatArray,
+    middle: FloatArray,
+    end: FloatArray,
+    wanted: FloatArray,
+    outward: FloatArray,
+    reach: float = 0.9999,
+    bias: float = 0.02,
 ) -> tuple[FloatArray, FloatArray]:
     """Compute turns (T, 4) in the world of the upper and lower bone that bring the end of a limb to a place.
 
@@ -44,17 +57,19 @@ def bend(
     root, middle, end : (T, 3) m, joints of the limb, such as hip, knee and ankle.
     wanted : (T, 3) m, place for the end.
     outward : (T, 3) of any length, direction of the middle joint if the limb is straight: knees to the front.
+    reach : share of the length of the limb beyond which the knee would leap.
+    bias : share of the upper bone by which a limb that is nearly straight bends outward.
     """
     upper, lower = np.linalg.norm(middle - root, axis=1), np.linalg.norm(end - middle, axis=1)
     line, goal = end - root, wanted - root
-    furthest, nearest = _REACH * (upper + lower), 1.001 * np.abs(upper - lower) + 1e-6
+    furthest, nearest = reach * (upper + lower), 1.001 * np.abs(upper - lower) + 1e-6
     distance = np.clip(np.linalg.norm(goal, axis=1), nearest, np.maximum(furthest, nearest))
     ahead = goal / np.maximum(np.linalg.norm(goal, axis=1, keepdims=True), 1e-9)
     turned = rotate(between(line, goal), middle - root)
     # A straight limb has no plane of its own, and one that is nearly straight an unsteady one.
     side = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
     own = turned - (turned * ahead).sum(axis=1, keepdims=True) * ahead
-    lacking = np.maximum(_BIAS * upper - np.linalg.norm(own, axis=1), 0.0)
+    lacking = np.maximum(bias * upper - np.linalg.norm(own, axis=1), 0.0)
     turned = turned + lacking[:, None] * side
     across = turned - (turned * ahead).sum(axis=1, keepdims=True) * ahead
     length = np.linalg.norm(across, axis=1, keepdims=True)
@@ -66,19 +81,28 @@ def bend(
     return between(middle - root, knee), between(end - middle, reached - knee)
 
 
-def lower_pelvis(hips: FloatArray, wanted: FloatArray, lengths: FloatArray, frame_rate: float) -> FloatArray:
+def lower_pelvis(
+    hips: FloatArray,
+    wanted: FloatArray,
+    lengths: FloatArray,
+    frame_rate: float,
+    bent: float = 0.999,
+    over: float = 0.08,
+) -> FloatArray:
     """Compute how far down (T,) m the pelvis must go so that all feet are within reach, smooth over time.
 
     Parameters
     ----------
     hips, wanted : (T, 2, 3) m, hip joints, and places for the ankles.
     lengths : (2,) m of the legs.
+    bent : share of the length of a leg, so that knees keep a little bend.
+    over : s, in which the pelvis gives way.
     """
     gap = hips - wanted
     beside = np.square(gap[..., 0]) + np.square(gap[..., 2])
-    highest = np.sqrt(np.maximum(np.square(_BENT * lengths) - beside, 0.0))
+    highest = np.sqrt(np.maximum(np.square(bent * lengths) - beside, 0.0))
     needed = np.maximum(gap[..., 1] - highest, 0.0).max(axis=1)
-    return _widen(needed, max(1, round(_SMOOTH * frame_rate)))
+    return _widen(needed, max(1, round(over * frame_rate)))
 
 
 def _widen(values: FloatArray, around: int) -> FloatArray:
@@ -88,3 +112,211 @@ def _widen(values: FloatArray, around: int) -> FloatArray:
     highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * around + 1).max(axis=1)
     weights = np.hanning(2 * around + 3)[1:-1]
     return np.convolve(highest, weights / weights.sum(), mode="valid")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Foot:
+    """One foot, of the source or of the character.
+
+    Parameters
+    ----------
+    ankle : (T, 3) m.
+    toe : (T, 3) m; None if either body has none.
+    heights : m, of ankle and toe over the floor when the foot is flat on it.
+    """
+
+    ankle: FloatArray
+    toe: FloatArray | None
+    heights: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FootPlan:
+    """Turns and moves of a foot.
+
+    Parameters
+    ----------
+    turns : (T, 4) of the foot in the world.
+    moves : (T, 3) m, of the ankle.
+    stands : (T,) whether it is held.
+    """
+
+    turns: FloatArray
+    moves: FloatArray
+    stands: BoolArray
+
+
+def plan_foot(source: Foot, made: Foot, scale: float, floor: float, frame_rate: float, size: float) -> FootPlan:
+    """Plan the turns and moves of a foot so that it stands as the source's.
+
+    Parameters
+    ----------
+    source, made : the foot of the source, and that of the character, which points as the source's.
+    scale : length of the character's legs over that of the source's.
+    floor : m, its height.
+    frame_rate : Hz.
+    size : of the source, in bodies of 1.6 m over the joints.
+    """
+    ankle = find_stances(source.ankle, frame_rate, size)
+    near, steps, weight = ankle.near, scale * ankle.steps - np.diff(made.ankle, axis=0), _weigh(ankle)
+    turns = identity((len(source.ankle),))
+    heights = _height_over(source.ankle, made.ankle, source.heights[0], made.heights[0], scale, floor)
+    if source.toe is not None and made.toe is not None:
+        toe = find_stances(source.toe, frame_rate, size)
+        turns = _still_direction(source.toe - source.ankle, ankle.held * toe.held)
+        point = made.ankle + rotate(turns, made.toe - made.ankle)
+        share = _share(ankle, toe, frame_rate)[:, None]
+        steps = share * (scale * toe.steps - np.diff(point, axis=0)) + (1 - share) * steps
+        near, weight = near | toe.near, np.maximum(weight, _weigh(toe))
+        toes = _height_over(source.toe, point, source.heights[1], made.heights[1], scale, floor)
+        # A toe may be lifted from a foot that stands on its heel, and a heel from one on its toe.
+        over = [points[:, 1] - low for points, low in zip((source.ankle, source.toe), source.heights, strict=True)]
+        heights = np.where(over[1] <= over[0], toes, heights)
+    moves = np.zeros_like(made.ankle)
+    stretches = find_runs(near).tolist()
+    for start, end in stretches:
+        moves[start + 1 : end] = np.cumsum(steps[start : end - 1], axis=0)
+        own = weight[start:end]
+        moves[start:end] -= np.average(moves[start:end], axis=0, weights=own)
+        moves[start:end, 1] += np.average(heights[start:end] - moves[start:end, 1], weights=own)
+    _swing(moves, stretches)
+    return FootPlan(turns, moves, near)
+
+
+def level_foot(
+    source: Foot,
+    made: Foot,
+    world: FloatArray,
+    rig: Rig,
+    side: str,
+    frame_rate: float,
+    size: float,
+    *,
+    firm: float = 0.8,
+    fewest: int = 5,
+    low: float = 0.03,
+    most_unequal: float = 0.1,
+    slopes: tuple[float, float] = (-1.3, 0.2),
+    most_tilt: float = 0.45,
+    least_across: float = 0.3,
+) -> FloatArray:
+    """Compute turns (T, 4) in the world that make a character's foot flat where the source's stands flat.
+
+    Feet point from ankle to toe as the source's do, but the height of ankles over the sole differs between bodies. The
+    flat foot is found in the motion of the source and in the reference pose of the character.
+
+    Parameters
+    ----------
+    source, made : the foot of the source, and that of the character, which points as the source's.
+    world : (T, 4) orientation of the character's ankle.
+    rig : the character; if its feet differ in the reference pose, they stay.
+    side : ``"left"`` or ``"right"``.
+    frame_rate : Hz.
+    size : of the source, in bodies of 1.6 m over the joints.
+    firm, low, fewest : frames show a flat foot if ankle and toe are held so firmly and the ankle is at most so many m
+        above its fifth percentile; so many frames are needed.
+    most_unequal, slopes : rad, between the feet of the reference pose, and by which they rise, to show a flat foot.
+    most_tilt : rad.
+    least_across : share of a vector that lies across the foot.
+    """
+    still = identity((len(world),))
+    if source.toe is None or made.toe is None:
+        return still
+    ankle, toe = (find_stances(points, frame_rate, size) for points in (source.ankle, source.toe))
+    lowest = np.percentile(source.ankle[:, 1], 5)
+    stands = (ankle.held * toe.held > firm) & (source.ankle[:, 1] < lowest + low * size)  # not on tiptoe
+    up = rotate(rig.body, np.array([0.0, 1.0, 0.0]))
+    feet = [rig.direction(f"{one}_ankle", f"{one}_toe") for one in ("left", "right")]
+    steep = [_measure_slope(foot, up) for foot in feet]
+    if stands.sum() < fewest or abs(steep[0] - steep[1]) > most_unequal or not slopes[0] < max(steep) < slopes[1]:
+        return still
+    since = multiply(world, conjugate(rig.world[rig.joints[f"{side}_ankle"]]))
+    # What is up in the frame of the foot while it stands should be what is up in the reference pose.
+    wanted = rotate(conjugate(since[stands]), np.array([0.0, 1.0, 0.0])).mean(axis=0)
+    ahead = feet[0 if side == "left" else 1]
+    ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
+    sides = [vector - vector.dot(ahead) * ahead for vector in (up, wanted)]
+    if min(float(np.linalg.norm(vector)) for vector in sides) < least_across:
+        return still
+    roll = between(*sides)
+    tilt = to_axis_angle(between(up, rotate(conjugate(roll), wanted)))
+    tilt = tilt * min(1.0, most_tilt / max(float(np.linalg.norm(tilt)), 1e-9))
+    turns: FloatArray = multiply(multiply(since, multiply(roll, from_axis_angle(tilt))), conjugate(since))
+    return turns
+
+
+def _measure_slope(directions: FloatArray, up: FloatArray) -> FloatArray:
+    """Angle (...) rad by which directions (..., 3) rise."""
+    lengths = np.maximum(np.linalg.norm(directions, axis=-1), 1e-9)
+    slope: FloatArray = np.arcsin(np.clip((directions * up).sum(axis=-1) / lengths, -1.0, 1.0))
+    return slope
+
+
+def _weigh(stances: Stances, slow: float = 0.1) -> FloatArray:
+    """Weight (T,) of a frame for the direction of a standing foot; much less where it is faster than ``slow`` m/s."""
+    weights: FloatArray = 1.0 / (1.0 + np.square(stances.speed / slow)) ** 2 * stances.near + 1e-9
+    return weights
+
+
+def _still_direction(directions: FloatArray, held: FloatArray, turns: tuple[float, float] = (0.10, 0.30)) -> FloatArray:
+    """Turns (T, 4) that keep a foot's direction (T, 3) where it hardly changes while ankle and toe are held.
+
+    ``turns`` : rad; a foot that turns as little as the one is held, one that turns as much as the other is not.
+    """
+    unit = directions / np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9)
+    wanted = unit.copy()
+    for start, end in find_runs(held > 0).tolist():
+        mean = np.average(unit[start:end], axis=0, weights=held[start:end] ** 2)
+        mean /= max(float(np.linalg.norm(mean)), 1e-9)
+        away = np.linalg.norm(unit[start:end] - mean, axis=1)
+        share = held[start:end] * (1 - ramp(away, *turns))
+        wanted[start:end] += share[:, None] * (mean - unit[start:end])
+    return between(unit, wanted)
+
+
+def _share(ankle: Stances, toe: Stances, frame_rate: float, ease: float = 0.05, passing: float = 0.04) -> FloatArray:
+    """Share (T - 1,) of the foot that the toe carries between frames: all of it where the ankle moves about it.
+
+    ``ease`` : m/s; of two slower points each carries half the foot. ``passing`` : s, over which one takes over.
+    """
+    slow = ease**2
+    share = (ankle.speed**2 + slow) / (ankle.speed**2 + toe.speed**2 + 2 * slow)
+    share = smooth(share, max(1, round(passing * frame_rate)))
+    middle: FloatArray = 0.5 * (share[1:] + share[:-1])
+    return middle
+
+
+def _height_over(
+    own: FloatArray,
+    made: FloatArray,
+    low: float,
+    height: float,
+    scale: float,
+    floor: float,
+    near: tuple[float, float] = (0.05, 0.15),
+) -> FloatArray:
+    """Lift (T,) m that puts a point over the floor as the source's is, or on it if that nearly is.
+
+    Parameters
+    ----------
+    own, made : (T, 3) m, of the source and of the character.
+    low, height : m over the floor, where they are in a standing foot.
+    near : m; a foot as near to the floor as the one stands on it, one beyond the other does not.
+    """
+    over = own[:, 1] - floor - low
+    over = over * ramp(np.abs(over), *near)
+    lifts: FloatArray = floor + height + scale * over - made[:, 1]
+    return lifts
+
+
+def _swing(moves: FloatArray, stretches: list[tuple[int, int]]) -> None:
+    """Interpolate smoothly between places where a foot stands; hold the ends."""
+    if not stretches:
+        return
+    first, last = stretches[0][0], stretches[-1][1]
+    moves[:first] = moves[first]
+    moves[last:] = moves[last - 1]
+    for (_, end), (start, _) in pairwise(stretches):
+        share = (np.arange(end, start) - end + 1)[:, None] / (start - end + 1)
+        share = share * share * (3 - 2 * share)
+        moves[end:start] = (1 - share) * moves[end - 1] + share * moves[start]

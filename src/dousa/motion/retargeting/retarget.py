@@ -21,16 +21,12 @@ from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.recipes import JointMap
 from dousa.motion.kinematics import forward_kinematics
 from dousa.motion.retargeting.contacts import body_size, find_contacts
-from dousa.motion.retargeting.feet import Foot, FootPlan, level_foot, plan_foot
-from dousa.motion.retargeting.planting import bend, lower_pelvis, share_moves
+from dousa.motion.retargeting.planting import Foot, FootPlan, bend, level_foot, lower_pelvis, plan_foot, share_moves
 from dousa.motion.retargeting.rig import LIMBS, SIDES, Rig, body_axes, build_rig
 from dousa.motion.retargeting.transfer import Poses, Transfer, find_floor
 from dousa.motion.rotations import conjugate, multiply, normalise, rotate
 from dousa.motion.runs import find_runs
 from dousa.motion.types import Motion, Trajectories, freeze
-
-_MOST = 95  # percent of the frames of contact
-_LOWEST = 5  # percentile of the height of a joint of the foot: there it stands
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +124,7 @@ def measure_skating(points: FloatArray, contacts: BoolArray) -> float:
         for side in range(2)
         for start, end in find_runs(contacts[:, side]).tolist()
     ]
-    return float(np.percentile(np.concatenate(away), _MOST)) if away else 0.0
+    return float(np.percentile(np.concatenate(away), 95)) if away else 0.0
 
 
 def _plant(poses: Poses, rig: Rig, source: Rig, canonical: CanonicalMotion, scale: float) -> Poses:
@@ -172,7 +168,7 @@ def _plan(
     ankle, toe = f"{side}_ankle", f"{side}_toe"
     known = toe in rig.joints and toe in source.joints
     points, rate, size = canonical.positions, canonical.frame_rate, body_size(canonical)
-    lowest = [float(np.percentile(points[:, J[joint], 1], _LOWEST)) - floor for joint in (ankle, toe)]
+    lowest = [float(np.percentile(points[:, J[joint], 1], 5)) - floor for joint in (ankle, toe)]
     made = Foot(places[:, rig.joints[ankle]], places[:, rig.joints[toe]] if known else None, rig.foot_heights())
     own = Foot(points[:, J[ankle]], points[:, J[toe]] if known else None, (lowest[0], lowest[1]))
     level = level_foot(own, made, poses.world[:, rig.joints[ankle]], rig, side, rate, size)

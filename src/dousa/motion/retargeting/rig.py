@@ -25,9 +25,6 @@ TIPS: tuple[tuple[str, str], ...] = tuple(
 )
 """As the limbs, where both skeletons have the tip."""
 
-_ANKLE_PER_LEG = 0.08  # of an ankle above the ball of its foot
-_STRAIGHT, _OPPOSITE, _MOST_REFERENCES = 0.9, 0.85, 400
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rig:
@@ -74,7 +71,7 @@ class Rig:
             known = [up[self.joints[f"{side}_{joint}"]] for side in SIDES if f"{side}_{joint}" in self.joints]
             heights.append(float(min(known) - lowest) if known else 0.0)
         if heights[1] == 0.0 and not any(f"{side}_toe" in self.joints for side in SIDES):
-            heights[0] = max(heights[0], _ANKLE_PER_LEG * self.leg)
+            heights[0] = max(heights[0], 0.08 * self.leg)
         return heights[0], heights[1]
 
     def path(self, start: int, end: int) -> list[int]:
@@ -150,15 +147,17 @@ def body_axes(places: FloatArray, joints: dict[str, int]) -> FloatArray:
     return np.stack((np.cross(up, front), up, front), axis=-1)
 
 
-def _choose_reference(motion: Motion, offsets: FloatArray, joints: dict[str, int]) -> tuple[FloatArray, FloatArray]:
-    """Orientations and places of the rest pose where a person stands in it, else of the frame nearest to that."""
+def _choose_reference(
+    motion: Motion, offsets: FloatArray, joints: dict[str, int], most: int = 400
+) -> tuple[FloatArray, FloatArray]:
+    """Orientations and places of the rest pose where a person stands in it, else of the nearest of ``most`` frames."""
     parents = motion.skeleton.parents
     rest = identity((len(parents),))
     still = np.array(offsets)
     places, world = forward_kinematics(parents, rest, still)
     if _likeness(places[None], joints)[0] > 0:
         return world, places
-    step = max(1, motion.n_frames // _MOST_REFERENCES)
+    step = max(1, motion.n_frames // most)
     turns = motion.rotations[::step]
     seen = np.isfinite(turns.sum(axis=(1, 2)))
     turns = turns[seen] if seen.any() else rest[None]
@@ -167,8 +166,14 @@ def _choose_reference(motion: Motion, offsets: FloatArray, joints: dict[str, int
     return all_world[best], all_places[best]
 
 
-def _likeness(places: FloatArray, joints: dict[str, int]) -> FloatArray:
-    """Likeness (T,) of a pose to standing with straight arms and legs; positive for such a pose."""
+def _likeness(places: FloatArray, joints: dict[str, int], straight: float = 0.9, opposite: float = 0.85) -> FloatArray:
+    """Likeness (T,) of a pose to standing with straight arms and legs; positive for such a pose.
+
+    Parameters
+    ----------
+    straight : least length of a limb from end to end, as a share of its bones.
+    opposite : least cosine between the trunk and the legs turned round.
+    """
 
     def at(joint: str) -> FloatArray:
         return places[:, joints[joint]]
@@ -182,9 +187,9 @@ def _likeness(places: FloatArray, joints: dict[str, int]) -> FloatArray:
         for chain in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle")):
             a, b, c = (at(f"{side}_{joint}") for joint in chain)
             whole = np.linalg.norm(a - b, axis=1) + np.linalg.norm(b - c, axis=1)
-            margins.append(np.linalg.norm(a - c, axis=1) / np.maximum(whole, 1e-9) - _STRAIGHT)
+            margins.append(np.linalg.norm(a - c, axis=1) / np.maximum(whole, 1e-9) - straight)
     trunk, legs = middle("shoulder") - middle("hip"), middle("ankle") - middle("hip")
     scale = np.linalg.norm(trunk, axis=1) * np.linalg.norm(legs, axis=1)
-    margins.append(-(trunk * legs).sum(axis=1) / np.maximum(scale, 1e-9) - _OPPOSITE)
+    margins.append(-(trunk * legs).sum(axis=1) / np.maximum(scale, 1e-9) - opposite)
     likeness: FloatArray = np.min(margins, axis=0)
     return likeness

@@ -1,5 +1,4 @@
-from .dance import Dance, DanceFigure, make_dance
-from .mistakes import Mistake, make_mistakes
+from .dance import Dance, DanceFigure, Mistake, make_dance, make_mistakes
 from .performers import CATEGORIES, Performer, draw_performer, make_library, make_motion, make_skeleton
 
 __all__ = [

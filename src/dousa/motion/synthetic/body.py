@@ -11,12 +11,6 @@ from dousa.motion import rotations as rot
 from dousa.motion.kinematics import forward_kinematics
 from dousa.motion.types import Motion, Skeleton
 
-_CONTACT_DEPTH = 0.008  # m: a sole point this much higher carries e times less weight
-_CONTACT_SPEED = 1.0  # m/s: a sole point this much faster past the body likewise; a swinging foot may skim
-_AIRBORNE = 0.01  # m: above this the floor no longer drives the body
-_INERTIA = 0.03  # s: a body does not change its speed at once when the other foot takes over
-_PELVIS_SHARE = 0.45  # of the trunk's bend; the spine joint does the rest
-
 # Joint, parent, offset in statures: x to the left, y up, z forward. Segment lengths after Drillis and Contini
 # (1966) as tabulated in Winter, "Biomechanics and Motor Control of Human Movement"; the performer's `legs`
 # scales the legs, `arms` the arms, `width` what lies sideways.
@@ -27,6 +21,7 @@ _ARM = (
     ("hand", "wrist", (0.0, -0.056, 0.0)),
     ("hand_end", "hand", (0.0, -0.050, 0.0)),
 )
+# As the arm, after Winter.
 _LEG = (
     ("hip", "pelvis", (0.052, -0.012, 0.0)),
     ("knee", "hip", (0.0, -0.240, 0.0)),
@@ -34,6 +29,7 @@ _LEG = (
     ("toe", "ankle", (0.0, -0.028, 0.094)),
     ("toe_end", "toe", (0.0, -0.004, 0.040)),
 )
+# As the arm, after Winter.
 _TRUNK = (
     ("pelvis", "", (0.0, 0.533, 0.0)),
     ("spine", "pelvis", (0.0, 0.112, 0.0)),
@@ -41,8 +37,6 @@ _TRUNK = (
     ("head", "neck", (0.0, 0.062, 0.014)),
     ("head_end", "head", (0.0, 0.105, 0.0)),
 )
-_ANKLE_HEIGHT = 0.039
-_SOLE = ((0.0, -_ANKLE_HEIGHT, -0.040), (0.0, -_ANKLE_HEIGHT, 0.094), (0.0, -_ANKLE_HEIGHT, 0.134))
 
 
 def build_skeleton(stature: float, legs: float, arms: float, width: float) -> Skeleton:
@@ -93,8 +87,9 @@ def _chain(*quaternions: FloatArray) -> FloatArray:
     return result
 
 
-def _trunk(pose: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    share = {"pelvis": _PELVIS_SHARE, "spine": 1.0 - _PELVIS_SHARE}
+def _trunk(pose: Mapping[str, FloatArray], pelvis_share: float = 0.45) -> dict[str, FloatArray]:
+    """Pelvis, spine, neck and head; the spine bends the share of the trunk that the pelvis does not."""
+    share = {"pelvis": pelvis_share, "spine": 1.0 - pelvis_share}
     joints = {
         name: _chain(_about(1, part * pose["twist"]), _about(2, -part * pose["lean"]), _about(0, part * pose["bend"]))
         for name, part in share.items()
@@ -159,17 +154,34 @@ def compose_motion(skeleton: Skeleton, pose: Mapping[str, FloatArray], frame_rat
     translations[:, 0] = 0.0
     positions, world = forward_kinematics(skeleton.parents, rotations, translations)
     ankles = [skeleton.names.index(f"{side}_ankle") for side in ("left", "right")]
-    sole = stature * np.array(_SOLE)
+    # Heel, ball and tip; the height of the ankle after Winter.
+    sole = stature * np.array([[0.0, -0.039, ahead] for ahead in (-0.040, 0.094, 0.134)])
     points = positions[:, ankles, None] + rot.rotate(world[:, ankles, None], sole)
     translations[:, 0] = _carry(points.reshape(frames, -1, 3), pose["flight"] / 100.0, frame_rate)
     return Motion(skeleton, rot.normalise(rotations), translations, frame_rate)
 
 
-def _carry(points: FloatArray, flight: FloatArray, frame_rate: float) -> FloatArray:
-    """Root positions (T, 3) from the sole points (T, P, 3) relative to the root and the flight (T,) in m."""
+def _carry(
+    points: FloatArray,
+    flight: FloatArray,
+    frame_rate: float,
+    *,
+    depth: float = 0.008,
+    speed: float = 1.0,
+    airborne: float = 0.01,
+    inertia: float = 0.03,
+) -> FloatArray:
+    """Root positions (T, 3) from the sole points (T, P, 3) relative to the root and the flight (T,) in m.
+
+    Parameters
+    ----------
+    depth, speed : m and m/s; a sole point so much higher, or faster past the body, carries e times less weight.
+    airborne : m, above which the floor no longer drives the body.
+    inertia : s, as a body does not change its speed at once when the other foot takes over.
+    """
     frames = np.arange(len(points))
     standing = -points[..., 1].min(axis=1)
-    grounded = frames[flight < _AIRBORNE]
+    grounded = frames[flight < airborne]
     root = np.zeros((len(points), 3))
     root[:, 1] = standing + flight
     if len(grounded):  # in the air the legs may be drawn up without the body coming down
@@ -179,16 +191,16 @@ def _carry(points: FloatArray, flight: FloatArray, frame_rate: float) -> FloatAr
         return root
     moved = np.diff(points[..., ::2], axis=0)
     middle = 0.5 * (points[1:, :, 1] + points[:-1, :, 1])
-    doubt = middle / _CONTACT_DEPTH + np.linalg.norm(moved, axis=2) * frame_rate / _CONTACT_SPEED
+    doubt = middle / depth + np.linalg.norm(moved, axis=2) * frame_rate / speed
     weights = np.exp(doubt.min(axis=1, keepdims=True) - doubt)
     weights /= weights.sum(axis=1, keepdims=True)
     steps = -np.einsum("tp,tpk->tk", weights, moved)
-    carried = frames[:-1][np.maximum(flight[1:], flight[:-1]) < _AIRBORNE]
+    carried = frames[:-1][np.maximum(flight[1:], flight[:-1]) < airborne]
     for axis, column in ((0, 0), (2, 1)):
         path = steps[:, column]
         if len(carried):
             path = np.interp(frames[:-1], carried, path[carried])
-        root[1:, axis] = np.cumsum(_smooth(path, _INERTIA * frame_rate))
+        root[1:, axis] = np.cumsum(_smooth(path, inertia * frame_rate))
     return root
 
 

@@ -16,13 +16,11 @@ import numpy as np
 from dousa.arrays import FloatArray
 from dousa.errors import OptionError
 from dousa.motion.synthetic.body import build_skeleton, compose_motion
-from dousa.motion.synthetic.scores import FREEDOMS, SCORES, Score, evaluate_track, mirror_name
+from dousa.motion.synthetic.scores import FREEDOMS, SCORES, Score, Track, evaluate_track, mirror_name
 from dousa.motion.types import Motion, Skeleton
 
 # Directions and headings: a livelier performer does not turn further round or raise the arms more sideways.
 _UNSCALED = ("turn", "arm_side", "arm_turn", "toe_out", "arm_out")
-_HINGES = {"elbow": (0.0, 150.0), "knee": (0.0, 150.0), "arm_raise": (-75.0, 178.0)}
-_STANCE = {"arm_side": 12.0, "arm_raise": 2.0, "knee": 3.0, "thigh": 1.0, "spread": 1.5}
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +33,8 @@ class Plan:
 
 
 def _posture(performer: Performer) -> dict[str, float]:
-    side = {"arm_out": performer.arm_out, "elbow": performer.elbow, "toe_out": performer.toe_out, **_STANCE}
+    side = {"arm_out": performer.arm_out, "elbow": performer.elbow, "toe_out": performer.toe_out}
+    side |= {"arm_side": 12.0, "arm_raise": 2.0, "knee": 3.0, "thigh": 1.0, "spread": 1.5}
     stance = {f"{hand}_{name}": value for hand in ("left", "right") for name, value in side.items()}
     # The working shoulder hangs lower and its elbow is bent a little more.
     stance |= {"bend": performer.stoop, "nod": 0.6 * performer.stoop, "lean": -performer.tilt}
@@ -49,6 +48,7 @@ def _posture(performer: Performer) -> dict[str, float]:
 def play_score(score: Score, performer: Performer, plan: Plan, rng: np.random.Generator) -> dict[str, FloatArray]:
     """Degrees (T,) of every degree of freedom."""
     stance = _posture(performer)
+    hinges = {"elbow": (0.0, 150.0), "knee": (0.0, 150.0), "arm_raise": (-75.0, 178.0)}
     periodic = score.kind != "once"
     own = np.random.default_rng([performer.seed, 1])
     habits: dict[str, float] = {}
@@ -70,7 +70,7 @@ def play_score(score: Score, performer: Performer, plan: Plan, rng: np.random.Ge
         if kind not in ("flight", "turn"):
             rest = rest + _unsteadiness(plan.times, performer.noise * (0.4 if kind == "foot" else 1.0), rng)
         values = weights * values + rest
-        low, high = _HINGES.get(kind, (-np.inf, np.inf))
+        low, high = hinges.get(kind, (-np.inf, np.inf))
         pose[name] = np.clip(values, low, high)
     pose["turn"] = pose["turn"] + rng.normal(0.0, 5.0)
     return pose
@@ -87,8 +87,6 @@ def _unsteadiness(times: FloatArray, degrees: float, rng: np.random.Generator) -
 
 CATEGORIES: tuple[str, ...] = tuple(SCORES)
 """The kinds of motion of `make_motion`."""
-
-_MAX_FRAMES = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,8 +238,8 @@ def _plan(score: Score, performer: Performer, frame_rate: float, rng: np.random.
         before = after = 0.0
     total = before + rounds * seconds + after
     frames = max(round(total * frame_rate), 2)
-    if frames > _MAX_FRAMES:
-        raise OptionError("synthetic.too_long", most=_MAX_FRAMES, frames=frames)
+    if frames > 1_000_000:
+        raise OptionError("synthetic.too_long", most=1_000_000, frames=frames)
     times = np.arange(frames) / frame_rate
     phases = start + np.clip((times - before) / seconds, 0.0, rounds)
     hurry = np.clip(performer.timing + rng.normal(0.0, 0.06), -0.5, 0.5)
@@ -252,3 +250,85 @@ def _plan(score: Score, performer: Performer, frame_rate: float, rng: np.random.
         ramp = np.minimum(times / rise, (times[-1] - times) / fall).clip(0.0, 1.0)
         weights = ramp * ramp * (3 - 2 * ramp)
     return Plan(times, phases, weights)
+
+
+_SIDES = ("left", "right")
+
+
+def make_gesture(seed: int, frame_rate: float = 30.0) -> Motion:
+    """Make a gesture of a random performer, in metres with Y up as by ``make_motion``; the same for the same seed."""
+    rng = np.random.default_rng([0x6E57, seed])
+    performer = draw_performer(5000 + seed)  # no performer of the other synthetic libraries
+    return perform_score(draw_score(rng), performer, rng, frame_rate)
+
+
+def draw_score(rng: np.random.Generator) -> Score:
+    """Draw a random score of keys, degrees."""
+    kind = "once" if rng.random() < 1 / 3 else "repeat"
+    tracks: dict[str, Track] = {}
+    arms = rng.random()
+    if arms < 0.4:
+        _draw_arm(rng, kind, str(rng.choice(_SIDES)), tracks)
+    elif arms < 0.75:
+        _draw_arm(rng, kind, "left", tracks)
+        if arms < 0.6:
+            _copy_left(tracks)
+        else:
+            _draw_arm(rng, kind, "right", tracks)
+    if arms >= 0.75 or rng.random() < 0.2:
+        _draw_rest(rng, kind, tracks)
+    for name, share, spread in (("bend", 0.4, 20.0), ("twist", 0.4, 25.0), ("lean", 0.3, 12.0)):
+        if name not in tracks and rng.random() < share:
+            tracks[name] = _draw_keys(rng, kind, rng.normal(0.0, spread, 1))
+    seconds, rounds = float(rng.uniform(0.8, 2.6)), int(rng.integers(1, 4))
+    return Score(kind, seconds, (1, rounds if kind == "repeat" else 1), False, True, tracks)
+
+
+def _draw_keys(rng: np.random.Generator, kind: str, values: FloatArray, apart: float = 0.08) -> Track:
+    """Draw poses and their times, from standing and back to it unless the motion ends elsewhere.
+
+    ``apart`` : least share of a round between two poses.
+    """
+    while True:
+        phases = np.sort(rng.uniform(0.15, 0.85, len(values)))
+        if len(values) == 1 or np.diff(phases).min() >= apart:
+            break
+    if kind == "once":
+        return np.concatenate([[0.0, 0.05], phases]), np.concatenate([[0.0, 0.0], values])
+    return np.concatenate([[0.0], phases, [1.0]]), np.concatenate([[0.0], values, [0.0]])
+
+
+def _draw_arm(rng: np.random.Generator, kind: str, side: str, tracks: dict[str, Track]) -> None:
+    count = int(rng.integers(1, 4))
+    raised = rng.uniform(25.0, 165.0) + rng.normal(0.0, 25.0, count)
+    aside = rng.uniform(-20.0, 95.0)
+    bent = rng.uniform(0.0, 120.0) + rng.normal(0.0, 35.0, int(rng.integers(1, 5)))
+    tracks[f"{side}_arm_raise"] = _draw_keys(rng, kind, np.clip(raised, -30.0, 175.0))
+    if rng.random() < 0.6:
+        tracks[f"{side}_arm_side"] = np.array([0.0]), np.array([aside])
+    else:
+        turned = np.clip(aside + rng.normal(0.0, 35.0, count), -30.0, 110.0)
+        tracks[f"{side}_arm_side"] = _draw_keys(rng, kind, turned)
+    tracks[f"{side}_elbow"] = _draw_keys(rng, kind, np.clip(bent, 0.0, 145.0))
+    tracks[f"{side}_arm_turn"] = _draw_keys(rng, kind, rng.normal(0.0, 35.0, 1))
+
+
+def _copy_left(tracks: dict[str, Track]) -> None:
+    left = [name for name in tracks if name.startswith("left_")]
+    tracks.update({name.replace("left_", "right_"): tracks[name] for name in left})
+
+
+def _draw_rest(rng: np.random.Generator, kind: str, tracks: dict[str, Track]) -> None:
+    """Draw the keys of a leg, both knees, or the trunk."""
+    which, count = rng.random(), int(rng.integers(1, 3))
+    if which < 0.35:
+        side = str(rng.choice(_SIDES))
+        tracks[f"{side}_thigh"] = _draw_keys(rng, kind, rng.uniform(-25.0, 95.0, count))
+        tracks[f"{side}_knee"] = _draw_keys(rng, kind, rng.uniform(0.0, 110.0, count))
+    elif which < 0.65:
+        phases, bent = _draw_keys(rng, kind, rng.uniform(30.0, 125.0, count))
+        raised = bent * rng.uniform(0.4, 0.8)
+        tracks.update({f"{side}_knee": (phases, bent) for side in _SIDES})
+        tracks.update({f"{side}_thigh": (phases, raised) for side in _SIDES})
+    else:
+        tracks["bend"] = _draw_keys(rng, kind, rng.uniform(-10.0, 80.0, count))

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.errors import InvalidMotionError
 from dousa.motion import canonicalise, mirror_canonical
-from dousa.motion.synthetic.gestures import make_gesture
+from dousa.motion.synthetic.performers import make_gesture
 from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.features.posed_motion import PosedMotion, hide_joints
 from dousa.retrieval.forest import tree_kernels as kernels

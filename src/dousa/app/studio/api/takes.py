@@ -203,7 +203,7 @@ def export(
         kept = {name: labels[name] for name in ("duration_s", "threshold", "source", "segments") if name in labels}
         return Answer({"take": answer["name"], **kept}, headers=headers)
     if format == "eaf":
-        from dousa.formats.annotations.writing import format_eaf
+        from dousa.formats.annotations.elan import format_eaf
 
         content = format_eaf([_to_stretch(one) for one in segments], media=answer["name"])
         return Response(content, media_type="application/xml", headers=headers)
@@ -216,7 +216,7 @@ def _format_csv(segments: Sequence[dict[str, Any]]) -> str:
     A doubtful guess is no label and has its own column.
     """
     if any("counted" in one for one in segments):
-        from dousa.formats.annotations.writing import format_labels_csv
+        from dousa.formats.annotations.tables import format_labels_csv
 
         return format_labels_csv(_to_stretch(one) for one in segments)
     text = io.StringIO()

@@ -11,7 +11,7 @@ import dousa
 from dousa.app.studio.content.motions import Address
 from dousa.app.studio.content.studio import StudioNow
 from dousa.app.studio.core.answers import Answer, RefusedError, describe_body, say
-from dousa.app.studio.core.uploads import MOTIONS, receive
+from dousa.app.studio.core.uploads import motion_suffixes, receive
 from dousa.formats.annotations import LABEL_SUFFIXES, is_label_file
 from dousa.formats.registry import is_motion_file
 
@@ -32,7 +32,7 @@ def get_info(studio: StudioNow) -> Answer:
                 "batch_bytes": settings.most_unpacked_bytes,
                 "batch_files": settings.most_files,
             },
-            "motion_suffixes": sorted(MOTIONS),
+            "motion_suffixes": sorted(motion_suffixes()),
         }
     )
 

@@ -19,10 +19,9 @@ from starlette.concurrency import run_in_threadpool
 
 from dousa.app.studio.core.answers import RefusedError, describe_disk
 from dousa.app.studio.core.workspace import Settings, Workspace, safe_parts
-from dousa.formats.registry import SUFFIXES
+from dousa.formats.registry import list_suffixes
 from dousa.messages import Message
 
-MOTIONS = frozenset(Path(f"a{suffix}").suffix for suffix in SUFFIXES)
 SKELETONS = frozenset({".asf"})
 VIDEOS = frozenset({".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"})
 PICTURES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"})
@@ -110,9 +109,14 @@ class _Room:
         self._workspace.grow(self.batch, -1, -size, self.most)
 
 
+def motion_suffixes() -> frozenset[str]:
+    """The last suffixes of the motion files that can be read, those of plug-ins included."""
+    return frozenset(Path(f"a{suffix}").suffix for suffix in list_suffixes())
+
+
 def _check_suffix(name: str) -> str:
     suffix = Path(name).suffix.lower()
-    if suffix not in MOTIONS | SKELETONS | VIDEOS | SOUNDS | PICTURES | TABLES | LABELS | {_ARCHIVE}:
+    if suffix not in motion_suffixes() | SKELETONS | VIDEOS | SOUNDS | PICTURES | TABLES | LABELS | {_ARCHIVE}:
         if suffix:
             raise RefusedError(415, "studio_files.other_kind", suffix=suffix)
         raise RefusedError(415, "studio_files.no_suffix")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from dousa.app.studio.core.uploads import PICTURES, VIDEOS
 from dousa.errors import CalibrationError
-from dousa.files.frame_names import natural_key
+from dousa.files.frame_files import natural_key
 
 ROLES = ("source", "cameras", "background", "body", "start", "unused")
 _CALIBRATIONS = frozenset({".toml", ".xml", ".yaml", ".yml", ".json", ".txt"})

@@ -1,6 +1,6 @@
-"""dousa's own NPZ files, with all content of a Motion or Trajectories.
+"""dousa's own NPZ files, with all content of a Motion or Trajectories; and npz files of other kinds, by their arrays.
 
-A zip of arrays as ``numpy.savez`` makes it, uncompressed, so that ``numpy.load`` opens it too:
+dousa's is a zip of arrays as ``numpy.savez`` makes it, uncompressed, so that ``numpy.load`` opens it too:
 
     format            "dousa motion"
     version           1
@@ -25,6 +25,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -33,13 +34,13 @@ from numpy.typing import NDArray
 from dousa.errors import InvalidMotionError, MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.files.npz_arrays import NpzFile, open_npz
+from dousa.formats.arrays.joints import build_joints, find_joints, is_joint_array
+from dousa.formats.smpl import build_smpl, find_poses
 from dousa.messages import Message
 from dousa.motion import Motion, Provenance, Skeleton, Trajectories
 from dousa.motion.canonical.reference_frame import parse_unit, parse_up
 
 _FORMAT, _VERSION = "dousa motion", 1
-
-_MOST_MEMBERS = 64
 
 _PROVENANCE_TEXTS = ("path", "format", "unit_source", "up", "up_source")
 
@@ -55,11 +56,7 @@ def read_npz(
     """
     if (unit is not None and parse_unit(unit) != 1.0) or (up is not None and parse_up(up) != "y"):
         raise MotionFileError(path, "dousa_npz.unit")
-    data = read_bytes(path)
-
-    def fail(message: Message) -> MotionFileError:
-        return MotionFileError(path, message)
-
+    data, fail = read_bytes(path), partial(MotionFileError, path)
     try:
         with open_npz(data, fail) as file:
             return _build(_Reader(file, len(data), fail))
@@ -72,7 +69,7 @@ class _Reader:
 
     def __init__(self, file: NpzFile, size: int, fail: Callable[[Message], MotionFileError]) -> None:
         self.file, self._size, self.fail = file, size, fail
-        if len(file.names) > _MOST_MEMBERS:
+        if len(file.names) > 64:
             raise fail(Message("dousa_npz.many", found=len(file.names)))
         if file.compressed:
             raise fail(Message("dousa_npz.compressed", array=file.compressed[0]))
@@ -155,3 +152,78 @@ def _list_arrays(motion: Motion | Trajectories) -> dict[str, NDArray[Any]]:
     fields = {name: getattr(motion, name) for name in ("positions", "parents", "rest_positions")}
     given = {name: array for name, array in fields.items() if array is not None}
     return {"kind": np.array("trajectories"), **given}
+
+
+_RATES = ("frame_rate", "fps", "framerate", "mocap_framerate", "mocap_frame_rate")
+
+
+def read_any_npz(
+    path: str | os.PathLike[str],
+    *,
+    unit: float | str | None = None,
+    up: str | None = None,
+    skeleton: str | os.PathLike[str] | None = None,
+    frame_rate: float | None = None,
+) -> Motion | Trajectories:
+    """Read an npz file; its kind follows from its arrays.
+
+    Parameters
+    ----------
+    path : a file that dousa wrote, one of SMPL poses (AMASS), or one with an array (T, J, 3) of joints.
+    unit, up : if not in the file; dousa's own has both.
+    skeleton : body model of SMPL poses.
+    frame_rate : Hz, of arrays without one.
+
+    Raises
+    ------
+    MotionFileError : missing, damaged, or none of these.
+    """
+    with open_npz(path, partial(MotionFileError, path)) as file:
+        if find_poses(file.names):
+            return build_smpl(path, lambda name: _read(file, name), unit=unit, up=up, skeleton=skeleton,
+                              frame_rate=frame_rate)  # fmt: skip
+        name = None if "format" in file else find_joints(_shapes(file))
+        if name is None:
+            return read_npz(path, unit=unit, up=up)
+        points = _read(file, name)
+        rate = frame_rate
+        for key in _RATES:
+            if rate is None and key in file:
+                given = _read(file, key)
+                rate = float(given.reshape(-1)[0]) if given is not None and given.size == 1 else None
+        names = next((file.read_texts(key) for key in ("joint_names", "names") if _is_text(file, key)), None)
+    return build_joints(path, "npz", points, unit=unit, up=up, frame_rate=rate, names=names)
+
+
+def _read(file: NpzFile, name: str) -> Any:
+    if name not in file:
+        return None
+    with file.open(name) as (header, _):
+        if header.dtype.kind not in "iuf":
+            return None
+    return file.read(name, "iuf", most=1_000_000_000)
+
+
+def _is_text(file: NpzFile, name: str) -> bool:
+    if name not in file:
+        return False
+    with file.open(name) as (header, _):
+        return header.dtype.kind == "U" and len(header.shape) == 1
+
+
+class _Shape:
+    """Shape of an unread array, for `find_joints`."""
+
+    def __init__(self, shape: tuple[int, ...], kind: str) -> None:
+        self.shape, self.is_joints = shape, kind in "iuf" and is_joint_array(shape)
+
+
+def _shapes(file: NpzFile) -> dict[str, Any]:
+    shapes = {}
+    for name in file.names:
+        try:
+            with file.open(name) as (header, _):
+                shapes[name] = _Shape(header.shape, header.dtype.kind)
+        except MotionFileError:  # an array of objects, such as names
+            continue
+    return {name: shape for name, shape in shapes.items() if shape.is_joints}

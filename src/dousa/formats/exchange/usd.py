@@ -1,4 +1,4 @@
-"""Skeletons of USD stages, found by the process of `skeleton_job`, as motions.
+"""Skeletons of USD stages, found by the process of `usd_job`, as motions.
 
 Unit (``metersPerUnit``) and up axis are those of the stage. Joints get the axes of the scene, as in a BVH file: at rest
 (the bind pose) nothing is turned.
@@ -11,6 +11,7 @@ import os
 import re
 import sys
 import tempfile
+from functools import partial
 
 import numpy as np
 
@@ -18,16 +19,14 @@ from dousa.arrays import FloatArray
 from dousa.errors import MissingExtraError, MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.files.npz_arrays import open_npz
+from dousa.formats.assembly import localise, rest_offsets, settle_motion
 from dousa.formats.exchange.programs import Program, ProgramError, run_program
-from dousa.formats.poses import localise, settle_motion
 from dousa.messages import Message
 from dousa.motion import Motion, Skeleton
 from dousa.motion.rotations import conjugate, from_matrix, multiply
 
 _SIGNS = re.compile(rb"\A(?:#usda|PXR-USDC|PK\x03\x04)")
 _CODE = re.compile(r"\bcode (usd\.[a-z_]{1,30})$")
-_MOST_BYTES = 4_000_000_000
-_MOST_JOINTS = 10_000
 
 
 def read_usd(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Motion:
@@ -50,7 +49,7 @@ def read_usd(path: str | os.PathLike[str], *, unit: float | str | None = None, u
         raise MissingExtraError("usd-core", "usd")
     with tempfile.TemporaryDirectory(prefix="dousa-") as folder:
         found = os.path.join(folder, "skeleton.npz")
-        job = os.path.join(os.path.dirname(__file__), "skeleton_job.py")
+        job = os.path.join(os.path.dirname(__file__), "usd_job.py")
         try:
             run_program(Program("usd", sys.executable), [job, os.path.abspath(path), found], folder, found)
         except ProgramError as error:
@@ -66,7 +65,7 @@ def build_usd(
     unit: float | str | None,
     up: str | None,
 ) -> Motion:
-    """Build a motion from the arrays of `skeleton_job`.
+    """Build a motion from the arrays of `usd_job`.
 
     Parameters
     ----------
@@ -74,30 +73,26 @@ def build_usd(
     found : npz with the arrays.
     unit, up : as for `read_usd`.
     """
-
-    def fail(message: Message) -> MotionFileError:
-        return MotionFileError(path, message)
-
+    fail, most_bytes = partial(MotionFileError, path), 4_000_000_000
     with open_npz(found, fail) as file:
-        frames = file.read("frames", "f", 4, _MOST_BYTES)
-        rest = file.read("rest", "f", 3, _MOST_BYTES)
+        frames = file.read("frames", "f", 4, most_bytes)
+        rest = file.read("rest", "f", 3, most_bytes)
         parents = [int(parent) for parent in file.read("parents", "i", 1)]
         names = _shorten(file.read_texts("names"))
         rate, metres, count = (float(file.read(name, "fi", 1)[0]) for name in ("rate", "unit", "count"))
         axis = file.read_texts("up")[0].lower()
     n_joints = len(parents)
-    if not 0 < n_joints <= _MOST_JOINTS or any(parent >= joint for joint, parent in enumerate(parents)):
+    if not 0 < n_joints <= 10_000 or any(parent >= joint for joint, parent in enumerate(parents)):
         raise fail(Message("usd.tree"))
     if not (np.isfinite(frames).all() and np.isfinite(rest).all()) or not 0 < rate <= 1e6:
         raise fail(Message("usd.finite"))
     resting, places = _pose_of(rest), rest[:, 3, :3]
     world = multiply(_pose_of(frames), conjugate(resting))
     rotations, translations = localise(parents, world, frames[:, :, 3, :3])
-    above = np.array(parents)[:, None]
-    offsets = places - np.where(above >= 0, places[parents], 0.0)
     notes = (Message("usd.several", found=int(count)),) if count > 1 else ()
+    skeleton = Skeleton(names, np.array(parents, np.intp), rest_offsets(parents, places))
     return settle_motion(
-        path, "usd", Skeleton(names, np.array(parents, np.intp), offsets), rotations, translations, rate,
+        path, "usd", skeleton, rotations, translations, rate,
         unit=unit, up=up, declared_unit=metres if 0 < metres < 1e6 else None,
         up_in_file=axis if axis in ("y", "z") else None, notes=notes,
     )  # fmt: skip

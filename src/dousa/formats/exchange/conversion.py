@@ -1,4 +1,4 @@
-"""FBX and Collada: another program converts the file to GLB, which dousa reads.
+"""FBX and Collada through other programs: they convert a file to GLB, which dousa reads, or dousa's GLB to FBX.
 
 Blender, which supports more of FBX, is tried before assimp. A program named by DOUSA_ASSIMP or DOUSA_BLENDER is tried
 before one that is only found.
@@ -13,12 +13,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import resources
 
-from dousa.errors import MotionFileError
-from dousa.files.disk import read_bytes
+from dousa.errors import MotionFileError, MotionWriteError
+from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.exchange.assimp_repair import collapse_helpers, read_unit
 from dousa.formats.exchange.programs import Program, ProgramError, find_program, is_named, run_program
 from dousa.formats.gltf.document import GltfDocument, load_document
 from dousa.formats.gltf.reading import build_character, build_motion
+from dousa.formats.gltf.writing import write_glb
 from dousa.messages import Message
 from dousa.motion import Motion
 
@@ -26,7 +27,6 @@ _SIGNS = {
     ".fbx": re.compile(rb"\AKaydara FBX Binary|FBXHeaderExtension|\A\s*; FBX"),
     ".dae": re.compile(rb"<COLLADA"),
 }
-_HEAD_BYTES = 4096
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +72,7 @@ def _convert(path: str | os.PathLike[str]) -> _Converted:
     """Convert a file by the first program that can read it."""
     data = read_bytes(path)
     suffix = f".{_format(path)}"
-    if suffix in _SIGNS and not _SIGNS[suffix].search(data[:_HEAD_BYTES]):
+    if suffix in _SIGNS and not _SIGNS[suffix].search(data[:4096]):
         raise MotionFileError(path, "exchange.other_content", format=suffix[1:].upper())
     problem: Message | None = None
     for program in _list_programs():
@@ -113,3 +113,31 @@ def blender_words() -> list[str]:
     """Return Blender's options for our job: no window, no user settings."""
     job = str(resources.files("dousa.formats.exchange").joinpath("blender_job.py"))
     return ["--background", "--factory-startup", "--disable-autoexec", "--python-exit-code", "3", "--python", job, "--"]
+
+
+_MAGIC = b"Kaydara FBX Binary"
+
+
+def write_fbx(motion: Motion, path: str | os.PathLike[str]) -> None:
+    """Write a motion as FBX through Blender: skeleton, animation, and the mesh of its character.
+
+    Raises
+    ------
+    MotionWriteError : no Blender, or it fails; a joint without any pose; a disk error.
+    """
+    program = find_program("blender")
+    if program is None:
+        raise MotionWriteError(path, "exchange.no_blender")
+    with tempfile.TemporaryDirectory(prefix="dousa-") as folder:
+        source, result = os.path.join(folder, "motion.glb"), os.path.join(folder, "made.fbx")
+        write_glb(motion, source)
+        try:
+            run_program(program, [*blender_words(), "write", source, result, repr(motion.frame_rate)], folder, result)
+        except ProgramError as error:
+            raise MotionWriteError(path, error.message) from error
+        with open(result, "rb") as file:
+            data = file.read()
+    if not data.startswith(_MAGIC):
+        raise MotionWriteError(path, Message("exchange.failed", program=program.title, reason="-"))
+    with atomic_write(path) as file:
+        file.write(data)

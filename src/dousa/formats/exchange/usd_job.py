@@ -1,4 +1,4 @@
-"""Script ``python skeleton_job.py IN OUT.npz`` for its own process: damaged files can crash usd-core, which is C++.
+"""Script ``python usd_job.py IN OUT.npz`` for its own process: damaged files can crash usd-core, which is C++.
 
 Needs numpy and usd-core, and nothing of dousa. Writes the first skeleton that is animated, else the first one:
 
@@ -15,14 +15,12 @@ from typing import Any
 
 import numpy as np
 
-_MOST_FRAMES, _MOST_VALUES = 1_000_000, 20_000_000
-_MEMORY = 12 << 30  # bytes
 
-
-def _limit_memory(size: int) -> None:
+def _limit_memory(size: int, least: int = 12 << 30) -> None:
+    """Limit the memory to ``least`` bytes and 50 times the size of the file."""
     try:
         resource: Any = importlib.import_module("resource")
-        most = _MEMORY + 50 * size
+        most = least + 50 * size
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
     except (ImportError, AttributeError, ValueError, OSError):  # not on this system
         return
@@ -54,14 +52,14 @@ def _sample_times(query: Any) -> list[float]:
     return sorted(animation.GetJointTransformTimeSamples()) if animation else []
 
 
-def _choose_times(samples: list[float], per_second: float) -> tuple[np.ndarray, float]:
+def _choose_times(samples: list[float], per_second: float, most: int = 1_000_000) -> tuple[np.ndarray, float]:
     """Even times that meet the samples, and the rate in Hz."""
     if len(samples) < 2:
         return np.array(samples or [0.0]), per_second
     steps = np.diff(samples)
     step = float(np.median(steps[steps > 1e-6])) if (steps > 1e-6).any() else 1.0
     count = round((samples[-1] - samples[0]) / step) + 1
-    if count > _MOST_FRAMES:
+    if count > most:
         _fail("usd.frames")
     return samples[0] + step * np.arange(count), per_second / step
 
@@ -82,7 +80,7 @@ def main() -> None:
     times, rate = _choose_times(_sample_times(query), stage.GetTimeCodesPerSecond())
     topology = query.GetTopology()
     count = len(query.GetJointOrder())
-    if len(times) * count > _MOST_VALUES:
+    if len(times) * count > 20_000_000:
         _fail("usd.frames")
     parents = [topology.GetParent(joint) for joint in range(count)]
     frames = np.empty((len(times), count, 4, 4))

@@ -1,13 +1,21 @@
-"""JSON forms of points of people, converted to one: people by frame, points by person.
+"""Positions of joints in space as JSON from pose estimators of films: one file, or one for each frame.
 
-Supported for each person of a frame: OpenPose (``people``, ``pose_keypoints_3d``: flat x, y, z, confidence),
-MMPose (``instance_info``, ``instances``, ``keypoints``, ``keypoint_scores``; names in ``meta_info``), world landmarks
-of MediaPipe (lists of ``x, y, z, visibility``; ``pose_world_landmarks``), TensorFlow.js (``keypoints3D``, with ``name``
-of each), points by name, and bare lists (frames, joints, 3) or (frames, 3 joints).
+The forms are converted to one: people by frame, points by person. Supported for each person of a frame: OpenPose
+(``people``, ``pose_keypoints_3d``: flat x, y, z, confidence), MMPose (``instance_info``, ``instances``, ``keypoints``,
+``keypoint_scores``; names in ``meta_info``), world landmarks of MediaPipe (lists of ``x, y, z, visibility``;
+``pose_world_landmarks``), TensorFlow.js (``keypoints3D``, with ``name`` of each), points by name, and bare lists
+(frames, joints, 3) or (frames, 3 joints).
+
+Points in a picture (2D keypoints, MediaPipe's picture landmarks) are refused; the message names the command for them. A
+point with confidence 0, or with all numbers 0, was not seen. World landmarks of MediaPipe (BlazePose GHUM) are metres
+about the middle of the hips, y down.
 """
 
 from __future__ import annotations
 
+import json
+import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,9 +23,13 @@ from typing import Any
 import numpy as np
 
 from dousa.arrays import FloatArray
-from dousa.errors import DousaError
-from dousa.files.frame_names import natural_key, number_frames
-from dousa.formats.arrays.joints import list_layouts
+from dousa.errors import DousaError, MotionFileError
+from dousa.files.disk import read_bytes
+from dousa.files.frame_files import list_frame_files, natural_key, number_frames
+from dousa.formats.arrays.joints import list_layouts, name_joints
+from dousa.messages import Message
+from dousa.motion import Trajectories
+from dousa.motion.canonical.naming import match_names
 
 WORLD_KEYS = (
     "pose_keypoints_3d", "keypoints_3d", "keypoints3d", "keypoints3D", "pose_world_landmarks", "poseWorldLandmarks",
@@ -35,9 +47,8 @@ _SURE_KEYS = ("visibility", "score", "confidence", "conf", "c")
 _NUMBER_KEYS = ("person_id", "track_id", "idx")
 _RATE_KEYS = ("fps", "frame_rate", "frameRate", "framerate", "FPS")
 _NAME_KEYS = ("joint_names", "keypoint_names", "names", "jointNames", "keypoints_name")
-_BODY_OF = {133: 17, 136: 26, 553: 33}  # points of the body come first, then feet, face and hands
-_MOST_FRAMES, _MOST_PEOPLE = 2_000_000, 200
-_DEEPEST = 6
+# By the definition of COCO-WholeBody, HALPE 136 and MediaPipe Holistic the body comes first, then feet, face, hands.
+_BODY_OF = {133: 17, 136: 26, 553: 33}
 
 
 class FormError(DousaError):
@@ -71,8 +82,11 @@ class Recording:
     names: tuple[str, ...] = ()
 
 
-def list_frames(content: Any) -> Recording:
-    """List the people of all frames of a JSON file's content; FormError if it has none of the known forms."""
+def list_frames(content: Any, most: int = 2_000_000) -> Recording:
+    """List the people of all frames of a JSON file's content.
+
+    FormError if it has none of the known forms, or more than ``most`` frames.
+    """
     rate: float | None = None
     names: tuple[str, ...] = ()
     if isinstance(content, Mapping):
@@ -80,10 +94,10 @@ def list_frames(content: Any) -> Recording:
         content = _find_frames(content)
     if not isinstance(content, list) or not content:
         raise FormError("landmarks.unknown")
-    if len(content) > _MOST_FRAMES:
-        raise FormError("landmarks.frames", most=_MOST_FRAMES, found=len(content))
+    if len(content) > most:
+        raise FormError("landmarks.frames", most=most, found=len(content))
     if all(isinstance(entry, Mapping) and "image_id" in entry for entry in content):
-        return Recording(_group_by_image(content), rate, names)
+        return Recording(_group_by_image(content, most), rate, names)
     if _is_person(content):  # the points of a single frame
         content = [content]
     return Recording([list_people(entry) for entry in content], rate, names)
@@ -125,29 +139,32 @@ def _find_frames(content: Mapping[str, Any]) -> Any:
     return [content] if _is_named_points(content) else None
 
 
-def _depth(value: Any) -> int:
-    """Number of nested lists (or lists and then an object with x)."""
+def _depth(value: Any, deepest: int = 6) -> int:
+    """Number of nested lists (or lists and then an object with x), at most ``deepest``."""
     depth = 0
-    while isinstance(value, list) and value and depth < _DEEPEST:
+    while isinstance(value, list) and value and depth < deepest:
         value, depth = value[0], depth + 1
     return depth + isinstance(value, Mapping)
 
 
-def _group_by_image(entries: Sequence[Mapping[str, Any]]) -> list[list[Person]]:
+def _group_by_image(entries: Sequence[Mapping[str, Any]], most: int) -> list[list[Person]]:
     by_image: dict[str, list[Person]] = {}
     for entry in entries:
         by_image.setdefault(str(entry["image_id"]), []).extend(list_people(entry))
     numbered = number_frames(sorted(by_image, key=natural_key))
-    if max(numbered) >= _MOST_FRAMES:
-        raise FormError("landmarks.frames", most=_MOST_FRAMES, found=max(numbered) + 1)
+    if max(numbered) >= most:
+        raise FormError("landmarks.frames", most=most, found=max(numbered) + 1)
     return [by_image.get(numbered.get(frame, ""), []) for frame in range(max(numbered) + 1)]
 
 
-def list_people(node: Any, key: str = "", depth: int = 0) -> list[Person]:
-    """List the people of one frame in any of the forms; FormError if it is none, or has too many people."""
+def list_people(node: Any, key: str = "", depth: int = 0, deepest: int = 6, most: int = 200) -> list[Person]:
+    """List the people of one frame in any of the forms.
+
+    FormError if it is none, nested deeper than ``deepest``, or has more than ``most`` people.
+    """
     if node is None or node in ([], {}):
         return []
-    if depth > _DEEPEST:
+    if depth > deepest:
         raise FormError("landmarks.unknown")
     if isinstance(node, Mapping):
         return _list_in_object(node, depth)
@@ -155,8 +172,8 @@ def list_people(node: Any, key: str = "", depth: int = 0) -> list[Person]:
         raise FormError("landmarks.unknown")
     if _is_person(node):
         return [Person(*_read_points(node, key))]
-    if len(node) > _MOST_PEOPLE:
-        raise FormError("landmarks.people", most=_MOST_PEOPLE, found=len(node))
+    if len(node) > most:
+        raise FormError("landmarks.people", most=most, found=len(node))
     return [person for entry in node for person in list_people(entry, key, depth + 1)]
 
 
@@ -261,3 +278,161 @@ def _read_number(node: Mapping[str, Any]) -> int | None:
         if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**31:
             return value
     return None
+
+
+_LANDMARKS, _HIPS = 33, (23, 24)  # of MediaPipe's definition
+
+
+def read_landmarks(
+    path: str | os.PathLike[str],
+    *,
+    unit: float | str | None = None,
+    up: str | None = None,
+    frame_rate: float | None = None,
+) -> Trajectories:
+    """Read 3D points of a person from JSON; of several people the one in most frames, NaN where missing.
+
+    Parameters
+    ----------
+    path : a file, or a folder of one file for each frame.
+    unit, up : by default inferred from the body.
+    frame_rate : Hz; by default that of the file, else that of the program that usually writes these points.
+
+    Raises
+    ------
+    MotionFileError : missing, damaged, of another form, 2D points, no person in any frame.
+    """
+    try:
+        recording = _read_folder(path) if os.path.isdir(path) else list_frames(_parse(path))
+        people, notes = _choose_person(recording)
+    except FormError as error:
+        raise MotionFileError(path, error.message) from error
+    points = _stack(path, people)
+    _refuse_pictures(path, points, people)
+    places = points[..., :3].copy()
+    places[~(points[..., 3] > 0) | (places == 0).all(axis=2)] = np.nan
+    if not np.isfinite(places).any():
+        raise MotionFileError(path, "landmarks.nobody")
+    return name_joints(
+        path, "landmarks", places, _name_points(recording, people, points.shape[1]), unit=unit, up=up,
+        frame_rate=frame_rate or recording.rate, notes=(*notes, *_note_hips(places)),
+    )  # fmt: skip
+
+
+def _parse(path: str | os.PathLike[str]) -> Any:
+    data = read_bytes(path)
+    if len(data) > 2_000_000_000:
+        raise MotionFileError(path, "disk.too_large")
+    try:
+        text = data.decode("utf-8-sig")
+        try:
+            return json.loads(text)
+        except json.JSONDecodeError as error:
+            if "Extra data" not in error.msg:
+                raise
+            return [json.loads(line) for line in text.splitlines() if line.strip()]  # a frame in each line
+    except (ValueError, RecursionError) as error:
+        raise MotionFileError(path, "landmarks.broken", reason=str(error)[:200]) from error
+
+
+def _read_folder(folder: str | os.PathLike[str]) -> Recording:
+    try:
+        names = list_frame_files(folder)
+    except OSError as error:
+        raise MotionFileError(folder, "disk.unreadable", reason=error) from error
+    if not names:
+        raise MotionFileError(folder, "disk.folder")
+    numbered = number_frames(names)
+    frames: list[list[Person]] = [[] for _ in range(max(numbered) + 1)]
+    for frame, name in numbered.items():
+        place = os.path.join(folder, name)
+        try:
+            frames[frame] = list_people(_parse(place))
+        except MotionFileError as error:
+            raise MotionFileError(folder, "landmarks.in_frame", file=name, problem=error.message) from error
+        except FormError as error:
+            raise MotionFileError(folder, "landmarks.in_frame", file=name, problem=error.message) from error
+    return Recording(frames)
+
+
+def _choose_person(recording: Recording) -> tuple[list[Person | None], tuple[Message, ...]]:
+    """One person (or None) for each frame: the number in most of them; without numbers the first."""
+    frames = [[person for person in people if len(person.points)] for people in recording.frames]
+    counts = Counter(person.number for people in frames for person in people)
+    if not counts:
+        raise FormError("landmarks.flat" if any(recording.frames) else "landmarks.nobody")
+    most = max(map(len, frames))
+    # A number that is another one in every frame counts frames, not people.
+    numbered = None not in counts and (most > 1 or counts.most_common(1)[0][1] > 1)
+    chosen = max(counts, key=lambda number: counts[number])
+    people = [next((person for person in found if not numbered or person.number == chosen), None) for found in frames]
+    total = len(counts) if numbered else most
+    notes = (Message("landmarks.several", found=total),) if total > 1 else ()
+    return people, notes
+
+
+def _stack(path: str | os.PathLike[str], people: list[Person | None]) -> FloatArray:
+    """(T, K, 4) of the person, NaN in frames without."""
+    sizes = Counter(len(person.points) for person in people if person is not None)
+    count = max(sizes, key=lambda size: sizes[size])
+    if len(sizes) > 1:
+        raise MotionFileError(path, "landmarks.uneven", found=tuple(sorted(sizes)))
+    if count * len(people) > 100_000_000:
+        raise MotionFileError(path, "disk.too_large")
+    points = np.full((len(people), count, 4), np.nan)
+    for frame, person in enumerate(people):
+        if person is not None:
+            points[frame] = person.points
+    return points
+
+
+def _refuse_pictures(
+    path: str | os.PathLike[str],
+    points: FloatArray,
+    people: list[Person | None],
+    pixels: float = 3.0,
+    off_origin: float = 0.15,
+) -> None:
+    """Raise MotionFileError for points in a picture.
+
+    Parameters
+    ----------
+    pixels : coordinates beyond this, beside confidences from 0 to 1, are places in a picture.
+    off_origin : m from the middle of the hips of world landmarks.
+    """
+    keys = {person.key for person in people if person is not None}
+    seen = points[np.isfinite(points[..., :2]).all(axis=2)]
+    depth = seen[np.isfinite(seen[:, 2]), 2]
+    landmarks = points.shape[1] == _LANDMARKS
+    shares = len(depth) > 0 and bool(((depth >= 0) & (depth <= 1)).all()) and np.abs(seen[:, :2]).max() > pixels
+    if not depth.any() or shares:
+        raise MotionFileError(path, "landmarks.flat")
+    middle = points[:, _HIPS, :2].mean(axis=1) if landmarks else np.empty((0, 2))
+    middle = middle[np.isfinite(middle).all(axis=1)]
+    inside = ((seen[:, :2] > -0.25) & (seen[:, :2] < 1.25)).all(axis=1).mean()
+    away = len(middle) > 0 and float(np.abs(np.median(middle, axis=0)).max()) > off_origin
+    if keys & set(PICTURE_KEYS) or (away and inside > 0.98):
+        raise MotionFileError(path, "landmarks.picture")
+
+
+def _name_points(recording: Recording, people: list[Person | None], count: int) -> tuple[str, ...] | None:
+    """Names in the file, if they are those of a body; BODY_25 as OpenPose has them; else None."""
+    own = next((person.names for person in people if person is not None), ())
+    for names in (own, recording.names):
+        match = match_names(names) if len(names) == count and len(set(names)) == count else None
+        if match is not None and not match.missing:
+            return names
+    keys = {person.key for person in people if person is not None}
+    if keys == {"pose_keypoints_3d"}:
+        return next((y.names for y in list_layouts() if y.title == "OpenPose BODY_25" and len(y.names) == count), None)
+    return None
+
+
+def _note_hips(places: FloatArray, at_origin: float = 0.03) -> tuple[Message, ...]:
+    """Note a body whose hips stay within ``at_origin`` m of the origin: it does not travel."""
+    if places.shape[1] != _LANDMARKS:
+        return ()
+    middle = places[:, _HIPS].mean(axis=1)
+    seen = middle[np.isfinite(middle).all(axis=1)]
+    still = len(seen) > 1 and float(np.abs(seen).max()) < at_origin
+    return (Message("landmarks.hips_fixed"),) if still else ()

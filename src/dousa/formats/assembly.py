@@ -1,0 +1,284 @@
+"""Assembly of motions and trajectories from the content of files: to metres with Y up, from world to local poses."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from dousa.arrays import BoolArray, FloatArray, IndexArray
+from dousa.errors import InvalidMotionError, MotionFileError, OptionError
+from dousa.messages import Message
+from dousa.motion import Motion, Provenance, Skeleton, Trajectories, thin
+from dousa.motion.canonical.reference_frame import infer_reference_frame, parse_unit, parse_up, to_reference_frame
+from dousa.motion.rotations import conjugate, identity, multiply, rotate
+from dousa.motion.types import freeze
+
+
+def settle_motion(
+    path: str | os.PathLike[str],
+    format_name: str,
+    skeleton: Skeleton,
+    rotations: FloatArray,
+    translations: FloatArray,
+    frame_rate: float,
+    *,
+    unit: float | str | None,
+    up: str | None,
+    unit_in_file: float | None = None,
+    up_in_file: str | None = None,
+    declared_unit: float | None = None,
+    default_up: str | None = "y",
+    rest_in_world: bool = True,
+    most_frames: int = 0,
+    layout: Any = None,
+    values: FloatArray | None = None,
+    notes: tuple[Message, ...] = (),
+    damaged: str = "markers.damaged",
+) -> Motion:
+    """Build a motion in metres with Y up from the content of a file.
+
+    Parameters
+    ----------
+    path, format_name : for the provenance and the messages.
+    skeleton : offsets in the file's unit and axes.
+    rotations : (T, J, 4) local unit quaternions.
+    translations : (T, J, 3) local positions in the file's unit and axes.
+    frame_rate : Hz.
+    unit, up : given by the caller, or None.
+    unit_in_file, up_in_file : of the file or its format, or None.
+    declared_unit : of the file or its format, rejected if the body would have an impossible height.
+    default_up : usual in the format, if neither is there; None where it has none.
+    rest_in_world : whether the rest pose stands in the axes of the file; else only the frames show the up axis.
+    most_frames : looked at for the up axis where 16 leave a doubt.
+    layout, values : of the format and the file, for the provenance.
+    notes : for the user, on the reading of the file.
+    damaged : code of the message about arrays that make no motion.
+
+    Raises
+    ------
+    MotionFileError : arrays that make no motion, such as infinite positions.
+    """
+    from dousa.motion.kinematics import compute_rest_positions, forward_kinematics  # numba
+
+    known_unit = unit_in_file if unit is None else parse_unit(unit)
+    known_up = up_in_file if up is None else parse_up(up)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300
+            raw = Motion(skeleton, freeze(rotations), freeze(translations), frame_rate)
+            rest = compute_rest_positions(skeleton) if rest_in_world else None
+
+            def place(frames: IndexArray | slice) -> Trajectories:
+                positions, _ = forward_kinematics(skeleton.parents, raw.rotations[frames], raw.translations[frames])
+                return Trajectories(skeleton.names, freeze(positions), frame_rate, skeleton.parents, rest)
+
+            count = min(raw.n_frames, 16)
+            frame = infer_reference_frame(
+                place(np.arange(count) * (raw.n_frames - 1) // max(count - 1, 1)),
+                unit=known_unit,
+                up=known_up,
+                declared_unit=declared_unit,
+                default_up=default_up,
+                whole=(lambda: place(slice(0, most_frames))) if most_frames else None,
+            )
+            settled = to_reference_frame(raw, frame)
+    except InvalidMotionError as error:
+        raise MotionFileError(path, damaged, reason=error) from error
+    provenance = Provenance(
+        os.fspath(path),
+        format_name,
+        frame.unit,
+        "declared" if unit is None and unit_in_file is not None else frame.unit_source,
+        frame.up,
+        "declared" if up is None and up_in_file is not None else frame.up_source,
+        layout,
+        values,
+        (*notes, *frame.notes),
+    )
+    return dataclasses.replace(settled, provenance=provenance)
+
+
+def settle_world(
+    path: str | os.PathLike[str],
+    format_name: str,
+    names: Sequence[str],
+    parent_names: dict[str, str],
+    world: FloatArray,
+    positions: FloatArray,
+    frame_rate: float,
+    *,
+    are_local: bool = False,
+    **settings: Any,
+) -> Motion:
+    """Build a motion from poses in the world of joints whose rest pose is unknown: bones have their median offsets.
+
+    Parameters
+    ----------
+    names, parent_names : (J,) of the joints, and the parent by name as for `order_tree`.
+    world : (T, J, 4) unit quaternions; NaN where missing.
+    positions : (T, J, 3) in the file's unit and axes; NaN where missing.
+    are_local : whether the poses are those in the axes of the parents instead.
+    settings : of `settle_motion`.
+    """
+    order, parents = order_tree(tuple(names), parent_names)
+    rotations, translations = world[:, order], positions[:, order]
+    if not are_local:
+        rotations, translations = localise(parents, rotations, translations)
+    skeleton = Skeleton(tuple(names[joint] for joint in order), np.array(parents), median_offsets(translations))
+    return settle_motion(path, format_name, skeleton, rotations, translations, frame_rate, **settings)
+
+
+def add_ends(
+    skeleton: Skeleton, rotations: FloatArray, translations: FloatArray, ends: Sequence[tuple[int, FloatArray]]
+) -> tuple[Skeleton, FloatArray, FloatArray]:
+    """Add end sites: (joint, place (3,) in its axes); returns the skeleton and the local poses with them."""
+    n_joints, shape = skeleton.n_joints, (len(rotations), len(ends))
+    offsets = np.array([place for _, place in ends]).reshape(-1, 3)
+    with_ends = Skeleton(
+        (*skeleton.names, *(f"{skeleton.names[joint]}_end" for joint, _ in ends)),
+        np.array([*skeleton.parents, *(joint for joint, _ in ends)], np.intp),
+        np.concatenate((skeleton.offsets, offsets)),
+        np.arange(n_joints + len(ends)) >= n_joints,
+    )
+    rotations = np.concatenate((rotations, identity(shape)), axis=1)
+    return with_ends, rotations, np.concatenate((translations, np.tile(offsets, (shape[0], 1, 1))), axis=1)
+
+
+def rest_offsets(parents: Sequence[int], rest: FloatArray) -> FloatArray:
+    """Compute the offsets (J, 3) of joints from their places (J, 3) at rest; those of roots are the places."""
+    above = np.array(parents)
+    return rest - np.where(above[:, None] >= 0, rest[above], 0.0)
+
+
+def localise(parents: Any, world: FloatArray, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compute local rotations (T, J, 4) and translations (T, J, 3) of joints from poses in the world.
+
+    Parameters
+    ----------
+    parents : (J,) parent before child, -1 for a root.
+    world : (T, J, 4) unit quaternions; NaN where missing.
+    positions : (T, J, 3); NaN where missing.
+    """
+    rotations, translations = np.array(world), np.array(positions)
+    for joint, parent in enumerate(parents):
+        if parent >= 0:
+            back = conjugate(world[:, parent])
+            rotations[:, joint] = multiply(back, world[:, joint])
+            translations[:, joint] = rotate(back, positions[:, joint] - positions[:, parent])
+    return rotations, translations
+
+
+def median_offsets(translations: FloatArray) -> FloatArray:
+    """Compute the offsets (J, 3) of a skeleton as medians of the local positions (T, J, 3), root at 0."""
+    counted: BoolArray = np.isfinite(translations.sum(axis=2))
+    offsets = np.zeros(translations.shape[1:])
+    for joint in range(1, translations.shape[1]):
+        seen = translations[counted[:, joint], joint]
+        if len(seen):
+            offsets[joint] = np.median(seen, axis=0)
+    return offsets
+
+
+def order_tree(names: tuple[str, ...], parent_names: dict[str, str]) -> tuple[list[int], list[int]]:
+    """Order the names with parents before children; return their indices and the parent of each in that order.
+
+    Parameters
+    ----------
+    names : of the joints.
+    parent_names : name of the parent by name; a joint without one, or whose parent is not among the names or is its
+        own descendant, is a root.
+    """
+    known = {name: index for index, name in enumerate(names)}
+    order: list[int] = []
+    place: dict[int, int] = {}
+    parents: list[int] = []
+    for start in range(len(names)):
+        chain = []
+        joint: int | None = start
+        while joint is not None and joint not in place and joint not in chain:
+            chain.append(joint)
+            joint = known.get(parent_names.get(names[joint], ""))
+        for index in reversed(chain):
+            above = known.get(parent_names.get(names[index], ""))
+            parents.append(place.get(above, -1) if above is not None else -1)
+            place[index] = len(order)
+            order.append(index)
+    return order, parents
+
+
+def declared_unit(text: str) -> float | None:
+    """Return metres per unit of a named unit, None if it is unknown."""
+    try:
+        return (
+            None if re.fullmatch(r"[-+.\deE]+", text.strip()) else parse_unit(text)
+        )  # a number slipped from another column
+    except OptionError:
+        return None
+
+
+def settle_trajectories(
+    path: str | os.PathLike[str],
+    format_name: str,
+    names: tuple[str, ...],
+    positions: FloatArray,
+    frame_rate: float,
+    *,
+    unit: float | str | None,
+    up: str | None,
+    unit_in_file: float | None,
+    up_in_file: str | None,
+    default_up: str | None,
+    keep_values: bool = False,
+    notes: tuple[Message, ...] = (),
+) -> Trajectories:
+    """Build trajectories in metres with Y up from the content of a file.
+
+    Parameters
+    ----------
+    path, format_name : for the provenance and the messages.
+    names : (K,) of the points.
+    positions : (T, K, 3) in the file's unit and axes, NaN where missing.
+    frame_rate : Hz.
+    unit, up : given by the caller, or None.
+    unit_in_file, up_in_file : declared in the file, or None.
+    default_up : usual in the format, if neither is there.
+    keep_values : keep the file's own numbers in the provenance.
+    notes : for the user, on the reading of the file.
+
+    Raises
+    ------
+    MotionFileError : no points, no frames, infinite positions, an impossible frame rate.
+    """
+    known_unit = None if unit is None else parse_unit(unit)
+    known_up = None if up is None else parse_up(up)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300
+            raw = Trajectories(names, positions, frame_rate)
+            sample = raw.replace(positions=thin(raw.positions, min(10, raw.n_frames)))
+            frame = infer_reference_frame(
+                sample,
+                unit=known_unit,
+                up=known_up,
+                declared_unit=unit_in_file,
+                declared_up=up_in_file,
+                default_up=default_up,
+                whole=lambda: raw,
+            )
+            settled = to_reference_frame(raw, frame)
+    except InvalidMotionError as error:
+        raise MotionFileError(path, "markers.damaged", reason=error) from error
+    provenance = Provenance(
+        os.fspath(path),
+        format_name,
+        frame.unit,
+        frame.unit_source,
+        frame.up,
+        frame.up_source,
+        values=raw.positions if keep_values else None,
+        notes=(*notes, *frame.notes),
+    )
+    return dataclasses.replace(settled, provenance=provenance)
