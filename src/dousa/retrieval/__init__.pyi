@@ -37,8 +37,7 @@ from .ranking.ranking import (
     rank_by_pose,
     rank_clips,
 )
-from .ranking.relational import RELATIONAL_FEATURES, compute_relational_features
-from .ranking.templates import MotionTemplates
+from .ranking.templates import RELATIONAL_FEATURES, MotionTemplates, compute_relational_features
 from .takes.find import Found, TakeQuery, describe_query, find_in_takes
 from .takes.label import Segment, TakeLabeller, Timeline, label_take, write_timeline_csv
 from .takes.labeller_training import train_labeller

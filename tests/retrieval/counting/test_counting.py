@@ -21,7 +21,6 @@ from dousa.retrieval.counting.counter import (
     count_swings,
     describe_counts,
     find_usual,
-    list_counts,
     measure_parts,
     measure_tallies,
     name_evidence,
@@ -218,10 +217,7 @@ def test_other_weights_count_otherwise_meanwhile():
 @given(st.lists(st.floats(0.0, 1e4), min_size=len(TALLIES), max_size=len(TALLIES)))
 def test_any_tallies_give_a_count_of_at_least_one(values):
     tallies = np.array(values)
-    counts = list_counts(tallies)
-    assert counts[0] == 1
-    assert len(counts) >= min(tallies[: len(COUNTED)].max(), 400.0)
-    assert choose_count(tallies) in counts
+    assert 1 <= choose_count(tallies) <= min(1.2 * tallies[: len(COUNTED)].max() + 2.0, 500.0)
     assert choose_count(tallies, np.maximum(tallies, 0.5)) >= 1
 
 

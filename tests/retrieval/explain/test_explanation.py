@@ -14,7 +14,7 @@ from dousa.errors import InvalidMotionError, NotTrainedError, OptionError
 from dousa.motion import canonicalise
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 from dousa.retrieval import FEATURE_NAMES, FEATURE_SETS, Explainer, MotionForest, explain, explain_pair
-from dousa.retrieval.explain.questions import read_questions
+from dousa.retrieval.explain.explanation import read_questions
 from dousa.retrieval.forest.growth import StandingClips, grow_forest
 
 KINDS = ("walk", "clap", "bow", "wave_left")

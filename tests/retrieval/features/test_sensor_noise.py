@@ -12,7 +12,7 @@ from dousa.motion.canonical.geometry import CHAIN_BONES, CHAIN_SHARES, chain_hei
 from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.retrieval import FEATURE_SETS, reduce_noise
 from dousa.retrieval.features.noise_kernels import measure_chain
-from dousa.retrieval.features.sensor_noise import reduce_noise_of_all, smooth_places
+from dousa.retrieval.features.sensor_noise import reduce_noise_of_all, smooth_together
 
 HAND = JOINT_INDEX["right_hand"]
 
@@ -106,20 +106,18 @@ def test_compiled_loops_find_what_the_slow_ones_do(n_frames, size):
     points = disturb(wave(n_frames, 30.0), size).positions
     generator = np.random.default_rng(n_frames)
     for count in range(4):  # glitches, of which the later rounds find some
-        found, noise = smooth_places(points)
+        (found,), (noise,) = smooth_together(points[None])
         expected, slowly = smooth_slowly(points)
-        assert (found is points) == (expected is points)
+        assert (found is None) == (expected is points)
         assert noise == pytest.approx(slowly, abs=1e-12)
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(points if found is None else found, expected, rtol=0, atol=1e-12)
         for _ in range(1 + count):
             points[generator.integers(n_frames), generator.integers(20)] += generator.normal(0, 0.3, 3)
 
 
-def test_groups_of_joints_change_nothing(monkeypatch):
-    points = disturb(wave(), 0.02).positions
-    at_once = smooth_places(points)
-    monkeypatch.setattr("dousa.retrieval.features.sensor_noise._AT_ONCE", 180)
-    np.testing.assert_allclose(smooth_places(points)[0], at_once[0], atol=1e-12)
+def test_groups_of_joints_change_nothing():
+    points = disturb(wave(), 0.02).positions[None]
+    np.testing.assert_allclose(smooth_together(points, at_once=180)[0], smooth_together(points)[0], atol=1e-12)
 
 
 def test_motions_together_are_those_one_by_one():

@@ -15,7 +15,7 @@ from oracles import plain_novelty as slow
 
 from dousa.errors import InvalidMotionError, NotTrainedError, TrainingError
 from dousa.retrieval import FEATURE_SETS, MotionForest, integrate
-from dousa.retrieval.forest import growth, standing_leaves, subtrees
+from dousa.retrieval.forest import growth, standing_leaves, trees
 from dousa.retrieval.forest.growth import StandingClips, grow_forest
 from dousa.retrieval.forest.trees import evaluate_test, prepare_leaves, read_test
 
@@ -405,7 +405,7 @@ def test_a_leaf_of_many_clips_grows_from_some_of_each_category(monkeypatch):
     forest = MotionForest(5, random_state=0).fit(features, categories)
     drawn = []
     monkeypatch.setattr(
-        subtrees, "prepare_leaves", lambda some, *more: drawn.append(len(some)) or prepare_leaves(some, *more)
+        trees, "prepare_leaves", lambda some, *more: drawn.append(len(some)) or prepare_leaves(some, *more)
     )
     new = rng.normal(size=(10, 3, 2)) - 20.0
     grown = grow_forest(forest, stand(forest, features, categories), new, ["new"] * 10).forest

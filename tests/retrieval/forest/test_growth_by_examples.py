@@ -12,7 +12,7 @@ from dousa.retrieval import MotionForest
 from dousa.retrieval.forest import growth, trees
 from dousa.retrieval.forest.growth import StandingClips, find_changed, grow_forest
 from dousa.retrieval.forest.standing_leaves import choose_examples
-from dousa.retrieval.forest.subtrees import Subtree, part_strangers
+from dousa.retrieval.forest.trees import Subtree, part_strangers
 
 
 def make_clips(seed=0, n_categories=6, each=40, spread=0.8, frames=3, columns=4):

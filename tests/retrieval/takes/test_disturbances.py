@@ -31,35 +31,31 @@ def test_somebody_else_stands_on_the_same_floor(points, seed):
     assert 0.005 < np.linalg.norm(moved - points, axis=2).mean() < 0.5
 
 
-def test_nobody_else_moves_as_it_was(points, monkeypatch):
-    for name in ("_HELD", "_EXTENT", "_PLACED"):
-        monkeypatch.setattr(disturbances, name, 0.0)
-    np.testing.assert_allclose(move_differently(points, np.random.default_rng(0)), points, atol=1e-6)
+def test_nobody_else_moves_as_it_was(points):
+    moved = move_differently(points, np.random.default_rng(0), most_held=0.0, most_extent=0.0, most_placed=0.0)
+    np.testing.assert_allclose(moved, points, atol=1e-6)
 
 
-def test_bones_that_are_only_held_otherwise_stay_as_long(points, monkeypatch):
-    monkeypatch.setattr(disturbances, "_PLACED", 0.0)
-    moved = move_differently(points, np.random.default_rng(1))
+def test_bones_that_are_only_held_otherwise_stay_as_long(points):
+    moved = move_differently(points, np.random.default_rng(1), most_placed=0.0)
     np.testing.assert_allclose(bone_lengths(moved), bone_lengths(points), atol=1e-6)
     assert np.abs(moved - points).max() > 0.01
 
 
-def test_less_extent_brings_bones_nearer_to_their_mean(points, monkeypatch):
-    for name, most in (("_HELD", 0.0), ("_PLACED", 0.0), ("_EXTENT", 0.8)):
-        monkeypatch.setattr(disturbances, name, most)
+def test_less_extent_brings_bones_nearer_to_their_mean(points):
     wrists = [6, 10]
     ways = []
     for seed in range(8):
-        moved = move_differently(points, np.random.default_rng(seed))
+        generator = np.random.default_rng(seed)
+        moved = move_differently(points, generator, most_held=0.0, most_placed=0.0, most_extent=0.8)
         ways.append([part[:, wrists].std(axis=0).sum() for part in (moved, points)])
     ratios = np.array(ways)[:, 0] / np.array(ways)[:, 1]
     assert ratios.min() < 0.95 and ratios.max() > 1.05
 
 
-def test_who_holds_both_sides_alike_does_so_in_the_mirror(points, monkeypatch):
-    monkeypatch.setattr(disturbances, "_ALIKE", 1.0)
-    moved = move_differently(points, np.random.default_rng(2))
-    image = move_differently(mirror_positions(points), np.random.default_rng(2))
+def test_who_holds_both_sides_alike_does_so_in_the_mirror(points):
+    moved = move_differently(points, np.random.default_rng(2), symmetric=1.0)
+    image = move_differently(mirror_positions(points), np.random.default_rng(2), symmetric=1.0)
     np.testing.assert_allclose(image, mirror_positions(moved), atol=1e-6)
 
 

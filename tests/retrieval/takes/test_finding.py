@@ -187,17 +187,16 @@ def find_slowly(query, takes, limit, most):
 
 @pytest.mark.parametrize("most", [25, 200, 4000])
 @pytest.mark.parametrize("limit", [2, 9])
-def test_takes_that_are_shown_one_after_the_other_give_the_answers_of_all_together(monkeypatch, most, limit):
-    monkeypatch.setattr(find, "_MOST_WINDOWS", most)
+def test_takes_that_are_shown_one_after_the_other_give_the_answers_of_all_together(most, limit):
     clips = [[make_clip(ACTIONS[(k + n) % len(ACTIONS)], 3 + k, n) for n in range(3)] for k in range(6)]
     takes = [(str(k), describe(take_of(some, k))) for k, some in enumerate(clips)]
     takes.append(("again", takes[2][1]))  # equal costs
     for category in ("bow", "wave"):
         query = describe_query(FOREST, SET, make_clip(category, 0))
         expected = find_slowly(query, takes, limit, most)
-        assert find_in_takes(query, takes, limit=limit) == expected
+        assert find_in_takes(query, takes, limit=limit, most_windows=most) == expected
         assert 2 <= len(expected) <= limit
-        search = find.TakeSearch(query, limit)
+        search = find.TakeSearch(query, limit, most_windows=most)
         for name, windows in takes:
             search.look(name, TakeWindows.from_bytes(windows.to_bytes()))
         assert search.finish(lambda number: TakeWindows.from_bytes(takes[number][1].to_bytes())) == expected

@@ -293,6 +293,6 @@ def test_logistic_weights_are_those_that_made_the_answers():
     evidence = draw.normal(size=(20000, 2))
     odds = 0.5 + evidence @ (2.0, -1.0)
     truth = (draw.uniform(size=len(odds)) < 1 / (1 + np.exp(-odds))).astype(float)
-    np.testing.assert_allclose(fit_logistic(evidence, truth), (0.5, 2.0, -1.0), atol=0.1)
-    apart = fit_logistic(np.array([[-1.0], [1.0]]), np.array([0.0, 1.0]))
+    np.testing.assert_allclose(fit_logistic(evidence, truth, np.ones(len(truth))), (0.5, 2.0, -1.0), atol=0.1)
+    apart = fit_logistic(np.array([[-1.0], [1.0]]), np.array([0.0, 1.0]), np.ones(2))
     assert np.isfinite(apart).all()

@@ -80,10 +80,9 @@ def test_leaves_are_those_of_the_whole_recording():
     assert seen_windows().n_frames == len(TAKE.positions)
 
 
-def test_chunks_and_threads_change_nothing(monkeypatch):
-    monkeypatch.setattr("dousa.retrieval.takes.windows.CHUNK", 30)
+def test_chunks_and_threads_change_nothing():
     seen = []
-    again = describe_take(a_forest(), SET, TAKE, GRID, n_jobs=2, progress=lambda *step: seen.append(step))
+    again = describe_take(a_forest(), SET, TAKE, GRID, n_jobs=2, chunk=30, progress=lambda *step: seen.append(step))
     # The heading is smoothed over time: what lies far outside a chunk touches its last digits only.
     assert (again.leaves == seen_windows().leaves).mean() > 0.999
     assert seen[-1] == (len(TAKE.positions), len(TAKE.positions))

@@ -22,7 +22,9 @@ from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX, MIRRORE
 from dousa.retrieval.counting import counting_kernels as counting
 from dousa.retrieval.counting import tally_kernels as kernels
 from dousa.retrieval.counting.counting_kernels import choose
+from dousa.retrieval.features.channels import gaussian_weights
 from dousa.retrieval.features.pose_features import HIPS, SHOULDERS
+from dousa.retrieval.features.posed_motion import FRAME_JOINTS, complete_positions
 
 COUNTED = (
     *("out", "back", "out_small", "back_small", "second_out", "crossings"),
@@ -41,20 +43,10 @@ TALLIES = (*COUNTED, *AMOUNTS)
 _JOINTS = "head left_elbow left_hand right_elbow right_hand left_knee left_ankle right_knee right_ankle".split()
 _INDEX = np.array([JOINT_INDEX[joint] for joint in _JOINTS])
 _OTHERS = np.array([_JOINTS.index(CANONICAL_JOINTS[MIRRORED_JOINTS[joint]]) for joint in _INDEX])
-_N_EVEN = 3 * len(_JOINTS) - sum(
-    3 if other < k else other == k for k, other in enumerate(_OTHERS)
-)  # curves of both sides
-_SMOOTHING = 3.0  # frames, standard deviation: sensor noise is quicker than people
-_LIGHT = 1.5  # frames: hands that clap or wave are as quick as noise
-
-
-def _list_weights(deviation: float) -> FloatArray:
-    weights: FloatArray = np.exp(-0.5 * (np.arange(int(4.0 * deviation + 0.5) + 1) / deviation) ** 2)
-    weights /= 2.0 * weights.sum() - weights[0]
-    return weights
-
-
-_WEIGHTS = _list_weights(_SMOOTHING), _list_weights(_LIGHT)
+# Curves of both sides, by definition of ``fold``.
+_N_EVEN = 3 * len(_JOINTS) - sum(3 if other < k else other == k for k, other in enumerate(_OTHERS))
+# Standard deviations in frames: sensor noise is quicker than people; hands that clap or wave are as quick as noise.
+_WEIGHTS = gaussian_weights(3.0, reach=4.0), gaussian_weights(1.5, reach=4.0)
 _PERIODS = [TALLIES.index(name) for name in ("periods", "light_periods", "even_periods")]
 
 
@@ -63,8 +55,6 @@ def measure_tallies(sampled: FloatArray, height: float) -> FloatArray:
 
     ``sampled`` is (n, 20, 3) m, canonical joints at 30 Hz; ``height`` is in m.
     """
-    from dousa.retrieval.features.posed_motion import FRAME_JOINTS, complete_positions
-
     points = complete_positions(sampled, height, (), {*_JOINTS, *FRAME_JOINTS})
     if len(points) < 2:
         return np.zeros(len(TALLIES))
@@ -104,8 +94,12 @@ def _tally(
     core: IntArray,
     *,
     whole: bool = False,
+    most_calm: int = 120,
 ) -> _Courses:
-    """Fill ``tallies`` (N, 28) of parts of at most ``most`` frames; return courses and speeds of the last one."""
+    """Fill ``tallies`` (N, 28) of parts of at most ``most`` frames; return courses and speeds of the last one.
+
+    At most ``most_calm`` poses are compared for the pose at rest.
+    """
     width = 3 * len(_JOINTS)
     frames = np.empty(3 * width * most), np.empty(3 * width * most), np.empty(3 * _N_EVEN * most)
     sizes = (width, width), (_N_EVEN, _N_EVEN), (6, width), (3, width), (3, _N_EVEN)
@@ -113,7 +107,7 @@ def _tally(
     counting.tally_all(
         read_only(np.ascontiguousarray(points, np.float64)), spans, float(height), _WEIGHTS,
         (HIPS, SHOULDERS, _INDEX, _OTHERS), np.empty(most * points[0].size), np.empty(2 * most), frames, speeds,
-        np.empty(counting.N_LINES * most), (np.empty(counting.CALM), np.empty((counting.CALM, width))),
+        np.empty(6 * most), (np.empty(most_calm), np.empty((most_calm, width))),
         tuple(np.empty(size) for size in sizes), np.empty((3, counting.SHORT + 1)), whole, core, tallies,
     )  # fmt: skip
     return frames, speeds
@@ -140,8 +134,7 @@ def measure_parts(sampled: FloatArray, spans: IntArray, height: float) -> FloatA
 
 def _count_periods(velocities: FloatArray, speeds: FloatArray) -> float:
     """Count periods of ``velocities`` (K, n) in the moving part, by ``speeds`` (n,); 1 where there is none."""
-    moving = counting.MOVING * kernels.read_quantile(np.sort(speeds), 0.9)
-    places = np.flatnonzero(speeds > moving)
+    places = np.flatnonzero(speeds > counting.read_moving(np.sort(speeds)))
     return _fit_periods(velocities[:, places[0] : places[-1] + 1], counting.ALIKE)
 
 
@@ -149,8 +142,8 @@ def _is_repeated(velocities: FloatArray) -> bool:
     return _fit_periods(velocities, counting.CORE_ALIKE) >= counting.ROUNDS
 
 
-def _fit_periods(velocities: FloatArray, alike: float) -> float:
-    period = kernels.find_period(correlate(velocities.T), counting.SHORTEST, alike, counting.NEARLY)
+def _fit_periods(velocities: FloatArray, least: float) -> float:
+    period = kernels.find_period(correlate(velocities.T), counting.SHORTEST, least, counting.NEARLY)
     return velocities.shape[1] / float(period) if period else 1.0
 
 
@@ -174,15 +167,12 @@ def count_swings(curve: FloatArray, least: float) -> tuple[int, int]:
 
     The ends count: a curve that only rises has a bottom and a top.
     """
-    tops, bottoms = kernels.count_swings(np.ascontiguousarray(curve, np.float64), 1.0, max(least, 1e-9))
+    tops, bottoms = kernels.count_swings(np.ascontiguousarray(curve, np.float64), 1.0, least)
     return int(tops), int(bottoms)
 
 
-_LEAST = 0.5  # of a tally, whose logarithm is taken
-_FARTHEST = 1.0  # of a log ratio; larger errors count the same
-_MOST = 500
-_SAME = 0.75  # share of the clips of a category that show the same number of cycles
-_PHASES = 2  # cycles of one action, such as left and right; more are repetitions
+# The weights are fitted with these (``python -m lab.training.train_counter``).
+_LEAST, _FARTHEST = 0.5, 1.0  # of a tally, whose logarithm is taken; of a log ratio: larger errors count the same
 
 
 def count_repetitions(sampled: FloatArray, height: float, usual: FloatArray | None = None) -> int:
@@ -197,20 +187,12 @@ def count_repetitions(sampled: FloatArray, height: float, usual: FloatArray | No
     return choose_count(measure_tallies(sampled, height), usual)
 
 
-def choose_count(tallies: FloatArray, usual: FloatArray | None = None) -> int:
-    """Return the count that best fits tallies (28,); ``usual`` as for `count_repetitions`."""
+def choose_count(tallies: FloatArray, usual: FloatArray | None = None, most: int = 500) -> int:
+    """Return the count, at most ``most``, that best fits tallies (28,); ``usual`` as for `count_repetitions`."""
     known = usual is not None and bool(np.isfinite(usual).all())
     weights = (_IN_USE.get() or _read_weights())["known" if known else "alone"]
     unit = usual if known and usual is not None else tallies
-    return int(choose(tallies, unit, known, len(COUNTED), weights, _LEAST, _FARTHEST, _MOST))
-
-
-def list_counts(tallies: FloatArray, usual: FloatArray | None = None) -> IntArray:
-    """List the counts to consider: 1, 2, ... beyond the highest tally."""
-    highest = tallies[: len(COUNTED)].max()
-    if usual is not None:
-        highest = max(highest, float((tallies / usual).max()))
-    return np.arange(1, min(int(1.2 * highest) + 2, _MOST) + 1)
+    return int(choose(tallies, unit, known, len(COUNTED), weights, _LEAST, _FARTHEST, most))
 
 
 def describe_counts(tallies: FloatArray, counts: IntArray, usual: FloatArray | None = None) -> FloatArray:
@@ -278,18 +260,22 @@ def _read_weights() -> dict[str, FloatArray]:
     }
 
 
-def find_usual(tallies: Sequence[FloatArray]) -> FloatArray:
+def find_usual(tallies: Sequence[FloatArray], same: float = 0.75, most_phases: int = 2) -> FloatArray:
     """Return the usual tallies (28,) of one repetition of a category; NaN without clips.
 
     If most clips show one cycle, or most show two (a step left, a step right), that is one repetition, else a cycle is.
 
-    ``tallies``: (28,) of each of some clips of the category, or segments of takes.
+    Parameters
+    ----------
+    tallies : (28,) of each of some clips of the category, or segments of takes.
+    same : share of the clips that show the same number of cycles.
+    most_phases : cycles of one action, such as left and right; more are repetitions.
     """
     if not len(tallies):
         return np.full(len(TALLIES), np.nan)
     counts = np.array([choose_count(one) for one in tallies])
     values, often = np.unique(counts, return_counts=True)
-    if often.max() >= _SAME * len(counts) and values[often.argmax()] <= _PHASES:
+    if often.max() >= same * len(counts) and values[often.argmax()] <= most_phases:
         counts = np.ones_like(counts)
     each = np.maximum(np.stack(tallies), _LEAST) / counts[:, None]
     usual: NDArray[np.float64] = np.exp(np.log(each).mean(axis=0))

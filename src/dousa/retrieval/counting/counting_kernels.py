@@ -32,22 +32,19 @@ from dousa.retrieval.counting.tally_kernels import (
     square_curves,
 )
 from dousa.retrieval.features.channel_kernels import smooth
+from dousa.retrieval.features.channels import CHANNEL_RATE
 from dousa.retrieval.features.noise_kernels import find_middle
-
-_NEAR = 0.8  # share of the usual distance from the pose at an end below which the body is back there
-_REACHED = 0.1  # share of the distant frames that still belongs to the ways there and back
-_END = 3  # frames whose mean is the pose at an end
 
 
 @compiled
 def _measure_away(poses, at_end, away):
     """Compute distances of poses (K, n) from the mean of the first or last frames, into ``away`` (n,)."""
-    n = poses.shape[1]
+    n, n_end = poses.shape[1], 3
     away[:] = 0.0
     for k in range(len(poses)):
         curve, pose = poses[k], 0.0
-        for t in range(_END):
-            pose += curve[n - 1 - t] / _END if at_end else curve[t] / _END
+        for t in range(n_end):
+            pose += curve[n - 1 - t] / n_end if at_end else curve[t] / n_end
         for t in range(n):
             away[t] += (curve[t] - pose) ** 2
     for t in range(n):
@@ -63,7 +60,8 @@ def _find_block(away, first, last, shortest, lines):
     n, ordered = len(away), lines[0]
     for t in range(first, last):
         ordered[t - first] = away[t]
-    least = _NEAR * find_middle(ordered[: last - first])
+    # Nearer than four fifths of the usual distance the body is back at the pose at the end.
+    least = 0.8 * find_middle(ordered[: last - first])
     begin, end = n, 0
     for t in range(n):
         if away[t] >= least:
@@ -74,7 +72,8 @@ def _find_block(away, first, last, shortest, lines):
     if end - begin < shortest:
         return 0, 0
     sort_into(away[begin:end], ordered[: end - begin], lines[1])
-    reached = read_quantile(ordered[: end - begin], _REACHED)
+    # A tenth of the distant frames still belongs to the ways there and back.
+    reached = read_quantile(ordered[: end - begin], 0.1)
     while away[begin] < reached:
         begin += 1
     while away[end - 1] < reached:
@@ -109,36 +108,16 @@ _njit: Any = njit  # whose types leave out some of its options
 
 _LARGE, _SMALL = 0.5, 0.3  # least shares of the range (5 to 95 %) of a movement out and back
 _TURN, _SMALL_TURN, _BURST = 0.6, 0.3, 0.35  # likewise of the speed along one direction, of the body's speed (95 %)
-_BOUT_GAP = 9  # frames of rest between two bouts of movement
-_LEAST_EVEN = 1e-3  # share of the greatest speed, of the movement common to both sides
-_LEAST = 1e-9
 
-RATE = 30.0
-"""Frames a second of the input."""
-
-MOVING = 0.15
-"""Share of the speed (90 %) below which the body rests."""
-
-SHORTEST, ALIKE, NEARLY = 9, 0.3, 0.8
-"""Frames of a period; least correlation of a period; share of the highest that a shorter period needs."""
-
-STILL = 1e-9
-"""Body heights a frame, at or below which nothing moves."""
+SHORTEST, LONGEST, ALIKE, NEARLY = 9, 0.62, 0.3, 0.8
+"""Frames of a period; largest share of the moving part that it lasts; its least correlation; share of the highest
+correlation that a shorter period needs."""
 
 SHORT = 256
 """Frames of which products are summed directly; of more, ``counter`` sums them from the spectrum."""
 
-LONGEST = 0.62
-"""Largest share of the moving part that a period may last."""
-
 ROUNDS, CORE_ALIKE = 2.5, 0.2
 """Least periods of a repetition, as one action there and back may have a top of two parts; and their correlation."""
-
-CALM = 120
-"""Most calm poses to compare."""
-
-N_LINES = 6
-"""Working memory of `tally`, in frames."""
 
 
 @compiled
@@ -146,8 +125,8 @@ def _count_along(curve, lines, counts):
     """Count large and small movements out and back, and half of the crossings of the middle, into ``counts`` (5,)."""
     sort_into(curve, lines[0], lines[1])
     low, high, sign = find_range(lines[0], True)
-    counts[0], counts[1] = count_swings(curve, sign, max(_LARGE * (high - low), _LEAST))
-    counts[2], counts[3] = count_swings(curve, sign, max(_SMALL * (high - low), _LEAST))
+    counts[0], counts[1] = count_swings(curve, sign, _LARGE * (high - low))
+    counts[2], counts[3] = count_swings(curve, sign, _SMALL * (high - low))
     counts[4] = count_crossings(curve, sign, 0.5 * (low + high))
 
 
@@ -164,11 +143,11 @@ def _count_quick(along, lying, lines, counts):
     level(lying)
     sort_into(lying, lines[0], lines[1])
     low, high, sign = find_range(lines[0], True)
-    tops, bottoms = count_swings(along, 1.0, max(_TURN * speed, _LEAST))
+    tops, bottoms = count_swings(along, 1.0, _TURN * speed)
     counts[0] = 0.5 * (tops + bottoms)
-    tops, bottoms = count_swings(along, 1.0, max(_SMALL_TURN * speed, _LEAST))
+    tops, bottoms = count_swings(along, 1.0, _SMALL_TURN * speed)
     counts[1] = 0.5 * (tops + bottoms)
-    counts[2] = count_swings(lying, sign, max(_SMALL * (high - low), _LEAST))[0]
+    counts[2] = count_swings(lying, sign, _SMALL * (high - low))[0]
     counts[3] = count_crossings(lying, sign, 0.5 * (low + high))
 
 
@@ -176,7 +155,7 @@ def _count_quick(along, lying, lines, counts):
 def _count_bursts(speeds, ordered, weights, even):
     n = len(speeds)
     smooth(speeds.reshape(n, 1), weights, even.reshape(n, 1))
-    return count_swings(even, 1.0, max(_BURST * read_quantile(ordered, 0.95), _LEAST))[0]
+    return count_swings(even, 1.0, _BURST * read_quantile(ordered, 0.95))[0]
 
 
 @compiled
@@ -189,7 +168,7 @@ def _count_away(poses, speeds, ordered, near, some_poses, lines, counts):
     find_distances(poses, speeds, read_quantile(ordered, 0.2), near, some_poses, away)
     sort_into(away, lines[0], lines[1])
     low, high, _ = find_range(lines[0], False)
-    counts[0] = count_swings(away, 1.0, max(_LARGE * (high - low), _LEAST))[0]
+    counts[0] = count_swings(away, 1.0, _LARGE * (high - low))[0]
     counts[1] = count_crossings(away, 1.0, 0.5 * (low + high))
 
 
@@ -204,15 +183,15 @@ def _count_periods(velocities, speeds, moving, sums):
 
 
 @compiled
-def _fit_periods(velocities, first, last, alike, sums):
-    """Count periods from ``first`` to before ``last`` as `_count_periods`; ``alike`` is their least correlation."""
+def _fit_periods(velocities, first, last, least, sums):
+    """Count periods from ``first`` to before ``last`` as `_count_periods`; ``least`` is their least correlation."""
     n = last - first
     if n > SHORT:
         return np.nan
     likeness = sums[0, : max(round(LONGEST * n), 1)]
     correlate(velocities, first, last, likeness)
     normalise(velocities, first, last, sums[1], likeness)
-    period = find_period(likeness, SHORTEST, alike, NEARLY)
+    period = find_period(likeness, SHORTEST, least, NEARLY)
     return n / period if period else 1.0
 
 
@@ -222,7 +201,7 @@ def _find_repeated(course, speeds, ordered, lines, sums, core):
 
     Where the frames are too many for their period, ``core`` has the negative of the end, and the result is False.
     """
-    start, stop = find_core(course[0], speeds, _read_moving(ordered), 2 * SHORTEST, lines)
+    start, stop = find_core(course[0], speeds, read_moving(ordered), 2 * SHORTEST, lines)
     if stop > start:
         periods = _fit_periods(course[1], start, stop, CORE_ALIKE, sums)
         if periods >= ROUNDS:
@@ -234,8 +213,9 @@ def _find_repeated(course, speeds, ordered, lines, sums, core):
 
 
 @compiled
-def _read_moving(ordered):
-    return MOVING * read_quantile(ordered, 0.9)
+def read_moving(ordered):
+    """Return the speed below which the body rests, from the sorted speeds (n,)."""
+    return 0.15 * read_quantile(ordered, 0.9)
 
 
 @compiled
@@ -270,14 +250,14 @@ def _put_whole(course, speeds, ordered, lines, calm, work, counts):
     for k in range(4):
         counts[k], counts[6 + k] = work[k], work[10 + k]
     counts[4], counts[5] = work[5], work[4]
-    moving = _read_moving(ordered)
-    counts[11] = count_bouts(speeds, moving, _BOUT_GAP)
+    moving = read_moving(ordered)
+    counts[11] = count_bouts(speeds, moving, 9)
     _count_away(course[0], speeds, ordered, calm[0], calm[1], lines, counts[12:14])
-    counts[25] = len(speeds) / RATE
+    counts[25] = len(speeds) / CHANNEL_RATE
     for t in range(len(speeds)):
         counts[26] += speeds[t]
         counts[27] += speeds[t] > moving
-    counts[27] /= RATE
+    counts[27] /= CHANNEL_RATE
 
 
 @_njit(inline="always")  # into `tally_all` alone: a call would be compiled twice
@@ -290,11 +270,12 @@ def tally(points, height, smoothing, joints, places, courses, speeds, lines, cal
     ``smoothing`` are strong and light weights as of ``smooth``. ``joints`` are the hips (2,), the shoulders (2,), the
     joints (K,) to use, and those on the other side. The rest is working memory: ``places`` (n, J, 3) and (n, 2);
     ``courses`` two of (3, 3 K, n) and one of (3, E, n), in which poses and velocities stay, smoothed strongly, lightly,
-    and common to both sides (E curves); ``speeds`` (3, n) of these; ``lines`` (``N_LINES``, n); ``calm`` (``CALM``,)
-    and (``CALM``, 3 K); ``squares`` (3 K, 3 K), (E, E), (6, 3 K), and the directions (3, 3 K) and (3, E); ``sums`` (3,
-    ``SHORT`` + 1). Periods that need a spectrum are NaN.
+    and common to both sides (E curves); ``speeds`` (3, n) of these; ``lines`` (6, n); ``calm`` (P,) and (P, 3 K) for at
+    most P calm poses to compare; ``squares`` (3 K, 3 K), (E, E), (6, 3 K), and the directions (3, 3 K) and (3, E);
+    ``sums`` (3, ``SHORT`` + 1). Periods that need a spectrum are NaN.
     """
     n, ordered, work, axes, fastest = len(points), lines[3], sums[2, :14], squares[3], 0.0
+    still = 1e-9  # body heights a frame, at or below which nothing moves
     hips, shoulders, looked_at, others = joints
     counts[:] = 0.0
     for which in range(3):  # strong, light, both sides; one call site each, as each call is compiled separately
@@ -307,17 +288,17 @@ def tally(points, height, smoothing, joints, places, courses, speeds, lines, cal
         sort_into(speeds[which], ordered, lines[1])
         if which == 0:
             fastest = ordered[n - 1]
-            if fastest <= STILL:
+            if fastest <= still:
                 return False
             if not whole and _find_repeated(course, speeds[0], ordered, lines, sums, core):
                 return True
-        if which == 2 and ordered[n - 1] <= max(_LEAST_EVEN * fastest, STILL):
+        if which == 2 and ordered[n - 1] <= max(1e-3 * fastest, still):  # nothing is common to both sides
             break
         if which != 1:  # the lightly smoothed course keeps the directions
             axes = squares[3 + which // 2]
             _find_directions(course, squares[which // 2], squares[2], axes)
         _count_course(course, axes, 1 if which else 2, lines, work)
-        periods = _count_periods(course[1], speeds[which], _read_moving(ordered), sums)
+        periods = _count_periods(course[1], speeds[which], read_moving(ordered), sums)
         if which == 2:
             counts[20], counts[21], counts[22], counts[23], counts[24] = work[2], work[4], work[10], work[13], periods
             break
@@ -356,7 +337,7 @@ def tally_all(
             frames[1][: 3 * width * n].reshape(3, width, n),
             frames[2][: 3 * even * n].reshape(3, even, n),
         )
-        fast, rows = speeds[: 3 * n].reshape(3, n), lines[: N_LINES * n].reshape(N_LINES, n)
+        fast, rows = speeds[: 3 * n].reshape(3, n), lines[: 6 * n].reshape(6, n)
         trimmed = tally(
             part, height, smoothing, joints, room, courses, fast, rows, calm, squares, sums, whole or trimmed, core,
             counts[number],

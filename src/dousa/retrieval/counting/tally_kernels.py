@@ -20,9 +20,7 @@ _summing = _njit(
     cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, _nrt=False, fastmath={"reassoc", "contract"}
 )
 
-_NEAR = 1e-9  # of the largest value: accuracy of each before the rounds
-_ROUNDS = 4  # of inverse iteration
-_TINY = 1e-200
+_TINY = 1e-200  # keeps pivots and lengths from 0; far above the smallest number of float64 (IEEE 754)
 
 
 @_summing
@@ -90,7 +88,7 @@ def _find_value(diagonal, beside, rank):
     for k in range(count):
         radius = abs(beside[k]) + (abs(beside[k - 1]) if k else 0.0)
         low, high = min(low, diagonal[k] - radius), max(high, diagonal[k] + radius)
-    least = _NEAR * max(abs(low), abs(high)) + _TINY
+    least = 1e-9 * max(abs(low), abs(high)) + _TINY
     while high - low > least:
         middle = 0.5 * (low + high)
         below, above = 0.5 * (low + middle), 0.5 * (middle + high)
@@ -158,7 +156,7 @@ def find_axes(square, room, axes):
         axis, value = axes[number], _find_value(diagonal, beside, number)
         for k in range(count):
             axis[k] = 1.0 + 0.1 * ((7 * k) % 11)  # unlikely to be orthogonal to a direction
-        for _ in range(_ROUNDS):
+        for _ in range(4):  # rounds of inverse iteration
             _solve(diagonal, beside, value, rows, axis)
             for before in range(number):
                 share = dot(axes[before], axis)
@@ -365,6 +363,7 @@ def count_swings(curve, sign, least):
     """Count tops and bottoms of ``sign`` times a curve (n,) that differ by ``least`` from those before and after."""
     tops = bottoms = rising = 0
     high = low = sign * curve[0]
+    least = max(least, 1e-9)  # a curve that does not move has no swings
     for t in range(len(curve)):
         value = sign * curve[t]
         high, low = max(high, value), min(low, value)
@@ -429,16 +428,16 @@ def normalise(curves, first, last, energy, products):
 
 
 @compiled
-def find_period(likeness, shortest, alike, nearly):
+def find_period(likeness, shortest, least, nearly):
     """Return the first lag whose ``likeness`` (L,) is nearly the highest; 0 for none.
 
-    Only peaks from ``shortest`` on count; the highest must be at least ``alike``.
+    Only peaks from ``shortest`` on count; the highest must be at least ``least``.
     """
     highest = -1.0
     for lag in range(shortest, len(likeness) - 1):
         if likeness[lag - 1] <= likeness[lag] and likeness[lag] > likeness[lag + 1]:
             highest = max(highest, likeness[lag])
-    if highest < alike:
+    if highest < least:
         return 0
     for lag in range(shortest, len(likeness) - 1):
         top = likeness[lag - 1] <= likeness[lag] and likeness[lag] > likeness[lag + 1]

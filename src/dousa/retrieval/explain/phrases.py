@@ -9,16 +9,22 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from dousa.messages import Message
 from dousa.retrieval.features.channels import Channel
 
-FEW = 4.0
-"""Clips added to the others of a test, so that the last few of a tree do not dominate."""
-
 _MOST, _MANY = 0.5, 0.25
+
+
+def share_away(away: Any, others: Any, few: float = 4.0) -> Any:
+    """Return the share of the ``others`` of a test that went the other way, ``away``; both numbers or arrays.
+
+    ``few`` clips are added to the others, so that the last few of a tree do not dominate.
+    """
+    return away / (others + few)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +54,7 @@ class Fact:
     @property
     def share(self) -> float:
         """Share of the others on the other side, reduced if they are few."""
-        return self.away / (self.others + FEW)
+        return float(share_away(self.away, self.others))
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +186,10 @@ _FORMS: tuple[tuple[str, _Form], ...] = (
     (r"(?P<part>.+) heading upwards", _heading(_UP_DOWN)),
     (r"(?P<part>.+) heading forwards", _heading(_FORTH_BACK)),
     (r"(?P<part>.+) curving, (?P<view>seen from the front|seen from above)", _curving(_TURNS)),
-    (r"(?P<part>.+) curving, (?P<view>seen from the side)", _curving(_TURNS[::-1])),
+    (
+        r"(?P<part>.+) curving, (?P<view>seen from the side)",
+        _curving(("reasons.clockwise", "reasons.counterclockwise")),
+    ),
     (r"duration", _DURATION),
 )
 
@@ -219,12 +228,6 @@ _UNITS = {
     "share of its speed": (100.0, 0, "reasons.percent_of_speed", "reasons.bound_percent"),
     "s": (1.0, 1, "reasons.seconds", "reasons.bound_seconds"),
 }
-_BARE = (1.0, 2, "reasons.number", "reasons.bound_number")
-
-
-def knows_channel(name: str) -> bool:
-    """Return whether a channel has clauses of its own."""
-    return _find_form(name)[0] is not _ANYTHING
 
 
 def say_fact(fact: Fact) -> Message:
@@ -322,7 +325,7 @@ def _say_way(way: str, other: Message | None) -> Message:
 
 
 def _find_unit(fact: Fact) -> tuple[float, int, str, str]:
-    return _UNITS.get(fact.channel.unit, _BARE)
+    return _UNITS.get(fact.channel.unit, (1.0, 2, "reasons.number", "reasons.bound_number"))
 
 
 def _count_digits(facts: Sequence[Fact]) -> int:

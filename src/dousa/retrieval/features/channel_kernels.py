@@ -15,9 +15,6 @@ from numba import njit
 _njit: Any = njit  # whose types leave out some of its options
 compiled = _njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, _nrt=False)
 
-_NARROW = 4  # numbers in a row
-_HORIZONTAL_ENOUGH = 0.1  # share of the hip line that must be horizontal to give the left
-
 
 @compiled
 def _smooth_narrow(values, count, weights, out):
@@ -45,7 +42,7 @@ def smooth(values, weights, out):
     """
     n, count = values.shape
     last = n - 1
-    if count <= _NARROW:
+    if count <= 4:
         _smooth_narrow(values.reshape(n * count), count, weights, out.reshape(n * count))
         return
     for t in range(n):
@@ -67,7 +64,7 @@ def _find_horizontal(points, t, tip, base, left):
     z = (points[t, tip, 2] - points[t, 0, 2]) - (points[t, base, 2] - points[t, 0, 2])
     length = np.hypot(x, z)
     whole = np.hypot(length, y)
-    certain = whole > 1e-6 and length >= _HORIZONTAL_ENOUGH * whole
+    certain = whole > 1e-6 and length >= 0.1 * whole
     share = length if certain else 1.0
     left[t, 0], left[t, 1] = x / share, z / share
     return certain
@@ -206,7 +203,7 @@ def _fill_travel(sooner, later, left, per_second, row, column):
 
 
 @compiled
-def compute_rows(points, left, body, even, fast, placed, apart, feet, pointing, rate, slow, headings, angles, rows):
+def compute_rows(points, left, body, even, fast, placed, apart, feet, pointing, rate, headings, angles, rows):
     """Compute all channels of every frame, into ``rows`` (n, C).
 
     ``points`` (n, J, 3) smooth and in body heights, ``left`` (n, 2), ``body`` and ``even`` (n, J, 3) in body axes, the
@@ -214,6 +211,7 @@ def compute_rows(points, left, body, even, fast, placed, apart, feet, pointing, 
     (joints,) are joint numbers; ``headings`` and ``angles`` are of ``find_angles``.
     """
     last = points.shape[0] - 1
+    slow = 0.3  # body heights a second: the direction of a slower joint is noise and counts less
     for t in range(points.shape[0]):
         row = rows[t]
         before, after = max(t - 1, 0), min(t + 1, last)
@@ -239,8 +237,8 @@ def compute_rows(points, left, body, even, fast, placed, apart, feet, pointing, 
 
 @compiled
 def describe_frames(
-    positions, height, pose_weights, heading_weights, hips, shoulders, fast, placed, apart, feet, pointing, rate, slow,
-    room, lefts, headings, angles, rows,
+    positions, height, pose_weights, heading_weights, hips, shoulders, fast, placed, apart, feet, pointing, rate, room,
+    lefts, headings, angles, rows,
 ):  # fmt: skip
     """Compute all channels of ``positions`` (n, J, 3), into ``rows`` (n, C), by the steps above.
 
@@ -258,9 +256,7 @@ def describe_frames(
     turn_to_body(points, lefts[1], body)
     smooth(body.reshape(n, width), pose_weights, even.reshape(n, width))
     find_angles(even, lefts[1], fast, headings, angles)
-    compute_rows(
-        points, lefts[1], body, even, fast, placed, apart, feet, pointing, rate, slow, headings, angles, rows
-    )  # fmt: skip
+    compute_rows(points, lefts[1], body, even, fast, placed, apart, feet, pointing, rate, headings, angles, rows)
 
 
 @compiled
@@ -402,7 +398,7 @@ def read_means(integrals, times, edges, columns, scale, out):
 @compiled
 def describe_clips(
     positions, bounds, heights, pose_weights, heading_weights, hips, shoulders, fast, placed, apart, feet, pointing,
-    rate, slow, room, lefts, headings, angles, rows, answered, first_speed, n_speeds, at_rest, times, integrals, parts,
+    rate, room, lefts, headings, angles, rows, answered, first_speed, n_speeds, at_rest, times, integrals, parts,
     edges, work, cells, mean_parts, mean_edges, columns, scale, means, ends,
 ):  # fmt: skip
     """Compute the cells of clips into ``cells`` (N, T, 3 C + 1), and other means into ``means`` (N, E - 1, K).
@@ -419,7 +415,7 @@ def describe_clips(
         own, own_times, own_integrals = rows[:n], times[: n + 1], integrals[: n + 1]
         describe_frames(
             positions[bounds[clip] : bounds[clip + 1]], heights[clip], pose_weights, heading_weights, hips, shoulders,
-            fast, placed, apart, feet, pointing, rate, slow, room[: 9 * n * n_joints].reshape(3, n, n_joints, 3),
+            fast, placed, apart, feet, pointing, rate, room[: 9 * n * n_joints].reshape(3, n, n_joints, 3),
             lefts[: 4 * n].reshape(2, n, 2), headings[:n], angles[: 2 * n * n_angles].reshape(2, n, n_angles), own,
         )  # fmt: skip
         for c in range(n_channels):

@@ -22,13 +22,14 @@ from dousa.retrieval.features.pose_features import HIPS, SHOULDERS, say_joint
 from dousa.retrieval.features.posed_motion import check_frame_rate
 
 CHANNEL_RATE = 30.0
-"""Hz of all channels."""
+"""Hz of all channels (docs/retrieval.md)."""
 
 # Frames, standard deviation: without it speeds and turns of Kinect recordings drown in noise.
 _POSE_SMOOTHING, _HEADING_SMOOTHING = 1.0, 8.0
 
-_AT_REST = 0.5  # body heights a second: standing still counts in motion time; in walking all speeds sum to about 5
-_SLOW = 0.3  # body heights a second: the direction of a slower hand is noise and counts less
+AT_REST = 0.5
+"""Body heights a second by which standing still counts in motion time; in walking all speeds sum to about 5
+(docs/retrieval.md)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,27 +78,20 @@ _WAYS = ("to the left", "upwards", "forwards")
 
 def _list_channels() -> tuple[Channel, ...]:
     heights, speed, turn = "body heights", "body heights a second", "radians a second"
+
+    def undirected(name: str, unit: str, *joints: str) -> Channel:
+        return Channel(name, name, unit, joints)
+
     return (
         *(
             Channel(f"{say_joint(joint)} {where} the pelvis", f"{say_joint(joint)} and pelvis", heights, (joint,))
             for joint, where in product(_PLACED, _DIRECTIONS)
         ),
-        *(
-            Channel(
-                f"distance {say_joint(a)} - {say_joint(b)}",
-                f"distance {say_joint(a)} - {say_joint(b)}",
-                heights,
-                (a, b),
-            )
-            for a, b in _APART
-        ),
-        Channel("pelvis above the lower foot", "pelvis above the lower foot", heights, _FOOT_JOINTS),
+        *(undirected(f"distance {say_joint(a)} - {say_joint(b)}", heights, a, b) for a, b in _APART),
+        undirected("pelvis above the lower foot", heights, *_FOOT_JOINTS),
         *(Channel(f"body moving {way}", "body moving", speed) for way in _WAYS),
         Channel("body turning to the left", "body turning", turn),
-        *(
-            Channel(f"speed of the {say_joint(joint)}", f"speed of the {say_joint(joint)}", speed, (joint,))
-            for joint in _FAST
-        ),
+        *(undirected(f"speed of the {say_joint(joint)}", speed, joint) for joint in _FAST),
         *(
             Channel(f"{say_joint(joint)} curving, {plane}", f"{say_joint(joint)} curving", turn, (joint,))
             for joint, plane in product(_FAST, _PLANE_WORDS)
@@ -138,7 +132,7 @@ _APART_INDEX = np.array([[JOINT_INDEX[joint] for joint in pair] for pair in _APA
 _FAST_INDEX = np.array([JOINT_INDEX[joint] for joint in _FAST])
 _POINTING_INDEX = np.array([JOINT_INDEX[joint] for joint in _POINTING])
 _FEET = np.array([JOINT_INDEX[joint] for joint in _FOOT_JOINTS])
-_FIRST_SPEED = [channel.name for channel in CHANNELS].index(f"speed of the {say_joint(_FAST[0])}")
+_FIRST_SPEED = [channel.name for channel in CHANNELS].index("speed of the head")
 
 
 def sample_positions(positions: FloatArray, frame_rate: float) -> FloatArray:
@@ -161,9 +155,9 @@ def sample_positions(positions: FloatArray, frame_rate: float) -> FloatArray:
         edges = np.linspace(0.0, len(flat), count + 1)
         summed = np.zeros((len(flat) + 1, flat.shape[1]))
         np.cumsum(flat, axis=0, out=summed[1:])
-        sampled = np.diff(_read_between(summed, edges), axis=0) * (count / len(flat))
+        sampled = np.diff(read_between(summed, edges), axis=0) * (count / len(flat))
     else:
-        sampled = _read_between(flat, np.clip((np.arange(count) + 0.5) * len(flat) / count - 0.5, 0, len(flat) - 1))
+        sampled = read_between(flat, np.clip((np.arange(count) + 0.5) * len(flat) / count - 0.5, 0, len(flat) - 1))
     return sampled.reshape(count, *positions.shape[1:])
 
 
@@ -172,7 +166,8 @@ def count_samples(n_frames: int, frame_rate: float) -> int:
     return max(1, round(n_frames * CHANNEL_RATE / frame_rate))
 
 
-def _read_between(rows: FloatArray, places: FloatArray) -> FloatArray:
+def read_between(rows: FloatArray, places: FloatArray) -> FloatArray:
+    """Return rows (n, K) at fractional places (m,), interpolated linearly."""
     below = np.minimum(places.astype(np.intp), max(len(rows) - 2, 0))
     share = (places - below)[:, None]
     read: FloatArray = rows[below] * (1.0 - share) + rows[np.minimum(below + 1, len(rows) - 1)] * share
@@ -189,7 +184,7 @@ def compute_channels(positions: FloatArray, height: float) -> FloatArray:
     headings, angles, rows = np.empty(n), np.empty((2, n, 3 * len(_FAST))), np.empty((n, len(CHANNELS)))
     kernels.describe_frames(
         read_only(np.ascontiguousarray(positions, np.float64)), float(height), _POSE_WEIGHTS, _HEADING_WEIGHTS,
-        HIPS, SHOULDERS, _FAST_INDEX, _PLACED_INDEX, _APART_INDEX, _FEET, _POINTING_INDEX, CHANNEL_RATE, _SLOW,
+        HIPS, SHOULDERS, _FAST_INDEX, _PLACED_INDEX, _APART_INDEX, _FEET, _POINTING_INDEX, CHANNEL_RATE,
         room, lefts, headings, angles, rows,
     )  # fmt: skip
     return rows
@@ -202,9 +197,6 @@ class WantedMeans:
     n_cells: int
     columns: IntArray
     scale: FloatArray
-
-
-NO_MEANS = WantedMeans(0, np.empty(0, np.intp), np.empty(0))
 
 
 def describe_clips(
@@ -233,9 +225,9 @@ def describe_clips(
     means = np.empty((len(clips), wanted.n_cells, len(wanted.columns)))
     kernels.describe_clips(
         read_only(np.ascontiguousarray(positions, np.float64)), bounds, heights, _POSE_WEIGHTS, _HEADING_WEIGHTS,
-        HIPS, SHOULDERS, _FAST_INDEX, _PLACED_INDEX, _APART_INDEX, _FEET, _POINTING_INDEX, CHANNEL_RATE, _SLOW,
+        HIPS, SHOULDERS, _FAST_INDEX, _PLACED_INDEX, _APART_INDEX, _FEET, _POINTING_INDEX, CHANNEL_RATE,
         np.empty(9 * n * n_joints), np.empty(4 * n), np.empty(n), np.empty(2 * n * n_angles), rows,
-        answered, _FIRST_SPEED, len(_FAST), _AT_REST, times, integrals,
+        answered, _FIRST_SPEED, len(_FAST), AT_REST, times, integrals,
         np.linspace(0.0, 1.0, n_cells + 1), np.empty((1, n_cells + 1)), np.empty((2, integrals.shape[1])), cells,
         np.linspace(0.0, 1.0, wanted.n_cells + 1), np.empty((1, wanted.n_cells + 1)), wanted.columns, wanted.scale,
         means, np.empty((2, 1)),
@@ -249,17 +241,17 @@ def integrate_channels(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
     Returns
     -------
     times : (n + 1,) from 0. A second adds the sum of the speeds of head, elbows, hands and feet, in body heights a
-        second, and ``_AT_REST``.
+        second, and ``AT_REST``.
     integrals : (n + 1, 3 C) of the values, of their squares, and of the values times the time.
     """
     times, integrals = np.zeros(len(rows) + 1), np.zeros((len(rows) + 1, 3 * rows.shape[1]))
-    kernels.integrate_rows(rows, _FIRST_SPEED, len(_FAST), _AT_REST, 1.0 / CHANNEL_RATE, times, integrals)
+    kernels.integrate_rows(rows, _FIRST_SPEED, len(_FAST), AT_REST, 1.0 / CHANNEL_RATE, times, integrals)
     return times, integrals
 
 
 def smooth_positions(positions: FloatArray, deviation: float) -> FloatArray:
     """Smooth positions (n, J, 3) over time with a Gaussian of a standard deviation in frames; ends are held."""
-    return _smooth(np.asarray(positions, np.float64), _gaussian(deviation))
+    return _smooth(np.asarray(positions, np.float64), gaussian_weights(deviation))
 
 
 def _smooth(values: FloatArray, weights: FloatArray) -> FloatArray:
@@ -268,11 +260,11 @@ def _smooth(values: FloatArray, weights: FloatArray) -> FloatArray:
     return even
 
 
-def _gaussian(deviation: float) -> FloatArray:
-    """Return weights of the middle and of the frames up to three standard deviations away."""
-    weights = np.exp(-0.5 * (np.arange(int(3.0 * deviation + 0.5) + 1) / deviation) ** 2)
+def gaussian_weights(deviation: float, reach: float = 3.0) -> FloatArray:
+    """Return weights of the middle and of the frames up to ``reach`` standard deviations away; these in frames."""
+    weights = np.exp(-0.5 * (np.arange(int(reach * deviation + 0.5) + 1) / deviation) ** 2)
     shares: FloatArray = weights / (2.0 * weights.sum() - weights[0])
     return shares
 
 
-_POSE_WEIGHTS, _HEADING_WEIGHTS = _gaussian(_POSE_SMOOTHING), _gaussian(_HEADING_SMOOTHING)
+_POSE_WEIGHTS, _HEADING_WEIGHTS = gaussian_weights(_POSE_SMOOTHING), gaussian_weights(_HEADING_SMOOTHING)

@@ -26,7 +26,6 @@ from dousa.retrieval.features.channel_kernels import find_edges, read_cells
 from dousa.retrieval.features.channels import (
     CHANNEL_RATE,
     CHANNELS,
-    NO_MEANS,
     Channel,
     WantedMeans,
     compute_channels,
@@ -37,6 +36,7 @@ from dousa.retrieval.features.channels import (
 from dousa.retrieval.features.pose_features import FEATURES, Feature, compute_clip_features, compute_pose_features
 from dousa.retrieval.features.posed_motion import (
     FRAME_JOINTS,
+    PlainMotion,
     PosedMotion,
     check_shape,
     complete_positions,
@@ -117,15 +117,8 @@ def list_interval_tests(kinds: Sequence[tuple[int, IndexArray, IndexArray]], n_f
     return tests.reshape(-1, 5)
 
 
-N_CELLS = 10
+N_CELLS = 10  # of a clip, as in the paper (section 2.3)
 DURATION = Channel("duration", "duration", "s")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Completed:
-    positions: FloatArray
-    frame_rate: float
-    height: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,7 +223,7 @@ class FeatureSet:
         if not self.has_banks:
             shape = len(motions), self.n_frames, self.n_columns
             return np.array([self.compute(motion) for motion in motions], np.float64).reshape(shape)
-        return self.compute_quiet_with(motions, NO_MEANS)[0]
+        return self.compute_quiet_with(motions, WantedMeans(0, np.empty(0, np.intp), np.empty(0)))[0]
 
     def compute_quiet_with(self, motions: Sequence[PosedMotion], wanted: WantedMeans) -> tuple[FloatArray, FloatArray]:
         """Compute the same for a set with banks, and (N, cells, K) the ``wanted`` means of channels."""
@@ -248,7 +241,7 @@ class FeatureSet:
         points = complete_positions(
             check_shape(motion.positions, motion.height), motion.height, self.hidden, self.needed
         )
-        return _Completed(points, motion.frame_rate, motion.height)
+        return PlainMotion(points, motion.frame_rate, motion.height)
 
     def blank(self, values: FloatArray) -> FloatArray:
         """Set values (..., C) of channels of hidden joints to 0, in place."""
@@ -390,12 +383,6 @@ def compute_track(motion: PosedMotion, feature_set: FeatureSet) -> FeatureTrack:
     sampled = sample_positions(points, motion.frame_rate)
     if not feature_set.has_banks:
         poses = feature_set.blank(compute_pose_features(sampled, motion.height))
-        return FeatureTrack(feature_set, np.arange(len(poses) + 1.0), _integrate(poses))
+        return FeatureTrack(feature_set, np.arange(len(poses) + 1.0), np.ascontiguousarray(integrate(poses[None])[0].T))
     times, integrals = integrate_channels(feature_set.blank(compute_channels(sampled, motion.height)))
     return FeatureTrack(feature_set, times, integrals)
-
-
-def _integrate(values: FloatArray) -> FloatArray:
-    summed = np.zeros((len(values) + 1, values.shape[1]))
-    np.cumsum(values, axis=0, out=summed[1:])
-    return summed

@@ -25,7 +25,7 @@ from dousa.retrieval.features.posed_motion import PosedMotion, check_shape
 
 _LEFT, _UP, _FORWARD = 0, 1, 2
 
-# Direction -> the words that join it to the pelvis, axis, sign.
+# Direction -> the words that join it to the pelvis, axis, sign, by the definition of the body-fixed system above.
 _DIRECTIONS = {
     "left": ("left of", _LEFT, 1.0),
     "right": ("right of", _LEFT, -1.0),
@@ -109,14 +109,12 @@ FEATURE_NAMES: tuple[str, ...] = tuple(feature.name for feature in FEATURES)
 
 _POSITIONS = [feature for feature in FEATURES if feature.kind == "position"]
 _DISTANCES = [feature for feature in FEATURES if feature.kind == "distance"]
-_POSITION_JOINTS = np.array([JOINT_INDEX[feature.joints[0]] for feature in _POSITIONS])
-
+_POSITION_JOINTS, _DISTANCE_FROM, _DISTANCE_TO = (
+    np.array([JOINT_INDEX[feature.joints[end]] for feature in some])
+    for some, end in ((_POSITIONS, 0), (_DISTANCES, 0), (_DISTANCES, 1))
+)
 _POSITION_AXES, _POSITION_SIGNS = (
     np.array([getattr(feature, name) for feature in _POSITIONS]) for name in ("axis", "sign")
-)
-
-_DISTANCE_FROM, _DISTANCE_TO = (
-    np.array([JOINT_INDEX[feature.joints[end]] for feature in _DISTANCES]) for end in (0, 1)
 )
 
 

@@ -20,7 +20,7 @@ from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX, Canonic
 from dousa.motion.canonical.tree_shape import spread_frames
 
 SLOWEST_RATE = 1.0
-"""Hz: motions are resampled to 30 Hz, so a rate near zero would fill the memory."""
+"""Hz (docs/studio.md): motions are resampled to 30 Hz, so a rate near zero would fill the memory."""
 
 
 class PosedMotion(Protocol):
@@ -37,6 +37,15 @@ class PosedMotion(Protocol):
     @property
     def height(self) -> float:
         """m, of the performer."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlainMotion:
+    """Positions (n, 20, 3) m with a frame rate (Hz) and a body height (m): a part of a recording, or one computed."""
+
+    positions: FloatArray
+    frame_rate: float
+    height: float
 
 
 def check_motion(motion: PosedMotion) -> FloatArray:
@@ -170,10 +179,10 @@ def name_parts(joints: Iterable[str]) -> tuple[Message, ...]:
     for single in ("head", "neck"):
         if single in gone and not (single == "neck" and "head" in gone):
             named.append(single)
-    told: set[str] = set()
+    covered: set[str] = set()
     for both, one, ends in _SIDED:
-        sides = [side for side in ("left", "right") if {f"{side}_{end}" for end in ends} <= gone - told]
-        told |= {f"{side}_{end}" for side in sides for end in ends}
+        sides = [side for side in ("left", "right") if {f"{side}_{end}" for end in ends} <= gone - covered]
+        covered |= {f"{side}_{end}" for side in sides for end in ends}
         if len(sides) == 2:
             named.append(both)
         elif sides:

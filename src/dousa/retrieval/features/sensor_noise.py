@@ -24,17 +24,8 @@ from dousa.retrieval.features import noise_kernels as kernels
 from dousa.retrieval.features.channels import CHANNEL_RATE, sample_positions
 from dousa.retrieval.features.posed_motion import PosedMotion, check_frame_rate, check_shape
 
-_ORDER = 3  # the derivative that is kept small
-_WEIGHTS = np.logspace(-3.0, 6.0, 28)  # of its penalty; the last one leaves movements of some seconds
-_FEWEST = 8  # frames needed to separate noise from movement
-_NO_NOISE = 5e-4  # m
+_NO_NOISE = 5e-4  # m (docs/noise.md)
 _GLITCH = 8.0  # standard deviations: a fast movement is no glitch; 5 was a little worse (measured)
-_MEDIAN_OF_SQUARES = 2.366  # of three normal deviates together, chi-squared
-_ROUNDS = 3
-_AT_ONCE = 1 << 18  # frames of joints, so that an hour does not fill the memory
-_TOGETHER = 1024  # frames of recordings smoothed together: the size of a core's cache
-_SHORT = 300  # frames: the splines of clips are kept in memory, at most 34 MB of them
-_END = 3  # frames whose mean is where a joint begins, or ends
 _BONES = [
     (f"{side}_{near}", f"{side}_{far}")
     for side in ("left", "right")
@@ -63,17 +54,23 @@ def reduce_noise(motion: PosedMotion) -> PosedMotion:
     return reduce_noise_of_all([motion])[0]
 
 
-def reduce_noise_of_all(motions: Sequence[PosedMotion]) -> list[PosedMotion]:
-    """Do the same for several motions, faster: those of equal length and joints go together."""
+def reduce_noise_of_all(
+    motions: Sequence[PosedMotion], fewest: int = 8, most_together: int = 1024
+) -> list[PosedMotion]:
+    """Do the same for several motions, faster: those of equal length and joints go together.
+
+    Fewer frames than ``fewest`` do not separate noise from movement (docs/noise.md). ``most_together`` frames of
+    recordings are smoothed together: the size of a core's cache.
+    """
     quiet, points = list(motions), [_thin(motion) for motion in motions]
-    alike: dict[tuple[int, bytes], list[int]] = {}
+    groups: dict[tuple[int, bytes], list[int]] = {}
     for number, places in enumerate(points):
         finite: BoolArray = np.isfinite(places)
         there: BoolArray = np.ones(places.shape[1], np.bool_) if finite.all() else np.all(finite, axis=(0, 2))
-        if len(places) >= _FEWEST and there.any():
-            alike.setdefault((len(places), there.tobytes()), []).append(number)
-    for (n_frames, kept), numbers in alike.items():
-        there, at_once = np.frombuffer(kept, np.bool_), max(_TOGETHER // n_frames, 1)
+        if len(places) >= fewest and there.any():
+            groups.setdefault((len(places), there.tobytes()), []).append(number)
+    for (n_frames, kept), numbers in groups.items():
+        there, at_once = np.frombuffer(kept, np.bool_), max(most_together // n_frames, 1)
         for first in range(0, len(numbers), at_once):
             some = numbers[first : first + at_once]
             together = np.stack([points[k] for k in some]) if len(some) > 1 else points[some[0]][None]
@@ -113,34 +110,27 @@ def measure_unsteadiness(motion: PosedMotion) -> float:
     return float(kernels.measure_unsteadiness(points, _BONE_ENDS, np.empty((2, max(len(points), len(_BONE_ENDS))))))
 
 
-def smooth_places(points: FloatArray) -> tuple[FloatArray, float]:
-    """Smooth places (n, J, 3), finite, n at least 3.
+def smooth_together(
+    points: FloatArray, n_rounds: int = 3, at_once: int = 1 << 18
+) -> tuple[list[FloatArray | None], FloatArray]:
+    """Smooth the places of R recordings of the same length (R, n, J, 3), finite, n at least 3, each independently.
 
-    Returns
-    -------
-    points : (n, J, 3); the same array where there is neither noise nor a glitch.
-    noise : standard deviation of the errors, in the unit of the points, along each axis.
-    """
-    (smooth,), noise = smooth_together(points[None])
-    return points if smooth is None else smooth, float(noise[0])
-
-
-def smooth_together(points: FloatArray) -> tuple[list[FloatArray | None], FloatArray]:
-    """Do the same for R recordings of the same length (R, n, J, 3), each independently.
+    Glitches are looked for ``n_rounds`` times. ``at_once`` frames of joints are transformed, so that an hour does not
+    fill the memory.
 
     Returns
     -------
     points : (n, J, 3) of each; None where there is neither noise nor a glitch.
-    noise : (R,)
+    noise : (R,) standard deviation of the errors, in the unit of the points, along each axis.
     """
     n_recordings, n_frames, n_joints, _ = points.shape
     courses: FloatArray = np.ascontiguousarray(points.transpose(0, 2, 3, 1)).reshape(-1, 3, n_frames)
-    believed, limit = courses, _GLITCH**2 / _MEDIAN_OF_SQUARES
+    believed, limit = courses, _GLITCH**2 / 2.366  # the median of chi-squared with three degrees of freedom
     changed, room = np.zeros((n_recordings, n_joints), np.bool_), np.empty((2, n_frames))
-    splines = _Splines(courses, n_recordings)
+    splines = _Splines(courses, n_recordings, at_once)
     noise = splines.choose(np.arange(n_recordings))
     noisy = np.flatnonzero(noise >= _NO_NOISE)
-    for _ in range(_ROUNDS):
+    for _ in range(n_rounds):
         if not len(noisy):
             break
         believed = courses.copy() if believed is courses else believed
@@ -169,14 +159,16 @@ class _Splines:
 
     courses : (R J, 3, n), recording after recording.
     n_recordings : R.
+    at_once : frames of joints that are transformed at once.
     """
 
-    def __init__(self, courses: FloatArray, n_recordings: int) -> None:
+    def __init__(self, courses: FloatArray, n_recordings: int, at_once: int) -> None:
         n_courses, _, self._count = courses.shape
+        self._at_once = at_once
         self._n_joints = n_courses // n_recordings
         self._list = _list_splines(self._count)
         self._lines, self._smooth, self._waves = (np.empty_like(courses) for _ in range(3))
-        self._left, self._room = np.empty((n_courses, len(_WEIGHTS))), np.empty((2, self._n_joints))
+        self._left, self._room = np.empty((n_courses, len(self._list.freedom))), np.empty((2, self._n_joints))
         self._fitted, self._chosen = np.full((2, n_courses), -1)
         self.read(courses, np.arange(n_courses))
 
@@ -185,14 +177,14 @@ class _Splines:
         return rows
 
     def _portions(self, rows: IndexArray) -> Iterator[IndexArray]:
-        some = max(_AT_ONCE // self._count, 1)
+        some = max(self._at_once // self._count, 1)
         return (rows[first : first + some] for first in range(0, len(rows), some))
 
-    def read(self, courses: FloatArray, rows: IndexArray) -> None:
-        """Read the courses of some joints again."""
+    def read(self, courses: FloatArray, rows: IndexArray, n_end: int = 3) -> None:
+        """Read the courses of some joints again; the mean of ``n_end`` frames is where a joint begins, or ends."""
         for some in self._portions(rows):
             folded = np.empty((len(some), 3, self._count))
-            kernels.level(courses, some, min(_END, self._count // 2), self._list.ramp, self._lines, folded)
+            kernels.level(courses, some, min(n_end, self._count // 2), self._list.ramp, self._lines, folded)
             kernels.turn_waves(np.fft.rfft(folded), some, self._list.turns, self._waves)
             kernels.measure(self._waves, some, self._list.lost, self._left)
         self._fitted[rows] = -1
@@ -233,13 +225,15 @@ class _SplineList:
     turns: FloatArray
 
 
-def _list_splines(count: int) -> _SplineList:
-    return _keep_list(count) if count <= _SHORT else _make_list(count)
+def _list_splines(count: int, most_kept: int = 300) -> _SplineList:
+    """List the splines through ``count`` frames; those of up to ``most_kept`` stay in memory, at most 34 MB of them."""
+    return _keep_list(count) if count <= most_kept else _make_list(count)
 
 
 def _make_list(count: int) -> _SplineList:
-    stiffness = (2.0 - 2.0 * np.cos(np.pi * np.arange(count) / count)) ** _ORDER
-    kept: FloatArray = 1.0 / (1.0 + _WEIGHTS[:, None] * stiffness)
+    stiffness = (2.0 - 2.0 * np.cos(np.pi * np.arange(count) / count)) ** 3  # of the third derivative
+    weights = np.logspace(-3.0, 6.0, 28)  # of the penalty; the last one leaves movements of some seconds
+    kept: FloatArray = 1.0 / (1.0 + weights[:, None] * stiffness)
     lost: FloatArray = np.ascontiguousarray(((1.0 - kept) ** 2).T)
     angles = 0.5 * np.pi * np.arange(count // 2 + 1) / count
     turns: FloatArray = np.stack([np.cos(angles), np.sin(angles)])

@@ -2,7 +2,7 @@
 
 Each round holds back some categories and the clips of some performers, trains a small forest on the rest, and collects
 the evidence (``evidence``) on both, on disturbed copies of both, on motions half way between clips of different
-categories, and on made-up gestures (``strangers``). Clips of held-back people are known, all others unknown.
+categories, and on made-up gestures (``Strangers``). Clips of held-back people are known, all others unknown.
 
 Logistic curves over the evidence give the probabilities that the motion is known and that the guess is right, for about
 one unknown motion in ten, near curves learned over several data sets. A motion is called unknown if the guess is more
@@ -25,6 +25,8 @@ from dousa.errors import TrainingError
 from dousa.messages import Message
 from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.forest.evidence import (
+    POSE_COLUMNS,
+    VOTE_COLUMNS,
     Judgement,
     Strangers,
     VoteScale,
@@ -48,50 +50,32 @@ from dousa.retrieval.forest.pose_space import (
 )
 from dousa.workers.threads import map_pieces
 
-_ROUNDS = 8
-_CATEGORY_PARTS = 4  # a round holds back a quarter, so its forest has almost as many categories as the real one
-_PERFORMER_PARTS = 3
-_TREES = 50
-_MOST_JUDGED = 500  # known clips in a round, and as many unknown ones
-_MOST_BETWEEN = 250
-_AT_A_TIME = 256  # clips copied in one step
-_COPY_WEIGHT = 2 / 3
-_SAME_HEIGHT = 0.04  # m
-_THRESHOLD = 0.5
-_LEAST_KNOWN = (0.5, 0.97)  # the lowest and the highest
-_LOST = 20  # % of the disturbed motions of held-back people called unknown; the full library knows more
-_EARLIER_LOST = 15  # of an earlier dousa, with weaker disturbances
-_LEAST_SHARE = 0.04
-_NEVER = 1.0
 STRANGERS = 0.1
-"""Unknown motions for each known one."""
+"""Unknown motions for each known one (docs/confidence.md)."""
 ALIEN = 0.98
-"""Share of the made-up gestures that a possibly known motion must exceed in probability."""
+"""Share of the made-up gestures that a possibly known motion must exceed in probability (docs/confidence.md)."""
 
 _WHAT = Message("stored.calibration")
 Watch = Callable[[int, MotionForest, IndexArray, IndexArray, IndexArray], None]
 """Called with each round: its number, its forest, and its training, known and unknown clips."""
 
-_COLUMNS = ("around", "log_share", "log_lead", "typical", "pose_lead", "near", "apart")
-# Fitted to libraries of HDM05, UTD-MHAD, Bandai and UTKinect, each with one person left out, on their rounds, and on
-# all clips of the other three sets, at half the weight of the strangers of the rounds. With any one of the
-# four left out of the fit, the curves are nearly as good on it (docs/confidence.md).
-KNOWN_PRIOR = Judgement(
-    spread_curve(Curve(2.21, (3.08, 2.2, 0.0)), _COLUMNS[:3]),
-    spread_curve(Curve(2.29, (0.51, 0.13, 0.23, 2.82, 0.0, 1.37, 2.5)), _COLUMNS),
+# Curves that a motion is known, and that its guess is right: by the votes; by the poses with made-up gestures; by the
+# poses without these. Fitted to libraries of HDM05, UTD-MHAD, Bandai and UTKinect, each with one person left out, on
+# their rounds, and on all clips of the other three sets, at half the weight of the strangers of the rounds (without
+# gestures, on the clips of the other sets that have other meanings). With any one of the four left out of the fit, the
+# curves are nearly as good on it (docs/confidence.md).
+_PRIORS = (
+    (
+        Curve(2.21, (3.08, 2.2, 0.0)),
+        Curve(2.29, (0.51, 0.13, 0.23, 2.82, 0.0, 1.37, 2.5)),
+        Curve(2.93, (1.56, 1.2, 0.0, 5.27, 0.0, 0.3)),
+    ),
+    (
+        Curve(0.67, (3.49, 1.94, 0.74)),
+        Curve(0.95, (0.7, 0.0, 0.75, 3.19, 2.69, 2.19, 1.68)),
+        Curve(2.06, (1.16, 0.7, 0.4, 5.03, 1.49, 2.27)),
+    ),
 )
-SURE_PRIOR = Judgement(
-    spread_curve(Curve(0.67, (3.49, 1.94, 0.74)), _COLUMNS[:3]),
-    spread_curve(Curve(0.95, (0.7, 0.0, 0.75, 3.19, 2.69, 2.19, 1.68)), _COLUMNS),
-)
-# The same without made-up gestures, fitted with clips of the other sets that have other meanings.
-_KNOWN_ALONE = replace(KNOWN_PRIOR, by_poses=spread_curve(Curve(2.93, (1.56, 1.2, 0.0, 5.27, 0.0, 0.3)), _COLUMNS[:-1]))
-_SURE_ALONE = replace(SURE_PRIOR, by_poses=spread_curve(Curve(2.06, (1.16, 0.7, 0.4, 5.03, 1.49, 2.27)), _COLUMNS[:-1]))
-_JUDGEMENTS = ("known", "sure")
-_NUMBERS = ("threshold", "auroc", "false_alarms", "misses")
-_LATER_NUMBER = "least_known"  # missing in files of an earlier dousa
-_LEAST_POSSIBLE = "least_possible"  # likewise
-_LOWEST = "lowest"  # likewise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,28 +94,29 @@ class Copies:
         places, order = self.find(rows), np.argsort(rows, kind="stable")
         return Copies(order[np.searchsorted(rows, self.rows[places], sorter=order)], self.features[places])
 
-    def join(self, features: FloatArray, chosen: IndexArray, rows: IndexArray) -> tuple[FloatArray, IndexArray]:
+    def join(
+        self, features: FloatArray, chosen: IndexArray, rows: IndexArray, at_once: int = 256
+    ) -> tuple[FloatArray, IndexArray]:
         """Join some clips and their copies for ``MotionForest.fit``.
 
         Parameters
         ----------
         features : (N, T, F), of which the places ``chosen`` (M,) are taken.
         rows : (M,) their rows among the copies.
+        at_once : clips copied in one step.
 
         Returns
         -------
         features : (M + K, T, F) of the clips, then of the copies.
         copied : (K,) clips among the M that have a copy.
         """
-        places = self.find(rows)
         _, frames, columns = features.shape
         # Ordered as by ``order_for_trees``, so that no forest makes its own copy.
-        joined = np.empty((len(chosen) + len(places), columns, frames), features.dtype).transpose(0, 2, 1)
-        for first in range(0, len(chosen), _AT_A_TIME):
-            some = chosen[first : first + _AT_A_TIME]
+        joined = np.empty((len(chosen) + len(self.find(rows)), columns, frames), features.dtype).transpose(0, 2, 1)
+        for first in range(0, len(chosen), at_once):
+            some = chosen[first : first + at_once]
             joined[first : first + len(some)] = features[some]
-        joined[len(chosen) :] = self.features[places]
-        return joined, self.of(rows).rows
+        return self.append(joined, rows)
 
     def append(self, room: FloatArray, rows: IndexArray) -> tuple[FloatArray, IndexArray]:
         """Join all clips at the front of ``room`` (N + M, T, F) with their copies, as ``join``, in place.
@@ -173,17 +158,17 @@ class Calibration:
     misses: float
     least_known: float = 0.0
     lowest: tuple[float, ...] = ()
-    least_possible: float = _NEVER
+    least_possible: float = 1.0
 
-    def limit(self, known: FloatArray) -> FloatArray:
+    def limit(self, known: FloatArray, least_share: float = 0.04) -> FloatArray:
         """Compute upper limits (N,) of the probabilities to be known.
 
         Below ``least_known`` hardly any clip trains the curves, so the odds are at most the share of known motions at
-        or below that probability, but at least ``_LEAST_SHARE`` for another body or sensor, against ``STRANGERS``.
+        or below that probability, but at least ``least_share`` for another body or sensor, against ``STRANGERS``.
         """
         if not self.lowest:
             return np.ones(len(known))
-        shares = np.maximum(np.interp(known, self.lowest, np.arange(len(self.lowest)) / 100), _LEAST_SHARE)
+        shares = np.maximum(np.interp(known, self.lowest, np.arange(len(self.lowest)) / 100), least_share)
         return np.where(known < self.least_known, shares / (shares + STRANGERS), 1.0)
 
     def is_unknown(self, known: FloatArray, confidence: FloatArray) -> BoolArray:
@@ -205,11 +190,9 @@ class Calibration:
 
     def to_json(self) -> dict[str, Any]:
         """Return the curves and numbers for ``json.dumps``, without the poses."""
-        judgements = {name: getattr(self, name).to_json() for name in _JUDGEMENTS}
-        return {
-            **judgements,
-            **{name: getattr(self, name) for name in (*_NUMBERS, _LATER_NUMBER, _LEAST_POSSIBLE, _LOWEST)},
-        }
+        names = "threshold", "auroc", "false_alarms", "misses", "least_known", "least_possible", "lowest"
+        numbers = {name: getattr(self, name) for name in names}
+        return {"known": self.known.to_json(), "sure": self.sure.to_json(), **numbers}
 
     def to_bytes(self) -> bytes:
         """Pack into an .npz file (no pickle); the same calibration gives the same bytes."""
@@ -229,17 +212,17 @@ class Calibration:
         try:
             written = json.loads(str(arrays["numbers"]))
             if "usual" in arrays:
-                known, sure = (Judgement.from_json(written[name]) for name in _JUDGEMENTS)
+                known, sure = (Judgement.from_json(written[name]) for name in ("known", "sure"))
             else:
                 known = sure = _read_earlier(written)
-            numbers = [float(written[name]) for name in _NUMBERS]
-            numbers.append(float(written.get(_LATER_NUMBER, 0.0)))
-            numbers.append(float(written.get(_LEAST_POSSIBLE, _NEVER)))
-            lowest = tuple(float(number) for number in written.get(_LOWEST, ()))
+            numbers = [float(written[name]) for name in ("threshold", "auroc", "false_alarms", "misses")]
+            # Files of an earlier dousa lack the following.
+            numbers += [float(written.get("least_known", 0.0)), float(written.get("least_possible", 1.0))]
+            lowest = tuple(float(number) for number in written.get("lowest", ()))
         except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             raise damaged(_WHAT, error) from error
         check(all(0.0 <= number <= 1.0 for number in (*numbers, *lowest)), _WHAT, "shares beyond 0 ... 1")
-        right = len(lowest) in (0, _EARLIER_LOST + 1, _LOST + 1) and lowest == tuple(sorted(lowest))
+        right = len(lowest) in (0, 16, 21) and lowest == tuple(sorted(lowest))
         check(right, _WHAT, "bad shares of what is known")
         threshold, auroc, false_alarms, misses, least, possible = numbers
         return cls(known, sure, poses, usual, threshold, auroc, false_alarms, misses, least, lowest, possible)
@@ -359,11 +342,9 @@ def learn_calibration(
     return _summarise(seen, space, alien)
 
 
-def guess_performers(heights: ArrayLike) -> tuple[str, ...]:
-    """Guess performers (N,) from ``heights`` (N,), m: people of one height count as one. For ``learn_calibration``
-    only.
-    """
-    return tuple(f"{_SAME_HEIGHT * round(float(height) / _SAME_HEIGHT):.2f} m" for height in np.asarray(heights))
+def guess_performers(heights: ArrayLike, within: float = 0.04) -> tuple[str, ...]:
+    """Guess performers (N,) from ``heights`` (N,), m, for ``learn_calibration``: those ``within`` m count as one."""
+    return tuple(f"{within * round(float(height) / within):.2f} m" for height in np.asarray(heights))
 
 
 _UNKNOWN, _KNOWN, _BETWEEN, _MADE = range(4)
@@ -404,8 +385,10 @@ class _Judge:
         names = np.concatenate(named)
         return _Round(evidence, names, kinds, copied, (names == labels) & (kinds == _KNOWN))
 
-    def train(self, number: int, train: IndexArray, known: IndexArray, unknown: IndexArray) -> MotionForest:
-        trees = min(_TREES, self.parameters["n_trees"])
+    def train(
+        self, number: int, train: IndexArray, known: IndexArray, unknown: IndexArray, most_trees: int = 50
+    ) -> MotionForest:
+        trees = min(most_trees, self.parameters["n_trees"])
         small = MotionForest(**{**self.parameters, "n_trees": trees, "random_state": number, "n_jobs": 1})
         copies = Copies(np.zeros(0, np.intp), self.features[:0]) if self.copies is None else self.copies
         features, copied = copies.join(self.features, train, train)
@@ -416,15 +399,17 @@ class _Judge:
         return small
 
     def _choose(
-        self, number: int, known: IndexArray, unknown: IndexArray
+        self, number: int, known: IndexArray, unknown: IndexArray, most: int = 500, most_between: int = 250
     ) -> tuple[list[FloatArray], NDArray[Any], IndexArray, BoolArray]:
         """Choose held-back clips, their copies, and motions between two; return features in parts, labels, kinds,
         copied or not.
+
+        At most ``most`` clips are known, and as many unknown; at most ``most_between`` motions lie between two.
         """
         chance = np.random.default_rng(number)
-        known, unknown = (chance.permutation(rows)[:_MOST_JUDGED] for rows in (known, unknown))
+        known, unknown = (chance.permutation(rows)[:most] for rows in (known, unknown))
         other = chance.permutation(known)
-        apart = np.flatnonzero(self.labels[known] != self.labels[other])[:_MOST_BETWEEN]
+        apart = np.flatnonzero(self.labels[known] != self.labels[other])[:most_between]
         between = 0.5 * (self.features[known[apart]] + self.features[other[apart]])
         parts = [(self.features[known], known), (self.features[unknown], unknown), (between, known[apart])]
         kinds, copied = [_KNOWN, _UNKNOWN, _BETWEEN], [False] * 3
@@ -440,12 +425,7 @@ class _Judge:
             copied.append(False)
         sizes = [len(rows) for _, rows in parts]
         labels = self.labels[np.concatenate([rows for _, rows in parts])]
-        return (
-            [features for features, _ in parts],
-            labels,
-            np.repeat(kinds, sizes),
-            np.repeat(copied, sizes),
-        )
+        return [features for features, _ in parts], labels, np.repeat(kinds, sizes), np.repeat(copied, sizes)
 
     def fit_space(self, rows: IndexArray | slice) -> PoseSpace:
         """Fit the space of some clips and their copies, so that noise counts as scatter within a category."""
@@ -458,62 +438,92 @@ class _Judge:
         return fit_pose_space(self.features[rows], labels, self.feature_set, others, copies)
 
 
-def _summarise(rounds: list[_Round], poses: PoseSpace, alien: float) -> Calibration:
+def _summarise(
+    rounds: list[_Round],
+    poses: PoseSpace,
+    alien: float,
+    threshold: float = 0.5,
+    lost: int = 20,
+    least_known: tuple[float, float] = (0.5, 0.97),
+) -> Calibration:
+    """Fit the curves and limits to the rounds.
+
+    Parameters
+    ----------
+    alien : as for ``learn_calibration``.
+    threshold : of the calibration.
+    lost : % of the disturbed motions of held-back people called unknown; the full library knows more.
+    least_known : the lowest and the highest ``Calibration.least_known``.
+    """
     seen, guess, kinds, copied, right = (
         np.concatenate([getattr(one, name) for one in rounds])
         for name in ("evidence", "guess", "kinds", "copied", "right")
     )
     usual, own = learn_usual(seen, guess, right & ~copied, poses.categories)
     evidence, weights = relate_to_usual(seen, own), _weigh(kinds, copied)
-    priors = (KNOWN_PRIOR, SURE_PRIOR) if len(poses.others) else (_KNOWN_ALONE, _SURE_ALONE)
+    priors = [_make_prior(*curves, with_gestures=bool(len(poses.others))) for curves in _PRIORS]
     known = fit_judgement(evidence, kinds == _KNOWN, weights, priors[0])
     sure = fit_judgement(evidence, right, weights, priors[1])
     belongs = known.by_poses.evaluate(evidence)
     confidence = np.minimum(sure.by_poses.evaluate(evidence), belongs)
     own = kinds == _KNOWN
     harder = own & copied if (own & copied).any() else own
-    lowest = np.quantile(belongs[harder], np.arange(_LOST + 1) / 100)
-    least = float(np.clip(lowest[-1], *_LEAST_KNOWN))
+    lowest = np.quantile(belongs[harder], np.arange(lost + 1) / 100)
+    least = float(np.clip(lowest[-1], *least_known))
     made = belongs[kinds == _MADE]
     plain = ~copied & (kinds <= _KNOWN)
-    called = ((confidence >= _THRESHOLD) & (belongs >= least))[plain]
+    called = ((confidence >= threshold) & (belongs >= least))[plain]
     own = own[plain]
     return Calibration(
         known=known,
         sure=sure,
         poses=poses,
         usual=usual,
-        threshold=_THRESHOLD,
+        threshold=threshold,
         auroc=compute_auroc(belongs[plain], own),
         false_alarms=float(1.0 - called[own].mean()),
         misses=float(called[~own].mean()) if not own.all() else 0.0,
         least_known=least,
         lowest=tuple(lowest.tolist()),
-        least_possible=float(np.quantile(made, alien)) if len(made) else _NEVER,
+        least_possible=float(np.quantile(made, alien)) if len(made) else 1.0,
     )
 
 
-def _weigh(kinds: IndexArray, copied: BoolArray) -> FloatArray:
+def _make_prior(by_votes: Curve, by_poses: Curve, alone: Curve, *, with_gestures: bool) -> Judgement:
+    poses = spread_curve(by_poses, POSE_COLUMNS) if with_gestures else spread_curve(alone, POSE_COLUMNS[:-1])
+    return Judgement(spread_curve(by_votes, VOTE_COLUMNS), poses)
+
+
+def _weigh(kinds: IndexArray, copied: BoolArray, share_of_copies: float = 2 / 3) -> FloatArray:
     """Return weights: ``STRANGERS`` split evenly over the kinds of strangers; copies weigh twice as much as clips."""
     weights = np.zeros(len(kinds))
     strange = [kind for kind in np.unique(kinds).tolist() if kind != _KNOWN]
     for kind, weight in ((_KNOWN, 1.0), *((kind, STRANGERS / len(strange)) for kind in strange)):
         own, again = kinds == kind, (kinds == kind) & copied
-        of_copies = _COPY_WEIGHT if again.any() else 0.0
+        of_copies = share_of_copies if again.any() else 0.0
         weights[own & ~copied] = weight * (1.0 - of_copies) / max(int((own & ~copied).sum()), 1)
         weights[again] = weight * of_copies / max(int(again.sum()), 1)
     return weights
 
 
 def _draw_rounds(
-    labels: NDArray[Any], performers: Sequence[str | None], random_state: int
+    labels: NDArray[Any],
+    performers: Sequence[str | None],
+    random_state: int,
+    n_rounds: int = 8,
+    category_parts: int = 4,
+    performer_parts: int = 3,
 ) -> Iterator[tuple[IndexArray, IndexArray, IndexArray]]:
-    """Yield the training, known and unknown clips of each round that is possible."""
+    """Yield the training, known and unknown clips of each round that is possible.
+
+    Each of ``n_rounds`` holds back one of ``category_parts`` of the categories, so its forest has almost as many as the
+    real one, and one of ``performer_parts`` of the performers (docs/confidence.md).
+    """
     generator = np.random.default_rng(random_state)
     names, own = np.unique(labels, return_inverse=True)
-    parts = _part_performers(own, performers, generator)
-    n_groups = min(_CATEGORY_PARTS, len(names))
-    for number in range(_ROUNDS):
+    parts = _part_performers(own, performers, generator, performer_parts)
+    n_groups = min(category_parts, len(names))
+    for number in range(n_rounds):
         if number % n_groups == 0:
             group = generator.permutation(np.arange(len(names)) % n_groups)
         held = group[own] == number % n_groups
@@ -524,10 +534,12 @@ def _draw_rounds(
             yield train, known, np.flatnonzero(held)
 
 
-def _part_performers(own: IndexArray, performers: Sequence[str | None], generator: np.random.Generator) -> IndexArray:
+def _part_performers(
+    own: IndexArray, performers: Sequence[str | None], generator: np.random.Generator, n_parts: int
+) -> IndexArray:
     """Return (N,) the part of each clip, dealing out performers, and clips without one, evenly."""
     people = sorted({name for name in performers if name})
-    count = len(people) if 1 < len(people) < _PERFORMER_PARTS else _PERFORMER_PARTS
+    count = len(people) if 1 < len(people) < n_parts else n_parts
     dealt = dict(zip(generator.permutation(people), np.arange(len(people)) % count, strict=True))
     drawn = generator.random(len(own))
     parts = np.zeros(len(own), np.intp)

@@ -7,7 +7,7 @@
   value for a clip of the category by another performer; *pose_lead*: less that of the best other category;
 - *distance*: logarithm of the distance of the poses from the centre of the category; *near*: how much less that is than
   usual for a clip of the category by another performer;
-- *apart*: the cosine, less that to the nearest motion of no category (``strangers``).
+- *apart*: the cosine, less that to the nearest motion of no category (``Strangers``).
 
 Their weights are learned in ``calibration``.
 """
@@ -39,11 +39,6 @@ EVIDENCE: tuple[str, ...] = (*OF_VOTES, "cosine", "typical", "pose_lead", "dista
 """All columns; those of earlier libraries end before the distance, or before the last."""
 
 _OF_POSES = ("cosine", "distance")  # columns with a usual value in each category
-_EARLIER = (8, 10)  # columns, before the distance, and before the strangers
-
-_LEAST_SHARE = 0.02
-_LEAST_USUAL = 1e-3
-_USUAL_WEIGHT = 3.0  # clips of median value added to those of each category
 
 
 class VoteScale:
@@ -60,7 +55,7 @@ class VoteScale:
         usual = (pairs - sizes) / np.maximum(sizes * (sizes - 1.0), 1e-9)
         alone = sizes < 1.5
         usual[alone] = np.median(usual[~alone]) if (~alone).any() else 1.0
-        weight = 1.0 / (np.maximum(sizes, 1.0) * np.maximum(usual, _LEAST_USUAL))
+        weight = 1.0 / (np.maximum(sizes, 1.0) * np.maximum(usual, 1e-3))
         self._entries = (trees.leaf_starts, trees.leaf_classes, counts * weight[trees.leaf_classes])
 
     def measure(
@@ -96,7 +91,7 @@ class VoteScale:
 
 
 def learn_usual(
-    evidence: FloatArray, guess: NDArray[Any], right: BoolArray, categories: NDArray[Any]
+    evidence: FloatArray, guess: NDArray[Any], right: BoolArray, categories: NDArray[Any], n_added: float = 3.0
 ) -> tuple[FloatArray, FloatArray]:
     """Learn the usual cosine and distance of a clip of each category by a performer outside the training.
 
@@ -105,6 +100,7 @@ def learn_usual(
     evidence, guess : (N, 11) and (N,) categories, of clips held back.
     right : (N,) clips to learn from: of held-back people, with a right guess.
     categories : (C,) sorted.
+    n_added : clips of median value added to those of each category.
 
     Returns
     -------
@@ -116,9 +112,9 @@ def learn_usual(
     middle = np.median(values[right], axis=0) if right.any() else np.array([1.0, 0.0])
     sizes = np.bincount(rows, weight, len(categories))[:, None]
     sums = np.stack([np.bincount(rows, weight * column, len(categories)) for column in values.T], axis=1)
-    usual: FloatArray = (sums + _USUAL_WEIGHT * middle) / (sizes + _USUAL_WEIGHT)
-    without = sums[rows] - weight[:, None] * values + _USUAL_WEIGHT * middle
-    own: FloatArray = without / (sizes[rows] - weight[:, None] + _USUAL_WEIGHT)
+    usual: FloatArray = (sums + n_added * middle) / (sizes + n_added)
+    without = sums[rows] - weight[:, None] * values + n_added * middle
+    own: FloatArray = without / (sizes[rows] - weight[:, None] + n_added)
     return usual, own
 
 
@@ -132,7 +128,7 @@ def relate_to_usual(evidence: FloatArray, usual: FloatArray) -> FloatArray:
 
 
 def gather_evidence(
-    scores: FloatArray, space: PoseSpace, features: FloatArray | None, guess: NDArray[Any]
+    scores: FloatArray, space: PoseSpace, features: FloatArray | None, guess: NDArray[Any], least_share: float = 0.02
 ) -> tuple[FloatArray, BoolArray, IndexArray]:
     """Gather evidence on guesses, not yet related to the usual values.
 
@@ -142,6 +138,7 @@ def gather_evidence(
     space : of the poses.
     features : (N, T, F); None to leave out the poses.
     guess : (N,) categories.
+    least_share : added to shares of the votes before their logarithm.
 
     Returns
     -------
@@ -150,7 +147,7 @@ def gather_evidence(
     places : (N,) of each category in the space.
     """
     share, around, lead = scores.T
-    logs = np.log(share + _LEAST_SHARE), np.log((share + _LEAST_SHARE) / (share - lead + _LEAST_SHARE))
+    logs = np.log(share + least_share), np.log((share + least_share) / (share - lead + least_share))
     evidence = np.zeros((len(scores), len(EVIDENCE)))
     evidence[:, : len(OF_VOTES)] = np.column_stack([share, around, lead, *logs])
     has_poses = np.zeros(len(scores), bool)
@@ -190,9 +187,9 @@ class Judgement:
         curves = []
         for name in ("by_votes", "by_poses"):
             found = len(data[name]["slopes"])
-            count = found if found in _EARLIER else len(EVIDENCE)
-            curve = read_curve(data[name], count)
-            curves.append(spread_curve(curve, EVIDENCE[:count]))
+            # An earlier dousa wrote fewer columns: without the distance, or without the strangers.
+            count = found if found in (8, 10) else len(EVIDENCE)
+            curves.append(spread_curve(read_curve(data[name], count), EVIDENCE[:count]))
         return cls(*curves)
 
 
@@ -202,8 +199,8 @@ def spread_curve(curve: Curve, columns: Sequence[str]) -> Curve:
     return Curve(curve.intercept, tuple(slopes.get(name, 0.0) for name in EVIDENCE))
 
 
-_VOTE_COLUMNS = ("around", "log_share", "log_lead")
-_POSE_COLUMNS = (*_VOTE_COLUMNS, "typical", "pose_lead", "near", "apart")
+VOTE_COLUMNS = ("around", "log_share", "log_lead")
+POSE_COLUMNS = (*VOTE_COLUMNS, "typical", "pose_lead", "near", "apart")
 
 
 def fit_judgement(evidence: FloatArray, positive: BoolArray, weights: FloatArray, prior: Judgement) -> Judgement:
@@ -216,7 +213,7 @@ def fit_judgement(evidence: FloatArray, positive: BoolArray, weights: FloatArray
     prior : learned over several data sets.
     """
     curves = []
-    for columns, own in ((_VOTE_COLUMNS, prior.by_votes), (_POSE_COLUMNS, prior.by_poses)):
+    for columns, own in ((VOTE_COLUMNS, prior.by_votes), (POSE_COLUMNS, prior.by_poses)):
         places = [EVIDENCE.index(name) for name in columns]
         near = Curve(own.intercept, tuple(own.slopes[place] for place in places))
         fitted = fit_weighted_curve(evidence[:, places], positive, weights, near)
@@ -224,7 +221,7 @@ def fit_judgement(evidence: FloatArray, positive: BoolArray, weights: FloatArray
     return Judgement(*curves)
 
 
-_BESIDE, _ASKED = 80, 40  # gestures; each is there with its mirror image
+_BESIDE, _ASKED = 80, 40  # gestures; each is there with its mirror image (docs/confidence.md)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,16 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import FloatArray, IntArray
 from dousa.errors import InvalidMotionError, NotTrainedError, OptionError, TrainingError
-from dousa.retrieval.features.feature_sets import integrate, list_tests
+from dousa.retrieval.features.feature_sets import FeatureSet, FeatureTrack, integrate, list_tests
 from dousa.retrieval.features.pose_features import FEATURE_NAMES
 from dousa.retrieval.forest import tree_kernels as kernels
+from dousa.retrieval.forest.forest_file import ForestFile, pack_forest, unpack_forest
 from dousa.retrieval.forest.trees import (
     KIND_NAMES,
     Trees,
@@ -30,9 +31,6 @@ from dousa.retrieval.forest.trees import (
     order_for_trees,
     read_test,
 )
-
-if TYPE_CHECKING:
-    from dousa.retrieval.features.feature_sets import FeatureSet, FeatureTrack
 
 
 def is_whole(value: object) -> bool:
@@ -67,14 +65,16 @@ def check_features(features: ArrayLike, shape: tuple[int, int] | None = None, *,
     return order_for_trees(pose) if for_trees else pose
 
 
-def _measure_finite(pose: FloatArray) -> FloatArray:
-    """Return (F,) of ``measure_columns``; InvalidMotionError for features (N, T, F) not finite or too large."""
+def _measure_finite(pose: FloatArray, most: float = 1e100) -> FloatArray:
+    """Return (F,) of ``measure_columns``; InvalidMotionError for features (N, T, F) not finite or above ``most``, whose
+    sums and differences could overflow.
+    """
     largest = measure_columns(pose)
     if not np.isfinite(largest).all():
         bad = next(number for number, clip in enumerate(pose) if not np.isfinite(clip).all())
         raise InvalidMotionError("forest.not_finite", clip=bad)
-    if largest.max() > _LARGEST_VALUE:
-        raise InvalidMotionError("forest.too_large", largest=_LARGEST_VALUE)
+    if largest.max() > most:
+        raise InvalidMotionError("forest.too_large", largest=most)
     return largest
 
 
@@ -144,9 +144,6 @@ class Decision:
 Histogram = Literal["votes", "leaves"]
 
 _PARAMETERS = ("n_trees", "n_trials", "max_entropy", "bootstrap", "thresholds", "random_state", "n_jobs")
-_TRIALS = ("sqrt", "all")
-_THRESHOLDS = ("best", "random")
-_LARGEST_VALUE = 1e100  # sums and differences of larger ones could overflow
 
 
 class MotionForest:
@@ -384,15 +381,11 @@ class MotionForest:
 
     def to_bytes(self) -> bytes:
         """Pack the trained forest as an .npz file (no pickle); NotTrainedError before ``fit``."""
-        from dousa.retrieval.forest.forest_file import ForestFile, pack_forest
-
         return pack_forest(ForestFile(self.get_params(), self.trees_, self.classes_, self.feature_names_))
 
     @classmethod
     def from_bytes(cls, data: bytes) -> MotionForest:
         """Read a forest that ``to_bytes`` wrote; DousaError if damaged, something else, or from a newer dousa."""
-        from dousa.retrieval.forest.forest_file import unpack_forest
-
         file = unpack_forest(data)
         forest = cls().set_params(**file.parameters)
         forest._take(file.trees, file.classes, file.feature_names)
@@ -427,13 +420,13 @@ class MotionForest:
 
     def _check_options(self) -> None:
         check_whole("n_trees", self.n_trees, 1)
-        if self.n_trials is not None and not (isinstance(self.n_trials, str) and self.n_trials in _TRIALS):
+        if self.n_trials is not None and not (isinstance(self.n_trials, str) and self.n_trials in ("sqrt", "all")):
             check_whole("n_trials", self.n_trials, 1, "None, 'sqrt', 'all' or ")
         if self.random_state is not None:
             check_whole("random_state", self.random_state, 0, "None or ")
         if self.n_jobs is not None and (not is_whole(self.n_jobs) or self.n_jobs == 0):
             raise OptionError("forest.n_jobs", found=repr(self.n_jobs))
-        if self.thresholds not in _THRESHOLDS:
+        if self.thresholds not in ("best", "random"):
             raise OptionError("forest.thresholds", found=repr(self.thresholds))
         if not isinstance(self.bootstrap, bool | np.bool_):
             raise OptionError("forest.bootstrap", found=repr(self.bootstrap))

@@ -57,17 +57,20 @@ def check_version(arrays: Mapping[str, NDArray[Any]], what: Message, known: Sequ
 
 _WHAT = Message("stored.forest")
 _VERSION, _PLAIN = 3, 2  # plain: without the entries of the training, which a grown forest keeps
-_WITHOUT_KINDS = 1  # every test was a mean; its nodes read the same as in version 2
 
-# Arrays of the trees by the names of their fields.
-_TREE_ARRAYS = {
-    "nodes": (np.int32, 2),
-    "roots": (np.int64, 1),
-    "leaf_starts": (np.int64, 1),
-    "leaf_classes": (np.int32, 1),
-    "leaf_counts": (np.int32, 1),
+# Arrays of the trees by the names of their fields, and of the training; all have one axis, the nodes two.
+_TREE_ARRAYS: dict[str, type[np.generic]] = {
+    "nodes": np.int32,
+    "roots": np.int64,
+    "leaf_starts": np.int64,
+    "leaf_classes": np.int32,
+    "leaf_counts": np.int32,
 }
-_TRAINED_ARRAYS = {"trained_starts": (np.int64, 1), "trained_classes": (np.int32, 1), "trained_counts": (np.int32, 1)}
+_TRAINED_ARRAYS: dict[str, type[np.generic]] = {
+    "trained_starts": np.int64,
+    "trained_classes": np.int32,
+    "trained_counts": np.int32,
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,11 +108,11 @@ def unpack_forest(data: bytes) -> ForestFile:
     """Read a forest; DousaError if the bytes are damaged, something else, or of a newer version."""
     names = {"version", "parameters", "classes", "feature_names", *_TREE_ARRAYS, "sizes"}
     arrays = unpack_arrays(data, names, _WHAT, ("homes", "pooled", *_TRAINED_ARRAYS))
-    check_version(arrays, _WHAT, (_WITHOUT_KINDS, _PLAIN, _VERSION))
+    check_version(arrays, _WHAT, (1, _PLAIN, _VERSION))  # in version 1 every test was a mean
     grown = int(arrays["version"]) == _VERSION
     _check(all((name in arrays) == grown for name in _TRAINED_ARRAYS), "other arrays")
-    for name, (dtype, axes) in {**_TREE_ARRAYS, **(_TRAINED_ARRAYS if grown else {})}.items():
-        array = arrays[name]
+    for name, dtype in {**_TREE_ARRAYS, **(_TRAINED_ARRAYS if grown else {})}.items():
+        array, axes = arrays[name], 2 if name == "nodes" else 1
         _check(array.dtype == dtype and array.ndim == axes and array.flags.c_contiguous, f"bad {name}")
     sizes = arrays["sizes"]
     _check(sizes.dtype == np.int64 and sizes.shape == (3,), "bad sizes")

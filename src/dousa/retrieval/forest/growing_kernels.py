@@ -33,24 +33,10 @@ _compiled = _njit(**_OPTIONS)
 FIXED_POINT = 2**32
 """One bit of entropy of one clip, in the units of the ``n log2 n`` table."""
 
-_NO_SCORE = -(2**62)
+_NO_SCORE = -(2**62)  # by definition below every score
 _SAME_SCORE = 256  # units of the table: 6 log2 6 = 2 * 3 log2 3 + 6, but for the rounding of the entries
-_KEY_RANGE = 2.0**31 - 1.0  # a key is 31 bits of value above 32 bits of place: positive as int64
-_PLACE = 0xFFFFFFFF
-_HALVES = 2**24  # places for a random threshold: never at the ends, where it would split nothing
-_MANY = 64  # from here on, counting digits is faster than insertion sort
-_AT_ONCE = 16  # tests evaluated at once on a block of clips
-_BLOCK = 64  # clips, whose rows fit into the cache
-_FIRST = 8  # tests of a node before it counts as one of many tests
-_MOST_ASKED, _ASKED_CLIPS = 128, (64, 256)  # tests at once then, in a node of 64 to 256 clips
-_MOST_LOOKED = 256  # clips by which a larger node preselects tests
-_MOST_WEIGHED = 2048  # clips by which it chooses among those; the best splits all clips
-_KEPT = 8  # preselected tests
-
-_NODE_STEP = np.uint64(0xD1342543DE82EF95)
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-_MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
-_MIX_2 = np.uint64(0x94D049BB133111EB)
+# Splitmix64: Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014.
+GOLDEN, MIX_1, MIX_2 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _SHIFT_27, _SHIFT_30, _SHIFT_31, _SHIFT_32 = np.uint64(27), np.uint64(30), np.uint64(31), np.uint64(32)
 
 
@@ -83,26 +69,52 @@ class Workspace(NamedTuple):
     stack: IntArray
     digits: IntArray
     state: NDArray[np.uint64]
+    n_looked: int
 
     @classmethod
-    def create(cls, features: FloatArray, n_clips: int, n_classes: int, n_tests: int) -> Workspace:
-        """Allocate for trees of features (N, F, T), for ``n_clips``, ``n_classes`` and ``n_tests``."""
+    def create(
+        cls,
+        features: FloatArray,
+        n_clips: int,
+        n_classes: int,
+        n_tests: int,
+        *,
+        block: int = 64,
+        at_once: int = 16,
+        most_asked: tuple[int, int] = (128, 256),
+        n_looked: int = 256,
+        n_weighed: int = 2048,
+        n_kept: int = 8,
+    ) -> Workspace:
+        """Allocate for trees of features (N, F, T).
+
+        Parameters
+        ----------
+        features : (N, F, T) of all clips.
+        n_clips, n_classes, n_tests : of the largest tree.
+        block : clips whose rows fit into the cache.
+        at_once : tests evaluated at once on a block.
+        most_asked : tests evaluated at once in a node of many tests, and its clips at most.
+        n_looked : clips by which a larger node preselects tests.
+        n_weighed : clips by which it chooses among those; the best splits all clips.
+        n_kept : preselected tests.
+        """
         keys, spare = np.empty((2, n_clips), np.int64)
         counts, looked_counts, left, present, number = np.empty((5, n_classes), np.int64)
         return cls(
-            values=np.empty((_AT_ONCE, n_clips)),
-            asked=np.empty((_MOST_ASKED, _ASKED_CLIPS[1])),
-            rows=np.empty(_BLOCK * features.shape[1] * features.shape[2], features.dtype),
-            others=np.empty(_BLOCK),
-            places=np.arange(_BLOCK),
-            chosen=np.empty(_MOST_ASKED, np.int64),
-            thresholds=np.empty(_MOST_ASKED),
-            states=np.empty(_MOST_ASKED, np.uint64),
-            kept=np.empty(_KEPT + 1, np.int64),
-            kept_thresholds=np.empty(_KEPT + 1),
-            kept_scores=np.empty(_KEPT + 1, np.int64),
-            looked=np.empty(_MOST_WEIGHED, np.int64),
-            looked_labels=np.empty(_MOST_WEIGHED, np.int32),
+            values=np.empty((at_once, n_clips)),
+            asked=np.empty(most_asked),
+            rows=np.empty(block * features.shape[1] * features.shape[2], features.dtype),
+            others=np.empty(block),
+            places=np.arange(block),
+            chosen=np.empty(most_asked[0], np.int64),
+            thresholds=np.empty(most_asked[0]),
+            states=np.empty(most_asked[0], np.uint64),
+            kept=np.empty(n_kept + 1, np.int64),
+            kept_thresholds=np.empty(n_kept + 1),
+            kept_scores=np.empty(n_kept + 1, np.int64),
+            looked=np.empty(n_weighed, np.int64),
+            looked_labels=np.empty(n_weighed, np.int32),
             looked_counts=looked_counts,
             labels=np.empty(n_clips, np.int32),
             keys=keys,
@@ -116,16 +128,17 @@ class Workspace(NamedTuple):
             stack=np.empty((n_clips + 1, 3), np.int64),
             digits=np.empty((4, 256), np.int64),
             state=np.empty(1, np.uint64),
+            n_looked=n_looked,
         )
 
 
 @_compiled
 def _draw_below(state, bound):
     """Return the next number of splitmix64, scaled to 0 <= number < bound (bound < 2**31)."""
-    state[0] += _GOLDEN
+    state[0] += GOLDEN
     z = state[0]
-    z = (z ^ (z >> _SHIFT_30)) * _MIX_1
-    z = (z ^ (z >> _SHIFT_27)) * _MIX_2
+    z = (z ^ (z >> _SHIFT_30)) * MIX_1
+    z = (z ^ (z >> _SHIFT_27)) * MIX_2
     z ^= z >> _SHIFT_31
     return np.int64(((z >> _SHIFT_32) * np.uint64(bound)) >> _SHIFT_32)
 
@@ -189,8 +202,9 @@ def _evaluate(cells, size, width, test, samples, others, values):
     first, count = np.uint64(test[3]), np.uint64(test[4] - test[3])
     kind, column, partner = test[0], np.uint64(test[1]), np.uint64(test[2])
     length, middle = float(test[4] - test[3]), 0.5 * (test[3] + test[4])
-    for start in range(0, len(samples), _BLOCK):
-        some, sums = samples[start : start + _BLOCK], values[start : start + _BLOCK]
+    block = len(others)
+    for start in range(0, len(samples), block):
+        some, sums = samples[start : start + block], values[start : start + block]
         _add_cells(cells, size, column * width + first, count, some, sums)
         if kind == MEAN:
             continue
@@ -206,9 +220,9 @@ def _evaluate(cells, size, width, test, samples, others, values):
 @_compiled
 def _evaluate_all(cells, size, width, tests, chosen, samples, others, values):
     """Compute the values of some tests for the clips of a node, into ``values`` (tests, clips)."""
-    n = len(samples)
-    for start in range(0, n, _BLOCK):
-        stop = min(start + _BLOCK, n)
+    n, block = len(samples), len(others)
+    for start in range(0, n, block):
+        stop = min(start + block, n)
         for q in range(len(chosen)):
             _evaluate(cells, size, width, tests[chosen[q]], samples[start:stop], others, values[q, start:stop])
 
@@ -216,9 +230,9 @@ def _evaluate_all(cells, size, width, tests, chosen, samples, others, values):
 @_compiled
 def _evaluate_many(cells, size, width, tests, chosen, samples, work, values):
     """Compute the same for many tests: the rows of a block are first copied, which is faster than single cells."""
-    rows = work.rows
-    for start in range(0, len(samples), _BLOCK):
-        count = min(_BLOCK, len(samples) - start)
+    rows, block = work.rows, len(work.others)
+    for start in range(0, len(samples), block):
+        count = min(block, len(samples) - start)
         for k in range(count):
             own, copy = np.uint64(samples[start + k]) * size, np.uint64(k) * size
             for cell in range(size):
@@ -240,8 +254,8 @@ def _find_range(values, n):
 @_compiled
 def _order_clips(values, low, high, n, keys, spare, digits):
     """Sort the node's clips by their values: keys whose low half is the clip's place in the node."""
-    scale = _KEY_RANGE / (high - low)
-    if n >= _MANY:
+    scale = (2.0**31 - 1.0) / (high - low)  # a key is 31 bits of value above 32 bits of place: positive as int64
+    if n >= 64:  # counting digits is faster than insertion sort
         for k in range(n):
             keys[k] = (np.int64((values[k] - low) * scale) << 32) | k
         _sort_digits(keys, spare, digits, n)
@@ -265,14 +279,14 @@ def _split_best(values, keys, n, labels, counts, left, total, log_table, toleran
     for c in range(len(counts)):
         left[c] = 0
     running = total
-    place = keys[0] & _PLACE
+    place = keys[0] & 0xFFFFFFFF
     for k in range(n - 1):
         c = labels[place]
         inside = left[c]
         outside = counts[c] - inside
         left[c] = inside + 1
         running += log_table[inside + 1] - log_table[inside] + log_table[outside - 1] - log_table[outside]
-        following = keys[k + 1] & _PLACE
+        following = keys[k + 1] & 0xFFFFFFFF
         score = running - log_table[k + 1] - log_table[n - k - 1]
         if score > best + _SAME_SCORE and values[following] - values[place] > tolerance:
             best = score
@@ -310,7 +324,8 @@ def _draw_tests(drawn, count, is_all, random_thresholds, work):
         work.chosen[q] = order[place]
         work.states[q] = work.state[0]
         if random_thresholds:
-            work.thresholds[q] = (_draw_below(work.state, np.int64(_HALVES)) + 0.5) / _HALVES
+            # Never at the ends, where it would split nothing.
+            work.thresholds[q] = (_draw_below(work.state, np.int64(2**24)) + 0.5) / 2**24
 
 
 @_compiled
@@ -346,7 +361,7 @@ def _keep(work, n_kept, test, threshold, score):
         work.kept_scores[place] = work.kept_scores[place - 1]
         place -= 1
     work.kept[place], work.kept_thresholds[place], work.kept_scores[place] = test, threshold, score
-    return min(n_kept + 1, _KEPT)
+    return min(n_kept + 1, len(work.kept) - 1)
 
 
 @_compiled
@@ -369,9 +384,10 @@ def _find_splits(
     # If no drawn test separates two clips, drawing goes on, as in scikit-learn.
     while drawn < n_tests and (drawn < n_trials or n_kept == 0) and best < perfect - _SAME_SCORE:
         # Few at first: small nodes are often split by the first.
-        count, left = min(2 + drawn - begun, _AT_ONCE), (n_trials if drawn < n_trials else n_tests) - drawn
-        is_many = _ASKED_CLIPS[0] <= n <= _ASKED_CLIPS[1] and min(drawn - begun, left) >= _FIRST
-        count = min(_MOST_ASKED if is_many else count, left)
+        count, left = min(2 + drawn - begun, len(work.values)), (n_trials if drawn < n_trials else n_tests) - drawn
+        # A node of 64 clips or more that has drawn eight tests, and draws as many again, is one of many tests.
+        is_many = 64 <= n <= work.asked.shape[1] and min(drawn - begun, left) >= 8
+        count = min(len(work.asked) if is_many else count, left)
         _draw_tests(drawn, count, is_all, random_thresholds, work)
         values = work.asked if is_many else work.values
         if is_many:
@@ -409,7 +425,7 @@ def _look_at_some(samples, labels, n_present, count, log_table, work):
     counts[:] = 0
     step = len(samples) / count
     for k in range(count):
-        place = min(np.int64((k + _draw_below(work.state, np.int64(_HALVES)) / _HALVES) * step), len(samples) - 1)
+        place = min(np.int64((k + _draw_below(work.state, np.int64(2**24)) / 2**24) * step), len(samples) - 1)
         work.looked[k], work.looked_labels[k] = samples[place], labels[place]
         counts[labels[place]] += 1
     total = np.int64(0)
@@ -489,17 +505,18 @@ def _choose_split(
     In a very large node, a sample preselects a few tests, and a larger one chooses among these.
     """
     labels, counts, n = work.labels, work.counts[:n_present], len(samples)
-    if n > _MOST_LOOKED:
-        some = _look_at_some(samples, labels, n_present, np.int64(_MOST_LOOKED), log_table, work)
+    if n > work.n_looked:
+        some = _look_at_some(samples, labels, n_present, work.n_looked, log_table, work)
         n_kept = 0
-        if log_table[_MOST_LOOKED] - some > _SAME_SCORE:  # several categories
+        if log_table[work.n_looked] - some > _SAME_SCORE:  # several categories
             n_kept = _find_splits(
-                cells, size, width, tolerances, tests, work.looked[:_MOST_LOOKED], work.looked_labels,
-                work.looked_counts[:n_present], some, log_table, n_trials, random_thresholds, np.int64(_KEPT), work,
+                cells, size, width, tolerances, tests, work.looked[: work.n_looked], work.looked_labels,
+                work.looked_counts[:n_present], some, log_table, n_trials, random_thresholds,
+                np.int64(len(work.kept) - 1), work,
             )  # fmt: skip
         if n_kept > 0:
-            if n > _MOST_WEIGHED:
-                total = _look_at_some(samples, labels, n_present, np.int64(_MOST_WEIGHED), log_table, work)
+            if n > len(work.looked):
+                total = _look_at_some(samples, labels, n_present, np.int64(len(work.looked)), log_table, work)
                 samples, labels, counts = work.looked, work.looked_labels, work.looked_counts[:n_present]
             return _weigh_again(
                 cells, size, width, tolerances, tests, samples, labels, counts, total, log_table, n_kept,
@@ -548,7 +565,8 @@ def grow_tree(
         test, threshold = np.int64(-1), 0.0
         # n times eq. 6
         if log_table[n] - total > max_entropy * n + _SAME_SCORE:
-            work.state[0] = seed ^ (np.uint64(node) * _NODE_STEP)
+            # Multiplier of Steele, Vigna, "Computationally easy, spectrally good multipliers ...", 2021.
+            work.state[0] = seed ^ (np.uint64(node) * np.uint64(0xD1342543DE82EF95))
             test, threshold = _choose_split(
                 cells, size, width, tolerances, tests, inside, n_present, total, log_table, n_trials,
                 random_thresholds, work,

@@ -26,19 +26,21 @@ from dousa.errors import InvalidMotionError, TrainingError
 from dousa.retrieval.features.feature_sets import FeatureSet, list_tests
 from dousa.retrieval.forest.forest import MotionForest, check_features
 from dousa.retrieval.forest.standing_leaves import Keys, Pairs, StandingLeaves, choose_pairs, mix
-from dousa.retrieval.forest.subtrees import (
+from dousa.retrieval.forest.trees import (
+    LeafEntries,
+    Trees,
     collapse_leaves,
     grow_subtrees,
     make_stump,
     part_strangers,
+    put_counts,
     replace_leaves,
 )
-from dousa.retrieval.forest.trees import LeafEntries, Trees, put_counts
 
 _AT_ONCE = 4096  # clips whose features are read in one step
-_MOST_OTHERS = 64  # a leaf grows where this many times its strangers are at least all of its clips
-_MOST_SILENT = 256  # beside examples, later clips count where this many times their number is at least all
-_MOST_DRAWN = 256  # clips that a leaf grows from
+_MOST_OTHERS = 64  # a leaf grows where this many times its strangers are at least all its clips (docs/retrieval.md)
+_MOST_SILENT = 256  # later clips count beside examples where this many times their number is all (lab/notes/scaling.md)
+_MOST_DRAWN = 256  # clips that a leaf grows from (docs/retrieval.md)
 
 
 FeatureReader = Callable[[IntArray], FloatArray]
@@ -431,14 +433,13 @@ def _look_up(
     numbers, features = known
     leaves = np.empty((len(rows), material.leaves.n_trees), np.int32)
     is_known = np.isin(rows, numbers)
-    there = np.flatnonzero(is_known)
-    for first in range(0, len(there), _AT_ONCE):
-        some = there[first : first + _AT_ONCE]
-        leaves[some] = grown.apply(features[np.searchsorted(numbers, rows[some])])
-    others = np.flatnonzero(~is_known)
-    for first in range(0, len(others), _AT_ONCE):
-        some = others[first : first + _AT_ONCE]
-        leaves[some] = grown.apply(material.read(rows[some]))
+    for places, read in (
+        (np.flatnonzero(is_known), lambda clips: features[np.searchsorted(numbers, clips)]),
+        (np.flatnonzero(~is_known), material.read),
+    ):
+        for first in range(0, len(places), _AT_ONCE):
+            some = places[first : first + _AT_ONCE]
+            leaves[some] = grown.apply(read(rows[some]))
     return leaves
 
 

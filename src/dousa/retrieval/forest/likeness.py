@@ -33,9 +33,6 @@ from dousa.retrieval.forest.pose_space import (
     read_curve,
 )
 
-_QUERIES = 60  # of each round, compared with all training clips
-_AS_GOOD = 0.01  # of F: the strictest threshold this near to the best is taken
-_ODDS = np.linspace(np.log(2.0), 9.0, 43)  # thresholds tried, as log odds, from odds of 2
 _WHAT = Message("stored.calibration")
 _NUMBERS = ("threshold", "precision", "recall")
 
@@ -151,15 +148,21 @@ class LikenessLearner:
         self._rounds: dict[int, list[tuple[FloatArray, BoolArray, bool]]] = {}
 
     def watch(
-        self, number: int, forest: MotionForest, train: IndexArray, known: IndexArray, unknown: IndexArray
+        self,
+        number: int,
+        forest: MotionForest,
+        train: IndexArray,
+        known: IndexArray,
+        unknown: IndexArray,
+        n_queries: int = 60,
     ) -> None:
-        """Compare clips outside the training of a forest with its training clips."""
+        """Compare ``n_queries`` clips, half of them known, with the training clips of a forest."""
         chance = np.random.default_rng(number)
         space = fit_pose_space(self._features[train], self._meanings[train], self._feature_set)
         of_label = dict(zip(self._labels[train].tolist(), self._meanings[train].tolist(), strict=True))
         _, numbers = np.unique([of_label[name] for name in forest.classes_.tolist()], return_inverse=True)
         queries = np.concatenate(
-            [chance.choice(rows, min(_QUERIES // 2, len(rows)), replace=False) for rows in (known, unknown)]
+            [chance.choice(rows, min(n_queries // 2, len(rows)), replace=False) for rows in (known, unknown)]
         ).astype(np.intp)
         asked, stored = (self._ask(forest, space, numbers, rows) for rows in (queries, train))
         lengths, pairs = np.linalg.norm(stored[0], axis=1), []
@@ -176,15 +179,18 @@ class LikenessLearner:
         leaves = forest.apply(features)
         return merge_votes(forest.histograms_of(leaves.astype(np.int64)), numbers), _shorten(space.place(features))
 
-    def finish(self) -> Likeness | None:
-        """Fit curve and threshold; None if no round had two clips of one meaning."""
+    def finish(self, as_good: float = 0.01) -> Likeness | None:
+        """Fit curve and threshold; None if no round had two clips of one meaning.
+
+        The strictest threshold is taken whose F is within ``as_good`` of the best.
+        """
         pairs = [pair for number in sorted(self._rounds) for pair in self._rounds[number]]
         if not any(has for _, _, has in pairs):
             return None
         scores, same = (np.concatenate([pair[part] for pair in pairs]) for part in (0, 1))
         curve = fit_curve(scores, same)
         chances = [curve.evaluate(scored) for scored, _, _ in pairs]
-        limits = 1.0 / (1.0 + np.exp(-_ODDS))
+        limits = 1.0 / (1.0 + np.exp(-np.linspace(np.log(2.0), 9.0, 43)))  # even log odds, from odds of 2
         measured = np.array(
             [
                 [_measure(chance >= limit, pair[1]) for chance, pair in zip(chances, pairs, strict=True)]
@@ -193,7 +199,7 @@ class LikenessLearner:
         )
         has = np.array([pair[2] for pair in pairs])
         f = measured[:, has, 2].mean(axis=1)
-        best = int(np.flatnonzero(f >= f.max() - _AS_GOOD)[-1])
+        best = int(np.flatnonzero(f >= f.max() - as_good)[-1])
         precision, recall, _ = measured[best, has].mean(axis=0)
         space = fit_pose_space(self._features, self._meanings, self._feature_set)
         return Likeness(space, curve, float(limits[best]), float(precision), float(recall))

@@ -20,12 +20,7 @@ from dousa.messages import Message
 from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.forest.forest_file import check
 
-_CELLS = 5  # joined cells of a clip
-_AXES = 60
-_SHRINKING = 0.1  # of the mean scatter, added along every axis
-_STEPS = 3
-_TINY = 1e-9
-_GRID = 2.0**20
+_TINY = 1e-9  # by definition: keeps lengths and variances of 0 above 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +97,7 @@ class PoseSpace:
         old, own = np.searchsorted(names, self.categories), np.searchsorted(names, categories)
         sums[old], counts[old] = self.sums, self.counts
         # On a grid, so that the sums do not depend on the order of clips.
-        np.add.at(sums, own, np.rint(placed * _GRID) / _GRID)
+        np.add.at(sums, own, np.rint(placed * 2.0**20) / 2.0**20)
         np.add.at(counts, own, 1)
         return PoseSpace(self.layout, self.middle, self.scale, self.axes, sums, counts, names, self.others)
 
@@ -146,6 +141,7 @@ def fit_pose_space(
     feature_set: FeatureSet | None = None,
     others: FloatArray | None = None,
     copies: FloatArray | None = None,
+    shrinking: float = 0.1,
 ) -> PoseSpace:
     """Fit the space to clips.
 
@@ -156,6 +152,7 @@ def fit_pose_space(
     feature_set : defines the columns; without one, all are means.
     others : (M, T, F) motions of no category, which also shape the axes.
     copies : (K, T, F) more clips, of the last K of N + K ``categories``; of any precision.
+    shrinking : share of the mean scatter that is added along every axis.
     """
     layout = np.array([features.shape[2], 0], np.int64)
     if feature_set is not None:
@@ -174,18 +171,21 @@ def fit_pose_space(
     centres = np.stack([placed[own == number].mean(axis=0) for number in range(len(names))])
     apart = placed - centres[own]
     scatter = apart.T @ apart / max(len(placed) - len(names), 1)
-    floor = _SHRINKING * np.trace(scatter) / max(len(scatter), 1) + 1e-6 * placed.var() + _TINY
+    floor = shrinking * np.trace(scatter) / max(len(scatter), 1) + 1e-6 * placed.var() + _TINY
     axes = axes @ np.linalg.cholesky(np.linalg.inv(scatter + floor * np.eye(len(scatter))))
-    nobody = np.zeros((0, axes.shape[1])), np.zeros(0, np.int64), names[:0]
+    empty = np.zeros((0, axes.shape[1])), np.zeros(0, np.int64), names[:0]
     placed = centred @ axes
     beside = placed[count:] / np.maximum(np.linalg.norm(placed[count:], axis=1, keepdims=True), _TINY)
-    return PoseSpace(layout, middle, scale, axes, *nobody, beside).with_placed(placed[:count], np.asarray(categories))
+    return PoseSpace(layout, middle, scale, axes, *empty, beside).with_placed(placed[:count], np.asarray(categories))
 
 
-def _describe(parts: Sequence[FloatArray], layout: IntArray) -> FloatArray:
-    """Return (N, D) of clips (M, T, F) in some parts: means, and spreads where there are squares, over joined cells."""
+def _describe(parts: Sequence[FloatArray], layout: IntArray, n_cells: int = 5) -> FloatArray:
+    """Return (N, D) of clips (M, T, F) in some parts: means, and spreads where there are squares.
+
+    They are over at most ``n_cells`` joined cells of a clip.
+    """
     count, has_squares = (int(number) for number in layout)
-    described = np.empty((sum(map(len, parts)), 1 + has_squares, min(_CELLS, parts[0].shape[1]), count))
+    described = np.empty((sum(map(len, parts)), 1 + has_squares, min(n_cells, parts[0].shape[1]), count))
     first = 0
     for features in parts:
         own = described[first : first + len(features)]
@@ -205,14 +205,14 @@ def _mean_of_channels(values: FloatArray, layout: IntArray) -> FloatArray:
     return np.broadcast_to(by_cell.mean(axis=1, keepdims=True), by_cell.shape).reshape(-1)
 
 
-def _find_axes(centred: FloatArray) -> FloatArray:
-    """Return at most ``_AXES`` axes (D, K) along which (N, D) vary most, by a few steps of subspace iteration.
+def _find_axes(centred: FloatArray, most: int = 60, n_steps: int = 3) -> FloatArray:
+    """Return at most ``most`` axes (D, K) along which (N, D) vary most, by ``n_steps`` of subspace iteration.
 
     The full decomposition is no more accurate, and takes seconds on a busy machine.
     """
-    width = max(1, min(_AXES, centred.shape[1], len(centred) - 1))
+    width = max(1, min(most, centred.shape[1], len(centred) - 1))
     axes = np.random.default_rng(0).normal(size=(centred.shape[1], width))
-    for _ in range(_STEPS):
+    for _ in range(n_steps):
         axes = centred.T @ (centred @ axes)
         overlap = axes.T @ axes
         root = np.linalg.cholesky(overlap + (1e-12 * np.trace(overlap) + _TINY**2) * np.eye(width))
@@ -228,14 +228,6 @@ def _join_cells(cells: FloatArray, joined: FloatArray) -> None:
         for cell in group[1:]:
             mean += cells[:, cell]
         mean /= len(group)
-
-
-_RIDGE = 1e-3  # keeps curves finite where the scores separate both sides perfectly
-
-_SPREAD_RIDGE = 0.01  # the same on slopes in spreads of the scores
-_PRIOR_ROWS = 5.0
-
-_NEWTON_STEPS = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,27 +255,42 @@ def compute_auroc(scores: FloatArray, positive: BoolArray) -> float:
     return float((ranks[positive].sum() - n_positive * (n_positive + 1) / 2) / (n_positive * n_negative))
 
 
-def fit_curve(scores: FloatArray, positive: BoolArray, *, balanced: bool = True) -> Curve:
-    """Fit the most likely logistic curve without falling slopes; both sides weigh the same if ``balanced``."""
+def fit_curve(scores: FloatArray, positive: BoolArray, *, balanced: bool = True, ridge: float = 1e-3) -> Curve:
+    """Fit the most likely logistic curve without falling slopes; both sides weigh the same if ``balanced``.
+
+    ``ridge`` keeps it finite where the scores separate both sides perfectly.
+    """
     n_positive, n_negative = int(positive.sum()), int((~positive).sum())
     weight = np.full(len(positive), 1.0 / max(len(positive), 1))
     if balanced and n_positive and n_negative:
         weight = np.where(positive, 0.5 / n_positive, 0.5 / n_negative)
-    pull = np.array([1e-9, *[_RIDGE] * scores.shape[1]])
+    pull = np.array([1e-9, *[ridge] * scores.shape[1]])
     return _fit_rising(scores, _smooth(positive), weight, np.zeros(len(pull)), pull)
 
 
-def fit_weighted_curve(scores: FloatArray, positive: BoolArray, weights: FloatArray, prior: Curve) -> Curve:
-    """Fit the most likely logistic curve without falling slopes to scores (N, K), near a prior of ``_PRIOR_ROWS`` rows.
+def fit_weighted_curve(
+    scores: FloatArray,
+    positive: BoolArray,
+    weights: FloatArray,
+    prior: Curve,
+    prior_rows: float = 5.0,
+    ridge: float = 0.01,
+) -> Curve:
+    """Fit the most likely logistic curve without falling slopes, near a prior.
 
-    ``weights`` (N,) of the rows need not sum to 1.
+    Parameters
+    ----------
+    scores, positive : (N, K) and (N,).
+    weights : (N,) of the rows; they need not sum to 1.
+    prior, prior_rows : a curve, and the rows that it counts as (docs/confidence.md).
+    ridge : on slopes in spreads of the scores; keeps the curve finite where these separate both sides perfectly.
     """
     share = weights / weights.sum()
     middle = share @ scores
     spread = np.sqrt(share @ (scores - middle) ** 2)
     centre = np.array([prior.intercept + np.dot(prior.slopes, middle), *prior.slopes])
-    weight = _PRIOR_ROWS / len(scores)
-    pull = np.array([weight, *((_SPREAD_RIDGE + weight) * spread**2 + _TINY)])
+    weight = prior_rows / len(scores)
+    pull = np.array([weight, *((ridge + weight) * spread**2 + _TINY)])
     curve = _fit_rising(scores - middle, _smooth(positive), share, centre, pull)
     return Curve(curve.intercept - float(np.dot(curve.slopes, middle)), curve.slopes)
 
@@ -317,7 +324,7 @@ def _climb(
     design = np.column_stack([np.ones(len(scores)), scores])
     ridge = np.diag(pull)
     solution = np.zeros(design.shape[1])
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(50):
         probability = _logistic(design @ solution)
         slope = design.T @ (weight * (target - probability)) - ridge @ (solution - centre)
         bend = (design.T * (weight * np.maximum(probability * (1.0 - probability), 1e-6))) @ design + ridge

@@ -7,7 +7,7 @@ which may be in a file.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, IndexArray, IntArray
 from dousa.retrieval.forest import tree_kernels as kernels
-
-_AT_ONCE = 1 << 14  # clips whose leaves are read in one step
+from dousa.retrieval.forest.growing_kernels import GOLDEN, MIX_1, MIX_2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,31 +66,24 @@ class StandingLeaves:
 
     def only(self, chosen: BoolArray) -> StandingLeaves:
         """Keep the clips ``chosen`` (N,), renumbered from 0."""
-        numbers = np.where(chosen, np.cumsum(chosen) - 1, -1)
-        parts = [
-            LeafCodes(part.codes, part.table, part.offsets, np.where(part.places < 0, -1, numbers[part.places]))
-            for part in self.parts
-        ]
-        return StandingLeaves(parts, int(chosen.sum()))
+        return self._renumber(np.where(chosen, np.cumsum(chosen) - 1, -1), int(chosen.sum()))
 
     def among(self, chosen: BoolArray) -> StandingLeaves:
         """Keep the clips ``chosen`` (N,), with their numbers; the others do not count."""
-        parts = [
-            LeafCodes(
-                part.codes, part.table, part.offsets, np.where(chosen[np.maximum(part.places, 0)], part.places, -1)
-            )
-            for part in self.parts
-        ]
-        return StandingLeaves(parts, self._count)
+        return self._renumber(np.where(chosen, np.arange(self._count), -1), self._count)
 
-    def take(self, clips: IndexArray) -> NDArray[np.int32]:
-        """Return (n, n_trees) leaves of some clips."""
+    def _renumber(self, numbers: IntArray, count: int) -> StandingLeaves:
+        parts = [replace(part, places=np.where(part.places < 0, -1, numbers[part.places])) for part in self.parts]
+        return StandingLeaves(parts, count)
+
+    def take(self, clips: IndexArray, at_once: int = 1 << 14) -> NDArray[np.int32]:
+        """Return (n, n_trees) leaves of some clips, read ``at_once``."""
         taken = np.empty((len(clips), self.n_trees), np.int32)
         rows = self._rows[clips]
         for part, start in zip(self.parts, self._starts, strict=False):
             own = np.flatnonzero((rows >= start) & (rows < start + len(part.places)))
-            for first in range(0, len(own), _AT_ONCE):
-                some = own[first : first + _AT_ONCE]
+            for first in range(0, len(own), at_once):
+                some = own[first : first + at_once]
                 taken[some] = part.table[part.offsets + part.codes[rows[some] - start]]
         return taken
 
@@ -118,7 +110,8 @@ class StandingLeaves:
         clips, leaves = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
         for part in self.parts:
             wanted = marked[part.table]
-            room = np.empty((2, kernels.list_marked(part.codes, part.offsets, part.places, wanted, _NO_ROOM)), np.int64)
+            count = kernels.list_marked(part.codes, part.offsets, part.places, wanted, np.empty((2, 0), np.int64))
+            room = np.empty((2, count), np.int64)
             kernels.list_marked(part.codes, part.offsets, part.places, wanted, room)
             clips.append(room[0])
             leaves.append(part.table[room[1]].astype(np.int64))
@@ -127,15 +120,8 @@ class StandingLeaves:
         return all_clips[order], np.concatenate(leaves)[order]
 
 
-_NO_ROOM = np.empty((2, 0), np.int64)
-
-
 MOST_FILLED = 256
-"""Clips from which a category needs no points."""
-
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-_MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
-_MIX_2 = np.uint64(0x94D049BB133111EB)
+"""Clips from which a category needs no points (docs/retrieval.md)."""
 
 
 class Keys(Protocol):
@@ -148,9 +134,9 @@ def mix(one: NDArray[np.uint64], other: NDArray[np.uint64]) -> NDArray[np.uint64
     """Return a pseudo-random 64-bit number for each pair of numbers: two rounds of splitmix64."""
     z = one
     for more in (np.uint64(0), other):
-        z = (z ^ more) + _GOLDEN
-        z = (z ^ (z >> np.uint64(30))) * _MIX_1
-        z = (z ^ (z >> np.uint64(27))) * _MIX_2
+        z = (z ^ more) + GOLDEN
+        z = (z ^ (z >> np.uint64(30))) * MIX_1
+        z = (z ^ (z >> np.uint64(27))) * MIX_2
         z = z ^ (z >> np.uint64(31))
     return z
 
@@ -206,7 +192,7 @@ def _list_pairs(inside: IntArray, later: BoolArray, keys: NDArray[np.uint64]) ->
 
 
 MOST_EXAMPLES = 8
-"""Examples of a leaf."""
+"""Examples of a leaf (docs/scaling.md)."""
 
 
 def choose_examples(

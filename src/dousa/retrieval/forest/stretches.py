@@ -12,7 +12,7 @@ import numpy as np
 
 from dousa.arrays import BoolArray, FloatArray
 from dousa.retrieval.features.feature_sets import FeatureSet
-from dousa.retrieval.features.posed_motion import PosedMotion, check_shape
+from dousa.retrieval.features.posed_motion import PlainMotion, PosedMotion, check_shape
 from dousa.retrieval.features.sensor_noise import measure_unsteadiness, reduce_noise_of_all
 from dousa.retrieval.forest.calibration import Assessor
 from dousa.retrieval.forest.evidence import EVIDENCE
@@ -21,8 +21,6 @@ from dousa.workers.threads import map_together
 # Weights, in the log odds of the categories, of the finder's shares and of the trees' votes. Fitted like those of
 # `label` (lab/trials/segment_confidence.py).
 _BY_FINDER, _BY_VOTES = 1.06, 2.74
-_LEAST_SHARE = 0.02
-_MOST_ODDS = 7.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,6 +70,8 @@ class StretchJudge:
         shares: FloatArray,
         categories: Sequence[str],
         n_jobs: int | None = None,
+        least_share: float = 0.02,
+        most_odds: float = 7.0,
     ) -> StretchOpinions:
         """Judge stretches of a recording.
 
@@ -83,6 +83,8 @@ class StretchJudge:
         shares : (N, C) how likely each shows each category, by its finder.
         categories : C of them.
         n_jobs : threads; None for one. The result does not depend on it.
+        least_share : added to shares before their logarithm.
+        most_odds : bound of the log odds.
         """
         forest = self.assessor.forest
 
@@ -99,18 +101,18 @@ class StretchJudge:
         numbers = {name: number for number, name in enumerate(categories) if name not in self.spared}
         places = np.array([numbers.get(str(name), -1) for name in forest.classes_])
         judged = np.isin(np.array(found), forest.classes_[places >= 0])
-        scores = _BY_FINDER * np.log(shares[:, places] + _LEAST_SHARE) + _BY_VOTES * np.log(votes + _LEAST_SHARE)
+        scores = _BY_FINDER * np.log(shares[:, places] + least_share) + _BY_VOTES * np.log(votes + least_share)
         scores[:, places < 0] = -np.inf
         scores[~judged] = 0.0
         rows, named = np.arange(len(scores)), scores.argmax(axis=1)
         odds = scores - scores[rows, named][:, None]
         odds[rows, named] = -np.inf
-        leads = -np.log(np.maximum(np.exp(odds).sum(axis=1), np.exp(-_MOST_ODDS)))
+        leads = -np.log(np.maximum(np.exp(odds).sum(axis=1), np.exp(-most_odds)))
         seen = self.assessor.assess(leaves, features, named)
         return StretchOpinions(
             judged,
             tuple(str(name) for name in forest.classes_[named]),
-            np.maximum(leads, -_MOST_ODDS),
+            np.maximum(leads, -most_odds),
             seen.evidence[:, EVIDENCE.index("typical")],
             np.array(unsteady),
             judged & ~seen.unknown,
@@ -122,18 +124,9 @@ class StretchJudge:
         return replace(self, spared=self.spared | categories)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CutStretch:
-    """A part of a recording."""
-
-    positions: FloatArray
-    frame_rate: float
-    height: float
-
-
-def cut_stretch(motion: PosedMotion, start: float, stop: float) -> CutStretch:
+def cut_stretch(motion: PosedMotion, start: float, stop: float) -> PlainMotion:
     """Return the frames of a recording from ``start`` to ``stop`` (s), at least one."""
     points = check_shape(motion.positions, motion.height)
     first = min(max(round(start * motion.frame_rate), 0), len(points) - 1)
     last = max(round(stop * motion.frame_rate), first + 1)
-    return CutStretch(points[first:last], motion.frame_rate, motion.height)
+    return PlainMotion(points[first:last], motion.frame_rate, motion.height)

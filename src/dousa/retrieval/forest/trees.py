@@ -1,8 +1,8 @@
-"""The trees of a forest in a few flat arrays: growing, joining, counting."""
+"""The trees of a forest in a few flat arrays: growing, joining, counting, and replacing leaves by small trees."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray, IntArray
 from dousa.retrieval.features.feature_sets import MEAN, SPREAD, TREND
 from dousa.retrieval.forest import growing_kernels as kernels
+from dousa.retrieval.forest.tree_kernels import find_leaves
 from dousa.workers.current import current_cluster
 from dousa.workers.threads import map_pieces
 
@@ -197,25 +198,24 @@ def grow_trees(
     return _count_again(trees, features[:clips], categories[:clips], spec.n_jobs)
 
 
-def _count_again(trees: Trees, features: FloatArray, categories: NDArray[np.int32], n_jobs: int | None) -> Trees:
-    """Count all clips in the leaves of trees that were grown from samples."""
+def _count_again(
+    trees: Trees, features: FloatArray, categories: NDArray[np.int32], n_jobs: int | None, at_once: int = 4096
+) -> Trees:
+    """Count all clips in the leaves of trees that were grown from samples; ``at_once`` go down the trees in a task."""
     leaves = np.empty((len(features), len(trees.roots)), np.int32)
-    parts = [slice(start, start + _AT_ONCE) for start in range(0, len(features), _AT_ONCE)]
-    map_pieces(lambda part: _find_leaves(trees, features[part], leaves[part]), parts, n_jobs, at_a_time=1)
+    parts = [slice(start, start + at_once) for start in range(0, len(features), at_once)]
+
+    def find(part: slice) -> None:
+        some = np.ascontiguousarray(features[part])
+        find_leaves(some, trees.nodes, trees.cuts, trees.roots, trees.only_means, leaves[part])
+
+    map_pieces(find, parts, n_jobs, at_a_time=1)
     keys, counts = [], []
     for column in leaves.T:  # leaves are numbered tree by tree, so keys ascend
         own, found = np.unique(column.astype(np.int64) * trees.n_classes + categories, return_counts=True)
         keys.append(own)
         counts.append(found)
     return replace(put_counts(trees, np.concatenate(keys), np.concatenate(counts)), pooled=True)
-
-
-def _find_leaves(trees: Trees, features: FloatArray, leaves: NDArray[np.int32]) -> None:
-    from dousa.retrieval.forest.tree_kernels import find_leaves
-
-    find_leaves(
-        np.ascontiguousarray(features), trees.nodes, trees.cuts, trees.roots, trees.only_means, leaves
-    )  # fmt: skip
 
 
 def put_counts(trees: Trees, keys: IntArray, counts: IntArray) -> Trees:
@@ -235,25 +235,20 @@ def put_counts(trees: Trees, keys: IntArray, counts: IntArray) -> Trees:
 
 
 MOST_GROWN = 100_000
-"""Clips that one tree is grown from; of more, each tree draws a sample, then counts all clips in its leaves."""
-
-_LEAST_DRAWN = 20  # clips of a category, if it has as many
-_AT_ONCE = 4096  # clips that go down the trees in one task
+"""Clips that one tree is grown from; of more, each tree draws a sample, then counts all clips in its leaves
+(docs/scaling.md)."""
 
 
-def _draw_some(categories: NDArray[np.int32], n_classes: int, seed: np.uint64) -> IntArray:
-    """Draw a sample, ascending: of each category the same share, but at least a few."""
+def _draw_some(categories: NDArray[np.int32], n_classes: int, seed: np.uint64, least_drawn: int = 20) -> IntArray:
+    """Draw a sample, ascending: of each category the same share, but ``least_drawn`` clips if it has as many."""
     sizes = np.bincount(categories, minlength=n_classes)
-    least = min(_LEAST_DRAWN, MOST_GROWN // n_classes)
+    least = min(least_drawn, MOST_GROWN // n_classes)
     share = (MOST_GROWN - least * n_classes) / len(categories)
     wanted = np.minimum(np.maximum((sizes * share).astype(np.int64), least), sizes)
     # The first of each category, in random order.
     order = np.lexsort((np.random.default_rng(int(seed)).random(len(categories)), categories))
     rank = np.arange(len(categories)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     return np.sort(order[rank < wanted[categories[order]]])
-
-
-_AT_A_TIME = 1024  # clips whose sizes are computed in one step
 
 
 def measure_columns(features: FloatArray) -> FloatArray:
@@ -288,13 +283,15 @@ def prepare_material(
     return order_for_trees(features).transpose(0, 2, 1), tolerances, categories, tests, logarithms
 
 
-def prepare_leaves(features: FloatArray, categories: NDArray[np.int32], tests: IntArray, largest: int) -> Material:
+def prepare_leaves(
+    features: FloatArray, categories: NDArray[np.int32], tests: IntArray, largest: int, at_once: int = 1024
+) -> Material:
     """Prepare the same with the largest sizes of each clip's columns as tolerances, which then depend on a tree's clips
     only.
     """
     sizes = np.empty((len(features), features.shape[2]), features.dtype)
-    for start in range(0, len(features), _AT_A_TIME):
-        sizes[start : start + _AT_A_TIME] = np.abs(features[start : start + _AT_A_TIME]).max(axis=1)
+    for start in range(0, len(features), at_once):
+        sizes[start : start + at_once] = np.abs(features[start : start + at_once]).max(axis=1)
     return prepare_material(features, sizes, categories, tests, largest)
 
 
@@ -365,3 +362,204 @@ def _join(trees: list[GrownTree], sizes: tuple[int, int, int]) -> Trees:
         np.concatenate(counts),
         *sizes,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Subtree:
+    """A tree that replaces one leaf.
+
+    Parameters
+    ----------
+    leaf : the leaf, numbered through the forest.
+    nodes : (m, 6) int32 as in ``Trees``, children and leaves counted from 0.
+    leaf_starts, leaf_classes, leaf_counts : as in ``Trees``, of the subtree's own leaves.
+    """
+
+    leaf: int
+    nodes: NDArray[np.int32]
+    leaf_starts: IntArray
+    leaf_classes: NDArray[np.int32]
+    leaf_counts: NDArray[np.int32]
+
+    @property
+    def n_leaves(self) -> int:
+        return len(self.leaf_starts) - 1
+
+
+def grow_subtrees(
+    features: FloatArray,
+    n_classes: int,
+    tests: IntArray,
+    spec: TreesSpec,
+    members: Sequence[tuple[int, IntArray, NDArray[np.int32]]],
+    seeds: NDArray[np.uint64],
+) -> list[Subtree]:
+    """Grow one subtree for each leaf by the forest's own rule; a leaf of one category stays one.
+
+    Parameters
+    ----------
+    features, n_classes, tests, spec : as in ``grow_trees``; bootstrap and workers are not used.
+    members : number, clips, and their categories, for each leaf.
+    seeds : 64-bit, one per leaf.
+    """
+    if not members:
+        return []
+    categories = np.zeros(len(features), np.int32)
+    material = prepare_leaves(features, categories, tests, max(len(inside) for _, inside, _ in members))
+
+    def hand_out() -> Iterator[tuple[IntArray, np.uint64]]:
+        for (_, inside, own), seed in zip(members, seeds, strict=True):
+            categories[inside] = own  # shared with the material; leaves grow one at a time
+            yield inside.copy(), seed
+
+    grown = grow_some(material, n_classes, spec, hand_out())
+    return [Subtree(leaf, *tree) for (leaf, *_), tree in zip(members, grown, strict=True)]
+
+
+def part_strangers(subtree: Subtree, usual: int) -> Subtree:
+    """Merge all leaves but those with more strangers than other clips into the first leaf.
+
+    Returns a single leaf where either are missing; ``usual`` is the category of all clips that are no strangers.
+    """
+    owner = np.repeat(np.arange(subtree.n_leaves), np.diff(subtree.leaf_starts))
+    is_usual = subtree.leaf_classes == usual
+    known = np.bincount(owner[is_usual], subtree.leaf_counts[is_usual], subtree.n_leaves)
+    strange = np.bincount(owner[~is_usual], subtree.leaf_counts[~is_usual], subtree.n_leaves)
+    apart = strange > known
+    counts = np.bincount(subtree.leaf_classes, subtree.leaf_counts).astype(np.int64)
+    if apart.all() or not apart.any():
+        return make_stump(subtree.leaf, counts)
+    numbers = np.where(apart, np.cumsum(apart), 0)
+    nodes = subtree.nodes.copy()
+    outer = nodes[:, 2] < 0
+    nodes[outer, 2] = -1 - numbers[-1 - nodes[outer, 2]]
+    kept = apart[owner]
+    first = np.array([usual], np.int32), np.array([max(int(known[~apart].sum()), 1)], np.int32)
+    starts = np.concatenate([[0, 1], 1 + np.cumsum(np.diff(subtree.leaf_starts)[apart])])
+    classes = np.concatenate([first[0], subtree.leaf_classes[kept]])
+    return Subtree(subtree.leaf, nodes, starts, classes, np.concatenate([first[1], subtree.leaf_counts[kept]]))
+
+
+def make_stump(leaf: int, counts: IntArray) -> Subtree:
+    """Make a single leaf with ``counts`` (C,) of clips, which may all be 0."""
+    classes = np.flatnonzero(counts).astype(np.int32) if counts.any() else np.zeros(1, np.int32)
+    node = np.array([[0, 0, -1, 0, 0, 0]], np.int32)
+    return Subtree(leaf, node, np.array([0, len(classes)]), classes, counts[classes].astype(np.int32))
+
+
+def collapse_leaves(trees: Trees, leaves: IntArray) -> Trees:
+    """Collapse what has grown from some leaves of the training back into one leaf each.
+
+    The other grown leaves keep their numbers without a node: ``replace_leaves`` reuses or empties them.
+    """
+    homes = trees.home_leaves
+    again = np.zeros(trees.n_leaves, bool)
+    again[leaves] = True
+    again &= np.bincount(homes, minlength=trees.n_leaves) > 1
+    children = trees.nodes[:, 2].astype(np.int64)
+    inner = np.flatnonzero(children >= 0)
+    parents = np.full(len(children), -1)
+    parents[children[inner]] = parents[children[inner] + 1] = inner
+    owners = np.full(len(children), -1)
+    outer = np.flatnonzero(children < 0)
+    own = homes[-1 - children[outer]]
+    owners[outer] = np.where(again[own], own, -1)
+    while True:  # upwards, while both sides are of one home
+        left = owners[children[inner]]
+        found = (left >= 0) & (left == owners[children[inner] + 1]) & (owners[inner] < 0)
+        if not found.any():
+            break
+        owners[inner[found]] = left[found]
+    above = np.where(parents >= 0, owners[parents], -1)
+    gone = (owners >= 0) & (above == owners)
+    nodes = trees.nodes.copy()
+    tops = np.flatnonzero((owners >= 0) & ~gone)
+    nodes[tops] = 0
+    nodes[tops, 2] = -1 - owners[tops]
+    shifted = np.cumsum(~gone) - 1
+    inner = np.flatnonzero(nodes[:, 2] >= 0)
+    nodes[inner, 2] = shifted[nodes[inner, 2]]
+    return replace(trees, nodes=np.ascontiguousarray(nodes[~gone]), roots=shifted[trees.roots])
+
+
+def replace_leaves(trees: Trees, subtrees: Sequence[Subtree], n_classes: int) -> Trees:
+    """Replace some leaves of the trees by subtrees.
+
+    Old nodes keep their tests and order. The first leaf of a subtree takes the number of the replaced leaf, the others
+    free numbers of the same home, else numbers behind all leaves; a clip in any other leaf stays where it is.
+
+    Parameters
+    ----------
+    trees : with leaf classes numbered as in the subtrees.
+    subtrees : of different leaves of the training.
+    n_classes : C of the new trees.
+    """
+    old = trees.nodes[:, 2]
+    node_of_leaf = np.full(trees.n_leaves, -1, np.int64)
+    node_of_leaf[-1 - old[old < 0]] = np.flatnonzero(old < 0)
+    home = np.searchsorted(trees.roots, [node_of_leaf[one.leaf] for one in subtrees], side="right") - 1
+    added = np.bincount(home, [len(one.nodes) - 1 for one in subtrees], len(trees.roots)).astype(np.int64)
+    shifts = np.concatenate([[0], np.cumsum(added)])
+    lengths = np.diff(np.append(trees.roots, len(trees.nodes)))
+    nodes = np.zeros((len(trees.nodes) + int(shifts[-1]), 6), np.int32)
+    place = np.arange(len(trees.nodes)) + np.repeat(shifts[:-1], lengths)
+    nodes[place] = trees.nodes
+    inner = old >= 0
+    nodes[place[inner], 2] += np.repeat(shifts[:-1], lengths)[inner].astype(np.int32)
+    free = trees.roots + lengths + shifts[:-1]  # where the next subtree of each tree goes
+    numbers, homes, unused = _number_leaves(trees, subtrees, node_of_leaf)
+    for one, own, tree in zip(subtrees, numbers, home, strict=True):
+        moved = one.nodes.copy()
+        children = one.nodes[:, 2]
+        # The subtree's root takes the place of the leaf, so its other nodes begin one earlier.
+        moved[:, 2] = np.where(children < 0, -1 - own[-1 - np.minimum(children, -1)], children + free[tree] - 1)
+        nodes[place[node_of_leaf[one.leaf]]] = moved[0]
+        nodes[free[tree] : free[tree] + len(moved) - 1] = moved[1:]
+        free[tree] += len(moved) - 1
+    entries = _replace_entries(trees, subtrees, numbers, unused, len(homes))
+    sizes = trees.n_features, trees.n_frames, n_classes
+    return Trees(nodes, trees.roots + shifts[:-1], *entries, *sizes, homes, trees.pooled, trees.trained)
+
+
+def _number_leaves(
+    trees: Trees, subtrees: Sequence[Subtree], node_of_leaf: IntArray
+) -> tuple[list[IntArray], NDArray[np.int32], list[int]]:
+    """Return the leaf numbers of each subtree, the homes of all leaves, and the leaves without a node."""
+    homes = trees.home_leaves
+    spare: dict[int, list[int]] = {}
+    for leaf in np.flatnonzero(node_of_leaf < 0):
+        spare.setdefault(int(homes[leaf]), []).append(int(leaf))
+    numbers, more, n_leaves = [], [homes], trees.n_leaves
+    for one in subtrees:
+        free = spare.pop(one.leaf, [])
+        own = [one.leaf, *free[: one.n_leaves - 1]]
+        spare[one.leaf] = free[one.n_leaves - 1 :]
+        missing = one.n_leaves - len(own)
+        numbers.append(np.array([*own, *range(n_leaves, n_leaves + missing)]))
+        more.append(np.full(missing, one.leaf, np.int32))
+        n_leaves += missing
+    return numbers, np.concatenate(more), [leaf for free in spare.values() for leaf in free]
+
+
+def _replace_entries(
+    trees: Trees, subtrees: Sequence[Subtree], numbers: Sequence[IntArray], unused: Sequence[int], n_leaves: int
+) -> tuple[IntArray, NDArray[np.int32], NDArray[np.int32]]:
+    """Return starts, classes and counts of all leaves in the order of their numbers."""
+    starts = trees.leaf_starts
+    begins, stops = np.zeros((2, n_leaves), np.int64)
+    begins[: trees.n_leaves], stops[: trees.n_leaves] = starts[:-1], starts[1:]
+    classes, counts = [trees.leaf_classes], [trees.leaf_counts]
+    end = int(starts[-1])
+    for one, own in zip(subtrees, numbers, strict=True):
+        ends = one.leaf_starts + end
+        begins[own], stops[own] = ends[:-1], ends[1:]
+        classes.append(one.leaf_classes)
+        counts.append(one.leaf_counts)
+        end = int(ends[-1])
+    classes.append(np.zeros(1, np.int32))
+    counts.append(np.zeros(1, np.int32))
+    begins[unused], stops[unused] = end, end + 1
+    sizes = stops - begins
+    new_starts = np.concatenate([[0], np.cumsum(sizes)])
+    picked = np.repeat(begins - new_starts[:-1], sizes) + np.arange(new_starts[-1])
+    return new_starts, np.concatenate(classes)[picked], np.concatenate(counts)[picked]

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -27,20 +27,17 @@ from dousa.arrays import FloatArray, IndexArray, IntArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.retrieval.features.channel_kernels import read_means
 from dousa.retrieval.features.channels import CHANNELS, WantedMeans
-
-if TYPE_CHECKING:
-    from dousa.retrieval.features.feature_sets import FeatureSet, FeatureTrack
-    from dousa.retrieval.features.posed_motion import PosedMotion
+from dousa.retrieval.features.feature_sets import FEATURE_SETS, FeatureSet, FeatureTrack
+from dousa.retrieval.features.posed_motion import PosedMotion
+from dousa.retrieval.features.sensor_noise import reduce_noise
 
 POSE_CELLS = 16
-"""Cells of a pose sequence."""
+"""Cells of a pose sequence (docs/ranking.md)."""
 
-N_JOINTS = 12
-N_MOVING = 4  # the body moving in three directions, and turning
-MOVING_SECONDS = 0.3  # 0.2 and 0.4 did as well
+N_JOINTS = 12  # (docs/ranking.md)
 
-POSE_COLUMNS = 3 * N_JOINTS + N_MOVING
-"""Numbers of a cell."""
+POSE_COLUMNS = 3 * N_JOINTS + 4
+"""Numbers of a cell: of the joints, and of the body moving in three directions and turning (docs/ranking.md)."""
 
 
 def compute_pose_sequence(motion: PosedMotion) -> NDArray[np.float32]:
@@ -48,9 +45,6 @@ def compute_pose_sequence(motion: PosedMotion) -> NDArray[np.float32]:
 
     InvalidMotionError : positions that are not finite, no frame, or no body height.
     """
-    from dousa.retrieval.features.feature_sets import FEATURE_SETS
-    from dousa.retrieval.features.sensor_noise import reduce_noise
-
     sequence: NDArray[np.float32] = compute_with_poses([reduce_noise(motion)], FEATURE_SETS["extended"])[1][0]
     return sequence
 
@@ -81,10 +75,11 @@ def compute_window_poses(track: FeatureTrack, starts: ArrayLike, stops: ArrayLik
     OptionError : a track of other features, which lacks joint positions.
     InvalidMotionError : a window outside the recording or without length.
     """
-    columns = _find_columns(track)
+    if not track.feature_set.has_banks:
+        raise OptionError("features.not_extended", name=track.feature_set.name)
     edges = track.find_edges(starts, stops, POSE_CELLS)
     means = np.empty((len(edges), POSE_CELLS, POSE_COLUMNS))
-    read_means(track.integrals, track.times, edges, columns, _find_scale(track.feature_set.hidden), means)
+    read_means(track.integrals, track.times, edges, _COLUMNS, _find_scale(track.feature_set.hidden), means)
     found: NDArray[np.float32] = means.astype(np.float32)
     return found
 
@@ -95,20 +90,16 @@ _JOINTS = (
     *(f"{side} {joint}" for joint in ("shoulder", "elbow", "hand", "knee", "foot") for side in ("left", "right")),
 )
 _RELATIONS = (*(f"{joint} and pelvis" for joint in _JOINTS), "body moving", "body turning")
-_SCALE = np.append(np.ones(3 * N_JOINTS), np.full(N_MOVING, MOVING_SECONDS)) / np.sqrt(N_JOINTS)
 
 
-def _find_scale(hidden: Sequence[str]) -> FloatArray:
-    """Return the (POSE_COLUMNS,) scale that keeps distances root mean squares over the joints that are not hidden."""
+def _find_scale(hidden: Sequence[str], moving_seconds: float = 0.3) -> FloatArray:
+    """Return the (POSE_COLUMNS,) scale that keeps distances root mean squares over the joints that are not hidden.
+
+    The body's movement counts for ``moving_seconds`` (docs/ranking.md); 0.2 and 0.4 did as well.
+    """
+    scale = np.append(np.ones(3 * N_JOINTS), np.full(4, moving_seconds)) / np.sqrt(N_JOINTS)
     n_hidden = sum(joint.replace("_", " ").replace("ankle", "foot") in _JOINTS for joint in hidden)
-    scale: FloatArray = _SCALE * np.sqrt(N_JOINTS / max(N_JOINTS - n_hidden, 1)) if n_hidden else _SCALE
-    return scale
-
-
-def _find_columns(track: FeatureTrack) -> IndexArray:
-    if not track.feature_set.has_banks:
-        raise OptionError("features.not_extended", name=track.feature_set.name)
-    return _COLUMNS
+    return scale * np.sqrt(N_JOINTS / max(N_JOINTS - n_hidden, 1)) if n_hidden else scale
 
 
 _COLUMNS = np.array([k for k, channel in enumerate(CHANNELS) if channel.relation in _RELATIONS], np.intp)
@@ -118,13 +109,10 @@ RANKINGS: tuple[str, ...] = ("fused", "histogram", "leaves", "pose")
 DEFAULT_RANKING = "fused"
 
 N_REFINED = 64
-"""Clips with compared poses: the first by histograms and leaves."""
+"""Clips with compared poses: the first by histograms and leaves (docs/ranking.md)."""
 
-HISTOGRAM_SCALE = 2.0**-0.5  # histograms without a common vote are sqrt(2) apart
-LEAVES_WEIGHT = 0.5
-_COSINE_WEIGHT = 0.5
-_POSE_SCALE = 8.0  # 1 / body heights
-_REACH = 2.0  # cells of 16 by which an aligned pair may lie off the diagonal
+# Histograms without a common vote are sqrt(2) apart (docs/ranking.md).
+HISTOGRAM_SCALE, LEAVES_WEIGHT = 2.0**-0.5, 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -228,11 +216,11 @@ def _compare_leaves(query: ArrayLike, leaves: ArrayLike) -> FloatArray:
     return distances
 
 
-def rank_by_pose(query: ArrayLike, poses: ArrayLike) -> tuple[IndexArray, FloatArray]:
+def rank_by_pose(query: ArrayLike, poses: ArrayLike, reach: float = 2.0) -> tuple[IndexArray, FloatArray]:
     """Rank clips (N, T, D) by the distance of their poses from those of the query (T, D) after an alignment in time.
 
     Returns indices, nearest first (equals keep their order), and distances in the given order, in body heights: dynamic
-    time warping within 2 cells of the diagonal, the sum over the path divided by 2 T.
+    time warping within ``reach`` cells of the diagonal, the sum over the path divided by 2 T (docs/ranking.md).
     InvalidMotionError : shapes that disagree, or values that are not finite.
     """
     asked = np.ascontiguousarray(query, dtype=np.float32)
@@ -242,7 +230,7 @@ def rank_by_pose(query: ArrayLike, poses: ArrayLike) -> tuple[IndexArray, FloatA
     starts = np.arange(len(stored)) * len(asked)
     distances = np.empty(len(stored))
     frames = stored.reshape(-1, asked.shape[1])
-    warp_distances(asked, frames, starts, starts + len(asked), _REACH, distances)
+    warp_distances(asked, frames, starts, starts + len(asked), reach, distances)
     if not np.isfinite(distances).all():
         raise InvalidMotionError("ranking.poses_not_finite")
     return np.argsort(distances, kind="stable"), distances
@@ -292,14 +280,14 @@ def add_up(histogram: FloatArray, leaves: FloatArray, cosines: NDArray[np.floati
     """Add the distances of histograms, leaves and, if known, angles, each on its scale: (N,)."""
     cheap: FloatArray = histogram * HISTOGRAM_SCALE + LEAVES_WEIGHT * leaves
     if cosines is not None:
-        cheap += _COSINE_WEIGHT * (1.0 - cosines)
+        cheap += 0.5 * (1.0 - cosines)
     return cheap
 
 
-def fuse(cheap: FloatArray, pose: FloatArray, refined: IndexArray) -> FloatArray:
-    """Add the scaled pose distances; clips not compared count as the farthest that were."""
+def fuse(cheap: FloatArray, pose: FloatArray, refined: IndexArray, scale: float = 8.0) -> FloatArray:
+    """Add the pose distances times ``scale`` (1 / body heights); clips not compared count as the farthest that were."""
     worst = float(pose[refined].max(initial=0.0))
-    return cheap + _POSE_SCALE * np.where(np.isnan(pose), worst, pose)
+    return cheap + scale * np.where(np.isnan(pose), worst, pose)
 
 
 @njit(cache=True, nogil=True)
@@ -321,9 +309,6 @@ def count_differences(query: NDArray[np.int32], stored: NDArray[np.int32], count
         for t in range(len(query)):
             count += np.int32(stored[k, t] != query[t])
         counts[k] = count
-
-
-_FAR = np.float32(1e30)
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
@@ -350,20 +335,21 @@ def _warp(
     n = len(query)
     slope = (m - 1) / (n - 1) if n > 1 else 0.0
     width = min(max(reach, slope, 1.0), float(m)) + 1e-9 if n > 1 else float(m)  # an edge may round either way
+    far = np.float32(1e30)
     for j in range(m + 1):
-        before[j] = now[j] = _FAR  # index j + 1, so that j - 1 exists for j = 0
+        before[j] = now[j] = far  # index j + 1, so that j - 1 exists for j = 0
     before[0] = np.float32(0.0)
     for i in range(n):
         first = max(0, int(np.ceil(i * slope - width)))
         last = min(m - 1, int(np.floor(i * slope + width)))
         for j in range(first, last + 1):
             now[j + 1] = _measure(query, i, frames, start + j)
-        now[first] = left = _FAR
+        now[first] = left = far
         for j in range(first, last + 1):
             left = now[j + 1] + min(left, before[j], before[j + 1])
             now[j + 1] = left
         for j in range(last + 1, min(m, last + 2 + int(slope))):  # the next band goes further
-            now[j + 1] = _FAR
+            now[j + 1] = far
         before, now = now, before
     return before[m]
 

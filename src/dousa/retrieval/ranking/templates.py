@@ -1,4 +1,4 @@
-"""Motion templates: the baseline for the random forest.
+"""Motion templates on 39 boolean relational features: the baseline for the random forest.
 
 A template gives, frame by frame, the relational features that are always true, always false or vary in the motions of a
 category. Source: Müller, Röder, "Motion templates for automatic classification and retrieval of motion capture data",
@@ -8,11 +8,26 @@ weight. This repeats until nothing changes. Entries near 0 or 1 are then rounded
 
 Deviations: whole clips are compared instead of stretches of a recording, so diagonal steps weigh double and the sum is
 divided by both lengths. In a large category only some motions serve as references (all are averaged).
+
+Each feature is a yes-or-no question about a pose: is the right hand raised, are the feet crossed, is the root fast? The
+generic features (side of a plane, speed along its normal, angle, speed) are those of Müller, Röder, Clausen, "Efficient
+content-based retrieval of motion capture data", ACM TOG 24(3), 2005; the choice of 39 (arms F1-F14, legs F15-F26, the
+whole body F27-F39) is that of the motion templates. A measure has two thresholds: the answer turns yes at the strong
+one and stays yes until the weak one fails, to avoid flicker. Thresholds are in body measures: ``humerus`` (upper arm),
+``shoulders`` and ``hips`` (widths), ``height``; speeds are per second.
+
+Deviations, as the canonical joints have one spine joint instead of belly and chest: trunk directions run from pelvis to
+neck (F5, F6, F27-F30, F32) or from spine to neck (F3, F4); leg planes contain the hip line and the leg (F15, F16),
+which also works where the pelvis joint lies on the hip line. F35 and F36 use the sine of the angle of the shoulder line
+to the hip plane; F38 is the largest horizontal distance between two joints, independent of the heading. The thresholds
+of F37 and F38 are chosen for these joints and this height.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -20,20 +35,251 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import BoolArray, FloatArray, IndexArray
-from dousa.errors import NotTrainedError, OptionError, TrainingError
-from dousa.retrieval.features.posed_motion import PosedMotion
-from dousa.retrieval.ranking.relational import RELATIONAL_FEATURES, compute_relational_features
+from dousa.errors import InvalidMotionError, NotTrainedError, OptionError, TrainingError
+from dousa.motion import Trajectories, resample
+from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX
+from dousa.retrieval.features.posed_motion import PosedMotion, check_shape
+from dousa.workers.threads import map_pieces
 
-_CHANGE_THAT_ENDS_LEARNING = 1e-3  # mean change of an entry in one round
+
+@dataclass(frozen=True, slots=True)
+class RelationalFeature:
+    """A yes-or-no question about a pose.
+
+    Parameters
+    ----------
+    name : the positive answer in words.
+    weak, strong : the answer turns yes when the measure exceeds ``strong`` and no when it falls to ``weak``.
+    unit : of the thresholds: ``"humerus"``, ``"humerus/s"``, ``"shoulders"``, ``"hips"``, ``"height"``,
+        ``"degrees"`` or ``"sine"``. Negative thresholds belong to measures that must stay small.
+    """
+
+    name: str
+    weak: float
+    strong: float
+    unit: str
+
+
+def _both(name: str, weak: float, strong: float, unit: str) -> tuple[RelationalFeature, RelationalFeature]:
+    return (
+        RelationalFeature(name.replace("this", "right").replace("other", "left"), weak, strong, unit),
+        RelationalFeature(name.replace("this", "left").replace("other", "right"), weak, strong, unit),
+    )
+
+
+RELATIONAL_FEATURES: tuple[RelationalFeature, ...] = (
+    *_both("this hand moving forwards", 1.3, 1.8, "humerus/s"),
+    *_both("this hand above neck", 0.0, 0.2, "humerus"),
+    *_both("this hand moving upwards", 1.3, 1.8, "humerus/s"),
+    *_both("this elbow bent", 60.0, 70.0, "degrees"),
+    RelationalFeature("hands far apart sideways", 2.0, 2.5, "shoulders"),
+    RelationalFeature("hands approaching each other", 1.2, 1.4, "humerus/s"),
+    *_both("this hand moving away from root", 1.2, 1.4, "humerus/s"),
+    *_both("this hand fast", 2.0, 2.5, "humerus/s"),
+    *_both("this foot behind other leg", 0.0, 0.38, "humerus"),
+    *_both("this foot raised", 1.0, 1.2, "humerus"),
+    RelationalFeature("feet far apart sideways", 1.8, 2.1, "hips"),
+    *_both("this knee bent", 60.0, 70.0, "degrees"),
+    RelationalFeature("feet crossed", 0.0, 0.125, "hips"),
+    RelationalFeature("feet approaching each other sideways", 1.3, 1.5, "humerus/s"),
+    RelationalFeature("feet moving apart sideways", 1.3, 1.5, "humerus/s"),
+    *_both("this foot fast", 2.0, 2.5, "humerus/s"),
+    *_both("this upper arm abducted", 25.0, 30.0, "degrees"),
+    *_both("this thigh abducted", 45.0, 50.0, "degrees"),
+    RelationalFeature("root behind the plane of feet and neck", 0.35, 0.5, "humerus"),
+    RelationalFeature("spine horizontal", -30.0, -20.0, "degrees"),
+    *_both("this hand lowered", -1.4, -1.2, "humerus"),
+    *_both("shoulders rotated to the this", 0.35, 0.4, "sine"),
+    RelationalFeature("body low", -0.9, -0.8, "height"),
+    RelationalFeature("body stretched out sideways", 0.7, 0.8, "height"),
+    RelationalFeature("root fast", 2.0, 2.3, "humerus/s"),
+)
+"""F1 to F39 in the order of the paper, table 1; of pairs, right before left."""
+
+_SIDES = ("right", "left")
+
+
+def compute_relational_features(positions: ArrayLike, frame_rate: float, height: float) -> BoolArray:
+    """Compute the 39 features of every frame: (T, 39) bool, columns as ``RELATIONAL_FEATURES``.
+
+    Parameters
+    ----------
+    positions : (T, 20, 3) m, canonical joints, Y up, finite; the thresholds are for 30 Hz.
+    frame_rate : Hz.
+    height : m, of the performer.
+
+    Raises
+    ------
+    InvalidMotionError : positions of another shape or not finite; a rate or height not above zero.
+
+    Source: Müller, Röder 2006, table 1; deviations in the module's docstring.
+    """
+    joints = check_shape(positions, height)
+    if not np.isfinite(joints).all():
+        raise InvalidMotionError("posed_motion.not_finite")
+    if not (np.isfinite(frame_rate) and frame_rate > 0):
+        raise InvalidMotionError("posed_motion.rate_and_height", rate=frame_rate, height=height)
+    body = _Body(joints, float(frame_rate), float(height))
+    measures = np.stack([*_hands(body), *_feet(body), *_whole_body(body)], axis=1)
+    scale = np.array([body.sizes[feature.unit.removesuffix("/s")] for feature in RELATIONAL_FEATURES])
+    weak = np.array([feature.weak for feature in RELATIONAL_FEATURES]) * scale
+    strong = np.array([feature.strong for feature in RELATIONAL_FEATURES]) * scale
+    return apply_hysteresis(measures > weak, measures > strong)
+
+
+class _Body:
+    """Positions by name, and body measures and directions shared by questions."""
+
+    def __init__(self, joints: FloatArray, frame_rate: float, height: float) -> None:
+        self.joints = joints
+        self.frame_rate = frame_rate
+        arms = [self._length(f"{side}_shoulder", f"{side}_elbow") for side in _SIDES]
+        self.sizes = {
+            "humerus": max(float(np.mean(arms)), 1e-6),
+            "shoulders": max(self._length("left_shoulder", "right_shoulder"), 1e-6),
+            "hips": max(self._length("left_hip", "right_hip"), 1e-6),
+            "height": height,
+            "degrees": np.pi / 180.0,
+            "sine": 1.0,
+        }
+        self.hip_line = _unit(self["left_hip"] - self["right_hip"])
+        self.shoulder_line = _unit(self["left_shoulder"] - self["right_shoulder"])
+        self.trunk = _unit(self["neck"] - self["pelvis"])
+        hips = 0.5 * (self["left_hip"] + self["right_hip"])
+        self.forward = _unit(np.cross(self.hip_line, self["neck"] - hips))
+        self.lowest = joints[:, :, 1].min(axis=1)
+
+    def __getitem__(self, name: str) -> FloatArray:
+        return self.joints[:, JOINT_INDEX[name]]
+
+    def _length(self, one: str, other: str) -> float:
+        # The median over time, as bones of camera skeletons vary in length.
+        return float(np.median(np.linalg.norm(self[one] - self[other], axis=1)))
+
+    def velocity(self, points: FloatArray, window: float = 0.1) -> FloatArray:
+        """Return the (T, 3) velocity in m/s of points averaged over a window in seconds."""
+        if len(points) < 2:
+            return np.zeros_like(points)
+        half = round(window * self.frame_rate) // 2
+        if half:
+            padded = np.pad(points, ((half, half), (0, 0)), mode="edge")
+            sums = np.cumsum(np.vstack([np.zeros((1, 3)), padded]), axis=0)
+            width = 2 * half + 1
+            points = (sums[width:] - sums[:-width]) / width
+        return np.gradient(points, 1.0 / self.frame_rate, axis=0)
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    found: FloatArray = np.einsum("tk,tk->t", a, b)
+    return found
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    """Scale vectors to length 1; a zero vector stays zero, so questions on it are negative."""
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    found: FloatArray = np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 1e-12)
+    return found
+
+
+def _angle(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the angle in radians between directions, accurate near 0 and pi."""
+    found: FloatArray = np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), _dot(a, b))
+    return found
+
+
+def _flexion(body: _Body, upper: str, middle: str, lower: str) -> list[FloatArray]:
+    return [
+        _angle(body[f"{s}_{middle}"] - body[f"{s}_{upper}"], body[f"{s}_{lower}"] - body[f"{s}_{middle}"])
+        for s in _SIDES
+    ]
+
+
+def _hands(body: _Body) -> list[FloatArray]:
+    """Measures of F1 to F14."""
+    wrists = [body[f"{side}_wrist"] for side in _SIDES]
+    # Directed movements are slower than tremor.
+    from_neck = [body.velocity(wrist - body["neck"], window=0.25) for wrist in wrists]
+    upper_spine = _unit(body["neck"] - body["spine"])
+    right, left = wrists
+    between = _unit(right - left)
+    from_root = [wrist - body["pelvis"] for wrist in wrists]
+    return [
+        *(_dot(speed, body.forward) for speed in from_neck),
+        *(_dot(wrist - body["neck"], upper_spine) for wrist in wrists),
+        *(_dot(speed, body.trunk) for speed in from_neck),
+        *_flexion(body, "shoulder", "elbow", "wrist"),
+        np.abs(_dot(left - right, body.shoulder_line)),
+        -_dot(body.velocity(right - left), between),
+        *(_dot(body.velocity(offset), _unit(offset)) for offset in from_root),
+        *(np.linalg.norm(body.velocity(wrist), axis=1) for wrist in wrists),
+    ]
+
+
+def _feet(body: _Body) -> list[FloatArray]:
+    """Measures of F15 to F26."""
+    ankles = {side: body[f"{side}_ankle"] for side in _SIDES}
+    behind = []
+    for side, other in (("right", "left"), ("left", "right")):
+        hip = body[f"{other}_hip"]
+        ahead_of_leg = _unit(np.cross(body.hip_line, hip - ankles[other]))
+        behind.append(-_dot(ankles[side] - hip, ahead_of_leg))
+    spread = ankles["left"] - ankles["right"]
+    sideways = _dot(body.velocity(spread), body.hip_line)
+    speeds = [
+        np.minimum(*(np.linalg.norm(body.velocity(body[f"{side}_{j}"]), axis=1) for j in ("ankle", "toe")))
+        for side in _SIDES
+    ]
+    apart = _dot(spread, body.hip_line)
+    return [
+        *behind,
+        *(ankles[side][:, 1] - body.lowest for side in _SIDES),
+        np.abs(apart),
+        *_flexion(body, "hip", "knee", "ankle"),
+        -apart,
+        -sideways,
+        sideways,
+        *speeds,
+    ]
+
+
+def _whole_body(body: _Body) -> list[FloatArray]:
+    """Measures of F27 to F39."""
+    ankles_line = body["left_ankle"] - body["right_ankle"]
+    between_ankles = 0.5 * (body["left_ankle"] + body["right_ankle"])
+    ahead = _unit(np.cross(ankles_line, body["neck"] - between_ankles))
+    up = np.broadcast_to(np.array([0.0, 1.0, 0.0]), body.trunk.shape)
+    left_ahead = _dot(body.shoulder_line, body.forward)  # the shoulders are turned to the right
+    ground = body.joints[:, :, ::2]
+    # The widest pair of joints, as the extent along fixed axes varies with the heading.
+    x, z = (ground[:, :, None, k] - ground[:, None, :, k] for k in (0, 1))
+    width = np.sqrt((x * x + z * z).max(axis=(1, 2)))
+    down = -body.trunk
+    return [
+        *(_angle(down, body[f"{side}_elbow"] - body[f"{side}_shoulder"]) for side in _SIDES),
+        *(_angle(down, body[f"{side}_knee"] - body[f"{side}_hip"]) for side in _SIDES),
+        -_dot(body["pelvis"] - between_ankles, ahead),
+        -np.abs(_angle(body.trunk, up) - 0.5 * np.pi),
+        *(body.lowest - body[f"{side}_wrist"][:, 1] for side in _SIDES),
+        left_ahead,
+        -left_ahead,
+        -np.ptp(body.joints[:, :, 1], axis=1),
+        width,
+        np.linalg.norm(body.velocity(body["pelvis"]), axis=1),
+    ]
+
+
+def apply_hysteresis(weak: BoolArray, strong: BoolArray) -> BoolArray:
+    """Return true from a frame where ``strong`` holds until ``weak`` fails; both (T, F)."""
+    frames = np.arange(len(weak))[:, None]
+    last_strong = np.maximum.accumulate(np.where(strong, frames, -1), axis=0)
+    last_failure = np.maximum.accumulate(np.where(weak, -1, frames), axis=0)
+    return last_strong > last_failure
 
 
 def compute_relational_sequence(clip: PosedMotion, sampling_rate: float = 30.0) -> BoolArray:
     """Compute the (T', 39) features of a clip of canonical positions, resampled to a rate in Hz."""
     positions, rate = clip.positions, clip.frame_rate
     if not np.isclose(rate, sampling_rate):
-        from dousa.motion import Trajectories, resample
-        from dousa.motion.canonical.joints import CANONICAL_JOINTS
-
         positions = resample(Trajectories(CANONICAL_JOINTS, positions, rate), sampling_rate).positions
     return compute_relational_features(positions, sampling_rate, clip.height)
 
@@ -89,9 +335,8 @@ class MotionTemplates:
             [np.asarray(sequences[int(k)], dtype=np.float64) for k in np.flatnonzero(numbers == c)]
             for c in range(len(self.classes_))
         ]
-        self.averages_ = _in_threads(
-            _learn_average, [(group, self.n_iterations, self.max_references) for group in groups], self.n_jobs
-        )
+        learn = partial(_learn_average, n_iterations=self.n_iterations, max_references=self.max_references)
+        self.averages_ = map_pieces(learn, groups, self.n_jobs, at_a_time=1)
         self.templates_ = [_round_off(average, self.threshold) for average in self.averages_]
         self._weights, self._offsets, self._bounds = _cost_matrices(self.templates_)
         return self
@@ -106,7 +351,7 @@ class MotionTemplates:
     def sequence_distances(self, sequences: Sequence[BoolArray]) -> FloatArray:
         """As ``distances``, for relational features (T, 39)."""
         self._check_trained()
-        rows = _in_threads(self._distances_of_one, [(sequence,) for sequence in sequences], self.n_jobs)
+        rows = map_pieces(self._distances_of_one, sequences, self.n_jobs)
         return np.array(rows, dtype=np.float64).reshape(len(sequences), len(self.classes_))
 
     def predict(self, clips: Sequence[PosedMotion]) -> NDArray[Any]:
@@ -144,16 +389,6 @@ class MotionTemplates:
             raise OptionError("templates.counts", iterations=self.n_iterations, references=self.max_references)
 
 
-def _in_threads(function: Any, arguments: Sequence[tuple[Any, ...]], n_jobs: int | None) -> list[Any]:
-    """Return ``function(*a)`` for every a, in threads, as the kernels release the interpreter's lock."""
-    if n_jobs in (None, 1) or len(arguments) < 2:
-        return [function(*a) for a in arguments]
-    from joblib import Parallel, delayed
-
-    found: list[Any] = Parallel(n_jobs=n_jobs, prefer="threads")(delayed(function)(*a) for a in arguments)
-    return found
-
-
 def _learn_average(motions: list[FloatArray], n_iterations: int, max_references: int) -> FloatArray:
     """Return the average (K, F) of motions (T_i, F) after warping them in time, before rounding."""
     if len(motions) == 1:
@@ -164,7 +399,9 @@ def _learn_average(motions: list[FloatArray], n_iterations: int, max_references:
     current = motions
     for _ in range(n_iterations):
         merged = [_merge(reference, current)[0] for reference in references]
-        stable = all(_agree(old, new) for old, new in zip(references, merged, strict=True))
+        pairs = zip(references, merged, strict=True)
+        # The rounds end when no entry changes by more than a thousandth on average.
+        stable = all(old.shape == new.shape and float(np.abs(old - new).mean()) <= 1e-3 for old, new in pairs)
         references = current = merged
         if stable:
             break
@@ -199,10 +436,6 @@ def _equalise(values: FloatArray, weights: FloatArray) -> FloatArray:
     return found
 
 
-def _agree(old: FloatArray, new: FloatArray) -> bool:
-    return old.shape == new.shape and float(np.abs(old - new).mean()) <= _CHANGE_THAT_ENDS_LEARNING
-
-
 def _round_off(average: FloatArray, threshold: float) -> NDArray[np.int8]:
     """Return 0 and 1 where the motions agree up to ``threshold``, -1 (grey) elsewhere."""
     # Room for rounding of weighted means.
@@ -220,7 +453,6 @@ def _cost_matrices(templates: Sequence[NDArray[np.int8]]) -> tuple[FloatArray, F
     weights = ((stacked == 0).astype(np.float64) - (stacked == 1)) / fixed[:, None]
     offsets = (stacked == 1).sum(axis=1) / fixed
     bounds = np.concatenate([[0], np.cumsum([len(template) for template in templates])]).astype(np.intp)
-    assert weights.shape[1] == len(RELATIONAL_FEATURES)
     return weights, offsets, bounds
 
 

@@ -10,23 +10,25 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IntArray
 from dousa.errors import InvalidMotionError, OptionError
+from dousa.retrieval.features.channels import sample_positions
+from dousa.retrieval.features.feature_sets import FeatureSet
+from dousa.retrieval.features.posed_motion import PosedMotion
+from dousa.retrieval.features.sensor_noise import reduce_noise
+from dousa.retrieval.forest.forest import MotionForest
+from dousa.retrieval.ranking.ranking import warp_distances
+from dousa.retrieval.takes.moment_kernels import compare_leaves, compare_poses
 from dousa.retrieval.takes.windows import N_PARTS, TAKE_RATE, TakeWindows, compute_small_poses
-
-if TYPE_CHECKING:
-    from dousa.retrieval.features.feature_sets import FeatureSet
-    from dousa.retrieval.features.posed_motion import PosedMotion
-    from dousa.retrieval.forest.forest import MotionForest
 
 # Chosen on joined takes of UTD-MHAD and HDM05 with people and some of the categories left out (docs/takes.md).
 POSE_WEIGHT, _LEAF_WEIGHT, _ALIGNED_WEIGHT = 3.0, 0.05, 2.0
-_LEAST_SHARE = 0.02
+_LEAST_SHARE = 0.02  # added to shares before their logarithm (docs/takes.md)
 
 # Cost of the score one half, and its steepness, in units of the movement of the query.
 _MIDDLE, _STEEPNESS, _LEAST_MOVEMENT = 2.42, 6.3, 0.05
@@ -35,13 +37,7 @@ _MIDDLE, _STEEPNESS, _LEAST_MOVEMENT = 2.42, 6.3, 0.05
 # and of the score, and of the log of the votes. Fitted to hits in joined takes of people who did not train, as recorded
 # and disturbed, of UTD-MHAD, HDM05, Bandai and UTKinect, each counting the same (docs/confidence.md).
 _OFFSET, _BY_LIKENESS, _BY_SCORE, _BY_VOTES = 1.05, 0.71, 0.34, 2.74
-_LEAST_CHANCE = 1e-4
-
-_MOST_ALIGNED = 64  # aligned poses of either sequence
-_BAND = 0.15
-_STEPS = np.linspace(-0.125, 0.125, 7)  # moves of an edge, as shares of the window's length
-_SAME_PLACE = 0.3  # least overlap (intersection over union) of the same place
-_MOST_WINDOWS = 4000  # best windows kept
+_SAME_PLACE = 0.3  # least overlap (intersection over union) of the same place (docs/takes.md)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,9 +88,6 @@ def describe_query(forest: MotionForest, feature_set: FeatureSet, motion: PosedM
 
     InvalidMotionError : too short, another shape, not finite, no body height.
     """
-    from dousa.retrieval.features.channels import sample_positions
-    from dousa.retrieval.features.sensor_noise import reduce_noise
-
     quiet = reduce_noise(motion)
     sampled = sample_positions(quiet.positions, quiet.frame_rate)
     poses = compute_small_poses(sampled, quiet.height, feature_set.hidden)
@@ -110,6 +103,7 @@ def find_in_takes(
     limit: int = 20,
     slowest: float = 0.5,
     fastest: float = 2.0,
+    most_windows: int = 4000,
 ) -> list[Found]:
     """Find the places most similar to a query, best first, no two of them the same.
 
@@ -119,13 +113,14 @@ def find_in_takes(
     takes : names and windows.
     limit : most places.
     slowest, fastest : tempo relative to the query; windows of 1 / fastest to 1 / slowest of its length are compared.
+    most_windows : best windows that are kept for the exact comparison.
 
     Raises
     ------
     OptionError : a limit below 1, or tempos that are not ascending and above 0.
     InvalidMotionError : a take with leaves of another forest.
     """
-    search = TakeSearch(query, limit, slowest, fastest)
+    search = TakeSearch(query, limit, slowest, fastest, most_windows)
     for name, windows in takes:
         search.look(name, windows)
     by_place = [windows for _, windows in takes]
@@ -171,10 +166,17 @@ def cut_stretch(windows: TakeWindows, first: int, last: int) -> Stretch:
 class TakeSearch:
     """A search as ``find_in_takes``, with the same errors, through takes that need not be in memory together."""
 
-    def __init__(self, query: TakeQuery, limit: int = 20, slowest: float = 0.5, fastest: float = 2.0) -> None:
+    def __init__(
+        self,
+        query: TakeQuery,
+        limit: int = 20,
+        slowest: float = 0.5,
+        fastest: float = 2.0,
+        most_windows: int = 4000,
+    ) -> None:
         if limit < 1 or not 0 < slowest <= fastest < np.inf:
             raise OptionError("find.options", limit=limit, slowest=slowest, fastest=fastest)
-        self._query, self._limit, self._tempos = query, limit, (slowest, fastest)
+        self._query, self._limit, self._tempos, self._most = query, limit, (slowest, fastest), most_windows
         self._parts = cut_parts(query.poses)
         self._names: list[str] = []
         self._best = np.zeros(0, WINDOW_NUMBERS)
@@ -212,8 +214,6 @@ class TakeSearch:
 
         ``sums`` are running sums of poses that contain all of them, ``places`` (M,) their beginnings there.
         """
-        from dousa.retrieval.takes.moment_kernels import compare_poses
-
         distances = np.empty(len(windows))
         ends = places + windows["stop"] - windows["start"]
         compare_poses(sums, places, ends, self._parts, self._farthest / POSE_WEIGHT, distances)
@@ -223,14 +223,14 @@ class TakeSearch:
 
     def _wait(self, found: NDArray[Any]) -> None:
         self._waiting.append(found)
-        if sum(map(len, self._waiting)) >= _MOST_WINDOWS:
+        if sum(map(len, self._waiting)) >= self._most:
             self._keep_best()
 
     def _keep_best(self) -> None:
         found = np.concatenate([self._best, *self._waiting])
         self._waiting = []
-        self._best = found[np.lexsort((found["row"], found["take"], found["cost"]))[:_MOST_WINDOWS]]
-        if len(self._best) == _MOST_WINDOWS:
+        self._best = found[np.lexsort((found["row"], found["take"], found["cost"]))[: self._most]]
+        if len(self._best) == self._most:
             self._farthest = float(self._best["cost"][-1])
 
     def finish(self, get_windows: Callable[[int], TakeWindows | CutStretch]) -> list[Found]:
@@ -251,8 +251,6 @@ class TakeSearch:
 
 def _compare(query: TakeQuery, take: TakeWindows, tempos: tuple[float, float], farthest: float) -> NDArray[Any]:
     """Return the windows of a take that cost at most ``farthest``, in order, as ``WINDOW_NUMBERS``."""
-    from dousa.retrieval.takes.moment_kernels import compare_leaves, compare_poses
-
     if take.leaves.shape[1] != len(query.leaves):
         raise InvalidMotionError("find.other_forest", expected=len(query.leaves), found=take.leaves.shape[1])
     lengths = take.stops - take.starts
@@ -318,11 +316,10 @@ def overlap(one: tuple[float, float], other: tuple[float, float]) -> float:
 
 def _refine(query: TakeQuery, named: tuple[str, CutStretch], window: Any, tempos: tuple[float, float]) -> Found:
     """Move the edges of a window until its parts fit best, then align it pose by pose."""
-    from dousa.retrieval.takes.moment_kernels import compare_poses
-
     name, cut = named
     start, stop, share = int(window["start"]), int(window["stop"]), float(window["share"])
-    moves = np.unique(np.round(_STEPS * (stop - start)).astype(np.int64))
+    # An edge moves by up to an eighth of the window's length.
+    moves = np.unique(np.round(np.linspace(-0.125, 0.125, 7) * (stop - start)).astype(np.int64))
     starts = np.repeat(start + moves, len(moves))
     stops = np.tile(stop + moves, len(moves))
     # The window itself comes first and wins ties.
@@ -367,25 +364,26 @@ def judge_place(likeness: float, score: float, votes: float) -> float:
     score : of ``Found``.
     votes : share of the trees that vote for the category of the query at the place.
     """
-    odds = [np.log(chance / (1.0 - chance)) for chance in np.clip((likeness, score), _LEAST_CHANCE, 1 - _LEAST_CHANCE)]
+    odds = [np.log(chance / (1.0 - chance)) for chance in np.clip((likeness, score), 1e-4, 1 - 1e-4)]
     total = _OFFSET + _BY_LIKENESS * odds[0] + _BY_SCORE * odds[1] + _BY_VOTES * np.log(votes + _LEAST_SHARE)
     return float(1.0 / (1.0 + np.exp(-total)))
 
 
-def _align(one: NDArray[np.float16], other: NDArray[np.float16]) -> float:
-    """Return the root mean square distance of two sequences of small poses along the cheapest warping path."""
-    from dousa.retrieval.ranking.ranking import warp_distances
+def _align(one: NDArray[np.float16], other: NDArray[np.float16], band: float = 0.15) -> float:
+    """Return the root mean square distance of two sequences of small poses along the cheapest warping path.
 
+    A pair lies off the diagonal by at most a share ``band`` of the length.
+    """
     query, frames = _thin(one), _thin(other)
     distance = np.empty(1)
     ends = np.array([0, len(frames)])
-    warp_distances(query, frames, ends[:1], ends[1:], _BAND * len(frames), distance)
+    warp_distances(query, frames, ends[:1], ends[1:], band * len(frames), distance)
     # A straight path counts each pair once, but is divided by both lengths.
     return float(2.0 * distance[0] / np.sqrt(query.shape[1]))
 
 
-def _thin(poses: NDArray[np.float16]) -> NDArray[np.float32]:
-    count = min(len(poses), _MOST_ALIGNED)
+def _thin(poses: NDArray[np.float16], most: int = 64) -> NDArray[np.float32]:
+    count = min(len(poses), most)
     return poses[((np.arange(count) + 0.5) * len(poses) / count).astype(np.intp)].astype(np.float32)
 
 

@@ -1,8 +1,9 @@
 """Label a long take over time: categories with start, stop and confidence, and unknown stretches.
 
 Discriminants give the probability of every category, and of nothing, at every moment (`moment_model`), from which the
-likeliest sequence of segments follows (`sequence`). Each segment is then judged as a clip by the forest (`stretches`);
-both together give its name and confidence. Doubtful segments are unknown, with a guess where a clip would have one.
+likeliest sequence of segments follows (`sequence`). Each segment is then judged as a clip by the forest
+(`StretchJudge`); both together give its name and confidence. Doubtful segments are unknown, with a guess where a clip
+would have one.
 """
 
 from __future__ import annotations
@@ -24,13 +25,13 @@ from dousa.files.disk import atomic_write
 from dousa.messages import Message
 from dousa.motion.runs import find_equal_runs
 from dousa.retrieval.counting.counter import TALLIES
-from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
+from dousa.retrieval.features.channels import sample_positions
+from dousa.retrieval.features.posed_motion import PlainMotion, PosedMotion, check_motion
 from dousa.retrieval.forest.forest_file import check, check_version, pack_arrays, unpack_arrays
-from dousa.retrieval.forest.stretches import CutStretch, StretchJudge, StretchOpinions
+from dousa.retrieval.forest.stretches import StretchJudge, StretchOpinions
 from dousa.retrieval.takes.made_takes import mirror_positions
 from dousa.retrieval.takes.moment_model import (
     HOP,
-    MIRRORED_VALUES,
     MODEL_ARRAYS,
     N_VALUES,
     Codes,
@@ -50,8 +51,6 @@ from dousa.workers.threads import map_pieces
 
 SHORT_GAP = 15
 """Frames, the longest gap between two actions, or at an end, that is added to them."""
-
-_View = Callable[[NDArray[np.float32]], NDArray[np.float32]]  # discriminants of moments
 
 _VERSION, _EARLIER = 7, (4, 5, 6)
 _WHAT = Message("stored.labeller")
@@ -176,19 +175,16 @@ class TakeLabeller:
         Returns (M, 3 C + 1) of the phases and of nothing, at its moments: about 1 if shown, else about 0. The result
         does not depend on ``n_jobs``, threads; None for one.
         """
-        return self._judge(sampled, height, n_jobs, (self.model.judge,))[0]
+        return self.judge_views(sampled, height, n_jobs, (self.model.judge,))[0]
 
-    def judge_both(
-        self, sampled: FloatArray, height: float, n_jobs: int | None = None
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Compute ``judge`` of a recording and of its mirror image."""
-        views = self.model.judge, lambda values: self.model.judge_mirrored(values, *MIRRORED_VALUES)
-        own, mirrored = self._judge(sampled, height, n_jobs, views)
-        return own, mirrored
-
-    def _judge(
-        self, sampled: FloatArray, height: float, n_jobs: int | None, views: Sequence[_View]
+    def judge_views(
+        self,
+        sampled: FloatArray,
+        height: float,
+        n_jobs: int | None,
+        views: Sequence[Callable[[NDArray[np.float32]], NDArray[np.float32]]],
     ) -> list[NDArray[np.float32]]:
+        """Compute ``judge`` by several ``views``, which return discriminants of the values of moments."""
         firsts = chunk_starts(len(sampled))
         shape = count_moments(len(sampled)), N_PHASES * len(self.classes) + 1
         scores = [np.empty(shape, np.float32) for _ in views]
@@ -214,7 +210,7 @@ class TakeLabeller:
         for run in self.sequence.find_runs(shares, never_nothing=never_unknown):
             if run.state == len(self.classes):
                 continue
-            means = _average(joined, run)
+            means = np.asarray(joined[run.start : run.stop].mean(axis=0), np.float64)
             evidence = describe_run(shares, run, self.sequence, means)
             parts = tuple(
                 (one.start * HOP, min(one.stop * HOP, n_frames)) for one in self.sequence.cut_repetitions(shares, run)
@@ -269,7 +265,7 @@ class TakeLabeller:
         names = ("log_lengths", "spreads", "weights", "calibration", "threshold", "placing")
         numbers = {name: arrays[name] for name in names}
         shapes = {"log_lengths": (states,), "spreads": (states,), "weights": (3,), "threshold": ()}
-        shapes["calibration"] = shapes["placing"] = (1 + N_EVIDENCE,)
+        shapes["calibration"] = shapes["placing"] = (7,)  # 1 + K of `describe_run`
         for name, array in numbers.items():
             right = array.dtype == np.float64 and array.shape == shapes[name]
             check(right and bool(np.isfinite(array).all()), _WHAT, f"bad {name}")
@@ -305,10 +301,6 @@ def _tells_sides(labeller: TakeLabeller) -> bool:
     return are_mirrored(scale, values, mirror_moments(values), labeller.held_states[rows] // N_PHASES)
 
 
-N_EVIDENCE = 6
-"""K, numbers of evidence of a segment."""
-
-
 def _weigh_evidence(evidence: FloatArray, curve: Sequence[float]) -> FloatArray:
     offset, *weights = curve
     chances: FloatArray = 1.0 / (1.0 + np.exp(-np.clip(evidence @ np.array(weights) + offset, -50, 50)))
@@ -317,11 +309,7 @@ def _weigh_evidence(evidence: FloatArray, curve: Sequence[float]) -> FloatArray:
 
 def average_shares(shares: NDArray[np.float32], run: Run) -> FloatArray:
     """Return the (C + 1,) mean share of each category, and of nothing, in a run, from shares (M, 3 C + 1)."""
-    return _average(join_phases(shares[run.start : run.stop]), Run(0, run.stop - run.start, run.state))
-
-
-def _average(joined: NDArray[np.float32], run: Run) -> FloatArray:
-    return np.asarray(joined[run.start : run.stop].mean(axis=0), np.float64)
+    return np.asarray(join_phases(shares[run.start : run.stop]).mean(axis=0), np.float64)
 
 
 def describe_run(
@@ -354,7 +342,7 @@ def describe_run(
 # and Bandai, each counting the same, and UTKinect's takes, which count less (lab/trials/segment_confidence.py,
 # docs/takes.md).
 _OFFSET, _BY_LEAD, _BY_TYPICAL, _BY_UNSTEADINESS = -0.91, 0.76, 3.42, 8.38
-_EVEN = 0.5
+_EVEN = 0.5  # by definition as likely right as wrong
 
 
 def weigh_chosen(
@@ -398,11 +386,8 @@ def weigh_chosen(
     return said
 
 
-_MOST_PARTS = 6  # judged parts of an action
-
-
-def _divide(chosen: Sequence[Chosen]) -> tuple[NDArray[np.intp], list[tuple[float, float]]]:
-    """Return the spans (P,) of parts of actions, s, and the action of each.
+def _divide(chosen: Sequence[Chosen], most: int = 6) -> tuple[NDArray[np.intp], list[tuple[float, float]]]:
+    """Return the spans (P,) of at most ``most`` parts of each action, s, and the action of each (docs/takes.md).
 
     An action repeated without a rest is much longer than its clips; its parts are as long as they are.
     """
@@ -410,7 +395,7 @@ def _divide(chosen: Sequence[Chosen]) -> tuple[NDArray[np.intp], list[tuple[floa
     spans: list[tuple[float, float]] = []
     for k, one in enumerate(chosen):
         parts = one.parts or ((one.start, one.stop),)
-        parts = parts[:: -(-len(parts) // _MOST_PARTS)]
+        parts = parts[:: -(-len(parts) // most)]
         whole += [k] * len(parts)
         spans += [(start / TAKE_RATE, stop / TAKE_RATE) for start, stop in parts]
     return np.array(whole, np.intp), spans
@@ -434,8 +419,9 @@ def _gather(seen: StretchOpinions, whole: NDArray[np.intp]) -> StretchOpinions:
     count = np.bincount(whole)
     typical, unsteady = (np.bincount(whole, values) / count for values in (seen.typical, seen.unsteady))
     firsts = find_equal_runs(whole)[:, 0]
-    told = np.array(sure), np.array(possible)
-    return StretchOpinions(seen.judged[firsts], tuple(names), np.array(leads), typical, unsteady, *told)
+    return StretchOpinions(
+        seen.judged[firsts], tuple(names), np.array(leads), typical, unsteady, np.array(sure), np.array(possible)
+    )
 
 
 def combine_chances(placed: FloatArray, seen: StretchOpinions) -> FloatArray:
@@ -472,8 +458,6 @@ def label_take(
     OptionError : a threshold outside 0 to 1.
     InvalidMotionError : another shape than (n, 20, 3), positions that are not finite, no body height.
     """
-    from dousa.retrieval.features.channels import sample_positions
-
     check_threshold(threshold)
     points = check_motion(motion)
     sampled = sample_positions(points, motion.frame_rate)
@@ -484,17 +468,18 @@ def label_take(
     if labeller.tells_sides:
         chosen = weigh_chosen(labeller, choose(labeller.judge(sampled, motion.height, n_jobs)), motion, judge, n_jobs)
     else:
-        scores = labeller.judge_both(sampled, motion.height, n_jobs)
+        views = labeller.model.judge, labeller.model.judge_mirrored
+        scores = labeller.judge_views(sampled, motion.height, n_jobs, views)
         own, mirrored = map_pieces(choose, scores, n_jobs, at_a_time=1)
         chosen = weigh_chosen(labeller, own, motion, judge, n_jobs)
         # Clips never make an action likelier than its place.
-        most = labeller.find_most(np.array([one.evidence for one in mirrored]).reshape(len(mirrored), N_EVIDENCE))
+        most = labeller.find_most(np.stack([one.evidence for one in mirrored])) if mirrored else np.empty(0)
         possible = [
             one
             for one, chance in zip(mirrored, most.tolist(), strict=True)
             if is_clearer(replace(one, confidence=chance), chosen)
         ]
-        image = CutStretch(mirror_positions(points), motion.frame_rate, motion.height)
+        image = PlainMotion(mirror_positions(points), motion.frame_rate, motion.height)
         chosen = lay_mirrored(chosen, weigh_chosen(labeller, possible, image, judge, n_jobs), SHORT_GAP)
     chosen = count_all(chosen, sampled, motion.height, labeller.usual, n_jobs)
     limit = usual_threshold(labeller, judge) if threshold is None else threshold

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from dousa.arrays import FloatArray, IntArray
 from dousa.errors import TrainingError
 from dousa.motion.runs import find_equal_runs
 from dousa.retrieval.counting.counter import find_usual, measure_tallies
+from dousa.retrieval.features.channels import count_samples, sample_positions
 from dousa.retrieval.features.posed_motion import AnnotatedTake, LabelledClip, PosedMotion, check_motion
 from dousa.retrieval.takes.label import SHORT_GAP, TakeLabeller
 from dousa.retrieval.takes.labeller_tuning import STRANGE, UNCOUNTED, Trial, calibrate, calibrate_places, choose_weights
@@ -56,19 +56,6 @@ from dousa.workers.threads import map_pieces
 
 Progress = Callable[[int, int], None]
 
-_MOST_MOMENTS = 9_000  # training moments, and more for each category
-_MORE_MOMENTS = 40
-_LEAST_ROUNDS, _MOST_ROUNDS = 3, 5  # rounds of the material: the first as recorded, the others disturbed
-_PAIRED = 0.3  # chance that a clip is followed by one of its category, if there is one
-_FOLDS = 3
-_SET_ASIDE = 0.25  # share of the categories unknown to a fold
-_LEAST_STATES = 3  # least categories, or nothing, of a fold
-_MOST_HELD = 600  # moments
-_LEAST_COUNTED, _MOST_COUNTED, _ALL_COUNTED = 3, 12, 400  # counted clips of a category, and of all
-_RIDGES = (0.1, 0.4, 1.6, 6.4)
-_SHARPNESSES = (3.0, 4.5, 6.5, 9.0, 13.0, 19.0, 28.0)
-_DEFAULT_RIDGE, _DEFAULT_SHARPNESS = 0.4, 6.5
-
 
 def train_labeller(
     clips: Sequence[LabelledClip],
@@ -99,32 +86,38 @@ def train_labeller(
     classes = tuple(sorted(names))
     seeds = np.random.SeedSequence(random_state).spawn(2)
     report = progress or (lambda done, total: None)
-    report(0, _STEPS)
+    n_steps = 4
+    report(0, n_steps)
     material = _make_material(clips, takes, np.random.default_rng(seeds[0]))
-    report(1, _STEPS)
+    report(1, n_steps)
     scale, codes, shown = _describe(material, classes, n_jobs)
-    report(2, _STEPS)
+    report(2, n_steps)
     generator = np.random.default_rng(seeds[1])
     sequence = fit_lengths(_measure(material, classes), SequenceWeights())
     del material  # frees some hundred kilobytes per take
     model, trials = _learn_model(scale, codes, shown, len(classes), generator)
-    report(3, _STEPS)
+    report(3, n_steps)
     sequence = replace(sequence, weights=choose_weights(sequence, trials))
     answers = [answer for trial in trials for answer in trial.answer(sequence)]
     calibration, threshold = calibrate(answers)
     placing = calibrate_places(answers)
-    held, states = _gather(shown, len(classes), generator)
+    held, states = _gather(shown, generator)
     usual = _find_usual(clips, takes, classes)
     return TakeLabeller(classes, model, sequence, calibration, threshold, held, states, usual, placing)
 
 
-_STEPS = 4
+def _find_usual(
+    clips: Sequence[LabelledClip],
+    takes: Sequence[AnnotatedTake],
+    classes: Sequence[str],
+    least: int = 3,
+    most: int = 12,
+    of_all: int = 400,
+) -> FloatArray:
+    """Return (C, 28) one repetition of each category in each tally, from some of its clips and segments.
 
-
-def _find_usual(clips: Sequence[LabelledClip], takes: Sequence[AnnotatedTake], classes: Sequence[str]) -> FloatArray:
-    """Return (C, 28) one repetition of each category in each tally, from some of its clips and segments."""
-    from dousa.retrieval.features.channels import sample_positions
-
+    These are ``least`` to ``most`` of a category, and ``of_all`` together.
+    """
     shown: dict[str, list[tuple[FloatArray, float, float]]] = {name: [] for name in classes}
     for clip in clips:
         shown[clip.category].append((clip.positions, clip.frame_rate, clip.height))
@@ -133,10 +126,10 @@ def _find_usual(clips: Sequence[LabelledClip], takes: Sequence[AnnotatedTake], c
             if one.category is not None:
                 start, stop = (round(seconds * take.frame_rate) for seconds in (one.start, one.stop))
                 shown[one.category].append((take.positions[start:stop], take.frame_rate, take.height))
-    most = int(np.clip(_ALL_COUNTED // max(len(shown), 1), _LEAST_COUNTED, _MOST_COUNTED))
+    count = int(np.clip(of_all // max(len(shown), 1), least, most))
     usual = []
     for some in shown.values():
-        few = some[:: max(-(-len(some) // most), 1)]
+        few = some[:: max(-(-len(some) // count), 1)]
         usual.append(find_usual([measure_tallies(sample_positions(part, rate), height) for part, rate, height in few]))
     return np.stack(usual)
 
@@ -151,14 +144,27 @@ class _Material:
 
 
 def _make_material(
-    clips: Sequence[LabelledClip], takes: Sequence[AnnotatedTake], generator: np.random.Generator
+    clips: Sequence[LabelledClip],
+    takes: Sequence[AnnotatedTake],
+    generator: np.random.Generator,
+    *,
+    most_moments: int = 9_000,
+    more_moments: int = 40,
+    rounds: tuple[int, int] = (3, 5),
 ) -> list[_Material]:
-    """Make the training takes of several rounds; of many clips, each round has a part."""
+    """Make the training takes of several rounds; of many clips, each round has a part.
+
+    Parameters
+    ----------
+    clips, takes, generator : what is learned from.
+    most_moments, more_moments : training moments, and more for each category.
+    rounds : least and most: the first is as recorded, the others are disturbed.
+    """
     real = [(_to_joined(take), take.performer or take.name) for take in takes]
-    most = _MOST_MOMENTS + _MORE_MOMENTS * len({clip.category for clip in clips})
+    most = most_moments + more_moments * len({clip.category for clip in clips})
     per_round = sum(len(take.positions) for take, _ in real) / HOP
     per_round += sum(len(clip.positions) / clip.frame_rate for clip in clips) * TAKE_RATE / HOP
-    n_rounds = int(np.clip(round(most / max(per_round, 1.0)), _LEAST_ROUNDS, _MOST_ROUNDS))
+    n_rounds = int(np.clip(round(most / max(per_round, 1.0)), *rounds))
     share = min(1.0, most / max(per_round * n_rounds, 1.0))
     material: list[_Material] = []
     order = _take_turns([clip.category for clip in clips], generator)
@@ -186,20 +192,23 @@ def _take_turns(categories: Sequence[str], generator: np.random.Generator) -> ND
     return order
 
 
-def _pair(group: Sequence[int], categories: Sequence[str], generator: np.random.Generator) -> list[int]:
-    """Order the clips of a take so that some follow one of their own category, to learn where one ends."""
+def _pair(
+    group: Sequence[int], categories: Sequence[str], generator: np.random.Generator, chance: float = 0.3
+) -> list[int]:
+    """Order the clips of a take so that some follow one of their own category, to learn where one ends.
+
+    ``chance`` is that of a clip of which there is one more.
+    """
     rest, order = list(group), list[int]()
     while rest:
         same = [k for k in rest if order and categories[k] == categories[order[-1]]]
-        chosen = same[0] if same and generator.random() < _PAIRED else rest[0]
+        chosen = same[0] if same and generator.random() < chance else rest[0]
         order.append(chosen)
         rest.remove(chosen)
     return order
 
 
 def _to_joined(take: AnnotatedTake) -> JoinedTake:
-    from dousa.retrieval.features.channels import sample_positions
-
     pieces = tuple(
         Piece(one.start * TAKE_RATE, one.stop * TAKE_RATE, one.category, one.counted) for one in take.stretches
     )
@@ -217,18 +226,23 @@ class _Shown:
 
 
 def _describe(
-    material: Sequence[_Material], classes: Sequence[str], n_jobs: int | None
+    material: Sequence[_Material],
+    classes: Sequence[str],
+    n_jobs: int | None,
+    scaled_takes: int = 12,
+    scaled_moments: int = 3,
 ) -> tuple[Scale, Codes, list[_Shown]]:
-    """Return the scale, the moments of all takes in a row, and those of each take as views."""
+    """Return the scale, the moments of all takes in a row, and those of each take as views.
 
-    from dousa.retrieval.features.channels import count_samples, sample_positions
+    Every so many moments (``scaled_moments``) of some ``scaled_takes`` set the scale.
+    """
 
     def values_of(one: _Material) -> NDArray[np.float32]:
         sampled = sample_positions(one.take.positions, one.take.frame_rate)
         return np.concatenate([values for _, values in describe_moments(sampled, one.take.height)])
 
-    every = max(len(material) // _SCALED_TAKES, 1)
-    scale = choose_scale(np.concatenate([values_of(one) for one in material[::every]])[::_SCALED_MOMENTS])
+    every = max(len(material) // scaled_takes, 1)
+    scale = choose_scale(np.concatenate([values_of(one) for one in material[::every]])[::scaled_moments])
     numbers = {name: number for number, name in enumerate(classes)}
 
     sizes = [count_moments(count_samples(len(one.take.positions), one.take.frame_rate)) for one in material]
@@ -242,9 +256,6 @@ def _describe(
         return _Shown(own, states, one.performer, _runs_of(one.take, len(own), numbers))
 
     return scale, codes, map_pieces(show, range(len(material)), n_jobs, at_a_time=1)
-
-
-_SCALED_TAKES, _SCALED_MOMENTS = 12, 3  # takes that set the scale, and the step between their moments
 
 
 def _states_of(take: JoinedTake, n_moments: int, numbers: dict[str, int]) -> IntArray:
@@ -263,11 +274,13 @@ def _states_of(take: JoinedTake, n_moments: int, numbers: dict[str, int]) -> Int
     return states
 
 
-def _gather(shown: Sequence[_Shown], n_categories: int, generator: np.random.Generator) -> tuple[Codes, Any]:
-    """Return (H, F) bytes and (H,) states of some moments, spread evenly over the states."""
+def _gather(
+    shown: Sequence[_Shown], generator: np.random.Generator, most: int = 600
+) -> tuple[Codes, NDArray[np.int32]]:
+    """Return (H, F) bytes and (H,) states of ``most`` moments, spread evenly over the states (docs/takes.md)."""
     places = [(k, m) for k, one in enumerate(shown) for m in np.flatnonzero(one.states >= 0)]
     order = _take_turns([str(shown[k].states[m]) for k, m in places], generator)
-    chosen = [places[k] for k in order[:_MOST_HELD]]
+    chosen = [places[k] for k in order[:most]]
     codes = np.stack([shown[k].codes[m] for k, m in chosen])
     return codes, np.array([shown[k].states[m] for k, m in chosen], np.int32)
 
@@ -281,10 +294,11 @@ def _measure(material: Sequence[_Material], classes: Sequence[str]) -> list[list
     return [lengths[name] for name in (*classes, None)]
 
 
-def _divide(shown: Sequence[_Shown], generator: np.random.Generator) -> list[set[str]]:
+def _divide(shown: Sequence[_Shown], generator: np.random.Generator, n_folds: int = 3) -> list[set[str]]:
+    """Return the people left out of each fold (docs/takes.md)."""
     names = sorted({one.performer for one in shown})
     mixed = generator.permutation(np.array(names))
-    folds = [set(mixed[k::_FOLDS].tolist()) for k in range(_FOLDS)]
+    folds = [set(mixed[k::n_folds].tolist()) for k in range(n_folds)]
     return [fold for fold in folds if fold and len(fold) < len(names)]
 
 
@@ -296,12 +310,21 @@ class _Fold:
 
 
 def _learn_model(
-    scale: Scale, codes: Codes, shown: Sequence[_Shown], n_categories: int, generator: np.random.Generator
+    scale: Scale,
+    codes: Codes,
+    shown: Sequence[_Shown],
+    n_categories: int,
+    generator: np.random.Generator,
+    set_aside: float = 0.25,
+    least_states: int = 3,
 ) -> tuple[MomentModel, list[Trial]]:
-    """Return the discriminants of all moments, and trials of models without some people on the takes of these."""
+    """Return the discriminants of all moments, and trials of models without some people on the takes of these.
+
+    A share ``set_aside`` of the categories is unknown to a fold (docs/takes.md), which has ``least_states`` states.
+    """
     n_states = N_PHASES * n_categories + 1
     people = _divide(shown, generator)
-    mixed, count = generator.permutation(n_categories), round(_SET_ASIDE * n_categories)
+    mixed, count = generator.permutation(n_categories), round(set_aside * n_categories)
     asides = [mixed[k * count : (k + 1) * count] for k in range(len(people))]
     states = np.concatenate([one.states for one in shown])
     weigh = _weigh(states[states >= 0], n_states)
@@ -323,23 +346,31 @@ def _learn_model(
     folds = [
         _Fold([one for one in shown if one.performer in people[k]], asides[k], own)
         for k, own in enumerate(sums)
-        if (own.shown[-1, ::N_PHASES] > 0).sum() >= _LEAST_STATES
+        if (own.shown[-1, ::N_PHASES] > 0).sum() >= least_states
     ]
-    ridge, sharpness, said = _choose_penalty(scale, folds, n_categories, weigh)
+    ridge, sharpness, fold_scores = _choose_penalty(scale, folds, weigh)
     trials = [
         one
-        for fold, scores in zip(folds, said, strict=True)
+        for fold, scores in zip(folds, fold_scores, strict=True)
         for one in _try_fold(fold, scores, sharpness, n_categories)
     ]
     return MomentModel(scale, total.solve(ridge), sharpness), trials
 
 
 def _choose_penalty(
-    scale: Scale, folds: Sequence[_Fold], n_categories: int, weigh: FloatArray
+    scale: Scale,
+    folds: Sequence[_Fold],
+    weigh: FloatArray,
+    ridges: tuple[float, ...] = (0.1, 0.4, 1.6, 6.4),
+    sharpnesses: tuple[float, ...] = (3.0, 4.5, 6.5, 9.0, 13.0, 19.0, 28.0),
+    defaults: tuple[float, float] = (0.4, 6.5),
 ) -> tuple[float, float, list[NDArray[np.float32]]]:
-    """Return the penalty and sharpness best for people left out, and the discriminants of their moments."""
+    """Return the penalty and sharpness best for people left out, and the discriminants of their moments.
+
+    The search for the penalty among ``ridges`` begins at the first of the ``defaults``, which are used without folds.
+    """
     if not folds:
-        return _DEFAULT_RIDGE, _DEFAULT_SHARPNESS, []
+        return *defaults, []
     states = [np.concatenate([one.states for one in fold.takes]) for fold in folds]
     rows = [
         np.flatnonzero((some >= 0) & ~np.isin(some // N_PHASES, fold.aside))
@@ -350,31 +381,31 @@ def _choose_penalty(
         discriminants = folds[k].sums.solve(ridge)
         return np.concatenate([scale.standardise(one.codes) @ discriminants for one in folds[k].takes])
 
-    def rate(said: Sequence[NDArray[np.float32]], sharpness: float) -> float:
+    def rate(found: Sequence[NDArray[np.float32]], sharpness: float) -> float:
         return sum(
             _rate(scores[some], of[some], sharpness, weigh)
-            for scores, of, some in zip(said, states, rows, strict=False)
+            for scores, of, some in zip(found, states, rows, strict=False)
         )
 
     # The first fold chooses the penalty, all choose the sharpness.
     values: dict[float, float] = {}
     first: dict[float, NDArray[np.float32]] = {}
-    place = _RIDGES.index(_DEFAULT_RIDGE)
+    place = ridges.index(defaults[0])
     step = -1
     while True:
         for at in (place, place + step):
-            if 0 <= at < len(_RIDGES) and _RIDGES[at] not in values:
-                first[_RIDGES[at]] = score(_RIDGES[at], 0)
-                values[_RIDGES[at]] = max(rate([first[_RIDGES[at]]], one) for one in _SHARPNESSES)
+            if 0 <= at < len(ridges) and ridges[at] not in values:
+                first[ridges[at]] = score(ridges[at], 0)
+                values[ridges[at]] = max(rate([first[ridges[at]]], one) for one in sharpnesses)
         best = max(values, key=lambda one: values[one])
-        if best == _RIDGES[place]:
+        if best == ridges[place]:
             if step > 0 or len(values) > 2:
                 break
             step = 1
         else:
-            place = _RIDGES.index(best)
-    said = [first[best], *(score(best, k) for k in range(1, len(folds)))]
-    return best, max(_SHARPNESSES, key=lambda one: rate(said, one)), said
+            place = ridges.index(best)
+    found = [first[best], *(score(best, k) for k in range(1, len(folds)))]
+    return best, max(sharpnesses, key=lambda one: rate(found, one)), found
 
 
 def _rate(scores: NDArray[np.float32], states: IntArray, sharpness: float, weigh: FloatArray) -> float:
@@ -421,14 +452,6 @@ def _forgive(states: IntArray, nothing: int) -> IntArray:
     return forgiven
 
 
-_TEACHING_RIDGE = (
-    0.2  # how far an example yields to other examples and held moments, relative to its likeness to itself, 1
-)
-_MOST_TAUGHT = 1500  # moments of all examples together
-_TAUGHT_COPIES = 5  # disturbed copies of an example
-_LEAST_TAUGHT = 3  # least moments of an example
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Example:
     """A ``motion``, part of a recording, that shows one ``category``."""
@@ -437,15 +460,34 @@ class Example:
     category: str
 
 
-def teach_labeller(labeller: TakeLabeller, examples: Sequence[Example]) -> TakeLabeller:
+def teach_labeller(
+    labeller: TakeLabeller,
+    examples: Sequence[Example],
+    *,
+    ridge: float = 0.2,
+    most_moments: int = 1500,
+    least_moments: int = 3,
+    n_copies: int = 5,
+) -> TakeLabeller:
     """Add examples of known or new categories to a labeller that was not taught before; new categories come last.
 
-    Examples under half a second are ignored, and the calibration stays. InvalidMotionError : another shape than
-    (n, 20, 3), positions that are not finite, no body height.
+    The calibration stays.
+
+    Parameters
+    ----------
+    labeller, examples : what is taught what.
+    ridge : how far an example yields to other examples and held moments, relative to its likeness to itself, 1.
+    most_moments : of all examples together.
+    least_moments : of an example; shorter ones, under half a second, are ignored.
+    n_copies : disturbed copies of an example.
+
+    Raises
+    ------
+    InvalidMotionError : another shape than (n, 20, 3), positions that are not finite, no body height.
     """
-    most = max(_MOST_TAUGHT // max(len(examples) * (_TAUGHT_COPIES + 1), 1), _LEAST_TAUGHT)
-    shown = [(codes, one.category) for one in examples for codes in _describe_example(labeller, one.motion)]
-    shown = [(codes, name) for codes, name in shown if len(codes) >= _LEAST_TAUGHT]
+    most = max(most_moments // max(len(examples) * (n_copies + 1), 1), least_moments)
+    shown = [(codes, one.category) for one in examples for codes in _describe_example(labeller, one.motion, n_copies)]
+    shown = [(codes, name) for codes, name in shown if len(codes) >= least_moments]
     if not shown:
         return labeller
     new = sorted({name for _, name in shown} - set(labeller.classes))
@@ -461,9 +503,9 @@ def teach_labeller(labeller: TakeLabeller, examples: Sequence[Example]) -> TakeL
     seen = np.concatenate([scale.standardise(held), own])
     missing = np.zeros((len(seen), model.weights.shape[1]), np.float32)
     missing[len(held) :] = _find_missing(own @ model.weights, states)
-    alike = seen @ seen.T / seen.shape[1]
-    alike[np.diag_indices(len(seen))] += np.float32(_TEACHING_RIDGE)
-    added = seen.T @ np.linalg.solve(alike, missing) * np.float32(1.0 / seen.shape[1])
+    likeness = seen @ seen.T / seen.shape[1]
+    likeness[np.diag_indices(len(seen))] += np.float32(ridge)
+    added = seen.T @ np.linalg.solve(likeness, missing) * np.float32(1.0 / seen.shape[1])
     lengths = [[float(len(codes) * HOP) for codes, name in shown if name == one] for one in new]
     sequence = labeller.sequence.with_lengths(lengths) if new else labeller.sequence
     model = replace(model, weights=model.weights + added)
@@ -475,13 +517,11 @@ def _widen(model: MomentModel, count: int) -> MomentModel:
     return replace(model, weights=np.insert(weights, [weights.shape[1] - 1] * count, 0.0, axis=1))
 
 
-def _describe_example(labeller: TakeLabeller, motion: PosedMotion) -> list[Codes]:
+def _describe_example(labeller: TakeLabeller, motion: PosedMotion, n_copies: int) -> list[Codes]:
     """Return (M, F) bytes of the moments of a part, and of disturbed copies for other performers."""
-    from dousa.retrieval.features.channels import sample_positions
-
     generator = np.random.default_rng(0)
     part = JoinedTake(sample_positions(check_motion(motion), motion.frame_rate), motion.height, ())
-    copies = [part, *(disturb(part, generator) for _ in range(_TAUGHT_COPIES if len(part.positions) > HOP else 0))]
+    copies = [part, *(disturb(part, generator) for _ in range(n_copies if len(part.positions) > HOP else 0))]
     described = []
     for copy in copies:
         sampled = sample_positions(copy.positions, copy.frame_rate)

@@ -15,11 +15,9 @@ from dousa.retrieval.takes.sequence import Run, SequenceModel, SequenceWeights
 UNCOUNTED, STRANGE = -1, -2
 """States of moments: not annotated; of categories unknown to a fold."""
 
-_STRANGERS = 0.2  # weight of unknown categories, as one action in twenty is unknown in use
-_ENOUGH = 8  # least number of answers for a calibration, right and wrong ones each
-_PENALTY = 0.3  # on the squares of the weights of evidence, against overfitting a few answers
-_DEFAULT_CALIBRATION = (3.0, 2.0, 2.0, 0.0, 0.0, 0.0, 0.0)
-_DEFAULT_THRESHOLD = 0.5
+# Weight of unknown categories, as one action in twenty is unknown in use (lab/notes/takes.md).
+_STRANGERS = 0.2
+_DEFAULT_CALIBRATION, _DEFAULT_THRESHOLD = (3.0, 2.0, 2.0, 0.0, 0.0, 0.0, 0.0), 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,31 +63,22 @@ class Answer:
     placed: bool
 
 
-_EVIDENCE = (0.2, 0.4, 0.8, 1.6)
-_NOTHING = (1.0, 0.0, -1.0, -2.0)  # false actions are rejected later, when segments are judged as clips
-_EDGES = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)
-_OF_NOTHING = 0.5  # weight relative to a category, as unnamed moments may be actions
-_EVENTS_OF_NOTHING = 0.3
-_SEARCHED = (
-    ("edges", _EDGES, 1.0),
-    ("nothing", _NOTHING, _EVENTS_OF_NOTHING),  # finding an action matters more than its edges
-    ("evidence", _EVIDENCE, 1.0),
-    ("edges", _EDGES, 1.0),
-    ("nothing", _NOTHING, _EVENTS_OF_NOTHING),
-)
-_MOST_WORK = 300_000  # moments times states used to try weights
+def choose_weights(sequence: SequenceModel, trials: Sequence[Trial], most_work: int = 300_000) -> SequenceWeights:
+    """Choose the weights that label takes of people left out best, one at a time.
 
-
-def choose_weights(sequence: SequenceModel, trials: Sequence[Trial]) -> SequenceWeights:
-    """Choose the weights that label takes of people left out best, one at a time."""
+    ``most_work`` bounds the moments, times states, by which they are tried.
+    """
     best = sequence.weights
     if not trials:
         return best
-    most = _MOST_WORK / trials[0].shares.shape[1]
+    most = most_work / trials[0].shares.shape[1]
     sizes = np.cumsum([len(one.shares) for one in trials])
     step = max(round(float(sizes[-1]) / most), 1)
     some = list(trials)[::step]
-    for name, values, events in _SEARCHED:
+    # Weights, values tried, and the weight of the F of segments (lab/notes/takes.md): to find an action matters more
+    # than its edges; false actions are rejected later, when segments are judged as clips.
+    edges, nothing = ("edges", (0.0, 0.25, 0.5, 1.0, 1.5, 2.0), 1.0), ("nothing", (1.0, 0.0, -1.0, -2.0), 0.3)
+    for name, values, events in (edges, nothing, ("evidence", (0.2, 0.4, 0.8, 1.6), 1.0), edges, nothing):
         best = max(
             (replace(best, **{name: one}) for one in dict.fromkeys((getattr(best, name), *values))),
             key=lambda weights: _rate(replace(sequence, weights=weights), some, events),
@@ -97,8 +86,11 @@ def choose_weights(sequence: SequenceModel, trials: Sequence[Trial]) -> Sequence
     return best
 
 
-def _rate(sequence: SequenceModel, trials: Sequence[Trial], events: float) -> float:
-    """Return the mean share of right moments over categories and nothing, plus ``events`` times the F of segments."""
+def _rate(sequence: SequenceModel, trials: Sequence[Trial], events: float, of_nothing: float = 0.5) -> float:
+    """Return the mean share of right moments over categories and nothing, plus ``events`` times the F of segments.
+
+    Nothing weighs ``of_nothing`` of a category, as unnamed moments may be actions.
+    """
     n_states = len(sequence.log_lengths)
     right, total = np.zeros(n_states), np.zeros(n_states)
     matched = said = true = 0
@@ -111,7 +103,7 @@ def _rate(sequence: SequenceModel, trials: Sequence[Trial], events: float) -> fl
         actions = [run for run in runs if run.state < n_states - 1]
         said, true = said + len(actions), true + len(trial.pieces)
         matched += sum(any(_is_same(run, piece) for run in actions) for piece in trial.pieces)
-    counts = np.where(total > 0, np.append(np.ones(n_states - 1), _OF_NOTHING), 0.0)
+    counts = np.where(total > 0, np.append(np.ones(n_states - 1), of_nothing), 0.0)
     return float(counts @ (right / np.maximum(total, 1.0)) / max(counts.sum(), 1e-9)) + events * 2.0 * matched / max(
         said + true, 1
     )
@@ -126,10 +118,11 @@ def _is_there(one: Run, other: Run) -> bool:
     return 2 * shared >= max(one.stop, other.stop) - min(one.start, other.start)
 
 
-def calibrate(answers: Sequence[Answer]) -> tuple[tuple[float, ...], float]:
+def calibrate(answers: Sequence[Answer], enough: int = 8) -> tuple[tuple[float, ...], float]:
     """Return weights of the log odds that an answer is right, and the confidence from which answering pays.
 
-    It pays if frames are right more often than of unknown categories, which are weighted down, as folds have too many.
+    Fewer than ``enough`` right or wrong answers give defaults. It pays if frames are right more often than of unknown
+    categories, which are weighted down, as folds have too many.
     """
     if not answers:
         return _DEFAULT_CALIBRATION, _DEFAULT_THRESHOLD
@@ -138,7 +131,7 @@ def calibrate(answers: Sequence[Answer]) -> tuple[tuple[float, ...], float]:
         np.array([getattr(one, name) for one in answers], np.float64)
         for name in ("length", "right", "strange", "found")
     )
-    if min(found.sum(), (1.0 - found).sum()) < _ENOUGH:
+    if min(found.sum(), (1.0 - found).sum()) < enough:
         return _DEFAULT_CALIBRATION, _DEFAULT_THRESHOLD
     often = np.where(strange > 0.5, _STRANGERS, 1.0)
     offset, *weights = fit_logistic(evidence, found, often)
@@ -153,13 +146,13 @@ def calibrate(answers: Sequence[Answer]) -> tuple[tuple[float, ...], float]:
     return (offset, *weights), float(0.5 * (sure[order[best]] + following))
 
 
-def calibrate_places(answers: Sequence[Answer]) -> tuple[float, ...]:
+def calibrate_places(answers: Sequence[Answer], enough: int = 8) -> tuple[float, ...]:
     """Return weights of the log odds that an answer lies where any action is.
 
     Libraries differ most in false actions: rare in joined clips, frequent where people walk between annotated actions.
     """
     placed = np.array([one.placed for one in answers], bool)
-    if len(placed) < _ENOUGH:
+    if len(placed) < enough:
         return _DEFAULT_CALIBRATION
     often = np.array([_STRANGERS if one.strange > 0.5 else 1.0 for one in answers])
     # Platt's targets avoid certainty if all answers are in place.
@@ -168,14 +161,15 @@ def calibrate_places(answers: Sequence[Answer]) -> tuple[float, ...]:
     return fit_logistic(np.stack([one.evidence for one in answers]), truth, often)
 
 
-def fit_logistic(columns: FloatArray, truth: FloatArray, often: FloatArray | None = None) -> tuple[float, ...]:
-    """Fit offset and weights of the log odds by Newton's method, with a small penalty on the weights.
+def fit_logistic(
+    columns: FloatArray, truth: FloatArray, counts: FloatArray, penalty_on_weights: float = 0.3
+) -> tuple[float, ...]:
+    """Fit offset and weights of the log odds by Newton's method, with a penalty on the squares of the weights.
 
-    ``columns`` (N, K) are evidence, ``truth`` (N,) is 0 to 1, ``often`` (N,) the weight of each row; None for 1.
+    ``columns`` (N, K) are evidence, ``truth`` (N,) is 0 to 1, ``counts`` (N,) the weight of each row.
     """
-    counts = np.ones(len(columns)) if often is None else often
     design = np.column_stack([np.ones(len(columns)), columns])
-    penalty = np.diag([1e-6] + [_PENALTY] * columns.shape[1])
+    penalty = np.diag([1e-6] + [penalty_on_weights] * columns.shape[1])
     weights = np.zeros(design.shape[1])
     for _ in range(50):
         guess = 1.0 / (1.0 + np.exp(-np.clip(design @ weights, -30, 30)))

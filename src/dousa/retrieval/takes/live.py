@@ -19,8 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, OptionError
+from dousa.motion.canonical.geometry import chain_height
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX
-from dousa.retrieval.forest.stretches import CutStretch, StretchJudge
+from dousa.retrieval.features.posed_motion import PlainMotion
+from dousa.retrieval.forest.stretches import StretchJudge
 from dousa.retrieval.takes.label import (
     SHORT_GAP,
     Segment,
@@ -36,11 +38,9 @@ from dousa.retrieval.takes.repetitions import Chosen
 from dousa.retrieval.takes.sequence import N_PHASES, Run
 from dousa.retrieval.takes.windows import TAKE_RATE
 
-_BEFORE = REACH + 40  # frames needed before a moment, as channels are smoothed over time
-_AHEAD = 60  # frames after which the judgement of a moment hardly changes
-_LONGEST = 300  # open moments at most: a minute
-_MEASURED = 30  # frames used to estimate the body height
-_LONGEST_GAP = 2.0  # s, bridged linearly
+# Frames needed before a moment, as channels are smoothed over time; after which its judgement hardly changes; and from
+# which the body height is estimated, the first second (docs/takes.md).
+_BEFORE, _AHEAD, _MEASURED = REACH + 40, 60, 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +135,6 @@ class LiveLabeller:
 
     def _know_height(self, *, at_once: bool = False) -> bool:
         if self.height is None and (at_once or self._sampler.count >= _MEASURED):
-            from dousa.motion.canonical.geometry import chain_height
-
             height = float(chain_height(self._sampler.last(_MEASURED)))
             if not height > 0:
                 raise InvalidMotionError("live.no_height")
@@ -145,8 +143,8 @@ class LiveLabeller:
 
     def _describe(self, n_moments: int) -> None:
         """Judge the new moments, and earlier ones whose surroundings have changed."""
-        first = max(n_moments - _AHEAD // HOP - _judged_at_once(n_moments - self._settled - len(self._scores)), 0)
-        first = max(first, self._settled)
+        n_new = max(n_moments - self._settled - len(self._scores), 0)
+        first = max(n_moments - _AHEAD // HOP - n_new, self._settled)
         begin = max(first * HOP - _BEFORE, self._sampler.oldest)
         begin = -(-begin // HOP) * HOP
         sampled = self._sampler.last(self._sampler.count - begin)
@@ -154,11 +152,14 @@ class LiveLabeller:
         judged = self._labeller.model.judge(values[first - begin // HOP : n_moments - begin // HOP])
         self._scores = np.concatenate([self._scores[: first - self._settled], judged])
 
-    def _settle(self, *, rest: bool = False) -> tuple[Segment, ...]:
-        """Return the segments that are settled now, in order; with ``rest``, all."""
+    def _settle(self, *, rest: bool = False, longest: int = 300) -> tuple[Segment, ...]:
+        """Return the segments that are settled now, in order; with ``rest``, all.
+
+        More than ``longest`` open moments, a minute, settle the first segment.
+        """
         runs = self._runs()
         done = runs if rest else [run for run in runs[:-1] if run.stop <= len(self._scores) - 2 * _AHEAD // HOP]
-        if not done and len(self._scores) > _LONGEST:
+        if not done and len(self._scores) > longest:
             done = runs[:1]
         settled = tuple(self._segment(run, last=rest and run is done[-1]) for run in done)
         if done:
@@ -195,7 +196,7 @@ class LiveLabeller:
         start, stop = ((self._settled + edge) * HOP for edge in (run.start, run.stop))
         first, last = max(start - begin, 0), min(stop, self._sampler.count) - begin
         kept = Chosen(first, last, run.state, evidence, shares=average_shares(self._share(), run)[:-1])
-        motion = CutStretch(self._sampler.last(self._sampler.count - begin), TAKE_RATE, float(self.height or 1.0))
+        motion = PlainMotion(self._sampler.last(self._sampler.count - begin), TAKE_RATE, float(self.height or 1.0))
         # Without kept frames the labeller alone decides.
         return weigh_chosen(self._labeller, [kept], motion, self._judge if kept.stop > HOP else None)[0]
 
@@ -204,13 +205,8 @@ class LiveLabeller:
         runs = self._runs()
         if runs and runs[-1].state < len(self._labeller.classes):
             segment = self._segment(runs[-1])
-            told = segment.category, segment.confidence, segment.start
-            return LiveAnswer(time, *told, settled, segment.guess)
+            return LiveAnswer(time, segment.category, segment.confidence, segment.start, settled, segment.guess)
         return LiveAnswer(time, None, 1.0, time, settled)
-
-
-def _judged_at_once(n_new: int) -> int:
-    return max(n_new, 0)
 
 
 class _Sampler:
@@ -241,11 +237,12 @@ class _Sampler:
         """Return the last ``count`` samples, or as many as are kept."""
         return self._room[max(self._filled - count, 0) : self._filled]
 
-    def push(self, points: FloatArray, time: float) -> None:
+    def push(self, points: FloatArray, time: float, longest_gap: float = 2.0) -> None:
+        """Add a frame; gaps of up to ``longest_gap`` s are bridged linearly."""
         if self._begin is None:
             self._begin = self._time = time
-        elif not 0 < time - self._time <= _LONGEST_GAP:
-            raise InvalidMotionError("live.order", gap=_LONGEST_GAP, time=time, before=self._time)
+        elif not 0 < time - self._time <= longest_gap:
+            raise InvalidMotionError("live.order", gap=longest_gap, time=time, before=self._time)
         self._time = time
         # Times at 30 Hz with few digits must not fall into the thirtieth before.
         number = int((time - self._begin) * TAKE_RATE + 0.1)

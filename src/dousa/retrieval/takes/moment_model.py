@@ -19,6 +19,7 @@ from dousa.arrays import FloatArray, IntArray
 from dousa.messages import Message
 from dousa.motion.runs import find_equal_runs
 from dousa.retrieval.features.channels import (
+    AT_REST,
     CHANNEL_RATE,
     CHANNELS,
     MIRRORED_CHANNELS,
@@ -26,25 +27,20 @@ from dousa.retrieval.features.channels import (
     smooth_positions,
 )
 from dousa.retrieval.forest.forest_file import check
+from dousa.retrieval.takes.moment_kernels import describe, integrate, place, place_mirrored
 
 HOP = 6
-"""Frames at 30 Hz from one moment to the next."""
+"""Frames at 30 Hz from one moment to the next: a fifth of a second (docs/takes.md)."""
 
 REACH = 120
 """Frames on either side of a moment that it can depend on."""
 
-_SMOOTHING = 2.0  # frames, standard deviation
-_SECONDS = np.array([-2.0, -1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0, 2.0])
-_PER_SECOND = 3.5  # movement per second of an ordinary action: body heights, summed over head, elbows, hands and feet
-_AT_REST = 0.5  # body heights per second, as in the motion time of clips
+_SECONDS = np.array([-2.0, -1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0, 2.0])  # edges of cells (docs/takes.md)
 _FIRST_MOVING = [channel.name for channel in CHANNELS].index("body moving to the left")
-_N_SPEEDS = 7
-_PADDING = 60  # frames of standing still added before and after a recording
-_MARGIN = REACH + 40  # frames on either side of a chunk, as channels are smoothed, headings over 8 frames
 _CHUNK = 4092  # frames, a multiple of the hop
 
 N_VALUES = 3 * (len(_SECONDS) - 1) * len(CHANNELS)
-"""F, values of a moment."""
+"""F, values of a moment (docs/takes.md)."""
 
 
 def count_moments(n_frames: int) -> int:
@@ -66,20 +62,37 @@ def chunk_starts(n_frames: int) -> range:
     return range(0, n_frames, _CHUNK)
 
 
-def describe_chunk(positions: FloatArray, height: float, first: int) -> tuple[slice, NDArray[np.float32]]:
-    """Return the slice and the values (M, F) of the moments of the chunk that begins at frame ``first``."""
-    from dousa.retrieval.takes.moment_kernels import describe, integrate
+def describe_chunk(
+    positions: FloatArray,
+    height: float,
+    first: int,
+    *,
+    smoothing: float = 2.0,
+    per_second: float = 3.5,
+    padding: int = 60,
+    margin: int = REACH + 40,
+) -> tuple[slice, NDArray[np.float32]]:
+    """Return the slice and the values (M, F) of the moments of the chunk that begins at frame ``first``.
 
+    Parameters
+    ----------
+    positions, height : as for ``describe_moments``.
+    first : frame.
+    smoothing : frames, standard deviation.
+    per_second : movement of an ordinary action: body heights, summed over head, elbows, hands and feet.
+    padding : frames of standing still added before and after.
+    margin : frames used on either side of the chunk, as channels are smoothed, headings over 8 frames.
+    """
     n = len(positions)
     last = min(first + _CHUNK, n)
-    low, high = max(first - _MARGIN, 0), min(last + _MARGIN, n)
-    rows = compute_channels(smooth_positions(positions[low:high], _SMOOTHING), height)
-    size = len(rows) + 2 * _PADDING + 1
+    low, high = max(first - margin, 0), min(last + margin, n)
+    rows = compute_channels(smooth_positions(positions[low:high], smoothing), height)
+    size = len(rows) + 2 * padding + 1
     sums, times = np.zeros((size, 2 * rows.shape[1])), np.zeros(size)
-    integrate(rows, _PADDING, _FIRST_MOVING, _N_SPEEDS, _AT_REST, sums, times)
-    moments = np.minimum(np.arange(first, last, HOP) + 0.5 * HOP, n - 0.5) - low + _PADDING
+    integrate(rows, padding, _FIRST_MOVING, 7, AT_REST, sums, times)  # seven speeds make motion time
+    moments = np.minimum(np.arange(first, last, HOP) + 0.5 * HOP, n - 0.5) - low + padding
     values = np.empty((len(moments), N_VALUES), np.float32)
-    seconds, efforts = _SECONDS * CHANNEL_RATE, _SECONDS * _PER_SECOND * CHANNEL_RATE
+    seconds, efforts = _SECONDS * CHANNEL_RATE, _SECONDS * per_second * CHANNEL_RATE
     describe(sums, times, moments, seconds, efforts, float(REACH), values)
     return slice(first // HOP, first // HOP + len(moments)), values
 
@@ -91,8 +104,8 @@ def mirror_moments(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def _list_mirrored() -> tuple[NDArray[np.intp], NDArray[np.float32]]:
     order, signs = MIRRORED_CHANNELS
-    alike, cells = np.ones(len(signs)), len(_SECONDS) - 1
-    all_signs = np.concatenate([*([signs, alike] * cells), *([alike] * cells)])
+    same, cells = np.ones(len(signs)), len(_SECONDS) - 1
+    all_signs = np.concatenate([*([signs, same] * cells), *([same] * cells)])
     places = np.concatenate([order + len(order) * k for k in range(3 * cells)])
     return places, all_signs.astype(np.float32)
 
@@ -104,8 +117,7 @@ MIRRORED_VALUES: tuple[NDArray[np.intp], NDArray[np.float32]] = _list_mirrored()
 Codes = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 
-_BLOCK = 2048  # moments standardised at a time
-_STEPS = 255.0
+_STEPS = 255.0  # by definition the largest byte
 _PIECE, _STRIP = 128, 512  # columns of a factor, and rows computed from them, at a time
 
 
@@ -138,16 +150,12 @@ class Scale:
 
     def place(self, values: Floats) -> Floats:
         """Return (M, F) steps from 0 to 255, not rounded."""
-        from dousa.retrieval.takes.moment_kernels import place
-
         placed = np.empty(values.shape, np.float32)
         place(values, self.lows, self.scales, np.float32(_STEPS), placed)
         return placed
 
     def place_mirrored(self, values: Floats, order: IntArray, signs: Floats) -> Floats:
         """Return the same of mirror images: value ``order`` (F,) times ``signs`` (F,) gives that of the image."""
-        from dousa.retrieval.takes.moment_kernels import place_mirrored
-
         placed = np.empty(values.shape, np.float32)
         place_mirrored(values, order, signs, self.lows, self.scales, np.float32(_STEPS), placed)
         return placed
@@ -187,9 +195,9 @@ class MomentModel:
         """Return the (M, S) discriminants of the states at moments, from their values (M, F)."""
         return self._weigh(self.scale.place(values))
 
-    def judge_mirrored(self, values: Floats, order: IntArray, signs: Floats) -> Floats:
-        """Return the same of the mirror images; ``order`` and ``signs`` as for `Scale.place_mirrored`."""
-        return self._weigh(self.scale.place_mirrored(values, order, signs))
+    def judge_mirrored(self, values: Floats) -> Floats:
+        """Return the same of the mirror images."""
+        return self._weigh(self.scale.place_mirrored(values, *MIRRORED_VALUES))
 
     def _weigh(self, placed: Floats) -> Floats:
         scores: Floats = placed @ self._folded
@@ -226,11 +234,10 @@ def read_moment_model(arrays: dict[str, NDArray[Any]], n_states: int, n_values: 
     return MomentModel(Scale(lows, scales, means, spreads), weights, float(sharpness))
 
 
-_MIRROR_IMAGE = 0.55  # least cosine of the mean of a category and the mirror image of another
-
-
-def are_mirrored(scale: Scale, values: Floats, images: Floats, categories: NDArray[np.integer[Any]]) -> bool:
-    """Return whether two categories are each most similar to the mirror image of the other, above a least cosine.
+def are_mirrored(
+    scale: Scale, values: Floats, images: Floats, categories: NDArray[np.integer[Any]], least: float = 0.55
+) -> bool:
+    """Return whether two categories are each most similar to the mirror image of the other, above a ``least`` cosine.
 
     ``values`` and ``images`` (N, F) are of moments and their mirror images, ``categories`` (N,) of the moments.
     """
@@ -248,7 +255,7 @@ def are_mirrored(scale: Scale, values: Floats, images: Floats, categories: NDArr
     nearest = (sizes[0] + sizes[1] - 2.0 * products).argmin(axis=1)
     places = np.arange(len(there))
     mutual = (nearest != places) & (nearest[nearest] == places)
-    return bool((cosines[places, nearest][mutual] > _MIRROR_IMAGE).any())
+    return bool((cosines[places, nearest][mutual] > least).any())
 
 
 def sharpen(scores: Floats, sharpness: float) -> Floats:
@@ -324,12 +331,17 @@ def _factorise(squares: Floats) -> tuple[Floats, list[tuple[Floats, slice]]]:
     return factor, inverses
 
 
-def sum_moments(scale: Scale, codes: Codes, rows: IntArray, states: IntArray, weights: FloatArray) -> MomentSums:
-    """Sum over ``rows`` of ``codes`` (N, F), with ``states`` (N,) in 0 ... S - 1 and ``weights`` (S,) of the states."""
+def sum_moments(
+    scale: Scale, codes: Codes, rows: IntArray, states: IntArray, weights: FloatArray, at_once: int = 2048
+) -> MomentSums:
+    """Sum over ``rows`` of ``codes`` (N, F), with ``states`` (N,) in 0 ... S - 1 and ``weights`` (S,) of the states.
+
+    ``at_once`` moments are standardised.
+    """
     sums = MomentSums.zero(codes.shape[1], len(weights))
     rows = rows[np.argsort(states[rows], kind="stable")]
-    for first in range(0, len(rows), _BLOCK):
-        some = rows[first : first + _BLOCK]
+    for first in range(0, len(rows), at_once):
+        some = rows[first : first + at_once]
         of = states[some]
         roots = np.sqrt(weights[of]).astype(np.float32)[:, None]
         scores = scale.standardise(codes[some])

@@ -9,14 +9,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dousa.arrays import FloatArray
-from dousa.retrieval.counting.counter import choose_count, find_usual, measure_parts, measure_tallies
+from dousa.retrieval.counting.counter import TALLIES, choose_count, find_usual, measure_parts, measure_tallies
+from dousa.retrieval.features.channels import sample_positions
 from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
 from dousa.retrieval.takes.made_takes import SERIES
 from dousa.workers.threads import map_pieces
-
-_AT_ONCE = 16  # actions that a thread counts at a time
-_LONGEST_REST = 90  # frames between neighbours of a series
-_LONGEST_SLIP = 45  # the same across a doubtful action
 
 
 def count_clip(motion: PosedMotion, alike: Sequence[PosedMotion] = ()) -> int:
@@ -37,8 +34,6 @@ def count_clip(motion: PosedMotion, alike: Sequence[PosedMotion] = ()) -> int:
 
 
 def _measure(motion: PosedMotion) -> FloatArray:
-    from dousa.retrieval.features.channels import sample_positions
-
     return measure_tallies(sample_positions(check_motion(motion), motion.frame_rate), motion.height)
 
 
@@ -73,8 +68,8 @@ class Chosen:
     possible: bool = False
 
 
-_LEAD, _LEAST = 1.5, 1.0  # log odds by which a mirrored action must lead; those that doubtful actions count as
-_LEAST_CHANCE = 1e-3
+# Log odds by which a mirrored action must lead, and that doubtful actions count as (lab/notes/takes.md).
+_LEAD, _LEAST = 1.5, 1.0
 
 
 def lay_mirrored(chosen: Sequence[Chosen], mirrored: Sequence[Chosen], shortest: int) -> list[Chosen]:
@@ -123,8 +118,8 @@ def _find_shared(one: Chosen, laid: Sequence[Chosen]) -> tuple[int, int]:
     )
 
 
-def _find_odds(one: Chosen) -> float:
-    chance = min(max(one.confidence, _LEAST_CHANCE), 1.0 - _LEAST_CHANCE)
+def _find_odds(one: Chosen, least: float = 1e-3) -> float:
+    chance = min(max(one.confidence, least), 1.0 - least)
     return float(np.log(chance / (1.0 - chance)))
 
 
@@ -134,6 +129,7 @@ def count_all(
     height: float,
     usual: FloatArray | None = None,
     n_jobs: int | None = None,
+    at_once: int = 16,
 ) -> list[Chosen]:
     """Count the repetitions of each action, with series of three or more joined into one.
 
@@ -144,30 +140,34 @@ def count_all(
     height : m.
     usual : as for `TakeLabeller`.
     n_jobs : threads; None for one.
+    at_once : actions that a thread counts at a time.
     """
     joined = [one for some in _find_series(chosen) for one in _join(some)]
+    usual = np.empty((0, len(TALLIES))) if usual is None else usual
 
     def count(some: Sequence[Chosen]) -> list[Chosen]:
         tallies = measure_parts(sampled, np.array([(one.start, one.stop) for one in some]), height)
-        return [replace(one, repetitions=_count(one, own, usual)) for one, own in zip(some, tallies, strict=True)]
+        return [
+            replace(one, repetitions=choose_count(own, usual[one.category] if one.category < len(usual) else None))
+            for one, own in zip(some, tallies, strict=True)
+        ]
 
-    pieces = [joined[first : first + _AT_ONCE] for first in range(0, len(joined), _AT_ONCE)]
+    pieces = [joined[first : first + at_once] for first in range(0, len(joined), at_once)]
     return [one for some in map_pieces(count, pieces, n_jobs, at_a_time=1) for one in some]
 
 
-def _count(one: Chosen, tallies: FloatArray, usual: FloatArray | None) -> int:
-    return choose_count(tallies, usual[one.category] if usual is not None and one.category < len(usual) else None)
+def _find_series(chosen: Sequence[Chosen], longest_rest: int = 90, longest_slip: int = 45) -> list[list[Chosen]]:
+    """Group neighbours of one category with short gaps, and the doubtful actions between them.
 
-
-def _find_series(chosen: Sequence[Chosen]) -> list[list[Chosen]]:
-    """Group neighbours of one category with short gaps, and the doubtful actions between them."""
+    Gaps of up to ``longest_rest`` frames lie between neighbours, of ``longest_slip`` across a doubtful action.
+    """
     series: list[list[Chosen]] = []
     first = 0
     while first < len(chosen):
         last = first
         for k in range(first + 1, len(chosen)):
             rest = chosen[k].start - chosen[last].stop
-            if rest > (_LONGEST_REST if k == last + 1 else _LONGEST_SLIP):
+            if rest > (longest_rest if k == last + 1 else longest_slip):
                 break
             if chosen[k].category == chosen[first].category:
                 last = k

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
+from dousa.retrieval.takes.moment_kernels import find_best_sequence
 from dousa.retrieval.takes.moment_model import HOP
 
 _SPREAD, _STRENGTH = 0.3, 4.0  # least spread of the log length; weight of the common spread, in segments
@@ -35,17 +36,14 @@ class SequenceWeights:
     edges: float = 0.5
 
 
-_REPEATED = 2.4  # times the usual length, above which an action is repeated
-_NEVER = 1e9
-
 FLOOR = 0.01
 """Added to probabilities, so that no moment excludes a category."""
 
 N_PHASES = 3
-"""Phases of an action: beginning, middle, end."""
+"""Phases of an action: beginning, middle, end (docs/takes.md)."""
 
 PHASE_FRAMES = 12
-"""Frames of the beginning, and of the end, of an action; at most half of it each."""
+"""Frames of the beginning, and of the end, of an action; at most half of it each (docs/takes.md)."""
 
 
 def join_phases(shares: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -91,20 +89,21 @@ class SequenceModel:
         evidence, opening, closing, lengths = (np.ascontiguousarray(table[:, :last]) for table in (*tables, lengths))
         return _search(evidence, opening, closing, lengths, tails[:last], again[:last])
 
-    def cut_repetitions(self, shares: NDArray[np.float32], run: Run) -> list[Run]:
+    def cut_repetitions(self, shares: NDArray[np.float32], run: Run, repeated: float = 2.4) -> list[Run]:
         """Cut a run of a category into parts of about its usual length, where it likeliest ends and begins.
 
-        ``shares`` are those of `find_runs`, of all moments. A run not much longer than usual is returned whole.
+        ``shares`` are those of `find_runs`, of all moments. A run of up to ``repeated`` times the usual length is
+        returned whole (docs/takes.md).
         """
         usual = float(np.exp(self.log_lengths[run.state])) / HOP
-        if run.stop - run.start <= _REPEATED * usual:
+        if run.stop - run.start <= repeated * usual:
             return [run]
-        most = max(int(_REPEATED * usual), 1)
+        most = max(int(repeated * usual), 1)
         tables = *self._weigh(shares[run.start : run.stop]), self._tabulate(most)[0][:most]
         evidence, opening, closing, lengths = (
             np.ascontiguousarray(table[:, run.state : run.state + 1]) for table in tables
         )
-        parts = _search(evidence, opening, closing, lengths, np.full(1, -_NEVER), np.zeros(1))
+        parts = _search(evidence, opening, closing, lengths, np.full(1, -1e9), np.zeros(1))  # never longer
         return [Run(run.start + one.start, run.start + one.stop, run.state) for one in parts]
 
     def _weigh(self, shares: NDArray[np.float32]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -146,8 +145,6 @@ def _search(
     tails: FloatArray,
     again: FloatArray,
 ) -> list[Run]:
-    from dousa.retrieval.takes.moment_kernels import find_best_sequence
-
     n, count = evidence.shape
     begins, before = np.empty((n + 1, count), np.int32), np.empty((n + 1, count), np.int32)
     state = find_best_sequence(evidence, opening, closing, lengths, tails, again, begins, before)

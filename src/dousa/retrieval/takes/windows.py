@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,35 +19,32 @@ from dousa.arrays import FloatArray, IndexArray, IntArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.messages import Message
 from dousa.motion.canonical.joints import JOINT_INDEX
-from dousa.retrieval.features.posed_motion import FRAME_JOINTS, check_shape, complete_positions
+from dousa.retrieval.features.channels import sample_positions
+from dousa.retrieval.features.feature_sets import FeatureSet, compute_track
+from dousa.retrieval.features.pose_features import turn_to_body
+from dousa.retrieval.features.posed_motion import (
+    FRAME_JOINTS,
+    PlainMotion,
+    PosedMotion,
+    check_shape,
+    complete_positions,
+)
+from dousa.retrieval.features.sensor_noise import reduce_noise
+from dousa.retrieval.forest.forest import MotionForest
 from dousa.retrieval.forest.forest_file import check, check_version, damaged, pack_arrays, unpack_arrays
 
-if TYPE_CHECKING:
-    from dousa.retrieval.features.feature_sets import FeatureSet
-    from dousa.retrieval.features.posed_motion import PosedMotion
-    from dousa.retrieval.forest.forest import MotionForest
-
 TAKE_RATE = 30.0
-"""Hz, of the frames of a described take."""
+"""Hz, of the frames of a described take (docs/takes.md)."""
 
 N_PARTS = 8
-"""Parts of a window whose mean poses are compared; divides all window lengths."""
+"""Parts of a window whose mean poses are compared; divides all window lengths (docs/takes.md)."""
 
 Progress = Callable[[int, int], None]
 
 _SHORTEST, _LONGEST = 16, 4096  # frames: windows of 0.5 s to more than two minutes
-_LADDER = tuple(sorted(f * 2**k for f in (2, 3) for k in range(3, 12) if _SHORTEST <= f * 2**k <= _LONGEST))
-
-CHUNK = 4096  # frames; windows that start in the same chunk are described together
-
-_MARGIN = 30  # frames on either side of a chunk, as channels are smoothed over time
 _SMALL_JOINTS = "head left_elbow left_hand right_elbow right_hand left_knee left_ankle right_knee right_ankle".split()
 _SMALL_INDEX = [JOINT_INDEX[joint] for joint in _SMALL_JOINTS]
-N_SMALL = 3 * len(_SMALL_JOINTS)
-_FARTHEST = 1000.0  # body heights
-
-
-_VERSION = 1
+N_SMALL = 3 * len(_SMALL_JOINTS)  # by definition of the small poses (docs/takes.md)
 _WHAT = Message("stored.windows")
 _NAMES = ("version", "lengths", "leaves", "poses", "duration")
 
@@ -110,7 +107,8 @@ def choose_grid(durations: ArrayLike, least: float = 0.45, most: float = 2.2) ->
     if not len(seconds) or not np.isfinite(seconds).all() or seconds.min() <= 0:
         raise OptionError("windows.durations")
     shortest, longest = np.percentile(seconds, [5, 95]) * TAKE_RATE * (least, most)
-    return WindowGrid(_LADDER).within(float(shortest), float(longest))
+    ladder = sorted(f * 2**k for f in (2, 3) for k in range(3, 12) if _SHORTEST <= f * 2**k <= _LONGEST)
+    return WindowGrid(tuple(ladder)).within(float(shortest), float(longest))
 
 
 def place_windows(grid: WindowGrid, n_frames: int) -> tuple[IntArray, IntArray]:
@@ -200,7 +198,7 @@ class TakeWindows:
         """Return the bytes of an .npz file (no pickle); the same windows give the same bytes."""
         return pack_arrays(
             {
-                "version": np.array(_VERSION, np.int64),
+                "version": np.array(1, np.int64),
                 "lengths": np.array(self.grid.lengths, np.int64),
                 "leaves": np.ascontiguousarray(self.leaves),
                 "poses": np.ascontiguousarray(self.poses),
@@ -212,7 +210,7 @@ class TakeWindows:
     def from_bytes(cls, data: bytes) -> TakeWindows:
         """Read the bytes of ``to_bytes``; DousaError for damaged, other or newer bytes."""
         arrays = unpack_arrays(data, _NAMES, _WHAT)
-        check_version(arrays, _WHAT, (_VERSION,))
+        check_version(arrays, _WHAT, (1,))
         leaves, poses, duration = arrays["leaves"], arrays["poses"], arrays["duration"]
         grid = read_grid(arrays["lengths"], _WHAT)
         right = poses.ndim == 2 and poses.shape[1] == N_SMALL and poses.dtype == np.float16
@@ -234,6 +232,7 @@ def describe_take(
     *,
     n_jobs: int | None = None,
     progress: Progress | None = None,
+    chunk: int = 4096,
 ) -> TakeWindows:
     """Cut a take into windows and find their leaves, some two minutes at a time.
 
@@ -244,6 +243,7 @@ def describe_take(
     grid : lengths of the windows.
     n_jobs : threads; None for one. The result does not depend on it.
     progress : called with the frames done and their number.
+    chunk : frames; windows that start in the same one are described together.
 
     Raises
     ------
@@ -252,9 +252,6 @@ def describe_take(
     """
     import joblib
 
-    from dousa.retrieval.features.channels import sample_positions
-    from dousa.retrieval.features.sensor_noise import reduce_noise
-
     points = check_shape(motion.positions, motion.height)
     quiet = reduce_noise(motion)
     sampled = sample_positions(quiet.positions, quiet.frame_rate)
@@ -262,7 +259,7 @@ def describe_take(
     starts, stops = place_windows(grid, len(sampled))
     dtype = np.uint16 if forest.trees_.n_leaves < 2**16 else np.int32
     leaves = np.empty((len(starts), len(forest.trees_.roots)), dtype)
-    portions = list(_portions(starts, len(sampled)))
+    portions = list(_portions(starts, len(sampled), chunk))
     # Threads do not pay for a single portion.
     parallel = joblib.Parallel(n_jobs=n_jobs if len(portions) > 1 else 1, prefer="threads", return_as="generator")
     answers = parallel(
@@ -276,7 +273,9 @@ def describe_take(
     return TakeWindows(grid, leaves, poses, len(points) / motion.frame_rate)
 
 
-def compute_small_poses(sampled: FloatArray, height: float, hidden: tuple[str, ...] = ()) -> NDArray[np.float16]:
+def compute_small_poses(
+    sampled: FloatArray, height: float, hidden: tuple[str, ...] = (), farthest: float = 1000.0
+) -> NDArray[np.float16]:
     """Compute the small pose of every frame: nine joints in the body-fixed system.
 
     Parameters
@@ -284,6 +283,7 @@ def compute_small_poses(sampled: FloatArray, height: float, hidden: tuple[str, .
     sampled : (n, 20, 3) m, canonical joints.
     height : m.
     hidden : ignored joints, as in ``FeatureSet``; theirs are 0, and the others count more.
+    farthest : body heights; positions beyond it, which half precision may not hold, are clipped.
 
     Returns
     -------
@@ -293,30 +293,18 @@ def compute_small_poses(sampled: FloatArray, height: float, hidden: tuple[str, .
     ------
     InvalidMotionError : needed joints are not finite.
     """
-    from dousa.retrieval.features.pose_features import turn_to_body
-
     points = complete_positions(sampled, height, hidden, {*_SMALL_JOINTS, *FRAME_JOINTS}.difference(hidden))
     body = turn_to_body((points - points[:, :1]) / height)
     if hidden:
         n_left = len(set(_SMALL_JOINTS).difference(hidden))
         body *= np.sqrt(len(_SMALL_JOINTS) / max(n_left, 1))  # keeps root mean squares over the visible joints
-    # Clip positions that half precision cannot hold.
-    return np.clip(body[:, _SMALL_INDEX].reshape(len(body), -1), -_FARTHEST, _FARTHEST).astype(np.float16)
+    return np.clip(body[:, _SMALL_INDEX].reshape(len(body), -1), -farthest, farthest).astype(np.float16)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sampled:
-    """Positions at ``TAKE_RATE`` and a body height, from which features are computed."""
-
-    positions: FloatArray
-    height: float
-    frame_rate: float = TAKE_RATE
-
-
-def _portions(starts: IntArray, n_frames: int) -> Iterator[IndexArray]:
+def _portions(starts: IntArray, n_frames: int, chunk: int) -> Iterator[IndexArray]:
     """Yield the rows of the windows that start within each chunk of a take."""
     order = np.argsort(starts, kind="stable")
-    edges = np.searchsorted(starts[order], np.arange(0, n_frames + CHUNK, CHUNK))
+    edges = np.searchsorted(starts[order], np.arange(0, n_frames + chunk, chunk))
     for first, last in pairwise(edges):
         if last > first:
             yield order[first:last]
@@ -328,11 +316,11 @@ def _apply_portion(
     take: tuple[FloatArray, float],
     starts: IntArray,
     stops: IntArray,
+    margin: int = 30,
 ) -> IntArray:
-    from dousa.retrieval.features.feature_sets import compute_track
-
+    """Return the leaves of windows; ``margin`` frames on either side are used, as channels are smoothed over time."""
     sampled, height = take
-    first = max(int(starts.min()) - _MARGIN, 0)
-    last = min(int(stops.max()) + _MARGIN, len(sampled))
-    track = compute_track(Sampled(sampled[first:last], height), feature_set)
+    first = max(int(starts.min()) - margin, 0)
+    last = min(int(stops.max()) + margin, len(sampled))
+    track = compute_track(PlainMotion(sampled[first:last], TAKE_RATE, height), feature_set)
     return forest.apply_windows(track, starts - first, stops - first)

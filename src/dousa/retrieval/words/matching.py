@@ -21,16 +21,11 @@ from dousa.retrieval.words.vocabulary import Vocabulary, Word, read_words, stem
 LEAST_SCORE, LEAST_OF_BEST = 0.5, 0.78
 """Least score of an answer: absolute, and as a share of the best score."""
 
-NAME = 0.95  # words of a name, relative to those of a category
-DOES, ALSO_DOES = 0.95, 0.7  # relations of motions whose category names no action, and of others
+# Words of a name, relative to those of a category; relations of motions whose category names no action, and of others.
+NAME, DOES, ALSO_DOES = 0.95, 0.95, 0.7
 _SPELLING, _MEANING = 0.9, 0.85  # a corrected word; a similar word in place of an unknown one
-OPPOSITE = 0.3  # factor for words with the opposite meaning
-_LITTLE = 0.3  # of the weight of a part that is implied: the hands of clapping
+OPPOSITE = 0.3  # factor for words with the opposite meaning (docs/words.md)
 _BOTH, _TACIT = "both", 0.1  # hands without a side are both, at a small weight
-_NAMED = 0.5  # a relation counts if the query names more than this share of its words
-_ENOUGH = 0.6  # and fully from this share
-_DONE = 0.9  # least factor if the query names the action
-_MOST_EDITS = {3: 1, 8: 2}  # least length of a word: allowed edits
 _OR = re.compile(r"\s+or\s+|または|もしくは|あるいは", re.IGNORECASE)
 _NOT = re.compile(r"\b(?:not?|never|without|except|\w+n't)\b|(?<=[かがさたなばまらわ])ない|ません|以外", re.IGNORECASE)
 _ALIKE, _LONG = 0.45, 4  # least cosine of similar words, and their least number of letters
@@ -204,19 +199,19 @@ def _without_extras(slots: list[Slot]) -> tuple[Slot, ...]:
     return tuple(seen.values())
 
 
-def _weigh_implied(vocabulary: Vocabulary, slots: tuple[Slot, ...]) -> tuple[Slot, ...]:
-    """Reduce the weight of parts that an action of the query implies."""
+def _weigh_implied(vocabulary: Vocabulary, slots: tuple[Slot, ...], share: float = 0.3) -> tuple[Slot, ...]:
+    """Reduce the weight of parts that an action of the query implies, the hands of clapping, to a ``share``."""
     meant = {name for slot in slots for name in slot.word.meanings}
     implied = {part for part, action in vocabulary.implied if action in meant}
     return tuple(
-        replace(slot, weight=_LITTLE * slot.weight) if implied.intersection(slot.word.meanings) else slot
+        replace(slot, weight=share * slot.weight) if implied.intersection(slot.word.meanings) else slot
         for slot in slots
     )
 
 
 def _correct(vocabulary: Vocabulary, word: Word, known: KnownWords) -> Word | None:
     """Return the known word nearest to a misspelt one, if near enough."""
-    edits = max((most for letters, most in _MOST_EDITS.items() if len(word.text) >= letters), default=0)
+    edits = (len(word.text) >= 3) + (len(word.text) >= 8)  # two from eight letters on
     if not edits or any(letter.isdigit() for letter in word.text):
         return None
     from rapidfuzz import process
@@ -295,13 +290,17 @@ class Matcher:
             found = self._relations[unit] = tuple(scale * value for value in values)
         return found
 
-    def _scale_relation(self, unit: Unit) -> float:
-        """Return the share of a relation that a query covers: by its action, or by most of its words."""
+    def _scale_relation(self, unit: Unit, least: float = 0.5, enough: float = 0.6, done: float = 0.9) -> float:
+        """Return the share of a relation that a query covers: by its action, or by most of its words.
+
+        It counts if the query names more than a share ``least`` of its words, and fully from ``enough``; at least by
+        ``done`` if the query names the action.
+        """
         named = [word for word in unit.words if any(self._is_named(word, slot) for slot in self.query.slots)]
         actions = [word for word in unit.words if self.is_action(word)]
         share = sum(weigh_word(self._vocabulary, word) for word in named) / unit.weight
-        whole = min(1.0, share / _ENOUGH) if share > _NAMED else 0.0
-        return max(whole, _DONE) if actions and any(word in named for word in actions) else whole
+        whole = min(1.0, share / enough) if share > least else 0.0
+        return max(whole, done) if actions and any(word in named for word in actions) else whole
 
     def _is_named(self, word: Word, slot: Slot) -> bool:
         related = self._vocabulary.related
@@ -325,7 +324,7 @@ class Matcher:
         scale = OPPOSITE if against or name_against else 1.0
         base = [scale * max(a, NAME * b) for a, b in zip(by_category, by_name, strict=True)]
         trust = ALSO_DOES if any(map(self.is_action, category.words)) else DOES
-        told = [
+        gains = [
             tuple(trust * (0.8 + 0.2 * min(1.0, 2.0 * share)) * value for value in self.find_relation(unit))
             for unit, share in relations
         ]
@@ -335,17 +334,17 @@ class Matcher:
             place, more = max(
                 (
                     (place, self._sum([max(pair) for pair in zip(base, values, strict=True)]))
-                    for place, values in enumerate(told)
+                    for place, values in enumerate(gains)
                 ),
                 key=lambda item: item[1],
                 default=(-1, score),
             )
             if place < 0 or more <= score + 1e-9:
                 break
-            base = [max(pair) for pair in zip(base, told[place], strict=True)]
+            base = [max(pair) for pair in zip(base, gains[place], strict=True)]
             used.append(place)
             # A second one helps only if the query names its action: walking, with both hands up.
-            told = [values if is_whole(values, slots) else (0.0,) * len(values) for values in told]
+            gains = [values if is_whole(values, slots) else (0.0,) * len(values) for values in gains]
         helped = any(value > 0.4 for value in by_category), any(value > 0.4 for value in by_name)
         return Fit(self._sum(base), tuple(used), *helped)
 
@@ -359,9 +358,6 @@ class Matcher:
 def is_whole(values: Sequence[float], slots: Sequence[Slot]) -> bool:
     """Return whether a relation matches an action of the query, not only its side or limb."""
     return any(value > 0.5 and slot.weight >= 1.0 for value, slot in zip(values, slots, strict=True))
-
-
-_NOTHING = Unit((), 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -409,12 +405,12 @@ class WordColumns:
         useful: NDArray[np.bool_] = np.any(found != 0, axis=1).astype(bool).reshape(-1)
         helps = useful[self._unit_of]
         rows, units = self._row_of[helps], self._unit_of[helps]
-        told = (trust[rows] * self._lasting[helps])[:, np.newaxis] * found[units]
-        whole = np.array([is_whole(values, query.slots) for values in told.tolist()], bool)
+        gains = (trust[rows] * self._lasting[helps])[:, np.newaxis] * found[units]
+        whole = np.array([is_whole(values, query.slots) for values in gains.tolist()], bool)
         total = weights.sum()
         score: FloatArray = base @ weights / total
         for chosen in (np.ones(len(rows), bool), whole):
-            base, score, better = _take_best(base, score, rows[chosen], told[chosen], weights / total)
+            base, score, better = _take_best(base, score, rows[chosen], gains[chosen], weights / total)
             if not better:
                 break
         return score
@@ -464,7 +460,7 @@ def _number(units: Sequence[Unit]) -> tuple[list[Unit], IndexArray]:
 
 def _keep_meant(unit: Unit) -> Unit:
     words = tuple(word for word in unit.words if word.meanings)
-    return Unit(words, 0.0) if words else _NOTHING
+    return Unit(words, 0.0)
 
 
 def _compare(matcher: Matcher, units: Sequence[Unit], n_slots: int) -> tuple[FloatArray, NDArray[np.bool_]]:
@@ -474,17 +470,17 @@ def _compare(matcher: Matcher, units: Sequence[Unit], n_slots: int) -> tuple[Flo
 
 
 def _take_best(
-    base: FloatArray, score: FloatArray, rows: IndexArray, told: FloatArray, weights: FloatArray
+    base: FloatArray, score: FloatArray, rows: IndexArray, gains: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray, bool]:
     """Add to (N, slots) values the relation that helps each motion most; return values, scores, whether any improved.
 
     ``rows`` are the motions of the relations, ascending, and the array after them holds their values.
     """
-    more = np.maximum(base[rows], told) @ weights
+    more = np.maximum(base[rows], gains) @ weights
     order = np.lexsort((-more, rows))
     first = order[np.unique(rows[order], return_index=True)[1]]
     first = first[more[first] > score[rows[first]] + 1e-9]
     base, score = base.copy(), score.copy()
-    base[rows[first]] = np.maximum(base[rows[first]], told[first])
+    base[rows[first]] = np.maximum(base[rows[first]], gains[first])
     score[rows[first]] = more[first]
     return base, score, bool(len(first))

@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-_SPEED_SPAN = 5  # frames over which a speed is taken
 _LEFT, _RIGHT = 0, 1
-_FULL_TURN = 2.0 * np.pi
 
 # As in ``dousa.estimation.body.kinematics``: without allocation and reference counts these compile in half the time.
 _njit: Any = njit  # its types lack some options
@@ -40,7 +38,7 @@ def average(values, half, total, out):
 @merged
 def slope(values, t, rate):
     """Change per second of ``values`` (n,) at frame t, over a few frames on either side."""
-    first, last = max(t - _SPEED_SPAN // 2, 0), min(t + _SPEED_SPAN // 2, len(values) - 1)
+    first, last = max(t - 2, 0), min(t + 2, len(values) - 1)
     return (values[last] - values[first]) * rate / max(last - first, 1)
 
 
@@ -76,9 +74,9 @@ def turn(points, left, rate, body, lowest, speed, turned):
 def _wrap(angle):
     """Wrap an angle to -pi ... pi."""
     if angle > np.pi:
-        return angle - _FULL_TURN
+        return angle - 2.0 * np.pi
     if angle < -np.pi:
-        return angle + _FULL_TURN
+        return angle + 2.0 * np.pi
     return angle
 
 

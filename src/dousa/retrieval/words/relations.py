@@ -23,12 +23,7 @@ from dousa.retrieval.features.posed_motion import PosedMotion, place_pelvis
 from dousa.retrieval.words import relation_kernels as kernels
 
 RELATIONS_VERSION = 1
-"""Version of the questions; a library recomputes relations of other versions."""
-
-_SMOOTHED = 5  # frames of the moving average, as the joints of a Kinect jump
-_SHARE, _LONG_ENOUGH = 0.2, 0.5  # share of the motion, or s, for which a pose must hold
-_EVENT = 0.13  # s, least length of an event
-_STEP = 21  # frames over which the speed of the body is averaged, as it varies with every step
+"""Version of the questions by definition; a library recomputes relations of other versions."""
 
 # In the order of the rows of the kernels: name, limb, limbs, and whether it is a short event.
 _OF_ARMS = (
@@ -109,39 +104,23 @@ class Relation:
         return Message(code, part=Message(f"relations.{self.part}")) if self.part else Message(code)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Posed:
-    """A motion in body heights, as needed by the questions.
-
-    Parameters
-    ----------
-    body : (T, 20, 3) left, up and forward of the pelvis.
-    heights : (T, 20) above the floor.
-    left : (T, 2) x and z of the direction to the left.
-    speed : (T, 2) of the pelvis along x and z, a second.
-    turned : (T,) radians that the body has turned to the left since the beginning.
-    """
-
-    body: FloatArray
-    heights: FloatArray
-    left: FloatArray
-    speed: FloatArray
-    turned: FloatArray
-
-
 def find_relations(motion: PosedMotion) -> tuple[Relation, ...]:
     """Find the relations of a motion, in a fixed order; missing joints (NaN) give none."""
-    holds = _ask(_pose(motion))
+    holds = _ask(*_pose(motion))
     stretches = np.empty((len(_QUESTIONS), 3, 3), np.int64)
     kernels.find_stretches(holds, stretches)
     return _keep(stretches, holds.shape[2])
 
 
-def _pose(motion: PosedMotion) -> _Posed:
+def _pose(motion: PosedMotion) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return a motion in body heights: (T, 20, 3) left, up and forward of the pelvis, (T, 20) heights above the floor,
+    (T, 2) x and z of the direction to the left, (T, 2) speed of the pelvis along x and z, a second, and (T,) radians
+    that the body has turned to the left since the beginning.
+    """
     positions = place_pelvis(motion.positions, motion.height)  # of a body that lacks it
     points = _smooth(sample_positions(positions, motion.frame_rate)) / motion.height
     with np.errstate(invalid="ignore", divide="ignore"):
-        left = _smooth(find_lateral_axis(points - points[:, :1]), 3 * _SMOOTHED)
+        left = _smooth(find_lateral_axis(points - points[:, :1]), width=15)
     count = len(points)
     body, speed = np.empty_like(points), np.empty((count, 2))
     lowest, turned = np.empty(count), np.empty(count)
@@ -149,11 +128,12 @@ def _pose(motion: PosedMotion) -> _Posed:
     # Without feet the floor is unknown, and so are heights.
     feet = points[:, _LEGS[:, 1], 1]
     floor = _usual(lowest, 5) if np.isfinite(feet).any() else np.nan
-    return _Posed(body, points[..., 1] - floor, left, _smooth(speed, _STEP), turned)
+    # The speed varies with every step.
+    return body, points[..., 1] - floor, left, _smooth(speed, width=21), turned
 
 
-def _smooth(values: FloatArray, width: int = _SMOOTHED) -> FloatArray:
-    """Return the moving average over time, at the ends over fewer frames."""
+def _smooth(values: FloatArray, width: int = 5) -> FloatArray:
+    """Return the moving average over ``width`` frames, at the ends over fewer, as the joints of a Kinect jump."""
     half = min(width // 2, (len(values) - 1) // 2)
     if half < 1:
         return np.array(values, np.float64)
@@ -163,9 +143,8 @@ def _smooth(values: FloatArray, width: int = _SMOOTHED) -> FloatArray:
     return even.reshape(values.shape)
 
 
-def _ask(posed: _Posed) -> BoolArray:
+def _ask(body: FloatArray, heights: FloatArray, left: FloatArray, speed: FloatArray, turned: FloatArray) -> BoolArray:
     """Return (Q, 2, T) whether each question holds in a frame, on the left and right; of the body, on the left."""
-    body, heights = posed.body, posed.heights
     holds = np.zeros((len(_QUESTIONS), 2, len(body)), np.bool_)
     rows = np.cumsum([0, *map(len, (_OF_ARMS, _OF_HANDS, _OF_LEGS, _OF_BODY, _OF_TRAVEL, _OF_JUMPS))])
     arms, hands, legs, trunk, travel, jumps = (holds[first:last] for first, last in pairwise(rows))
@@ -178,7 +157,7 @@ def _ask(posed: _Posed) -> BoolArray:
     rise = float(pelvis[-tenth:].mean() - pelvis[:tenth].mean())
     kernels.ask_body(body, heights, _HEAD, _NECK, rise, CHANNEL_RATE, trunk)
     jumps[0, 0] = (feet > _usual(feet, 20) + 0.05) & (pelvis > _usual(pelvis, 50) + 0.02) & ~trunk[0, 0]
-    kernels.ask_travel(body, heights, posed.speed, posed.left, posed.turned, _ARMS[:, 3], CHANNEL_RATE, travel)
+    kernels.ask_travel(body, heights, speed, left, turned, _ARMS[:, 3], CHANNEL_RATE, travel)
     return holds
 
 
@@ -193,16 +172,21 @@ def _usual(values: FloatArray, percent: float) -> float:
     return float(ordered[below] + (above - ordered[below]) * (place - below))
 
 
-def _keep(stretches: NDArray[np.int64], n_frames: int) -> tuple[Relation, ...]:
-    """Return the relations that hold long enough, from ``kernels.find_stretches``."""
-    least = max(min(_SHARE * n_frames / CHANNEL_RATE, _LONG_ENOUGH), _EVENT)
+def _keep(
+    stretches: NDArray[np.int64], n_frames: int, share: float = 0.2, seconds: float = 0.5, event: float = 0.13
+) -> tuple[Relation, ...]:
+    """Return the relations that hold long enough, from ``kernels.find_stretches``.
+
+    A pose must hold for a ``share`` of the motion or for ``seconds``, an event for ``event`` s.
+    """
+    least = max(min(share * n_frames / CHANNEL_RATE, seconds), event)
     lengths = (stretches[:, :, 2] - stretches[:, :, 1]) / CHANNEL_RATE
-    kept = lengths >= np.where(_IS_EVENT, _EVENT, least)[:, None] - 1e-9
+    kept = lengths >= np.where(_IS_EVENT, event, least)[:, None] - 1e-9
     relations = []
     for question, part in zip(*(places.tolist() for places in np.nonzero(kept)), strict=True):
         name, limb, limbs, _ = _QUESTIONS[question]
         count, start, end = stretches[question, part].tolist()
-        said = (f"both_{limbs}", f"left_{limb}", f"right_{limb}")[part] if limb else ""
+        limb_name = (f"both_{limbs}", f"left_{limb}", f"right_{limb}")[part] if limb else ""
         times = round(start / CHANNEL_RATE, 3), round(end / CHANNEL_RATE, 3)
-        relations.append(Relation(name, said, round(count / n_frames, 4), *times))
+        relations.append(Relation(name, limb_name, round(count / n_frames, 4), *times))
     return tuple(relations)
