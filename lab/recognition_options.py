@@ -9,7 +9,7 @@ import typer
 
 from dousa.app.output import console, print_json, warn_skipped
 from dousa.app.requests.library import FeatureSet
-from dousa.app.tables import print_tables
+from dousa.app.tables.lines import print_tables
 from dousa.experiments.table import Result
 from dousa.formats.motion_files import Skipped
 

@@ -130,7 +130,7 @@ def measure_whole(options: argparse.Namespace) -> None:
     n_frames, goal = performance.n_frames, 5.0
     say(f"whole assessment of {n_frames:,} frames ({len(assessment.events)} errors)", ours, goal, "s")
     print(f"  processor time: {spent:.2f} s")
-    from dousa.app.report import write_report
+    from dousa.app.report.page import write_report
 
     with tempfile.TemporaryDirectory() as folder:
         ours, page = timed(lambda: write_report(assessment, Path(folder)))

@@ -12,7 +12,6 @@ from typing import Annotated, Literal
 
 import typer
 
-from dousa.app import tables
 from dousa.app.cli.usage import Json
 from dousa.app.output import ProgressCallback, console, print_json, progress_bar, warn, warn_skipped
 from dousa.app.requests.reading import Reading
@@ -93,6 +92,7 @@ def experiment_errors(
 
     Example: python -m lab.errors hdm05/ --repeats 0 --takes-from 'name:HDM_(.+)_[0-9]+_120'
     """
+    from dousa.app.tables.lines import print_tables
     from dousa.library import parse_label_rule
     from lab.errors.recordings import read_takes
 
@@ -113,7 +113,7 @@ def experiment_errors(
         print_json({**(trials.to_json() if trials else {}), **seconds, "skipped": skipped})
     else:
         for result in (trials, second_takes):
-            tables.print_tables(console(), result.to_tables() if result else ())
+            print_tables(console(), result.to_tables() if result else ())
         problems = trials.problems if trials else ()
         for problem in problems[:_SHOWN_PROBLEMS]:
             warn(problem)

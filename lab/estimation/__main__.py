@@ -14,7 +14,6 @@ from typing import Annotated, Literal
 
 import typer
 
-from dousa.app import tables
 from dousa.app.cli.usage import Json
 from dousa.app.output import ProgressCallback, console, print_json, progress_bar, warn
 from dousa.errors import OptionError
@@ -149,6 +148,8 @@ def experiment_estimation(
 
     Example: python -m lab.estimation silhouette_bench/cmu86_walk_clean.npz --paper
     """
+    from dousa.app.tables.lines import print_tables
+
     counts = _parse_views(trial_options.views)
     if paper_options.frames is not None and not paper_options.paper:
         raise OptionError("experiments_cli.frames_without_paper")
@@ -176,7 +177,7 @@ def experiment_estimation(
     if json:
         print_json(result)
         return
-    tables.print_tables(console(), result.to_tables())
+    print_tables(console(), result.to_tables())
     for problem in problems:
         warn(problem)
 

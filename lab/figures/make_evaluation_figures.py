@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from dousa.app.demo.evaluation import write_dance
+from dousa.app.demo import write_dance
 from dousa.app.pictures.canvas import FAINT, GREY, INK, VERMILLION, new_figure, save_figure, write
 from dousa.app.pipelines.evaluate import evaluate_files
 from dousa.app.player.data import (
@@ -28,7 +28,6 @@ from dousa.app.player.data import (
     read_player_script,
     read_player_style,
 )
-from dousa.app.report import write_report
 from dousa.app.report.figures import (
     compute_swings,
     draw_moment,
@@ -37,6 +36,7 @@ from dousa.app.report.figures import (
     pick_worst,
     view_moment,
 )
+from dousa.app.report.page import write_report
 from dousa.app.tables.evaluation import print_assessment
 from dousa.evaluation import Assessment, ErrorEvent, compute_correlation_matrix
 from dousa.evaluation.words import KINDS, describe_segments

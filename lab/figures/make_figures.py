@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 
 from rich.console import Console
 
-from dousa.app.demo.demo import run_demo
+from dousa.app.demo import run_demo
 from dousa.app.pictures.sheets import draw_contact_sheet
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 from dousa.retrieval.features.channels import CHANNELS, Channel

@@ -236,9 +236,7 @@ def make_demo(folder: Path) -> None:
     """What ``dousa demo`` leaves behind."""
     from rich.console import Console
 
-    from dousa.app.demo.demo import run_demo
-    from dousa.app.demo.estimation import run_estimation_demo
-    from dousa.app.demo.evaluation import run_dance_demo
+    from dousa.app.demo import run_dance_demo, run_demo, run_estimation_demo
 
     for act in (lambda: run_demo(Console(), folder), lambda: run_dance_demo(Console(), folder)):
         act()

@@ -65,8 +65,7 @@ class Rounds:
     """
 
     def __init__(self, folder: Path, seed: int, port: str) -> None:
-        from dousa.app.demo.demo import write_library
-        from dousa.app.demo.estimation import write_performance
+        from dousa.app.demo import write_library, write_performance
         from dousa.library import Library
 
         self.folder, self.port, self.chance = folder, port, random.Random(seed)

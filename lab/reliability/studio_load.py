@@ -161,8 +161,7 @@ def resident(pid: int) -> float:
 
 def make_library(folder: Path) -> tuple[Path, bytes]:
     """The demo's library with a take, trained; and a motion file to upload."""
-    from dousa.app.demo.demo import write_library
-    from dousa.app.demo.evaluation import write_dance
+    from dousa.app.demo import write_dance, write_library
     from dousa.library import Library
 
     files = write_library(folder / "motions", n_performers=10)

@@ -18,7 +18,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from dousa.app.demo.demo import write_library
+from dousa.app.demo import write_library
 from dousa.app.pipelines.experiment_clips import read_labelled_clips
 from dousa.formats import ReadOptions
 from dousa.library.care.review import split_halves, vote_without

@@ -7,7 +7,6 @@ import json
 import math
 import re
 import shutil
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -55,7 +54,7 @@ def asked(monkeypatch):
         return Path(folder) / "report.html"
 
     monkeypatch.setitem(dousa.evaluation.__dict__, "assess", assess)
-    monkeypatch.setitem(sys.modules, "dousa.app.report", SimpleNamespace(write_report=write_report))
+    monkeypatch.setattr("dousa.app.report.page.write_report", write_report)
     return calls
 
 

@@ -8,7 +8,7 @@ import json
 import pytest
 from rich.console import Console
 
-from dousa.app.tables import print_search
+from dousa.app.tables.search import print_search
 from dousa.formats.registry import write_motion
 from dousa.library import Hit, Library, SearchResult, Verdict
 from dousa.messages import use_language

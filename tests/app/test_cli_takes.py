@@ -346,7 +346,7 @@ def test_an_old_library_is_brought_up_to_date_and_searched(dousa, tmp_path):
 def test_the_table_of_a_take_says_how_often(capsys):
     from rich.console import Console
 
-    from dousa.app.tables import print_timeline
+    from dousa.app.tables.search import print_timeline
     from dousa.library import LabelledTake
     from dousa.retrieval import Segment, Timeline
 
@@ -461,7 +461,7 @@ def test_places_are_in_the_order_of_what_the_table_shows(dousa, library, recordi
 def test_places_of_bodies_that_lack_joints_have_no_probability(capsys):
     from rich.console import Console
 
-    from dousa.app.tables import print_places
+    from dousa.app.tables.search import print_places
     from dousa.library import FindResult, Place
 
     place = Place("take.bvh", None, 0.0, 1.0, 0.4, 0.1, 0.5, 1.0, False, 1)

@@ -114,7 +114,7 @@ def test_what_another_program_has_written_stays(dousa, folder, monkeypatch, word
     Path("report/report.html").write_text("my own page")
     for name in ("other.mp4", "other2.mp4"):
         Path(name).write_bytes(b"no film")
-    monkeypatch.setattr("dousa.app.pipelines.keypoints.require", lambda *_: None)
+    monkeypatch.setattr("dousa.app.pipelines.films.require", lambda *_: None)
     before = contents(folder)
     code, out, err = dousa(*words)
     assert (code, out) == (2, "") and err.count("\n") == 1

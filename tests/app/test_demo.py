@@ -7,7 +7,7 @@ import io
 import pytest
 from rich.console import Console
 
-from dousa.app.demo.demo import run_demo, write_library
+from dousa.app.demo import run_demo, write_library
 from dousa.errors import OptionError
 from dousa.library import Library
 

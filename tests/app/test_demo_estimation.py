@@ -14,7 +14,7 @@ from rich.console import Console
 
 import dousa.app.pictures.overlay
 import dousa.app.pictures.overlay_sheet
-from dousa.app.demo.estimation import run_estimation_demo, write_performance
+from dousa.app.demo import run_estimation_demo, write_performance
 from dousa.errors import OptionError
 from dousa.estimation.body.human import make_human
 from dousa.estimation.silhouettes.mask_npz import read_silhouettes, read_stature, read_true_joints

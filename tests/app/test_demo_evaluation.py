@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import io
 import itertools
-import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +12,8 @@ from rich.console import Console
 
 import dousa.evaluation
 from app.fake_assessment import make_assessment
-from dousa.app.demo.evaluation import match_mistakes, run_dance_demo, write_dance
+from dousa.app import demo
+from dousa.app.demo import match_mistakes, run_dance_demo, write_dance
 from dousa.errors import OptionError
 from dousa.evaluation import ErrorEvent
 from dousa.formats.registry import read_motion
@@ -89,7 +88,7 @@ def told(monkeypatch, tmp_path):
         return page
 
     monkeypatch.setitem(dousa.evaluation.__dict__, "assess", lambda *_, **__: make_assessment())
-    monkeypatch.setitem(sys.modules, "dousa.app.report", SimpleNamespace(write_report=write_report))
+    monkeypatch.setattr(demo, "write_report", write_report)
 
     def run(output):
         console = Console(file=io.StringIO(), width=200)

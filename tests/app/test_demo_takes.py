@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from dousa.app.demo.takes import _choose_clips, show_take, write_dance_figure, write_take
+from dousa.app.demo import choose_clips, show_take, write_dance_figure, write_take
 from dousa.formats.registry import read_motion, write_motion
 from dousa.library import Library
 from dousa.motion import canonicalise
@@ -113,5 +113,5 @@ def test_a_take_has_many_categories(queries, tmp_path):
         again = tmp_path / f"kick_{number}.bvh"
         again.write_bytes(example.read_bytes())
         queries[again] = "kick_left"
-    categories = [clip.category for clip in _choose_clips(queries, example, None, seed=1)]
+    categories = [clip.category for clip in choose_clips(queries, example, None, seed=1)]
     assert len(categories) == 9 and set(categories) == set(CATEGORIES)

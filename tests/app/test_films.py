@@ -320,7 +320,7 @@ def test_mistakes_about_one_film(dousa, scene, tmp_path, words, says):
 
 
 def test_frames_without_anybody_are_told_from_those_that_are_lost():
-    from dousa.app.pipelines.film_estimate import describe_fit
+    from dousa.app.pipelines.estimate import describe_fit
     from dousa.estimation import fit_keypoints
 
     body, cameras = make_human(1.75), make_ring(2, size=(640, 480), focal=500.0)
@@ -337,7 +337,7 @@ def test_frames_without_anybody_are_told_from_those_that_are_lost():
 
 
 def test_somebody_in_the_background_is_left_out_and_named():
-    from dousa.app.pipelines.film_estimate import list_everybody
+    from dousa.app.pipelines.estimate import list_everybody
     from dousa.estimation.multiview.people import MatchedPerson
 
     seen = PersonTrack(np.zeros((10, 3, 2)), np.ones((10, 3)))

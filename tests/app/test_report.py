@@ -22,8 +22,7 @@ from app.report_cases import UNUSUAL, change, page_data
 from dousa.app.drawing.charts import choose_ticks, encode_map, thin_curve, time_ticks, viridis_table
 from dousa.app.drawing.markup import element, format_number, trace
 from dousa.app.report import page as _fonts
-from dousa.app.report import write_report
-from dousa.app.report.page import build_page, build_parts
+from dousa.app.report.page import build_page, build_parts, write_report
 from dousa.errors import OptionError
 from dousa.evaluation import advise
 from dousa.evaluation.words import SEGMENT_NAMES, name_all

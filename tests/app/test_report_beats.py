@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from app.fake_assessment import make_assessment
-from dousa.app.report import build_page, write_report
-from dousa.app.report.beats import build_beats
+from dousa.app.report.page import build_page, write_report
+from dousa.app.report.timeline import build_beats
 from dousa.evaluation import Accent, BeatTiming, TimedAccent
 from dousa.messages import load_section
 

@@ -9,7 +9,7 @@ import pytest
 
 from app.fake_assessment import HOSTILE_WORDS, make_assessment
 from app.report_cases import UNUSUAL, page_data
-from dousa.app.report import write_report
+from dousa.app.report.page import write_report
 
 
 @pytest.fixture

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dousa.app.player import encode_repetitions
-from dousa.app.report import build_exercise_page, write_exercise_report
+from dousa.app.player.data import encode_repetitions
+from dousa.app.report.exercise import build_exercise_page, write_exercise_report
 from dousa.errors import OptionError
 from dousa.evaluation import RepetitionsAssessment, assess_repetitions
 from dousa.messages import Message

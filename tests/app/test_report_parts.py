@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from app.fake_assessment import make_assessment
-from dousa.app.report import (
+from dousa.app.report.page import (
     QUICK_PARTS,
     build_frame,
     build_page,

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from dousa.app.demo.evaluation import write_dance
+from dousa.app.demo import write_dance
 from dousa.app.pipelines.render import ring_around
 from dousa.estimation import write_cameras
 from dousa.estimation.body.kinematics import compute_points, point_names

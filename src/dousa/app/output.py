@@ -71,6 +71,14 @@ def print_json(answer: Any) -> None:
     sys.stdout.write(text + "\n")
 
 
+def print_answer(answer: Any, print_lines: Callable[[Console, Any], None], *, json: bool) -> None:
+    """Print an answer as one JSON document, or by a function that prints it for people."""
+    if json:
+        print_json(answer)
+    else:
+        print_lines(console(), answer)
+
+
 def say(message: Message | str) -> None:
     """One line of answer on standard output, which a terminal breaks where it is full."""
     console().print(one_line(str(message)), markup=False, soft_wrap=True)

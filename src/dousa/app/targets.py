@@ -10,7 +10,6 @@ from pathlib import Path
 from dousa.errors import DousaError, OptionError
 
 DATABASE_HEAD = b"SQLite format 3\0"
-_HEAD = 200  # bytes that tell what is in a file
 
 # How the files begin that dousa writes, by their suffix; the name of its first array shows what an npz holds.
 _BEGINNINGS = {
@@ -106,10 +105,10 @@ def _look_for_danger(option: str, path: Path, sources: Iterable[str | os.PathLik
     return True
 
 
-def _read_head(path: Path) -> bytes:
+def _read_head(path: Path, n_bytes: int = 200) -> bytes:
     try:
         with open(path, "rb") as file:
-            return file.read(_HEAD)
+            return file.read(n_bytes)
     except OSError:
         return b""  # writing it fails with an error of its own
 

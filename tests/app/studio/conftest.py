@@ -37,7 +37,7 @@ CATEGORIES = ("kick_left", "squat", "wave_right", "walk")
 @pytest.fixture(scope="session")
 def trained_library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A trained library of 24 synthetic clips in four categories; never changed, copied for every test."""
-    from dousa.app.demo.demo import write_library
+    from dousa.app.demo import write_library
     from dousa.library import Library
 
     def make(folder: Path) -> None:

@@ -37,7 +37,7 @@ def keep(work: Callable[..., Any]) -> Callable[..., Any]:
 
 def write_dances(folder: Path) -> tuple[list[Path], Path]:
     """Write three takes and a performance with one error of each class as BVH files."""
-    from dousa.app.demo.evaluation import write_dance
+    from dousa.app.demo import write_dance
     from dousa.formats.registry import write_motion
     from dousa.motion.synthetic.dance import make_dance
     from dousa.motion.synthetic.performers import Performer

@@ -64,7 +64,7 @@ def test_files_are_added_and_searched(go, bvh, tmp_path):
 
 
 def test_a_take_is_labelled(go, running, tmp_path):
-    from dousa.app.demo.takes import write_take
+    from dousa.app.demo import write_take
     from dousa.motion import canonicalise
     from dousa.motion.synthetic.performers import make_library
     from dousa.retrieval import LabelledClip

@@ -22,7 +22,7 @@ def add_take(library, folder):
     """A take of three clips of the library, one after the other, in a file of that folder; its number."""
     import numpy as np
 
-    from dousa.app.demo.takes import write_take
+    from dousa.app.demo import write_take
     from dousa.retrieval import LabelledClip
 
     parts = []

@@ -22,7 +22,7 @@ ORDER = ("walk", STRANGE, "squat", STRANGE, "kick_left")
 @pytest.fixture(scope="session")
 def recording(tmp_path_factory):
     """A take of somebody whom the library does not know, with two motions that it does not know; and what is when."""
-    from dousa.app.demo.takes import write_take
+    from dousa.app.demo import write_take
     from dousa.motion import canonicalise
     from dousa.motion.synthetic.performers import make_library
     from dousa.retrieval import LabelledClip

@@ -23,8 +23,7 @@ def read(category, performer, seed=5):
 @pytest.fixture(scope="module")
 def material(tmp_path_factory):
     """A library, and a take with a motion twice that the library does not know; the middles of both."""
-    from dousa.app.demo.demo import write_library
-    from dousa.app.demo.takes import write_take
+    from dousa.app.demo import write_library, write_take
 
     root = tmp_path_factory.mktemp("examples")
     write_library(root / "motions", n_performers=5, categories=KNOWN)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from dousa.app.demo.demo import write_library
+from dousa.app.demo import write_library
 from dousa.library import Library
 
 MakeClips = Callable[[int, Sequence[str]], Path]

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from dousa.app import tables
 from dousa.app.cli.usage import Json
-from dousa.app.output import console, print_json, progress_bar, say, warn
+from dousa.app.output import console, print_answer, print_json, progress_bar, say, warn
 from dousa.app.requests.evaluation import EvaluationRequest
 from dousa.app.requests.reading import Reading
 from dousa.app.targets import REPETITIONS, REPORT, check_targets
@@ -26,12 +25,6 @@ if TYPE_CHECKING:
     from dousa.formats.motion_files import ReadOptions
 
 _REPORT_FILES, _EXERCISE_FILES = ("report.html", "curves.csv", "events.csv"), ("report.html", "repetitions.csv")
-
-
-def register(app: typer.Typer) -> None:
-    """Register this module's commands with the application."""
-    app.command(rich_help_panel="Evaluation")(evaluate)
-    app.command(rich_help_panel="Evaluation")(progress)
 
 
 def evaluate(
@@ -114,6 +107,7 @@ def _evaluate_dance(
     json: bool,
 ) -> None:
     from dousa.app.pipelines.evaluate import evaluate_files, load_beats, time_accents
+    from dousa.app.tables.evaluation import print_assessment
 
     beats, judging = load_beats(request.music), request.choose_judging()
     with progress_bar() as progress:
@@ -123,7 +117,7 @@ def _evaluate_dance(
         timing = None if beats is None else time_accents(done, beats, request.music_start)
         page = None
         if output is not None:
-            from dousa.app.report import write_report
+            from dousa.app.report.page import write_report
 
             progress(len(references) + 1, len(references) + 2, Message("evaluation_cli.writing_report"))
             page = write_report(done.assessment, output, language=get_language(), timing=timing, notes=notes)
@@ -131,7 +125,7 @@ def _evaluate_dance(
     if json:
         print_json(_describe(done, page, detail) | ({} if timing is None else {"beats": timing.to_json()}))
         return
-    tables.print_assessment(console(), done.assessment, detail)
+    print_assessment(console(), done.assessment, detail)
     words = [] if timing is None else list(timing.messages)
     if page is not None:
         words.append(Message("evaluation_cli.report", path=page))
@@ -150,19 +144,14 @@ def _evaluate_exercise(
     json: bool,
 ) -> None:
     from dousa.app.pipelines.evaluate import evaluate_repetitions
-    from dousa.app.report import to_repetitions_csv, write_exercise_report
+    from dousa.app.report.exercise import to_repetitions_csv, write_exercise_report
+    from dousa.app.tables.evaluation import print_repetitions
 
     csv, picture = request.csv, request.picture
     check_targets({"--csv": csv, "--picture": picture}, (*references, performance, request.weights), REPETITIONS)
     judging = request.choose_judging()
     with progress_bar() as progress:
-        done = evaluate_repetitions(
-            references,
-            performance,
-            options=options,
-            **judging,
-            progress=progress,
-        )
+        done = evaluate_repetitions(references, performance, options=options, **judging, progress=progress)
     assessment = done.assessment
     if csv is not None:
         with atomic_write(csv) as file:
@@ -190,7 +179,7 @@ def _evaluate_exercise(
         }
         print_json({**assessment.to_json(), **_describe_exercise(assessment), **files})
         return
-    tables.print_repetitions(console(), assessment, detail)
+    print_repetitions(console(), assessment, detail)
     outputs = (("exercise_table.csv", csv), ("exercise_table.picture", picture), ("evaluation_cli.report", page))
     for code, written in outputs:
         if written is not None:
@@ -217,15 +206,13 @@ def progress(
     Example: dousa progress monday.json friday.json --picture pupil.png
     """
     from dousa.app.pipelines.evaluate import compare_answers
+    from dousa.app.tables.evaluation import print_progress
 
     check_targets({"--picture": picture}, answers)
     found, same_reference = compare_answers(answers)
     if not same_reference:
         warn(Message("evaluation_cli.other_reference"))
-    if json:
-        print_json(found.to_json())
-    else:
-        tables.print_progress(console(), found)
+    print_answer(found, print_progress, json=json)
     if picture is not None:
         from dousa.app.pictures.charts import draw_progress
 

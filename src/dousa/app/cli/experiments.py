@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dousa.app import tables
 from dousa.app.cli.usage import Json
 from dousa.app.output import console, print_json, progress_bar, warn_skipped
 from dousa.app.requests.experiments import ExperimentRequest, SystemName
@@ -22,12 +21,6 @@ from dousa.messages import Message
 if TYPE_CHECKING:
     from dousa.experiments.table import Result
     from dousa.retrieval import LabelledClip
-
-
-def register(app: typer.Typer) -> None:
-    """Register this module's commands with the application."""
-    app.command(rich_help_panel="Trials")(experiment)
-    app.command(rich_help_panel="Trials")(demo)
 
 
 def experiment(
@@ -51,6 +44,8 @@ def experiment(
     Example: dousa experiment sessions/ --takes --labels beside --performer-from 'name:(s..)_'
     """
     from dousa.app.pipelines.experiment_clips import read_annotated_takes, read_labelled_clips, refuse_clips_in_both
+    from dousa.app.tables.library import warn_of_files
+    from dousa.app.tables.lines import print_tables
 
     kind = _choose_kind(request, take_labels)
     _check_options(kind, request, rules, figure)
@@ -89,8 +84,8 @@ def experiment(
     if json:
         print_json(answer)
     else:
-        tables.warn_of_files(notes)
-        tables.print_tables(console(), result.to_tables())
+        warn_of_files(notes)
+        print_tables(console(), result.to_tables())
     if figure:  # last, so that an answer that took long is not lost where the picture cannot be written
         from dousa.app.pictures.charts import draw_experiment_figure
 
@@ -199,9 +194,7 @@ def demo(
     Example: dousa demo --studio
     """
     from dousa.app.cli.studio import open_demo_studio
-    from dousa.app.demo.demo import LIBRARY, run_demo
-    from dousa.app.demo.estimation import run_estimation_demo
-    from dousa.app.demo.evaluation import run_dance_demo
+    from dousa.app.demo import LIBRARY, run_dance_demo, run_demo, run_estimation_demo
 
     extras = {"matplotlib": "pictures", "cv2": "film", **({"uvicorn": "studio"} if studio else {})}
     for package, extra in extras.items():

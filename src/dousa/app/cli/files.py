@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dousa.app import tables
 from dousa.app.cli.library import open_to_read
 from dousa.app.cli.usage import Json
 from dousa.app.output import console, fail, print_json, progress_bar, say, warn
@@ -35,13 +34,6 @@ READ_SUFFIXES = (
 WRITTEN_SUFFIXES = ".bvh .c3d .trc .amass.npz .npz .csv .fbx .glb"
 
 
-def register(app: typer.Typer) -> None:
-    """Register this module's commands with the application."""
-    app.command(rich_help_panel="Files")(info)
-    app.command(rich_help_panel="Files")(convert)
-    app.command(rich_help_panel="Files")(plot)
-
-
 def info(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help=f"Motion files: {READ_SUFFIXES}.")],
     *,
@@ -52,6 +44,8 @@ def info(
 
     Example: dousa info walk.bvh take01.amc
     """
+    from dousa.app.tables.library import print_info
+
     options = reading.load()
     answers, failed = [], 0
     for path in files:
@@ -64,7 +58,7 @@ def info(
         print_json(answers)
     else:
         for answer in answers:
-            tables.print_info(console(), answer)
+            print_info(console(), answer)
     if failed:
         raise typer.Exit(2)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dousa.app import tables
 from dousa.app.cli.usage import Json, LibraryPath
-from dousa.app.output import console, print_json, progress_bar, say, warn
+from dousa.app.output import console, print_answer, print_json, progress_bar, say, warn
 from dousa.app.requests.library import (
     Character,
     ClassifyRequest,
@@ -78,6 +77,16 @@ def choose_saved(library: Library, name: str) -> list[int | str]:
     return found
 
 
+def print_changed(key: str, changed: Sequence[str], code: str, *, json: bool) -> None:
+    """Print the clips that a command has changed, under a key of JSON or below a message."""
+    from dousa.app.tables.lines import print_some
+
+    if json:
+        print_json({key: changed})
+    else:
+        print_some(console(), Message(code, n=len(changed)), list(changed))
+
+
 Select = Annotated[
     str | None,
     typer.Option("--select", metavar="NAME", help="Only clips of a saved search or selection (see dousa tag --list)."),
@@ -86,13 +95,6 @@ Clips = Annotated[
     list[str] | None,
     typer.Argument(metavar="[CLIP...]", help="Files, folders or clip numbers (see dousa list)."),
 ]
-
-
-def register(app: typer.Typer) -> None:
-    """Register this module's commands with the application."""
-    for command in (add, train, search, classify, export, remove, relabel):
-        app.command(rich_help_panel="Library")(command)
-    app.command("list", rich_help_panel="Library")(list_clips)
 
 
 def add(
@@ -122,6 +124,8 @@ def add(
 
     Example: dousa add moves.dousa sessions/ --takes --labels beside
     """
+    from dousa.app.tables.library import print_add
+
     if takes and rules.category_from != "folder":
         raise OptionError("library_cli.takes_without_category")
     options = reading.load()
@@ -139,10 +143,7 @@ def add(
             n_jobs=context.obj,
             progress=lambda done, total, path: progress(done, total, Message("library_cli.adding")),
         )
-    if json:
-        print_json(report.to_json())
-    else:
-        tables.print_add(console(), report)
+    print_answer(report, print_add, json=json)
     used = (report.added, report.replaced, report.moved, report.unchanged, report.duplicates)
     if report.skipped and not any(used):
         raise typer.Exit(2)
@@ -259,6 +260,8 @@ def search(
 
     Example: dousa search moves.dousa kick.bvh -k 5
     """
+    from dousa.app.tables.search import print_search
+
     if query is None:
         if picture or request != SearchRequest(k=request.k):
             raise OptionError("text_search.needs_query")
@@ -277,21 +280,17 @@ def search(
             from dousa.app.pictures.sheets import draw_search_result
 
             draw_search_result(opened, wanted, result, picture, options)
-    if json:
-        print_json(result.to_json())
-    else:
-        tables.print_search(console(), result)
+    print_answer(result, print_search, json=json)
 
 
 def _search_text(library: str, text: str | None, k: int, where: Labels, json: bool) -> None:
+    from dousa.app.tables.search import print_text_search
+
     if text is None:
         raise OptionError("text_search.nothing_asked")
     with open_to_read(library) as opened:
         answer = opened.search_text(text, k, **asdict(where))
-    if json:
-        print_json(answer.to_json())
-    else:
-        tables.print_text_search(console(), answer)
+    print_answer(answer, print_text_search, json=json)
 
 
 def _choose_among(library: Library, text: str | None, where: Labels) -> list[int] | None:
@@ -319,13 +318,12 @@ def classify(
 
     Example: dousa classify moves.dousa new/*.bvh
     """
+    from dousa.app.tables.search import print_classes
+
     with open_to_learn(library) as opened, progress_bar() as progress:
         options = reading.load()
         answers = opened.classify(files, **asdict(request), options=options, n_jobs=context.obj, progress=progress)
-    if json:
-        print_json([answer.to_json() for answer in answers])
-    else:
-        tables.print_classes(console(), answers)
+    print_answer(answers, print_classes, json=json)
     problems = [answer for answer in answers if answer.problem is not None]
     for answer in problems:
         warn(Message("cli.file_problem", path=answer.path, reason=answer.problem))
@@ -348,6 +346,8 @@ def list_clips(
 
     Example: dousa list moves.dousa --category walk
     """
+    from dousa.app.tables.library import print_clips, print_stats
+
     asked = {name: label for name, label in asdict(where).items() if label is not None}
     if save is not None:
         if select is not None or not asked:
@@ -362,9 +362,9 @@ def list_clips(
     if json:
         print_json({**stats.to_json(), "clips": [clip.to_json() for clip in rows]})
     elif rows:
-        tables.print_clips(console(), [clip.to_json() for clip in rows])
+        print_clips(console(), [clip.to_json() for clip in rows])
     else:
-        tables.print_stats(console(), library, stats.to_json())
+        print_stats(console(), library, stats.to_json())
 
 
 def export(
@@ -438,10 +438,7 @@ def remove(
     """
     with open_library(library) as opened:
         removed = opened.remove(_selection(clips), **asdict(where), for_good=for_good)
-    if json:
-        print_json({"removed": removed})
-    else:
-        tables.print_some(console(), Message("library_cli.removed", n=len(removed)), list(removed))
+    print_changed("removed", removed, "library_cli.removed", json=json)
 
 
 def relabel(
@@ -471,7 +468,4 @@ def relabel(
             where_category=where_category,
             where_performer=where_performer,
         )
-    if json:
-        print_json({"relabelled": changed})
-    else:
-        tables.print_some(console(), Message("library_cli.relabelled", n=len(changed)), list(changed))
+    print_changed("relabelled", changed, "library_cli.relabelled", json=json)

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 import dousa
-from dousa.app.cli import estimation, evaluation, experiments, files, films, library, studio, takes, upkeep
+from dousa.app.cli import estimation, evaluation, experiments, files, library, studio, takes, upkeep
 from dousa.app.cli.usage import (
     Command,
     Group,
@@ -51,8 +51,25 @@ app = Application(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-for module in (files, library, upkeep, takes, estimation, films, evaluation, studio, experiments):
-    module.register(app)
+PANELS: dict[str, tuple[Callable[..., None], ...]] = {
+    "Files": (files.info, files.convert, files.plot),
+    "Library": (
+        *(library.add, library.train, library.search, library.classify, library.export, library.remove),
+        *(library.relabel, library.list_clips, upkeep.tag, upkeep.undo, upkeep.check, upkeep.compact, upkeep.review),
+        *(takes.find, takes.label),
+    ),
+    "Estimation": (
+        *(estimation.estimate, estimation.render, estimation.sync, estimation.calibrate, estimation.keypoints),
+    ),
+    "Evaluation": (evaluation.evaluate, evaluation.progress),
+    "Studio": (studio.studio,),
+    "Trials": (experiments.experiment, experiments.demo),
+}
+"""The commands in the order of the help."""
+
+for panel, commands in PANELS.items():
+    for command in commands:
+        app.command("list" if command is library.list_clips else None, rich_help_panel=panel)(command)
 
 
 def _check_jobs(jobs: int | None) -> int | None:

@@ -13,11 +13,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
-def register(app: typer.Typer) -> None:
-    """Register this module's command with the application."""
-    app.command(rich_help_panel="Studio")(studio)
-
-
 def studio(
     library: Annotated[
         Path, typer.Argument(metavar="[LIB]", help="The motion library; created if it does not exist.")
@@ -76,15 +71,13 @@ def prepare_studio(output: Path) -> Path:
     ------
     OptionError : the demonstration was not run into this folder.
     """
-    from dousa.app.demo.demo import LIBRARY
-    from dousa.app.demo.evaluation import PUPIL, REFERENCE
-    from dousa.app.demo.takes import TAKE
+    from dousa.app.demo import LIBRARY
     from dousa.library import Library
 
     path = output / LIBRARY
     if not path.is_file():
         raise OptionError("demo.no_library", path=path, output=output)
-    names = (TAKE, REFERENCE, PUPIL, "teacher_*.bvh")
+    names = ("take.bvh", "dance_reference.bvh", "dance_pupil.bvh", "teacher_*.bvh")
     takes = sorted(found for name in names for found in output.glob(name))
     with Library.open(path) as library:
         library.add(takes, kind="take")

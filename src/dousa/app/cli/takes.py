@@ -5,17 +5,17 @@ from __future__ import annotations
 import io
 import json as json_module
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dousa.app import tables
 from dousa.app.cli.library import clip_or_path, open_library, open_to_learn, open_to_read
 from dousa.app.cli.usage import Json, LibraryPath
-from dousa.app.output import console, print_json, progress_bar, warn, warn_skipped
+from dousa.app.output import print_answer, progress_bar, warn, warn_skipped
 from dousa.app.requests.library import Mirror
 from dousa.app.requests.reading import Reading
 from dousa.app.targets import check_table, check_targets
@@ -29,12 +29,6 @@ if TYPE_CHECKING:
     from dousa.retrieval.takes.live import LiveAnswer, LiveFrame, LiveLabeller
 
 _STANDARD_INPUT = "-"
-
-
-def register(app: typer.Typer) -> None:
-    """Register this module's commands with the application."""
-    for command in (find, label):
-        app.command(rich_help_panel="Library")(command)
 
 
 def find(
@@ -67,6 +61,8 @@ def find(
 
     Example: dousa find moves.dousa kick.bvh
     """
+    from dousa.app.tables.search import print_places
+
     with open_to_learn(library) as opened, progress_bar() as progress:
         answer = opened.find(
             clip_or_path(query),
@@ -78,10 +74,7 @@ def find(
             n_jobs=context.obj,
             progress=progress,
         )
-    if json:
-        print_json(answer.to_json())
-    else:
-        tables.print_places(console(), answer, mirrored=mirror)
+    print_answer(answer, partial(print_places, mirrored=mirror), json=json)
     warn_skipped(answer.skipped)
     if answer.skipped and not answer.n_takes:
         raise typer.Exit(2)
@@ -140,6 +133,8 @@ def label(
 
     Example: dousa label moves.dousa recordings/session.bvh --given --csv session.eaf
     """
+    from dousa.app.tables.search import print_timeline
+
     if take == _STANDARD_INPUT:
         if csv or picture or given or reading.read:
             raise OptionError("takes_cli.live_options")
@@ -150,7 +145,11 @@ def label(
     if given and (picture or threshold is not None or reading.read):
         raise OptionError("takes_cli.given_options")
     options = reading.load()
-    _check_outputs(csv, picture, (take, library, *reading.files), overwrite=overwrite)
+    if picture:
+        require("matplotlib", "pictures")
+    inputs = (take, library, *reading.files)
+    check_table("--csv", csv, inputs, overwrite=overwrite)
+    check_targets({"--picture": picture}, inputs)
     if given:
         _show_given(library, take, csv, json=json)
         return
@@ -159,29 +158,12 @@ def label(
             answer = opened.label(
                 clip_or_path(take), threshold=threshold, options=options, n_jobs=context.obj, progress=progress
             )
-        _show_timeline(answer, json=json)
+        print_answer(answer, print_timeline, json=json)
         # Last, so that an answer is not lost where a file cannot be written.
         if csv:
             _write_labels(answer, csv)
         if picture:
             _draw(opened, answer, picture, options)
-
-
-def _check_outputs(
-    csv: Path | None, picture: Path | None, inputs: Sequence[str | Path | None], *, overwrite: bool
-) -> None:
-    """Before anything is computed: whether the files can be written, and what draws is installed."""
-    if picture:
-        require("matplotlib", "pictures")
-    check_table("--csv", csv, inputs, overwrite=overwrite)
-    check_targets({"--picture": picture}, inputs)
-
-
-def _show_timeline(answer: LabelledTake, *, json: bool) -> None:
-    if json:
-        print_json(answer.to_json())
-    else:
-        tables.print_timeline(console(), answer)
 
 
 def _write_labels(answer: LabelledTake, path: Path) -> None:
@@ -199,6 +181,7 @@ def _write_labels(answer: LabelledTake, path: Path) -> None:
 
 def _show_given(library: str, take: str, path: Path | None, *, json: bool) -> None:
     """Print the labels that a take was given, and write them into a file that can be read again."""
+    from dousa.app.tables.search import print_given
     from dousa.formats.annotations.elan import write_eaf
     from dousa.formats.annotations.tables import write_labels_csv
 
@@ -208,10 +191,7 @@ def _show_given(library: str, take: str, path: Path | None, *, json: bool) -> No
     known = [annotation for annotation in given if annotation.is_complete or annotation.segments]
     if len(known) != 1:
         raise OptionError("takes_cli.none_given" if not known else "takes_cli.several_given", take=take, n=len(known))
-    if json:
-        print_json(known[0].to_json())
-    else:
-        tables.print_given(console(), known[0])
+    print_answer(known[0], print_given, json=json)
     if path is not None:
         (write_eaf if path.suffix.lower() == ".eaf" else write_labels_csv)(known[0].rows, path)
 

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from functools import partial
 from typing import Annotated
 
 import typer
 
-from dousa.app import tables
-from dousa.app.cli.library import Select, choose_saved, clip_or_path, open_library, open_to_learn, open_to_read
+from dousa.app.cli.library import (
+    Select,
+    choose_saved,
+    clip_or_path,
+    open_library,
+    open_to_learn,
+    open_to_read,
+    print_changed,
+)
 from dousa.app.cli.usage import Json, LibraryPath, split_tags
-from dousa.app.output import console, print_json, progress_bar, say, warn
+from dousa.app.output import console, print_answer, print_json, progress_bar, say, warn
 from dousa.app.requests.library import TaggedLabels
 from dousa.errors import LibraryDamagedError, OptionError
 from dousa.messages import Message
-
-
-def register(app: typer.Typer) -> None:
-    """Register this module's commands with the application."""
-    for command in (tag, undo, check, compact, review):
-        app.command(rich_help_panel="Library")(command)
 
 
 def check(
@@ -36,6 +38,8 @@ def check(
 
     Example: dousa check moves.dousa --repair
     """
+    from dousa.app.tables.library import print_messages
+
     try:
         with (open_library if repair else open_to_learn)(library) as opened, progress_bar() as progress:
             report = opened.check(repair=repair, progress=progress)
@@ -43,10 +47,7 @@ def check(
         if error.code == "library_file.cut_short":  # which says that this command can tell more
             raise LibraryDamagedError("library_file.nothing_left", library=library) from error
         raise
-    if json:
-        print_json(report.to_json())
-    else:
-        tables.print_check(console(), report)
+    print_answer(report, print_messages, json=json)
     if not report.is_sound:
         raise typer.Exit(2)
 
@@ -70,14 +71,12 @@ def compact(
 
     Example: dousa compact moves.dousa
     """
+    from dousa.app.tables.library import print_messages
+
     place = "" if fragments == "beside" else fragments
     with open_library(library) as opened, progress_bar() as progress:
         report = opened.compact(fragments=place, progress=progress)
-    if json:
-        print_json(report.to_json())
-        return
-    for message in report.to_messages():
-        say(message)
+    print_answer(report, print_messages, json=json)
 
 
 def review(
@@ -96,20 +95,16 @@ def review(
 
     Example: dousa review moves.dousa
     """
+    from dousa.app.tables.library import print_duplicates, print_label_review
+
     with open_to_read(library) as opened:
         if duplicates:
             groups = opened.find_near_duplicates()
-            if json:
-                print_json([group.to_json() for group in groups])
-            else:
-                tables.print_duplicates(console(), groups, k)
+            print_answer(groups, partial(print_duplicates, most=k), json=json)
             return
         with progress_bar() as progress:
             report = opened.review_labels(n_jobs=context.obj or -1, progress=progress)
-    if json:
-        print_json(report.to_json())
-    else:
-        tables.print_label_review(console(), report, k)
+    print_answer(report, partial(print_label_review, most=k), json=json)
 
 
 def undo(
@@ -130,15 +125,13 @@ def undo(
 
     Example: dousa undo moves.dousa
     """
+    from dousa.app.tables.library import print_journal
+
     if show:
         if redo or number is not None:
             raise OptionError("journal.list_alone")
         with open_to_read(library) as opened:
-            entries = opened.journal()
-        if json:
-            print_json([entry.to_json() for entry in entries])
-        else:
-            tables.print_journal(console(), entries)
+            print_answer(opened.journal(), print_journal, json=json)
         return
     with open_library(library) as opened:
         entry = (opened.redo if redo else opened.undo)(number, n_jobs=context.obj)
@@ -167,13 +160,15 @@ def tag(
 
     Example: dousa tag moves.dousa 12 13 +fight -draft
     """
+    from dousa.app.tables.library import print_tags
+
     if show:
         with open_to_read(library) as opened:
             counts, searches = opened.tags(), opened.searches.all()
         if json:
             print_json({"tags": counts, "searches": [search.to_json() for search in searches]})
         else:
-            tables.print_tags(console(), counts, searches)
+            print_tags(console(), counts, searches)
         return
     with open_library(library) as opened:
         named, given, taken = split_tags(clips or ())
@@ -182,7 +177,4 @@ def tag(
             chosen += choose_saved(opened, select)
         filters = {f"where_{name}": label for name, label in asdict(where).items()}
         changed = opened.tag(chosen, add=given, remove=taken, **filters)
-    if json:
-        print_json({"tagged": changed})
-    else:
-        tables.print_some(console(), Message("library_tags.tagged", n=len(changed)), list(changed))
+    print_changed("tagged", changed, "library_tags.tagged", json=json)

@@ -53,13 +53,13 @@ def format_clock(seconds: float) -> str:
 def x_labels(ticks: tuple[float, ...], high: float) -> str:
     """Times below a plot."""
     spans = [element("span", {"style": f"left:{percent(tick, 0.0, high)}"}, format_clock(tick)) for tick in ticks]
-    return element("div", {"class": "x-labels", "aria-hidden": "true"}, inner="".join(spans))
+    return element("div", {"class": "x-labels", "aria-hidden": "true"}, inner=spans)
 
 
 def y_labels(labels: tuple[tuple[float, str], ...], low: float, high: float) -> str:
     """Labels beside a plot, low at the bottom."""
     spans = [element("span", {"style": f"bottom:{percent(value, low, high)}"}, text) for value, text in labels]
-    return element("div", {"class": "y-labels", "aria-hidden": "true"}, inner="".join(spans))
+    return element("div", {"class": "y-labels", "aria-hidden": "true"}, inner=spans)
 
 
 def robust_top(*curves: FloatArray, least: float = 0.0) -> float:
@@ -151,7 +151,7 @@ def thin_curve(times: FloatArray, values: FloatArray, n_points: int = 2000) -> t
     return times[keep], np.where(np.repeat(known.any(axis=1), 2), values[keep], np.nan)
 
 
-_UNITS = 1000.0  # of the drawing along each side
+UNITS = 1000.0  # units of a stretched drawing along each side
 
 
 class Plot:
@@ -167,13 +167,13 @@ class Plot:
 
     def __init__(self, across: tuple[float, float], up: tuple[float, float], label: str, css_class: str = "") -> None:
         self._across, self._up, self._class = across, up, css_class
-        self._svg = Svg(_UNITS, _UNITS, label, "", stretched=True)
+        self._svg = Svg(UNITS, UNITS, label, "", stretched=True)
         self._marks: list[str] = []
 
     def curve(self, x: FloatArray, y: FloatArray, css_class: str) -> None:
         """A line through points (N,) and (N,); what is not finite lifts the pen."""
         (left, right), (low, high) = self._across, self._up
-        data = trace(_UNITS * (x - left) / max(right - left, 1e-9), _UNITS * (1.0 - (y - low) / max(high - low, 1e-9)))
+        data = trace(UNITS * (x - left) / max(right - left, 1e-9), UNITS * (1.0 - (y - low) / max(high - low, 1e-9)))
         if data:
             self._svg.add("path", {"d": data, "class": css_class})
 
@@ -230,15 +230,19 @@ class Plot:
         lines = "".join(element("i", {"class": "level", "style": f"bottom:{percent(v, *self._up)}"}) for v, _ in ticks)
         inner = element("div", {"class": "lines", "aria-hidden": "true"}, inner=lines)
         inner += self._svg.to_markup() + "".join(self._marks)
-        area = element("div", {"class": "plot-area"}, inner=inner)
-        head = element("div", {"class": "plot-name"}, name) if name else ""
-        keys = "".join(
-            element("span", None, inner=element("i", {"class": f"key-mark {css_class}"}) + element("span", None, text))
-            for css_class, text in key
-        )
-        foot = element("div", {"class": "plot-key"}, inner=keys) if keys else ""
+        area = element("div", "plot-area", inner=inner)
+        head = element("div", "plot-name", name) if name else ""
         frame = y_labels(tuple(ticks), *self._up) + area + bottom
-        return element("div", {"class": f"chart {self._class}"}, inner=head + frame + foot)
+        return element("div", f"chart {self._class}", inner=head + frame + build_key(key))
+
+
+def build_key(key: Iterable[tuple[str, str]]) -> str:
+    """What lines and marks stand for: class of each, and a text; empty for none."""
+    keys = [
+        element("span", None, inner=element("i", f"key-mark {css_class}") + element("span", None, text))
+        for css_class, text in key
+    ]
+    return element("div", "plot-key", inner=keys) if keys else ""
 
 
 def number_labels(names: Sequence[str], most: int = 24) -> str:
@@ -249,4 +253,4 @@ def number_labels(names: Sequence[str], most: int = 24) -> str:
         for number, name in enumerate(names, 1)
         if (number - 1) % step == 0
     ]
-    return element("div", {"class": "x-labels all", "aria-hidden": "true"}, inner="".join(spans))
+    return element("div", {"class": "x-labels all", "aria-hidden": "true"}, inner=spans)

@@ -34,23 +34,64 @@ def _format_attribute(value: object) -> str:
     return format_number(value) if isinstance(value, float) else escape(value)
 
 
-def element(tag: str, attributes: Mapping[str, object] | None = None, text: str = "", inner: str = "") -> str:
+def element(
+    tag: str, attributes: str | Mapping[str, object] | None = None, text: str = "", inner: str | Iterable[str] = ""
+) -> str:
     """One element.
 
     Parameters
     ----------
     tag : its name.
-    attributes : name -> value; None leaves the attribute out, True writes its bare name.
+    attributes : name -> value; None leaves the attribute out, True writes its bare name. A text is the class.
     text : content, escaped here.
-    inner : content that is markup already, after the text.
+    inner : content that is markup already, or its parts, after the text.
     """
     parts = [tag]
-    for name, value in (attributes or {}).items():
+    for name, value in ({"class": attributes} if isinstance(attributes, str) else attributes or {}).items():
         if value is True:
             parts.append(name)
         elif value is not None and value is not False:
             parts.append(f'{name}="{_format_attribute(value)}"')
-    return f"<{' '.join(parts)}>{escape(text)}{inner}</{tag}>"
+    return f"<{' '.join(parts)}>{escape(text)}{''.join(inner)}</{tag}>"
+
+
+def build_terms(pairs: Iterable[tuple[str, str]], attributes: str | Mapping[str, object]) -> str:
+    """A list of (term, description) in markup."""
+    rows = (
+        element("div", None, inner=element("dt", None, inner=term) + element("dd", None, inner=text))
+        for term, text in pairs
+    )
+    return element("dl", attributes, inner=rows)
+
+
+def build_list(items: Iterable[str], attributes: str | Mapping[str, object] | None = None, tag: str = "ul") -> str:
+    """A list of items in markup."""
+    return element(tag, attributes, inner=(element("li", None, inner=item) for item in items))
+
+
+def build_warnings(title: str, warnings: Iterable[str]) -> str:
+    """Warnings in plain text below their title; empty where there are none."""
+    items = [escape(text) for text in warnings]
+    return element("aside", "warnings", inner=element("h2", None, title) + build_list(items)) if items else ""
+
+
+def frame_table(caption: str, head: Iterable[str], body: Iterable[str], css_class: str | None = None) -> str:
+    """A table of rows in markup that scrolls where it is too wide; its caption is for screen readers."""
+    inner = element("caption", "sr", caption)
+    inner += element("thead", None, inner=(element("tr", None, inner=row) for row in head))
+    inner += element("tbody", None, inner=body)
+    table = element("table", {"class": css_class}, inner=inner)
+    return element("div", {"class": "table-wrap", "tabindex": "0"}, inner=table)
+
+
+def build_heads(names: Iterable[str], **attributes: str) -> str:
+    """Headings of columns."""
+    return "".join(element("th", {"scope": "col", **attributes}, name) for name in names)
+
+
+def build_cells(texts: Iterable[str]) -> str:
+    """Cells of a row."""
+    return "".join(element("td", None, text) for text in texts)
 
 
 def trace(x: FloatArray, y: FloatArray, decimals: int = 1) -> str:

@@ -24,7 +24,6 @@ INK = "#222222"
 GREY = "#6b6b6b"
 FAINT = "#c9c9c9"
 
-_DPI = 110
 _FORMATS = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
 _METADATA: dict[str, dict[str, Any]] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
@@ -52,12 +51,12 @@ _WIDE_FONTS = (
 )
 
 
-def new_figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float, dpi: float = 110) -> Figure:
     """An empty white figure of so many inches; no window system and no global state is touched."""
     require("matplotlib", "pictures")
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height), dpi=_DPI, facecolor="white")
+    return Figure(figsize=(width, height), dpi=dpi, facecolor="white")
 
 
 @lru_cache(maxsize=1)
@@ -95,6 +94,18 @@ def write(target: Any, x: float, y: float, text: str, size: float = 9.0, **style
     names, _ = _fonts()
     options = {"color": INK, "ha": "left", "va": "baseline", **style}
     target.text(x, y, drawable(text), fontsize=size, family=list(names), parse_math=False, **options)
+
+
+def shorten(text: str, length: int) -> str:
+    """A text of at most so many characters: its beginning and its end."""
+    return text if len(text) <= length else f"{text[: length - 20]} ... {text[-15:]}"
+
+
+def count_noun(number: int, noun: str) -> str:
+    """A number with its noun: "1 view", "3 categories", "no segments"."""
+    if number == 1:
+        return f"1 {noun}"
+    return f"{number or 'no'} {noun[:-1]}ies" if noun.endswith("y") else f"{number or 'no'} {noun}s"
 
 
 def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:

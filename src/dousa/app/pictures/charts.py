@@ -1,4 +1,4 @@
-"""Charts: a map of clips, the repetitions of an exercise, the progress of a pupil, the scores of an experiment."""
+"""Charts: a map of clips, repetitions of an exercise, a pupil over time, scores of an experiment, places of cameras."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ from dousa.motion.canonical.canonicalise import mirror_canonical
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from dousa.arrays import FloatArray
+    from dousa.estimation import Calibration
     from dousa.evaluation import Attempt, Progress, RepetitionsAssessment
     from dousa.library import ClipMap
     from dousa.motion import CanonicalMotion
@@ -29,7 +31,6 @@ _MAP_COLOURS = "#332288 #117733 #CC6677 #88CCEE #999933 #882255 #44AA99 #AA4499 
 _MAP_SHAPES = "os^DvPX<>p"
 _MAP_WIDTH, _MAP_HEIGHT, _MAP_LEGEND = 10.0, 8.0, 2.4  # inches
 _LEGEND_TOP, _LEGEND_STEP = 0.93, 0.032  # of the height: first line of the legend, and from line to line
-_NEAR_FULL = 1.04
 
 
 def draw_clip_map(found: ClipMap, categories: Sequence[str | None], path: str | os.PathLike[str]) -> None:
@@ -47,8 +48,10 @@ def draw_clip_map(found: ClipMap, categories: Sequence[str | None], path: str | 
     MotionWriteError : the picture cannot be written.
     """
     figure = new_figure(_MAP_WIDTH, _MAP_HEIGHT)
+    from matplotlib.lines import Line2D
+
     axes = figure.add_axes((0.01, 0.01, 1 - _MAP_LEGEND / _MAP_WIDTH - 0.02, 0.98))
-    axes.set(xlim=(-_NEAR_FULL, _NEAR_FULL), ylim=(-_NEAR_FULL, _NEAR_FULL), aspect="equal")
+    axes.set(xlim=(-1.04, 1.04), ylim=(-1.04, 1.04), aspect="equal")
     axes.axis("off")
     size = float(np.clip(9000 / max(len(categories), 1), 3, 36))
     left = 1 - _MAP_LEGEND / _MAP_WIDTH
@@ -66,19 +69,11 @@ def draw_clip_map(found: ClipMap, categories: Sequence[str | None], path: str | 
         x, y = found.points[chosen].T
         axes.scatter(x, y, s=size, linewidths=0, alpha=0.85, zorder=above, **style)
         height = _LEGEND_TOP - _LEGEND_STEP * (line + 1)
-        _draw_mark(figure, left + 0.01, height + 0.008, style)
-        write(figure, left + 0.03, height, f"{_shorten_category(name)} ({int(chosen.sum())})", 9, color=INK)
+        place = [left + 0.01], [height + 0.008]
+        figure.add_artist(Line2D(*place, linestyle="none", markersize=7, markeredgewidth=0, **style))
+        short = name if len(name) <= 26 else f"{name[:12]}…{name[-13:]}"
+        write(figure, left + 0.03, height, f"{short} ({int(chosen.sum())})", 9, color=INK)
     save_figure(figure, path)
-
-
-def _draw_mark(figure: Any, x: float, y: float, style: dict[str, Any]) -> None:
-    from matplotlib.lines import Line2D
-
-    figure.add_artist(Line2D([x], [y], linestyle="none", markersize=7, markeredgewidth=0, **style))
-
-
-def _shorten_category(name: str) -> str:
-    return name if len(name) <= 26 else f"{name[:12]}…{name[-13:]}"
 
 
 _WIDTH, _HEIGHT = 11.0, 6.6  # inches
@@ -144,14 +139,8 @@ def _draw_angles(
     axes.set_ylim(low, high)
     axes.set_xlim(0.0, max(performance.duration, 1e-3))
     for place, (name, (colour, style)) in enumerate(zip(angles, _STYLES, strict=False)):
-        axes.plot(
-            [0.005 + 0.24 * place, 0.035 + 0.24 * place],
-            [-0.14] * 2,
-            style,
-            color=colour,
-            transform=axes.transAxes,
-            clip_on=False,
-        )
+        ends = [0.005 + 0.24 * place, 0.035 + 0.24 * place]
+        axes.plot(ends, [-0.14] * 2, style, color=colour, transform=axes.transAxes, clip_on=False)
         write(axes, 0.04 + 0.24 * place, -0.16, str(ANGLE_NAMES[name]), 9, transform=axes.transAxes)
     write(axes, 0.0, 1.04, str(Message("exercise_table.degrees_axis")), 9, transform=axes.transAxes)
     write(axes, 1.0, -0.16, str(Message("exercise_table.seconds_axis")), 9, transform=axes.transAxes, ha="right")
@@ -165,14 +154,8 @@ def _draw_bars(
     for number, value, one in zip(numbers, values, assessment.repetitions, strict=True):
         if math.isfinite(value):
             complete = one.repetition.complete
-            axes.bar(
-                number,
-                value,
-                0.7,
-                color=BLUE if complete else "white",
-                edgecolor=BLUE,
-                hatch=None if complete else "///",
-            )
+            style = {"color": BLUE} if complete else {"color": "white", "hatch": "///"}
+            axes.bar(number, value, 0.7, **{**style, "edgecolor": BLUE})
     if math.isfinite(reference):
         axes.axhline(reference, color=INK, linewidth=1.0, linestyle="--")
         write(axes, 1.0, 1.03, f"- - {Message('exercise_table.reference')}", 8, transform=axes.transAxes, ha="right")
@@ -190,8 +173,6 @@ def _clean(axes: Any) -> None:
 _LEFT, _RIGHT, _HEAD, _BOTTOM = 0.7, 0.5, 0.5, 0.6  # inches
 _GRADE, _ROW, _BETWEEN = 1.7, 0.75, 0.5
 _ATTEMPT, _LEAST = 1.5, 5.0  # inches between two attempts, and of the axes
-_MOST = 24  # names that are written below
-_LETTERS = 18
 _LOOK = {"global": (PURPLE, "s"), "partial": (BLUE, "o"), "incomplete": (GREEN, "^"), "shift": (VERMILLION, "D")}
 
 
@@ -222,9 +203,9 @@ def draw_progress(progress: Progress, path: str | os.PathLike[str]) -> None:
     for number, kind in enumerate(_LOOK):
         axes = add_axes(_HEAD + _GRADE + _BETWEEN + number * (_ROW + _BETWEEN), _ROW)
         _draw_kind(axes, attempts, kind)
-    for place in range(len(attempts)) if len(attempts) <= _MOST else ():
+    for place in range(len(attempts)) if len(attempts) <= 24 else ():  # more names have no room
         name = attempts[place].name
-        short = name if len(name) <= _LETTERS else f"{name[: _LETTERS - 1]}…"
+        short = name if len(name) <= 18 else f"{name[:17]}…"
         write(axes, place, -0.2, short, 8.0, ha="center", va="top", transform=axes.get_xaxis_transform())
     save_figure(figure, path)
 
@@ -330,3 +311,48 @@ def _experiment_facts(result: Mapping[str, Any]) -> str:
         facts += f" ({result['split']}, {result.get('repeats', 1)} x)"
     spread = any(system.get("f_measure_std") for system in result["systems"].values())
     return f"{facts}; whiskers: standard deviation over the repeats" if spread else facts
+
+
+def draw_cameras(found: Calibration, path: str | os.PathLike[str]) -> None:
+    """Draw where cameras stand, in the language in use.
+
+    Parameters
+    ----------
+    found : of `calibrate_from_person` or `calibrate_from_board`.
+    path : .png, .svg or .pdf.
+
+    Raises
+    ------
+    OptionError : another suffix.
+    MotionWriteError : the picture cannot be written.
+    """
+    figure = new_figure(10.0, 5.2)  # inches
+    n_moments = min(24, len(found.points))
+    points = found.points[np.linspace(0, len(found.points) - 1, n_moments).round().astype(int)]
+    for number, (code, across, along) in enumerate(
+        (("camera_picture.above", (0, 2), (1.0, -1.0)), ("camera_picture.side", (0, 1), (1.0, 1.0)))
+    ):
+        axes = figure.add_axes((0.06 + 0.49 * number, 0.1, 0.43, 0.78))
+        write(axes, 0.0, 1.03, str(Message(code)), 10.0, transform=axes.transAxes)
+        axes.tick_params(labelsize=8, colors=GREY)
+        axes.grid(color=FAINT, linewidth=0.6)
+        flat = points.reshape(-1, 3)[:, across] * along
+        axes.plot(flat[:, 0], flat[:, 1], ".", color=GREY, markersize=2.0)
+        for camera in found.cameras:
+            _draw_camera(axes, camera, list(across), np.array(along))
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.margins(0.12)
+    save_figure(figure, path)
+
+
+def _draw_camera(axes: Any, camera: Any, across: list[int], along: FloatArray) -> None:
+    corners = np.array(((0.0, (camera.height - 1) / 2), (camera.width - 1.0, (camera.height - 1) / 2)))
+    if across[1] == 1:
+        corners = np.array((((camera.width - 1) / 2, 0.0), ((camera.width - 1) / 2, camera.height - 1.0)))
+    _, directions = camera.compute_rays(corners)
+    place = camera.position[across] * along
+    for direction in np.nan_to_num(directions):
+        end = (camera.position + 0.8 * direction)[across] * along
+        axes.plot((place[0], end[0]), (place[1], end[1]), color=BLUE, linewidth=1.2)
+    axes.plot(place[0], place[1], "o", color=VERMILLION, markersize=5)
+    write(axes, float(place[0]) + 0.08, float(place[1]) + 0.08, camera.name[:24], 8.5)

@@ -17,11 +17,11 @@ from dousa.app.pictures.overlay import write_video
 from dousa.app.pictures.overlay_view import (
     DARK,
     WHITE,
-    Colour,
     draw_dashed,
     draw_line,
     draw_outlines,
     find_outlines,
+    to_bgr,
     write_text,
 )
 from dousa.arrays import FloatArray, Image
@@ -34,24 +34,17 @@ if TYPE_CHECKING:
     from dousa.estimation import PersonTrack, ViewKeypoints
 
 _LONGEST, _SMALL = 960, 420  # px of a side: of the video, and of a picture of the sheet
-_REPORT_EVERY = 10  # frames
-_SHOWN = 0.5  # of visibility
 _LIMBS = ("shoulder elbow", "elbow wrist", "shoulder hip", "hip knee", "knee ankle", "ankle heel", "ankle foot_index",
           "ankle big_toe", "wrist index")  # fmt: skip
 BONES = (
-    *((f"{side}_{limb.split()[0]}", f"{side}_{limb.split()[1]}") for side in ("left", "right") for limb in _LIMBS),
+    *((f"{side}_{first}", f"{side}_{last}") for side in ("left", "right") for first, last in map(str.split, _LIMBS)),
     ("left_shoulder", "right_shoulder"),
     ("left_hip", "right_hip"),
 )
 """Bones of all schemes of points: what a scheme does not have is left out."""
 
 
-def _to_colour(code: str) -> Colour:
-    red, green, blue = (int(code[k : k + 2], 16) for k in (1, 3, 5))
-    return blue, green, red
-
-
-_COLOURS = tuple(map(_to_colour, (VERMILLION, BLUE, GREEN, PURPLE, "#E69F00", "#56B4E9")))
+_COLOURS = tuple(map(to_bgr, (VERMILLION, BLUE, GREEN, PURPLE, "#E69F00", "#56B4E9")))
 
 
 def draw_people(canvas: Image, keypoints: ViewKeypoints, frame: int, scale: float) -> None:
@@ -88,7 +81,7 @@ def _draw_person(
     for name, visibility in zip(keypoints.names, person.visibility[frame], strict=True):
         if name in places:
             at = tuple(int(value) for value in np.rint(places[name]))
-            cv2.circle(canvas, at, 3, WHITE if visibility > _SHOWN else colour, -1 if visibility > _SHOWN else 1)
+            cv2.circle(canvas, at, 3, *((WHITE, -1) if visibility > 0.5 else (colour, 1)))
     if places:
         high = min(places.values(), key=lambda point: float(point[1]))
         write_text(canvas, str(number + 1), (int(high[0]) + 6, max(22, int(high[1]) - 8)), colour, 22, bold=True)
@@ -145,7 +138,7 @@ def write_keypoint_overlay(
     def paint() -> Iterator[Image]:
         for frame, picture in _paint(keypoints, _LONGEST):
             yield picture
-            if progress is not None and frame % _REPORT_EVERY == 0:
+            if progress is not None and frame % 10 == 0:
                 progress(frame + 1, keypoints.n_frames, Message("pictures.overlay_video"))
 
     write_video(path, paint(), keypoints.n_frames, keypoints.frame_rate, (width, height))

@@ -7,13 +7,12 @@ skeleton; left and right differ by colour, line and letter; what is lost or miss
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dousa.app.pictures.overlay_sheet import Timeline
 from dousa.app.pictures.overlay_view import (
@@ -42,10 +41,8 @@ if TYPE_CHECKING:
     from dousa.estimation.tracking.settings import Estimate
 
 _WIDEST, _HIGHEST = 1920, 960  # px, all views together
-_COMMON_HEIGHT = 480  # px, what small images are enlarged to
 _CAPTION, _FOOT, _TIMELINE, _BORDER = 30, 30, 76, 4  # px
 _CODECS = {".mp4": "mp4v", ".mkv": "mp4v", ".avi": "MJPG"}
-_REPORT_EVERY = 5  # frames
 
 
 def write_overlay(
@@ -81,7 +78,7 @@ def write_overlay(
         for frame in range(n_frames):
             pictures = images(frame) if images is not None else (None,) * len(cameras)
             yield page.paint(frame, pictures)
-            if progress is not None and (frame % _REPORT_EVERY == 0 or frame == n_frames - 1):
+            if progress is not None and (frame % 5 == 0 or frame == n_frames - 1):
                 progress(frame + 1, n_frames, Message("pictures.overlay_video"))
 
     write_video(path, paint(), n_frames, estimate.frame_rate, page.size)
@@ -200,19 +197,20 @@ class _Page:
         return canvas
 
 
-def lay_out(sizes: Sequence[tuple[int, int]]) -> tuple[list[_Cell], int, int]:
+def lay_out(sizes: Sequence[tuple[int, int]], common_height: int = 480) -> tuple[list[_Cell], int, int]:
     """Views of one height in the grid that shows them largest.
 
     Parameters
     ----------
     sizes : (V,) width and height of the views in px.
+    common_height : px, to which small images are enlarged.
 
     Returns
     -------
     (V,) cells, and the even width and height of the whole.
     """
     widest = max(width / height for width, height in sizes)
-    tallest = max(_COMMON_HEIGHT, *(height for _, height in sizes))
+    tallest = max(common_height, *(height for _, height in sizes))
     best, best_columns = 0, 1
     for columns in range(1, len(sizes) + 1):
         lines = -(-len(sizes) // columns)
@@ -261,17 +259,13 @@ def _write_caption(canvas: Image, cell: _Cell, name: str, overlap: float | None,
 
 def _make_legend(width: int, hidden: bool) -> Image:
     """What the lines mean, in as many rows as it takes; the last leaves room for the time."""
-    entries: list[tuple[Callable[[Image, NDArray[np.float64]], None], tuple[int, int, int], str]] = [
-        (lambda c, p: draw_line(c, p, DARK, 2), DARK, "silhouette"),
-        (lambda c, p: draw_line(c, p, SIDE_COLOURS["left"], 3), SIDE_COLOURS["left"], "left (L)"),
-        (
-            lambda c, p: draw_dashed(c, p, SIDE_COLOURS["right"], 3),
-            SIDE_COLOURS["right"],
-            "right (R), dashed",
-        ),
-        (lambda c, p: draw_line(c, p, SIDE_COLOURS[""], 3), SIDE_COLOURS[""], "middle"),
+    entries = [
+        (draw_line, DARK, 2, "silhouette"),
+        (draw_line, SIDE_COLOURS["left"], 3, "left (L)"),
+        (draw_dashed, SIDE_COLOURS["right"], 3, "right (R), dashed"),
+        (draw_line, SIDE_COLOURS[""], 3, "middle"),
     ]
-    texts = [text for _, _, text in entries] + (["no fill: hidden, placed by inertia"] if hidden else [])
+    texts = [text for *_, text in entries] + (["no fill: hidden, placed by inertia"] if hidden else [])
     places, row, left = [], 0, 12
     for text in texts:
         need = 44 + measure_text(text, 14) + 22
@@ -285,7 +279,8 @@ def _make_legend(width: int, hidden: bool) -> Image:
     for k, (line, left) in enumerate(places):
         base = line * _FOOT + 21
         if k < len(entries):
-            entries[k][0](canvas, np.array([[left, base - 5.0], [left + 34.0, base - 5.0]]))
+            draw, colour, thick, _ = entries[k]
+            draw(canvas, np.array([[left, base - 5.0], [left + 34.0, base - 5.0]]), colour, thick)
             write_text(canvas, texts[k], (left + 42, base), DARK, 14)
         else:
             write_text(canvas, texts[k], (left, base), HALF_DARK, 14)

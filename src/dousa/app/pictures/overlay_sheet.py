@@ -18,6 +18,7 @@ from dousa.app.pictures.canvas import (
     INK,
     PURPLE,
     VERMILLION,
+    count_noun,
     new_figure,
     save_figure,
     write,
@@ -32,6 +33,7 @@ from dousa.app.pictures.overlay_view import (
     ViewPainter,
     check_views,
     draw_line,
+    find_box,
     hatch,
     measure_text,
     to_rgb,
@@ -47,7 +49,6 @@ if TYPE_CHECKING:
     from dousa.estimation.tracking.settings import Estimate
 
 _LEFT_MARGIN, _RIGHT_MARGIN, _EDGE = 62, 16, 10  # px
-_LEAST_BAND = 9.0  # px: one lost frame of a long clip still shows beside the curve
 
 
 def mean_overlap(iou: FloatArray) -> FloatArray:
@@ -90,10 +91,11 @@ class Timeline:
     def _row(self, overlap: FloatArray) -> FloatArray:
         return np.asarray(_EDGE + (self._height - 2 * _EDGE) * (1.0 - overlap))
 
-    def _draw_lost(self, lost: NDArray[np.bool_]) -> None:
+    def _draw_lost(self, lost: NDArray[np.bool_], least: float = 9.0) -> None:
+        """Hatch lost frames, in bands of least px so that one frame of a long clip still shows beside the curve."""
         for start, stop in find_runs(lost).tolist():
             left, right = self._column(start - 0.5), self._column(stop - 0.5)
-            more = max(0.0, _LEAST_BAND - (right - left)) / 2.0
+            more = max(0.0, least - (right - left)) / 2.0
             left = max(int(left - more), _LEFT_MARGIN)
             right = min(int(right + more), self._width - _RIGHT_MARGIN)
             band = self._base[_EDGE : self._height - _EDGE, left:right]
@@ -132,14 +134,8 @@ class Timeline:
 
 Box = tuple[int, int, int, int]
 
-_WIDTH = 15.0  # inches
+_WIDTH, _VIEW_LABEL, _MARGIN = 15.0, 0.95, 0.25  # inches
 _HEAD, _LINE_HEAD, _CURVE, _FOOT, _GAP = 0.72, 0.42, 1.9, 0.35, 0.06  # inches
-_VIEW_LABEL, _MARGIN = 0.95, 0.25
-_CELL_HEIGHT = 360  # px, of a cut-out: finer than it is shown, but not so fine that lines vanish
-_SHAPE = 0.75  # least width of a cut-out by its height
-_ROOM = 0.12  # share of the person's height left round the person
-_LEAST_NAMED = 0.04  # share of the clip: shorter lost spans are hatched only
-_LONGEST_NAME = 11  # characters, beside the pictures
 _ALARM = "#B22222"
 _CURVES = ((BLUE, "-"), (VERMILLION, "--"), (GREEN, "-."), (PURPLE, ":"))
 
@@ -208,6 +204,9 @@ class _CutOut:
     camera : the view.
     masks : of the chosen frames; None where there is no image.
     frames : those chosen.
+    height : px of a picture: finer than it is shown, but not so fine that lines vanish.
+    shape : least width of a picture by its height.
+    room : share of the person's height left round the person.
     """
 
     def __init__(
@@ -216,6 +215,9 @@ class _CutOut:
         camera: Camera,
         masks: Sequence[NDArray[np.bool_] | None],
         frames: Sequence[int],
+        height: int = 360,
+        shape: float = 0.75,
+        room: float = 0.12,
     ) -> None:
         from dousa.estimation.raster.rasteriser import draw_body
 
@@ -223,13 +225,13 @@ class _CutOut:
         self._estimate, self._camera = estimate, camera
         self._boxes = [_find_box(mask, model) for mask, model in zip(masks, models, strict=True)]
         known = [box for box in self._boxes if box]
-        width = max((box[2] - box[0] for box in known), default=camera.width)
-        height = max((box[3] - box[1] for box in known), default=camera.height)
-        room = 2 * int(_ROOM * height) + 4
+        wide = max((box[2] - box[0] for box in known), default=camera.width)
+        high = max((box[3] - box[1] for box in known), default=camera.height)
+        around = 2 * int(room * high) + 4
         # Of like shape in all views, so that the lines of the sheet are of like height.
-        self._high = min(max(height + room, int((width + room) / _SHAPE)), camera.height)
-        self._wide = min(max(width + room, int(_SHAPE * self._high)), camera.width)
-        self._scale = _CELL_HEIGHT / self._high
+        self._high = min(max(high + around, int((wide + around) / shape)), camera.height)
+        self._wide = min(max(wide + around, int(shape * self._high)), camera.width)
+        self._scale = height / self._high
         size = (max(1, round(camera.width * self._scale)), max(1, round(camera.height * self._scale)))
         self._painter = ViewPainter(estimate.body, camera, *size)
 
@@ -245,7 +247,11 @@ class _CutOut:
 
 def _find_box(mask: NDArray[np.bool_] | None, model: NDArray[np.bool_]) -> Box | None:
     """Where the model is, and the silhouette too unless its specks fill the picture."""
-    boxes = [_box_of(model)]
+    boxes: list[Box] = []
+    found = find_box(model)
+    if found is not None:
+        rows, columns = found
+        boxes.append((columns.start, rows.start, columns.stop, rows.stop))
     if mask is not None:
         from dousa.extras import cv2
 
@@ -253,18 +259,10 @@ def _find_box(mask: NDArray[np.bool_] | None, model: NDArray[np.bool_]) -> Box |
         if len(pieces) > 1:
             left, top, width, height, _ = pieces[1:][int(np.argmax(pieces[1:, cv2.CC_STAT_AREA]))]
             boxes.append((int(left), int(top), int(left + width), int(top + height)))
-    known = [box for box in boxes if box is not None]
-    if not known:
+    if not boxes:
         return None
-    low, high = np.min(known, axis=0), np.max(known, axis=0)
+    low, high = np.min(boxes, axis=0), np.max(boxes, axis=0)
     return int(low[0]), int(low[1]), int(high[2]), int(high[3])
-
-
-def _box_of(mask: NDArray[np.bool_]) -> Box | None:
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if not len(rows):
-        return None
-    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
 
 
 def _corner(box: Box | None, wide: int, high: int, camera: Camera) -> tuple[int, int]:
@@ -302,13 +300,8 @@ class _Sheet:
             self._write_frame(column, frame, cell, top)
         top += _LINE_HEAD
         for view, (line, height) in enumerate(zip(pictures, heights, strict=True)):
-            write(
-                self._figure,
-                *self._at(_MARGIN, top + height / 2),
-                _shorten(self._names[view]),
-                10,
-                weight="bold",
-            )
+            name = _shorten(self._names[view])
+            write(self._figure, *self._at(_MARGIN, top + height / 2), name, 10, weight="bold")
             for column, picture in enumerate(line):
                 left = _MARGIN + _VIEW_LABEL + column * (cell + _GAP)
                 self._show(picture, left, top, cell, height, bool(self._estimate.lost[self._frames[column]]))
@@ -333,8 +326,8 @@ class _Sheet:
         mean = f"{np.nanmean(overlap):.2f}" if np.isfinite(overlap).any() else "unknown"
         lost = int(estimate.lost.sum())
         summary = (
-            f"{_count(estimate.n_frames, 'frame')}, {estimate.n_frames / estimate.frame_rate:.1f} s, "
-            f"{_count(len(self._names), 'view')}"
+            f"{count_noun(estimate.n_frames, 'frame')}, {estimate.n_frames / estimate.frame_rate:.1f} s, "
+            f"{count_noun(len(self._names), 'view')}"
             f"      mean IoU {mean}      lost frames: {lost if lost else 'none'}"
         )
         write(self._figure, *self._at(_MARGIN, 0.28), title or "Model over silhouettes", 13, weight="bold")
@@ -412,20 +405,16 @@ class _Sheet:
         for start, stop in spans:
             edges = ((start - 0.5) / estimate.frame_rate, (stop - 0.5) / estimate.frame_rate)
             axes.axvspan(*edges, facecolor="#fbeaea", edgecolor="#e3a5a5", hatch="//", linewidth=0.6)
-            if len(spans) > 1 and stop - start < _LEAST_NAMED * estimate.n_frames:
-                continue
+            if len(spans) > 1 and stop - start < 0.04 * estimate.n_frames:
+                continue  # hatched only
             low = np.nan_to_num(overlap[start:stop]).mean() < 0.5
             style: dict[str, Any] = {"color": _ALARM, "weight": "bold", "ha": "center", "clip_on": True}
             write(axes, sum(edges) / 2, 0.84 if low else 0.06, "LOST", 9, **style)
 
 
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
-
-
-def _shorten(name: str) -> str:
-    """So much of a name as finds room; a character that the fonts may lack takes the room of its code."""
+def _shorten(name: str, longest: int = 11) -> str:
+    """So many characters of a name; one that the fonts may lack takes the room of its code."""
     room = np.cumsum([1 if ord(character) < 0x2000 else 6 for character in name])
-    if not len(room) or room[-1] <= _LONGEST_NAME:
+    if not len(room) or room[-1] <= longest:
         return name
-    return f"{name[: int((room < _LONGEST_NAME).sum())]}…"
+    return f"{name[: int((room < longest).sum())]}…"

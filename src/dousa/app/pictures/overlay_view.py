@@ -30,17 +30,17 @@ Colour = tuple[int, int, int]
 Points = NDArray[np.float64]
 
 
-def _bgr(code: str) -> Colour:
+def to_bgr(code: str) -> Colour:
+    """The colour of a code such as #0072B2."""
     red, green, blue = (int(code[k : k + 2], 16) for k in (1, 3, 5))
     return blue, green, red
 
 
-LEFT, RIGHT, CENTRE = _bgr(BLUE), _bgr(VERMILLION), _bgr(GREEN)
-DARK, HALF_DARK, PALE, WHITE, ALARM = _bgr(INK), _bgr(GREY), _bgr(FAINT), (255, 255, 255), _bgr("#B22222")
+LEFT, RIGHT, CENTRE = to_bgr(BLUE), to_bgr(VERMILLION), to_bgr(GREEN)
+DARK, HALF_DARK, PALE, WHITE, ALARM = to_bgr(INK), to_bgr(GREY), to_bgr(FAINT), (255, 255, 255), to_bgr("#B22222")
 
 _FRACTION_BITS = 4  # bits after the binary point of coordinates for OpenCV
-_FAR = 20_000.0  # px, outside any picture; with the fraction it fits 32 bits
-_LONGEST = 10_000.0  # px of a broken line: what leaves the picture so far is drawn whole
+_FAR = 20_000.0  # px, outside any picture; with the fraction it fits the 32 bits of OpenCV
 _DASH, _GAP = 8, 7  # px
 
 
@@ -93,12 +93,12 @@ def draw_dashed_outlines(canvas: Image, outlines: Sequence[Points], colour: Colo
         cv2.polylines(canvas, dashes, False, colour, width, cv2.LINE_AA, _FRACTION_BITS)
 
 
-def _break_up(points: Points) -> list[NDArray[np.int32]]:
-    """The dashes of a line, their points a pixel apart."""
+def _break_up(points: Points, longest: float = 10_000.0) -> list[NDArray[np.int32]]:
+    """The dashes of a line, their points a pixel apart; a line that is longer (px) leaves the picture and is whole."""
     limited = np.clip(points, -_FAR, _FAR)
     lengths = np.linalg.norm(np.diff(limited, axis=0), axis=1)
     run = np.concatenate(([0.0], np.cumsum(lengths)))
-    if not 1.0 <= run[-1] <= _LONGEST:
+    if not 1.0 <= run[-1] <= longest:
         return [_fixed(points)]
     at = np.arange(0.0, run[-1] + 1.0)
     even = _fixed(np.stack([np.interp(at, run, limited[:, axis]) for axis in (0, 1)], axis=1))
@@ -140,13 +140,7 @@ def _font() -> Any:
 
 
 def write_text(
-    canvas: Image,
-    text: str,
-    place: tuple[int, int],
-    colour: Colour = DARK,
-    size: int = 15,
-    *,
-    bold: bool = False,
+    canvas: Image, text: str, place: tuple[int, int], colour: Colour = DARK, size: int = 15, *, bold: bool = False
 ) -> None:
     """Write one line; ``place`` is the left end of its base line, ``size`` its height in px."""
     from dousa.extras import cv2
@@ -172,11 +166,6 @@ def measure_text(text: str, size: int = 15, *, bold: bool = False) -> int:
 
 
 SIDE_COLOURS: dict[str, Colour] = {"left": LEFT, "right": RIGHT, "": CENTRE}
-
-_WALL = 246  # grey of a background that is not known
-_SILHOUETTE = 204
-_FILL = 0.42  # share of the limb's colour over what is below
-_VIDEO_SHARE = 0.8  # of the image's contrast, so that lines stand out
 
 
 def side_of(name: str) -> str:
@@ -215,7 +204,7 @@ class ViewPainter:
         """
         canvas = self._paint_base(mask, image)
         labels, order = self._label_parts(pose)
-        box = _box_of(labels >= 0)
+        box = find_box(labels >= 0)
         if box is not None:
             self._fill_parts(canvas[box], labels[box], hidden)
         if mask is not None:
@@ -234,19 +223,14 @@ class ViewPainter:
         if image is not None:
             colours = np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image
             fitted = cv2.resize(np.ascontiguousarray(colours), size, interpolation=cv2.INTER_AREA)
-            return np.asarray(cv2.convertScaleAbs(fitted, alpha=_VIDEO_SHARE, beta=20), np.uint8)
-        canvas = np.full((size[1], size[0], 3), _WALL, np.uint8)
+            return np.asarray(cv2.convertScaleAbs(fitted, alpha=0.8, beta=20), np.uint8)  # paler than its lines
+        canvas = np.full((size[1], size[0], 3), 246, np.uint8)  # a light grey where the background is not known
         if mask is None:
             hatch(canvas, PALE)
-            write_text(
-                canvas,
-                "no image",
-                ((size[0] - measure_text("no image", 18)) // 2, size[1] - 12),
-                HALF_DARK,
-                18,
-            )
+            place = (size[0] - measure_text("no image", 18)) // 2, size[1] - 12
+            write_text(canvas, "no image", place, HALF_DARK, 18)
         else:
-            canvas[self._fit(mask)] = _SILHOUETTE
+            canvas[self._fit(mask)] = 204
         return canvas
 
     def _fit(self, mask: Mask) -> Mask:
@@ -274,12 +258,13 @@ class ViewPainter:
             labels[masks[part]] = part
         return labels, order
 
-    def _fill_parts(self, canvas: Image, labels: NDArray[np.int16], hidden: Mask) -> None:
+    def _fill_parts(self, canvas: Image, labels: NDArray[np.int16], hidden: Mask, share: float = 0.42) -> None:
+        """Colour the parts that are not hidden; the colour of the limb has this share over what is below."""
         from dousa.extras import cv2
 
         colours = np.array([SIDE_COLOURS[side_of(name)] for name in self._body.names], np.uint8)
         filled = np.append(~hidden, False)[labels]  # label -1 is the last entry
-        blend = cv2.addWeighted(np.ascontiguousarray(canvas), 1.0 - _FILL, colours[labels], _FILL, 0.0)
+        blend = cv2.addWeighted(np.ascontiguousarray(canvas), 1.0 - share, colours[labels], share, 0.0)
         np.copyto(canvas, blend, where=filled[..., None])
 
     def _outline_parts(self, canvas: Image, labels: NDArray[np.int16], order: list[int], corner: FloatArray) -> None:
@@ -311,7 +296,8 @@ class ViewPainter:
                 _write_side(canvas, point, side_of(name))
 
 
-def _box_of(mask: Mask) -> tuple[slice, slice] | None:
+def find_box(mask: Mask) -> tuple[slice, slice] | None:
+    """Rows and columns of what a mask (height, width) shows; None if it is empty."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not len(rows):
         return None

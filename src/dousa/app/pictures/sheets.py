@@ -33,6 +33,7 @@ from dousa.app.pictures.canvas import (
     VERMILLION,
     new_figure,
     save_figure,
+    shorten,
     write,
 )
 from dousa.arrays import FloatArray
@@ -45,10 +46,7 @@ if TYPE_CHECKING:
     from dousa.library import Library, SearchResult
 
 
-_WIDTH = 13.0  # inches
-_POSES_PER_LINE = 10
-_MARGIN, _HEAD, _TIMES = 0.25, 0.85, 0.3  # inches
-_VIEW_LABEL, _CAPTION = 0.75, 2.6  # inches
+_WIDTH, _MARGIN, _HEAD, _TIMES, _VIEW_LABEL, _CAPTION = 13.0, 0.25, 0.85, 0.3, 0.75, 2.6  # inches
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +90,7 @@ def draw_contact_sheet(
         raise OptionError("pictures.no_poses", found=n_poses)
     figurine = to_figurine(motion)
     frames = _spread(len(figurine.positions), n_poses)
-    lines = [frames[k : k + _POSES_PER_LINE] for k in range(0, len(frames), _POSES_PER_LINE)]
+    lines = [frames[k : k + 10] for k in range(0, len(frames), 10)]
     spacing, top = np.max([extent(figurine, line, view) for line in lines for view in (FRONT, SIDE)], axis=0)
     scale = _fit(spacing, top, columns=max(len(lines[0]), 4), label=_VIEW_LABEL, tallest=2.6)
     row = top * scale.per_metre + 0.12
@@ -170,8 +168,8 @@ def _strip(
 
 
 def _head(figure: Any, height: float, title: str, facts: str, legend: bool) -> None:
-    write(figure, _MARGIN / _WIDTH, 1 - 0.36 / height, _shorten(title, 90), 14, weight="bold")
-    write(figure, _MARGIN / _WIDTH, 1 - 0.62 / height, _shorten(facts, 150), 9.5, color=GREY)
+    write(figure, _MARGIN / _WIDTH, 1 - 0.36 / height, shorten(title, 90), 14, weight="bold")
+    write(figure, _MARGIN / _WIDTH, 1 - 0.62 / height, shorten(facts, 150), 9.5, color=GREY)
     if legend:
         draw_key(figure)
 
@@ -182,8 +180,11 @@ def draw_key(figure: Any, size: float = 9) -> None:
 
     width, height = figure.get_size_inches()
     figure.legend(
-        [Line2D([], [], color=limb.colour, ls=limb.line, lw=2.0, marker=limb.marker, ms=5) for limb in LIMBS],
-        [limb.label for limb in LIMBS],
+        [
+            Line2D([], [], color=colour, ls=line, lw=2.0, marker=marker, ms=5)
+            for colour, line, marker in _LIMBS.values()
+        ],
+        [f"{side} arm and leg" for side in _LIMBS],
         loc="upper right",
         bbox_to_anchor=(1 - _MARGIN / width, 1 - 0.08 / height),
         frameon=False,
@@ -195,10 +196,6 @@ def draw_key(figure: Any, size: float = 9) -> None:
 
 def _short_path(path: str) -> str:
     return "/".join(os.path.normpath(path).split(os.sep)[-2:])
-
-
-def _shorten(text: str, length: int) -> str:
-    return text if len(text) <= length else f"{text[: length - 20]} ... {text[-15:]}"
 
 
 def draw_search_result(
@@ -255,11 +252,7 @@ def draw_search_result(
 
 
 def draw_search_sheet(
-    query: Strip,
-    hits: Sequence[Strip],
-    path: str | os.PathLike[str],
-    n_poses: int = 10,
-    title: str = "Search",
+    query: Strip, hits: Sequence[Strip], path: str | os.PathLike[str], n_poses: int = 10, title: str = "Search"
 ) -> None:
     """Draw a query and, below it, the motions found, best first, as rows of poses.
 
@@ -277,6 +270,8 @@ def draw_search_sheet(
     """
     if n_poses < 1:
         raise OptionError("pictures.no_poses", found=n_poses)
+    from matplotlib.lines import Line2D
+
     strips = [query, *hits]
     figurines = [to_figurine(strip.motion) for strip in strips]
     chosen = [_spread(len(figurine.positions), n_poses) for figurine in figurines]
@@ -291,7 +286,8 @@ def draw_search_sheet(
         corner = (_MARGIN + _CAPTION, bottom)
         _strip(figure, figurine, frames, view=THREE_QUARTER, scale=scale, corner=corner)
         _caption(figure, strips[number], bottom + 0.5 * row, is_query=number == 0)
-    _rule(figure, height - _HEAD - row - 0.6 * _MARGIN)
+    rule, edge = (height - _HEAD - row - 0.6 * _MARGIN) / height, _MARGIN / _WIDTH
+    figure.add_artist(Line2D([edge, 1 - edge], [rule] * 2, color=FAINT, lw=0.8))
     facts = "the query on top, then the most similar motions, best first; every row from its start to its end"
     _head(figure, height, title, facts, any(figurine.canonical for figurine in figurines))
     save_figure(figure, path)
@@ -301,8 +297,8 @@ def _caption(figure: Any, strip: Strip, middle: float, *, is_query: bool) -> Non
     width, height = figure.get_size_inches()
     x = _MARGIN / width
     name = f"query: {strip.category}" if is_query else strip.category
-    write(figure, x, (middle + 0.16) / height, _shorten(name, 32), 10.5, weight="bold")
-    write(figure, x, (middle - 0.03) / height, _shorten(_short_path(strip.path), 46), 8, color=GREY)
+    write(figure, x, (middle + 0.16) / height, shorten(name, 32), 10.5, weight="bold")
+    write(figure, x, (middle - 0.03) / height, shorten(_short_path(strip.path), 46), 8, color=GREY)
     if strip.note:
         write(figure, x, (middle - 0.2) / height, strip.note, 8, color=GREY)
     if strip.verdict:
@@ -310,28 +306,11 @@ def _caption(figure: Any, strip: Strip, middle: float, *, is_query: bool) -> Non
         write(figure, x, (middle - 0.38) / height, f"{sign} {strip.verdict}", 9, color=colour, weight="bold")
 
 
-def _rule(figure: Any, y: float) -> None:
-    from matplotlib.lines import Line2D
-
-    width, height = figure.get_size_inches()
-    figure.add_artist(Line2D([_MARGIN / width, 1 - _MARGIN / width], [y / height] * 2, color=FAINT, lw=0.8))
-
-
-@dataclass(frozen=True, slots=True)
-class Limb:
-    """How one side is drawn; colour, line and marker each suffice to tell it."""
-
-    label: str
-    side: str
-    colour: str
-    line: Any
-    marker: str
-
-
-LIMBS = (
-    Limb("left arm and leg", "left_", BLUE, "-", "o"),
-    Limb("right arm and leg", "right_", VERMILLION, (0, (2.4, 0.9)), "s"),
-)
+_LIMBS = {
+    "left": (BLUE, "-", "o"),
+    "right": (VERMILLION, (0, (2.4, 0.9)), "s"),
+}
+"""Colour, line (in units of its width) and marker of the limbs of a side; each of them suffices to tell the side."""
 
 
 def draw_poses(axes: Any, figurine: Figurine, frames: Sequence[int], view: float, spacing: float) -> None:
@@ -360,15 +339,15 @@ def _draw_people(axes: Any, poses: FloatArray, height: float, view: float) -> No
         return [JOINT_INDEX[name] for name in names]
 
     _lines(axes, poses, [indices("pelvis", "spine", "neck", "head")], color=INK, lw=2.0, zorder=3)
-    for limb in LIMBS:
+    for side, (colour, line, marker) in _LIMBS.items():
         # From the side the right limbs are nearer to the viewer than the left ones.
-        depth = 2.0 if view > 0 and limb.side == "left_" else 4.0
-        arm, leg = (indices(*chain) for chain in LIMB_JOINTS if chain[0].startswith(limb.side))
+        depth = 2.0 if view > 0 and side == "left" else 4.0
+        arm, leg = (indices(*chain) for chain in LIMB_JOINTS if chain[0].startswith(side))
         girdles = [[*indices("neck"), arm[0]], [*indices("pelvis"), leg[0]]]
         _lines(axes, poses, girdles, color=INK, lw=1.4, zorder=3)
-        _lines(axes, poses, [arm, leg], color=limb.colour, ls=limb.line, lw=1.7, zorder=depth)
+        _lines(axes, poses, [arm, leg], color=colour, ls=line, lw=1.7, zorder=depth)
         tips = poses[:, [arm[-1], leg[-1]]].reshape(-1, 2)
-        axes.plot(*tips.T, ls="", marker=limb.marker, ms=3.0, color=limb.colour, zorder=depth + 0.5)
+        axes.plot(*tips.T, ls="", marker=marker, ms=3.0, color=colour, zorder=depth + 0.5)
     size = np.full(len(poses), 2 * HEAD_RADIUS * height)
     heads = EllipseCollection(
         size, size, np.zeros(len(poses)), units="xy", offsets=poses[:, JOINT_INDEX["head"]],

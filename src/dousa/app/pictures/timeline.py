@@ -16,7 +16,18 @@ import numpy as np
 
 from dousa.app.drawing.body import THREE_QUARTER, Figurine, extent, to_figurine
 from dousa.app.drawing.charts import time_ticks
-from dousa.app.pictures.canvas import BLUE, FAINT, GREY, INK, drawable, new_figure, save_figure, write
+from dousa.app.pictures.canvas import (
+    BLUE,
+    FAINT,
+    GREY,
+    INK,
+    count_noun,
+    drawable,
+    new_figure,
+    save_figure,
+    shorten,
+    write,
+)
 from dousa.app.pictures.sheets import draw_key, draw_poses
 from dousa.errors import OptionError
 
@@ -26,14 +37,9 @@ if TYPE_CHECKING:
 
 _UNKNOWN = "unknown"
 _WIDTH, _MARGIN = 13.0, 0.25  # inches
-_HEAD, _NAMES, _TOTALS, _TICKS = 0.85, 2.3, 0.75, 0.5
+_HEAD, _NAMES, _TOTALS, _TICKS, _GAP = 0.85, 2.3, 0.75, 0.5, 0.14  # inches; the gap is above the rows
 _ROW, _BAR = 0.3, 0.8  # inches; share of a row that a bar of full confidence fills
 _TALLEST_POSE, _MOST_POSES = 1.3, 18
-_GAP = 0.14  # inches between the floor and the rows
-_LEAST_BAR = 0.03  # inches: a segment of a fraction of a second in a long take still shows
-_SHORT_NAME = 20  # characters that fit in large letters
-_PERCENT = 0.36  # inches that "100%" needs inside a bar
-_MINUTES_FROM = 180.0  # s; longer takes are read in minutes
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +180,7 @@ def _draw_rows(figure: Any, segments: Sequence[_Segment], rows: Sequence[str], s
         weight = "normal" if category == _UNKNOWN else "bold"
         spelled = drawable(category)  # as long as it will be drawn
         name = spelled if len(spelled) <= 30 else f"{spelled[:27]} …"
-        size = 10.5 if len(name) <= _SHORT_NAME else 9.0
+        size = 10.5 if len(name) <= 20 else 9.0
         write(figure, (_MARGIN + _NAMES - 0.1) / width, middle, name, size, ha="right", weight=weight)
         total = sum(segment.end - segment.start for segment in mine)
         text = _say_time(total, 0.1) + "?" * any(segment.perhaps for segment in mine)
@@ -182,14 +188,23 @@ def _draw_rows(figure: Any, segments: Sequence[_Segment], rows: Sequence[str], s
     _draw_time_axis(axes, seconds)
 
 
-def _draw_segment(axes: Any, segment: _Segment, row: int, per_inch: float) -> None:
-    """A frame of full height, filled from below to the confidence; ``per_inch`` is in s."""
+def _draw_segment(
+    axes: Any, segment: _Segment, row: int, per_inch: float, least: float = 0.03, room: float = 0.36
+) -> None:
+    """A frame of full height, filled from below to the confidence.
+
+    Parameters
+    ----------
+    per_inch : s of an inch.
+    least : inches, so that a segment of a fraction of a second in a long take still shows.
+    room : inches that "100%" needs inside a bar.
+    """
     from matplotlib.patches import Rectangle
 
     unknown = segment.category == _UNKNOWN
     doubtful = unknown or segment.perhaps
     colour = GREY if unknown else BLUE
-    length = max(segment.end - segment.start, _LEAST_BAR * per_inch)
+    length = max(segment.end - segment.start, least * per_inch)
     floor = row + 0.5 * _BAR
     axes.add_patch(Rectangle((segment.start, floor - _BAR), length, _BAR, facecolor="white", lw=0.0))
     share = 1.0 if segment.confidence is None else segment.confidence
@@ -201,7 +216,7 @@ def _draw_segment(axes: Any, segment: _Segment, row: int, per_inch: float) -> No
     frame = Rectangle((segment.start, floor - _BAR), length, _BAR, fill=False, edgecolor=colour, lw=0.8)
     frame.set_linestyle("--" if segment.perhaps else "-")
     axes.add_patch(frame)
-    if segment.confidence is not None and length > _PERCENT * per_inch:
+    if segment.confidence is not None and length > room * per_inch:
         plate = {"facecolor": "white", "edgecolor": "none", "pad": 0.6} if doubtful else None
         middle = segment.start + 0.5 * length
         text = f"{segment.confidence:.0%}" + "?" * segment.perhaps
@@ -212,7 +227,7 @@ def _draw_time_axis(axes: Any, seconds: float) -> None:
     ticks = time_ticks(seconds, 12.5)
     step = ticks[1] if len(ticks) > 1 else seconds
     axes.set_xticks(ticks, [_say_tick(tick, step, seconds) for tick in ticks], fontsize=10)
-    axes.set_xlabel("minutes:seconds" if seconds >= _MINUTES_FROM else "seconds", fontsize=10, color=GREY)
+    axes.set_xlabel("minutes:seconds" if _is_long(seconds) else "seconds", fontsize=10, color=GREY)
     axes.set_yticks([])
     axes.grid(axis="x", color=FAINT, lw=0.6)
     axes.set_axisbelow(True)
@@ -220,14 +235,19 @@ def _draw_time_axis(axes: Any, seconds: float) -> None:
     axes.spines[["top", "right", "left"]].set_visible(False)
 
 
+def _is_long(seconds: float) -> bool:
+    """Whether times are read in minutes."""
+    return seconds >= 180.0
+
+
 def _say_tick(second: float, step: float, seconds: float) -> str:
-    if seconds >= _MINUTES_FROM:
+    if _is_long(seconds):
         return f"{int(second) // 60}:{int(second) % 60:02d}"
     return f"{second:.1f}" if step < 1 else f"{second:.0f}"
 
 
 def _say_time(seconds: float, least: float) -> str:
-    if seconds >= _MINUTES_FROM:
+    if _is_long(seconds):
         return f"{int(seconds) // 60}:{int(seconds) % 60:02d} min"
     return f"{max(seconds, least):.1f} s"
 
@@ -240,17 +260,10 @@ def _draw_head(figure: Any, title: str, segments: Sequence[_Segment], seconds: f
     stretches = sum(segment.end - segment.start for segment in known)
     facts = f"{_say_time(seconds, 0.1)}, "
     if segments:
-        facts += f"{_count(len(known), 'segment')} of {_count(categories, 'category')} "
+        facts += f"{count_noun(len(known), 'segment')} of {count_noun(categories, 'category')} "
         facts += f"over {stretches / seconds:.0%} of it; bars are as high as the confidence"
         facts += ", dotted ones are perhaps of their row" * doubtful
     else:
         facts += "nothing was found"
-    shown = title if len(title) <= 90 else f"{title[:70]} ... {title[-15:]}"
-    write(figure, _MARGIN / width, 1 - 0.36 / height, shown, 15, weight="bold")
+    write(figure, _MARGIN / width, 1 - 0.36 / height, shorten(title, 90), 15, weight="bold")
     write(figure, _MARGIN / width, 1 - 0.63 / height, facts, 10.5, color=GREY)
-
-
-def _count(number: int, noun: str) -> str:
-    if number == 1:
-        return f"1 {noun}"
-    return f"{number or 'no'} {noun[:-1]}ies" if noun.endswith("y") else f"{number or 'no'} {noun}s"

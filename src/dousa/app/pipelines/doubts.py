@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,11 +18,6 @@ if TYPE_CHECKING:
     from dousa.estimation import BodyModel, Camera
     from dousa.estimation.tracking.settings import Estimate
 
-_BAD_OVERLAP = 0.5  # mean of all frames
-_DOUBTFUL_OVERLAP = 0.7  # real people tracked right lie above 0.72, wrong lenses and exchanged cameras at 0.62 to 0.69
-_ODD_VIEW = 0.25  # below the mean of the others
-_THIN, _THICK = 0.8, 1.4  # girth fitted over girth of the model; real people in clothes have 0.9 to 1.2
-
 
 def describe_doubts(
     estimate: Estimate, body: BodyModel, names: Sequence[str], cameras: Sequence[Camera]
@@ -35,30 +30,43 @@ def describe_doubts(
     ]
 
 
-def _weigh_girths(fitted: BodyModel, body: BodyModel) -> list[Message]:
-    """A wrong stature shows in a person who is far thicker or thinner than people are."""
+def _weigh_girths(fitted: BodyModel, body: BodyModel, thin: float = 0.8, thick: float = 1.4) -> list[Message]:
+    """A wrong stature shows in a person who is far thicker or thinner than people are.
+
+    ``thin`` and ``thick`` are girths as shares of the model's; those of real people in clothes are 0.9 to 1.2.
+    """
     if fitted.spheres.shape != body.spheres.shape:
         return []
     share = float(np.median(fitted.spheres[:, 3] / body.spheres[:, 3]))
-    if _THIN <= share <= _THICK:
+    if thin <= share <= thick:
         return []
     return [Message("doubts.girth", share=share)]
 
 
-def _weigh_overlaps(estimate: Estimate, names: Sequence[str]) -> list[Message]:
+def _weigh_overlaps(
+    estimate: Estimate, names: Sequence[str], bad: float = 0.5, doubtful: float = 0.7, odd: float = 0.25
+) -> list[Message]:
+    """Doubt overlaps.
+
+    Parameters
+    ----------
+    bad, doubtful : mean of all frames; real people tracked right lie above 0.72, wrong lenses and exchanged cameras at
+        0.62 to 0.69.
+    odd : how far a view is below the mean of the others.
+    """
     seen = [view for view in range(len(names)) if np.isfinite(estimate.iou[:, view]).any()]
     means = {names[view]: float(np.nanmean(estimate.iou[:, view])) for view in seen}
     doubts = []
     if len(means) == 1:
         doubts.append(Message("doubts.one_view"))
     mean = float(np.mean(list(means.values()))) if means else 1.0
-    if mean < _BAD_OVERLAP:
+    if mean < bad:
         return [*doubts, Message("doubts.bad_overlap", overlap=mean)]
-    if mean < _DOUBTFUL_OVERLAP:
+    if mean < doubtful:
         doubts.append(Message("doubts.low_overlap", overlap=mean))
     for name, value in means.items():
         others = float(np.mean([other for key, other in means.items() if key != name] or [value]))
-        if value < others - _ODD_VIEW:
+        if value < others - odd:
             doubts.append(Message("doubts.odd_view", view=name, overlap=value, others=others))
     return doubts
 
@@ -92,13 +100,6 @@ def _fill(spheres: NDArray[np.float64]) -> NDArray[np.float64]:
 Masks = Sequence[Mask | None]
 Pictures = Sequence[Image | None]
 
-_FULL = 0.9  # share of the image that no person fills and is still seen whole
-_EMPTY = 2e-4  # share of the image below which a silhouette is a few specks
-_SECOND = 0.3  # of the largest region: another region of this size is another person, or a part cut off
-_EVERY = 7  # frames between two looks for regions, which cost more than the rest
-_OFTEN = 0.2  # share of the frames from which a warning is given
-_EDGE = 0.02  # of the outline's pixels lying on the border of the image
-
 
 def parse_frames(text: str | None, n_frames: int, what: Message) -> tuple[int, int]:
     """``A:B`` as the frames from A to before B; either may be left out, negative numbers count from the end.
@@ -122,30 +123,8 @@ def parse_frames(text: str | None, n_frames: int, what: Message) -> tuple[int, i
     return start, stop
 
 
-@dataclass(slots=True)
-class _ViewCount:
-    seen: int = 0
-    missing: int = 0
-    empty: int = 0
-    full: int = 0
-    cut: int = 0
-    looked: int = 0
-    several: int = 0
-
-
-@dataclass(slots=True)
-class _Counts:
-    views: list[_ViewCount] = field(default_factory=list)
-    frames: set[int] = field(default_factory=set)
-
-
-class MirroredSilhouettes(Silhouettes):
-    """Silhouettes with left and right of every image exchanged.
-
-    Parameters
-    ----------
-    inner : where the masks come from.
-    """
+class _WrappedSilhouettes(Silhouettes):
+    """Silhouettes made from others, which have the same views."""
 
     def __init__(self, inner: Silhouettes) -> None:
         self.names, self.sizes, self.frame_rate = inner.names, inner.sizes, inner.frame_rate
@@ -157,23 +136,26 @@ class MirroredSilhouettes(Silhouettes):
         """Warnings of the source."""
         return self._inner.warnings
 
+    def close(self) -> None:
+        """Let go of open files."""
+        self._inner.close()
+
+
+class MirroredSilhouettes(_WrappedSilhouettes):
+    """Silhouettes with left and right of every image exchanged."""
+
     def read(self, frame: int) -> tuple[Mask | None, ...]:
         """The masks (height, width) of all views in one frame; None where a view has no image then."""
         return tuple(None if mask is None else np.ascontiguousarray(mask[:, ::-1]) for mask in self._inner.read(frame))
 
     def look(self, frame: int) -> tuple[Image | None, ...]:
         """The pictures (height, width, 3) behind the masks; None where there is none."""
-        return tuple(
-            None if picture is None else np.ascontiguousarray(picture[:, ::-1]) for picture in self._inner.look(frame)
-        )
-
-    def close(self) -> None:
-        """Let go of open files."""
-        self._inner.close()
+        pictures = self._inner.look(frame)
+        return tuple(None if picture is None else np.ascontiguousarray(picture[:, ::-1]) for picture in pictures)
 
 
-class WatchedSilhouettes(Silhouettes):
-    """Some frames of silhouettes; counts while reading what spoils an estimate.
+class WatchedSilhouettes(_WrappedSilhouettes):
+    """Some frames of silhouettes; counts while reading what spoils an estimate; see `describe`.
 
     Parameters
     ----------
@@ -183,10 +165,10 @@ class WatchedSilhouettes(Silhouettes):
     """
 
     def __init__(self, inner: Silhouettes, start: int, stop: int, most_kept: int = 0) -> None:
-        self.names, self.sizes, self.frame_rate = inner.names, inner.sizes, inner.frame_rate
-        self.n_frames = stop - start
-        self._inner, self._start = inner, start
-        self._counts = _Counts([_ViewCount() for _ in inner.names])
+        super().__init__(inner)
+        self.n_frames, self._start = stop - start, start
+        self._counts: list[Counter[str]] = [Counter() for _ in inner.names]
+        self._counted: set[int] = set()
         self._kept: dict[int, tuple[NDArray[np.uint8] | None, ...]] = {}
         each = sum(((width + 7) // 8) * height for width, height in inner.sizes)
         self._most_kept = most_kept // each
@@ -196,11 +178,6 @@ class WatchedSilhouettes(Silhouettes):
     def show(self, see: Callable[[int, Masks, Pictures], None] | None) -> None:
         """Call a function with masks and pictures (V,) of each frame when it is first read; None ends that."""
         self._show = see
-
-    @property
-    def warnings(self) -> tuple[Message, ...]:  # type: ignore[override]
-        """Warnings of the source; see `describe` for those of the masks."""
-        return self._inner.warnings
 
     def read(self, frame: int) -> tuple[Mask | None, ...]:
         """The masks (height, width) of all views in one frame; None where a view has no image then."""
@@ -223,67 +200,76 @@ class WatchedSilhouettes(Silhouettes):
         masks = self._inner.read(self._start + frame)
         if len(self._kept) < self._most_kept:
             self._kept[frame] = tuple(None if mask is None else np.packbits(mask, axis=1) for mask in masks)
-        if frame not in self._counts.frames:
-            self._counts.frames.add(frame)
-            for count, mask in zip(self._counts.views, masks, strict=True):
-                _look(count, mask, len(self._counts.frames) % _EVERY == 1)
+        if frame not in self._counted:
+            self._counted.add(frame)
+            closely = len(self._counted) % 7 == 1  # to look for regions costs more than the rest
+            for count, mask in zip(self._counts, masks, strict=True):
+                _look(count, mask, closely)
         return masks
-
-    def close(self) -> None:
-        """Let go of open files."""
-        self._inner.close()
 
     @property
     def is_blank(self) -> bool:
         """Whether no frame that was read shows anything in any view."""
-        return all(count.seen == count.empty + count.full for count in self._counts.views)
+        return all(count["seen"] == count["empty"] + count["full"] for count in self._counts)
 
     def describe(self) -> tuple[Message, ...]:
         """Describe problems of the frames read so far."""
         return tuple(
             Message("doubts.view", view=name, problem=problem)
-            for name, count in zip(self.names, self._counts.views, strict=True)
+            for name, count in zip(self.names, self._counts, strict=True)
             for problem in _describe(count)
         )
 
 
-def _look(count: _ViewCount, mask: Mask | None, closely: bool) -> None:
+def _look(
+    count: Counter[str], mask: Mask | None, closely: bool, empty: float = 2e-4, full: float = 0.9, edge: float = 0.02
+) -> None:
+    """Count what is wrong with a mask.
+
+    Parameters
+    ----------
+    count : of the view, is changed.
+    mask : (height, width).
+    closely : whether another region is looked for.
+    empty : share of the image below which a silhouette is a few specks.
+    full : share of the image that no person fills and is still seen whole.
+    edge : of the outline's pixels that lie on the border of the image.
+    """
     if mask is None:
-        count.missing += 1
+        count["missing"] += 1
         return
-    count.seen += 1
+    count["seen"] += 1
     share = np.count_nonzero(mask) / mask.size
-    if share <= _EMPTY:
-        count.empty += 1
-        return
-    if share >= _FULL:
-        count.full += 1
+    if share <= empty or share >= full:
+        count["empty" if share <= empty else "full"] += 1
         return
     border = sum(int(np.count_nonzero(line)) for line in (mask[0], mask[-1], mask[:, 0], mask[:, -1]))
-    count.cut += border > _EDGE * 4.0 * np.sqrt(share * mask.size)
+    count["cut"] += int(border > edge * 4.0 * np.sqrt(share * mask.size))
     if closely:
-        count.looked += 1
-        count.several += _has_second_region(mask)
+        count["looked"] += 1
+        count["several"] += _has_second_region(mask)
 
 
-def _has_second_region(mask: Mask) -> bool:
+def _has_second_region(mask: Mask, least: float = 0.3) -> bool:
+    """Whether another region has this share of the largest one: another person, or a part cut off."""
     from dousa.extras import cv2
 
     _, _, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=8)
     areas: NDArray[np.int32] = np.sort(stats[1:, cv2.CC_STAT_AREA])
-    return len(areas) > 1 and bool(areas[-2] > _SECOND * areas[-1])
+    return len(areas) > 1 and bool(areas[-2] > least * areas[-1])
 
 
-def _describe(count: _ViewCount) -> list[Message]:
-    total, problems = max(count.seen, 1), []
-    if count.missing:
-        problems.append(Message("doubts.no_image", count=count.missing, total=count.seen + count.missing))
-    if count.empty:
-        problems.append(Message("doubts.empty", count=count.empty, total=count.seen))
-    if count.full:
-        problems.append(Message("doubts.full", count=count.full, total=count.seen))
-    if count.cut > _OFTEN * total:
-        problems.append(Message("doubts.cut_off", count=count.cut, total=count.seen))
-    if count.several > _OFTEN * max(count.looked, 1):
+def _describe(count: Counter[str], often: float = 0.2) -> list[Message]:
+    """Describe what is wrong with a view: its edge or a second region in this share of the frames."""
+    seen, problems = count["seen"], []
+    if count["missing"]:
+        problems.append(Message("doubts.no_image", count=count["missing"], total=seen + count["missing"]))
+    if count["empty"]:
+        problems.append(Message("doubts.empty", count=count["empty"], total=seen))
+    if count["full"]:
+        problems.append(Message("doubts.full", count=count["full"], total=seen))
+    if count["cut"] > often * max(seen, 1):
+        problems.append(Message("doubts.cut_off", count=count["cut"], total=seen))
+    if count["several"] > often * max(count["looked"], 1):
         problems.append(Message("doubts.second_region"))
     return problems

@@ -1,16 +1,24 @@
-"""From silhouettes on the disk to a motion on the disk: ``dousa estimate`` without its options."""
+"""From silhouettes or films on the disk to motions on the disk: ``dousa estimate`` without its options."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dousa.app.pipelines.doubts import WatchedSilhouettes, describe_doubts, parse_frames
-from dousa.app.pipelines.estimation_body import StartPose, check_start, choose_body, measure_body, read_start
+from dousa.app.pipelines.estimation_body import (
+    StartPose,
+    check_start,
+    choose_body,
+    load_given_body,
+    measure_body,
+    read_start,
+)
 from dousa.app.pipelines.estimation_output import check_outputs, write_outputs
 from dousa.app.pipelines.estimation_views import (
     Scene,
@@ -20,9 +28,19 @@ from dousa.app.pipelines.estimation_views import (
     pictures_of,
     read_known_stature,
 )
+from dousa.app.pipelines.film_scene import (
+    FilmScene,
+    PersonSilhouettes,
+    has_models,
+    is_films,
+    open_films,
+    open_pictures,
+    shows_masks,
+    with_outputs,
+)
 from dousa.app.pipelines.track_log import PartialFile, describe_files, fingerprint
 from dousa.arrays import FloatArray
-from dousa.errors import SilhouetteError
+from dousa.errors import DousaError, KeypointError, OptionError, SilhouetteError
 from dousa.extras import require
 from dousa.messages import Message
 
@@ -30,11 +48,10 @@ if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
     from dousa.app.requests.estimation import EstimationRequest
     from dousa.estimation import BodyModel, Camera, Silhouettes
+    from dousa.estimation.multiview.keypoint_fit import KeypointFit
+    from dousa.estimation.multiview.people import MatchedPerson
     from dousa.estimation.tracking.settings import Estimate
     from dousa.estimation.tracking.tracker import PartialTrack
-
-_KEPT_BYTES = 200_000_000  # of masks for the drawings; to find those of a video again costs as much as tracking
-_WATCHED_EVERY_S = 0.5  # between two states kept: who looks on stops the work when they have seen enough
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,6 +105,7 @@ def estimate_files(
     progress: ProgressCallback | None = None,
     tell: Callable[[Message], None] | None = None,
     watcher: Watcher | None = None,
+    kept_bytes: int = 200_000_000,
 ) -> Estimation:
     """Read silhouettes, cameras, body and start, track, and write what was asked for.
 
@@ -97,18 +115,21 @@ def estimate_files(
     progress : called with (done, total, what is being done).
     tell : called with what a person should know before the work begins, such as that it goes on where it stopped.
     watcher : is shown every frame as soon as it has a pose.
+    kept_bytes : of masks for the drawings; to find those of a video again costs as much as tracking.
 
     Raises
     ------
     DousaError : what can be put right by the person who reads it; before the work where that can be known.
     """
+    from dousa.estimation.tracking.tracker import PartialTrack
+
     report = progress or (lambda done, total, what: None)
     check_outputs(request.outputs, request.inputs)
     require("cv2", "film")
     report(0, 1, Message("progress.opening"))
     with open_views(request, report) as opened:
         first, last = parse_frames(request.frames, opened.n_frames, Message("frames.recording"))
-        views = WatchedSilhouettes(opened, first, last, _KEPT_BYTES if request.outputs.has_drawings else 0)
+        views = WatchedSilhouettes(opened, first, last, kept_bytes if request.outputs.has_drawings else 0)
         cameras, notes = choose_cameras(request, views)
         given = None if request.start is None else read_start(request.start, request.options)
         known = read_known_stature(request.sources)
@@ -118,10 +139,14 @@ def estimate_files(
             body, body_words, more = choose_body(request, given, known)
         start, start_words, start_notes = _choose_start(given, body, views, cameras)
         notes = [*notes, *more, *start_notes]
-        every = None if watcher is None else _WATCHED_EVERY_S
+        every = None if watcher is None else 0.5  # s: who looks on stops the work when they have seen enough
         kept = PartialFile(request.outputs.first, _fingerprint(request, cameras, body, start), every)
         try:
-            done = _take_up(kept, views, tell)
+            done, note = kept.load(PartialTrack)
+            if done is not None:
+                note = Message("estimate.resumed", frame=done.n_tracked, total=views.n_frames)
+            if note is not None and tell is not None:
+                tell(note)
             if watcher is not None:
                 n_done = 0 if done is None else done.n_tracked
                 watcher.begin(Scene(views.names, cameras, views.frame_rate, views.n_frames, n_done))
@@ -131,32 +156,13 @@ def estimate_files(
             if not views.is_blank:
                 raise  # an unreadable image, whose file is named
             raise SilhouetteError("estimate.sources", sources=request.sources, problem=error.located) from error
-        notes += [
-            *([kept.problem] if kept.problem else []),
-            *views.warnings,
-            *views.describe(),
-            *estimate.warnings,
-        ]
+        notes += [*([kept.problem] if kept.problem else []), *views.warnings, *views.describe(), *estimate.warnings]
         notes += describe_doubts(estimate, body, views.names, cameras)
-        written = write_outputs(
-            request.outputs,
-            estimate,
-            views,
-            cameras,
-            lambda: pictures_of(request.sources, views, first, request.mirrored),
-            report,
-        )
+        pictures = partial(pictures_of, request.sources, views, first, request.mirrored)
+        written = write_outputs(request.outputs, estimate, views, cameras, pictures, report)
     kept.remove()
-    return Estimation(
-        estimate,
-        views.names,
-        body_words,
-        start_words,
-        first,
-        0 if done is None else len(done.poses),
-        written,
-        tuple(dict.fromkeys(notes)),
-    )
+    resumed, warnings = 0 if done is None else len(done.poses), tuple(dict.fromkeys(notes))
+    return Estimation(estimate, views.names, body_words, start_words, first, resumed, written, warnings)
 
 
 def _choose_start(
@@ -184,33 +190,13 @@ def _fingerprint(
         {
             "version": dousa.__version__,
             "files": describe_files((*request.sources, *request.backgrounds)),
-            "method": [
-                request.background_method,
-                request.kind,
-                request.rate,
-                request.frames,
-                request.mirrored,
-            ],
+            "method": [request.background_method, request.kind, request.rate, request.frames, request.mirrored],
             "cameras": [[camera.to_row(), camera.width, camera.height] for camera in cameras],
             "body": body,
             "start": start,
             "settings": request.settings,
         }
     )
-
-
-def _take_up(
-    kept: PartialFile, views: WatchedSilhouettes, tell: Callable[[Message], None] | None
-) -> PartialTrack | None:
-    """What an earlier run left of the same work; says so."""
-    from dousa.estimation.tracking.tracker import PartialTrack
-
-    done, note = kept.load(PartialTrack)
-    if done is not None:
-        note = Message("estimate.resumed", frame=done.n_tracked, total=views.n_frames)
-    if note is not None and tell is not None:
-        tell(note)
-    return done
 
 
 def _track(
@@ -241,3 +227,284 @@ def _track(
         views.show(None)
         watcher.end(answer)
     return answer
+
+
+def estimate_sources(
+    request: EstimationRequest,
+    progress: ProgressCallback | None = None,
+    tell: Callable[[Message], None] | None = None,
+    watcher: Watcher | None = None,
+) -> tuple[Estimation, ...]:
+    """Estimate from keypoints of films where that can be done, else from silhouettes.
+
+    Parameters
+    ----------
+    request : from what, how, and where to; its ``cues`` choose, None takes keypoints for films.
+    progress, tell, watcher : see `estimate_files`.
+
+    Returns
+    -------
+    One estimate, or with ``everybody`` one for each person, the most seen first.
+
+    Raises
+    ------
+    DousaError : what can be put right by the person who reads it.
+    """
+    if _takes_keypoints(request, tell):
+        return estimate_films(request, progress, watcher)
+    for option, given in (("--person", request.person != 1), ("--everybody", request.everybody)):
+        if given:
+            raise OptionError("film_estimate.needs_keypoints", option=option)
+    return (estimate_files(request, progress, tell, watcher),)
+
+
+def _takes_keypoints(request: EstimationRequest, tell: Callable[[Message], None] | None) -> bool:
+    films = is_films(request)
+    if request.cues == "keypoints":
+        if not films:
+            raise OptionError("film_estimate.no_films")
+        return True
+    installed = has_models()
+    if request.cues is not None or not films or (request.cameras is None and not installed):
+        return False
+    if any(shows_masks(path) for path in request.sources):
+        return False
+    if installed:
+        return True
+    if tell is not None:
+        tell(Message("film_estimate.models"))
+    return False
+
+
+def estimate_films(
+    request: EstimationRequest, progress: ProgressCallback | None = None, watcher: Watcher | None = None
+) -> tuple[Estimation, ...]:
+    """Estimate the motions of people in films from their keypoints.
+
+    Raises
+    ------
+    DousaError : what can be put right by the person who reads it.
+    """
+    from dousa.estimation.multiview.people import match_people
+
+    report = progress or (lambda done, total, what: None)
+    check_outputs(request.outputs, request.inputs)
+    if request.mirrored:
+        raise OptionError("film_estimate.mirrored")
+    require("cv2", "film")
+    films = open_films(request, report)
+    names = films.found[0].names
+    people = match_people(films.cameras, films.list_people(), names)
+    if not people:
+        raise KeypointError("multiview.nobody")
+    films = replace(films, warnings=(*films.warnings, *check_agreement(films, people)))
+    aside: list[Message] = []
+    if request.everybody:
+        chosen, aside = list_everybody(people)
+    else:
+        if not 1 <= request.person <= len(people):
+            raise OptionError("film_estimate.no_such_person", number=request.person, people=len(people))
+        chosen = [(request.person, people[request.person - 1])]
+    answers = []
+    for number, person in chosen:
+        numbered = with_outputs(request, number) if request.everybody else request
+        if numbered is not request:
+            check_outputs(numbered.outputs, numbered.inputs)
+        try:
+            answers.append(estimate_person(numbered, films, person, report, watcher))
+        except KeypointError:
+            if not answers:
+                raise
+            # of people in the background too little is seen
+    answers[0] = replace(answers[0], warnings=(*answers[0].warnings, *aside))
+    return tuple(answers)
+
+
+def list_everybody(
+    people: Sequence[MatchedPerson], often: float = 0.55
+) -> tuple[list[tuple[int, MatchedPerson]], list[Message]]:
+    """List the people seen about as often as the most seen one, with their numbers; and a message on each other.
+
+    Those seen in less than the share ``often`` of the pictures of the most seen one are in the background.
+    """
+    shares = [float(np.mean([0.0 if track is None else track.present.mean() for track in person.tracks]))
+              for person in people]  # fmt: skip
+    chosen, aside = [], []
+    for number, (person, share) in enumerate(zip(people, shares, strict=True), 1):
+        if share >= often * max(shares):
+            chosen.append((number, person))
+        else:
+            aside.append(Message("film_estimate.aside", number=number, share=share))
+    return chosen, aside
+
+
+def check_agreement(films: FilmScene, people: Sequence[MatchedPerson], long: float = 0.5) -> list[Message]:
+    """Find views that show a person for long where the other views see no person.
+
+    ``long`` is the share of the film from which a person takes part and does not only walk past.
+
+    Raises
+    ------
+    KeypointError : no two views agree, though several show a person.
+    """
+    agreed = [person for person in people if sum(track is not None for track in person.tracks) > 1]
+    alone = []
+    for view, (name, tracks) in enumerate(zip(films.names, films.list_people(), strict=True)):
+        claimed = any(person.tracks[view] is not None for person in agreed)
+        if not claimed and any(track.present.mean() > long for track in tracks):
+            alone.append(name)
+    if not agreed and len(alone) > 1:
+        raise KeypointError("film_estimate.disagree", views=alone)
+    return [Message("film_estimate.left_out", views=alone, n=len(alone))] if agreed and alone else []
+
+
+def estimate_person(
+    request: EstimationRequest,
+    films: FilmScene,
+    person: MatchedPerson,
+    report: ProgressCallback,
+    watcher: Watcher | None,
+) -> Estimation:
+    """Estimate the motion of one person of films, and write its files.
+
+    Parameters
+    ----------
+    request : its body, stature and outputs.
+    films : on one clock.
+    person : of `match_people`.
+    report : called with (done, total, what).
+    watcher : sees the scene and the estimate.
+
+    Raises
+    ------
+    KeypointError : too little is seen of the person.
+    """
+    from dousa.estimation.multiview.keypoint_fit import fit_keypoints
+
+    if request.body is not None and request.stature is not None:
+        raise OptionError("estimate.body_and_stature")
+    given, notes = (None, ()) if request.body is None else load_given_body(request.body, request.options)
+    fit = fit_keypoints(
+        films.cameras,
+        person.tracks,
+        films.found[0].names,
+        films.frame_rate,
+        body=given,
+        stature=request.stature,
+        sex=request.sex,
+        progress=report,
+    )
+    silhouettes = PersonSilhouettes(films, person.members)
+    cameras = silhouettes.fit_cameras(films.cameras)
+    estimate = add_overlap(fit.estimate, silhouettes, cameras)
+    warnings = [*films.warnings, *notes, *describe_fit(fit, films.cameras, request.stature is not None)]
+    warnings += describe_doubts(estimate, estimate.body, films.names, cameras)
+    if watcher is not None:
+        watcher.begin(Scene(films.names, cameras, films.frame_rate, estimate.n_frames, 0))
+        watcher.end(estimate)
+    written = write_outputs(
+        request.outputs,
+        estimate,
+        silhouettes,
+        cameras,
+        lambda: open_pictures(request.sources, silhouettes),
+        report,
+    )
+    words = _body_words(request, estimate.body)
+    return Estimation(estimate, films.names, words, Message("estimate.start_keypoints"), films.first_frame, 0, written,
+                      tuple(dict.fromkeys(warnings)))  # fmt: skip
+
+
+def _body_words(request: EstimationRequest, body: BodyModel) -> Message:
+    from dousa.estimation.multiview.keypoint_fit import STATURE_SHARE
+
+    if request.body is not None:
+        return Message("text.verbatim", text=request.body)
+    if request.stature is not None:
+        return Message("body.stature_given", stature=request.stature)
+    if len(request.sources) == 1:
+        return Message("body.assumed", stature=round(body.stature, 2))
+    return Message("body.of_keypoints", stature=body.stature, spread=STATURE_SHARE * body.stature)
+
+
+def add_overlap(
+    estimate: Estimate,
+    silhouettes: PersonSilhouettes,
+    cameras: Sequence[Camera],
+    n_girths: int = 12,
+    n_overlaps: int = 600,
+) -> Estimate:
+    """Fit the body's girths to the person's masks, and measure the overlap, in so many frames spread over the film."""
+    from dousa.estimation.raster.rasteriser import draw_body
+    from dousa.estimation.tracking.measures import fit_girths
+
+    if not silhouettes.has_masks:
+        return estimate
+    good = np.flatnonzero(~estimate.lost)
+    body = estimate.body
+    if len(good):
+        frames = good[np.unique(np.linspace(0, len(good) - 1, n_girths).astype(int))]
+        read = [silhouettes.read(int(frame)) for frame in frames]
+        shown = [view for view in range(silhouettes.n_views) if all(masks[view] is not None for masks in read)]
+        if shown:
+            stacked = [np.stack([masks[view] for masks in read]) for view in shown]  # type: ignore[misc]
+            try:
+                body = fit_girths(body, estimate.poses[frames], stacked, [cameras[view] for view in shown])
+            except DousaError:
+                body = estimate.body
+    overlap = np.full((estimate.n_frames, silhouettes.n_views), np.nan)
+    for frame in np.unique(np.linspace(0, estimate.n_frames - 1, n_overlaps).astype(int)):
+        for view, mask in enumerate(silhouettes.read(int(frame))):
+            if mask is not None and mask.any():
+                drawn = draw_body(body, estimate.poses[frame][None], cameras[view])[0]
+                overlap[frame, view] = (drawn & mask).sum() / max(1, (drawn | mask).sum())
+    return replace(estimate, body=body, iou=overlap)
+
+
+def describe_fit(
+    fit: KeypointFit,
+    cameras: Sequence[Camera],
+    stature_given: bool,
+    poor: float = 0.025,
+    far: float = 0.085,
+    depth: float = 0.08,
+) -> list[Message]:
+    """Describe doubts about the fit.
+
+    Parameters
+    ----------
+    fit, cameras : what was found, from what.
+    stature_given : whether the scale is known.
+    poor : of a person's height in the picture, median reprojection that tells of a wrong calibration.
+    far : the same of the worst tenth of its points; 0.01 to 0.08 with right cameras (docs/estimation.md).
+    depth : m, of a single view.
+    """
+    warnings = []
+    n_views = int(fit.seen.seen.any(axis=(1, 2)).sum())
+    exchanged = int(fit.exchanged.any(axis=(0, 2)).sum())
+    if exchanged:
+        warnings.append(Message("film_estimate.exchanged", frames=exchanged, total=fit.estimate.n_frames))
+    heights = [np.ptp(points[np.isfinite(points[:, :, 1]).all(axis=1)][..., 1], axis=1).mean()
+               if np.isfinite(points[:, :, 1]).all(axis=1).any() else np.nan for points in fit.seen.points]  # fmt: skip
+    for camera, errors, height in zip(cameras, fit.errors, heights, strict=True):
+        if np.isfinite(errors).any() and np.nanmedian(errors) > poor * height:
+            warnings.append(Message("film_estimate.off", view=camera.name, error=float(np.nanmedian(errors)),
+                                share=float(np.nanmedian(errors) / height)))  # fmt: skip
+        elif np.isfinite(errors).any() and (worst := float(np.nanpercentile(errors, 90))) > far * height:
+            warnings.append(Message("film_estimate.far_off", view=camera.name, error=worst, share=worst / height))
+    stature = fit.estimate.body.stature
+    if n_views > 1 and not stature_given and not 1.4 < stature < 2.05:
+        warnings.append(Message("film_estimate.odd_stature", stature=stature))
+    if n_views == 1:
+        unsure = int((fit.depth_doubt > depth).sum())
+        doubt = float(np.median(fit.depth_doubt))
+        warnings.append(Message("film_estimate.one_view", doubt=doubt, frames=unsure, total=fit.estimate.n_frames))
+        if not stature_given:
+            warnings.append(Message("body.stature_assumed", stature=1.72))
+    absent = ~fit.seen.seen.any(axis=(0, 2))
+    if absent.any():
+        warnings.append(Message("film_estimate.absent", frames=int(absent.sum()), total=fit.estimate.n_frames))
+    lost = int((fit.estimate.lost & ~absent).sum())
+    if lost:
+        warnings.append(Message("film_estimate.lost", lost=lost, frames=fit.estimate.n_frames))
+    return warnings

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -24,15 +25,13 @@ if TYPE_CHECKING:
     from dousa.formats.motion_files import ReadOptions
 
 
-_USUAL = 1.72  # m
-
 GivenBody: TypeAlias = "tuple[BodyModel, Message, tuple[Message, ...]]"
 """A body, what it was made from, and what a person should know."""
 
-_AGREES = 0.07  # of the stature: a start further off is of another person, or of a skeleton with other joints
 
-
-def choose_body(request: EstimationRequest, start: StartPose | None, known_stature: float | None) -> GivenBody:
+def choose_body(
+    request: EstimationRequest, start: StartPose | None, known_stature: float | None, agrees: float = 0.07
+) -> GivenBody:
     """Choose the body to be tracked: of ``--body`` or the tables, with the limbs of the start if ``bones`` says so.
 
     Parameters
@@ -40,6 +39,7 @@ def choose_body(request: EstimationRequest, start: StartPose | None, known_statu
     request : its ``body``, ``stature``, ``sex`` and ``bones`` count.
     start : the joints of the start.
     known_stature : m, what the silhouettes' file says.
+    agrees : share of the stature; a start further off is of another person, or of a skeleton with other joints.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def choose_body(request: EstimationRequest, start: StartPose | None, known_statu
         return body, Message("body.tables_start_unusable", body=words), notes
     if request.body is None and request.stature is None and known_stature is None:
         return fitted, Message("body.of_start", stature=fitted.stature), ()
-    if request.bones == "auto" and abs(fitted.stature / body.stature - 1.0) > _AGREES:
+    if request.bones == "auto" and abs(fitted.stature / body.stature - 1.0) > agrees:
         return body, Message("body.tables_start_differs", body=words, stature=fitted.stature), notes
     return fitted, Message("body.with_start", body=words), notes
 
@@ -81,7 +81,6 @@ def measure_body(
     -------
     As `choose_body`.
     """
-    from dousa.errors import SilhouetteError
     from dousa.estimation.body.human import make_human
     from dousa.estimation.tracking.measures import fit_scale
 
@@ -94,20 +93,15 @@ def measure_body(
     return make_human(scale.stature, sex), Message("body.measured", stature=scale.stature), ()
 
 
-def _assume_body(sex: str) -> GivenBody:
+def _assume_body(sex: str, stature: float = 1.72) -> GivenBody:
     from dousa.estimation.body.human import make_human
 
-    notes = (Message("body.stature_assumed", stature=_USUAL),)
-    return make_human(_USUAL, sex), Message("body.assumed", stature=_USUAL), notes
+    notes = (Message("body.stature_assumed", stature=stature),)
+    return make_human(stature, sex), Message("body.assumed", stature=stature), notes
 
 
 def load_body(
-    file: Path | None,
-    stature: float | None,
-    sex: str,
-    *,
-    known_stature: float | None,
-    options: ReadOptions,
+    file: Path | None, stature: float | None, sex: str, *, known_stature: float | None, options: ReadOptions
 ) -> GivenBody:
     """Load the body of a file, or make one of a stature.
 
@@ -163,10 +157,6 @@ def load_given_body(file: Path, options: ReadOptions) -> tuple[BodyModel, tuple[
     return body, (Message("body.of_motion", path=file, stature=body.stature),)
 
 
-_FAR_OFF = 0.2  # overlap below which a given start is doubted: 30 degrees off in every joint still have more
-_LEAST_JOINTS = 8  # of the file's own, so that the made ones may be left out
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class StartPose:
     """Where the joints of a person are in one frame.
@@ -197,24 +187,16 @@ def read_start(text: str, options: ReadOptions) -> StartPose:
     DousaError : no such file or frame, a file whose joints cannot be identified.
     """
     path, frame = parse_start(text)
-    true_joints = _read_true_joints(path)
-    if true_joints is not None:
-        names, places = true_joints
-        _check_frame(text, frame, len(places))
-        return StartPose(path, frame, dict(zip(names, places[frame], strict=True)))
+    if path.suffix.lower() == ".npz":
+        from dousa.estimation.silhouettes.mask_npz import read_true_joints
+
+        with suppress(SilhouetteError):  # the reader of motion files describes the problem
+            true_joints = read_true_joints(path)
+            if true_joints is not None:
+                names, places = true_joints
+                _check_frame(text, frame, len(places))
+                return StartPose(path, frame, dict(zip(names, places[frame], strict=True)))
     return _read_motion(text, path, frame, options)
-
-
-def _read_true_joints(path: Path) -> tuple[tuple[str, ...], NDArray[np.float64]] | None:
-    """Read the true joints of an npz of silhouettes; None for every other file."""
-    if path.suffix.lower() != ".npz":
-        return None
-    from dousa.estimation.silhouettes.mask_npz import read_true_joints
-
-    try:
-        return read_true_joints(path)
-    except SilhouetteError:
-        return None  # the reader of motion files describes the problem
 
 
 def _check_frame(text: str, frame: int, n_frames: int) -> None:
@@ -222,7 +204,8 @@ def _check_frame(text: str, frame: int, n_frames: int) -> None:
         raise OptionError("start.no_such_frame", text=text, last=n_frames - 1, frame=frame)
 
 
-def _read_motion(text: str, path: Path, frame: int, options: ReadOptions) -> StartPose:
+def _read_motion(text: str, path: Path, frame: int, options: ReadOptions, least: int = 8) -> StartPose:
+    """The joints of a frame; those that the file lacks are left out where it has at least so many of its own."""
     from dousa.formats.motion_files import read_canonical
     from dousa.motion import CANONICAL_JOINTS
 
@@ -231,20 +214,14 @@ def _read_motion(text: str, path: Path, frame: int, options: ReadOptions) -> Sta
     except (MotionFileError, JointMappingError) as error:
         raise OptionError("start.unusable", text=text, problem=error.located) from error
     _check_frame(text, frame, motion.n_frames)
-    unseen = (
-        set()
-        if motion.missing is None
-        else {CANONICAL_JOINTS[joint] for joint in np.flatnonzero(motion.missing[frame])}
-    )
-    made = set(motion.mapping.derived)
-    known = {
-        name: place for name, place in zip(CANONICAL_JOINTS, motion.positions[frame], strict=True) if name not in unseen
-    }
+    hidden = () if motion.missing is None else np.flatnonzero(motion.missing[frame])
+    places = dict(zip(CANONICAL_JOINTS, motion.positions[frame], strict=True))
+    known = {name: place for joint, (name, place) in enumerate(places.items()) if joint not in hidden}
     # Joints that the file lacks are guesses by tables; the body model has its own.
-    measured = {name: place for name, place in known.items() if name not in made}
-    if len(measured) >= _LEAST_JOINTS:
+    measured = {name: place for name, place in known.items() if name not in motion.mapping.derived}
+    if len(measured) >= least:
         known = measured
-    if len(known) < _LEAST_JOINTS:
+    if len(known) < least:
         raise OptionError("start.too_few_joints", text=text, n=len(known), frame=frame)
     notes = tuple(Message("start.note", path=path, note=warning) for warning in motion.warnings)
     return StartPose(path, frame, known, notes)
@@ -256,6 +233,7 @@ def check_start(
     cameras: Sequence[Camera],
     masks: Sequence[Mask | None],
     text: str,
+    least: float = 0.2,
 ) -> Message | None:
     """Check that a given start fits the silhouettes.
 
@@ -264,6 +242,7 @@ def check_start(
     body, pose : the start; (7 + A,).
     cameras, masks : of the first frame.
     text : ``--start`` as it was given.
+    least : overlap below which it is doubted; 30 degrees off in every joint still have more.
 
     Returns
     -------
@@ -289,7 +268,7 @@ def check_start(
         code = "start.outside" if len(outside) == len(overlaps) else "start.beside"
         raise OptionError(code, text=text, place=pose[:3])
     mean = sum(overlaps.values()) / len(overlaps)
-    if mean >= _FAR_OFF:
+    if mean >= least:
         return None
     views = [Message("start.overlap", view=name, overlap=value) for name, value in overlaps.items()]
     return Message("start.far_off", text=text, place=pose[:3], views=views)

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 _KEYPOINT_SUFFIXES = (".npz", ".json")
 _FOCAL_35 = ("focal_length.35mm", "focallengthin35mm")
 _FRAME_35 = 36.0  # mm, by definition the longer side of a 35 mm picture
-_GLANCE = 0.1  # s between two reports
 
 
 def is_keypoints(path: Path) -> bool:
@@ -112,7 +111,7 @@ def _find_all(
     with ThreadPoolExecutor(at_a_time) as pool:
         jobs = [pool.submit(find, place) for place in range(len(films))]
         try:
-            while wait(jobs, _GLANCE, FIRST_EXCEPTION).not_done and not _find_failed(jobs):
+            while wait(jobs, 0.1, FIRST_EXCEPTION).not_done and not _find_failed(jobs):
                 busy = next((place for place, (done, total) in enumerate(counts) if done < total), None)
                 if busy is not None:  # from the thread that asked, which its progress callback may stop
                     progress(sum(done for done, _ in counts), sum(total for _, total in counts), texts[busy])
@@ -164,7 +163,6 @@ def read_focal_length(path: Path, size: tuple[int, int]) -> float | None:
     return None
 
 
-_LONGEST_SIDE = 640  # px of masks for drawings
 _SAME_START = 0.75  # frames by which films may start apart and be taken as they are
 
 
@@ -367,14 +365,15 @@ class PersonSilhouettes(Silhouettes):
     ----------
     films : on one clock.
     members : (V,) numbers of the people of each view who are the person.
+    longest : px, side of the masks.
     """
 
-    def __init__(self, films: FilmScene, members: Sequence[Sequence[int]]) -> None:
+    def __init__(self, films: FilmScene, members: Sequence[Sequence[int]], longest: int = 640) -> None:
         from dousa.estimation.silhouettes.video import reduce_size
 
         self.names, self.frame_rate = films.names, films.frame_rate
         self.n_frames = len(films.moments)
-        self.sizes = tuple(reduce_size(view.size, _LONGEST_SIDE) for view in films.found)
+        self.sizes = tuple(reduce_size(view.size, longest) for view in films.found)
         self._found = films.found
         self.frames = [nearest_frames(view.times, films.moments + offset)
                         for view, offset in zip(films.found, films.offsets, strict=True)]  # fmt: skip

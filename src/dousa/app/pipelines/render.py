@@ -26,10 +26,6 @@ if TYPE_CHECKING:
     from dousa.estimation import BodyModel, Camera
     from dousa.motion import CanonicalMotion
 
-_FOCAL = 1.25  # of the shorter side, see `make_ring`
-_MARGIN = 0.12  # m, of the body round its joints
-_NEAREST = 3.0  # m, of a camera on the ring
-
 
 def parse_size(text: str) -> tuple[int, int]:
     """``WxH`` in pixels.
@@ -154,7 +150,9 @@ def _choose_cameras(request: RenderRequest, points: FloatArray) -> tuple[tuple[C
     return fitted, list(notes)
 
 
-def ring_around(points: FloatArray, n_views: int, size: tuple[int, int]) -> tuple[Camera, ...]:
+def ring_around(
+    points: FloatArray, n_views: int, size: tuple[int, int], margin: float = 0.12, nearest: float = 3.0
+) -> tuple[Camera, ...]:
     """A ring of cameras that see a body wherever it goes.
 
     Parameters
@@ -162,14 +160,17 @@ def ring_around(points: FloatArray, n_views: int, size: tuple[int, int]) -> tupl
     points : (T, K, 3) m, its joints.
     n_views : number of cameras.
     size : px, width and height.
+    margin : m, of the body round its joints.
+    nearest : m, of a camera.
     """
     from dousa.estimation.cameras.camera import make_ring
 
-    low, high = points.min(axis=(0, 1)) - _MARGIN, points.max(axis=(0, 1)) + _MARGIN
+    low, high = points.min(axis=(0, 1)) - margin, points.max(axis=(0, 1)) + margin
     middle = (low + high) / 2.0
     radius = float(np.hypot(*(high - low)[[0, 2]])) / 2.0
-    width, height = (side / (2.0 * _FOCAL * min(size)) for side in size)  # half the image at a distance of 1 m
-    distance = max(_NEAREST, radius + float(high[1] - low[1]) / 2.0 / height, radius + radius / width)
+    # Half the image at a distance of 1 m; the focal length of `make_ring` is 1.25 shorter sides.
+    width, height = (side / (2.0 * 1.25 * min(size)) for side in size)
+    distance = max(nearest, radius + float(high[1] - low[1]) / 2.0 / height, radius + radius / width)
     return make_ring(n_views, target=middle, distance=distance, height=float(middle[1] + 0.4), size=size)
 
 

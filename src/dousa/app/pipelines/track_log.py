@@ -27,7 +27,7 @@ from dousa.messages import Message
 
 _Track = TypeVar("_Track")
 
-_EVERY_S = 3.0
+_EVERY_S = 3.0  # between two writes
 _KEY = "fingerprint"
 
 # What numpy and zipfile raise on files that are no npz, or damaged ones.

@@ -7,9 +7,3 @@ them. A page needs an element, the style, the script and the data::
     dousa.createMiniature(canvas, bytes)  // see the top of miniatures.js
     dousa.createClock()  // see the top of clock.js
 """
-
-from __future__ import annotations
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

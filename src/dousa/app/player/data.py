@@ -26,9 +26,11 @@ from dousa.app.player.figures import (
     mean_heading,
     read_figure,
 )
-from dousa.app.player.in_step import find_turn
+from dousa.app.player.in_step import find_turn, put_in_step
 from dousa.evaluation.exercises.repetitions import RepetitionsAssessment
 from dousa.evaluation.grade.result import Assessment
+from dousa.evaluation.posture.posture import SEGMENT_JOINTS, SEGMENTS
+from dousa.evaluation.words import KINDS, SEGMENT_NAMES, check_language, name_all
 from dousa.messages import load_section
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, CANONICAL_PARENTS
 from dousa.motion.canonical.joints import JOINT_INDEX as J
@@ -56,10 +58,7 @@ def encode_player_data(assessment: Assessment, language: str = "en", max_rate: f
     ------
     OptionError : another language, or a rate that is not above 0.
     """
-    from dousa.evaluation.words import check_language
-
-    check_language(language)
-    check_max_rate(max_rate)
+    _check(language, max_rate)
     performance, reference = assessment.performance, assessment.reference
     rate = choose_rate(performance.frame_rate, performance.duration + reference.duration, max_rate)
     frames = frames_at(performance, rate)
@@ -70,6 +69,7 @@ def encode_player_data(assessment: Assessment, language: str = "en", max_rate: f
     reference_turn = turn + _relative_heading(assessment)
     start = step[0] if step[0] >= 0 else -1 - step[0]
     first = round(start / MILLIMETRES * reference.frame_rate)
+    words = load_section("report", language)
     return {
         "version": 1,
         "language": language,
@@ -80,8 +80,15 @@ def encode_player_data(assessment: Assessment, language: str = "en", max_rate: f
         "time": encode_array(same, "<i4"),
         **describe_body(language),
         "events": _describe_events(assessment, language),
-        "furi": _describe_furi(assessment),
-        "kinds": _describe_kinds(language),
+        "furi": [
+            {"start": _seconds(furi.start_s), "end": _seconds(furi.end_s), "label": furi.label}
+            for furi in assessment.furi
+            if math.isfinite(furi.start_s) and math.isfinite(furi.end_s)
+        ],
+        "kinds": {
+            kind: {"label": label, "letter": words[f"letter_{kind}"]}
+            for kind, label in name_all(KINDS, language).items()
+        },
         "texts": load_section("player", language),
     }
 
@@ -106,9 +113,6 @@ def _seconds(value: float) -> float | None:
 
 def describe_body(language: str) -> dict[str, Any]:
     """``joints``, ``parents`` and ``segments`` of the data."""
-    from dousa.evaluation.posture.posture import SEGMENT_JOINTS, SEGMENTS
-    from dousa.evaluation.words import SEGMENT_NAMES
-
     return {
         "joints": list(CANONICAL_JOINTS),
         "parents": list(CANONICAL_PARENTS),
@@ -116,15 +120,6 @@ def describe_body(language: str) -> dict[str, Any]:
             {"name": name, "label": SEGMENT_NAMES[name].render(language), "joints": [J[start], J[end]]}
             for name, (start, end) in zip(SEGMENTS, SEGMENT_JOINTS, strict=True)
         ],
-    }
-
-
-def _describe_kinds(language: str) -> dict[str, dict[str, str]]:
-    from dousa.evaluation.words import KINDS, name_all
-
-    words = load_section("report", language)
-    return {
-        kind: {"label": label, "letter": words[f"letter_{kind}"]} for kind, label in name_all(KINDS, language).items()
     }
 
 
@@ -140,14 +135,6 @@ def _describe_events(assessment: Assessment, language: str) -> list[dict[str, An
         }
         for event in sorted(assessment.events, key=lambda event: (event.start_s, event.end_s))
         if math.isfinite(event.start_s) and math.isfinite(event.end_s)
-    ]
-
-
-def _describe_furi(assessment: Assessment) -> list[dict[str, Any]]:
-    return [
-        {"start": _seconds(furi.start_s), "end": _seconds(furi.end_s), "label": furi.label}
-        for furi in assessment.furi
-        if math.isfinite(furi.start_s) and math.isfinite(furi.end_s)
     ]
 
 
@@ -225,8 +212,6 @@ def encode_pair(
     ------
     OptionError, InvalidMotionError : as `encode_motion`.
     """
-    from dousa.app.player.in_step import put_in_step
-
     _check(language, max_rate)
     theirs, ours = read_figure(reference, names[0]), read_figure(performance, names[1])
     rate = choose_rate(ours.frame_rate, ours.duration + theirs.duration, max_rate)
@@ -292,8 +277,6 @@ def encode_repetitions(
 
 
 def _check(language: str, max_rate: float) -> None:
-    from dousa.evaluation.words import check_language
-
     check_language(language)
     check_max_rate(max_rate)
 

@@ -19,14 +19,9 @@ from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.tree_shape import compute_forward, spread_frames
 from dousa.motion.resampling import fill_gaps
 
-# All figures together: 120 B a frame, a third more as base64. 13,500 frames are 2.2 MB; a longer take is thinned
-# (the player draws between frames), but never below 10 Hz, where fast limbs would cut corners.
-_MOST_FRAMES = 13_500
-_LOWEST_RATE = 10.0
-MILLIMETRES = 1000.0
+MILLIMETRES = 1000.0  # of a metre, by definition
 HIPS = [J["left_hip"], J["right_hip"]]
 FEET = [J[f"{side}_{end}"] for side in ("left", "right") for end in ("ankle", "toe")]
-_LOWEST_SHARE = 0.5  # percent of frames whose feet may lie below the floor: single bad frames do not lift the body
 
 
 class Posed(Protocol):
@@ -121,9 +116,15 @@ def check_max_rate(max_rate: float) -> None:
         raise OptionError("figures.max_rate", found=max_rate)
 
 
-def choose_rate(frame_rate: float, seconds: float, max_rate: float) -> float:
-    """Hz of the stored frames: `frame_rate`, or less if so many `seconds` of figures would be too large for a page."""
-    affordable = max(_MOST_FRAMES / max(seconds, 1e-9), _LOWEST_RATE)
+def choose_rate(
+    frame_rate: float, seconds: float, max_rate: float, most_frames: int = 13_500, lowest: float = 10.0
+) -> float:
+    """Hz of the stored frames: `frame_rate`, or less if so many `seconds` of figures would be too large for a page.
+
+    A frame takes 120 B, a third more as base64: ``most_frames`` are 2.2 MB. A longer take is thinned (the player draws
+    between frames), but never below the ``lowest`` rate, where fast limbs would cut corners.
+    """
+    affordable = max(most_frames / max(seconds, 1e-9), lowest)
     return float(min(max_rate, frame_rate, affordable))
 
 
@@ -152,9 +153,9 @@ def mean_heading(positions: FloatArray) -> float:
     return float(np.angle(total)) if abs(total) > 0 else 0.0
 
 
-def find_floor(positions: FloatArray) -> float:
-    """Height, m, that the feet (nearly) never go below."""
-    return float(np.percentile(positions[:, FEET, 1].min(axis=1), _LOWEST_SHARE))
+def find_floor(positions: FloatArray, below: float = 0.5) -> float:
+    """Height, m, with the feet below it in so many percent of frames: single bad ones do not lift the body."""
+    return float(np.percentile(positions[:, FEET, 1].min(axis=1), below))
 
 
 def turn_about_y(positions: FloatArray, turn: float) -> None:
@@ -232,20 +233,17 @@ def _finite_or(value: float, otherwise: float) -> float:
 MINIATURE_FRAMES = 24
 """Poses of a loop."""
 
-_HEADER_BYTES = 16
-MINIATURE_BYTES = _HEADER_BYTES + MINIATURE_FRAMES * len(CANONICAL_JOINTS) * 3
-"""Length of every loop, 1,456."""
-
-_FACING = -0.6  # rad: on average the body looks past the viewer, to the left of the picture
-_STEPS = 127
+MINIATURE_BYTES = 16 + MINIATURE_FRAMES * len(CANONICAL_JOINTS) * 3
+"""Length of every loop, 1,456, by definition of `encode_miniature`: a header and the positions."""
 
 
-def encode_miniature(motion: Posed) -> bytes:
+def encode_miniature(motion: Posed, facing: float = -0.6) -> bytes:
     """A motion as a loop of 24 poses, evenly spread over the whole of it, in place, in a three-quarter view.
 
     Parameters
     ----------
     motion : canonical joints; gaps are bridged.
+    facing : rad; on average the body looks past the viewer, to the left of the picture.
 
     Returns
     -------
@@ -268,7 +266,7 @@ def encode_miniature(motion: Posed) -> bytes:
     """
     figure = read_figure(motion)
     poses = interpolate(figure.positions, np.linspace(0, figure.n_frames - 1, MINIATURE_FRAMES))
-    turn_about_y(poses, _FACING - mean_heading(poses))
+    turn_about_y(poses, facing - mean_heading(poses))
     hips = 0.5 * (poses[:, HIPS[0]] + poses[:, HIPS[1]])
     poses[..., [0, 2]] -= hips[:, None, [0, 2]]
     poses[..., 1] -= poses[:, FEET, 1].min()
@@ -276,9 +274,9 @@ def encode_miniature(motion: Posed) -> bytes:
     away = poses - poses.mean(axis=0)
     still = np.einsum("tjk,tjk->t", away, away).argmax() / (MINIATURE_FRAMES - 1)
     poses[..., 1] -= middle
-    unit = max(float(np.abs(poses).max()), 1e-3) / _STEPS
+    unit = max(float(np.abs(poses).max()), 1e-3) / 127
     duration = (figure.n_frames - 1) / figure.frame_rate
     header = np.array([unit, duration, middle, still], "<f4")
     stored = np.rint(poses / unit).astype(np.int8)
-    stored[:, [J[joint] for joint in figure.absent]] = -_STEPS - 1
+    stored[:, [J[joint] for joint in figure.absent]] = -128
     return header.tobytes() + stored.tobytes()

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dousa.app.drawing.markup import element, format_number
+from dousa.app.drawing.markup import build_cells, build_heads, element, format_number, frame_table
 from dousa.arrays import FloatArray
 from dousa.evaluation.grade.result import Assessment
 from dousa.evaluation.posture.posture import SEGMENTS
@@ -111,47 +111,23 @@ def to_curves_csv(assessment: Assessment) -> bytes:
 
 def to_events_csv(assessment: Assessment, language: str | None = None) -> bytes:
     """Events and lapses in order of time; marked as UTF-8, which spreadsheets need for Japanese."""
+    numbers = "lag_ms shortfall_deg shortfall_percent severity worst_s reference_s".split()
     rows: list[tuple[float, list[str]]] = []
     for event in assessment.events:
         furi = "" if event.furi is None else str(event.furi + 1)
-        numbers = (event.lag_ms, event.shortfall_deg, event.shortfall_percent, event.severity)
-        rows.append(
-            (
-                event.start_s,
-                [event.kind, _decimal(event.start_s), _decimal(event.end_s), furi, " ".join(event.segments)]
-                + [_decimal(value) for value in numbers]
-                + [_decimal(event.worst_s), _decimal(event.reference_s), "", event.says.render(language)],
-            )
-        )
+        values = [_decimal(getattr(event, name)) for name in numbers]
+        row = [event.kind, _decimal(event.start_s), _decimal(event.end_s), furi, " ".join(event.segments)]
+        rows.append((event.start_s, [*row, *values, "", event.says.render(language)]))
     for lapse in assessment.lapses:
+        row = [lapse.kind, _decimal(lapse.start_s), _decimal(lapse.end_s), *[""] * 7]
         span = [_decimal(lapse.reference_start_s), _decimal(lapse.reference_end_s)]
-        rows.append(
-            (
-                lapse.start_s,
-                [
-                    lapse.kind,
-                    _decimal(lapse.start_s),
-                    _decimal(lapse.end_s),
-                    *[""] * 7,
-                    *span,
-                    lapse.says.render(language),
-                ],
-            )
-        )
+        rows.append((lapse.start_s, [*row, *span, lapse.says.render(language)]))
+    rows.sort(key=lambda row: row[0] if np.isfinite(row[0]) else np.inf)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(
-        (
-            "kind start_s end_s furi segments lag_ms shortfall_deg shortfall_percent severity worst_s reference_s "
-            "reference_end_s says"
-        ).split()
-    )
-    writer.writerows(row for _, row in sorted(rows, key=_when))
+    writer.writerow(["kind", "start_s", "end_s", "furi", "segments", *numbers, "reference_end_s", "says"])
+    writer.writerows(row for _, row in rows)
     return text.getvalue().encode("utf-8-sig")
-
-
-def _when(row: tuple[float, list[str]]) -> float:
-    return row[0] if np.isfinite(row[0]) else np.inf
 
 
 def _decimal(value: float | None) -> str:
@@ -165,56 +141,52 @@ def format_optional(value: float | None, decimals: int = 0) -> str:
 
 def build_table(head: Sequence[str], rows: Iterable[Sequence[str]], caption: str) -> str:
     """A table whose first column names the row; a caption for screen readers."""
-    top = "".join(element("th", {"scope": "col"}, text) for text in head)
-    body = []
-    for row in rows:
-        cells = [element("th", {"scope": "row"}, row[0]), *(element("td", None, text) for text in row[1:])]
-        body.append(element("tr", None, inner="".join(cells)))
-    inner = (
-        element("caption", {"class": "sr"}, caption)
-        + element("thead", None, inner=element("tr", None, inner=top))
-        + element("tbody", None, inner="".join(body))
-    )
-    return element("div", {"class": "table-wrap", "tabindex": "0"}, inner=element("table", None, inner=inner))
+    body = (element("tr", None, inner=element("th", {"scope": "row"}, row[0]) + build_cells(row[1:])) for row in rows)
+    return frame_table(caption, [build_heads(head)], body)
 
 
 def build_details(title: str, content: str, count: int | None = None) -> str:
     """Something that opens when asked for."""
-    number = "" if count is None else element("span", {"class": "amount"}, str(count))
+    number = "" if count is None else element("span", "amount", str(count))
     return element("details", None, inner=element("summary", None, title, number) + content)
 
 
 def build_tables(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
     """Errors, lapses, curves by the second, and what was not seen."""
-    none = element("p", None, words["none"])
-    events = _events(assessment, words, language)
-    lapses = _lapses(assessment, words, language)
-    seconds = _seconds(assessment, words, language)
+    lapses = [
+        (
+            format_time(lapse.start_s),
+            format_time(lapse.end_s),
+            LAPSE_KINDS[lapse.kind].render(language),
+            lapse.says.render(language),
+        )
+        for lapse in assessment.lapses
+    ]
     gaps = [
         (format_time(start), format_time(end), SEGMENT_NAMES[name].render(language))
         for start, end, name in assessment.gaps
     ]
-    parts = []
-    for name, head, rows in (
-        (
-            "events_table",
-            _heads(words, "start end kind segments furi lag short_deg short_percent severity says"),
-            events,
+    tables: dict[str, tuple[str, list[tuple[str, ...]]]] = {
+        "events_table": (
+            "start end kind segments furi lag short_deg short_percent severity says",
+            _list_events(assessment, language),
         ),
-        ("lapses_table", _heads(words, "start end kind says"), lapses),
-        ("seconds_table", _seconds_head(words), seconds),
-        ("gaps_table", _heads(words, "start end segment"), gaps),
-    ):
-        content = build_table(head, rows, words[name]) if rows else none
-        parts.append(build_details(words[name], content, len(rows)))
-    return "".join(parts)
+        "lapses_table": ("start end kind says", lapses),
+        "seconds_table": ("time matched d# d* lag worst off", _list_seconds(assessment, language)),
+        "gaps_table": ("start end segment", gaps),
+    }
+    none = element("p", None, words["none"])
+    return "".join(
+        build_details(words[name], _name_columns(columns, rows, words[name], words) if rows else none, len(rows))
+        for name, (columns, rows) in tables.items()
+    )
 
 
-def _heads(words: Mapping[str, str], names: str) -> list[str]:
-    return [words[f"col_{name}"] for name in names.split()]
+def _name_columns(columns: str, rows: Sequence[Sequence[str]], caption: str, words: Mapping[str, str]) -> str:
+    return build_table([words.get(f"col_{name}", name) for name in columns.split()], rows, caption)
 
 
-def _events(assessment: Assessment, words: Mapping[str, str], language: str) -> list[tuple[str, ...]]:
+def _list_events(assessment: Assessment, language: str) -> list[tuple[str, ...]]:
     return [
         (
             format_time(event.start_s),
@@ -232,23 +204,7 @@ def _events(assessment: Assessment, words: Mapping[str, str], language: str) -> 
     ]
 
 
-def _lapses(assessment: Assessment, words: Mapping[str, str], language: str) -> list[tuple[str, ...]]:
-    return [
-        (
-            format_time(lapse.start_s),
-            format_time(lapse.end_s),
-            LAPSE_KINDS[lapse.kind].render(language),
-            lapse.says.render(language),
-        )
-        for lapse in assessment.lapses
-    ]
-
-
-def _seconds_head(words: Mapping[str, str]) -> list[str]:
-    return [words["col_time"], words["col_matched"], "d#", "d*", *_heads(words, "lag worst off")]
-
-
-def _seconds(assessment: Assessment, words: Mapping[str, str], language: str) -> list[tuple[str, ...]]:
+def _list_seconds(assessment: Assessment, language: str) -> list[tuple[str, ...]]:
     names = name_all(SEGMENT_NAMES, language)
     return [
         (

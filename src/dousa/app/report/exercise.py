@@ -14,12 +14,23 @@ from typing import Any
 import numpy as np
 
 from dousa.app.drawing.body import Placement, compute_heading, draw_body, measure_body, place, turn
-from dousa.app.drawing.charts import Plot, choose_ticks, number_labels, time_ticks, x_labels
-from dousa.app.drawing.markup import Svg, element, escape, format_grade, format_number
+from dousa.app.drawing.charts import Plot, build_key, choose_ticks, number_labels, time_ticks, x_labels
+from dousa.app.drawing.markup import (
+    Svg,
+    build_cells,
+    build_heads,
+    build_list,
+    build_terms,
+    build_warnings,
+    element,
+    escape,
+    format_grade,
+    format_number,
+    frame_table,
+)
 from dousa.app.report.curves import build_details, build_table
-from dousa.app.report.page import collect_text, embed_font, fill_slots, font_rule, read_file
+from dousa.app.report.page import collect_text, embed_font, fill_page, fill_slots, font_rule, read_file, write_files
 from dousa.arrays import FloatArray
-from dousa.errors import MotionWriteError, OptionError
 from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES, ANGLES, MOVING_DEG, compute_joint_angles
 from dousa.evaluation.exercises.repetitions import (
     PAIR_NAMES,
@@ -33,13 +44,12 @@ from dousa.evaluation.exercises.repetitions import (
     describe_trends,
 )
 from dousa.evaluation.words import check_language, format_time
-from dousa.files.disk import atomic_write
 from dousa.messages import load_section
 from dousa.motion import CanonicalMotion
 from dousa.motion.canonical.canonicalise import mirror_canonical
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 
-REPETITIONS_NAME, _PAGE_NAME = "repetitions.csv", "report.html"
+REPETITIONS_NAME = "repetitions.csv"
 
 
 def write_exercise_report(
@@ -70,16 +80,7 @@ def write_exercise_report(
     """
     check_language(language)
     page = build_exercise_page(done, performance, language, name)
-    home = Path(folder)
-    contents = {REPETITIONS_NAME: to_repetitions_csv(done), _PAGE_NAME: page.encode("utf-8", "replace")}
-    try:
-        home.mkdir(parents=True, exist_ok=True)
-        for file_name, data in contents.items():
-            with atomic_write(home / file_name) as file:
-                file.write(data)
-    except (OSError, ValueError, MotionWriteError) as error:
-        raise OptionError("report_file.unwritable", folder=folder, reason=error) from error
-    return home / _PAGE_NAME
+    return write_files(folder, page, {REPETITIONS_NAME: to_repetitions_csv(done)})
 
 
 def build_exercise_page(
@@ -97,7 +98,7 @@ def build_exercise_page(
     -------
     HTML that needs no other file.
     """
-    from dousa.app.player.data import encode_repetitions, format_player_data, read_player_script, read_player_style
+    from dousa.app.player.data import encode_repetitions, format_player_data
 
     words = load_section("report_exercise", language)
     title = words["title"].format(name=name or words["unnamed"])
@@ -108,20 +109,15 @@ def build_exercise_page(
     if font.problem:
         problem = load_section("report", language)["font_missing"].format(reason=font.problem)
         slots["header"] = _build_header(done, title, (problem,), words, language)
-    frame = {
-        "language": language,
-        "title": escape(title),
+    parts = {
         "font": font_rule(font),
         "report": fill_slots(read_file("exercise.html"), slots),
         "data": format_player_data(_collect(done)),
         "player_data": player_data,
-        "player_style": read_player_style(),
-        "player_script": read_player_script(),
-        "style": "".join(read_file(file) for file in ("colours.css", "page.css", "report.css", "exercise.css")),
-        "script": read_file("exercise.js") + read_file("exercise_page.js"),
         "text_made_by": escape(words["made_by"]),
     }
-    return fill_slots(read_file("page.html"), frame)
+    styles, scripts = ("report.css", "exercise.css"), ("exercise.js", "exercise_page.js")
+    return fill_page(language, title, styles, scripts, parts)
 
 
 def build_exercise(
@@ -179,15 +175,10 @@ def _collect(done: RepetitionsAssessment) -> dict[str, Any]:
 def _build_header(
     done: RepetitionsAssessment, title: str, problems: tuple[str, ...], words: Mapping[str, str], language: str
 ) -> str:
-    head = element("p", {"class": "overline"}, words["overline"]) + element("h1", None, title)
+    head = element("p", "overline", words["overline"]) + element("h1", None, title)
     notes = (*(message.render(language) for message in done.warnings), *problems)
-    aside = ""
-    if notes:
-        items = "".join(element("li", None, text) for text in notes)
-        inner = element("h2", None, words["warnings"]) + element("ul", None, inner=items)
-        aside = element("aside", {"class": "warnings"}, inner=inner)
-    parts = element("div", {"class": "heading"}, inner=head) + _build_figures(done, words) + aside
-    return element("header", {"class": "top"}, inner=parts)
+    parts = element("div", "heading", inner=head) + _build_figures(done, words)
+    return element("header", "top", inner=parts + build_warnings(words["warnings"], notes))
 
 
 def _build_figures(done: RepetitionsAssessment, words: Mapping[str, str]) -> str:
@@ -212,19 +203,17 @@ def _build_figures(done: RepetitionsAssessment, words: Mapping[str, str]) -> str
     ]
     cells = []
     for number, text, note in figures:
-        inner = element("span", {"class": "number"}, number) + element("span", {"class": "of"}, text)
-        cells.append(element("div", {"class": "figure-cell"}, inner=inner + element("p", {"class": "note"}, note)))
-    return element("section", {"class": "card exercise-figures"}, inner="".join(cells))
+        inner = element("span", "number", number) + element("span", "of", text)
+        cells.append(element("div", "figure-cell", inner=inner + element("p", "note", note)))
+    return element("section", "card exercise-figures", inner=cells)
 
 
 def _list_sentences(done: RepetitionsAssessment, language: str) -> str:
     trends = describe_trends(done)
     found = trends[0].code != "exercise_table.no_trend"
-    items = "".join(element("li", None, message.render(language)) for message in describe_exercise(done))
-    items += "".join(
-        element("li", {"class": "trend-says" if found else None}, message.render(language)) for message in trends
-    )
-    return element("ul", {"class": "card says-list"}, inner=items)
+    items = [element("li", None, message.render(language)) for message in describe_exercise(done)]
+    items += [element("li", {"class": "trend-says" if found else None}, message.render(language)) for message in trends]
+    return element("ul", "card says-list", inner=items)
 
 
 def _list_repetitions(done: RepetitionsAssessment, words: Mapping[str, str], language: str) -> str:
@@ -234,13 +223,13 @@ def _list_repetitions(done: RepetitionsAssessment, words: Mapping[str, str], lan
         when = f"{format_time(one.repetition.start_s)}–{format_time(one.repetition.end_s)}"
         inner = (
             element("span", {"class": "rep-number", "aria-hidden": "true"}, str(number + 1))
-            + element("span", {"class": "when"}, when)
-            + element("span", {"class": "kind"}, _say_range(one, main, words, language))
-            + element("span", {"class": "says"}, _say_grade(one, words))
+            + element("span", "when", when)
+            + element("span", "kind", _say_range(one, main, words, language))
+            + element("span", "says", _say_grade(one, words))
         )
         tag = {"type": "button", "class": "event repetition", "data-repetition": str(number)}
-        items.append(element("li", None, inner=element("button", tag, inner=inner)))
-    return element("ol", {"class": "event-list"}, inner="".join(items))
+        items.append(element("button", tag, inner=inner))
+    return build_list(items, "event-list", "ol")
 
 
 def _say_grade(one: AssessedRepetition, words: Mapping[str, str]) -> str:
@@ -262,18 +251,10 @@ def _say_range(one: AssessedRepetition, angle: str, words: Mapping[str, str], la
 
 def _explain(done: RepetitionsAssessment, words: Mapping[str, str]) -> str:
     names = ("grade", "tempo", "range", "sides", "incomplete", "trend")
-    items = "".join(
-        element(
-            "div",
-            None,
-            inner=element("dt", None, inner=element("b", None, words[f"read_{name}_term"]))
-            + element("dd", None, words[f"read_{name}"]),
-        )
-        for name in names
-    )
+    pairs = ((element("b", None, words[f"read_{name}_term"]), escape(words[f"read_{name}"])) for name in names)
     note = words["read_mirrored"] if done.side == "mirrored" else words["read_own_sides"]
     note += " " + words["read_tempo_same" if done.tempo == "same" else "read_tempo_free"]
-    return element("dl", {"class": "reading"}, inner=items) + element("p", {"class": "note"}, note)
+    return build_terms(pairs, "reading") + element("p", "note", note)
 
 
 def build_repetitions_table(done: RepetitionsAssessment, words: Mapping[str, str], language: str) -> str:
@@ -295,12 +276,8 @@ def build_repetitions_table(done: RepetitionsAssessment, words: Mapping[str, str
         for name in angles
     ]
     heads += [words["col_sides"].format(angle=PAIR_NAMES[name].render(language)) for name in pairs]
-    top = "".join(element("th", {"scope": "col"}, text) for text in heads)
-    rows = "".join(_row(number, one, angles, words) for number, one in enumerate(done.repetitions, 1))
-    inner = element("caption", {"class": "sr"}, words["table_title"])
-    inner += element("thead", None, inner=element("tr", None, inner=top)) + element("tbody", None, inner=rows)
-    table = element("table", {"class": "repetition-table"}, inner=inner)
-    return element("div", {"class": "table-wrap", "tabindex": "0"}, inner=table)
+    rows = (_row(number, one, angles, words) for number, one in enumerate(done.repetitions, 1))
+    return frame_table(words["table_title"], [build_heads(heads)], rows, "repetition-table")
 
 
 def _row(number: int, one: AssessedRepetition, angles: tuple[str, ...], words: Mapping[str, str]) -> str:
@@ -315,7 +292,7 @@ def _row(number: int, one: AssessedRepetition, angles: tuple[str, ...], words: M
         f"{one.pause_s:.1f}" if math.isfinite(one.pause_s) else "–",
         grade,
     ]
-    cells = element("th", {"scope": "row"}, str(number)) + "".join(element("td", None, text) for text in texts)
+    cells = element("th", {"scope": "row"}, str(number)) + build_cells(texts)
     for name in angles:
         ranged = one.get_range(name)
         text = f"{ranged.range_deg:.0f}°" if math.isfinite(ranged.range_deg) else "–"
@@ -343,7 +320,7 @@ def build_joints_table(done: RepetitionsAssessment, words: Mapping[str, str], la
             else:
                 cells.append("–")
         rows.append(cells)
-    note = element("p", {"class": "note"}, words["joints_note"].format(degrees=format_number(MOVING_DEG, 0)))
+    note = element("p", "note", words["joints_note"].format(degrees=format_number(MOVING_DEG, 0)))
     return build_details(words["joints_title"], build_table(heads, rows, words["joints_title"]) + note, len(ANGLES))
 
 
@@ -372,10 +349,7 @@ def _cell(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if math.isfinite(value) else ""
 
 
-_MOST_POINTS = 3000
-_VIEWS = (0.0, 45.0, -45.0, 90.0, -90.0)  # degrees towards the performer's right
-_CELL = (150.0, 190.0)
-_MOST_POSES = 24
+_CELL = (150.0, 190.0)  # units of a drawing of a pose
 
 
 def draw_angles(
@@ -392,7 +366,7 @@ def draw_angles(
     """
     names = choose_angles(done)
     curves = compute_joint_angles(performance)
-    step = max(-(-performance.n_frames // _MOST_POINTS), 1)
+    step = max(-(-performance.n_frames // 3000), 1)  # no more points than that
     times = np.arange(performance.n_frames)[::step] / performance.frame_rate
     shown = {name: curves[name][::step] for name in names}
     known = np.concatenate([values[np.isfinite(values)] for values in shown.values()])
@@ -439,12 +413,7 @@ def draw_measures(done: RepetitionsAssessment, words: Mapping[str, str], languag
         plots.append(_columns(done, [one.symmetry[pair] for one in ones], title, " %", digits=0, both=True))
     key = [("bar-of", words["key_complete"]), ("bar-of incomplete", words["key_incomplete"])]
     key += [("reference", words["reference"]), ("trend", words["key_trend"])]
-    keys = "".join(
-        element("span", None, inner=element("i", {"class": f"key-mark {css}"}) + element("span", None, text))
-        for css, text in key
-    )
-    grid = element("div", {"class": "measures"}, inner="".join(plots))
-    return grid + element("div", {"class": "plot-key"}, inner=keys)
+    return element("div", "measures", inner=plots) + build_key(key)
 
 
 def _columns(
@@ -470,11 +439,11 @@ def _columns(
     for number, (value, one) in enumerate(zip(values, done.repetitions, strict=True), 1):
         css = "" if one.repetition.complete else "incomplete"
         text = f"{value:+.{digits}f}" if both else format_number(value, digits)
-        plot.bar(number - 0.36, number + 0.36, value, css, text if count <= _MOST_POSES else "")
+        plot.bar(number - 0.36, number + 0.36, value, css, text if count <= 24 else "")
     _add_trend(plot, done, values, trend)
     ticks = [(value, f"{format_number(value, 1)}{unit}") for value in choose_ticks(low, high, 3)]
     labels = number_labels([str(number) for number in range(1, count + 1)], 12)
-    return element("div", {"class": "card measure"}, inner=plot.to_markup(ticks, labels, name=title))
+    return element("div", "card measure", inner=plot.to_markup(ticks, labels, name=title))
 
 
 def _add_trend(plot: Plot, done: RepetitionsAssessment, values: Sequence[float], name: str) -> None:
@@ -493,7 +462,7 @@ def _add_trend(plot: Plot, done: RepetitionsAssessment, values: Sequence[float],
 
 
 def draw_poses(
-    done: RepetitionsAssessment, performance: CanonicalMotion, words: Mapping[str, str], language: str
+    done: RepetitionsAssessment, performance: CanonicalMotion, words: Mapping[str, str], language: str, most: int = 24
 ) -> str:
     """The pose in which each repetition goes furthest, beside the reference's; seen from where it shows most.
 
@@ -502,6 +471,7 @@ def draw_poses(
     done, performance : as of `draw_angles`.
     words : texts of the page.
     language : of the names of joints.
+    most : repetitions that are drawn.
     """
     name = max(choose_angles(done), key=lambda angle: done.reference_ranges[angle])
     angle = compute_joint_angles(performance)[name]
@@ -520,7 +490,7 @@ def draw_poses(
         ways.append((_face(model, first), _face(model, pose)))
         text = words["pose"].format(name=words["reference"], degrees=format_number(float(theirs[pose]), 0))
         cells.append((ways[0][1], text, "reference", None))
-    for number, one in enumerate(done.repetitions[:_MOST_POSES], 1):
+    for number, one in enumerate(done.repetitions[:most], 1):
         found = one.repetition
         first, pose = _find_furthest(performance, angle, found.start, found.end)
         ways.append((_face(performance, first), _face(performance, pose)))
@@ -534,7 +504,7 @@ def draw_poses(
         for pose, (_, text, css, repetition) in zip(turned, cells, strict=True)
     ]
     lead = words["poses_text"].format(angle=ANGLE_NAMES[name].render(language))
-    return element("p", {"class": "lead"}, lead) + element("div", {"class": "poses"}, inner="".join(figures))
+    return element("p", "lead", lead) + element("div", "poses", inner=figures)
 
 
 def _name(number: int, one: AssessedRepetition, words: Mapping[str, str]) -> str:
@@ -556,22 +526,24 @@ def _face(motion: CanonicalMotion, frame: int) -> FloatArray:
     return turn(pose - [0.0, float(np.nanmin(pose[:, 1])), 0.0], -compute_heading(pose))
 
 
-def _choose_view(ways: Sequence[tuple[FloatArray, FloatArray]]) -> float:
-    """Degrees from which the way from the first pose to the furthest one is longest in the picture."""
+def _choose_view(
+    ways: Sequence[tuple[FloatArray, FloatArray]], views: Sequence[float] = (0.0, 45.0, -45.0, 90.0, -90.0)
+) -> float:
+    """Degrees towards the performer's right from which the way to the furthest pose is longest in the picture."""
     shown = []
-    for view in _VIEWS:
+    for view in views:
         gaps = [turn(pose - first, math.radians(view))[:, :2] for first, pose in ways]
         shown.append(float(np.nansum([np.linalg.norm(gap, axis=1).sum() for gap in gaps])))
     shown[0] *= 1.1  # the front wins ties
-    return _VIEWS[int(np.argmax(shown))]
+    return views[int(np.argmax(shown))]
 
 
 def _draw_cell(pose: FloatArray, text: str, css: str, repetition: str | None, common: Placement) -> str:
     svg = Svg(*_CELL, text, "figure pose")
     svg.line([(6.0, common.bottom), (_CELL[0] - 6.0, common.bottom)], "floor")
     draw_body(svg, pose, common, css)
-    caption = element("span", {"class": "caption-text"}, text)
+    caption = element("span", "caption-text", text)
     if repetition is None:
-        return element("div", {"class": "pose-cell"}, inner=svg.to_markup() + caption)
+        return element("div", "pose-cell", inner=svg.to_markup() + caption)
     tag = {"type": "button", "class": "pose-cell", "data-repetition": repetition}
     return element("button", tag, inner=svg.to_markup() + caption)

@@ -26,11 +26,7 @@ from dousa.evaluation.posture.yaw import estimate_robust_yaw, estimate_yaw
 from dousa.evaluation.words import describe_segments, format_time
 from dousa.motion import JOINT_INDEX as J
 
-_SHOWN_AXES = 3
-_DEVIATIONS = 2.0  # standard deviations to both sides, as far as the reference goes in 19 frames of 20
-_SIZE = (130.0, 180.0)
-_MARGIN = 9.0
-_SIDE = math.pi / 2  # the viewer stands at the dancer's right
+_DEVIATIONS = 2.0  # standard deviations to both sides: by definition of the normal, 19 frames of 20 lie within
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,9 +45,9 @@ class AxisSwing:
     degrees: tuple[float, ...]
 
 
-def count_axes(furi: FuriAssessment) -> int:
-    """How many axes are drawn, 0 to 3."""
-    return min(_SHOWN_AXES, furi.n_dims)
+def count_axes(furi: FuriAssessment, most: int = 3) -> int:
+    """How many axes are drawn, from 0."""
+    return min(most, furi.n_dims)
 
 
 def _along(furi: FuriAssessment, axis: int, deviations: float) -> FloatArray:
@@ -99,7 +95,11 @@ def estimate_mean_heading(assessment: Assessment, furi: FuriAssessment) -> float
 
 
 def draw_shapes(
-    furi: FuriAssessment, heading: float, words: Mapping[str, str], language: str
+    furi: FuriAssessment,
+    heading: float,
+    words: Mapping[str, str],
+    language: str,
+    size: tuple[float, float] = (130.0, 180.0),
 ) -> tuple[tuple[str, str], ...]:
     """Front and side of the mean posture, then of each axis: the mean and both ends. All in one scale.
 
@@ -109,6 +109,7 @@ def draw_shapes(
     heading : of the mean posture, rad.
     words : texts of the page.
     language : of the names of segments.
+    size : of each drawing.
     """
     mean = np.reshape(furi.eigenspace.mean, (9, 3))
     cells = [[mean]]
@@ -116,25 +117,19 @@ def draw_shapes(
         cells.append([mean, _along(furi, axis, -_DEVIATIONS), _along(furi, axis, _DEVIATIONS)])
     hung = [[hang_segments(turn(segments, -heading)) for segments in cell] for cell in cells]
     columns = []
-    for side, azimuth in (("front", 0.0), ("side", _SIDE)):
+    for side, azimuth in (("front", 0.0), ("side", math.pi / 2)):  # the viewer stands at the dancer's right
         turned = [[turn(pose, azimuth) for pose in cell] for cell in hung]
-        placement = place([pose for cell in turned for pose in cell], *_SIZE, _MARGIN)
-        letters = words["sides"] if side == "front" else ""
-        columns.append(
-            [
-                _draw_cell(cell, placement, _label(furi, k, side, words, language), letters if k == 0 else "")
-                for k, cell in enumerate(turned)
-            ]
-        )
+        placement = place([pose for cell in turned for pose in cell], *size, 9.0)
+        drawn = []
+        for k, (mean, *ends) in enumerate(turned):
+            svg = Svg(*size, _label(furi, k, side, words, language), "figure shape")
+            letters = words["sides"] if side == "front" and k == 0 else ""
+            draw_body(svg, mean, placement, "mean behind" if ends else "mean", letters)
+            for pose, name in zip(ends, ("minus", "plus"), strict=False):
+                draw_body(svg, pose, placement, name)
+            drawn.append(svg.to_markup())
+        columns.append(drawn)
     return tuple(zip(*columns, strict=True))
-
-
-def _draw_cell(poses: list[FloatArray], placement: Placement, label: str, sides: str) -> str:
-    svg = Svg(*_SIZE, label, "figure shape")
-    draw_body(svg, poses[0], placement, "mean" if len(poses) == 1 else "mean behind", sides)
-    for pose, name in zip(poses[1:], ("minus", "plus"), strict=False):
-        draw_body(svg, pose, placement, name)
-    return svg.to_markup()
 
 
 def _label(furi: FuriAssessment, column: int, side: str, words: Mapping[str, str], language: str) -> str:
@@ -147,14 +142,6 @@ def _label(furi: FuriAssessment, column: int, side: str, words: Mapping[str, str
         for name, degrees in zip(swing.segments, swing.degrees, strict=True)
     )
     return f"{words['axis'].format(number=column)}, {view}: {parts}"
-
-
-_VIEWS = (0.0, 30.0, -30.0, 60.0, -60.0)  # degrees towards the dancer's right; the front wins ties
-_FRONT_BONUS = 1.1  # another view must show this many times more of the error
-_PAIR = (420.0, 250.0)
-_STRIP = (620.0, 250.0)
-_LEAST_WAY, _LEAST_ARROW = 3.0, 24.0  # units of the drawing
-_STRIP_STEPS_S = (-0.4, -0.2, 0.0, 0.2, 0.4)
 
 
 def pick_worst(assessment: Assessment, count: int) -> tuple[int, ...]:
@@ -196,8 +183,20 @@ def _pose(positions: FloatArray, frame: int, size: float, angle: float) -> Float
     return turn(pose, angle)
 
 
-def view_moment(assessment: Assessment, event: ErrorEvent) -> MomentView:
-    """Turn both dancers to the viewer, and stand where the wrong segments differ most."""
+def view_moment(
+    assessment: Assessment,
+    event: ErrorEvent,
+    views: Sequence[float] = (0.0, 30.0, -30.0, 60.0, -60.0),
+    bonus: float = 1.1,
+) -> MomentView:
+    """Turn both dancers to the viewer, and stand where the wrong segments differ most.
+
+    Parameters
+    ----------
+    assessment, event : what is shown.
+    views : degrees towards the dancer's right, the front first.
+    bonus : how many times more of the error another view than the front must show.
+    """
     reference, performance = assessment.reference, assessment.performance
     one = _frame(assessment, event.reference_s, reference.n_frames)
     two = _frame(assessment, event.worst_s, performance.n_frames)
@@ -206,9 +205,9 @@ def view_moment(assessment: Assessment, event: ErrorEvent) -> MomentView:
     turn_reference, turn_performance = -heading, -heading + float(onto)
     wrong = [SEGMENTS.index(name) for name in event.segments] or list(range(len(SEGMENTS)))
     gap = turn(performance.segments[two], turn_performance) - turn(reference.segments[one], turn_reference)
-    seen = [float(np.linalg.norm(turn(gap[wrong], math.radians(view))[:, :2])) for view in _VIEWS]
-    seen[0] *= _FRONT_BONUS
-    return MomentView(turn_reference, turn_performance, _VIEWS[int(np.argmax(seen))])
+    seen = [float(np.linalg.norm(turn(gap[wrong], math.radians(view))[:, :2])) for view in views]
+    seen[0] *= bonus
+    return MomentView(turn_reference, turn_performance, views[int(np.argmax(seen))])
 
 
 def _poses_at(
@@ -269,11 +268,11 @@ def _draw_arrow(svg: Svg, poses: tuple[FloatArray, FloatArray], placement: Place
         ways = placement.to_drawing(line[1:]) - placement.to_drawing(own)
         lengths = np.linalg.norm(ways, axis=1)
         place = int(np.argmax(lengths))
-        if not np.isfinite(lengths[place]) or lengths[place] < _LEAST_WAY:
+        if not np.isfinite(lengths[place]) or lengths[place] < 3.0:
             continue
         way = ways[place] / lengths[place]
         start = placement.to_drawing(own)[place] + 8.0 * way
-        tip = start + max(lengths[place] - 8.0, _LEAST_ARROW) * way
+        tip = start + max(lengths[place] - 8.0, 24.0) * way
         side = np.array([-way[1], way[0]])
         head = np.array([tip, tip - 11.0 * way + 6.0 * side, tip - 11.0 * way - 6.0 * side])
         for layer in ("arrow-edge", "arrow"):
@@ -288,7 +287,7 @@ def draw_moment(
     words: Mapping[str, str],
     language: str,
     *,
-    size: tuple[float, float] = _PAIR,
+    size: tuple[float, float] = (420.0, 250.0),
     arrows: Sequence[Sequence[str]] = (),
 ) -> str:
     """Both poses at the worst moment of an event, as an inline drawing.
@@ -310,7 +309,7 @@ def draw_moment(
         who=describe_segments(event.segments, language), says=event.says.render(language)
     )
     svg = Svg(width, height, label, "figure")
-    _floor(svg, width, common.bottom)
+    svg.line([(8.0, common.bottom), (width - 8.0, common.bottom)], "floor")
     _draw_pair(svg, poses, (common, right), event.segments, words["sides"])
     for segments in arrows:
         _draw_arrow(svg, poses, right, segments)
@@ -323,30 +322,23 @@ def draw_moment(
     return svg.to_markup()
 
 
-def _floor(svg: Svg, width: float, y: float) -> None:
-    svg.line([(8.0, y), (width - 8.0, y)], "floor")
-
-
 def draw_strip(
     assessment: Assessment, event: ErrorEvent, view: MomentView, words: Mapping[str, str], language: str
 ) -> str:
     """Five moments around the worst one, reference above, performance below, as in the paper's figure 15."""
-    width, height = _STRIP
-    cell, row = width / len(_STRIP_STEPS_S), (height - 20.0) / 2
-    pairs = [_poses_at(assessment, view, event.reference_s + step, event.worst_s + step) for step in _STRIP_STEPS_S]
+    width, height, steps_s = 620.0, 250.0, (-0.4, -0.2, 0.0, 0.2, 0.4)
+    cell, row = width / len(steps_s), (height - 20.0) / 2
+    pairs = [_poses_at(assessment, view, event.reference_s + step, event.worst_s + step) for step in steps_s]
     common = place([pose for pair in pairs for pose in pair], cell, row, 8.0)
     label = words["strip_label"].format(who=describe_segments(event.segments, language))
     svg = Svg(width, height, label, "figure strip")
     svg.add("rect", {"x": 2 * cell, "y": 0.0, "width": cell, "height": height, "rx": 6.0, "class": "strip-now"})
-    for k, (pair, step) in enumerate(zip(pairs, _STRIP_STEPS_S, strict=True)):
+    for k, (pair, step) in enumerate(zip(pairs, steps_s, strict=True)):
         top = Placement(common.scale, common.left + k * cell, common.bottom)
         low = Placement(common.scale, top.left, common.bottom + row)
         _draw_pair(svg, pair, (top, low), event.segments, "")
-        svg.add(
-            "text",
-            {"x": (k + 0.5) * cell, "y": height - 5.0, "class": "caption"},
-            format_time(event.worst_s + step) if step == 0 else f"{step:+.1f} s".replace("-", "−"),
-        )
+        text = format_time(event.worst_s + step) if step == 0 else f"{step:+.1f} s".replace("-", "−")
+        svg.add("text", {"x": (k + 0.5) * cell, "y": height - 5.0, "class": "caption"}, text)
     return svg.to_markup()
 
 

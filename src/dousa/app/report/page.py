@@ -8,7 +8,7 @@ import io
 import math
 import os
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -18,7 +18,6 @@ from types import MappingProxyType
 from typing import Any
 
 from dousa.app.drawing.markup import element, escape
-from dousa.app.report.beats import build_beats
 from dousa.app.report.curves import build_tables, furi_numbers, to_curves_csv, to_events_csv
 from dousa.app.report.sections import (
     build_advice,
@@ -31,7 +30,7 @@ from dousa.app.report.sections import (
     build_segments,
     make_title,
 )
-from dousa.app.report.timeline import draw_matrix, draw_timeline
+from dousa.app.report.timeline import build_beats, draw_matrix, draw_timeline
 from dousa.arrays import FloatArray
 from dousa.errors import MotionWriteError, OptionError
 from dousa.evaluation.beats.beats import BeatTiming
@@ -40,8 +39,6 @@ from dousa.evaluation.words import SEGMENT_NAMES, check_language, name_all
 from dousa.extras import FONT_PACKAGE, find_font
 from dousa.files.disk import atomic_write
 from dousa.messages import load_section
-
-_READOUTS = 2000  # values of each curve that the page can say beside the cursor
 
 PARTS: Mapping[str, Callable[[Assessment, Mapping[str, str], str], str]] = MappingProxyType(
     {
@@ -111,10 +108,45 @@ def fill_slots(template: str, slots: Mapping[str, str]) -> str:
     return re.sub(r"\{\{(\w+)\}\}", lambda match: slots[match.group(1)], template)
 
 
+def fill_page(
+    language: str, title: str, styles: Iterable[str], scripts: Iterable[str], parts: Mapping[str, str]
+) -> str:
+    """A page that needs no other file: its own style sheets, scripts and parts, and the player's."""
+    from dousa.app.player.data import read_player_script, read_player_style
+
+    slots = {
+        "language": language,
+        "title": escape(title),
+        "player_style": read_player_style(),
+        "player_script": read_player_script(),
+        "style": "".join(read_file(name) for name in ("colours.css", "page.css", *styles)),
+        "script": "".join(read_file(name) for name in scripts),
+    }
+    return fill_slots(read_file("page.html"), {**slots, **parts})
+
+
+def write_files(folder: str | os.PathLike[str], page: str, tables: Mapping[str, bytes]) -> Path:
+    """Write ``report.html`` and tables by their names into a folder that is made if missing; the path of the page.
+
+    Raises
+    ------
+    OptionError : a folder that cannot be made or written.
+    """
+    home = Path(folder)
+    try:
+        home.mkdir(parents=True, exist_ok=True)
+        for name, data in {**tables, "report.html": page.encode("utf-8", "replace")}.items():
+            with atomic_write(home / name) as file:
+                file.write(data)
+    except (OSError, ValueError, MotionWriteError) as error:
+        raise OptionError("report_file.unwritable", folder=folder, reason=error) from error
+    return home / "report.html"
+
+
 def collect_data(assessment: Assessment, language: str) -> dict[str, Any]:
     """What report.js needs: events to go to, and values to say beside the cursor."""
     words = load_section("report", language)
-    step = max(-(-assessment.performance.n_frames // _READOUTS), 1)
+    step = max(-(-assessment.performance.n_frames // 2000), 1)  # the page can say so many values of each curve
     worst = [_worst_segment(row) for row in assessment.residual[::step]]
     numbers = furi_numbers(assessment)[::step]
     return {
@@ -181,48 +213,36 @@ def build_page(
     -------
     HTML that needs no other file.
     """
-    from dousa.app.player.data import (
-        encode_player_data,
-        format_player_data,
-        read_player_script,
-        read_player_style,
-    )
+    from dousa.app.player.data import encode_player_data, format_player_data
 
     words = load_section("report", language)
     title = title or make_title(assessment, words)
     slots = {name: build(assessment, words, language) for name, build in PARTS.items()}
     slots |= {
-        "language": language,
         "title": escape(title),
         "files": _files(words),
         "beats": build_beats(timing, assessment.performance.duration, language),
         "notes": _build_notes(notes, words),
         "data": format_player_data(collect_data(assessment, language)),
         "player_data": format_player_data(encode_player_data(assessment, language)),
-        "player_style": read_player_style(),
-        "player_script": read_player_script(),
-        "style": "".join(read_file(name) for name in ("colours.css", "page.css", "report.css")),
-        "script": read_file("report.js") + read_file("page.js"),
     }
     slots.update({f"text_{name}": escape(text) for name, text in words.items()})
-    shown = collect_text(
-        *slots.values(), build_header(assessment, title, _say_warnings(assessment, language), words, language)
-    )
-    font = embed_font(shown)
     warnings = _say_warnings(assessment, language)
+    slots["header"] = build_header(assessment, title, warnings, words, language)
+    font = embed_font(collect_text(*slots.values()))
     if font.problem:
         warnings = (*warnings, words["font_missing"].format(reason=font.problem))
-    slots["header"] = build_header(assessment, title, warnings, words, language)
+        slots["header"] = build_header(assessment, title, warnings, words, language)
     slots["font"] = font_rule(font)
     slots["report"] = fill_slots(read_file("report.html"), slots)
-    return fill_slots(read_file("page.html"), slots)
+    return fill_page(language, title, ("report.css",), ("report.js", "page.js"), slots)
 
 
 def _build_notes(notes: str, words: Mapping[str, str]) -> str:
     said = notes.strip()
     if not said:
         return ""
-    card = element("div", {"class": "card"}, inner=element("p", {"class": "notes-said"}, said))
+    card = element("div", "card", inner=element("p", "notes-said", said))
     return element("section", {"id": "notes"}, inner=element("h2", None, words["notes_title"]) + card)
 
 
@@ -239,9 +259,6 @@ def _files(words: Mapping[str, str]) -> str:
         name: element("a", {"href": file}, file) for name, file in (("curves", CURVES_NAME), ("events", EVENTS_NAME))
     }
     return escape(words["tables_text"]).format(**links)
-
-
-_PAGE_NAME = "report.html"
 
 
 def write_report(
@@ -275,25 +292,13 @@ def write_report(
     """
     check_language(language)
     page = build_page(assessment, language, title, timing, notes)
-    home = Path(folder)
-    contents = {
-        CURVES_NAME: to_curves_csv(assessment),
-        EVENTS_NAME: to_events_csv(assessment, language),
-        _PAGE_NAME: page.encode("utf-8", "replace"),
-    }
-    try:
-        home.mkdir(parents=True, exist_ok=True)
-        for name, data in contents.items():
-            with atomic_write(home / name) as file:
-                file.write(data)
-    except (OSError, ValueError, MotionWriteError) as error:
-        raise OptionError("report_file.unwritable", folder=folder, reason=error) from error
-    return home / _PAGE_NAME
+    return write_files(
+        folder, page, {CURVES_NAME: to_curves_csv(assessment), EVENTS_NAME: to_events_csv(assessment, language)}
+    )
 
 
-# Chinese characters and kana begin here; fonts of every machine have the signs that come before.
+# Chinese characters and kana begin here (Unicode standard); fonts of every machine have the signs that come before.
 _FIRST_WIDE = 0x2E80
-_WIDE_SPACE = "\u3000"
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,7 +324,7 @@ def embed_font(text: str) -> EmbeddedFont:
     ----------
     text : everything that the page shows.
     """
-    wanted = frozenset(c for c in text if ord(c) >= _FIRST_WIDE and (c.isprintable() or c == _WIDE_SPACE))
+    wanted = frozenset(c for c in text if ord(c) >= _FIRST_WIDE and (c.isprintable() or c == "\u3000"))
     if not wanted:
         return EmbeddedFont("", frozenset())
     path = find_font()

@@ -9,7 +9,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from dousa.app.drawing.markup import draw_mark, element, format_grade, format_number
+from dousa.app.drawing.markup import (
+    build_cells,
+    build_heads,
+    build_list,
+    build_terms,
+    build_warnings,
+    draw_mark,
+    element,
+    escape,
+    format_grade,
+    format_number,
+    frame_table,
+)
 from dousa.app.report.curves import build_details, build_table
 from dousa.app.report.figures import (
     compute_residuals,
@@ -49,71 +61,50 @@ def build_header(
     assessment: Assessment, title: str, warnings: tuple[str, ...], words: Mapping[str, str], language: str
 ) -> str:
     """Title, grade and warnings."""
-    head = element("p", {"class": "overline"}, words["overline"]) + element("h1", None, title)
-    parts = [
-        element("div", {"class": "heading"}, inner=head),
-        _grade(assessment, words, language),
-        _warnings(warnings, words),
-    ]
-    return element("header", {"class": "top"}, inner="".join(parts))
+    head = element("p", "overline", words["overline"]) + element("h1", None, title)
+    parts = element("div", "heading", inner=head) + _grade(assessment, words, language)
+    return element("header", "top", inner=parts + build_warnings(words["warnings"], warnings))
 
 
 def _grade(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
-    if not math.isfinite(assessment.score):
-        return _no_grade(assessment, words, language)
+    formula = element("p", "formula", assessment.score_formula.render(language))
+    if not math.isfinite(assessment.score):  # instead of a number why there is none, as for another dance
+        why = "another_dance" if assessment.is_other_dance else "no_grade"
+        figures = element("div", "figures", inner=element("p", "badge unsure", words[why]))
+        inner = element("h2", None, words["grade"]) + figures + formula
+        return element("section", "card grade uncalibrated", inner=inner)
     score = min(max(assessment.score, 0.0), 100.0)
-    number = format_grade(assessment.score)
-    figure = element("span", {"class": "number"}, number) + element("span", {"class": "of"}, words["out_of"])
-    meter = element(
-        "div", {"class": "meter", "aria-hidden": "true"}, inner=element("i", {"style": f"width:{score:.1f}%"})
-    )
-    coverage = words["coverage"].format(percent=format_number(100.0 * assessment.coverage, 0))
-    if assessment.calibrated:
-        text = words["calibrated"].format(count=assessment.n_references)
-        state = element("p", {"class": "badge sure"}, text)
-        note = ""
-    else:
-        state = element("p", {"class": "badge unsure"}, words["uncalibrated"])
-        note = element("p", {"class": "note"}, words["uncalibrated_note"].format(count=assessment.n_references))
-    inner = (
-        element("h2", None, words["grade"])
-        + element("p", {"class": "note"}, coverage)
-        + element("div", {"class": "figures"}, inner=figure + state)
-        + meter
-        + element("p", {"class": "note"}, _say_interval(assessment, words))
-        + build_details(
-            words["formula_title"], element("p", {"class": "formula"}, assessment.score_formula.render(language))
-        )
-        + note
-    )
-    css = "card grade" + ("" if assessment.calibrated else " uncalibrated")
-    return element("section", {"class": css}, inner=inner)
-
-
-def _say_interval(assessment: Assessment, words: Mapping[str, str]) -> str:
+    figure = element("span", "number", format_grade(assessment.score)) + element("span", "of", words["out_of"])
     low, high = (format_grade(value) for value in assessment.score_interval)
-    return words["interval"].format(low=low, high=high)
-
-
-def _no_grade(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
-    """Instead of a number why there is none, as for another dance."""
-    why = "another_dance" if assessment.is_other_dance else "no_grade"
-    state = element("p", {"class": "badge unsure"}, words[why])
-    inner = element("h2", None, words["grade"]) + element("div", {"class": "figures"}, inner=state)
-    inner += element("p", {"class": "formula"}, assessment.score_formula.render(language))
-    return element("section", {"class": "card grade uncalibrated"}, inner=inner)
+    if assessment.calibrated:
+        state = element("p", "badge sure", words["calibrated"].format(count=assessment.n_references))
+    else:
+        state = element("p", "badge unsure", words["uncalibrated"])
+    inner = (
+        element("h2", None, words["grade"]),
+        element("p", "note", words["coverage"].format(percent=format_number(100.0 * assessment.coverage, 0))),
+        element("div", "figures", inner=figure + state),
+        element("div", {"class": "meter", "aria-hidden": "true"}, inner=element("i", {"style": f"width:{score:.1f}%"})),
+        element("p", "note", words["interval"].format(low=low, high=high)),
+        build_details(words["formula_title"], formula),
+    )
+    if assessment.calibrated:
+        return element("section", "card grade", inner=inner)
+    note = element("p", "note", words["uncalibrated_note"].format(count=assessment.n_references))
+    return element("section", "card grade uncalibrated", inner=(*inner, note))
 
 
 def build_event_button(k: int, event: ErrorEvent, words: Mapping[str, str], language: str) -> str:
     """One error as a button: mark, time, kind, words."""
     times = f"{format_time(event.start_s)}–{format_time(event.end_s)}"
-    inner = (
-        draw_mark(event.kind, words)
-        + element("span", {"class": "when"}, times)
-        + element("span", {"class": "kind"}, KINDS[event.kind].render(language))
-        + element("span", {"class": "says"}, event.says_in_furi.render(language))
-    )
-    return element("button", {"type": "button", "class": f"event {event.kind}", "data-event": str(k)}, inner=inner)
+    texts = (times, KINDS[event.kind].render(language), event.says_in_furi.render(language))
+    return _build_button(event.kind, {"data-event": str(k)}, texts, words)
+
+
+def _build_button(kind: str, place: dict[str, str], texts: tuple[str, str, str], words: Mapping[str, str]) -> str:
+    inner = (element("span", css, text) for css, text in zip(("when", "kind", "says"), texts, strict=True))
+    tag = {"type": "button", "class": f"event {kind}", **place}
+    return element("button", tag, inner=(draw_mark(kind, words), *inner))
 
 
 def _tempo(tempo: float, words: Mapping[str, str]) -> str:
@@ -149,33 +140,21 @@ def build_facts(assessment: Assessment, words: Mapping[str, str], language: str)
         (words["fact_furi"], element("span", None, str(len(assessment.furi)))),
         (words["fact_errors"], _counts(assessment, words, language)),
     ]
-    items = "".join(
-        element("div", None, inner=element("dt", None, name) + element("dd", None, inner=value))
-        for name, value in pairs
+    return build_terms(
+        ((escape(name), value) for name, value in pairs), {"class": "facts", "aria-label": words["facts"]}
     )
-    return element("dl", {"class": "facts", "aria-label": words["facts"]}, inner=items)
 
 
 def _counts(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
     out = []
     for kind, name in name_all(KINDS, language).items():
         count = sum(event.kind == kind for event in assessment.events)
-        inner = (
-            draw_mark(kind, words) + element("span", None, str(count)) + element("span", {"class": "sr"}, f" {name}; ")
-        )
+        inner = draw_mark(kind, words) + element("span", None, str(count)) + element("span", "sr", f" {name}; ")
         out.append(element("span", {"class": "count", "title": name}, inner=inner))
     inner = draw_mark("lapse", words) + element("span", None, str(len(assessment.lapses)))
-    inner += element("span", {"class": "sr"}, f" {words['lapses']}")
+    inner += element("span", "sr", f" {words['lapses']}")
     out.append(element("span", {"class": "count", "title": words["lapses"]}, inner=inner))
     return "".join(out)
-
-
-def _warnings(warnings: tuple[str, ...], words: Mapping[str, str]) -> str:
-    if not warnings:
-        return ""
-    items = "".join(element("li", None, text) for text in warnings)
-    inner = element("h2", None, words["warnings"]) + element("ul", None, inner=items)
-    return element("aside", {"class": "warnings"}, inner=inner)
 
 
 def build_events(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
@@ -187,67 +166,39 @@ def build_events(assessment: Assessment, words: Mapping[str, str], language: str
         times = format_time(lapse.start_s)
         if lapse.end_s - lapse.start_s >= 0.05:
             times += f"–{format_time(lapse.end_s)}"
-        inner = (
-            draw_mark("lapse", words)
-            + element("span", {"class": "when"}, times)
-            + element("span", {"class": "kind"}, LAPSE_KINDS[lapse.kind].render(language))
-            + element("span", {"class": "says"}, lapse.message.render(language))
-        )
-        tag = {"type": "button", "class": "event lapse", "data-lapse": str(k)}
-        items.append((lapse.start_s, element("button", tag, inner=inner)))
+        texts = (times, LAPSE_KINDS[lapse.kind].render(language), lapse.message.render(language))
+        items.append((lapse.start_s, _build_button("lapse", {"data-lapse": str(k)}, texts, words)))
     if not items:
-        return element("p", {"class": "good"}, words["not_looked_for" if assessment.is_other_dance else "events_none"])
+        return element("p", "good", words["not_looked_for" if assessment.is_other_dance else "events_none"])
     items.sort(key=lambda item: item[0] if math.isfinite(item[0]) else math.inf)
-    return element(
-        "ol",
-        {"class": "event-list", "id": "events"},
-        inner="".join(element("li", None, inner=i) for _, i in items),
-    )
-
-
-_MOMENTS = 6
-_SHORT = 0.8  # a segment that reaches less of the reference's range is outlined
-_FACING_WORTH_SAYING = math.radians(15.0)
-_OPEN_SHAPES = 3  # so many figures are unfolded at first
+    return build_list((item for _, item in items), {"class": "event-list", "id": "events"}, "ol")
 
 
 def build_furi(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
     """Table of all furi, and pictures of each different one."""
     if not assessment.furi:
         return element("p", None, words["furi_none"])
-    text = element("p", {"class": "lead"}, words["furi_text"])
-    key = element("p", {"class": "note"}, words["range_key"])
-    shapes = element("h3", None, words["shapes_title"]) + element("p", {"class": "lead"}, words["shapes_text"])
-    for k, numbers in enumerate(_group(assessment.furi)):
-        shapes += _shape(assessment, numbers, k < _OPEN_SHAPES, words, language)
-    return text + _furi_table(assessment, words, language) + key + shapes
-
-
-def _group(furi: Sequence[FuriAssessment]) -> list[list[int]]:
-    """Numbers of the furi that share a label, in order of the first."""
+    text = element("p", "lead", words["furi_text"])
+    key = element("p", "note", words["range_key"])
+    shapes = element("h3", None, words["shapes_title"]) + element("p", "lead", words["shapes_text"])
     groups: dict[str, list[int]] = {}
-    for number, one in enumerate(furi):
-        groups.setdefault(one.label, []).append(number)
-    return list(groups.values())
+    for number, furi in enumerate(assessment.furi):
+        groups.setdefault(furi.label, []).append(number)
+    for k, numbers in enumerate(groups.values()):  # the first three are unfolded
+        shapes += _shape(assessment, numbers, k < 3, words, language)
+    return text + _furi_table(assessment, words, language) + key + shapes
 
 
 def _furi_table(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
     fixed = ("number", "label", "span", "score", "lag", "dims", "share")
-    top = "".join(element("th", {"scope": "col", "rowspan": "2"}, words[f"furi_{name}"]) for name in fixed) + element(
-        "th", {"scope": "colgroup", "colspan": str(len(SEGMENTS))}, words["furi_range"]
-    )
-    below = "".join(
-        element("th", {"scope": "col", "class": "narrow"}, SEGMENT_NAMES[name].render(language)) for name in SEGMENTS
-    )
-    rows = build_counts_row(assessment, len(fixed), words)
-    rows += "".join(_furi_row(number, furi, words) for number, furi in enumerate(assessment.furi))
-    inner = (
-        element("caption", {"class": "sr"}, words["furi_title"])
-        + element("thead", None, inner=element("tr", None, inner=top) + element("tr", None, inner=below))
-        + element("tbody", None, inner=rows)
-    )
-    table = element("table", {"class": "furi-table"}, inner=inner)
-    return element("div", {"class": "table-wrap", "tabindex": "0"}, inner=table)
+    top = build_heads((words[f"furi_{name}"] for name in fixed), rowspan="2")
+    top += element("th", {"scope": "colgroup", "colspan": str(len(SEGMENTS))}, words["furi_range"])
+    below = build_heads(name_all(SEGMENT_NAMES, language).values(), **{"class": "narrow"})
+    name = element("th", {"scope": "row", "colspan": str(len(fixed))}, words["segments_counts"])
+    counts = build_cells(f"× {float(weight):.2f}" for weight in assessment.weights)
+    rows = [element("tr", "counts-row", inner=name + counts)]
+    rows += [_furi_row(number, furi, words) for number, furi in enumerate(assessment.furi)]
+    return frame_table(words["furi_title"], [top, below], rows, "furi-table")
 
 
 def _furi_row(number: int, furi: FuriAssessment, words: Mapping[str, str]) -> str:
@@ -255,9 +206,9 @@ def _furi_row(number: int, furi: FuriAssessment, words: Mapping[str, str]) -> st
     span = f"{format_time(furi.start_s)}–{format_time(furi.end_s)}" if reached else words["furi_not_reached"]
     cells = [
         element("th", {"scope": "row"}, str(number + 1)),
-        element("td", {"class": "label"}, furi.label),
-        element("td", {"class": "span"}, span),
-        element("td", {"class": "strong"}, format_grade(furi.score)),
+        element("td", "label", furi.label),
+        element("td", "span", span),
+        element("td", "strong", format_grade(furi.score)),
         element("td", None, format_number(1000.0 * furi.lag_s, 0)),
         element("td", None, str(furi.n_dims)),
         element("td", None, f"{format_number(100.0 * furi.contribution, 1)} %"),
@@ -266,10 +217,10 @@ def _furi_row(number: int, furi: FuriAssessment, words: Mapping[str, str]) -> st
         if not math.isfinite(gain):
             cells.append(element("td", {"class": "gain still", "title": words["furi_still"]}, "–"))
             continue
-        short = " short" if gain < _SHORT else ""
+        short = " short" if gain < 0.8 else ""  # a segment that reaches less of the reference's range is outlined
         bar = element("i", {"style": f"width:{min(max(gain, 0.0), 1.25) * 80:.0f}%"})
-        cells.append(element("td", {"class": f"gain{short}"}, inner=bar + element("span", None, f"{100 * gain:.0f}")))
-    return element("tr", {"id": f"furi-{number + 1}"}, inner="".join(cells))
+        cells.append(element("td", f"gain{short}", inner=bar + element("span", None, f"{100 * gain:.0f}")))
+    return element("tr", {"id": f"furi-{number + 1}"}, inner=cells)
 
 
 def _shape(
@@ -289,7 +240,7 @@ def _shape(
             most = f"{describe_segments(swing.segments[:1], language)} {swing.degrees[0]:.0f}°"
             label += element("span", None, share) + element("span", None, most)
         caption = element("figcaption", None, inner=label)
-        cells += element("figure", {"class": "shape-cell"}, inner=caption + "".join(pictures))
+        cells += element("figure", "shape-cell", inner=caption + "".join(pictures))
     joined = ("、" if language == "ja" else ", ").join(str(n + 1) for n in numbers)
     title = element("b", None, words["shape_of"].format(label=furi.label)) + element(
         "span", None, words["shape_furi"].format(numbers=joined)
@@ -310,17 +261,17 @@ def _shape(
         head = [words["axis"].format(number=""), words["furi_share"], words["axes_segments"]]
         table = build_details(words["axes_table"], build_table(head, rows, words["axes_table"]))
     summary = element("summary", None, inner=title)
-    grid = element("div", {"class": "shape-grid"}, inner=cells)
+    grid = element("div", "shape-grid", inner=cells)
     return element("details", {"class": "shape-card", "open": opened}, inner=summary + grid + table)
 
 
 def build_moments(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
     """Up to six of the worst moments, as pictures with words and numbers."""
-    picks = pick_worst(assessment, _MOMENTS)
+    picks = pick_worst(assessment, 6)
     if not picks:
-        return element("p", {"class": "good"}, words["not_looked_for" if assessment.is_other_dance else "worst_none"])
+        return element("p", "good", words["not_looked_for" if assessment.is_other_dance else "worst_none"])
     cards = "".join(_moment(assessment, k, words, language) for k in picks)
-    return element("p", {"class": "lead"}, words["moments_text"]) + element("div", {"class": "moments"}, inner=cards)
+    return element("p", "lead", words["moments_text"]) + element("div", "moments", inner=cards)
 
 
 def _moment(assessment: Assessment, k: int, words: Mapping[str, str], language: str) -> str:
@@ -332,19 +283,19 @@ def _moment(assessment: Assessment, k: int, words: Mapping[str, str], language: 
         words["severity"].format(value=format_number(event.severity, 1)),
     ]
     facing = _facing(assessment, event)
-    if abs(facing) > _FACING_WORTH_SAYING:
+    if abs(facing) > math.radians(15.0):
         notes.append(words["faces"].format(who=describe_heading(facing).render(language)))
     inner = build_event_button(k, event, words, language) + picture
-    inner += element("p", {"class": "note"}, " · ".join(notes))
+    inner += element("p", "note", " · ".join(notes))
     inner += draw_strip(assessment, event, view, words, language)
-    inner += element("p", {"class": "note"}, words["strip_text"])
+    inner += element("p", "note", words["strip_text"])
     rows = [
         (SEGMENT_NAMES[name].render(language), f"{format_number(angle, 0)}°" if math.isfinite(angle) else "–")
         for name, angle in zip(SEGMENTS, compute_residuals(assessment, event).tolist(), strict=True)
     ]
     table = build_table([words["col_segment"], words["angle_off"]], rows, words["moment_table"])
     inner += build_details(words["moment_table"], table)
-    return element("article", {"class": "card moment"}, inner=inner)
+    return element("article", "card moment", inner=inner)
 
 
 def _facing(assessment: Assessment, event: ErrorEvent) -> float:
@@ -361,29 +312,22 @@ def build_reading(assessment: Assessment, words: Mapping[str, str], language: st
     for kind, name in name_all(KINDS, language).items():
         pairs.append((draw_mark(kind, words) + element("b", None, name), words[f"read_{kind}"]))
     pairs.append((draw_mark("lapse", words) + element("b", None, words["read_lapse_term"]), words["read_lapse"]))
-    items = "".join(
-        element("div", None, inner=element("dt", None, inner=term) + element("dd", None, text)) for term, text in pairs
-    )
-    return element("dl", {"class": "reading"}, inner=items) + element(
-        "p", {"class": "note"}, words["read_sides" if assessment.side == "same" else "read_sides_mirrored"]
-    )
-
-
-_TIP_SIZE = (330.0, 210.0)
+    note = words["read_sides" if assessment.side == "same" else "read_sides_mirrored"]
+    return build_terms(((term, escape(text)) for term, text in pairs), "reading") + element("p", "note", note)
 
 
 def build_advice(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
     """The most important things to do differently, as buttons, and what went well."""
     tips = advise(assessment, "brief")
     placed = [tip for tip in tips if tip.event is not None or tip.lapse is not None]
-    parts = [element("p", {"class": "good"}, tip.message.render(language)) for tip in tips if tip not in placed]
+    parts = [element("p", "good", tip.message.render(language)) for tip in tips if tip not in placed]
     if placed:
-        items = "".join(element("li", None, inner=_tip(assessment, tip, words, language)) for tip in placed)
-        parts.append(element("ol", {"class": "advice-list", "id": "advice"}, inner=items))
-        parts.append(element("p", {"class": "note"}, words["advice_help"]))
+        items = (_tip(assessment, tip, words, language) for tip in placed)
+        parts.append(build_list(items, {"class": "advice-list", "id": "advice"}, "ol"))
+        parts.append(element("p", "note", words["advice_help"]))
     good = praise(assessment)
     if good is not None and good.message not in [tip.message for tip in tips]:
-        parts.append(element("p", {"class": "good"}, good.message.render(language)))
+        parts.append(element("p", "good", good.message.render(language)))
     return "".join(parts)
 
 
@@ -396,12 +340,12 @@ def _tip(assessment: Assessment, advice: Advice, words: Mapping[str, str], langu
         kind, name = advice.about, KINDS[advice.about]
         tag = {"data-event": str(advice.event)}
     label = draw_mark(kind, words) + element("span", None, name.render(language))
-    inner = element("span", {"class": "tip-kind"}, inner=label)
-    inner += element("span", {"class": "says"}, advice.message.render(language))
-    text = element("span", {"class": "tip-words"}, inner=inner)
+    inner = element("span", "tip-kind", inner=label)
+    inner += element("span", "says", advice.message.render(language))
+    text = element("span", "tip-words", inner=inner)
     picture = _draw_tip(assessment, advice, words, language)
     if picture:
-        picture = element("span", {"class": "tip-picture"}, inner=picture)
+        picture = element("span", "tip-picture", inner=picture)
     return element("button", {"type": "button", "class": f"tip {kind}", **tag}, inner=picture + text)
 
 
@@ -418,38 +362,21 @@ def _draw_tip(assessment: Assessment, advice: Advice, words: Mapping[str, str], 
         segments=tuple(name for name in SEGMENTS if name in wrong) or event.segments,
     )
     view = view_moment(assessment, shown)
-    return draw_moment(assessment, shown, view, words, language, size=_TIP_SIZE, arrows=_split_limbs(wrong))
-
-
-def _split_limbs(segments: Sequence[str]) -> list[list[str]]:
-    limbs = [[SEGMENTS[index] for index in limb if SEGMENTS[index] in segments] for limb in LIMBS.values()]
-    return [limb for limb in limbs if limb]
-
-
-_BAR_EM = 5.0  # the longest bar
-_COLUMNS = ("counts", "off", "over", "limit", "body")
+    limbs = [[SEGMENTS[index] for index in limb if SEGMENTS[index] in wrong] for limb in LIMBS.values()]
+    arrows = [limb for limb in limbs if limb]
+    return draw_moment(assessment, shown, view, words, language, size=(330.0, 210.0), arrows=arrows)
 
 
 def build_segments(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
-    """A row for each of the nine segments.
-
-    Parameters
-    ----------
-    assessment : what is shown.
-    words : texts of the page.
-    language : of the names of segments.
-    """
-    head = element("th", {"scope": "col"}, words["col_segment"])
-    head += "".join(element("th", {"scope": "col"}, words[f"segments_{name}"]) for name in _COLUMNS)
+    """A row for each of the nine segments: how much it counts, and how far off it is."""
+    columns = ("counts", "off", "over", "limit", "body")
+    head = build_heads([words["col_segment"], *(words[f"segments_{name}"] for name in columns)])
     off, over = _measure_segments(assessment.residual, assessment.residual_limit)
     most = max(float(np.max(assessment.weights)), 1e-9)
-    rows = "".join(_segment_row(assessment, k, (off[k], over[k]), most, language) for k in range(len(SEGMENTS)))
-    inner = element("caption", {"class": "sr"}, words["segments_title"])
-    inner += element("thead", None, inner=element("tr", None, inner=head)) + element("tbody", None, inner=rows)
-    table = element("table", {"class": "segment-table"}, inner=inner)
+    rows = (_segment_row(assessment, k, (off[k], over[k]), most, language) for k in range(len(SEGMENTS)))
     equal = bool(np.ptp(assessment.weights) < 0.005)  # the table shows two decimals
-    lead = element("p", {"class": "lead"}, words["segments_alike" if equal else "segments_text"])
-    return lead + element("div", {"class": "table-wrap", "tabindex": "0"}, inner=table)
+    lead = element("p", "lead", words["segments_alike" if equal else "segments_text"])
+    return lead + frame_table(words["segments_title"], [head], rows, "segment-table")
 
 
 def _measure_segments(residual: FloatArray, limit: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -462,10 +389,17 @@ def _measure_segments(residual: FloatArray, limit: FloatArray) -> tuple[FloatArr
     return off, over
 
 
-def _segment_row(assessment: Assessment, k: int, measured: tuple[float, float], most: float, language: str) -> str:
+def _segment_row(
+    assessment: Assessment,
+    k: int,
+    measured: tuple[float, float],
+    most: float,
+    language: str,
+    longest_em: float = 5.0,
+) -> str:
     weight = float(assessment.weights[k])
-    bar = element("i", {"style": f"width:{_BAR_EM * weight / most:.2f}em", "aria-hidden": "true"})
-    counts = element("td", {"class": "counts"}, inner=element("span", None, f"× {weight:.2f}") + bar)
+    bar = element("i", {"style": f"width:{longest_em * weight / most:.2f}em", "aria-hidden": "true"})
+    counts = element("td", "counts", inner=element("span", None, f"× {weight:.2f}") + bar)
     limit = math.degrees(float(assessment.residual_limit[k]))
     texts = (
         _show_number(measured[0], "°"),
@@ -474,15 +408,8 @@ def _segment_row(assessment: Assessment, k: int, measured: tuple[float, float], 
         _show_number(float(assessment.offset_deg[k]), "°", 1),
     )
     name = element("th", {"scope": "row"}, SEGMENT_NAMES[SEGMENTS[k]].render(language))
-    return element("tr", None, inner=name + counts + "".join(element("td", None, text) for text in texts))
+    return element("tr", None, inner=name + counts + build_cells(texts))
 
 
 def _show_number(value: float, unit: str, decimals: int = 0) -> str:
     return f"{format_number(value, decimals)}{unit}" if math.isfinite(value) else "–"
-
-
-def build_counts_row(assessment: Assessment, span: int, words: Mapping[str, str]) -> str:
-    """A row for a table that has a column for each segment, after so many others: what each counts."""
-    name = element("th", {"scope": "row", "colspan": str(span)}, words["segments_counts"])
-    cells = "".join(element("td", None, f"× {float(weight):.2f}") for weight in assessment.weights)
-    return element("tr", {"class": "counts-row"}, inner=name + cells)

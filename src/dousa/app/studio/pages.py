@@ -22,7 +22,7 @@ from starlette.routing import NoMatchFound
 
 import dousa
 from dousa.app.player.data import format_player_data, read_player_script, read_player_style
-from dousa.app.report import read_report_script, read_report_style
+from dousa.app.report.page import read_report_script, read_report_style
 from dousa.app.studio.core.answers import Answer, RefusedError
 from dousa.extras import find_font
 from dousa.messages import LANGUAGES, get_language

@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from rich.table import Table
 
-from dousa.app.tables.lines import say_line, to_cell
+from dousa.app.tables.lines import make_table, say_line, to_cell
 from dousa.messages import Message
 
 if TYPE_CHECKING:
@@ -16,18 +15,15 @@ if TYPE_CHECKING:
 
     from dousa.app.pipelines.estimate import Estimation
 
-_GOOD, _FAIR = 0.75, 0.5  # overlap of model and silhouette
 
-_SHOWN_JOINTS = 5
-
-
-def print_estimation(out: Console, done: Estimation) -> None:
+def print_estimation(out: Console, done: Estimation, good: float = 0.75, fair: float = 0.5) -> None:
     """Overlap per view, what was lost, how sure the joints are, and what was written.
 
     Parameters
     ----------
     out : where to print.
     done : the answer.
+    good, fair : overlap of model and silhouette from which it is green or yellow.
     """
     answer = done.estimate
     length = answer.n_frames / answer.frame_rate
@@ -41,8 +37,7 @@ def print_estimation(out: Console, done: Estimation) -> None:
         body=done.body,
         start=done.start,
     )
-    table = Table(box=None)
-    table.add_column(str(Message("columns.view")))
+    table = make_table((), ("columns.view",))
     for code in ("columns.overlap", "columns.worst", "columns.in_frame"):
         table.add_column(str(Message(code)), justify="right")
     for name, column in zip(done.views, answer.iou.T, strict=True):
@@ -51,13 +46,9 @@ def print_estimation(out: Console, done: Estimation) -> None:
             continue
         worst = int(np.nanargmin(column))
         mean = float(np.nanmean(column))
-        colour = "green" if mean >= _GOOD else "yellow" if mean >= _FAIR else "red"
-        table.add_row(
-            to_cell(name),
-            f"[{colour}]{mean:.2f}[/]",
-            f"{column[worst]:.2f}",
-            str(done.first_frame + worst),
-        )
+        colour = "green" if mean >= good else "yellow" if mean >= fair else "red"
+        cells = f"[{colour}]{mean:.2f}[/]", f"{column[worst]:.2f}", str(done.first_frame + worst)
+        table.add_row(to_cell(name), *cells)
     out.print(table)
     lost = np.flatnonzero(answer.lost)
     if len(lost):
@@ -92,7 +83,7 @@ def _describe_stretches(frames: Sequence[int] | np.ndarray, describe: Callable[[
     return str(Message("estimated.more_stretches", shown=shown, n=more)) if more > 0 else shown
 
 
-def _print_uncertainty(out: Console, done: Estimation) -> None:
+def _print_uncertainty(out: Console, done: Estimation, shown: int = 5) -> None:
     answer = done.estimate
     kept = answer.uncertainty[~answer.lost] if (~answer.lost).any() else answer.uncertainty
     if not np.isfinite(kept).any():
@@ -100,9 +91,9 @@ def _print_uncertainty(out: Console, done: Estimation) -> None:
     means = np.nanmean(kept, axis=0) * 1000.0
     names = answer.points.names
     order = [joint for joint in np.argsort(-means) if np.isfinite(means[joint])]
-    least_sure = ", ".join(f"{names[joint]} {means[joint]:.0f}" for joint in order[:_SHOWN_JOINTS])
+    least_sure = ", ".join(f"{names[joint]} {means[joint]:.0f}" for joint in order[:shown])
     say_line(out, "estimated.uncertainty", median=float(np.nanmedian(means)), joints=least_sure)
     hidden = answer.occluded.mean(axis=0)
     parts = [f"{answer.body.names[part]} {hidden[part]:.0%}" for part in np.argsort(-hidden) if hidden[part] >= 0.1]
     if parts:
-        say_line(out, "estimated.hidden", parts=parts[:_SHOWN_JOINTS])
+        say_line(out, "estimated.hidden", parts=parts[:shown])

@@ -9,10 +9,11 @@ from rich.markup import escape
 from rich.table import Table
 
 from dousa.app.output import one_line
+from dousa.app.tables.lines import make_table, print_line
 from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES
 from dousa.evaluation.exercises.repetitions import choose_angles, choose_pair, describe_exercise, describe_trends
 from dousa.evaluation.grade.score import round_grade
-from dousa.evaluation.words import format_time
+from dousa.evaluation.words import KINDS, LAPSE_KINDS, format_time, group_segments
 from dousa.messages import Message
 
 if TYPE_CHECKING:
@@ -26,8 +27,6 @@ def describe_coverage(assessment: Assessment) -> Message:
     percent = 100.0 * assessment.coverage
     if not assessment.not_judged:
         return Message("graded.coverage", percent=percent)
-    from dousa.evaluation.words import group_segments
-
     return Message("graded.coverage_of_rest", percent=percent, who=group_segments(assessment.not_judged))
 
 
@@ -42,29 +41,29 @@ def print_assessment(out: Console, assessment: Assessment, detail: str = "full")
     """
     from dousa.evaluation import advise, praise
 
-    out.print(str(describe_coverage(assessment)), markup=False)
+    print_line(out, describe_coverage(assessment))
     is_graded = math.isfinite(assessment.score)
     grade = _describe_grade(assessment) if is_graded else assessment.score_formula
-    out.print(str(grade), style="bold", markup=False, soft_wrap=True)
+    print_line(out, grade, style="bold")
     points = advise(assessment, "brief")
     good = praise(assessment)
     for number, advice in enumerate(points, start=1):
         place = f"{number}. " if len(points) > 1 else ""
-        out.print(f"{place}{one_line(str(advice.message))}", markup=False, soft_wrap=True)
+        print_line(out, f"{place}{advice.message}")
     if good is not None and good.furi:
-        out.print(str(good.message), markup=False, soft_wrap=True)
+        print_line(out, good.message)
     if detail == "brief":
         more = len(assessment.events) + len(assessment.lapses) - sum(max(len(point.times), 1) for point in points)
         if more > 0:
-            out.print(str(Message("graded.more", n=more)), markup=False, soft_wrap=True)
+            print_line(out, Message("graded.more", n=more))
         return
     if is_graded:
-        out.print(str(assessment.score_formula), markup=False, soft_wrap=True)
+        print_line(out, assessment.score_formula)
     _print_errors(out, assessment)
 
 
 def _print_errors(out: Console, assessment: Assessment) -> None:
-    rows = _event_rows(assessment) + _lapse_rows(assessment)
+    rows = _list_rows(assessment)
     if rows:
         table = Table(box=None)
         for name in ("graded.time", "graded.furi", "graded.error", "graded.severity", "graded.difference"):
@@ -74,64 +73,32 @@ def _print_errors(out: Console, assessment: Assessment) -> None:
             table.add_row(*(escape(one_line(cell)) for cell in cells))
         out.print(table)
     if rows and not assessment.events:
-        out.print(str(Message("graded.no_errors")), markup=False)
+        print_line(out, Message("graded.no_errors"))
     if assessment.gaps:
         seconds = _covered([(start, end) for start, end, _ in assessment.gaps])
-        out.print(str(Message("graded.gaps", seconds=seconds)), markup=False)
+        print_line(out, Message("graded.gaps", seconds=seconds))
 
 
 def _describe_grade(assessment: Assessment) -> Message:
-    from dousa.evaluation.grade.score import round_grade
-
     low, high = (f"{round_grade(value):.0f}" for value in assessment.score_interval)
     values = {"score": f"{round_grade(assessment.score):.0f}", "low": low, "high": high, "n": assessment.n_references}
-    if assessment.calibrated:
-        return Message("graded.calibrated", **values)
-    return Message("graded.uncalibrated", **values)
+    return Message("graded.calibrated" if assessment.calibrated else "graded.uncalibrated", **values)
 
 
-Row = tuple[float, tuple[str, str, str, str, str]]
-
-
-def _event_rows(assessment: Assessment) -> list[Row]:
-    from dousa.evaluation.words import KINDS
-
-    return [
-        (
-            event.start_s,
-            (
-                _span(event.start_s, event.end_s),
-                "" if event.furi is None else str(event.furi + 1),
-                str(KINDS[event.kind]),
-                f"{event.severity:.1f}",
-                str(event.message),
-            ),
-        )
-        for event in assessment.events
-    ]
-
-
-def _lapse_rows(assessment: Assessment) -> list[Row]:
-    from dousa.evaluation.words import LAPSE_KINDS
-
-    return [
-        (
-            lapse.start_s,
-            (
-                _span(lapse.start_s, lapse.end_s),
-                "",
-                str(Message("graded.lapse", kind=LAPSE_KINDS[lapse.kind])),
-                "",
-                str(lapse.message),
-            ),
-        )
-        for lapse in assessment.lapses
-    ]
+def _list_rows(assessment: Assessment) -> list[tuple[float, tuple[str, ...]]]:
+    """Start (s) and cells of each error and lapse."""
+    rows = []
+    for event in assessment.events:
+        furi = "" if event.furi is None else str(event.furi + 1)
+        cells = furi, str(KINDS[event.kind]), f"{event.severity:.1f}", str(event.message)
+        rows.append((event.start_s, (_span(event.start_s, event.end_s), *cells)))
+    for lapse in assessment.lapses:
+        kind = str(Message("graded.lapse", kind=LAPSE_KINDS[lapse.kind]))
+        rows.append((lapse.start_s, (_span(lapse.start_s, lapse.end_s), "", kind, "", str(lapse.message))))
+    return rows
 
 
 def _span(start: float, end: float) -> str:
-    from dousa.evaluation.words import format_time
-
     return f"{format_time(start)}-{format_time(end)}"
 
 
@@ -145,11 +112,8 @@ def _covered(spans: list[tuple[float, float]]) -> float:
 
 
 _HEADINGS = (
-    Message("exercise_table.number"),
-    Message("exercise_table.time"),
-    Message("exercise_table.duration"),
-    Message("exercise_table.tempo"),
-    Message("exercise_table.grade"),
+    *("exercise_table.number", "exercise_table.time", "exercise_table.duration"),
+    *("exercise_table.tempo", "exercise_table.grade"),
 )
 
 
@@ -165,19 +129,17 @@ def print_repetitions(out: Console, assessment: RepetitionsAssessment, detail: s
     incomplete = len(assessment.repetitions) - assessment.count
     head = Message("exercise_table.count", n=assessment.count, incomplete=incomplete, seconds=assessment.reference_s)
     for line in (head, *describe_exercise(assessment)):
-        out.print(str(line), markup=False, soft_wrap=True)
+        print_line(out, line)
     if detail == "full":
         out.print(_make_table(assessment))
     for line in describe_trends(assessment):
-        out.print(str(line), markup=False, soft_wrap=True)
+        print_line(out, line)
 
 
 def _make_table(assessment: RepetitionsAssessment) -> Table:
     angles = choose_angles(assessment)
     sides = choose_pair(assessment)
-    table = Table(box=None)
-    for heading in _HEADINGS:
-        table.add_column(str(heading), justify="right", overflow="fold")
+    table = make_table(_HEADINGS)
     for name in angles:
         degrees = assessment.reference_ranges[name]
         heading = Message("exercise_table.range", angle=ANGLE_NAMES[name], degrees=degrees)
@@ -210,18 +172,10 @@ def _number(value: float, digits: int) -> str:
 
 
 def print_progress(out: Console, progress: Progress) -> None:
-    """The sentence, and the attempts below each other.
-
-    Parameters
-    ----------
-    out : where to print.
-    progress : the answer.
-    """
+    """The sentence, and the attempts below each other."""
     from dousa.evaluation.advice.progress import describe_errors
-    from dousa.evaluation.grade.score import round_grade
-    from dousa.evaluation.words import KINDS
 
-    out.print(one_line(str(progress.summary)), markup=False, soft_wrap=True)
+    print_line(out, progress.summary)
     table = Table(box=None)
     table.add_column(str(Message("progress.attempt")), overflow="fold")
     for heading in (Message("progress.grade"), *KINDS.values(), Message("progress.lapses")):

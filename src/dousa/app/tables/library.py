@@ -9,14 +9,22 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
-from dousa.app.output import one_line, warn
-from dousa.app.tables.lines import SHOWN, print_some, say_line, to_cell
+from dousa.app.output import warn
+from dousa.app.tables.lines import SHOWN, print_line, print_some, say_line, to_cell
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from dousa.library import AddReport, CheckReport, DuplicateGroup, JournalEntry, LabelReview, SavedSearch
+    from dousa.library import (
+        AddReport,
+        CheckReport,
+        CompactReport,
+        DuplicateGroup,
+        JournalEntry,
+        LabelReview,
+        SavedSearch,
+    )
 
 
 def print_info(out: Console, answer: dict[str, Any]) -> None:
@@ -81,30 +89,18 @@ def _say_passed_over(out: Console, passed_over: Sequence[tuple[str, int]]) -> No
 def print_add(out: Console, report: AddReport) -> None:
     """What was added to a library, and what was not and why."""
     rate = report.bytes / 1e6 / report.seconds if report.seconds > 0 else 0.0
-    say_line(
-        out,
-        "adding.added",
-        n=len(report.added),
-        megabytes=report.bytes / 1e6,
-        seconds=report.seconds,
-        rate=rate,
-    )
-    for code, files in (
-        ("adding.replaced", report.replaced),
-        ("adding.moved", report.moved),
-        ("adding.unchanged", report.unchanged),
-    ):
+    done = {"megabytes": report.bytes / 1e6, "seconds": report.seconds, "rate": rate}
+    say_line(out, "adding.added", n=len(report.added), **done)
+    codes = ("adding.replaced", "adding.moved", "adding.unchanged")
+    for code, files in zip(codes, (report.replaced, report.moved, report.unchanged), strict=True):
         if files:
             say_line(out, code, n=len(files))
     if report.duplicates:
         pairs = [f"{item.path} = {item.same_as}" for item in report.duplicates]
         print_some(out, Message("adding.duplicates", n=len(pairs)), pairs)
     if report.skipped:
-        print_some(
-            out,
-            Message("adding.skipped", n=len(report.skipped)),
-            [f"{item.path}: {item.reason}" for item in report.skipped],
-        )
+        reasons = [f"{item.path}: {item.reason}" for item in report.skipped]
+        print_some(out, Message("adding.skipped", n=len(reasons)), reasons)
     if report.passed_over:
         _say_passed_over(out, report.passed_over)
     if report.labelled:
@@ -154,14 +150,8 @@ def print_clips(out: Console, rows: list[dict[str, Any]]) -> None:
         table.add_column(str(Message(code)), justify="right" if right else "left", overflow="fold")
     for row in rows:
         labels = [to_cell(row[name] or "-") for name in ("category", "predicted_category", "performer")]
-        table.add_row(
-            str(row["id"]),
-            row["kind"],
-            *labels,
-            f"{row['duration']:.1f}",
-            f"{row['frame_rate']:g}",
-            to_cell(row["path"]),
-        )
+        length = f"{row['duration']:.1f}", f"{row['frame_rate']:g}"
+        table.add_row(str(row["id"]), row["kind"], *labels, *length, to_cell(row["path"]))
     out.print(table)
 
 
@@ -216,35 +206,35 @@ def print_duplicates(out: Console, groups: Sequence[DuplicateGroup], most: int) 
     say_line(out, "library_review.groups", n=len(groups))
 
 
-def print_check(out: Console, report: CheckReport) -> None:
-    """What is damaged and what can be done, or that nothing is."""
+def print_messages(out: Console, report: CheckReport | CompactReport) -> None:
+    """What a report says, line by line."""
     for message in report.to_messages():
-        out.print(one_line(str(message)), markup=False, soft_wrap=True)
+        print_line(out, message)
 
 
 def print_journal(out: Console, entries: Sequence[JournalEntry]) -> None:
     """The changes of a library that can be undone, the last first."""
     if not entries:
-        out.print(str(Message("journal.empty")), markup=False)
+        say_line(out, "journal.empty")
     for entry in entries:
         when = datetime.fromisoformat(entry.made_at).astimezone().strftime("%Y-%m-%d %H:%M")
         values = {"number": entry.number, "when": when, "what": entry.what}
         line = str(Message("journal.line_undone" if entry.is_undone else "journal.line", **values))
         if entry.kept_bytes:
             line += str(Message("journal.line_kept", megabytes=entry.kept_bytes / 1e6))
-        out.print(one_line(line), markup=False, soft_wrap=True)
+        print_line(out, line)
 
 
 def print_tags(out: Console, counts: Mapping[str, int], searches: Sequence[SavedSearch]) -> None:
     """Tags with how often they are given, and searches that are kept."""
     if not counts and not searches:
-        out.print(str(Message("library_tags.nothing_there")), markup=False)
+        say_line(out, "library_tags.nothing_there")
     for name, n in counts.items():
-        out.print(one_line(str(Message("library_tags.line", tag=name, n=n))), markup=False, soft_wrap=True)
+        print_line(out, Message("library_tags.line", tag=name, n=n))
     for one in searches:
         if one.is_selection:
             message = Message("library_searches.selection", name=one.name, n=len(one.asked["clips"]))
         else:
             filters = tuple(f"{name}={value}" for name, value in one.asked.items())
             message = Message("library_searches.line", name=one.name, filters=filters)
-        out.print(one_line(str(message)), markup=False, soft_wrap=True)
+        print_line(out, message)

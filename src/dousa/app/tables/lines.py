@@ -26,9 +26,14 @@ def to_cell(text: Message | str) -> str:
     return escape(one_line(str(text)))
 
 
-def say_line(out: Console, code: str, /, **values: Any) -> None:
+def print_line(out: Console, text: Message | str, **style: Any) -> None:
     """One line of an answer."""
-    out.print(one_line(str(Message(code, **values))), markup=False, soft_wrap=True)
+    out.print(one_line(str(text)), markup=False, soft_wrap=True, **style)
+
+
+def say_line(out: Console, code: str, /, **values: Any) -> None:
+    """One line of an answer by its code."""
+    print_line(out, Message(code, **values))
 
 
 def make_table(right: Sequence[str] = (), left: Sequence[str] = (), folded: str | None = None) -> Table:
@@ -69,7 +74,7 @@ def print_notes(out: Console, notes: Sequence[Message], path: str | None = None)
     """
     for note in notes:
         if note.code.startswith(_OF_ANSWERS):
-            out.print(one_line(f"  {note}"), markup=False, soft_wrap=True)
+            print_line(out, f"  {note}")
         else:
             warn(note if path is None else Message("text.in_file", path=path, problem=note))
 
@@ -78,11 +83,11 @@ def print_tables(out: Console, tables: Iterable[ResultTable]) -> None:
     """Print tables one below the other, each with the lines that belong to it, in the language in use."""
     for answer in tables:
         for line in answer.preface:
-            out.print(one_line(str(line)), markup=False, soft_wrap=True)
+            print_line(out, line)
         if answer.columns:
             out.print(_make_result_table(answer))
         for line in answer.notes:
-            out.print(one_line(str(line)), markup=False, soft_wrap=True)
+            print_line(out, line)
 
 
 def _make_result_table(answer: ResultTable) -> Table:

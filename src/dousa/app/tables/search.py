@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from rich.markup import escape
 
 from dousa.app.output import one_line, warn
-from dousa.app.tables.lines import make_table, name_side, print_notes, say_line, to_cell
+from dousa.app.tables.lines import make_table, name_side, print_line, print_notes, say_line, to_cell
 from dousa.evaluation.words import format_time
 from dousa.messages import Message
 
@@ -34,7 +34,7 @@ def print_classes(out: Console, answers: Sequence[Classification]) -> None:
         warn(Message("answers.no_motion_files"))
     for answer in answers:
         if answer.verdict is not None:
-            out.print(one_line(f"{answer.path}: {describe_verdict(answer.verdict)}"), markup=False, soft_wrap=True)
+            print_line(out, f"{answer.path}: {describe_verdict(answer.verdict)}")
             print_mirrored(out, answer.verdict, answer.mirrored)
             print_notes(out, answer.notes, answer.path)
             print_reasons(out, answer.verdict.explanation)
@@ -63,13 +63,13 @@ def print_mirrored(out: Console, verdict: Verdict, mirrored: Verdict | None) -> 
 
 def print_reasons(out: Console, reasons: Explanation | Likeness | None, indent: str = "  ") -> None:
     for reason in reasons.reasons if reasons is not None else ():
-        out.print(one_line(f"{indent}{reason.text}"), markup=False, soft_wrap=True)
+        print_line(out, f"{indent}{reason.text}")
 
 
 def print_search(out: Console, answer: SearchResult) -> None:
     """A query and the clips found."""
     verdict = answer.verdict
-    out.print(one_line(f"{answer.query}: {describe_verdict(verdict)}"), markup=False, soft_wrap=True)
+    print_line(out, f"{answer.query}: {describe_verdict(verdict)}")
     print_mirrored(out, verdict, answer.mirrored)
     print_notes(out, answer.notes, answer.query)
     print_reasons(out, verdict.explanation)
@@ -102,7 +102,7 @@ def print_search(out: Console, answer: SearchResult) -> None:
         say_line(out, "answers.more_alike", n=answer.alike_count - len(likely), all=answer.alike_count)
     for hit in answer.results:
         if hit.likeness is not None and hit.likeness.reasons:
-            out.print(one_line(f"{hit.rank}. {hit.path}"), markup=False, soft_wrap=True)
+            print_line(out, f"{hit.rank}. {hit.path}")
             print_reasons(out, hit.likeness, "   ")
 
 
@@ -186,7 +186,7 @@ def _name_segment(segment: Segment) -> str:
 
 def print_timeline(out: Console, answer: LabelledTake) -> None:
     """What happens in a take, one stretch in a row."""
-    out.print(one_line(f"{answer.take}: {answer.timeline.duration:.1f} s"), markup=False, soft_wrap=True)
+    print_line(out, f"{answer.take}: {answer.timeline.duration:.1f} s")
     print_notes(out, answer.notes, answer.take)
     table = make_table(("columns.start", "columns.end"), (), "columns.category")
     table.add_column(str(Message("columns.sure")), justify="right")
@@ -204,7 +204,7 @@ def print_timeline(out: Console, answer: LabelledTake) -> None:
 
 def print_given(out: Console, given: TakeAnnotation) -> None:
     """The labels that a take was given, one in a row."""
-    out.print(one_line(f"{given.path}: {given.duration:.1f} s"), markup=False, soft_wrap=True)
+    print_line(out, f"{given.path}: {given.duration:.1f} s")
     table = make_table(("columns.start", "columns.end"), (), "columns.category")
     for one in given.rows:
         name = to_cell(one.category) if one.category is not None else "-" if one.counted else "?"

@@ -74,7 +74,7 @@ def collect_report(studio: Studio, job_id: str, language: Language) -> dict[str,
     ------
     RefusedError : no such evaluation, or one of an exercise.
     """
-    from dousa.app.report import build_frame
+    from dousa.app.report.page import build_frame
 
     assessment = studio.evaluations.get(job_id).assess(studio.evaluations.read_adjustment(job_id))
     notes = studio.evaluations.read_notes(job_id)
@@ -104,7 +104,7 @@ def get_exercise(studio: StudioNow, job_id: str, language: _Language = "en") -> 
 @router.post("/evaluations/{job_id}/adjust", summary="Change the figures and weights of an evaluation")
 def adjust(studio: StudioNow, job_id: str, wanted: AdjustRequest) -> Answer:
     """The new assessment and the parts of the report that follow; a quick answer leaves out those with figures."""
-    from dousa.app.report import QUICK_PARTS, build_parts, collect_data
+    from dousa.app.report.page import QUICK_PARTS, build_parts, collect_data
 
     ready, language = studio.evaluations.get(job_id), wanted.language
     if wanted.precision == "exact":
@@ -191,7 +191,7 @@ def show_two(studio: StudioNow, job: _Jobs, language: _Language = "en") -> Answe
 
 def _show(assessment: Any, language: str) -> dict[str, Any]:
     from dousa.app.player.data import encode_player_data
-    from dousa.app.report import build_parts, collect_data
+    from dousa.app.report.page import build_parts, collect_data
 
     return {
         "parts": build_parts(assessment, language),
@@ -245,7 +245,8 @@ def download_file(studio: Studio, job_id: str, name: str, language: Language) ->
 
 
 def _write(name: str, studio: Studio, job_id: str, language: Language) -> str | bytes:
-    from dousa.app.report import build_page, to_curves_csv, to_events_csv
+    from dousa.app.report.curves import to_curves_csv, to_events_csv
+    from dousa.app.report.page import build_page
     from dousa.evaluation import format_furi
 
     if name in ("exercise.html", "repetitions.csv"):
@@ -325,7 +326,7 @@ def get_companion_file(studio: StudioNow, job_id: str, kind: Kind) -> FileRespon
 @companions_router.get("/beats", summary="The beats of the music, and the accents of the dance against them")
 def get_beats(studio: StudioNow, job_id: str, language: _Language = "en") -> Answer:
     """``times_s`` of the music; ``timing`` as of `dousa evaluate --music`; all null without music."""
-    from dousa.app.report import build_beats
+    from dousa.app.report.timeline import build_beats
 
     job = studio.evaluations.find_job(job_id)
     performance = EvaluationRequest.model_validate(job.request).performance

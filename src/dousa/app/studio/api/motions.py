@@ -23,7 +23,7 @@ from dousa.app.studio.content.motions import (
 )
 from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import FILE, Answer, RefusedError, StrictModel, attachment, say
-from dousa.formats.characters import read_character
+from dousa.formats.registry import read_character
 from dousa.library.export import ORIGINAL, ExportFormat, list_formats
 from dousa.messages import Message
 

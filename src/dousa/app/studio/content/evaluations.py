@@ -389,7 +389,7 @@ def assess_exercise(
     Returns the JSON of ``dousa evaluate --repetitions --json`` with the names of the motions. Raises RefusedError as
     `make_ready`, and if the performance has no repetition.
     """
-    from dousa.app.report import build_exercise, build_exercise_page, to_repetitions_csv
+    from dousa.app.report.exercise import build_exercise, build_exercise_page, to_repetitions_csv
     from dousa.evaluation import assess_repetitions, describe_exercise, describe_trends
 
     names, takes, performance = read_motions(request, find, progress)

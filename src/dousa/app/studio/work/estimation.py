@@ -111,7 +111,7 @@ class _PictureBringer:
 
 def write_example(request: dict[str, Any], context: Context) -> dict[str, Any]:
     """Write ``kick_seen.npz``, silhouettes of a synthetic person who kicks, into a batch; returns the stature in m."""
-    from dousa.app.demo.estimation import write_performance
+    from dousa.app.demo import write_performance
 
     truth = context.folder / f"{request['batch']}.bvh"
     try:

@@ -123,7 +123,7 @@ def estimate_from_films(
     context : of the job.
     footage : takes the motion.
     """
-    from dousa.app.pipelines.film_estimate import check_agreement, estimate_person
+    from dousa.app.pipelines.estimate import check_agreement, estimate_person
     from dousa.app.pipelines.film_scene import place_films
     from dousa.app.studio.content.film_record import FilmRecordWriter
     from dousa.estimation.cameras.camera_files import write_cameras

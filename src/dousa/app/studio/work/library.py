@@ -128,7 +128,7 @@ def map_clips(request: dict[str, Any], context: Context) -> dict[str, Any]:
 
 def demo(request: dict[str, Any], context: Context) -> dict[str, Any]:
     """Fill the library with synthetic motions of a few people, and train it."""
-    from dousa.app.demo.demo import write_library
+    from dousa.app.demo import write_library
 
     folder = context.home / "files" / str(request["batch"])
     context.progress(0, 1, Message("studio_jobs.making_motions"))

@@ -1,1 +1,0 @@
-"""The demonstration: every capability on synthetic people, before your eyes."""
