@@ -176,8 +176,8 @@ def test_a_person_with_other_bones_is_followed(body):
     assert np.linalg.norm(off, axis=-1).mean() < 0.08
 
 
-def test_a_motion_without_the_bodys_joints_says_so(body):
-    robot = Trajectories(("base", "tool", "x"), np.random.default_rng(0).random((4, 3, 3)), 30.0)
+def test_a_motion_without_the_bodys_joints_says_so():
+    robot = Trajectories(("frame", "tool", "x"), np.random.default_rng(0).random((4, 3, 3)), 30.0)
     with pytest.raises(BodyModelError, match="expected joints of the body"):
         poses_from_motion(robot_arm(), robot)
 
