@@ -3,13 +3,11 @@
 In bounded time and memory; ``DOUSA_FUZZ_SECONDS`` seconds over all kinds, 3 by default.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
-from oracles.calibration_files import turned_view, write_opencv
+from oracles.calibration_files import POSE2SIM, QUALISYS, ROS, turned_view, write, write_opencv
 
 from dousa.estimation import make_human
 from dousa.estimation.body.body_file import read_body, write_body
@@ -35,6 +33,10 @@ def read_masks(path: Path) -> None:
     read_cameras(path)
 
 
+def read_finite_cameras(path: Path) -> None:
+    assert all(np.isfinite(view.to_row()).all() for view in read_cameras(path))
+
+
 def make_track() -> PersonTrack:
     """A person in three frames."""
     points = np.random.default_rng(0).uniform(0, 100, (3, 2, 2))
@@ -50,6 +52,9 @@ def seeds(tmp_path_factory):
     for suffix in ("yml", "xml", "json"):
         write_opencv(folder / f"cameras.{suffix}", turned_view())
     np.savez(folder / "cameras.npz", **cameras_to_arrays(ring))
+    others = {"qualisys.txt": QUALISYS, "pose2sim.toml": POSE2SIM, "ros.yaml": ROS}
+    cameras = [write(folder, text, name) for name, text in others.items()]
+    cameras += [folder / f"cameras.{suffix}" for suffix in ("toml", "yml", "xml", "json", "npz")]
     masks = np.random.default_rng(1).random((2, 3, 24, 32)) > 0.5
     write_silhouettes(folder / "masks.npz", masks, ring, 30.0, stature=1.7)
     np.savez(folder / "plain.npz", mask=masks)
@@ -61,7 +66,7 @@ def seeds(tmp_path_factory):
     )
     write_offsets(folder / "offsets.toml", ["a", "b"], found)
     return {
-        "cameras": ([folder / f"cameras.{suffix}" for suffix in ("toml", "yml", "xml", "json", "npz")], read_cameras),
+        "cameras": (cameras, read_finite_cameras),
         "masks": ([folder / "masks.npz"], read_masks),
         "plain masks": ([folder / "plain.npz"], lambda path: read_silhouettes(path, 30.0)),
         "keypoints": ([folder / "points.npz"], read_keypoint_npz),

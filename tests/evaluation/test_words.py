@@ -1,7 +1,5 @@
 """Sentences about events and lapses."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -36,15 +34,10 @@ ALL = tuple(SEGMENT_NAMES)
 @pytest.mark.parametrize(
     ("seconds", "text"),
     [
-        (0, "0:00.0"),
-        (72, "1:12.0"),
-        (59.96, "1:00.0"),
-        (3599.94, "59:59.9"),
-        (-3.0, "-0:03.0"),
-        (-0.01, "0:00.0"),
+        (0, "0:00.0"), (72, "1:12.0"), (59.96, "1:00.0"), (3599.94, "59:59.9"), (-3.0, "-0:03.0"), (-0.01, "0:00.0"),
         (math.nan, "–"),
     ],
-)
+)  # fmt: skip
 def test_time(seconds: float, text: str) -> None:
     assert format_time(seconds) == text
 

@@ -1,7 +1,5 @@
 """Programs that stand for Blender and assimp in the tests: an "FBX" of theirs is a mark and then a GLB."""
 
-from __future__ import annotations
-
 import sys
 
 FBX_MARK = b"Kaydara FBX Binary  \x00\x1a\x00"

@@ -1,13 +1,15 @@
 """Small made files of the formats that dousa reads and does not write, for the tests and the fuzzer."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import pickle
 import zipfile
 
 import numpy as np
+import pytest
+
+from dousa.errors import MotionFileError
+from dousa.formats.registry import read_motion
 
 SEGMENTS = {"Pelvis": "", "L5": "Pelvis", "RightUpperLeg": "Pelvis", "RightLowerLeg": "RightUpperLeg"}
 PLACES = np.array([[0, 0, 0.9], [0, 0, 1.0], [0, -0.1, 0.9], [0, -0.1, 0.5]])
@@ -115,3 +117,22 @@ def pack_zip(**files):
         for name, data in files.items():
             archive.writestr(name.replace("__", "."), data)
     return packed.getvalue()
+
+
+def save(path, data):
+    """The path of a file that holds these bytes."""
+    path.write_bytes(data)
+    return path
+
+
+def code_of(path):
+    """The code of the error that reading a file ends in, which names the file."""
+    with pytest.raises(MotionFileError) as caught:
+        read_motion(path)
+    assert caught.value.path == str(path) and "\n" not in str(caught.value)
+    return caught.value.code
+
+
+def refused(path, data, code):
+    """Whether a file of these bytes is refused with this code."""
+    assert code_of(save(path, data)) == code

@@ -1,7 +1,5 @@
 """Motions and models of MikuMikuDance, written byte by byte for the tests and the fuzzer."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

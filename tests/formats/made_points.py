@@ -1,7 +1,5 @@
 """Points of a person as pose estimators write them to JSON, made from a synthetic motion."""
 
-from __future__ import annotations
-
 import io
 import json
 import zipfile

@@ -1,7 +1,5 @@
 """USD as text with one skeleton, and the arrays that our process makes of it."""
 
-from __future__ import annotations
-
 _HEAD = """#usda 1.0
 (
     metersPerUnit = {metres}

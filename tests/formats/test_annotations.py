@@ -1,7 +1,5 @@
 """Tables of labels: small files written by hand from what the programs publish about their formats."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Joints and SMPL poses as arrays: real files of others, layouts told apart, pickles that are programs."""
 
-from __future__ import annotations
-
 import os
 import pickle
 
@@ -16,15 +14,11 @@ from dousa.formats.registry import read_motion, write_motion
 from dousa.formats.smpl import mean_body
 from dousa.motion import Motion, canonicalise, compute_trajectories
 from formats import made_files as made
+from formats.made_files import refused, save
 
 
 def codes(motion):
     return {note.code for note in motion.provenance.notes}
-
-
-def save(path, data):
-    path.write_bytes(data)
-    return path
 
 
 def smpl_joints(poses, trans):
@@ -155,12 +149,6 @@ def test_amass_there_and_back(tmp_path_factory, seed, rate):
     assert again.frame_rate == rate
     there, back = (compute_trajectories(m).positions for m in (motion, again))
     np.testing.assert_allclose(back, there, atol=1e-6)
-
-
-def refused(path, data, code):
-    with pytest.raises(MotionFileError) as caught:
-        read_motion(save(path, data))
-    assert caught.value.code == code
 
 
 class Danger:

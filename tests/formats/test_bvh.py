@@ -1,7 +1,5 @@
 """Reading and writing BVH: every kind of file in use, nothing lost, damage named with its line."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -120,8 +118,11 @@ def test_spellings_in_use(bvh, change):
 
 @pytest.mark.parametrize(
     "name",
-    ["mixamorig:Hips", "Bip01 Pelvis", "腰", "Hüfte", "Hips.001", "End", "JOINT", "OFFSET 1", "MOTION x"],
-)
+    [
+        "mixamorig:Hips", "Bip01 Pelvis", "腰", "Hüfte", "Hips.001", "End", "the End Site", "JOINT", "Offset",
+        "OFFSET 1", "Channels 3", "MOTION x",
+    ],
+)  # fmt: skip
 @pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
 def test_joint_names(bvh, tmp_path, name, encoding):
     if encoding == "latin-1" and name == "腰":
@@ -149,12 +150,7 @@ def test_statements_split_over_lines_or_joined(bvh, change):
     wanted, got = read_bvh(bvh(SMALL)), read_bvh(bvh(change(SMALL)))
     assert got.skeleton.names == wanted.skeleton.names
     assert got.provenance.layout == wanted.provenance.layout
-    same_numbers(got.provenance.values, wanted.provenance.values)
-
-
-@pytest.mark.parametrize("name", ["Offset", "the End Site", "JOINT", "Channels 3"])
-def test_keywords_inside_joint_names(bvh, name):
-    assert read_bvh(bvh(SMALL.replace("JOINT Spine", f"JOINT {name}"))).skeleton.names[1] == name
+    assert same_numbers(got.provenance.values, wanted.provenance.values)
 
 
 def test_end_site_names_are_unique(bvh):
@@ -174,20 +170,10 @@ def test_position_channels_replace_the_offset_one_by_one(bvh):
 @pytest.mark.parametrize(
     ("text", "rate"),
     [
-        ("0.0333333", 30),
-        ("0.008333", 120),
-        (".0083", 120),
-        ("0.04", 25),
-        ("0.033", 30),
-        ("0.017", 60),
-        ("0.0166667", 60),
-        ("0.01", 100),
-        ("8.3333e-03", 120),
-        ("0.0166", 60),
-        ("0.016666", 60),
-        ("0.041666", 24),
+        ("0.0333333", 30), ("0.008333", 120), (".0083", 120), ("0.04", 25), ("0.033", 30), ("0.017", 60),
+        ("0.0166667", 60), ("0.01", 100), ("8.3333e-03", 120), ("0.0166", 60), ("0.016666", 60), ("0.041666", 24),
     ],
-)
+)  # fmt: skip
 def test_a_frame_time_that_is_a_rounded_usual_rate(bvh, text, rate):
     assert read_bvh(bvh(SMALL.replace("0.0333333", text))).frame_rate == rate
 
@@ -344,9 +330,7 @@ def test_values_beyond_the_largest_float_make_no_motion(bvh):
 NUMBER = st.floats(-1e150, 1e150) | st.just(math.nan)
 ANGLE = st.floats(allow_nan=True, allow_infinity=False)
 NAME = st.text(
-    st.characters(codec="utf-8", exclude_categories=["C", "Z"], exclude_characters="{}"),
-    min_size=1,
-    max_size=8,
+    st.characters(codec="utf-8", exclude_categories=["C", "Z"], exclude_characters="{}"), min_size=1, max_size=8
 )
 
 
@@ -519,25 +503,3 @@ def test_bandai_round_trips(shared_data, tmp_path):
         assert again.provenance.layout.channels == motion.provenance.layout.channels
         np.testing.assert_allclose(again.translations, motion.translations, atol=1e-12)
         assert_same_rotations(again.rotations, motion.rotations)
-
-
-@pytest.mark.slow
-@settings(deadline=None, max_examples=300)
-@given(st.data())
-def test_random_damage_gives_a_motion_or_an_error(tmp_path_factory, data):
-    content = bytearray(SMALL.encode())
-    for _ in range(data.draw(st.integers(1, 4))):
-        start = data.draw(st.integers(0, len(content)))
-        end = min(len(content), start + data.draw(st.integers(0, 30)))
-        content[start:end] = data.draw(
-            st.binary(max_size=6) | st.sampled_from([b"{", b"}", b"nan", b"1e400", b"\n", b"9" * 30])
-        )
-    path = tmp_path_factory.getbasetemp() / "damaged.bvh"
-    path.write_bytes(bytes(content) or b"x")
-    try:
-        motion = read_bvh(path)
-    except MotionFileError as error:
-        assert str(path) in str(error)
-    else:
-        write_bvh(motion, path)
-        assert same_numbers(read_bvh(path).provenance.values, motion.provenance.values)

@@ -1,7 +1,5 @@
 """C3D: every storage, missing points, what is left out, damaged files, round trips, agreement with ezc3d."""
 
-from __future__ import annotations
-
 import contextlib
 import struct
 
@@ -73,9 +71,9 @@ def test_unlabelled_and_computed_points_are_left_out(saved):
     np.testing.assert_allclose(got.positions, random_points(4, 6)[:, [0, 5]] * 0.001)
 
 
-def test_points_without_any_label_are_numbered(saved):
-    got = read_c3d(saved(make_c3d(random_points(), ["", "", ""])))
-    assert got.names == ("point1", "point2", "point3")
+@pytest.mark.parametrize("labels", [["", "", ""], ["*1", "*2", "*3"]])
+def test_points_without_any_label_are_numbered(saved, labels):
+    assert read_c3d(saved(make_c3d(random_points(), labels))).names == ("point1", "point2", "point3")
 
 
 def test_a_parameter_that_occurs_twice_and_one_that_lies_about_analog(saved):
@@ -159,10 +157,6 @@ def test_the_size_of_the_file_tells_the_analog_samples(saved):
     got = read_c3d(saved(bytes(data)), up="y")
     np.testing.assert_allclose(got.positions, points * 0.001, rtol=1e-12)
     assert [note.code for note in got.provenance.notes] == ["c3d.analog_count"]
-
-
-def test_points_without_names_are_numbered(saved):
-    assert read_c3d(saved(make_c3d(random_points(), ["*1", "*2", "*3"]))).names == ("point1", "point2", "point3")
 
 
 def test_positions_that_are_all_marked_as_missing_are_used(saved):

@@ -1,7 +1,5 @@
 """FBX and Collada through other programs: with programs of the tests' own that work, fail, hang or talk nonsense."""
 
-from __future__ import annotations
-
 import json
 import os
 import struct
@@ -19,6 +17,7 @@ from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import compute_trajectories
 from dousa.motion.synthetic import draw_performer, make_motion
 from formats import fake_programs as fake
+from formats.made_files import code_of
 from patience import PATIENCE
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="programs of the tests are scripts")
@@ -39,14 +38,6 @@ def fbx(tmp_path, walk):
 
 def codes(motion):
     return [note.code for note in motion.provenance.notes]
-
-
-def code_of(path):
-    with pytest.raises(MotionFileError) as caught:
-        read_motion(path)
-    assert caught.value.path == str(path)
-    assert str(caught.value).count("\n") == 0
-    return caught.value.code
 
 
 @pytest.mark.parametrize("name", ["blender", "assimp"])

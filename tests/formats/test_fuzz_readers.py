@@ -4,8 +4,6 @@
 every time, so that a failure is found again; its file is kept and named in the message.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import pickle
@@ -25,6 +23,8 @@ from dousa.motion.rotations import normalise
 from formats import fake_programs, made_mmd, made_usd
 from formats import made_files as made
 from formats import made_points as points
+from formats.test_asf_amc import AMC, ASF
+from formats.test_bvh import SMALL as BVH
 from fuzzing import damage, outcome_of, traced_outcome_of
 
 pytestmark = pytest.mark.fuzz
@@ -32,83 +32,6 @@ pytestmark = pytest.mark.fuzz
 SECONDS = fuzzing.SECONDS / len(SUFFIXES)
 CASE_SECONDS = fuzzing.CASE_SECONDS
 CASE_BYTES = 64 << 20
-
-ASF = """# AST/ASF file
-:version 1.10
-:name VICON
-:units
-  mass 1.0
-  length 0.45
-  angle deg
-:root
-   order TX TY TZ RX RY RZ
-   axis XYZ
-   position 0 0 0
-   orientation 0 0 0
-:bonedata
-  begin
-     id 1
-     name lhipjoint
-     direction 0.6 -0.7 0.2
-     length 2.4
-     axis 0 0 0 XYZ
-  end
-  begin
-     id 2
-     name lfemur
-     direction 0.34 -0.93 0
-     length 7.1
-     axis 0 0 20 XYZ
-     dof rx ry rz
-     limits (-160.0 20.0)
-            (-70.0 70.0)
-            (-60.0 70.0)
-  end
-  begin
-     id 3
-     name ltibia
-     direction 0.34 -0.93 0
-     length 7.4
-     axis 0 0 20 XYZ
-     dof rx
-     limits (-10.0 170.0)
-  end
-:hierarchy
-  begin
-    root lhipjoint
-    lhipjoint lfemur
-    lfemur ltibia
-  end
-"""
-
-AMC = "#!OML:ASF made.asf\n:FULLY-SPECIFIED\n:DEGREES\n" + "".join(
-    f"{frame}\nroot 1.5 {frame}.25 -3e-1 1 2 3\nlfemur -10.5 2 {frame}\nltibia 4{frame}.0\n" for frame in range(1, 6)
-)
-
-BVH = """HIERARCHY
-ROOT Hips
-{
-\tOFFSET 0.0 0.0 0.0
-\tCHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
-\tJOINT Chest
-\t{
-\t\tOFFSET 0.0 10.5 -1e-3
-\t\tCHANNELS 3 Zrotation Xrotation Yrotation
-\t\tEnd Site
-\t\t{
-\t\t\tOFFSET 0.0 5.0 0.0
-\t\t}
-\t}
-\tJOINT LeftUpLeg
-\t{
-\t\tOFFSET 3.9 0.0 0.0
-\t\tCHANNELS 6 Xposition Yposition Zposition Xrotation Yrotation Zrotation
-\t}
-}
-MOTION
-Frames: 4
-Frame Time: 0.0333333
-""" + "".join(f"{frame}.5 90 -2 {frame} 2 3.25 10 20 30 3.9 0 0 1e1 -0.5 nan\n" for frame in range(4))
 
 
 def make_motion():

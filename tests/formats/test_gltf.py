@@ -1,7 +1,5 @@
 """glTF and GLB: what we write is read by others, what others write is read, damaged files are refused."""
 
-from __future__ import annotations
-
 import base64
 import json
 import struct
@@ -17,7 +15,7 @@ from dousa.formats.gltf.document import FLOAT, load_document, pack_document
 from dousa.formats.gltf.reading import Curve, choose_times
 from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import Motion, Skeleton, canonicalise, compute_trajectories
-from dousa.motion.rotations import from_axis_angle, from_matrix, multiply, normalise, to_matrix
+from dousa.motion.rotations import from_axis_angle, normalise, to_matrix
 from dousa.motion.synthetic import draw_performer, make_motion
 
 TURN = np.array([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])  # x y z w: a quarter about Z
@@ -125,10 +123,7 @@ def test_nodes_with_axes_and_scales_of_their_own(tmp_path):
     times = np.arange(4) / 30
     keys = normalise(rng.normal(size=(4, 4)))
     places = rng.normal(size=(4, 3))
-    curves = [
-        (2, "rotation", times, keys[:, [1, 2, 3, 0]], "LINEAR"),
-        (1, "translation", times, places, "LINEAR"),
-    ]
+    curves = [(2, "rotation", times, keys[:, [1, 2, 3, 0]], "LINEAR"), (1, "translation", times, places, "LINEAR")]
     made = Made(nodes, curves, skins=[{"joints": [1, 2, 3]}])
     motion = read_motion(made.save(tmp_path / "x.glb"), unit="m", up="y")
     assert motion.skeleton.names == ("b", "c", "d")
@@ -295,10 +290,3 @@ def test_truncated(tmp_path):
         with pytest.raises(MotionFileError) as caught:
             read_motion(path)
         assert caught.value.code == code
-
-
-def test_rotations_of_matrices():
-    """The helper of these tests is right: a node's matrix is read as its parts are."""
-    turn = normalise([1.0, 2, 3, 4])
-    np.testing.assert_allclose(np.abs(from_matrix(to_matrix(turn)) @ turn), 1)
-    np.testing.assert_allclose(to_matrix(multiply(turn, turn)), to_matrix(turn) @ to_matrix(turn))

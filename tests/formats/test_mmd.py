@@ -1,7 +1,5 @@
 """MikuMikuDance: keys and their curves by hand, models, IK beside a cyclic coordinate descent, damage."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """NPZ: nothing is lost, and nothing hostile gets through."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 
@@ -211,10 +209,7 @@ def npy(header, content=b""):
 )
 def test_hostile_arrays(tmp_path, member):
     write_npz(make_motion(), tmp_path / "x.npz")
-    with (
-        zipfile.ZipFile(tmp_path / "x.npz") as source,
-        zipfile.ZipFile(tmp_path / "bad.npz", "w") as target,
-    ):
+    with zipfile.ZipFile(tmp_path / "x.npz") as source, zipfile.ZipFile(tmp_path / "bad.npz", "w") as target:
         for name in source.namelist():
             target.writestr(name, member if name == "names.npy" else source.read(name))
     with pytest.raises(MotionFileError):

@@ -1,7 +1,5 @@
 """The number scanner gives what Python's float() gives, to the last bit."""
 
-from __future__ import annotations
-
 import math
 import random
 import struct
@@ -11,17 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dousa.formats.numbers import (
-    DONE,
-    FULL,
-    LONG,
-    SHORT,
-    line_number,
-    parse_number,
-    scan_rows,
-    scannable,
-    settle,
-)
+from dousa.formats.numbers import DONE, FULL, LONG, SHORT, line_number, parse_number, scan_rows, scannable, settle
 
 CHUNK = 40_000
 
@@ -109,8 +97,7 @@ def test_any_float_in_any_format(value, places, kind):
 
 
 @pytest.mark.parametrize(
-    "token",
-    [*"1_0 abc . + - e5 1e 1e+ 0x1 1,5 --1 +-1 1.2.3 1-2 1e5.0 na nanx n nan1 1.5f".split(), "１", "1\xa0"],
+    "token", [*"1_0 abc . + - e5 1e 1e+ 0x1 1,5 --1 +-1 1.2.3 1-2 1e5.0 na nanx n nan1 1.5f".split(), "１", "1\xa0"]
 )
 def test_what_is_no_number_is_refused(token):
     with_number = [b"1.5", token.encode(), b"2.5"]
@@ -143,10 +130,4 @@ def test_rows():
 
 def test_line_numbers_of_all_line_ends():
     data = b"a\r\nb\nc\rd\r\r\n\ne"
-    assert [line_number(data, data.index(letter)) for letter in (b"a", b"b", b"c", b"d", b"e")] == [
-        1,
-        2,
-        3,
-        4,
-        7,
-    ]
+    assert [line_number(data, data.index(letter)) for letter in (b"a", b"b", b"c", b"d", b"e")] == [1, 2, 3, 4, 7]

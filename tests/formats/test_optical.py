@@ -1,7 +1,5 @@
 """Motive CSV, Qualisys TSV, Xsens MVNX: values by hand, files of the systems, damage."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,17 +12,7 @@ from dousa.motion import Motion, Skeleton, Trajectories, canonicalise, compute_t
 from dousa.motion.rotations import normalise
 from dousa.motion.synthetic import draw_performer, make_motion
 from formats import made_files as made
-
-
-def save(path, data):
-    path.write_bytes(data)
-    return path
-
-
-def refused(path, data, code):
-    with pytest.raises(MotionFileError) as caught:
-        read_motion(save(path, data))
-    assert caught.value.code == code
+from formats.made_files import refused, save
 
 
 def test_motive_markers(tmp_path):

@@ -1,7 +1,5 @@
 """TRC: header variants, missing cells, damaged files, round trips, real files."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -61,8 +59,7 @@ def test_every_variant_gives_the_same(saved, text):
 
 
 @pytest.mark.parametrize(
-    ("unit", "metres"),
-    [("m", 1), ("cm", 0.01), ("mm", 0.001), ("inches", 0.0254), ("Meters", 1), ("furlongs", None)],
+    ("unit", "metres"), [("m", 1), ("cm", 0.01), ("mm", 0.001), ("inches", 0.0254), ("Meters", 1), ("furlongs", None)]
 )
 def test_units(saved, unit, metres):
     got = read_trc(saved(HEADER.replace("mm", unit) + ROWS), up="y")

@@ -1,7 +1,5 @@
 """Small BVH files of a person who does one of a few things, and libraries of them."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -24,12 +22,9 @@ _JOINTS = (
     *((f"{side}{name}", (side if own else "") + parent, (x * sign, y, z))
       for side, sign in (("Left", 1), ("Right", -1))
       for name, own, parent, (x, y, z) in (
-          ("Arm", False, "Spine", (18, 30, 0)),
-          ("ForeArm", True, "Arm", (28, 0, 0)),
-          ("Hand", True, "ForeArm", (25, 0, 0)),
-          ("UpLeg", False, "Hips", (9, -3, 0)),
-          ("Leg", True, "UpLeg", (0, -43, 0)),
-          ("Foot", True, "Leg", (0, -42, 0)),
+          ("Arm", False, "Spine", (18, 30, 0)), ("ForeArm", True, "Arm", (28, 0, 0)),
+          ("Hand", True, "ForeArm", (25, 0, 0)), ("UpLeg", False, "Hips", (9, -3, 0)),
+          ("Leg", True, "UpLeg", (0, -43, 0)), ("Foot", True, "Leg", (0, -42, 0)),
           ("ToeBase", True, "Foot", (0, -6, 14)),
       )),
 )  # fmt: skip
@@ -37,12 +32,7 @@ _JOINTS = (
 # joint -> degrees about Z, X, Y at the height of the move
 _MOVES = {
     "wave": {"RightArm": (-80, 0, 0), "RightForeArm": (-60, 0, 20)},
-    "squat": {
-        "LeftUpLeg": (0, -80, 0),
-        "RightUpLeg": (0, -80, 0),
-        "LeftLeg": (0, 90, 0),
-        "RightLeg": (0, 90, 0),
-    },
+    "squat": {"LeftUpLeg": (0, -80, 0), "RightUpLeg": (0, -80, 0), "LeftLeg": (0, 90, 0), "RightLeg": (0, 90, 0)},
     "bow": {"Spine": (0, 70, 0)},
 }
 

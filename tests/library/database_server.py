@@ -5,8 +5,6 @@ small file that names the database, so that a library is copied as a file is: a 
 opened. What is asked about a file of SQLite has the mark ``sqlite``, and is left out.
 """
 
-from __future__ import annotations
-
 import getpass
 import glob
 import os

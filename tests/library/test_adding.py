@@ -1,7 +1,5 @@
 """Adding files: what is stored, what is left alone, what is skipped and why."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from concurrent.futures import ThreadPoolExecutor
@@ -46,10 +44,7 @@ def test_the_same_file_twice_is_no_change(library, moves):
     report = library.add(moves)
     assert (len(report.unchanged), report.added, report.bytes) == (15, (), 0)
     assert library.stats() == before
-
-
-def test_other_labels_are_reported_and_not_taken(library, moves):
-    assert library.add(moves, category_from="name:([a-z])").other_labels == library.add(moves).unchanged
+    assert library.add(moves, category_from="name:([a-z])").other_labels == report.unchanged  # and not taken
     assert library.categories() == {"bow": 5, "squat": 5, "wave": 5}
 
 
@@ -60,10 +55,7 @@ def test_a_rule_that_finds_nothing_is_told(empty_library, moves):
         "library_add.no_category",
         "library_add.no_performer",
     ] * 5
-
-
-def test_nothing_is_told_of_labels_nobody_asked_for(empty_library, moves):
-    assert empty_library.add(moves / "bow", category_from="none", n_jobs=1).warnings == ()
+    assert empty_library.add(moves / "wave", category_from="none", n_jobs=1).warnings == ()  # nobody asked for labels
 
 
 def test_a_touched_file_is_unchanged_and_then_not_read_again(empty_library, write_move, tmp_path):
@@ -133,10 +125,7 @@ def test_two_files_that_changed_places(empty_library, write_move, tmp_path):
     empty_library.relabel(first, category="x")
     report = empty_library.add(tmp_path)
     assert (report.replaced, report.duplicates) == ((str(first), str(second)), ())
-    assert [(clip.path, clip.category) for clip in empty_library.clips()] == [
-        (str(first), "x"),
-        (str(second), None),
-    ]
+    assert [(clip.path, clip.category) for clip in empty_library.clips()] == [(str(first), "x"), (str(second), None)]
 
 
 def test_a_file_that_moved_and_was_copied_moves_once(empty_library, write_move, tmp_path):

@@ -1,7 +1,5 @@
 """Takes with tables of labels beside them: ``Library.add(..., kind="take", labels_from=...)``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Motions of the memory in the library: the same as their files, learned at once, told apart by name and content."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -38,11 +36,7 @@ def test_it_is_as_if_its_file_had_been_added(library_file, write_move, tmp_path,
     twin = tmp_path / "twin.dousa"
     twin.write_bytes(library_file.read_bytes())
     motion = read_motion(path)
-    given = {
-        "motion": motion,
-        "trajectories": compute_trajectories(motion),
-        "canonical": read_canonical(path)[0],
-    }[form]
+    given = {"motion": motion, "trajectories": compute_trajectories(motion), "canonical": read_canonical(path)[0]}[form]
     with Library.open(library_file) as by_file, Library.open(twin) as by_memory:
         first = by_file.add(path.parents[1], n_jobs=1)
         second = by_memory.add_motion(given, "new", "squat")
@@ -62,11 +56,7 @@ def test_it_is_as_if_its_file_had_been_added(library_file, write_move, tmp_path,
 def test_a_trained_library_learns_it_at_once(library, write_move, tmp_path):
     kick = read_motion(write_move(tmp_path / "a.bvh", "wave", 31))
     report = library.add_motion(kick, "take one, 1.0 s to 1.8 s", "kick")
-    assert (report.added, report.n_learned, report.new_categories) == (
-        ("take one, 1.0 s to 1.8 s",),
-        1,
-        ("kick",),
-    )
+    assert (report.added, report.n_learned, report.new_categories) == (("take one, 1.0 s to 1.8 s",), 1, ("kick",))
     assert library.search(kick, 1).verdict.guess == "kick"
     assert "kick" in library.categories()
 

@@ -1,7 +1,5 @@
 """Listing, removing and relabelling clips."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -35,16 +33,6 @@ def test_what_is_not_there_is_an_error_and_nothing_changes(library, selection):
     assert len(library.clips()) == 15
 
 
-def test_a_folder_whose_name_begins_another_is_not_meant(library, moves):
-    with pytest.raises(LibraryError):
-        library.clips(str(moves / "squa"))
-
-
-def test_an_empty_choice_of_a_label_is_an_error(library):
-    with pytest.raises(LibraryError, match="no clip of category 'dance' and performer 'p0'"):
-        library.clips(category="dance", performer="p0")
-
-
 def test_remove_takes_clips_and_everything_of_them(library, moves):
     removed = library.remove(category="wave")
     assert sorted(removed) == sorted(str(path) for path in (moves / "wave").iterdir())
@@ -61,17 +49,6 @@ def test_removed_clips_can_be_added_again_under_new_numbers(library, moves):
     assert {clip.id for clip in library.clips(category="wave")}.isdisjoint(numbers)
 
 
-@pytest.mark.parametrize("call", ["remove", "relabel"])
-def test_choosing_nothing_is_an_error(library, call):
-    with pytest.raises(OptionError, match="expected clips"):
-        library.remove() if call == "remove" else library.relabel(category="x")
-
-
-def test_an_empty_list_of_clips_chooses_nothing(library):
-    with pytest.raises(OptionError):
-        library.remove([])
-
-
 def test_relabel(library, moves):
     library.relabel(where_category="wave", category="greet")
     assert library.categories() == {"bow": 5, "greet": 5, "squat": 5}
@@ -82,23 +59,14 @@ def test_relabel(library, moves):
     assert library.search(moves / "wave" / "wave_p0.bvh").category == "greet"
 
 
-@pytest.mark.parametrize("labels", [{}, {"category": " "}, {"performer": ""}])
-def test_relabel_needs_a_label(library, labels):
-    with pytest.raises(OptionError, match="expected"):
-        library.relabel(1, **labels)
-
-
-def test_stats(library):
+def test_stats(library, empty_library):
     stats = library.stats()
     assert (stats.n_clips, stats.n_frames, stats.n_unlabelled) == (15, 15 * 24, 0)
     assert stats.seconds == pytest.approx(15 * 24 * 0.033333, rel=1e-4)
     assert stats.performers == {f"p{number}": 3 for number in range(5)}
     assert stats.forest_is_current and stats.trained_at
-
-
-def test_stats_of_an_empty_library(empty_library):
-    stats = empty_library.stats()
-    assert (stats.n_clips, stats.n_frames, stats.seconds, stats.trained_at) == (0, 0, 0.0, None)
+    none = empty_library.stats()
+    assert (none.n_clips, none.n_frames, none.seconds, none.trained_at) == (0, 0, 0.0, None)
 
 
 def test_odd_names_are_kept(library_file, write_move, tmp_path):
@@ -140,9 +108,7 @@ def test_the_content_of_a_clip_has_a_name_that_its_labels_do_not_change(library)
 
 def test_doubts_are_kept_as_codes_and_old_sentences_as_they_are(library, moves):
     doubtful = replace(
-        read_canonical(moves / "bow/bow_p1.bvh")[0],
-        warnings=(Message("canonical.made_toes"),),
-        frame_rate=25.0,
+        read_canonical(moves / "bow/bow_p1.bvh")[0], warnings=(Message("canonical.made_toes"),), frame_rate=25.0
     )
     report = library.add_motion(doubtful, "a", "bow")
     assert report.warnings == (("a", Message("canonical.made_toes")),)
@@ -157,12 +123,28 @@ def test_doubts_are_kept_as_codes_and_old_sentences_as_they_are(library, moves):
     assert clip.to_json()["warnings"] == ["toes were made up"]
 
 
-def test_every_error_of_a_selection_is_said_in_japanese(library):
-    for wanted in ({"selection": [99]}, {"selection": ["nowhere"]}, {"category": "dance", "performer": "p0"}):
-        with pytest.raises(LibraryError) as caught:
+def test_every_error_of_a_selection_is_said_in_japanese(library, moves):
+    in_english = {
+        "no clip of category 'dance' and performer 'p0'": {"category": "dance", "performer": "p0"},
+        "99": {"selection": [99]},
+        "nowhere": {"selection": ["nowhere"]},
+        "squa": {"selection": str(moves / "squa")},  # a folder whose name begins another is not meant
+    }
+    for said, wanted in in_english.items():
+        with pytest.raises(LibraryError, match=said) as caught:
             library.clips(**wanted)
         assert caught.value.code.startswith("library_clips.")
         assert "ありません" in caught.value.render("ja")
+
+
+@pytest.mark.parametrize(
+    ("call", "words", "options"),
+    [("remove", (), {}), ("remove", ([],), {}), ("relabel", (), {"category": "x"}), ("relabel", (1,), {}),
+     ("relabel", (1,), {"category": " "}), ("relabel", (1,), {"performer": ""})],
+)  # fmt: skip
+def test_clips_and_labels_are_needed(library, call, words, options):
+    with pytest.raises(OptionError, match="expected"):
+        getattr(library, call)(*words, **options)
 
 
 def assert_is_listed(library, known):

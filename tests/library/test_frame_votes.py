@@ -1,7 +1,5 @@
 """Files of one skeleton vote on up axis and unit; what no reader takes is counted; empty folders make no library."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 ``DOUSA_FUZZ_SECONDS`` seconds, 3 by default.
 """
 
-from __future__ import annotations
-
 import shutil
 import sqlite3
 from contextlib import closing
@@ -27,16 +25,19 @@ def ask_library(path: Path) -> None:
         library.search_text("both hands overhead")
         list(library.iterate_trajectories([clip.id for clip in clips]))
         library.journal()
+        library.find(1, k=2)
+        library.label(clips[-1].id)
     shutil.copy(path, path.with_name("again.dousa"))
     with Library.open(path.with_name("again.dousa")) as library:
         library.check(repair=True)
 
 
-def test_damaged_libraries(tmp_path, moves):
+def test_damaged_libraries(tmp_path, moves, write_move):
     folder = tmp_path / "sound"
     folder.mkdir()
     with Library.open(folder / "moves.dousa", create=True) as library:
         library.add(moves, n_jobs=1)
+        library.add(write_move(tmp_path / "z.bvh", "bow", 50, n_frames=150), kind="take", n_jobs=1)
         library.train(n_trees=3, n_jobs=1)
         library.tag([1], add=["x"])
         library.remove([2])

@@ -1,7 +1,5 @@
 """kill -9 at any moment leaves a library that opens and is consistent."""
 
-from __future__ import annotations
-
 import random
 import signal
 import subprocess

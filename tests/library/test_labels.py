@@ -1,7 +1,5 @@
 """Rules for categories and performers."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -20,20 +18,28 @@ def label(rule: str | None, file: str, kind: str = "category", root: Path = ROOT
 
 
 @pytest.mark.parametrize(
-    ("file", "expected"),
-    [("squat1Reps/a.bvh", "squat1Reps"), ("walk/active/a.bvh", "walk/active"), ("a.bvh", None)],
-)
-def test_folder_is_the_path_below_the_given_one(file, expected):
-    assert label("folder", file) == expected
+    ("rule", "file", "expected"),
+    [("folder", "squat1Reps/a.bvh", "squat1Reps"), ("folder", "walk/active/a.bvh", "walk/active"),
+     ("folder", "a.bvh", None), (None, "walk/a.bvh", None), ("none", "walk/a.bvh", None), ("", "walk/a.bvh", None)],
+)  # fmt: skip
+def test_folder_is_the_path_below_the_given_one(rule, file, expected):
+    assert label(rule, file) == expected
+    assert parse_label_rule(rule, "category")(ROOT / file, ROOT / file) is None  # of a file given itself
 
 
-def test_folder_of_a_file_given_itself_is_none():
-    assert parse_label_rule("folder", "category")(ROOT / "walk" / "a.bvh", ROOT / "walk" / "a.bvh") is None
+@given(st.text(max_size=20))
+def test_any_text_is_a_rule_or_an_option_error(text):
+    try:
+        rule = parse_label_rule(f"name:{text}", "category")
+    except OptionError:
+        return
+    assert rule(ROOT, ROOT / "walk" / "a.bvh") is None or text
 
 
-@pytest.mark.parametrize("rule", [None, "none"])
-def test_none_gives_no_label(rule):
-    assert label(rule, "walk/a.bvh") is None
+@pytest.mark.parametrize("rule", ["name:(", "name:", "wrong", "csv:", "folder:x", "nam:(a)"])
+def test_bad_rules_are_option_errors(rule):
+    with pytest.raises(OptionError, match="rule for the category"):
+        parse_label_rule(rule, "category")
 
 
 @pytest.mark.parametrize(
@@ -56,24 +62,6 @@ def test_expressions(rule, kind, expected):
         assert label(rule, "level/active/HDM_bd_walk.bvh", kind) == expected
 
 
-@pytest.mark.parametrize("rule", ["name:(", "name:", "wrong", "csv:", "folder:x", "", "nam:(a)"])
-def test_bad_rules_are_option_errors(rule):
-    if rule == "":
-        assert label(rule, "a.bvh") is None  # an empty text is no rule
-    else:
-        with pytest.raises(OptionError, match="rule for the category"):
-            parse_label_rule(rule, "category")
-
-
-@given(st.text(max_size=20))
-def test_any_text_is_a_rule_or_an_option_error(text):
-    try:
-        rule = parse_label_rule(f"name:{text}", "category")
-    except OptionError:
-        return
-    assert rule(ROOT, ROOT / "walk" / "a.bvh") is None or text
-
-
 def write_table(tmp_path: Path, text: str, encoding: str = "utf-8") -> str:
     path = tmp_path / "labels.csv"
     path.write_bytes(text.encode(encoding))
@@ -87,6 +75,7 @@ def write_table(tmp_path: Path, text: str, encoding: str = "utf-8") -> str:
         "\ufeffpath;category;performer\r\nwalk/a.bvh;walking;anna\r\n",
         "Performer\tCategory\tFile\nanna\twalking\ta.bvh\n",
         "file,category,performer\n\n./walk/a.bvh, walking ,anna\n",
+        "path,category,performer\r\nwalk\\a.bvh,walking,anna\r\nwalk\\b.bvh,,\r\n",  # an empty cell is no label
     ],
 )
 def test_tables(tmp_path, text):
@@ -94,20 +83,8 @@ def test_tables(tmp_path, text):
     assert label(rule, "walk/a.bvh") == "walking"
     assert label(rule, "walk/a.bvh", "performer") == "anna"
     assert label(rule, "walk/b.bvh") is None
-
-
-def test_paths_may_be_relative_to_the_table(tmp_path):
-    rule = write_table(tmp_path, "path,category\nsub/walk/a.bvh,walking\n")
+    rule = write_table(tmp_path, "path,category\nsub/walk/a.bvh,walking\n")  # relative to the table
     assert label(rule, "a.bvh", root=tmp_path / "sub" / "walk") == "walking"
-
-
-def test_paths_may_be_written_as_on_windows(tmp_path):
-    rule = write_table(tmp_path, "path,category\r\nwalk\\a.bvh,walking\r\n")
-    assert label(rule, "walk/a.bvh") == "walking"
-
-
-def test_an_empty_cell_is_no_label(tmp_path):
-    assert label(write_table(tmp_path, "path,category\na.bvh,\n"), "a.bvh") is None
 
 
 @pytest.mark.parametrize(

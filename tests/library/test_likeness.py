@@ -1,6 +1,6 @@
 """Where likeness ends: which hits are alike is learned, the others follow and are told apart."""
 
-from __future__ import annotations
+import shutil
 
 import numpy as np
 import pytest
@@ -33,16 +33,8 @@ def made(tmp_path_factory):
 
 def test_names_that_mean_the_same_are_one_meaning():
     names = (
-        "squat1Reps",
-        "squat",
-        "しゃがむ",
-        "walk/active",
-        "walk/tired",
-        "wave-left-hand",
-        "wave-right-hand",
-        "x1",
-        "x2",
-    )
+        "squat1Reps", "squat", "しゃがむ", "walk/active", "walk/tired", "wave-left-hand", "wave-right-hand", "x1", "x2",
+    )  # fmt: skip
     means = find_meanings(names)
     assert len({means[name] for name in names[:3]}) == 1
     assert means["walk/active"] == means["walk/tired"]
@@ -58,14 +50,13 @@ def test_alike_ones_come_first_and_are_counted(made):
     assert {hit.category for hit in answer.results if hit.alike} == {"squat"}
     assert 3 <= answer.alike_count <= 6
     assert all(0 <= hit.probability <= 1 for hit in answer.results)
+    some = [hit.clip_id for hit in answer.results[:2]]
+    assert made.search(query, 60, among=some).alike_count == 2
+    assert made.search(query, 60, among=[]).alike_count == 0
+    clap = made.clips(category="clap")[0].id  # other names of the same are alike
+    assert {hit.category for hit in made.search(clap, 60).results if hit.alike} == {"clap", "clapHands"}
     told = answer.to_json()
     assert told["alike_count"] == answer.alike_count and told["results"][0]["alike"] is True
-
-
-def test_other_names_of_the_same_are_alike(made):
-    query = made.clips(category="clap")[0].id
-    alike = {hit.category for hit in made.search(query, 60).results if hit.alike}
-    assert alike == {"clap", "clapHands"}
 
 
 def test_a_motion_that_is_not_there_has_nothing_alike(made):
@@ -91,16 +82,7 @@ def test_other_rankings_keep_their_order(made):
     assert answer.results[0].alike is True
 
 
-def test_filters_count_only_what_they_leave(made):
-    query = made.clips(category="squat")[0].id
-    some = [hit.clip_id for hit in made.search(query, 60).results[:2]]
-    assert made.search(query, 60, among=some).alike_count == 2
-    assert made.search(query, 60, among=[]).alike_count == 0
-
-
 def test_new_clips_are_judged_too(made, tmp_path):
-    import shutil
-
     made.close()  # all of it is in the file then
     path = shutil.copy(made.name, tmp_path / "grown.dousa")
     with Library.open(path) as library:

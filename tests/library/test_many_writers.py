@@ -1,7 +1,5 @@
 """Several programs write to one library: none fails, none waits while another learns, nothing is lost."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import threading
@@ -11,6 +9,7 @@ import pytest
 
 from dousa.errors import LibraryLockedError
 from dousa.library import Library
+from dousa.motion.synthetic import draw_performer, make_motion
 from dousa.retrieval.forest import growth
 from library.database_server import address
 
@@ -98,8 +97,6 @@ def test_edits_while_a_forest_is_trained(library, library_file, write_move, tmp_
 
 
 def test_a_segment_is_named_while_others_write(library, library_file, monkeypatch, moves):
-    from dousa.motion.synthetic import draw_performer, make_motion
-
     library.add_motion(make_motion("walk", draw_performer(1), seed=1), "take", kind="take")
     (take,) = library.clips("take")
     done = meddle_while_it_learns(monkeypatch, library_file, lambda other, n: other.relabel(1, performer="z"), 1)

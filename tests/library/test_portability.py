@@ -1,7 +1,5 @@
 """Nothing in the tables or questions is for SQLite only."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,13 +1,12 @@
 """A library on a PostgreSQL server that these tests start; they are skipped where there is none."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
+import threading
 
 import pytest
 
-from dousa.errors import OptionError
+from dousa.errors import LibraryError, OptionError
 from dousa.library import Library
 from library.database_server import connect_plainly
 
@@ -83,3 +82,49 @@ def test_labels_that_a_server_cannot_keep(url, moves):
             with pytest.raises(OptionError):
                 library.relabel(1, category=label)
         library.relabel(1, category="é" * 500)
+
+
+pytest.importorskip("psycopg", reason="the driver psycopg is not installed")
+
+
+def test_of_several_who_undo_one_change_one_does(url, moves):
+    with Library.open(url, create=True) as library:
+        library.add(moves, n_jobs=1)
+        library.remove([1, 2, 3])
+        number = library.journal()[0].number
+    outcomes = []
+
+    def undo():
+        with Library.open(url, timeout=30.0) as own:
+            try:
+                outcomes.append(own.undo(number).kind)
+            except LibraryError as error:
+                outcomes.append(error.code)
+
+    threads = [threading.Thread(target=undo) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(outcomes) == ["journal.undone_already"] * 3 + ["remove"]
+    with Library.open(url) as library:
+        assert library.check().is_sound
+
+
+@pytest.mark.usefixtures("url")
+def test_the_tables_of_an_older_dousa_get_a_journal(url, moves):
+    import sqlalchemy as sa
+
+    from dousa.library.store import schema
+
+    with Library.open(url, create=True) as library:
+        library.add(moves, n_jobs=1)
+        with library.database.writing() as connection:
+            for table in (*reversed(schema.JOURNAL_TABLES), schema.clip_tags, schema.saved_searches):
+                table.drop(connection)
+            connection.execute(sa.delete(schema.migrations).where(schema.migrations.c.number >= 11))
+    with Library.open(url) as library:
+        assert library.journal() == []
+        library.remove([1])
+        library.undo()
+        assert len(library.clips()) == 15

@@ -1,7 +1,5 @@
 """Orders of clips, unknown motions, mirror images and reasons."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
@@ -54,17 +52,6 @@ def test_clips_come_in_the_order_of_the_ranking(by):
 
 
 @pytest.mark.parametrize("by", RANKINGS)
-def test_of_one_category_come_the_first_of_that_category(by):
-    clips = make_clips(4, 60)
-    index, asked = clips.make_index(), [ask(clips, 4)]
-    hits = search_index(index, asked, 60, by, "b", clips.read_poses).hits
-    assert len(hits) == clips.labels.count("b") and {hit.category for hit in hits} == {"b"}
-    if by in ("histogram", "leaves"):  # which poses are compared depends on what there is to compare
-        everything = search_index(index, asked, 60, by, None, clips.read_poses).hits
-        assert [hit.path for hit in hits] == [hit.path for hit in everything if hit.category == "b"]
-
-
-@pytest.mark.parametrize("by", RANKINGS)
 def test_a_motion_and_its_mirror_image_are_merged(by):
     clips = make_clips(5, 60)
     index, both = clips.make_index(), [ask(clips, 10), ask(clips, 20, mirrored=True)]
@@ -84,16 +71,6 @@ def test_nothing_is_found_among_nothing():
     answers = TreeAnswers(np.array([[6 * 64, 0, 0, 0]], np.int32), np.zeros((1, 6), np.int32), clips.categories)
     asked = Asked(answers, NO_FEATURES, np.zeros((4, 3), np.float32))
     assert search_index(clips.make_index(), [asked], 3, "leaves", None, clips.read_poses).hits == ()
-
-
-@pytest.mark.parametrize("ranking", RANKINGS)
-def test_a_library_is_searched_by_each(library, moves, ranking):
-    result = library.search(moves / "bow" / "bow_p1.bvh", 15, ranking=ranking)
-    assert result.ranking == ranking
-    assert len(result.results) == 15
-    assert {hit.category for hit in result.results[:5]} == {"bow"}
-    distances = [hit.rank_distance for hit in result.results]
-    assert distances == sorted(distances)
 
 
 def test_an_unknown_ranking_is_refused(library):
@@ -226,11 +203,6 @@ def test_classify_mirrored(library, other_hand, moves, tmp_path):
     assert first.mirrored.guess == "wave" and first.mirrored.fits_better_than(first.verdict)
     assert not second.mirrored.fits_better_than(second.verdict)
     assert library.classify(path)[0].mirrored is None
-
-
-def test_reasons_are_given_for_hits(five_categories, tmp_path):
-    hits = five_categories.search(write(tmp_path, "walk", 9), 4, explain=True).results
-    assert any(hit.likeness is not None and hit.likeness.reasons for hit in hits)
 
 
 def test_reasons_are_given_for_the_category_and_each_hit(library, moves, tmp_path):

@@ -1,7 +1,5 @@
 """Forward kinematics against 4 x 4 matrices."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

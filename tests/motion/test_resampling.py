@@ -1,7 +1,5 @@
 """Resampling, thinning and gap filling."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

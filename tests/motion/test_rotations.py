@@ -1,7 +1,5 @@
 """Rotation kernels: against matrices, against scipy, and at zero, pi and gimbal lock."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Runs of a mask and of equal values against counting by hand."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

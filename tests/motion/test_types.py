@@ -1,7 +1,5 @@
 """Skeleton, Motion and Trajectories check themselves once and are then read-only."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -16,11 +14,8 @@ def skeleton() -> Skeleton:
 
 def motion(**changes) -> Motion:
     fields = {
-        "skeleton": skeleton(),
-        "rotations": identity((4, 3)),
-        "translations": np.zeros((4, 3, 3)),
-        "frame_rate": 30.0,
-    }
+        "skeleton": skeleton(), "rotations": identity((4, 3)), "translations": np.zeros((4, 3, 3)), "frame_rate": 30.0,
+    }  # fmt: skip
     return Motion(**{**fields, **changes})
 
 
@@ -44,12 +39,7 @@ def test_views_of_a_callers_array_are_copied():
 
 @pytest.mark.parametrize(
     ("parents", "says"),
-    [
-        ([-1, 2, 1], "parent before"),
-        ([-1, 1, 0], "parent before"),
-        ([-1, -2, 0], "parent before"),
-        ([-1, 0], "shape"),
-    ],
+    [([-1, 2, 1], "parent before"), ([-1, 1, 0], "parent before"), ([-1, -2, 0], "parent before"), ([-1, 0], "shape")],
 )
 def test_trees_that_are_none(parents, says):
     with pytest.raises(InvalidMotionError, match=says):

@@ -1,7 +1,5 @@
 """Assess, and hold every answer to what every answer must keep."""
 
-from __future__ import annotations
-
 import json
 import math
 

@@ -1,9 +1,8 @@
-"""A walking stick figure for tests: positions made by hand, no code of the package but its types."""
-
-from __future__ import annotations
+"""A walking stick figure and a robot's arm: positions made by hand, no code of the package but its types."""
 
 import numpy as np
 
+from dousa.estimation.body.body import BodyModel
 from dousa.motion import Trajectories
 
 # name, parent, rest position in m: a T-pose that faces +Z, Y up, left at +X.
@@ -64,11 +63,7 @@ def walking_body(n_frames: int = 20, frame_rate: float = 30.0) -> Trajectories:
             local = pose[arm] - shoulder
             pose[arm] = shoulder + np.stack([0.2 * local[:, 0], -0.98 * np.abs(local[:, 0]), local[:, 2]], axis=1)
             swing = 0.5 * sign * np.sin(phase)
-            for joint, angle in (
-                (f"{side}Arm", -swing),
-                (f"{side}ForeArm", 0.4),
-                (f"{side}UpLeg", swing + 0.2),
-            ):
+            for joint, angle in ((f"{side}Arm", -swing), (f"{side}ForeArm", 0.4), (f"{side}UpLeg", swing + 0.2)):
                 pose[below[joint]] = _turn_x(pose[below[joint]], pose[names.index(joint)], angle)
             knee = 0.5 + 0.3 * sign * np.cos(phase)
             pose[below[f"{side}Leg"]] = _turn_x(pose[below[f"{side}Leg"]], pose[names.index(f"{side}Leg")], -knee)
@@ -82,3 +77,28 @@ def _descendants(joint: int, parents: np.ndarray) -> list[int]:
         if parent in found:
             found.append(child)
     return found
+
+
+def robot_arm() -> BodyModel:
+    """A robot's arm: a base that is bolted down, a turning shoulder, two hinges and a hand."""
+    axes, limits = np.zeros((4, 3, 3)), np.zeros((4, 3, 2))
+    axes[1, 0], axes[1, 1], axes[1, 2] = (1, 0, 0), (0, 0, 1), (0, 1, 0)
+    axes[2, 0] = axes[3, 0] = (1, 0, 0)
+    limits[1, :] = (-1.5, 1.5)
+    limits[2:, 0] = (0.0, 2.5)
+    return BodyModel(
+        names=("base", "upper", "lower", "claw"),
+        joints=("base", "shoulder", "elbow", "wrist"),
+        parents=[-1, 0, 1, 2],
+        offsets=[[0, 0, 0], [0, 0.5, 0], [0, 0.6, 0], [0, 0.4, 0]],
+        rest=np.tile([1.0, 0, 0, 0], (4, 1)),
+        n_axes=[0, 3, 1, 1],
+        axes=axes,
+        limits=limits,
+        spheres=np.tile([0, 0, 0, 0.1], (4, 1)),
+        sphere_starts=[0, 1, 2, 3, 4],
+        tips=("left_foot_of_base", "right_foot_of_base", "claw"),
+        tip_parts=[0, 0, 3],
+        tip_offsets=[[0.3, 0, 0], [-0.3, 0, 0], [0, 0.2, 0]],
+        stature=1.7,
+    )

@@ -1,7 +1,5 @@
 """C3D files made byte by byte after the user guide, in every storage that exists; slow and literal."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Calibration files as their programs write them, small enough to check by hand."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Clips ranked with all their votes, leaves and directions in memory, each measured: what a search must say."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from itertools import pairwise
 

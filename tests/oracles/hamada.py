@@ -4,8 +4,6 @@ Written from the paper, not from the fast code. Only two conventions are shared,
 open: the order in which random numbers are used, and that the first of equal gains is kept.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections import Counter
@@ -133,12 +131,8 @@ class Tree:
         first = self.n_nodes
         self.n_nodes += 2
         return {  # step 7
-            "r": r,
-            "s": s,
-            "gain": value,
-            "below": self.build(below, first),
-            "above": self.build(above, first + 1),
-        }
+            "r": r, "s": s, "gain": value, "below": self.build(below, first), "above": self.build(above, first + 1),
+        }  # fmt: skip
 
     def find(self, D, labels, node):
         best = None

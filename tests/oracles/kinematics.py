@@ -1,7 +1,5 @@
 """Slow literal kinematics with 4 x 4 matrices, one joint of one frame at a time."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Slow literal readings of the three compiled loops: every course is priced step by step, and all courses are tried."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from itertools import pairwise, product
 

@@ -1,7 +1,5 @@
 """Small sequences of silhouettes with their truth, drawn with a body of the package and written as npz files."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from dousa.estimation.body.human import make_human

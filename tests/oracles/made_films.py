@@ -1,7 +1,5 @@
 """Keypoints of films of a made-up performer, whose cameras and times are known."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline

@@ -1,7 +1,5 @@
 """Made sightings of people who walk about, as the follower would keep them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from dousa.estimation.keypoints.people import SIGHTING

@@ -5,9 +5,9 @@ between the front spines 0.137 and depth 0.088 of the stature, hip centres 0.08 
 ankle breadth 0.06 and 0.042; markers stand 7 mm off the skin). No code of the package makes them.
 """
 
-from __future__ import annotations
-
+import tomllib
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -167,6 +167,10 @@ def read_sets(tables: dict[str, dict[str, object]]) -> list[MarkerSet]:
             absent = frozenset(word if word.startswith(SIDES) else f"{side}_{word}" for word in words for side in SIDES)
         sets.append(MarkerSet(title, names, frozenset(absent)))
     return sets
+
+
+_TABLES = tomllib.loads((Path(__file__).parent / "marker_sets.toml").read_text("utf-8"))
+MARKER_SETS = {one.title: one for one in read_sets(_TABLES)}
 
 
 def wear(markers: MarkerSet, joints: np.ndarray, frame_rate: float) -> Trajectories:

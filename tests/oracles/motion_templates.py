@@ -1,7 +1,5 @@
 """Slow, literal motion templates: plain loops over dictionaries and lists, as the paper tells it."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

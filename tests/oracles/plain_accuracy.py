@@ -1,7 +1,5 @@
 """Accuracy of estimated joints in plain Python: one frame, one joint at a time."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """An ASF/AMC reader as plain as possible: bones end to end, as the Acclaim documents describe them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

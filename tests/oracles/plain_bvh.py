@@ -1,7 +1,5 @@
 """A BVH reader as plain as possible: Python's float(), 4 x 4 matrices, one joint after the other."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

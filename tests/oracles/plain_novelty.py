@@ -1,7 +1,5 @@
 """Known or unknown and growing leaves, word for word in plain Python, without any speed."""
 
-from __future__ import annotations
-
 import math
 
 

@@ -1,7 +1,5 @@
 """Slow, literal dynamic time warping of poses: recursion over a dictionary of cells."""
 
-from __future__ import annotations
-
 import math
 
 

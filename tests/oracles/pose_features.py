@@ -1,7 +1,5 @@
 """The 56 pose features, one at a time in plain Python, from their description."""
 
-from __future__ import annotations
-
 import math
 
 
@@ -12,11 +10,7 @@ def body_axes(pose):
     length = math.hypot(x, z)
     left = (x / length, 0.0, z / length)
     up = (0.0, 1.0, 0.0)
-    forward = (
-        left[1] * up[2] - left[2] * up[1],
-        left[2] * up[0] - left[0] * up[2],
-        left[0] * up[1] - left[1] * up[0],
-    )
+    forward = (left[1] * up[2] - left[2] * up[1], left[2] * up[0] - left[0] * up[2], left[0] * up[1] - left[1] * up[0])
     return left, up, forward
 
 

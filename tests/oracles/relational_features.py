@@ -1,7 +1,5 @@
 """Slow, literal answers: frame by frame, one question at a time, straight from the definitions."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

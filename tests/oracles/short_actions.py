@@ -1,7 +1,5 @@
 """A small world of actions: performers of different height and noise, who raise arms, kick, bow and wave."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a forest would vote if it knew nothing of some columns: every branch walked, word by word."""
 
-from __future__ import annotations
-
 from dousa.retrieval.features.feature_sets import integrate
 from dousa.retrieval.forest.trees import evaluate_test, read_test
 

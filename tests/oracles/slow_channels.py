@@ -4,8 +4,6 @@ The joints and pairs are written out again, and not imported: stored forests ask
 change of the table or of its order has to be noticed here.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
@@ -15,32 +13,15 @@ RATE = 30.0
 _POSE_SMOOTHING, _HEADING_SMOOTHING, _SLOW = 1.0, 8.0, 0.3
 _PLANES = ((0, 1), (1, 2), (2, 0))
 _PLACED = (
-    "head",
-    "neck",
-    "left_shoulder",
-    "right_shoulder",
-    "left_elbow",
-    "right_elbow",
-    "left_hand",
-    "right_hand",
-    "left_knee",
-    "right_knee",
-    "left_ankle",
-    "right_ankle",
-)
+    "head", "neck", "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_hand", "right_hand",
+    "left_knee", "right_knee", "left_ankle", "right_ankle",
+)  # fmt: skip
 _APART = (
-    ("left_hand", "right_hand"),
-    ("left_hand", "head"),
-    ("right_hand", "head"),
-    ("left_hand", "left_shoulder"),
-    ("right_hand", "right_shoulder"),
-    ("left_hand", "right_shoulder"),
-    ("right_hand", "left_shoulder"),
-    ("left_ankle", "right_ankle"),
-    ("left_hip", "left_ankle"),
-    ("right_hip", "right_ankle"),
+    ("left_hand", "right_hand"), ("left_hand", "head"), ("right_hand", "head"), ("left_hand", "left_shoulder"),
+    ("right_hand", "right_shoulder"), ("left_hand", "right_shoulder"), ("right_hand", "left_shoulder"),
+    ("left_ankle", "right_ankle"), ("left_hip", "left_ankle"), ("right_hip", "right_ankle"),
     ("left_elbow", "right_elbow"),
-)
+)  # fmt: skip
 _FAST = ("head", "left_elbow", "right_elbow", "left_hand", "right_hand", "left_ankle", "right_ankle")
 _POINTING = ("left_hand", "right_hand")
 _PLACED_INDEX = [JOINT_INDEX[joint] for joint in _PLACED]

@@ -1,7 +1,5 @@
 """Plain loops over frames, lags and segments: the turn that most of a window agrees on, and what is left after it."""
 
-from __future__ import annotations
-
 import cmath
 
 import numpy as np

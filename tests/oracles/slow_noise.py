@@ -3,8 +3,6 @@
 It says what the compiled loops of ``dousa.retrieval.features.sensor_noise`` compute.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -5,8 +5,6 @@ directions is the signed distance from p to the border. Between the directions i
 one disc alone counts, whose slack is least where u points from its centre to p: only these directions are tried.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -59,10 +57,7 @@ def project(camera, point, radius: float) -> tuple[float, float, float] | None:
         k1, k2, p1, p2, k3 = camera.distortion
         r2 = x**2 + y**2
         radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
-        x, y = (
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2),
-            y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y,
-        )
+        x, y = (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2), y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y)
     return fx * x + skew * y + cx, fy * y + cy, radius * math.sqrt(fx * fy)
 
 

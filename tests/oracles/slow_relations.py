@@ -3,8 +3,6 @@
 It says what each question of ``dousa.retrieval.words.relations`` means; that module asks all at once in compiled loops.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

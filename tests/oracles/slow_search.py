@@ -3,8 +3,6 @@
 S the silhouette, F the pixels of the parts already placed (P_fixed), P those of the parts that a candidate moves.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from dousa.estimation.body.body import BodyModel
@@ -21,12 +19,9 @@ def counted_pixels(reading, s, f):
     """X and the pixels that count: the mismatch of a candidate P is the number of those of X xor P that count."""
     everywhere = np.ones_like(s)
     return {
-        "masked": (s, ~f),
-        "residual": (s & ~f, everywhere),
-        "union": (s | f, everywhere),
-        "plain": (s, everywhere),
+        "masked": (s, ~f), "residual": (s & ~f, everywhere), "union": (s | f, everywhere), "plain": (s, everywhere),
         "literal": (s & f, everywhere),
-    }[reading]
+    }[reading]  # fmt: skip
 
 
 def mismatch(reading, s, f, p, reach=None):

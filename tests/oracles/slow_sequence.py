@@ -1,7 +1,5 @@
 """The likeliest sequence of segments by trying all: literal, and slow."""
 
-from __future__ import annotations
-
 from itertools import pairwise, product
 
 import numpy as np

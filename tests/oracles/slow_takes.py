@@ -1,7 +1,5 @@
 """Slow transcriptions of the loops over windows of long takes."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

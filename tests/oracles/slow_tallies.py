@@ -3,8 +3,6 @@
 It says what ``dousa.retrieval.counting.counter`` computes with less ado; swings are counted there.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from dousa.arrays import BoolArray, FloatArray

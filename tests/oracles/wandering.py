@@ -1,6 +1,6 @@
 """A body whose limbs wander smoothly for as long as one likes, and never come back: every moment is its own."""
 
-from __future__ import annotations
+from dataclasses import replace
 
 import numpy as np
 
@@ -35,3 +35,11 @@ def make_wandering_motion(
     positions[..., 1] -= positions[..., 1].min()
     positions.flags.writeable = False
     return CanonicalMotion(positions, frame_rate, standing.height, standing.height_source, standing.mapping)
+
+
+def stretch(motion: CanonicalMotion, n_frames: int) -> CanonicalMotion:
+    """The same motion in another number of frames at the same rate."""
+    times = np.linspace(0, motion.n_frames - 1, n_frames)
+    low = np.minimum(times.astype(int), motion.n_frames - 2)
+    share = (times - low)[:, None, None]
+    return replace(motion, positions=motion.positions[low] * (1 - share) + motion.positions[low + 1] * share)

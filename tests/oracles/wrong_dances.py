@@ -1,7 +1,5 @@
 """The synthetic dance, and the same dance with errors that are known because they were put in by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -9,6 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from dousa.evaluation.errors.evidence import Deviations, Evidence, compute_deviations, gather_evidence
+from dousa.evaluation.posture.posture import Working, compute_postures, thin_postures
 from dousa.motion import CanonicalMotion, canonicalise
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.joints import MIRRORED_JOINTS
@@ -16,6 +16,8 @@ from dousa.motion.synthetic.dance import make_dance
 from dousa.motion.synthetic.performers import draw_performer
 
 ARM = ("shoulder", "elbow", "wrist", "hand")
+EVEN = np.ones(9)
+TOLERANCE = np.full(9, np.radians(10.0))
 
 
 @lru_cache
@@ -112,3 +114,25 @@ def lose(motion: CanonicalMotion, joints: Sequence[str], start_s: float, end_s: 
         positions[start:end, J[joint]] = positions[start, J[joint]]
         missing[start:end, J[joint]] = True
     return replace(motion, positions=positions, missing=missing)
+
+
+def thin(motion: CanonicalMotion) -> Working:
+    """Postures at the rate that is worked with."""
+    return thin_postures(compute_postures(motion))
+
+
+def first_frames(working: Working, count: int) -> Working:
+    """The beginning of thinned postures."""
+    parts = {name: getattr(working, name)[:count] for name in ("segments", "seen", "heading")}
+    return replace(working, **parts)
+
+
+def compare_dances(performance: CanonicalMotion, reference: CanonicalMotion, weights: np.ndarray = EVEN) -> Deviations:
+    """Deviations of a performance that keeps the clock of its reference."""
+    theirs, ours = thin(reference), thin(performance)
+    return compute_deviations(theirs, ours, np.arange(float(ours.n_frames)), weights)
+
+
+def gather_dances(performance: CanonicalMotion, reference: CanonicalMotion, weights: np.ndarray = EVEN) -> Evidence:
+    """Evidence at a tolerance of 10 degrees and 0.07 s."""
+    return gather_evidence(compare_dances(performance, reference, weights), TOLERANCE, 0.07, weights)

@@ -3,8 +3,6 @@
 Axes are the paper's: X and Y horizontal, Z up. `to_paper` turns Y-up vectors there without mirroring.
 """
 
-from __future__ import annotations
-
 import cmath
 import math
 from collections.abc import Sequence
@@ -60,11 +58,7 @@ def phase(correlation: complex) -> float:
 
 def turn(x: Vector, theta: float) -> list[float]:
     """A vector turned about Z."""
-    return [
-        x[0] * math.cos(theta) - x[1] * math.sin(theta),
-        x[0] * math.sin(theta) + x[1] * math.cos(theta),
-        x[2],
-    ]
+    return [x[0] * math.cos(theta) - x[1] * math.sin(theta), x[0] * math.sin(theta) + x[1] * math.cos(theta), x[2]]
 
 
 def best_mean_cosine(a: Sequence[Vector], b: Sequence[Vector], n_angles: int = 3600) -> float:

@@ -5,8 +5,6 @@ Eq. 10 is printed with Y#, the residual, where only Y*, the projection, makes se
 come from Jacobi's rotations, so that nothing is shared with the fast code.
 """
 
-from __future__ import annotations
-
 import math
 
 

@@ -1,7 +1,5 @@
 """What a body model refuses, and what it tells of itself."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -35,15 +33,9 @@ WRONG = {
     "another shape": ({"rest": np.ones((15, 3))}, r"rest: expected shape \(15, 4\), got \(15, 3\)"),
     "a free root with axes": (changed("n_axes", 0, 1), "no axes for the root"),
     "four axes": (changed("n_axes", 4, 4), "0 to 3 axes, got 4"),
-    "an axis without length": (
-        changed("axes", (4, 0), 0.0),
-        "part 'left_forearm': expected axes of unit length",
-    ),
+    "an axis without length": (changed("axes", (4, 0), 0.0), "part 'left_forearm': expected axes of unit length"),
     "slanted axes": (changed("axes", (3, 1), [0.8, 0.0, 0.6]), "square to each other"),
-    "limits the wrong way round": (
-        changed("limits", (4, 0), [1.0, 0.0]),
-        "part 'left_forearm': expected limits",
-    ),
+    "limits the wrong way round": (changed("limits", (4, 0), [1.0, 0.0]), "part 'left_forearm': expected limits"),
     "limits over a turn": (changed("limits", (4, 0), [0.0, 7.0]), "within one turn"),
     "a rest that is no rotation": (changed("rest", 2, [0.5, 0, 0, 0]), "unit quaternions"),
     "a tip of no part": (changed("tip_parts", 0, 15), "a tip belongs to a part that is not there"),

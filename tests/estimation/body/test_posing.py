@@ -1,17 +1,14 @@
 """Inverse kinematics, standing, and bodies made from recorded skeletons."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.bodies import walking_body
+from oracles.bodies import robot_arm, walking_body
 
 from dousa.errors import BodyModelError
-from dousa.estimation.body.body import BodyModel
 from dousa.estimation.body.human import make_human
 from dousa.estimation.body.kinematics import compute_points, place_parts, point_names
 from dousa.estimation.body.posing import compute_angles, fit_pose, fit_poses, standing_state
@@ -36,31 +33,6 @@ def some_pose(seed, share=0.7, body=BODY):
 
 def canonical_places(body, pose):
     return compute_points(body, pose)[..., ORDER, :]
-
-
-def arm():
-    """A robot's arm: a base that is bolted down, a turning shoulder, two hinges and a hand."""
-    axes, limits = np.zeros((4, 3, 3)), np.zeros((4, 3, 2))
-    axes[1, 0], axes[1, 1], axes[1, 2] = (1, 0, 0), (0, 0, 1), (0, 1, 0)
-    axes[2, 0] = axes[3, 0] = (1, 0, 0)
-    limits[1, :] = (-1.5, 1.5)
-    limits[2:, 0] = (0.0, 2.5)
-    return BodyModel(
-        names=("base", "upper", "lower", "claw"),
-        joints=("base", "shoulder", "elbow", "wrist"),
-        parents=[-1, 0, 1, 2],
-        offsets=[[0, 0, 0], [0, 0.5, 0], [0, 0.6, 0], [0, 0.4, 0]],
-        rest=np.tile([1.0, 0, 0, 0], (4, 1)),
-        n_axes=[0, 3, 1, 1],
-        axes=axes,
-        limits=limits,
-        spheres=np.tile([0, 0, 0, 0.1], (4, 1)),
-        sphere_starts=[0, 1, 2, 3, 4],
-        tips=("left_foot_of_base", "right_foot_of_base", "claw"),
-        tip_parts=[0, 0, 3],
-        tip_offsets=[[0.3, 0, 0], [-0.3, 0, 0], [0, 0.2, 0]],
-        stature=1.7,
-    )
 
 
 @given(seed=st.integers(0, 10_000), part=st.integers(1, 14))
@@ -137,7 +109,7 @@ def test_a_start_is_kept_where_the_joints_do_not_tell():
 
 
 def test_any_tree_is_posed():
-    robot = arm()
+    robot = robot_arm()
     pose = np.array([0.3, 0, 1, 1, 0, 0, 0, 0.4, -0.3, 0.9, 1.2, 0.7])
     places = dict(zip(point_names(robot), compute_points(robot, pose), strict=True))
     # The name of the claw is a tip's and a part's; only points count.
@@ -222,8 +194,7 @@ def test_wrong_points_leave_the_bodys_own_proportions():
     shares = np.linalg.norm(fitted.offsets[1:], axis=1) / np.linalg.norm(BODY.offsets[1:], axis=1)
     assert shares.min() > 0.9 and shares.max() < 1.2
     np.testing.assert_allclose(
-        fitted.offsets[BODY.joints.index("left_shoulder"), 0],
-        -fitted.offsets[BODY.joints.index("right_shoulder"), 0],
+        fitted.offsets[BODY.joints.index("left_shoulder"), 0], -fitted.offsets[BODY.joints.index("right_shoulder"), 0]
     )
 
 
@@ -237,7 +208,7 @@ def test_left_and_right_that_differ_are_kept_apart():
 
 
 def test_bones_of_any_tree_are_fitted():
-    robot = arm()
+    robot = robot_arm()
     other = replace(robot, offsets=robot.offsets * [1, 1.2, 1], tip_offsets=robot.tip_offsets * 1.1)
     pose = np.array([0, 0, 0, 1, 0, 0, 0, 0.4, -0.3, 0.9, 1.2, 0.7])
     places = dict(zip(point_names(other), compute_points(other, pose), strict=True))

@@ -1,7 +1,5 @@
 """Boards drawn by OpenCV and seen by known cameras: the cameras are found again."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The bundle adjustment against scipy's least squares, and against scenes whose cameras are known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

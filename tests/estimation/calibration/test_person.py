@@ -1,7 +1,5 @@
 """Cameras found from a made-up performer whose true cameras are known, and what cannot be found."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,24 +1,12 @@
 """Cameras in npz files, and files that are damaged, hostile or no calibration."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import zipfile
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
-from oracles.calibration_files import (
-    POSE2SIM,
-    QUALISYS,
-    ROS,
-    same_cameras,
-    turned_view,
-    write,
-    write_opencv,
-)
+from oracles.calibration_files import POSE2SIM, ROS, same_cameras, turned_view, write
 
 from dousa.errors import CalibrationError
 from dousa.estimation.cameras.camera import make_ring
@@ -58,10 +46,7 @@ def test_arrays_round_trip(tmp_path):
     ("changes", "message"),
     [
         ({"camera_matrix": None}, "expected the array camera_matrix, got none"),
-        (
-            {"camera_matrix": np.zeros((2, 3, 3))},
-            "world_to_camera_rotation: expected 2 x 3 x 3 numbers, got 27",
-        ),
+        ({"camera_matrix": np.zeros((2, 3, 3))}, "world_to_camera_rotation: expected 2 x 3 x 3 numbers, got 27"),
         ({"camera_matrix": np.zeros((3, 3, 3))}, "expected a matrix"),
         ({"camera_matrix": np.zeros((0, 3, 3))}, "expected 1 to 1000 cameras"),
         ({"camera_matrix": np.array(["a"] * 3)}, "camera_matrix"),
@@ -103,10 +88,7 @@ def test_damaged_arrays(tmp_path, changes, message):
         (b"x = " + b"[" * 100_000, "expected a calibration|brackets"),
         (b"<a>" * 100_000, "incomplete XML"),
         (b"<opencv_storage>" + b"<a>" * 1000 + b"</a>" * 1000 + b"</opencv_storage>", "too deep"),
-        (
-            "<?xml version='1.0'?><!DOCTYPE a><calibration/>".encode("utf-16"),
-            "DOCTYPE|expected a calibration",
-        ),
+        ("<?xml version='1.0'?><!DOCTYPE a><calibration/>".encode("utf-16"), "DOCTYPE|expected a calibration"),
         (b"K: \xff\xfe", "UTF-8"),
         (b"# " + b"x" * 6_000_000, "a file of 6 MB"),
     ],
@@ -121,14 +103,7 @@ def test_what_is_no_calibration(tmp_path, content, message):
 
 
 @pytest.mark.parametrize(
-    "line",
-    [
-        "a" + " " * 400_000,
-        "# " * 200_000 + '"',
-        "'" + " #" * 200_000,
-        '"a' * 200_000,
-        "K: " + "[ '" * 100_000,
-    ],
+    "line", ["a" + " " * 400_000, "# " * 200_000 + '"', "'" + " #" * 200_000, '"a' * 200_000, "K: " + "[ '" * 100_000]
 )
 def test_long_lines_take_no_time(tmp_path, line):
     with pytest.raises(CalibrationError, match=r":2: invalid YAML|pose of the camera|expected a calibration"):
@@ -234,38 +209,3 @@ def test_files_that_are_not_there(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(CalibrationError, match="pipe or device"):
         read_cameras(tmp_path / "pipe")
-
-
-@pytest.mark.parametrize("kind", ["qualisys", "pose2sim", "ros", "yml", "xml", "json", "npz"])
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
-@given(st.data())
-def test_random_damage_gives_cameras_or_one_clear_error(tmp_path, kind, data):
-    texts = {"qualisys": QUALISYS, "pose2sim": POSE2SIM, "ros": ROS}
-    path = tmp_path / f"a.{kind}"
-    if kind in texts:
-        write(tmp_path, texts[kind], path.name)
-    elif kind == "npz":
-        np.savez(path, **cameras_to_arrays(make_ring(2)))
-    else:
-        write_opencv(path, turned_view())
-    content = bytearray(path.read_bytes())
-    for _ in range(data.draw(st.integers(1, 4))):
-        place = data.draw(st.integers(0, len(content) - 1))
-        how = data.draw(st.sampled_from(["byte", "cut", "drop", "twice"]))
-        if how == "byte":
-            content[place] = data.draw(st.one_of(st.integers(0, 255), st.sampled_from(b"0-.:[]{}<>\"'# \n")))
-        elif how == "cut":
-            del content[max(place, 1) :]
-        elif how == "drop":
-            del content[place : place + data.draw(st.integers(1, 30))]
-        else:
-            content[place:place] = content[place : place + 40]
-        if not content:
-            return
-    path.write_bytes(content)
-    try:
-        views = read_cameras(path)
-    except CalibrationError as error:
-        assert str(error).startswith(str(path))
-    else:
-        assert all(np.isfinite(view.to_row()).all() for view in views)

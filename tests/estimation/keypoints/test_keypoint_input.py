@@ -1,7 +1,5 @@
 """Keypoints of other programs are read: forms, units, who is who, and damage."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -160,15 +158,10 @@ def test_places_far_outside_any_picture_are_none(tmp_path):
 @pytest.mark.parametrize(
     "data",
     [
-        b"",
-        b"{",
-        b"[" * 100_000,
-        b"\xff\xfe",
-        b"NaN",
-        b"[[%s, 2]]" % (b"9" * 400),
+        b"", b"{", b"[" * 100_000, b"\xff\xfe", b"NaN", b"[[%s, 2]]" % (b"9" * 400),
         b'{"people": [{"keypoints": [NaN, 1]}]}',
     ],
-)
+)  # fmt: skip
 def test_damaged_json_is_one_clear_error(tmp_path, data):
     (tmp_path / "view.json").write_bytes(data)
     with pytest.raises(KeypointError, match=r"view\.json"):

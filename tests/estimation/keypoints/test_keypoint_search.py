@@ -1,8 +1,7 @@
 """A film is looked at once, goes on after an interruption, and is upright and on time; without networks."""
 
-from __future__ import annotations
-
 import os
+import time
 from fractions import Fraction
 from typing import ClassVar
 
@@ -14,8 +13,8 @@ from dousa.errors import KeypointError, OptionError
 from dousa.estimation import find_keypoints
 from dousa.estimation.keypoints import keypoint_search
 from dousa.estimation.keypoints.films import FilmFrames
+from dousa.estimation.keypoints.keypoint_cache import clear_kept, list_kept
 from dousa.estimation.keypoints.people import SIGHTING, PeopleFollower
-from dousa.estimation.keypoints.pose_networks import Landmarks, PersonCrop
 
 av = pytest.importorskip("av", reason="PyAV is not installed (dousa[film])")
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (dousa[film])")
@@ -105,8 +104,7 @@ def test_a_film_damaged_in_the_middle_says_so_each_time(tmp_path, found_by, monk
 
 
 @pytest.mark.parametrize(
-    ("content", "code"),
-    [(None, "film.missing"), (b"", "disk.empty"), (b"hello" * 99, "keypoint_film.unreadable")],
+    ("content", "code"), [(None, "film.missing"), (b"", "disk.empty"), (b"hello" * 99, "keypoint_film.unreadable")]
 )
 def test_what_is_no_film_is_one_clear_error(tmp_path, content, code):
     path = tmp_path / "film.mp4"
@@ -251,83 +249,7 @@ def test_nobody_in_the_film_is_said(tmp_path, found_by, monkeypatch):
     assert find_keypoints(tmp_path / "a.mp4", cache=tmp_path / "cache").people == ()
 
 
-class PlannedLandmarks:
-    """Landmarks of people who stand at planned places; a crop shows the nearest."""
-
-    def __init__(self, places):
-        self.places, self.frame = places, 0
-
-    def find(self, picture, crop, others=(), own=None):
-        shown = [place for place in self.places(self.frame) if np.hypot(place[0] - crop.x, place[1] - crop.y) < 40]
-        x, y = min(shown, key=lambda place: np.hypot(place[0] - crop.x, place[1] - crop.y), default=(crop.x, crop.y))
-        row = see(0, 0, x, y, size=60)
-        mask = np.zeros((128, 128), bool)
-        mask[20:100, 40:90] = bool(shown)
-        at = PersonCrop(x, y, 60.0, 0.0)
-        points, visible = row["points"].astype(float), row["visibility"].astype(float)
-        colours = np.zeros((256, 256, 3), np.uint8)
-        return Landmarks(float(bool(shown)), points, visible, np.zeros((33, 3)), crop, at, mask, colours)
-
-
-class PlannedDetector:
-    """Finds all people who stand at planned places."""
-
-    def __init__(self, landmarks):
-        self.landmarks, self.n_asked = landmarks, 0
-
-    def find(self, picture, part=None):
-        from dousa.estimation.keypoints.pose_networks import Detection
-
-        self.n_asked += 1
-        places = self.landmarks.places(self.landmarks.frame)
-        return [Detection(0.9, np.zeros(4), PersonCrop(x + 2, y, 60.0, 0.0)) for x, y in places]
-
-
-def follow(places, n_frames, resume_at=None, most=4):
-    landmarks = PlannedLandmarks(places)
-    detector = PlannedDetector(landmarks)
-    follower, rows = PeopleFollower(detector, landmarks, most), []
-    for frame in range(n_frames):
-        landmarks.frame = frame
-        if frame == resume_at:
-            follower = PeopleFollower(detector, landmarks, most)
-            follower.resume(np.concatenate(rows), frame - 1)
-        rows.append(follower.see(frame, np.zeros((200, 300, 3), np.uint8)))
-    return np.concatenate(rows), detector.n_asked
-
-
-def walk(frame):
-    return [(50 + 2 * frame, 80)] + ([(250, 120)] if not 20 <= frame < 34 else [])
-
-
-def test_people_are_followed_and_the_detector_rests():
-    rows, n_asked = follow(walk, 60)
-    assert (rows["stretch"] == 0).sum() == 60
-    assert np.unique(rows["stretch"]).tolist() == [0, 1, 2]
-    assert rows["frame"][rows["stretch"] == 2].min() in (34, 35, 36)  # looked for where he was lost
-    assert n_asked < 25
-
-
-@pytest.mark.parametrize("resume_at", [1, 20, 22, 36, 59])
-def test_following_goes_on_as_if_nothing_had_happened(resume_at):
-    rows, _ = follow(walk, 60)
-    again, _ = follow(walk, 60, resume_at)
-    assert rows.tobytes() == again.tobytes()
-
-
-def test_no_more_people_than_asked_for_and_none_twice():
-    rows, _ = follow(lambda frame: [(50, 80), (150, 80), (250, 80)], 20, most=2)
-    assert set(np.unique(rows["frame"], return_counts=True)[1].tolist()) == {2}
-    rows, _ = follow(lambda frame: [(50 + 5 * min(frame, 10), 80), (100, 80)], 20)
-    assert (rows["frame"] == 19).sum() == 1
-
-
 def test_what_was_used_least_lately_is_forgotten_first(tmp_path):
-    import os
-    import time
-
-    from dousa.estimation.keypoints.keypoint_cache import clear_kept, list_kept
-
     for age, name in enumerate(("new", "middle", "old")):
         (tmp_path / name).mkdir()
         (tmp_path / name / "masks.npy").write_bytes(b"x" * 1000)

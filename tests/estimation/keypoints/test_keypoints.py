@@ -1,19 +1,10 @@
 """The types of keypoints check what they are made of, and go through a file unchanged."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from dousa.errors import KeypointError
-from dousa.estimation import (
-    MEDIAPIPE_NAMES,
-    PersonMasks,
-    PersonTrack,
-    ViewKeypoints,
-    read_keypoints,
-    write_keypoints,
-)
+from dousa.estimation import MEDIAPIPE_NAMES, PersonMasks, PersonTrack, ViewKeypoints, read_keypoints, write_keypoints
 from dousa.estimation.keypoints.keypoints import sort_people
 
 NAMES = ("nose", "left_wrist", "right_wrist")

@@ -1,7 +1,5 @@
 """Models come out of packages only if they are what they should be; nothing else of a package touches the disk."""
 
-from __future__ import annotations
-
 import gzip
 import hashlib
 import io

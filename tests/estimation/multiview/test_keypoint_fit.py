@@ -1,7 +1,5 @@
 """A made-up performer seen by made cameras, the truth known: triangulation, sides, people, and the body's motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Where keypoints lie on a body, and what a network says of the ways between them, against slow copies."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

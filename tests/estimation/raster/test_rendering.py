@@ -1,11 +1,10 @@
 """Rendering a body that moves, spoiling what was rendered, and following a recorded motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles.bodies import robot_arm
 
 from dousa.errors import BodyModelError, OptionError, SilhouetteError
 from dousa.estimation.body.human import make_human
@@ -177,32 +176,10 @@ def test_a_person_with_other_bones_is_followed(body):
     assert np.linalg.norm(off, axis=-1).mean() < 0.08
 
 
-def test_a_motion_without_the_bodys_joints_says_so(body):
-    robot = Trajectories(("base", "tool", "x"), np.random.default_rng(0).random((4, 3, 3)), 30.0)
-    one_arm = make_robot_arm()
+def test_a_motion_without_the_bodys_joints_says_so():
+    robot = Trajectories(("frame", "tool", "x"), np.random.default_rng(0).random((4, 3, 3)), 30.0)
     with pytest.raises(BodyModelError, match="expected joints of the body"):
-        poses_from_motion(one_arm, robot)
-
-
-def make_robot_arm():
-    from dousa.estimation.body.body import BodyModel
-
-    return BodyModel(
-        names=("foot", "arm"),
-        joints=("foot", "shoulder"),
-        parents=[-1, 0],
-        offsets=[[0, 0, 0], [0, 0.5, 0]],
-        rest=np.tile([1.0, 0, 0, 0], (2, 1)),
-        n_axes=[0, 1],
-        axes=[np.zeros((3, 3)), [[1, 0, 0], [0, 0, 0], [0, 0, 0]]],
-        limits=np.stack((np.zeros((3, 2)), [[-1, 1], [0, 0], [0, 0]])),
-        spheres=[[0, 0, 0, 0.1], [0, 0, 0, 0.1], [0, 0.5, 0, 0.05]],
-        sphere_starts=[0, 1, 3],
-        tips=("hand",),
-        tip_parts=[1],
-        tip_offsets=[[0, 0.5, 0]],
-        stature=1.0,
-    )
+        poses_from_motion(robot_arm(), robot)
 
 
 def test_a_body_made_from_the_motion_follows_it_to_a_millimetre():

@@ -1,7 +1,5 @@
 """Background subtraction on made-up scenes whose silhouettes are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

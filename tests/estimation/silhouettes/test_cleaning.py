@@ -1,7 +1,5 @@
 """Cleaning of masks: what goes, what stays, and who the person is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Repairs of silhouettes: strokes, excluded parts, what is followed through a film; frames that look doubtful."""
 
-from __future__ import annotations
-
 import json
 from itertools import pairwise
 

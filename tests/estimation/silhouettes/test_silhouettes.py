@@ -1,7 +1,5 @@
 """Silhouettes in memory, in npz files and in folders of images; views on one clock."""
 
-from __future__ import annotations
-
 import io
 import os
 import tracemalloc
@@ -16,13 +14,9 @@ from hypothesis.extra.numpy import arrays
 
 from dousa.errors import CalibrationError, DousaError, MotionWriteError, OptionError, SilhouetteError
 from dousa.estimation.cameras.camera import Camera
+from dousa.estimation.cameras.camera_files import read_cameras
 from dousa.estimation.silhouettes.images import MaskFolder
-from dousa.estimation.silhouettes.mask_npz import (
-    read_silhouettes,
-    read_stature,
-    read_true_joints,
-    write_silhouettes,
-)
+from dousa.estimation.silhouettes.mask_npz import read_silhouettes, read_stature, read_true_joints, write_silhouettes
 from dousa.estimation.silhouettes.silhouette_files import open_silhouettes
 from dousa.estimation.silhouettes.silhouettes import PackedSilhouettes, View, synchronise
 from dousa.files.frame_files import number_frames
@@ -74,16 +68,11 @@ def test_frames_that_are_not_there(frame):
 @pytest.mark.parametrize(
     ("masks", "rate", "names"),
     [
-        ([], 30, None),
-        (np.zeros((2, 0, 4, 4), bool), 30, None),
-        (np.zeros((2, 3, 4), bool), 30, None),
-        (_masks(), 0, None),
-        (_masks(), float("nan"), None),
-        (_masks(), "fast", None),
-        (_masks(), 30, ("one",)),
+        ([], 30, None), (np.zeros((2, 0, 4, 4), bool), 30, None), (np.zeros((2, 3, 4), bool), 30, None),
+        (_masks(), 0, None), (_masks(), float("nan"), None), (_masks(), "fast", None), (_masks(), 30, ("one",)),
         ([np.full((2, 3, 3), "x")], 30, None),
     ],
-)
+)  # fmt: skip
 def test_masks_that_are_none(masks, rate, names):
     with pytest.raises(SilhouetteError):
         PackedSilhouettes(masks, rate, names)
@@ -106,16 +95,10 @@ def test_written_sequence_comes_back(tmp_path):
     with np.load(path) as file:
         np.testing.assert_array_equal(file["mask_packed"], np.packbits(masks, axis=3))
         np.testing.assert_array_equal(file["camera_matrix"], [camera.matrix for camera in cameras])
+    again = read_cameras(path)
+    assert [camera.name for camera in again] == ["left", "right"]
+    np.testing.assert_array_equal(again[0].distortion, np.full(5, 0.01))
     assert os.listdir(tmp_path) == ["walk.npz"]
-
-
-def test_cameras_come_back_with_the_masks(tmp_path):
-    camera_files = pytest.importorskip("dousa.estimation.cameras.camera_files")
-    path = tmp_path / "walk.npz"
-    write_silhouettes(path, _masks(), [_camera(21, 12, "left"), _camera(21, 12, "right")], 25.0)
-    cameras = camera_files.read_cameras(path)
-    assert [camera.name for camera in cameras] == ["left", "right"]
-    np.testing.assert_array_equal(cameras[0].distortion, np.full(5, 0.01))
 
 
 def test_views_of_other_sizes_and_missing_frames_are_written(tmp_path):
@@ -258,24 +241,6 @@ def test_masks_of_nobody_do_not_fill_the_memory(tmp_path):
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 20_000_000
-
-
-def test_truncated_and_damaged_files(tmp_path):
-    whole = _packed_file(tmp_path).read_bytes()
-    path = tmp_path / "cut.npz"
-    rng = np.random.default_rng(0)
-    for case in range(120):
-        data = bytearray(whole)
-        if case % 2:
-            data = data[: int(rng.integers(0, len(data)))]
-        else:
-            for place in rng.integers(0, len(data), 3):
-                data[place] = int(rng.integers(0, 256))
-        path.write_bytes(data)
-        try:  # a changed bit of a mask may go unnoticed by none but the checksum
-            read_silhouettes(path)
-        except SilhouetteError as error:
-            assert "cut.npz" in str(error)
 
 
 @pytest.mark.parametrize("make", [lambda p: None, lambda p: p.mkdir(), lambda p: p.write_bytes(b"")])
@@ -453,9 +418,7 @@ def test_offsets_move_the_start():
 
 @given(
     st.lists(
-        st.tuples(st.integers(1, 60), st.sampled_from([10.0, 24.0, 25.0, 30.0, 50.0, 60.0])),
-        min_size=1,
-        max_size=4,
+        st.tuples(st.integers(1, 60), st.sampled_from([10.0, 24.0, 25.0, 30.0, 50.0, 60.0])), min_size=1, max_size=4
     )
 )
 @settings(max_examples=100, deadline=None)

@@ -1,7 +1,5 @@
 """Video: decoding, masks as video, background subtraction from the file to the mask."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -149,12 +147,7 @@ def test_black_bars_are_cut_off():
 
 @pytest.mark.parametrize(
     ("size", "reduced"),
-    [
-        ((1088, 1920), (357, 630)),
-        ((1920, 1080), (640, 360)),
-        ((320, 240), (320, 240)),
-        ((1000, 997), (640, 638)),
-    ],
+    [((1088, 1920), (357, 630)), ((1920, 1080), (640, 360)), ((320, 240), (320, 240)), ((1000, 997), (640, 638))],
 )
 def test_large_videos_are_reduced(size, reduced):
     assert reduce_size(size, 640) == reduced

@@ -1,7 +1,5 @@
 """The sound of films: read with its place in time, and compared."""
 
-from __future__ import annotations
-
 import fractions
 
 import numpy as np

@@ -1,13 +1,11 @@
-"""Films of a made-up performer, begun at known times, are synchronised to a fraction of a frame, or it is refused."""
-
-from __future__ import annotations
+"""Films begun at known times are synchronised to a fraction of a frame, or refused; offsets go through their file."""
 
 import numpy as np
 import pytest
 from oracles.made_films import Performance, film, make_cameras
 
 from dousa.errors import CalibrationError, OptionError
-from dousa.estimation import PersonTrack, Sound, ViewKeypoints, sync
+from dousa.estimation import PersonTrack, Sound, Synchronisation, ViewKeypoints, read_offsets, sync, write_offsets
 from dousa.estimation.calibration.person import guess_lenses
 from dousa.estimation.sync.synchronise import _make_tracks
 from dousa.estimation.sync.timing import choose_step, correlate, describe_movement
@@ -130,3 +128,44 @@ def test_sound_agrees_differs_or_stands_alone(performance):
     found = sync(empty, sounds=right)
     assert found.basis == ("reference", "sound") and [note.code for note in found.warnings] == ["sync.sound_only"]
     assert found.offsets[1] == pytest.approx(1.0, abs=1e-3)
+
+
+FOUND = Synchronisation(
+    np.array([0.0, -1.25, 0.0333]),
+    np.array([0.0, 0.002, 0.004]),
+    ("reference", "movement", "both"),
+    (0, 0, 0),
+    np.array([0.0, np.nan, 0.03]),
+    0.2,
+)
+
+
+def test_offsets_are_read_by_name(tmp_path):
+    path = tmp_path / "sync.toml"
+    write_offsets(path, ['le"ft', "front", "cam 03"], FOUND)
+    assert read_offsets(path, ["cam3", 'le"ft']) == [0.0333, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("[[film]\n", "sync_file.toml"),
+        ("offset = 1\n", "sync_file.no_films"),
+        ("[[film]]\noffset = 1\n", "sync_file.no_films"),
+        ('[[film]]\nname = "a"\n', "sync_file.offset"),
+        ('[[film]]\nname = "a"\noffset = nan\n', "sync_file.offset"),
+        ('[[film]]\nname = "a"\noffset = true\n', "sync_file.offset"),
+        ('[[film]]\nname = "b"\noffset = 1\n', "camera.none_for_view"),
+    ],
+)
+def test_mistakes_name_the_file(tmp_path, text, code):
+    path = tmp_path / "sync.toml"
+    path.write_text(text)
+    with pytest.raises(CalibrationError) as caught:
+        read_offsets(path, ["a"])
+    assert caught.value.code == code and str(caught.value).startswith(str(path))
+
+
+def test_a_missing_file_is_said(tmp_path):
+    with pytest.raises(CalibrationError, match=r"none\.toml"):
+        read_offsets(tmp_path / "none.toml", ["a"])

@@ -1,7 +1,5 @@
 """The compiled search against eqs. 1 to 3 written out on plain masks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +22,7 @@ from oracles.slow_search import (
 from dousa.estimation.body.body import BodyModel
 from dousa.estimation.body.kinematics import place_parts
 from dousa.estimation.cameras.camera import Camera
-from dousa.estimation.raster.rasteriser import pack_bits, unpack_bits
+from dousa.estimation.raster.rasteriser import pack_bits
 from dousa.estimation.tracking.search_kernels import count_parts, fill_evidence, move_axis
 from dousa.estimation.tracking.search_setup import SearchSetup
 from dousa.estimation.tracking.settings import EVIDENCES, PAPER, READINGS, TrackerSettings
@@ -235,8 +233,3 @@ def test_as_printed_a_limb_is_pulled_onto_what_is_placed():
         moved[reading] = abs(shift[6])
     assert moved["masked"] == 0.0
     assert moved["literal"] > 0.5
-
-
-def test_bits_go_there_and_back():
-    masks = np.random.default_rng(0).random((3, 5, 70)) < 0.5
-    np.testing.assert_array_equal(unpack_bits(pack_bits(masks), 70), masks)

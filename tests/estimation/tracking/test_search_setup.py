@@ -1,7 +1,5 @@
 """Shrinking: a whole factor by the size of the person, masks and cameras alike."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """The first pose, and the stature, from the silhouettes of one frame."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ from dousa.estimation.body.kinematics import compute_points, point_names
 from dousa.estimation.body.posing import standing_state
 from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.raster.rasteriser import draw_body
-from dousa.estimation.tracking.measures import USUAL_STATURE, fit_scale
+from dousa.estimation.tracking.measures import fit_scale
 from dousa.estimation.tracking.outlines import guess_place, lines_meet, measure_outline, move_onto, turn_about
 from dousa.estimation.tracking.search_setup import SearchSetup
 from dousa.estimation.tracking.settings import TrackerSettings
@@ -194,18 +192,6 @@ def test_specks_and_cut_sides_do_not_count():
     np.testing.assert_array_equal(outline.box, [60, 79, 40, 119])
     assert outline.whole.tolist() == [True, True, True, False]
     assert measure_outline(None) is None
-
-
-def test_several_views_tell_the_stature_and_one_does_not():
-    body = make_human(1.87)
-    masks = draw(body, standing_state(body), VIEWS)
-    found = fit_scale(VIEWS, masks)
-    assert found.measured
-    assert abs(found.stature - 1.87) < 0.03
-    assert found.body.stature == found.stature
-    alone = fit_scale(VIEWS[:1], masks[:1])
-    assert not alone.measured
-    assert alone.stature == USUAL_STATURE
 
 
 @pytest.mark.slow

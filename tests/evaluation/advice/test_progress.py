@@ -1,7 +1,5 @@
 """Several evaluations of one pupil: what became better is said, and what fails every time."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,29 +1,14 @@
 """A body that moves so that its accents are known: each movement of least jerk arrives when it should."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from oracles.standing import standing
 
 from dousa.arrays import FloatArray
 from dousa.motion import CanonicalMotion, Trajectories, canonicalise
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX
 
-_STANDING = {
-    "pelvis": (0.0, 0.95, 0.0),
-    "spine": (0.0, 1.15, 0.0),
-    "neck": (0.0, 1.45, 0.0),
-    "head": (0.0, 1.60, 0.0),
-    "left_shoulder": (0.18, 1.42, 0.0),
-    "left_elbow": (0.22, 1.14, 0.0),
-    "left_wrist": (0.24, 0.90, 0.05),
-    "left_hand": (0.24, 0.80, 0.05),
-    "left_hip": (0.09, 0.93, 0.0),
-    "left_knee": (0.10, 0.50, 0.0),
-    "left_ankle": (0.10, 0.08, 0.0),
-    "left_toe": (0.10, 0.03, 0.15),
-}
 _CARRIED = {"hand": ("wrist", "hand"), "foot": ("ankle", "toe")}
 
 Moves = Sequence[tuple[float, float, Sequence[float]]]
@@ -44,9 +29,7 @@ def make_body(
 ) -> CanonicalMotion:
     """A standing person whose limbs (``left_hand``, ``right_foot``...) are displaced by (T, 3) m."""
     n_frames = len(next(iter(paths.values())))
-    right = {n.replace("left", "right"): (-x, y, z) for n, (x, y, z) in _STANDING.items() if n.startswith("left")}
-    places = _STANDING | right
-    positions = np.tile(np.array([places[name] for name in CANONICAL_JOINTS]), (n_frames, 1, 1))
+    positions = np.repeat(standing(), n_frames, axis=0)
     for limb, path in paths.items():
         side, _, what = limb.partition("_")
         for joint in _CARRIED[what]:

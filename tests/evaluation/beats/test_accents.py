@@ -1,7 +1,5 @@
 """Accents are found when they happen: movements whose arrivals are known by construction."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

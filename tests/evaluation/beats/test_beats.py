@@ -1,7 +1,5 @@
 """Beats of files and recordings, and the timing of accents against them."""
 
-from __future__ import annotations
-
 import json
 import math
 

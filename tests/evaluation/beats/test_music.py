@@ -1,7 +1,5 @@
 """Click tracks of known beats, read by the beat tracker; skipped where the extra ``music`` is not installed."""
 
-from __future__ import annotations
-
 import importlib.util
 import wave
 

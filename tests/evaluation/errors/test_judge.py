@@ -1,13 +1,38 @@
-"""The learned judge: boosted trees, and errors decoded from their probabilities."""
-
-from __future__ import annotations
+"""The learned judge: what it sees, boosted trees, errors decoded from their probabilities, and sizes of errors."""
 
 import itertools
 
 import numpy as np
 import pytest
+from oracles.wrong_dances import (
+    ARM,
+    EVEN,
+    TOLERANCE,
+    be_late,
+    compare_dances,
+    first_frames,
+    gather_dances,
+    get_dance,
+    shrink_arm,
+    thin,
+    turn_limb,
+)
 
-from dousa.evaluation.errors.judge import BODY_CLASSES, LIMB_CLASSES, BoostedTrees, Decoding, decode, follow_classes
+from dousa.evaluation.errors.descriptors import LIMB_OF, N_LIMBS, Descriptors, describe_moments, mark_findings
+from dousa.evaluation.errors.evidence import Deviations, compute_deviations, gather_evidence
+from dousa.evaluation.errors.explain import Finding
+from dousa.evaluation.errors.judge import (
+    BODY_CLASSES,
+    LIMB_CLASSES,
+    BoostedTrees,
+    Decoding,
+    Suspect,
+    decode,
+    follow_classes,
+)
+from dousa.evaluation.errors.measures import measure_suspects
+from dousa.evaluation.posture.posture import LIMBS
+from dousa.motion import CanonicalMotion
 
 
 def test_exported_trees_answer_as_scikit_learn_does() -> None:
@@ -104,3 +129,126 @@ def test_the_course_is_the_best_of_all() -> None:
         best = max(worth(course, scores, change) for course in itertools.product(range(3), repeat=6))
         found = tuple(int(c) for c in follow_classes(scores, change))
         assert worth(found, scores, change) == pytest.approx(best)
+
+
+MOTION = get_dance()
+ALL, LEFT_ARM = (0, 1, 2, 3, 4), (1,)
+
+
+def measure(performance: CanonicalMotion, kind: str, start_s: float, end_s: float, limbs: tuple[int, ...]) -> Finding:
+    frames = np.arange(0, performance.n_frames, 2)
+    suspect = Suspect(kind, round(15 * start_s), round(15 * end_s), limbs, 1.0)
+    (found,) = measure_suspects(gather_dances(performance, MOTION), [suspect], frames)
+    # A shift begins and ends where it is seen to, later and earlier than where it was suspected.
+    most = 9 if kind == "shift" else 2
+    assert -2 <= found.start - 30 * start_s <= most and -most <= found.end - 30 * end_s <= 2
+    return found
+
+
+@pytest.mark.parametrize("lag_s", [-0.4, -0.2, 0.12, 0.3, 0.5])
+def test_a_shift_has_its_lag(lag_s: float) -> None:
+    found = measure(be_late(MOTION, lag_s, 5.0, 9.0), "shift", 5.0, 9.0, ALL)
+    assert found.lag_s == pytest.approx(lag_s, abs=0.025)
+    assert found.segments == tuple(range(9)) and found.shortfall is None
+
+
+@pytest.mark.parametrize("gain", [0.4, 0.7])
+def test_an_arm_that_is_short_lacks_range(gain: float) -> None:
+    found = measure(shrink_arm(MOTION, "left", gain, 5.0, 8.0), "incomplete", 5.0, 8.0, LEFT_ARM)
+    assert found.segments == LIMBS["left_arm"] and found.lag_s is None
+    assert found.shortfall is not None and found.shortfall_share is not None
+    assert found.shortfall_share == pytest.approx(1.0 - gain, abs=0.2)
+    assert 5 * 30 - 2 <= found.worst <= 8 * 30 + 2
+
+
+def test_of_a_wrong_limb_the_segments_that_are_wrong_are_named() -> None:
+    found = measure(turn_limb(MOTION, [f"left_{j}" for j in ARM], 60.0, 5.0, 8.0), "partial", 5.0, 8.0, LEFT_ARM)
+    assert set(found.segments) <= {1, 2} and found.segments
+    assert found.severity > 2.0
+
+
+def test_what_nobody_saw_is_no_error() -> None:
+    theirs = thin(MOTION)
+    outside = compute_deviations(theirs, theirs, np.arange(float(theirs.n_frames)) + 1e4, EVEN)
+    evidence = gather_evidence(outside, TOLERANCE, 0.07, EVEN)
+    suspects = [Suspect("partial", 10, 30, LEFT_ARM, 1.0)]
+    assert measure_suspects(evidence, suspects, np.arange(0, theirs.n_frames, 2)) == []
+    assert measure_suspects(evidence, suspects, np.arange(0)) == []
+
+
+FEATURES = 21  # of a limb in one window
+OWN, BEST, LAG, GAIN, PATH, UNREACHED = 0, 1, 2, 6, 13, 14
+WINDOW_S = (0.5, 1.0, 2.0)
+
+
+def compare(performance: CanonicalMotion) -> Deviations:
+    return compare_dances(performance, MOTION)
+
+
+def describe(deviations: Deviations) -> Descriptors:
+    evidence = gather_evidence(deviations, TOLERANCE, 0.07, EVEN)
+    return describe_moments(evidence, np.zeros(len(deviations.judged)), 1, [])
+
+
+def look(descriptors: Descriptors, limb: int, window: int, name: int, start_s: float, end_s: float) -> np.ndarray:
+    part = (descriptors.frames >= 30 * start_s) & (descriptors.frames < 30 * end_s)
+    return descriptors.limbs[part, limb, window * FEATURES + name]
+
+
+def test_deviations_at_the_same_and_the_best_time_are_means_over_the_window() -> None:
+    deviations = compare(turn_limb(MOTION, [f"left_{joint}" for joint in ARM], 40.0, 5.0, 8.0))
+    found = describe(deviations)
+    reach = 24
+    columns = slice(deviations.center - reach, deviations.center + reach + 1)
+    for moment in (20, 90, 97, 200):
+        frame = int(found.frames[moment])
+        for window, seconds in enumerate(WINDOW_S):
+            half = round(0.5 * seconds * 30)
+            rows = slice(max(frame - half, 0), frame + half + 1)
+            for limb in range(N_LIMBS):
+                squared = np.minimum(deviations.squared[rows, columns][:, :, limb == LIMB_OF], 1.3).mean(axis=(0, 2))
+                priced = squared + 2e-3 / 30 * np.abs(np.arange(-reach, reach + 1))
+                best = int(priced.argmin())
+                row = found.limbs[moment, limb, window * FEATURES :]
+                assert row[OWN] == pytest.approx(np.sqrt(squared[reach]), abs=1e-5)
+                assert row[BEST] == pytest.approx(np.sqrt(squared[best]), abs=1e-5)
+                assert row[LAG] == pytest.approx(abs(best - reach) / 30, abs=1e-6)
+
+
+@pytest.mark.parametrize("lag_s", [-0.3, 0.25])
+def test_a_lag_is_seen_in_every_limb_that_moves(lag_s: float) -> None:
+    found = describe(compare(be_late(MOTION, lag_s, 5.0, 9.0)))
+    lags = [np.median(look(found, limb, 1, LAG, 6.0, 8.0)) for limb in (1, 2)]
+    assert lags == pytest.approx([abs(lag_s)] * 2, abs=0.04)
+
+
+def test_a_smaller_arm_has_its_gain_and_leaves_part_of_the_path_unreached() -> None:
+    found = describe(compare(shrink_arm(MOTION, "left", 0.5, 5.0, 8.0)))
+    assert np.median(look(found, 1, 1, GAIN, 5.5, 7.5)) == pytest.approx(0.5, abs=0.15)
+    assert np.median(look(found, 2, 1, GAIN, 5.5, 7.5)) == pytest.approx(1.0, abs=0.02)
+    assert look(found, 1, 2, UNREACHED, 5.5, 7.5).mean() > look(found, 2, 2, UNREACHED, 5.5, 7.5).mean()
+
+
+def test_who_does_as_the_reference_has_nothing_to_see() -> None:
+    found = describe(compare(MOTION))
+    for name in (OWN, BEST, LAG, PATH, UNREACHED):
+        assert np.abs(found.limbs[:, :, [name, FEATURES + name]]).max() < 1e-6
+    assert np.isfinite(found.limbs).all() and np.isfinite(found.body).all()
+
+
+def test_findings_are_marked_where_they_are() -> None:
+    limb, body = (
+        Finding("shift", 5, 9, (1, 2), 2.0, 6, lag_s=-0.2),
+        Finding("global", 20, 30, tuple(range(9)), 99.0, 21),
+    )
+    marks = mark_findings([limb, body], 40)
+    assert np.flatnonzero(marks[:, 1].any(axis=1)).tolist() == [*range(5, 9), *range(20, 30)]
+    assert marks[6, 1].tolist() == [2.0, 0.0, 0.0, 0.0, -0.2, 0.0, 4.0]
+    assert not marks[6, N_LIMBS].any() and marks[25, N_LIMBS, 3] == 10.0
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_a_few_frames_are_enough(count: int) -> None:
+    few = first_frames(thin(MOTION), count)
+    found = describe(compute_deviations(few, few, np.arange(float(count)), EVEN))
+    assert np.isfinite(found.limbs).all() and len(found.frames) == -(-count // 2)

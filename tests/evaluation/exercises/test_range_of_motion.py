@@ -1,7 +1,5 @@
 """Joint angles against poses that are bent by known angles."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math
@@ -19,19 +17,11 @@ from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.synthetic import Performer, make_motion
 
 STANDING = {
-    "pelvis": (0, 1.0, 0),
-    "spine": (0, 1.2, 0),
-    "neck": (0, 1.5, 0),
-    "head": (0, 1.7, 0),
-    "left_shoulder": (0.2, 1.45, 0),
-    "left_elbow": (0.2, 1.15, 0),
-    "left_wrist": (0.2, 0.9, 0),
-    "left_hand": (0.2, 0.8, 0),
-    "left_hip": (0.1, 0.95, 0),
-    "left_knee": (0.1, 0.5, 0),
-    "left_ankle": (0.1, 0.05, 0),
+    "pelvis": (0, 1.0, 0), "spine": (0, 1.2, 0), "neck": (0, 1.5, 0), "head": (0, 1.7, 0),
+    "left_shoulder": (0.2, 1.45, 0), "left_elbow": (0.2, 1.15, 0), "left_wrist": (0.2, 0.9, 0),
+    "left_hand": (0.2, 0.8, 0), "left_hip": (0.1, 0.95, 0), "left_knee": (0.1, 0.5, 0), "left_ankle": (0.1, 0.05, 0),
     "left_toe": (0.1, 0.0, 0.15),
-}
+}  # fmt: skip
 
 
 def make_pose() -> FloatArray:

@@ -1,7 +1,5 @@
 """Finding, counting and assessing repetitions: made-up performers, and real ones where they are at hand."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import json

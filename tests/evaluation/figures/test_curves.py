@@ -1,7 +1,5 @@
 """Curves: eq. 8 to 14 against their transcription, identity, invariances, known errors, gaps, one frame."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -281,11 +279,7 @@ def test_gaps_are_not_judged() -> None:
         assert (np.isnan(getattr(curves, name)) == hidden).all()
     # A yaw is known wherever a segment is.
     assert (np.isnan(curves.facing) == ~seen.any(axis=1)).all()
-    behind = compute(
-        with_segments(REFERENCE.segments),
-        reference=replace(REFERENCE, seen=seen),
-        same=CLOCK,
-    )
+    behind = compute(with_segments(REFERENCE.segments), reference=replace(REFERENCE, seen=seen), same=CLOCK)
     assert (np.isnan(behind.residual) == ~seen).all()
     nothing = compute(with_segments(segments, np.zeros((240, 9), bool)))
     assert np.isnan(nothing.residual).all()

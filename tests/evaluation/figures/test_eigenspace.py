@@ -1,7 +1,5 @@
 """Eigenspaces: eq. 8 to 14 against their literal transcription, invariants, and people who hardly move."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -28,10 +26,7 @@ from dousa.motion.synthetic.performers import draw_performer, make_motion
 seeds = st.integers(0, 2**32 - 1)
 kinds = st.sampled_from(["robust", "plain"])
 
-REAL = (
-    "bandai_dance/dataset-1_dance-short_normal_001.bvh",
-    "hdm05/squat1Reps/HDM_bd_squat1Reps_001_120.amc",
-)
+REAL = ("bandai_dance/dataset-1_dance-short_normal_001.bvh", "hdm05/squat1Reps/HDM_bd_squat1Reps_001_120.amc")
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:

@@ -1,7 +1,5 @@
 """Furi: dances joined from known figures are cut where they were joined; single gestures are not cut."""
 
-from __future__ import annotations
-
 import itertools
 import os
 from collections.abc import Callable
@@ -260,29 +258,11 @@ def test_the_dance_of_the_paper(furi):
 @pytest.mark.parametrize(
     "line",
     [
-        "31 60 A",
-        "31-60 A",
-        "31 - 60   A",
-        "31–60 A",
-        "31~60 A",
-        "31,60,A",
-        "31, 60, A",
-        "31;60;A",
-        "31\t60\tA",
-        '31,60,"A"',
-        "1s 2s A",
-        "1.0s-2.0s A",
-        "1s, 2S, A",
-        "0:01 0:02 A",
-        "0:01.0 - 0:02.000 A",
-        "0:00:01 0:00:02 A",
-        "1.0sec 0:02 A",
-        "\ufeff31 60 A",
-        "start,end,label\n31,60,A",
-        "Start\tEnd\n31\t60\tA",
-        "31 60 A\r\n\r\n# end",
+        "31 60 A", "31-60 A", "31 - 60   A", "31–60 A", "31~60 A", "31,60,A", "31, 60, A", "31;60;A", "31\t60\tA",
+        '31,60,"A"', "1s 2s A", "1.0s-2.0s A", "1s, 2S, A", "0:01 0:02 A", "0:01.0 - 0:02.000 A", "0:00:01 0:00:02 A",
+        "1.0sec 0:02 A", "\ufeff31 60 A", "start,end,label\n31,60,A", "Start\tEnd\n31\t60\tA", "31 60 A\r\n\r\n# end",
     ],
-)
+)  # fmt: skip
 def test_all_ways_to_write_a_figure(furi, line):
     assert furi(line) == (Furi(30, 60, "A"),)
 

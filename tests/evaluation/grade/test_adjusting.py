@@ -1,7 +1,5 @@
 """An assessment whose figures and weights are changed says what a fresh one says."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

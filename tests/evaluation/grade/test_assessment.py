@@ -1,7 +1,5 @@
 """The whole assessment: what must not matter, known errors, several takes, figures."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,17 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles.answers import CURVES, check, kinds
 from oracles.answers import judge as judge_answer
-from oracles.wrong_dances import (
-    ARM,
-    be_late,
-    choose,
-    get_dance,
-    mirror,
-    place,
-    shrink_arm,
-    swap_section,
-    turn_limb,
-)
+from oracles.wandering import stretch
+from oracles.wrong_dances import ARM, be_late, choose, get_dance, mirror, place, shrink_arm, swap_section, turn_limb
 
 from dousa.errors import OptionError
 from dousa.evaluation import Assessment, Furi, assess
@@ -273,10 +262,7 @@ def test_figures_outside_the_reference_are_refused(furi: Furi) -> None:
 
 
 def test_a_free_tempo_is_no_error() -> None:
-    times = np.linspace(0, 599, 690)
-    low = np.minimum(times.astype(int), 598)
-    share = (times - low)[:, None, None]
-    slow = replace(MOTION, positions=MOTION.positions[low] * (1 - share) + MOTION.positions[low + 1] * share)
+    slow = stretch(MOTION, 690)
     found = judge(slow, tempo="free")
     assert found.tempo == pytest.approx(1.15, abs=0.02)
     assert found.events == () and found.score > 90.0

@@ -1,7 +1,6 @@
-"""Assessments of performances with lapses and gaps, of what is no dance, and of real people."""
+"""Assessments of lapses and gaps, of bodies that lack joints, of what is no dance, and of real people."""
 
-from __future__ import annotations
-
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,23 +10,14 @@ import pytest
 from oracles.answers import check, kinds
 from oracles.answers import judge as judge_answer
 from oracles.wandering import make_wandering_motion
-from oracles.wrong_dances import (
-    ARM,
-    be_late,
-    choose,
-    cut,
-    get_dance,
-    lose,
-    place,
-    turn_limb,
-)
+from oracles.wrong_dances import ARM, be_late, choose, cut, get_dance, lose, place, turn_limb
 
 from dousa.errors import InvalidMotionError, OptionError
-from dousa.evaluation import Assessment, assess
-from dousa.evaluation.posture.posture import SEGMENTS, spread_weights
+from dousa.evaluation import Assessment, advise, assess
+from dousa.evaluation.posture.posture import LIMBS, SEGMENTS, spread_weights
 from dousa.formats.registry import read_motion
-from dousa.motion import CanonicalMotion, canonicalise
-from dousa.motion.canonical.joints import CANONICAL_JOINTS
+from dousa.motion import CANONICAL_JOINTS, CanonicalMotion, canonicalise
+from dousa.motion.synthetic import draw_performer, make_dance
 
 LEFT_ARM = [f"left_{joint}" for joint in ARM]
 LEFT_ARM_SEGMENTS = {"left_upper_arm", "left_forearm"}
@@ -237,3 +227,60 @@ def test_arms_and_legs_are_names_of_weights_everywhere():
     both = spread_weights({"arms": 2.0, "left_forearm": 0.5})
     spelled = spread_weights({"left_arm": 2.0, "right_arm": 2.0, "left_forearm": 0.5})
     assert both.tolist() == spelled.tolist()
+
+
+SIDES = ("left", "right")
+ARMS = tuple(f"{side}_{joint}" for side in SIDES for joint in ("elbow", "wrist", "hand"))
+UPPER = ("spine", "neck", "head", "left_shoulder", "right_shoulder", *ARMS)
+LOWER = ("pelvis", "spine", *(f"{side}_{joint}" for side in SIDES for joint in ("hip", "knee", "ankle", "toe")))
+DANCE = canonicalise(make_dance(draw_performer(1)).motion).to_trajectories()
+WHOLE = canonicalise(DANCE)
+
+
+def hide(absent, seed=0):
+    positions = DANCE.positions + np.random.default_rng(seed).normal(0, 0.005, (1, 20, 3))
+    positions[:, [CANONICAL_JOINTS.index(joint) for joint in absent]] = np.nan
+    return canonicalise(DANCE.replace(positions=positions))
+
+
+def segments_of(*limbs):
+    return {SEGMENTS[index] for limb in limbs for index in LIMBS[limb]}
+
+
+@pytest.mark.parametrize(
+    ("absent", "left_out"),
+    [
+        (ARMS, segments_of("left_arm", "right_arm")),
+        (UPPER, segments_of("trunk", "left_arm", "right_arm")),
+        (LOWER, segments_of("trunk", "left_leg", "right_leg")),
+    ],
+)
+@pytest.mark.parametrize("swap", [False, True])
+def test_the_rest_is_judged(absent, left_out, swap):
+    part = hide(absent)
+    reference, performance = (part, WHOLE) if swap else (WHOLE, part)
+    found = assess(reference, performance)
+    assert set(found.not_judged) == left_out
+    assert found.score > 85
+    assert not {name for event in found.events for name in event.segments} & left_out
+    assert [one.code for one in found.warnings].count("assessment.not_judged") == 1
+    assert "assessment.gaps" not in [one.code for one in found.warnings]
+    assert found.gaps == ()
+    written = json.loads(json.dumps(found.to_json(), allow_nan=False))
+    assert set(written["not_judged"]) == left_out
+    advise(found)
+
+
+def test_an_error_of_what_is_there_is_found():
+    late = np.array(DANCE.positions)
+    knees = [CANONICAL_JOINTS.index(f"left_{joint}") for joint in ("knee", "ankle", "toe")]
+    late[60:160, knees] += (0.25, 0.15, 0.0)
+    late[:, [CANONICAL_JOINTS.index(joint) for joint in UPPER]] = np.nan
+    found = assess(WHOLE, canonicalise(DANCE.replace(positions=late)))
+    assert found.score < assess(WHOLE, hide(UPPER)).score
+    assert any(set(event.segments) & segments_of("left_leg") for event in found.events)
+
+
+def test_bodies_without_anything_in_common_are_told():
+    with pytest.raises(InvalidMotionError, match="no segment in common"):
+        assess(hide(UPPER), hide(LOWER))

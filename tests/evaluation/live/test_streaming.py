@@ -1,7 +1,5 @@
 """The running evaluation beside that of the whole: the same errors, the same curves, the same end."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import cache
@@ -9,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from oracles.wandering import make_wandering_motion
+from oracles.wandering import make_wandering_motion, stretch
+from oracles.wrong_dances import choose
 
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation import Assessment, ErrorEvent, FrameState, IncrementalAssessor, advise, assess
@@ -65,10 +64,6 @@ def check_equal(one: Assessment, other: Assessment) -> None:
             np.testing.assert_array_equal(first, second)
         elif field.name not in ("reference", "performance", "furi"):
             assert first == second
-
-
-def choose(motion: CanonicalMotion, frames: np.ndarray) -> CanonicalMotion:
-    return replace(motion, positions=motion.positions[frames])
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -250,11 +245,7 @@ def test_a_mirrored_pupil() -> None:
 @pytest.mark.slow
 def test_another_frame_rate() -> None:
     reference, slow = make_trial(2)
-    times = np.arange(4 * (slow.n_frames - 1) + 1) / 4.0
-    low = np.minimum(times.astype(int), slow.n_frames - 2)
-    share = (times - low)[:, None, None]
-    positions = slow.positions[low] * (1 - share) + slow.positions[low + 1] * share
-    played = replace(slow, positions=positions, frame_rate=120.0)
+    played = replace(stretch(slow, 4 * (slow.n_frames - 1) + 1), frame_rate=120.0)
     assessor = IncrementalAssessor(reference, 120.0)
     states, whole = play(assessor, played), assess(reference, played)
     check_equal(assessor.finish(), whole)
@@ -290,11 +281,7 @@ def test_several_references() -> None:
 @pytest.mark.slow
 def test_a_free_tempo_is_followed() -> None:
     reference = make_wandering_motion(25, 8)
-    times = np.linspace(0, reference.n_frames - 1, round(reference.n_frames * 1.2))
-    low = np.minimum(times.astype(int), reference.n_frames - 2)
-    share = (times - low)[:, None, None]
-    slower = reference.positions[low] * (1 - share) + reference.positions[low + 1] * share
-    played = simulate_performer(replace(reference, positions=slower), 8)
+    played = simulate_performer(stretch(reference, round(reference.n_frames * 1.2)), 8)
     assessor = IncrementalAssessor(reference, 30.0, tempo="free", look_ahead_s=3.0)
     states = play(assessor, played)
     off = np.abs(stack(states, "reference_time_s") - stack(states, "time_s") / 1.2)

@@ -1,7 +1,5 @@
 """Postures from joints: directions, gaps, frame rates, the mirror."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
@@ -118,11 +116,7 @@ def test_opposite_neighbours_leave_a_direction(walker: CanonicalMotion) -> None:
 def test_other_frame_rates(walker: CanonicalMotion) -> None:
     own = compute_postures(walker)
     twice = compute_postures(walker, 2 * walker.frame_rate, name="twice")
-    assert (twice.n_frames, twice.frame_rate, twice.name) == (
-        2 * own.n_frames - 1,
-        2 * walker.frame_rate,
-        "twice",
-    )
+    assert (twice.n_frames, twice.frame_rate, twice.name) == (2 * own.n_frames - 1, 2 * walker.frame_rate, "twice")
     np.testing.assert_array_equal(twice.segments[::2], own.segments)
     half = compute_postures(walker, walker.frame_rate / 2)
     assert half.n_frames == (own.n_frames - 1) // 2 + 1

@@ -1,7 +1,5 @@
 """Yaw: eq. 3 to 7 against their literal transcription, known rotations, noise, and a wrong limb."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Labels of takes: segments are clips that are places in the take."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +72,7 @@ def test_the_same_labels_change_nothing_and_others_what_differs(library, take):
     other = Annotation((LABELS.segments[0], Stretch(0.6, 1.4, "hop")))
     changes = library.annotations.write(take, other, n_jobs=1)
     assert (changes.n_segments, changes.n_removed) == (1, 1)
+    assert [(note.code, note.values["n"]) for _, note in changes.warnings] == [("annotations.removed", 1)]
     now = {one.category: one.clip_id for one in library.annotations.read()[0].segments}
     assert now["wave"] == numbers["wave"] and set(now) == {"wave", "hop"}
     assert now["hop"] != numbers["kick"]
@@ -169,10 +168,12 @@ def test_removed_categories_and_takes(library, take):
     assert library.journal()[0].n_clips == 1
     assert library.annotations.read()[0].unclear == ((0.6, 1.4), (1.4, 1.6))
     library.undo()
-    library.remove([take, *(one.clip_id for one in before[0].segments)])
-    assert library.annotations.read() == []
-    library.undo()
-    assert library.annotations.read() == before
+    for removed in ([take, *(one.clip_id for one in before[0].segments)], [take]):
+        library.remove(removed)
+        assert library.annotations.read() == [] and not any(clip.take_id for clip in library.clips())
+        assert "kick" not in library.categories() and not library.stats().forest_is_current
+        library.undo()
+        assert library.annotations.read() == before
 
 
 def test_what_goes_beyond_the_end_is_cut_and_what_is_no_motion_left_out(library, take):
@@ -185,15 +186,6 @@ def test_what_goes_beyond_the_end_is_cut_and_what_is_no_motion_left_out(library,
     ]
     (one,) = library.annotations.read()[0].segments
     assert (one.start, one.end, one.category) == (1.5, pytest.approx(2.0, abs=0.01), "wave")
-
-
-def test_removing_a_take_removes_its_segments(library, take):
-    library.annotations.write(take, LABELS, n_jobs=1)
-    library.remove([take])
-    assert not any(clip.take_id for clip in library.clips())
-    assert "kick" not in library.categories()
-    assert library.annotations.read() == []
-    assert not library.stats().forest_is_current
 
 
 def test_a_take_whose_file_changed_loses_its_old_segments(library, take, write_move):
@@ -263,11 +255,8 @@ def test_an_empty_annotation_says_that_nothing_happens(tmp_path, write_move):
 
 def test_labels_on_the_same_stretch_are_clips_of_their_own(library, take):
     both = (
-        Stretch(0.5, 1.5, "walk"),
-        Stretch(0.5, 1.5, "turn"),
-        Stretch(0.5002, 1.5, "nod"),
-        Stretch(0.5, 1.5, "walk"),
-    )
+        Stretch(0.5, 1.5, "walk"), Stretch(0.5, 1.5, "turn"), Stretch(0.5002, 1.5, "nod"), Stretch(0.5, 1.5, "walk"),
+    )  # fmt: skip
     changes = library.annotations.write(take, Annotation(both), n_jobs=1)
     assert changes.n_segments == 3
     assert [note.code for _, note in changes.warnings] == ["label_files.twice"]
@@ -359,9 +348,3 @@ def test_blank_labels_take_all_away(library, take):
     assert library.annotations.read() == []
     library.undo()
     assert library.annotations.read()[0].is_complete
-
-
-def test_what_a_new_table_removes_is_said(library, take):
-    library.annotations.write(take, LABELS, n_jobs=1)
-    changes = library.annotations.write(take, Annotation((Stretch(0.1, 0.5, "wave"),)), n_jobs=1)
-    assert [(note.code, note.values["n"]) for _, note in changes.warnings] == [("annotations.removed", 1)]

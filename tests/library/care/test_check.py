@@ -1,7 +1,5 @@
 """Damage is found by checksums, told where it is met, and put right where that can be."""
 
-from __future__ import annotations
-
 import json
 import random
 import shutil

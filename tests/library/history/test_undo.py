@@ -1,7 +1,5 @@
 """Undoing and redoing changes of a library: labels, tags, removals, what was added, labels of takes."""
 
-from __future__ import annotations
-
 import pytest
 import sqlalchemy as sa
 

@@ -1,7 +1,5 @@
 """Clips that were cut out of takes and named by hand: what takes are labelled with learns from each at once."""
 
-from __future__ import annotations
-
 import pytest
 
 from dousa.library import Library

@@ -1,6 +1,4 @@
-"""A trained library learns the clips that are added to it, at once and all or nothing."""
-
-from __future__ import annotations
+"""A trained library learns what is added to it, at once and all or nothing; large ones from kept examples."""
 
 import shutil
 from pathlib import Path
@@ -12,8 +10,12 @@ from dousa.errors import LibraryDamagedError
 from dousa.library import Library
 from dousa.library import add as add_module
 from dousa.library.learning import insert as _insert
+from dousa.library.learning import lesson
 from dousa.library.search import renewal
 from dousa.library.search.parts import read_part
+from dousa.library.store import opening
+from dousa.library.store.features import load_features
+from dousa.retrieval.forest import trees
 from library.database_server import run_sql
 
 
@@ -53,15 +55,11 @@ def test_a_new_category_is_known_at_once(two_categories, nods, write_move, tmp_p
     assert {clip.predicted_category for clip in two_categories.clips(nods)} == {"squat_down"}
     for clip in two_categories.clips(category="wave"):  # what was known is not forgotten
         assert two_categories.search(clip.id, 1).verdict.guess == "wave"
-
-
-def test_what_was_learned_is_told(two_categories, nods):
-    two_categories.add(nods)
-    stats = two_categories.stats()
-    assert (stats.n_trained, stats.n_learned, stats.forest_is_current) == (10, 5, False)
-    two_categories.train(n_trees=20)
-    stats = two_categories.stats()
-    assert (stats.n_trained, stats.n_learned, stats.forest_is_current) == (15, 0, True)
+    for trained, counts in ((False, (10, 5, False)), (True, (15, 0, True))):
+        if trained:
+            two_categories.train(n_trees=20)
+        stats = two_categories.stats()
+        assert (stats.n_trained, stats.n_learned, stats.forest_is_current) == counts
 
 
 def test_stored_leaves_are_those_that_the_forest_gives(library, nods, write_move, tmp_path):
@@ -77,12 +75,6 @@ def test_stored_leaves_are_those_that_the_forest_gives(library, nods, write_move
         assert fresh.results == stored.results
         assert fresh.histogram == stored.histogram
         assert clip.predicted_category == stored.verdict.guess
-
-
-def test_it_does_not_matter_whether_clips_come_alone_or_together(two_categories, nods):
-    for path in sorted(nods.rglob("*.bvh")):
-        assert two_categories.add(path, category_from="path:(.)").n_learned == 1
-    assert two_categories.stats().n_learned == 5
 
 
 def tell_all(library):
@@ -165,18 +157,13 @@ def test_a_library_whose_index_lies_in_a_file_learns_the_same(
     assert len(read) == (2 if searched else 0)
 
 
-def test_clips_without_a_category_teach_nothing(library, library_file, write_move, tmp_path):
+def test_clips_without_a_category_and_takes_teach_nothing(library, library_file, nods, write_move, tmp_path):
     before = forest_row(library_file)
     report = library.add(write_move(tmp_path / "a.bvh", "wave", 400), category_from="none")
     assert (report.n_learned, report.new_categories) == (0, ())
-    assert forest_row(library_file) == before
-    assert library.clips(report.added)[0].predicted_category == "wave"
-
-
-def test_takes_teach_nothing(library, library_file, nods):
-    before = forest_row(library_file)
     assert library.add(nods, kind="take").n_learned == 0
     assert forest_row(library_file) == before
+    assert library.clips(report.added)[0].predicted_category == "wave"
 
 
 def interrupt(*args, **options):
@@ -220,14 +207,6 @@ def test_what_waits_may_be_renamed_and_removed(library, nods, monkeypatch):
     assert library.add(nods / "squat_down" / "n4.bvh").n_learned == 0
 
 
-def test_another_program_sees_what_was_learned(library, library_file, nods):
-    query = next(nods.rglob("*.bvh"))
-    assert "squat_down" not in library.search(query).histogram
-    with Library.open(library_file) as other:
-        other.add(nods)
-    assert library.search(query).verdict.guess == "squat_down"
-
-
 def test_another_program_trains_while_files_are_read(library, library_file, nods):
     def meddle(done: int, total: int, path: str) -> None:
         if done == 1:
@@ -256,25 +235,128 @@ def test_a_changed_file_teaches_again(library, write_move, tmp_path):
     assert (report.replaced, report.n_learned) == ((str(path),), 1)
 
 
-def test_growing_does_not_depend_on_workers(moves, nods, tmp_path):
-    found = []
-    for jobs in (1, 2):
-        with Library.open(tmp_path / f"{jobs}.dousa", create=True) as library:
-            library.add(moves, n_jobs=1)
-            library.train(n_trees=10, n_jobs=jobs)
-            library.add(nods, n_jobs=jobs)
-            found.append([hit.to_json() for hit in library.search(1, 100).results])
-    assert found[0] == found[1]
-    assert np.isfinite([hit["rank_distance"] for hit in found[0]]).all()
-
-
-def test_a_forest_whose_clips_are_all_gone_learns_too(two_categories, nods):
-    two_categories.remove([clip.id for clip in two_categories.clips()])
-    assert two_categories.add(nods).n_learned == 5
-    assert two_categories.search(next(nods.rglob("*.bvh")), 1).verdict.guess == "squat_down"
-
-
-def test_a_forest_whose_clips_have_all_been_renamed_learns_too(two_categories, nods):
-    two_categories.relabel([clip.id for clip in two_categories.clips()], category="other")
+@pytest.mark.parametrize("gone", [True, False])
+def test_a_forest_whose_clips_are_all_gone_or_renamed_learns_too(two_categories, nods, gone):
+    numbers = [clip.id for clip in two_categories.clips()]
+    two_categories.remove(numbers) if gone else two_categories.relabel(numbers, category="other")
     assert two_categories.add(nods).new_categories == ("squat_down",)
     assert two_categories.search(next(nods.rglob("*.bvh")), 1).verdict.guess == "squat_down"
+
+
+RULES = {"category_from": r"name:([a-z]+)", "n_jobs": 1}
+
+
+@pytest.fixture
+def large(moves, tmp_path, monkeypatch) -> Path:
+    """A library of ten clips, of which each tree grew from half."""
+    monkeypatch.setattr(trees, "MOST_GROWN", 5)
+    with Library.open(tmp_path / "large.dousa", create=True) as library:
+        library.add([moves / "wave", moves / "bow"], **RULES)
+        library.train(n_trees=20)
+    return tmp_path / "large.dousa"
+
+
+@pytest.fixture
+def files(write_move, tmp_path) -> list[Path]:
+    """Clips of a new category, and of a known one."""
+    for seed in range(4):
+        for name in ("squat", "bow"):
+            write_move(tmp_path / "new" / name / f"{name}{seed}.bvh", name, 200 + seed)
+    return sorted((tmp_path / "new").rglob("*.bvh"))
+
+
+def read_examples(path) -> list[tuple]:
+    return run_sql(path, "SELECT revision, clips FROM leaf_examples")
+
+
+def leaves_of(path, last: int) -> list[tuple]:
+    return run_sql(path, f"SELECT clip_id, leaves FROM clip_leaves WHERE clip_id <= {last} ORDER BY clip_id")
+
+
+def test_what_the_training_left_is_neither_read_nor_moved(large, files, monkeypatch):
+    before, read = leaves_of(large, 10), []
+    monkeypatch.setattr(lesson, "load_features", lambda c, kind, ids: read.extend(ids) or load_features(c, kind, ids))
+    ((_, kept),) = read_examples(large)
+    with Library.open(large) as library:
+        assert library.add(files, **RULES).new_categories == ("squat",)
+        assert {clip.predicted_category for clip in library.clips(category="squat")} == {"squat"}
+        assert library.check().is_sound
+    assert leaves_of(large, 10) == before
+    assert {number for number in read if number <= 10} <= set(np.frombuffer(kept, "<i4").tolist())
+
+
+@pytest.mark.parametrize("how", ["in turns", "backwards", "examples gone", "trained by an older dousa"])
+def test_the_same_clips_give_the_same_large_forest(large, files, tmp_path, how):
+    seen = []
+    for which in ("at once", how):
+        path = shutil.copy(large, tmp_path / f"{which}.dousa")
+        portions = [files]
+        if which == "in turns":
+            portions = [files[:3], files[3:4], files[4:]]
+        elif which == "backwards":
+            portions = [[file] for file in reversed(files)]
+        elif which == "examples gone":
+            run_sql(path, "DELETE FROM leaf_examples")
+        elif which == "trained by an older dousa":
+            run_sql(path, "DROP TABLE leaf_examples")
+            run_sql(path, "DROP INDEX ix_clips_size")
+            run_sql(path, "DELETE FROM dousa_migrations WHERE number > 15")
+        with Library.open(path) as library:
+            assert sum(library.add(some, **RULES).n_learned for some in portions) == 8
+            seen.append((tell_all(library), read_examples(path)))
+            assert library.check().is_sound
+    assert seen[0] == seen[1]
+
+
+def test_a_training_chooses_them_anew_and_a_small_one_needs_none(large, files, monkeypatch):
+    before = read_examples(large)
+    with Library.open(large) as library:
+        library.add(files, **RULES)
+        library.train(n_trees=20)
+        assert [row[0] for row in read_examples(large)] > [row[0] for row in before]
+        monkeypatch.setattr(trees, "MOST_GROWN", 100)
+        library.train(n_trees=20)
+        assert read_examples(large) == []
+
+
+def test_damaged_examples_are_told_and_chosen_again(large, files):
+    ((_, kept),) = read_examples(large)
+    run_sql(large, "UPDATE leaf_examples SET clips = ?", kept[:-1] + b"\x7f")
+    with Library.open(large) as library:
+        assert [one.what.code for one in library.check().damage] == ["library_damage.examples"]
+        assert library.check(repair=True).damage[0].repaired
+        assert library.check().is_sound
+        library.add(files, **RULES)
+    assert [row[1] for row in read_examples(large)] == [kept]
+
+
+def test_examples_may_be_removed_and_renamed(large, files):
+    with Library.open(large) as library:
+        first, *others = library.clips(category="wave")
+        library.remove(first.id)
+        library.relabel([clip.id for clip in others[1:]], category=None)
+        assert library.add(files, **RULES).n_learned == 8
+        assert {clip.predicted_category for clip in library.clips(category="squat")} == {"squat"}
+        library.remove([clip.id for clip in library.clips(category="wave")])
+        library.add(files[0].rename(files[0].with_name("bow9.bvh")), **RULES)
+        assert library.check().is_sound
+
+
+def test_clips_without_a_category_stay_too_and_later_ones_go(large, files, write_move, tmp_path):
+    with Library.open(large) as library:
+        library.relabel(1, category=None)
+        late = library.add(write_move(tmp_path / "late.bvh", "squat", 300), category_from="none").added
+        before = leaves_of(large, 1)
+        library.add(files, **RULES)
+        assert leaves_of(large, 1) == before
+        (clip,) = library.clips(late)
+        stored = library.search(clip.id, 100)
+        fresh = library.search(shutil.copy(clip.path, tmp_path / "copy.bvh"), 100)
+        assert stored.results == fresh.results
+        assert stored.histogram == fresh.histogram
+
+
+def test_an_older_dousa_says_that_it_is_newer(large, monkeypatch):
+    monkeypatch.setattr(opening, "MIGRATIONS", opening.MIGRATIONS[:15])
+    with pytest.raises(opening.LibraryVersionError, match=f"tables {len(opening.MIGRATIONS) + 1}"):
+        Library.open(large)

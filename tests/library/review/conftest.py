@@ -1,7 +1,5 @@
 """Libraries of made clips that are not trained; each file of tests says which in its fixture ``made``."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The map of all clips: what lies together, that it is the same each time, and the command."""
 
-from __future__ import annotations
-
 import csv
 import json
 import sys

@@ -1,7 +1,5 @@
 """Wrong labels planted into real recordings: how many are among the first of the list."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Labels that are likely wrong and clips that are nearly the same, of made motions and of real ones."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """After a change only clips that changed are read, and what an index says is what one says that is read anew."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ from dousa.library.search.leaf_index import LeafIndex
 from dousa.library.store.engine import read_revision
 from dousa.library.store.forests import load_forest
 from dousa.retrieval.forest.growth import find_changed
-from library.search.test_index_of_library import check_searches
+from library.search.test_leaf_index import check_searches
 
 
 @pytest.fixture
@@ -142,15 +140,6 @@ def test_another_program_reads_the_file(library, library_file, tmp_path, read, l
     assert read[3:] == [[2, 3, 6, 10, 15]]  # who read much wrote it
 
 
-def test_a_training_makes_the_file(library, library_file, tmp_path, read, large):
-    check_searches(library)
-    library.train(n_trees=5)
-    assert len(read) == 2
-    with Library.open(library_file) as other:
-        check_searches(other)
-    assert len(read) == 2
-
-
 def read_kept(library: Library, folder) -> tuple[LeafIndex, bool]:
     """What is in the file of a library, brought up to date, and whether its votes were there."""
     with library.database.reading() as connection:
@@ -170,23 +159,36 @@ def change_and_teach(library, library_file, folder, write_move, turn, category):
 
 
 @pytest.mark.parametrize("block", [4, refresh.BLOCK])
-def test_what_a_forest_has_learned_is_in_the_file(
-    library, library_file, tmp_path, read, large, monkeypatch, write_move, block
+@pytest.mark.parametrize("is_later", [False, True])
+def test_what_a_forest_has_learned_is_in_a_file(
+    library, library_file, tmp_path, read, large, request, monkeypatch, write_move, block, is_later
 ):
-    """Whoever adds clips writes it, also where others were changed since; the next program reads no rows."""
+    """Whoever adds clips writes it, also where others were changed since; the next program reads no rows.
+
+    Of the first file nothing is written again where there is a later one; categories that are new have numbers between
+    the others.
+    """
+    if is_later:
+        request.getfixturevalue("later")
     monkeypatch.setattr(refresh, "BLOCK", block)
     library.train(n_trees=20)
-    for turn, category in enumerate(("nod", "wave", "nod", "bow")):
+    (place,) = find_side_files(tmp_path)
+    whole = place.read_bytes()
+    for turn, category in enumerate(("nod", "a nod" if is_later else "wave", "nod", "bow")):
         change_and_teach(library, library_file, tmp_path / "more", write_move, turn, category)
+        assert not is_later or (place.read_bytes() == whole and find_later(tmp_path).exists())
         del read[:]
         kept, has_votes = read_kept(library, tmp_path)
-        assert read == [] and has_votes and kept.alive == (None,)
+        assert read == [] and has_votes
+        assert len(kept.parts) == 2 if is_later else kept.alive == (None,)
         check_same(kept, load(library))
         del read[:]
         with Library.open(library_file) as third:
             check_searches(third, (1, 16 + 2 * turn))
         assert read == []
     assert library.check().is_sound
+    library.train(n_trees=20)
+    assert not [*tmp_path.rglob("*-search-later")]
 
 
 @pytest.fixture
@@ -199,31 +201,6 @@ def later(monkeypatch, large):
 def find_later(folder):
     (file,) = folder.rglob("*-search-later")
     return file
-
-
-@pytest.mark.parametrize("block", [4, refresh.BLOCK])
-def test_a_later_file_has_what_a_forest_has_learned(
-    library, library_file, tmp_path, read, later, monkeypatch, write_move, block
-):
-    """Of the first one nothing is written again; categories that are new have numbers between the others."""
-    monkeypatch.setattr(refresh, "BLOCK", block)
-    library.train(n_trees=20)
-    (place,) = find_side_files(tmp_path)
-    whole = place.read_bytes()
-    for turn, category in enumerate(("nod", "a nod", "nod", "bow")):
-        change_and_teach(library, library_file, tmp_path / "more", write_move, turn, category)
-        assert place.read_bytes() == whole and find_later(tmp_path).exists()
-        del read[:]
-        kept, has_votes = read_kept(library, tmp_path)
-        assert read == [] and has_votes and len(kept.parts) == 2
-        check_same(kept, load(library))
-        del read[:]
-        with Library.open(library_file) as third:
-            check_searches(third, (1, 16 + 2 * turn))
-        assert read == []
-    assert library.check().is_sound
-    library.train(n_trees=20)
-    assert not [*tmp_path.rglob("*-search-later")]
 
 
 def test_of_what_stays_no_votes_are_counted_again(library, library_file, tmp_path, later, monkeypatch, write_move):

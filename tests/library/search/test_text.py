@@ -1,7 +1,5 @@
 """Searching a library in words."""
 
-from __future__ import annotations
-
 import gzip
 import random
 from pathlib import Path
@@ -17,14 +15,9 @@ from dousa.retrieval.words import vocabulary as vectors
 from library.database_server import run_sql
 
 NAMES = {
-    "kickLFront1Reps": "kick_left",
-    "a07_clap": "clap",
-    "しゃがむ": "squat",
-    "x17": "kick_right",
-    "x18": "clap",
-    "walk": "walk",
-    "x19": "raise_hands",
-}
+    "kickLFront1Reps": "kick_left", "a07_clap": "clap", "しゃがむ": "squat", "x17": "kick_right", "x18": "clap",
+    "walk": "walk", "x19": "raise_hands",
+}  # fmt: skip
 
 
 @pytest.fixture(autouse=True)

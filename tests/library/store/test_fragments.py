@@ -1,7 +1,5 @@
 """Positions and features in fragments: the same answers, the same care, and the same way back."""
 
-from __future__ import annotations
-
 import random
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Fragments in object storage: a server of S3 on this computer, if moto is installed."""
 
-from __future__ import annotations
-
 import pytest
 import sqlalchemy as sa
 

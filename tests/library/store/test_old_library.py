@@ -4,8 +4,6 @@
 forest of 10 trees. The answers it gave then stand below.
 """
 
-from __future__ import annotations
-
 import gzip
 import sqlite3
 from contextlib import closing
@@ -25,13 +23,9 @@ MADE = Path(__file__).with_name("library_of_tables_1.dousa.gz")
 
 # Of clip 1 ... 6: the category and the order of all clips, by eq. 8, common leaves and pose features.
 THEN = {
-    1: ("bow", [1, 2, 5, 6, 3, 4]),
-    2: ("bow", [2, 1, 3, 4, 6, 5]),
-    3: ("squat", [3, 4, 6, 5, 1, 2]),
-    4: ("squat", [4, 3, 2, 6, 1, 5]),
-    5: ("walk", [5, 6, 1, 3, 2, 4]),
-    6: ("walk", [6, 5, 1, 3, 2, 4]),
-}
+    1: ("bow", [1, 2, 5, 6, 3, 4]), 2: ("bow", [2, 1, 3, 4, 6, 5]), 3: ("squat", [3, 4, 6, 5, 1, 2]),
+    4: ("squat", [4, 3, 2, 6, 1, 5]), 5: ("walk", [5, 6, 1, 3, 2, 4]), 6: ("walk", [6, 5, 1, 3, 2, 4]),
+}  # fmt: skip
 
 
 @pytest.fixture

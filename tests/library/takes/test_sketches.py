@@ -1,7 +1,5 @@
 """Sketches of windows: what they say of a distance, and the loop that scans them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

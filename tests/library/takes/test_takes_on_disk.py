@@ -1,7 +1,5 @@
 """Finding in takes that are too many for memory gives the answers of those that are not."""
 
-from __future__ import annotations
-
 import json
 import os
 import random

@@ -1,7 +1,5 @@
 """Rotations fitted to positions reproduce them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from oracles.bodies import walking_body
@@ -23,8 +21,7 @@ def test_a_rigid_figure_is_reproduced() -> None:
 
 
 @pytest.mark.parametrize(
-    ("folder", "limit"),
-    [("hdm05/squat1Reps", 0.02), ("bandai/walk/youthful", 0.005), ("utd_mhad/skeleton/walk", 0.03)],
+    ("folder", "limit"), [("hdm05/squat1Reps", 0.02), ("bandai/walk/youthful", 0.005), ("utd_mhad/skeleton/walk", 0.03)]
 )
 def test_recordings_are_followed(folder: str, limit: float, shared_data) -> None:
     for file in sorted(shared_data(folder).iterdir())[::5]:

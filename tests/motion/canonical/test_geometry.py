@@ -1,7 +1,5 @@
 """Height, hips from markers, and the two sides of the body."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Joint maps: the three spellings, their errors, and their use."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -38,6 +36,7 @@ def test_spellings(tmp_path, text: str) -> None:
         ('{"pelvis": 3}', "expected a name or a list of names, got 3"),
         ('{"pelvis": }', r"map.txt:1: not valid JSON"),
         ("pelvis = []\n", "expected a name or a list of names"),
+        ("left_knee = A\nleft_knee = B\n", r"map\.txt:2: 'left_knee' is given a second time"),
     ],
 )
 def test_errors(tmp_path, text: str, problem: str) -> None:
@@ -53,13 +52,6 @@ def test_unreadable(tmp_path) -> None:
     (tmp_path / "bytes").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(OptionError, match="UTF-8"):
         read_joint_map(tmp_path / "bytes")
-
-
-def test_a_joint_given_twice(tmp_path) -> None:
-    path = tmp_path / "map.txt"
-    path.write_text("left_knee = A\nleft_knee = B\n")
-    with pytest.raises(OptionError, match=r"map\.txt:2: 'left_knee' is given a second time"):
-        read_joint_map(path)
 
 
 def _unknown() -> tuple[Trajectories, dict[str, str]]:

@@ -1,7 +1,5 @@
 """Which map is taken: one that gives a person, a part of a body by names of markers, never an animal in silence."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from oracles.bodies import walking_body

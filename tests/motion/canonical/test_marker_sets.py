@@ -1,22 +1,16 @@
 """Published marker sets on bodies whose joints are known: which joints they give, and where, in any spelling."""
 
-from __future__ import annotations
-
-import tomllib
-from pathlib import Path
-
 import numpy as np
 import pytest
 from oracles.bodies import walking_body
-from oracles.marker_bodies import MarkerSet, read_sets, wear
+from oracles.marker_bodies import MARKER_SETS as SETS
+from oracles.marker_bodies import MarkerSet, wear
 
 from dousa.formats.registry import read_motion
 from dousa.motion import CANONICAL_JOINTS, JOINT_INDEX, Trajectories, canonicalise
 from dousa.motion.canonical.geometry import move_inside
 from dousa.motion.canonical.naming import REQUIRED_JOINTS, match_names
 
-ORACLES = Path(__file__).parents[2] / "oracles"
-SETS = {one.title: one for one in read_sets(tomllib.loads((ORACLES / "marker_sets.toml").read_text("utf-8")))}
 MOST_MM = {"hip": 30, "knee": 20, "ankle": 20, "shoulder": 45, "elbow": 45, "wrist": 45}
 """Median distance from the joint centres: hips by regression; shoulders and wrists of one marker are known least."""
 

@@ -1,7 +1,5 @@
 """The mirror image: twice is once, left is right, and up, time and the right hand rule stay."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

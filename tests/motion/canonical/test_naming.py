@@ -1,7 +1,5 @@
 """Every name family of the issue is recognised, and the points it gives are the right ones."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,18 +10,9 @@ from dousa.motion.canonical.naming import REQUIRED_JOINTS, match_names, normalis
 # label -> some canonical joints and the names they must come from
 EXPECTED = {
     "HDM05 ASF": {
-        "head": "head_end",
-        "left_toe": "ltoes",
-        "left_hand": "lfingers",
-        "left_wrist": "lhand",
-        "neck": "upperneck",
+        "head": "head_end", "left_toe": "ltoes", "left_hand": "lfingers", "left_wrist": "lhand", "neck": "upperneck",
     },
-    "Bandai": {
-        "pelvis": "Hips",
-        "left_wrist": "Hand_L",
-        "right_knee": "LowerLeg_R",
-        "left_hip": "UpperLeg_L",
-    },
+    "Bandai": {"pelvis": "Hips", "left_wrist": "Hand_L", "right_knee": "LowerLeg_R", "left_hip": "UpperLeg_L"},
     "CMU by cgspeed": {"left_hip": "LeftUpLeg", "left_shoulder": "LeftArm", "spine": "Spine"},
     "Mixamo": {"head": "mixamorig:HeadTop_End", "right_toe": "mixamorig:RightToeBase"},
     "MotionBuilder": {"left_ankle": "Character1_LeftFoot", "spine": "Character1_Spine1"},
@@ -43,7 +32,7 @@ EXPECTED = {
     "MakeHuman": {"left_hip": "upperleg01.L", "left_wrist": "wrist.L"},
     "Daz friendly joints": {"left_wrist": "lhand", "left_ankle": "lfoot", "left_hip": "lhip"},
     "VRM": {"left_shoulder": "J_Bip_L_UpperArm", "pelvis": "J_Bip_C_Hips"},
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("label", NAME_LISTS)

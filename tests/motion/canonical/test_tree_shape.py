@@ -1,7 +1,5 @@
 """Joints are found by the shape of the tree when the names say nothing."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

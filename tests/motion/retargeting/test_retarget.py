@@ -1,7 +1,5 @@
 """Motions on other skeletons: directions, feet, timing, and back again."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """The synthetic dance: the same seeds give the same dance, figures come again, nothing jumps."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

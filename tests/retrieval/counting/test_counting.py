@@ -1,7 +1,5 @@
 """How often an action is repeated: made cycles are counted, single motions and rests are one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -26,7 +24,7 @@ from dousa.retrieval.counting.counter import (
     name_evidence,
     use_weights,
 )
-from dousa.retrieval.counting.tally_kernels import read_quantile
+from dousa.retrieval.counting.tally_kernels import find_axes, find_period, fold, read_quantile, sort_into, square
 
 HEIGHT = 1.7
 
@@ -107,9 +105,16 @@ def test_what_a_raised_hand_does_is_counted(times, options):
     np.testing.assert_array_equal(together, [measure_tallies(motion[slice(*span)], HEIGHT) for span in spans])
 
 
-@pytest.mark.parametrize("times", [0, 1])
-def test_a_hand_that_is_raised_and_lowered_is_so_once(times):
-    assert count_repetitions(wave(times), HEIGHT) == 1
+ONCE = {
+    **{f"a hand that waves {times} times": wave(times) for times in (0, 1)},
+    **{action: make_clip(action, 1).positions for action in ("bow", "kick", "raise left", "spread")},
+    **{f"a rest of {n_frames} frames": np.repeat(standing(), n_frames, axis=0) for n_frames in (1, 2, 5, 60)},
+}
+
+
+@pytest.mark.parametrize("motion", ONCE.values(), ids=ONCE)
+def test_a_single_action_and_a_rest_are_done_once(motion):
+    assert count_repetitions(motion, HEIGHT) == 1
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=40), st.floats(0, 1))
@@ -120,16 +125,6 @@ def test_quantiles_are_those_of_numpy(values, share):
 @pytest.mark.parametrize("times", [3, 5])
 def test_what_fades_is_counted_to_its_end(times):
     assert count_repetitions(raise_arms(times, fading=0.8), HEIGHT) == times
-
-
-@pytest.mark.parametrize("action", ["bow", "kick", "raise left", "spread"])
-def test_a_single_action_is_done_once(action):
-    assert count_repetitions(make_clip(action, 1).positions, HEIGHT) == 1
-
-
-@pytest.mark.parametrize("n_frames", [1, 2, 5, 60])
-def test_nothing_is_repeated_in_a_rest(n_frames):
-    assert count_repetitions(np.repeat(standing(), n_frames, axis=0), HEIGHT) == 1
 
 
 @pytest.mark.parametrize("times", [1, 2, 4, 7])
@@ -161,16 +156,6 @@ def test_turning_and_moving_about_changes_no_tally():
     motion = raise_arms(3, noise=0.002)
     turned = motion[..., [2, 1, 0]] * (1.0, 1.0, -1.0) + (3.0, 0.0, -2.0)
     np.testing.assert_allclose(measure_tallies(turned, HEIGHT), measure_tallies(motion, HEIGHT), rtol=1e-6)
-
-
-def test_the_correlation_is_that_of_its_definition():
-    velocities = np.random.default_rng(0).normal(size=(40, 3))
-    ours = correlate(velocities)
-    assert ours[0] == pytest.approx(1.0)
-    for lag in range(len(ours)):
-        before, after = velocities[: 40 - lag], velocities[lag:]
-        plain = (before * after).sum() / np.sqrt((before**2).sum() * (after**2).sum())
-        assert ours[lag] == pytest.approx(plain)
 
 
 @pytest.mark.parametrize("n_frames", [2, 9, 100, 256, 257, 700])
@@ -226,3 +211,85 @@ def test_actions_of_a_small_world_repeated():
         clips = [make_clip(action, 1, trial).positions for trial in range(4)]
         usual = find_usual([measure_tallies(make_clip(action, 2, trial).positions, HEIGHT) for trial in range(4)])
         assert count_repetitions(np.concatenate(clips), HEIGHT, usual) == 4
+
+
+def find_directions(matrix: np.ndarray, count: int) -> np.ndarray:
+    axes = np.empty((count, len(matrix)))
+    find_axes(matrix.copy(), np.empty((6, len(matrix))), axes)
+    return axes
+
+
+@pytest.mark.parametrize("size", [2, 3, 14, 27])
+@pytest.mark.parametrize("rank", [1, 2, 40])
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e4])
+def test_directions_are_the_eigenvectors_of_the_largest_values(size, rank, scale):
+    draw = np.random.default_rng(size + 100 * rank)
+    curves = draw.normal(size=(size, rank)) * draw.uniform(0.2, 1.0, (size, 1)) * scale
+    matrix = curves @ curves.T
+    values, vectors = np.linalg.eigh(matrix)
+    first, second = find_directions(matrix, 2)
+    assert abs(first @ vectors[:, -1]) == pytest.approx(1.0, abs=1e-12)
+    assert second @ matrix @ second == pytest.approx(values[-2], rel=1e-9, abs=1e-12 * values[-1])
+    np.testing.assert_allclose([first @ first, second @ second, first @ second], [1.0, 1.0, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "matrix", [np.zeros((5, 5)), np.eye(5), np.diag([1.0, 4.0, 4.0, 2.0, 0.0]), np.full((5, 5), 3.0)]
+)
+def test_directions_of_equal_values_are_some_of_theirs(matrix):
+    axes = find_directions(matrix, 2)
+    np.testing.assert_allclose(axes @ axes.T, np.eye(2), atol=1e-12)
+    expected = np.sort(np.linalg.eigvalsh(matrix))[:-3:-1]
+    np.testing.assert_allclose(np.diag(axes @ matrix @ axes.T), expected, atol=1e-9)
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=70))
+def test_values_are_put_in_order(values):
+    ordered = np.empty(len(values))
+    sort_into(np.array(values), ordered, np.empty(len(values)))
+    np.testing.assert_array_equal(ordered, np.sort(values))
+
+
+def test_what_both_sides_do_has_the_size_of_the_mean_with_the_mirror_image():
+    draw = np.random.default_rng(0)
+    poses, others = draw.normal(size=(9, 40)), np.array([0, 2, 1])  # a joint in the middle, and one on either side
+    even = np.empty((5, 40))
+    fold(poses, others, even)
+    joints = poses.reshape(3, 3, 40)
+    whole = (0.5 * (joints + joints[others] * np.array([-1.0, 1.0, 1.0])[:, None])).reshape(9, 40)
+    np.testing.assert_allclose(even.T @ even, whole.T @ whole, atol=1e-12)
+
+
+def test_products_are_those_of_curves_without_their_means():
+    curves = np.random.default_rng(0).normal(size=(6, 50)) + np.arange(6)[:, None]
+    products = np.empty((6, 6))
+    square(curves, np.empty(curves.shape), products)
+    np.testing.assert_allclose(products, np.cov(curves) * 49, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("likeness", "lag"),
+    [
+        ([1.0, 0.5, 0.0, 0.6, 0.1, 0.9, 0.2], 5), ([1.0, 0.5, 0.0, 0.8, 0.1, 0.9, 0.2], 3),
+        ([1.0, 0.9, 1.0, 0.1, 0.0], 2), ([1.0, 0.1, 0.2, 0.1, 0.0], 0), ([1.0, 0.9, 0.8, 0.9], 0), ([1.0], 0),
+    ],
+)  # fmt: skip
+def test_the_period_is_the_first_lag_that_is_nearly_the_best(likeness, lag):
+    assert find_period(np.array(likeness), 2, 0.3, 0.8) == lag
+
+
+def test_the_best_count_is_that_of_what_describes_all_of_them():
+    draw = np.random.default_rng(3)
+    known = [measure_tallies(make_clip(action, 1).positions, 1.7) for action in ACTIONS]
+    for trial in range(200):
+        tallies = known[trial % len(known)] * draw.integers(1, 9) * draw.uniform(0.8, 1.2, len(TALLIES))
+        tallies[: len(COUNTED)] = np.rint(2.0 * tallies[: len(COUNTED)]) / 2.0
+        weights = {"alone": draw.normal(size=52), "known": draw.normal(size=136)}
+        with use_weights(weights):
+            for usual in (None, find_usual([known[trial % len(known)]])):
+                highest = max(tallies[: len(COUNTED)].max(), 0.0 if usual is None else (tallies / usual).max())
+                counts = np.arange(1, min(int(1.2 * highest) + 2, 500) + 1)
+                scores = describe_counts(tallies, counts, usual) @ weights["alone" if usual is None else "known"]
+                found = choose_count(tallies, usual)
+                assert counts[0] <= found <= counts[-1]
+                assert scores[found - 1] == pytest.approx(scores.max(), abs=1e-9)

@@ -1,7 +1,5 @@
 """Reasons: what ablation says word by word, and that what was put into the data is what comes out in words."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -60,14 +58,6 @@ def test_votes_without_a_relation_are_those_of_the_walk_word_by_word(seed, n, ma
             assert vote == pytest.approx(slow, abs=1e-12)
 
 
-def test_the_same_with_spreads_trends_and_relations_of_several_channels(known):
-    forest, pose, _, _ = known
-    for relation, vote in list(Explainer(forest).votes_without(pose[1]).items())[::7]:
-        winner = forest.predict(pose[1:2])[0]
-        slow = slow_ablation.vote_without(forest, pose[1], winner, columns_of(forest, relation))
-        assert vote == pytest.approx(slow, abs=1e-12)
-
-
 def test_the_answers_lead_to_the_leaves_of_the_forest(known):
     forest, pose, _, _ = known
     questions = read_questions(forest)
@@ -105,17 +95,7 @@ def test_every_reason_lowers_the_vote_and_says_by_how_much(known):
 def test_the_numbers_of_a_reason_are_those_of_one_decision(known):
     forest, pose, _, durations = known
     for clip, duration in zip(pose, durations, strict=True):
-        decisions = [
-            (
-                decision.feature,
-                decision.kind,
-                decision.threshold,
-                decision.value,
-                decision.start,
-                decision.stop,
-            )
-            for decision in forest.decisions(clip)
-        ]
+        decisions = [(d.feature, d.kind, d.threshold, d.value, d.start, d.stop) for d in forest.decisions(clip)]
         for reason in explain(forest, clip, duration).reasons:
             cells = (round(10 * reason.start / duration), round(10 * reason.end / duration))
             assert any(

@@ -1,13 +1,12 @@
 """Words: every channel can be spoken of, units are those of people, directions are the true ones."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
 import pytest
+from oracles.standing import standing
 
-from dousa.motion import CANONICAL_JOINTS, JOINT_INDEX
+from dousa.motion import JOINT_INDEX
 from dousa.retrieval import FEATURE_SETS
 from dousa.retrieval.explain.phrases import Fact, say_fact, say_shared_fact
 from dousa.retrieval.features.channels import CHANNELS, Channel, compute_channels
@@ -20,17 +19,9 @@ CHANNELS_OF_ALL = tuple(
 
 def fact(name="right hand above pelvis", unit="body heights", **changed):
     fields = {
-        "channel": Channel(name, name, unit),
-        "kind": "mean",
-        "above": True,
-        "start": 0.4,
-        "end": 1.1,
-        "whole": False,
-        "value": 0.42,
-        "threshold": 0.31,
-        "others": 50,
-        "away": 45,
-    }
+        "channel": Channel(name, name, unit), "kind": "mean", "above": True, "start": 0.4, "end": 1.1, "whole": False,
+        "value": 0.42, "threshold": 0.31, "others": 50, "away": 45,
+    }  # fmt: skip
     return Fact(**(fields | changed))
 
 
@@ -92,20 +83,12 @@ def test_every_channel_has_words_of_its_own(channel):
             "(most others: more than 0.30)",
         ),
         (
-            {
-                "channel": Channel("left elbow left of pelvis", "", "body heights"),
-                "value": -0.1,
-                "threshold": -0.2,
-            },
+            {"channel": Channel("left elbow left of pelvis", "", "body heights"), "value": -0.1, "threshold": -0.2},
             "the left elbow is farther to the left than usual from 0.4 s to 1.1 s: on average 0.10 body heights to "
             "the right of the pelvis (most others: more than 0.20)",
         ),
         (
-            {
-                "channel": Channel("distance left hand - head", "", "body heights"),
-                "above": False,
-                "value": 0.2,
-            },
+            {"channel": Channel("distance left hand - head", "", "body heights"), "above": False, "value": 0.2},
             "the left hand and the head are closer together than usual from 0.4 s to 1.1 s: on average 0.20 body "
             "heights apart (most others: more than 0.31)",
         ),
@@ -145,11 +128,7 @@ def test_sentences(changed, said):
             "1.5〜3.5秒では、左肘がふつうより高い位置にあります：平均で骨盤より上に身長の0.42倍（多くの動きは0.31倍未満）",
         ),
         (
-            {
-                "channel": Channel("speed of the left hand", "", "body heights a second"),
-                "kind": "spread",
-                "away": 20,
-            },
+            {"channel": Channel("speed of the left hand", "", "body heights a second"), "kind": "spread", "away": 20},
             "0.4〜1.1秒では、左手の速さがほかの多くの動きより大きく変わります：変動幅は毎秒身長の0.42倍"
             "（かなりの動きは0.31倍未満）",
         ),
@@ -200,21 +179,6 @@ def test_shared_durations_and_odd_names_can_be_said():
         assert str(say_fact(fact(name))).startswith(f"{name} is larger")
 
 
-STANDING = {
-    "pelvis": (0.0, 1.0, 0.0),
-    "spine": (0.0, 1.2, 0.0),
-    "neck": (0.0, 1.5, 0.0),
-    "head": (0.0, 1.7, 0.05),
-    "shoulder": (0.2, 1.45, 0.0),
-    "elbow": (0.25, 1.15, 0.0),
-    "wrist": (0.25, 0.9, 0.05),
-    "hand": (0.25, 0.82, 0.06),
-    "hip": (0.1, 0.95, 0.0),
-    "knee": (0.1, 0.5, 0.02),
-    "ankle": (0.1, 0.08, 0.0),
-    "toe": (0.12, 0.02, 0.15),
-}
-
 # For a viewer in front the performer's left (+X) is to the right; from the right side forward (+Z) is; from above,
 # with forward up on the page, the right (-X) is.
 VIEWS = {
@@ -227,13 +191,9 @@ VIEWS = {
 @pytest.mark.parametrize("view", VIEWS)
 @pytest.mark.parametrize("turn", [1.0, -1.0])
 def test_curves_go_the_way_that_a_viewer_sees(view, turn):
-    pose = np.zeros((len(CANONICAL_JOINTS), 3))
-    for joint, index in JOINT_INDEX.items():
-        x, y, z = STANDING[joint.split("_")[-1]]
-        pose[index] = (-x if joint.startswith("right") else x, y, z)
     across, up = (np.array(axis) for axis in VIEWS[view])
     angle = turn * 2 * np.pi * np.arange(60)[:, None] / 30  # counterclockwise for the viewer
-    motion = np.repeat(pose[None], 60, axis=0)
+    motion = np.repeat(standing(), 60, axis=0)
     motion[:, JOINT_INDEX["right_hand"]] += 0.3 * (np.cos(angle) * across + np.sin(angle) * up)
     number = next(k for k, channel in enumerate(CHANNELS) if channel.name == f"right hand curving, {view}")
     value = float(compute_channels(motion, 1.7)[10:50, number].mean())

@@ -1,6 +1,4 @@
-"""The 56 pose features: their meaning, and what they must not depend on."""
-
-from __future__ import annotations
+"""The 56 pose features: their meaning, what they must not depend on, and their integrals (equations 3-5)."""
 
 from types import SimpleNamespace
 
@@ -8,12 +6,20 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles import pose_features
+from oracles import hamada, pose_features
 from oracles.standing import standing
 
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.motion import CANONICAL_JOINTS, MIRRORED_JOINTS
-from dousa.retrieval import FEATURE_NAMES, FEATURES, compute_clip_features, compute_pose_features
+from dousa.retrieval import (
+    FEATURE_NAMES,
+    FEATURES,
+    compute_clip_features,
+    compute_interval_means,
+    compute_pose_features,
+    integrate,
+    list_tests,
+)
 
 
 def named(features):
@@ -123,12 +129,6 @@ def test_a_frame_is_the_mean_of_poses_spread_over_its_part(frames, n_frames, sam
         assert np.allclose(features[part], every[at].mean(axis=0))
 
 
-def test_one_sample_of_ten_frames_is_every_frame():
-    positions = standing() + np.arange(10)[:, None, None] * np.linspace(0, 0.01, 20)[:, None]
-    features = compute_clip_features(SimpleNamespace(positions=positions, height=1.7), 10, 1)
-    assert (features == compute_pose_features(positions, 1.7)).all()
-
-
 def test_bad_arrays_are_refused():
     for positions in (np.zeros((4, 19, 3)), np.zeros((0, 20, 3)), np.zeros((20, 3))):
         with pytest.raises(InvalidMotionError, match="20, 3"):
@@ -143,3 +143,37 @@ def test_bad_arrays_are_refused():
     for numbers in ((0, 8), (10, 0)):
         with pytest.raises(OptionError, match="n_frames"):
             compute_clip_features(SimpleNamespace(positions=standing(), height=1.7), *numbers)
+
+
+@given(st.integers(0, 4), st.integers(1, 7), st.integers(1, 4), st.integers(0, 2**32 - 1))
+def test_every_mean_is_that_of_the_equations(clips, frames, features, seed):
+    pose = np.random.default_rng(seed).normal(size=(clips, frames, features))
+    integrals = integrate(pose)
+    assert integrals.shape == (clips, features, frames + 1)
+    for clip in range(clips):
+        for i in range(features):
+            series = pose[clip, :, i].tolist()
+            assert integrals[clip, i].tolist() == pytest.approx(hamada.integral(series))
+            for t0 in range(frames):
+                for t1 in range(t0 + 1, frames + 1):
+                    mean = compute_interval_means(integrals, t0, t1)[clip, i]
+                    assert mean == pytest.approx(hamada.mean_by_sum(series, t0, t1), abs=1e-12)
+                    assert mean == hamada.mean_by_integral(integrals[clip, i], t0, t1)
+
+
+def test_the_paper_has_3080_tests():
+    tests = list_tests(56, 10)
+    assert tests.tolist() == [[0, i, i, t0, t1] for i, t0, t1 in hamada.parameters(56, 10)]
+    assert len(tests) == 3080
+
+
+@pytest.mark.parametrize("shape", [(10, 56), (3, 0, 56), (3, 10, 0), (3,)])
+def test_other_shapes_are_refused(shape):
+    with pytest.raises(InvalidMotionError, match="expected pose features"):
+        integrate(np.zeros(shape))
+
+
+@pytest.mark.parametrize(("start", "stop"), [(0, 0), (3, 2), (-1, 2), (0, 11)])
+def test_intervals_outside_the_clip_are_refused(start, stop):
+    with pytest.raises(OptionError, match="interval"):
+        compute_interval_means(np.zeros((2, 11)), start, stop)

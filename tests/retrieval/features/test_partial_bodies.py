@@ -1,7 +1,5 @@
 """Parts of bodies: what is hidden changes nothing, and a whole body looked at as a part is that part."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,12 +9,7 @@ from dousa.motion.canonical.joints import find_absent
 from dousa.motion.synthetic import draw_performer, make_motion
 from dousa.retrieval import FEATURE_SETS, compute_track, compute_window_poses, get_feature_set
 from dousa.retrieval.features.channels import CHANNELS
-from dousa.retrieval.features.posed_motion import (
-    complete_positions,
-    hide_joints,
-    is_comparable,
-    name_parts,
-)
+from dousa.retrieval.features.posed_motion import complete_positions, hide_joints, is_comparable, name_parts
 from dousa.retrieval.takes.windows import compute_small_poses
 
 SIDES = ("left", "right")
@@ -113,7 +106,7 @@ def test_names_of_sets():
     assert part.without(()) is part
     assert FEATURE_SETS["extended"].without(["left_wrist", "spine"]) is FEATURE_SETS["extended"]
     assert len(part.channels) == len(CHANNELS)
-    for wrong in ("extended without tail", "other without head"):
+    for wrong in ("mine", "extended without tail", "other without head"):
         with pytest.raises(OptionError):
             get_feature_set(wrong)
 

@@ -1,7 +1,5 @@
 """Telling unknown motions: scores against a slow transcription, curves, rounds, storage."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -31,13 +29,7 @@ from dousa.retrieval.forest.evidence import (
     spread_curve,
 )
 from dousa.retrieval.forest.forest_file import pack_arrays
-from dousa.retrieval.forest.pose_space import (
-    Curve,
-    compute_auroc,
-    fit_curve,
-    fit_pose_space,
-    fit_weighted_curve,
-)
+from dousa.retrieval.forest.pose_space import Curve, compute_auroc, fit_curve, fit_pose_space, fit_weighted_curve
 
 
 def make_clips(n_categories=8, n_performers=3, each=3, spread=0.4, seed=0):
@@ -55,14 +47,7 @@ VOTES, POSES = ("share", "around"), ("share", "around", "cosine")
 KNOWN = Judgement(spread_curve(Curve(-3.0, (4.0, 2.0)), VOTES), spread_curve(Curve(-3.5, (4.0, 2.0, 1.0)), POSES))
 SPACE = fit_pose_space(FEATURES, CATEGORIES)
 CALIBRATION = Calibration(
-    KNOWN,
-    KNOWN,
-    SPACE,
-    np.column_stack([np.linspace(0.7, 0.9, 8), np.linspace(1.0, 2.0, 8)]),
-    0.5,
-    0.9,
-    0.1,
-    0.2,
+    KNOWN, KNOWN, SPACE, np.column_stack([np.linspace(0.7, 0.9, 8), np.linspace(1.0, 2.0, 8)]), 0.5, 0.9, 0.1, 0.2
 )
 
 
@@ -377,8 +362,7 @@ class TestPoses:
         more = space.with_clips(FEATURES[~first], CATEGORIES[~first])
         assert (more.compare(FEATURES[~first], CATEGORIES[~first]) > 0.5).mean() > 0.9
         assert np.array_equal(
-            more.compare(FEATURES[first], CATEGORIES[first]),
-            space.compare(FEATURES[first], CATEGORIES[first]),
+            more.compare(FEATURES[first], CATEGORIES[first]), space.compare(FEATURES[first], CATEGORIES[first])
         )
 
     def test_features_with_squares(self):

@@ -1,7 +1,5 @@
 """A forest as bytes: nothing is lost, and damaged bytes neither crash nor hang."""
 
-from __future__ import annotations
-
 import functools
 import io
 import json

@@ -1,7 +1,5 @@
 """Growing leaves: what stays, what moves, what the counts say, and how near it comes to training anew."""
 
-from __future__ import annotations
-
 import itertools
 import tracemalloc
 from collections import Counter
@@ -181,14 +179,6 @@ def test_small_categories_are_filled_up_to_the_usual_size():
         assert trees.leaf_counts[trees.leaf_classes == 2].sum() == 3 * filled
 
 
-def test_nothing_to_take_up_changes_nothing(forest_and_clips):
-    forest, features, categories, old, _ = forest_and_clips
-    growth = grow(forest, features, categories, old, old[:0])
-    assert growth.forest is forest
-    assert growth.leaves.shape == (0, 12)
-    assert not len(growth.moved)
-
-
 def test_clips_it_knows_already_split_nothing():
     features, categories = make_clips()
     forest = MotionForest(8, random_state=0).fit(features, categories)
@@ -198,18 +188,15 @@ def test_clips_it_knows_already_split_nothing():
     assert growth.forest.trees_.leaf_counts.sum() == forest.trees_.leaf_counts.sum() + 8 * 3
 
 
-def test_the_old_forest_stays_as_it_was(forest_and_clips):
+def test_one_seed_gives_one_forest_and_the_old_one_stays_as_it_was(forest_and_clips):
     forest, features, categories, old, new = forest_and_clips
     before = forest.to_bytes()
-    grow(forest, features, categories, old, new)
-    assert forest.to_bytes() == before
-
-
-def test_one_seed_gives_one_forest(forest_and_clips):
-    forest, features, categories, old, new = forest_and_clips
     grown = [grow(forest, features, categories, old, new, random_state=seed).forest.to_bytes() for seed in (1, 1, 2)]
     assert grown[0] == grown[1]
     assert grown[0] != grown[2]
+    nothing = grow(forest, features, categories, old, old[:0])
+    assert nothing.forest is forest and forest.to_bytes() == before
+    assert nothing.leaves.shape == (0, 12) and not len(nothing.moved)
 
 
 @settings(max_examples=25, deadline=None)

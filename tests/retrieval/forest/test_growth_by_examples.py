@@ -1,7 +1,5 @@
 """Leaves of large forests grow from a few kept clips: the training is not read, and its clips stay where they are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """The leaves of very many clips, in parts and as codes: the same as those of a plain array."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,27 +1,33 @@
-"""Ranking against equation 8, and by leaves, poses and all three."""
-
-from __future__ import annotations
+"""Ranking by equation 8, leaves, warped poses and all three, and the pose sequences that are compared."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from oracles import hamada
+from oracles.pose_distance import warp_distance
 
 from dousa.errors import InvalidMotionError, OptionError
+from dousa.motion import canonicalise, compute_trajectories
+from dousa.motion.synthetic.performers import draw_performer, make_motion
+from dousa.retrieval.features.feature_sets import FEATURE_SETS, compute_track
 from dousa.retrieval.ranking.ranking import (
+    POSE_CELLS,
+    POSE_COLUMNS,
     RANKINGS,
     RankedClips,
     RankingQuery,
+    compute_pose_sequence,
+    compute_window_poses,
     rank_by_fusion,
     rank_by_histogram,
     rank_by_leaves,
     rank_by_pose,
     rank_clips,
+    warp_distances,
 )
 
 
-@settings(deadline=None)  # the first call compiles
 @given(st.integers(1, 6), st.integers(0, 9), st.integers(0, 2**32 - 1))
 def test_distances_are_those_of_equation_8_and_ascend(classes, clips, seed):
     random = np.random.default_rng(seed)
@@ -56,7 +62,6 @@ def test_votes_give_the_distances_of_shares_without_rounding():
     assert shares == pytest.approx(distances / 10)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(st.integers(1, 6), st.integers(0, 9), st.integers(0, 2**32 - 1))
 def test_leaves_are_the_share_of_trees_that_disagree(trees, clips, seed):
     random = np.random.default_rng(seed)
@@ -106,7 +111,6 @@ def made(n_clips, seed=0):
     return query, RankedClips(votes[1:], leaves[1:], read_poses), poses, asked
 
 
-@settings(deadline=None)  # the first call compiles
 @given(st.integers(0, 30), st.integers(1, 40), st.integers(0, 2**32 - 1))
 def test_fusion_is_the_sum_of_its_distances(n_clips, n_refined, seed):
     query, clips, poses, asked = made(n_clips, seed)
@@ -163,3 +167,93 @@ def test_unknown_rankings_are_refused():
         rank_clips("best", query, clips)
     with pytest.raises(OptionError, match="1 or more"):
         rank_clips("fused", query, clips, 0)
+
+
+def measure(query, others, reach):
+    frames = np.concatenate(others).astype(np.float32)
+    stops = np.cumsum([len(one) for one in others])
+    starts = stops - [len(one) for one in others]
+    distances = np.empty(len(others))
+    warp_distances(query.astype(np.float32), frames, starts, stops, reach, distances)
+    return distances
+
+
+@given(
+    st.integers(1, 12),
+    st.lists(st.integers(1, 14), min_size=1, max_size=4),
+    st.sampled_from([0.0, 1.0, 2.0, 3.5, np.inf]),
+    st.integers(0, 2**32 - 1),
+)
+def test_distances_are_those_of_the_oracle(n, lengths, reach, seed):
+    random = np.random.default_rng(seed)
+    query, others = random.normal(size=(n, 3)), [random.normal(size=(m, 3)) for m in lengths]
+    wanted = [warp_distance(query, other, reach) for other in others]
+    assert measure(query, others, reach) == pytest.approx(wanted, rel=1e-5)
+
+
+def test_a_sequence_is_at_no_distance_from_itself_even_slowed_down():
+    query = np.random.default_rng(0).normal(size=(9, 4))
+    assert measure(query, [query, np.repeat(query, 2, axis=0), query[::-1]], np.inf)[:2] == pytest.approx([0, 0])
+    assert measure(query, [query[::-1]], np.inf) > 0.1
+
+
+def test_distance_is_symmetric_without_a_band():
+    random = np.random.default_rng(1)
+    one, other = random.normal(size=(7, 3)), random.normal(size=(11, 3))
+    assert measure(one, [other], np.inf) == pytest.approx(measure(other, [one], np.inf), rel=1e-5)
+
+
+@pytest.fixture(scope="module")
+def clip():
+    return canonicalise(compute_trajectories(make_motion("squat", draw_performer(1), seed=1)))
+
+
+def test_a_clip_is_the_window_that_holds_all_of_it(clip):
+    track = compute_track(clip, FEATURE_SETS["extended"])
+    sequence = compute_pose_sequence(clip)
+    assert sequence.shape == (POSE_CELLS, POSE_COLUMNS) and sequence.dtype == np.float32
+    windows = compute_window_poses(track, [0.0, 0.0], [track.n_frames, track.n_frames / 2])
+    assert windows[0] == pytest.approx(sequence)
+    assert not np.allclose(windows[1], sequence)
+
+
+def test_cells_are_means_over_motion_time(clip):
+    """Of the first column, by a fine sum: the frames' values weighed with the time that each lies in the cell."""
+    track = compute_track(clip, FEATURE_SETS["extended"])
+    values = np.diff(track.integrals[:, 0]) / np.diff(track.times)
+    edges = np.linspace(track.times[0], track.times[-1], POSE_CELLS + 1)
+    for cell in range(POSE_CELLS):
+        inside = np.clip(track.times, edges[cell], edges[cell + 1])
+        weights = np.diff(inside)
+        mean = (weights * values).sum() / weights.sum() / np.sqrt(12)
+        assert compute_pose_sequence(clip)[cell, 0] == pytest.approx(mean, rel=1e-4, abs=1e-6)
+
+
+def test_one_joint_apart_is_its_share_of_the_root_mean_square(clip):
+    """Twelve joints that are all 0.1 body heights off are at distance 0.1 of a pose from another."""
+    sequence = compute_pose_sequence(clip)
+    moved = sequence.copy()
+    moved[:, np.arange(0, 36, 3)] += 0.1 / np.sqrt(12)
+    # A straight path has 16 pairs and is divided by 32; warping may find a cheaper one.
+    assert 0.01 < rank_by_pose(sequence, moved[None])[1][0] <= 0.05 + 1e-6
+
+
+def test_sequences_do_not_know_place_heading_or_size(clip):
+    turn = np.array([[0.6, 0.0, 0.8], [0.0, 1.0, 0.0], [-0.8, 0.0, 0.6]])
+    moved = clip.positions @ turn.T * 1.2 + [3.0, 0.0, -2.0]
+
+    class Moved:
+        positions, frame_rate, height = moved, clip.frame_rate, clip.height * 1.2
+
+    assert compute_pose_sequence(Moved()) == pytest.approx(compute_pose_sequence(clip), abs=1e-4)
+
+
+def test_windows_that_cannot_be_are_refused(clip):
+    track = compute_track(clip, FEATURE_SETS["extended"])
+    for start, stop in ((0, track.n_frames + 1), (-1, 5), (5, 5), (6, 5), (np.nan, 5)):
+        with pytest.raises(InvalidMotionError, match="expected windows within"):
+            compute_window_poses(track, [start], [stop])
+    with pytest.raises(InvalidMotionError, match="as many starts"):
+        compute_window_poses(track, [0, 1], [5])
+    with pytest.raises(OptionError, match="extended"):
+        compute_window_poses(compute_track(clip, FEATURE_SETS["paper"]), [0], [5])

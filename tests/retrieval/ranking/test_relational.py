@@ -1,7 +1,5 @@
 """Relational features: every question answered yes and no by a made pose, oracles, invariances."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -21,15 +19,10 @@ HEIGHT = 1.7
 NAMES = [feature.name for feature in RELATIONAL_FEATURES]
 
 _RIGHT = {
-    "shoulder": (-0.18, 1.40, 0.0),
-    "elbow": (-0.20, 1.10, 0.0),
-    "wrist": (-0.20, 0.85, 0.02),
-    "hand": (-0.20, 0.75, 0.03),
-    "hip": (-0.10, 0.90, 0.0),
-    "knee": (-0.10, 0.50, 0.01),
-    "ankle": (-0.10, 0.08, 0.0),
+    "shoulder": (-0.18, 1.40, 0.0), "elbow": (-0.20, 1.10, 0.0), "wrist": (-0.20, 0.85, 0.02),
+    "hand": (-0.20, 0.75, 0.03), "hip": (-0.10, 0.90, 0.0), "knee": (-0.10, 0.50, 0.01), "ankle": (-0.10, 0.08, 0.0),
     "toe": (-0.10, 0.02, 0.15),
-}
+}  # fmt: skip
 
 
 def standing() -> np.ndarray:
@@ -203,13 +196,10 @@ def test_a_body_without_length_answers_without_warnings() -> None:
 @pytest.mark.parametrize(
     ("positions", "rate", "height"),
     [
-        (np.zeros((4, 19, 3)), 30.0, 1.7),
-        (np.zeros((0, 20, 3)), 30.0, 1.7),
-        (np.full((4, 20, 3), np.nan), 30.0, 1.7),
-        (np.zeros((4, 20, 3)), 0.0, 1.7),
-        (np.zeros((4, 20, 3)), 30.0, np.nan),
+        (np.zeros((4, 19, 3)), 30.0, 1.7), (np.zeros((0, 20, 3)), 30.0, 1.7), (np.full((4, 20, 3), np.nan), 30.0, 1.7),
+        (np.zeros((4, 20, 3)), 0.0, 1.7), (np.zeros((4, 20, 3)), 30.0, np.nan),
     ],
-)
+)  # fmt: skip
 def test_bad_input_is_refused(positions: np.ndarray, rate: float, height: float) -> None:
     with pytest.raises(InvalidMotionError, match="expected"):
         compute_relational_features(positions, rate, height)

@@ -1,7 +1,5 @@
 """Motion templates: kernels against slow oracles, learning, classification, damaged input."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -149,10 +147,6 @@ def test_bad_use_is_refused() -> None:
         MotionTemplates().fit([], [])
     with pytest.raises(TrainingError, match="a category for each"):
         MotionTemplates().fit_sequences([answers(1, 3)], ["a", "b"])
-    for wrong in (
-        MotionTemplates(threshold=0.5),
-        MotionTemplates(sampling_rate=0.0),
-        MotionTemplates(n_iterations=0),
-    ):
+    for wrong in (MotionTemplates(threshold=0.5), MotionTemplates(sampling_rate=0.0), MotionTemplates(n_iterations=0)):
         with pytest.raises(OptionError, match="expected"):
             wrong.fit_sequences([answers(1, 3)], ["a"])

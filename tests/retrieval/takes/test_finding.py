@@ -1,7 +1,5 @@
 """Search inside takes: a clip is found where it is, at any tempo, and nowhere else as well."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import partial
@@ -107,18 +105,12 @@ def test_answers_do_not_share_a_place_and_are_in_order():
         assert all(overlap((one.start, one.stop), (o.start, o.stop)) < 0.3 for o in found[:k])
 
 
-def test_a_query_longer_than_the_take_finds_nothing():
+def test_nothing_is_found_in_takes_that_are_too_short_or_in_none():
     clip = make_clip("bow", 0, seconds=2.0)
-    short = JoinedTake(clip.positions[:30], clip.height, ())
+    short, one_frame = (JoinedTake(clip.positions[:n_frames], clip.height, ()) for n_frames in (30, 1))
     long = replace(clip, positions=np.concatenate([clip.positions] * 4))
-    assert find_in_takes(describe_query(FOREST, SET, long), [("short", describe(short))]) == []
-    assert find_in_takes(describe_query(FOREST, SET, clip), []) == []
-
-
-def test_takes_without_windows_have_no_answers():
-    clip = make_clip("bow", 0)
-    one_frame = JoinedTake(clip.positions[:1], clip.height, ())
-    assert find_in_takes(describe_query(FOREST, SET, clip), [("frame", describe(one_frame))]) == []
+    for query, takes in ((long, [("short", describe(short))]), (clip, [("frame", describe(one_frame))]), (clip, [])):
+        assert find_in_takes(describe_query(FOREST, SET, query), takes) == []
 
 
 def test_queries_that_cannot_be_are_refused():

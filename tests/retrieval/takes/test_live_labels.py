@@ -1,7 +1,5 @@
 """Labels of a motion while it happens, and its frames as lines of JSON."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -100,13 +98,10 @@ def test_slow_frames_are_bridged():
 @pytest.mark.parametrize(
     ("positions", "time", "message"),
     [
-        (POSE[:19], 0.1, "shape"),
-        (POSE * np.nan, 0.1, "NaN"),
-        (POSE, 0.0, "order of time"),
-        (POSE, 9.0, "longer gap"),
+        (POSE[:19], 0.1, "shape"), (POSE * np.nan, 0.1, "NaN"), (POSE, 0.0, "order of time"), (POSE, 9.0, "longer gap"),
         (POSE, float("nan"), "order of time"),
     ],
-)
+)  # fmt: skip
 def test_frames_that_cannot_be_are_refused(positions, time, message):
     live = LiveLabeller(learned_labeller())
     live.push(POSE, 0.0)

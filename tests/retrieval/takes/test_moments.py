@@ -1,7 +1,5 @@
 """Discriminants of moments, and the sequence of segments, held to slow transcriptions."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

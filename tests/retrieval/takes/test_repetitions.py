@@ -1,20 +1,19 @@
-"""What is repeated in a take is one action that says how often."""
-
-from __future__ import annotations
+"""What is repeated in a take is one action that says how often, and mirrored actions are told from mirror images."""
 
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from oracles.short_actions import make_clip
+from oracles.short_actions import ACTIONS, make_clip, make_library
 
 from dousa.errors import InvalidMotionError
+from dousa.experiments.annotated.trial import learn_clip_judge
 from dousa.retrieval.counting.counter import TALLIES, find_usual, measure_tallies
 from dousa.retrieval.takes.label import TakeLabeller, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
-from dousa.retrieval.takes.made_takes import Piece, join_clips, join_series
-from dousa.retrieval.takes.repetitions import Chosen, count_all, count_clip
+from dousa.retrieval.takes.made_takes import join_clips, mirror_positions
+from dousa.retrieval.takes.repetitions import Chosen, count_all, count_clip, lay_mirrored
 
 HEIGHT = 1.7
 EVIDENCE = np.ones(1)
@@ -123,16 +122,6 @@ def test_a_labeller_that_knows_no_usual_repetition_counts_too(labeller):
     assert [one.repetitions for one in label_take(before, take, threshold=0.0).segments] == [4]
 
 
-def test_the_truth_of_made_takes_says_series_as_a_labeller_does():
-    shown = "kick bow bow spread spread spread kick kick kick kick".split()
-    pieces = [Piece(10.0 * k, 10.0 * (k + 1), name) for k, name in enumerate(shown)]
-    joined = join_series(pieces)
-    assert [one.category for one in joined] == ["kick", "bow", "bow", "spread", "kick"]
-    assert [(one.start, one.stop) for one in joined[3:]] == [(30.0, 60.0), (60.0, 100.0)]
-    nothing = [Piece(10.0 * k, 10.0 * (k + 1), None) for k in range(4)]
-    assert join_series(nothing) == nothing
-
-
 def test_a_whole_clip_is_counted_at_any_frame_rate():
     often = join_clips([make_clip("kick", 1, k) for k in range(5)], np.random.default_rng(3))
     twice = replace(often, positions=np.repeat(often.positions, 2, axis=0), frame_rate=60.0)
@@ -140,3 +129,82 @@ def test_a_whole_clip_is_counted_at_any_frame_rate():
     assert [count_clip(often, alike), count_clip(twice, alike), count_clip(alike[0])] == [5, 5, 1]
     with pytest.raises(InvalidMotionError, match="shape"):
         count_clip(replace(often, positions=often.positions[:, :4]))
+
+
+SHOWN = ("bow", "kick", "spread", "wave")
+CLIPS = make_library(range(5), 3)
+ONE_SIDED = [clip for clip in CLIPS if clip.category in SHOWN]
+
+
+@pytest.fixture(scope="module")
+def learned():
+    return train_labeller(ONE_SIDED), learn_clip_judge(ONE_SIDED, 0, None)
+
+
+@pytest.fixture(scope="module")
+def take():
+    """Left-handed."""
+    joined = join_clips([make_clip(action, 7) for action in SHOWN], np.random.default_rng(3))
+    return replace(joined, positions=mirror_positions(joined.positions))
+
+
+def test_a_left_handed_person_waves_and_kicks_too(learned, take):
+    labeller, judge = learned
+    assert not labeller.tells_sides
+    segments = label_take(labeller, take, judge=judge).segments
+    assert [one.category for one in segments] == list(SHOWN)
+    assert {one.category for one in segments if one.mirrored} >= {"kick", "wave"}
+    own = replace(take, positions=mirror_positions(take.positions))
+    assert not any(one.mirrored for one in label_take(labeller, own, judge=judge).segments)
+
+
+def test_threads_change_nothing_and_no_moment_is_left_out(learned, take):
+    labeller, judge = learned
+    long = replace(take, positions=np.tile(take.positions, (16, 1, 1)))
+    timeline = label_take(labeller, long, judge=judge, threshold=0.0)
+    assert label_take(labeller, long, judge=judge, threshold=0.0, n_jobs=2) == timeline
+    assert None not in [one.category for one in timeline.segments]
+    assert any(one.mirrored for one in timeline.segments)
+
+
+def test_where_the_library_tells_sides_apart_the_other_side_is_another_action(take):
+    labeller = train_labeller(CLIPS)
+    assert {"raise left", "raise right"} < set(ACTIONS)
+    assert labeller.tells_sides
+    assert not any(one.mirrored for one in label_take(labeller, take, threshold=0.0).segments)
+
+
+def test_one_category_has_no_counterpart():
+    assert not train_labeller([clip for clip in CLIPS if clip.category == "raise left"]).tells_sides
+
+
+def action(start, stop, category, confidence, *, likely=True):
+    return Chosen(start, stop, category, np.ones(1), confidence=confidence, likely=likely)
+
+
+def test_mirrored_actions_are_laid_over_what_is_less_likely():
+    own = [action(0, 60, 0, 0.9), action(60, 120, 1, 0.4, likely=False), action(120, 200, 2, 0.9)]
+    laid = lay_mirrored(own, [action(50, 130, 3, 0.98)], 15)
+    assert [(one.start, one.stop, one.category, one.mirrored) for one in laid] == [
+        (0, 50, 0, False),
+        (50, 130, 3, True),
+        (130, 200, 2, False),
+    ]
+    # What would be left of the last is too short.
+    laid = lay_mirrored(own, [action(55, 190, 3, 0.99)], 15)
+    assert [(one.start, one.stop, one.category) for one in laid] == [(0, 55, 0), (55, 190, 3)]
+
+
+@pytest.mark.parametrize(
+    "mirrored",
+    [
+        action(60, 120, 3, 0.9),  # more likely than not, but not clearly
+        action(60, 120, 3, 0.98, likely=False),
+        action(0, 60, 3, 0.96),  # hardly likelier than what is there
+        action(0, 60, 0, 0.99),  # the same
+    ],
+)
+def test_else_what_is_there_stays(mirrored):
+    own = [action(0, 60, 0, 0.9), action(60, 120, 1, 0.4, likely=False)]
+    assert lay_mirrored(own, [mirrored], 15) == own
+    assert lay_mirrored([], [], 15) == []

@@ -1,7 +1,5 @@
 """Segments of takes judged as clips: named by votes and labeller together, known where those would be."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

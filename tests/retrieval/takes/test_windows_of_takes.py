@@ -1,7 +1,5 @@
 """Takes as windows: the grid, what is kept, kernels against slow loops, bytes."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What a body does in words: hand-made poses of which it is plain, and the invariances."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from oracles.slow_relations import find_relations as find_slowly

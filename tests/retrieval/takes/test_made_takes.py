@@ -1,15 +1,16 @@
-"""Motions as somebody else may do them: what stays as it was, and what may differ."""
+"""Made takes: motions as another person may do them, disturbed clips, and the truth of series."""
 
-from __future__ import annotations
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from oracles.short_actions import make_clip
 
 from dousa.motion import canonicalise
 from dousa.motion.canonical.joints import CANONICAL_PARENTS
 from dousa.motion.synthetic.performers import make_gesture
 from dousa.retrieval.takes import made_takes as disturbances
-from dousa.retrieval.takes.made_takes import mirror_positions, move_differently
+from dousa.retrieval.takes.made_takes import Piece, disturb_motion, join_series, mirror_positions, move_differently
 
 
 @pytest.fixture(scope="module")
@@ -68,3 +69,26 @@ def test_the_trunk_has_a_frame_in_any_pose(points):
 
 def test_one_frame_is_enough(points):
     assert np.isfinite(move_differently(points[:1], np.random.default_rng(0))).all()
+
+
+def test_a_clip_is_disturbed_by_its_seed_alone_and_some_errors_last():
+    clip = make_clip("wave", 7)
+    seen = [disturb_motion(clip, np.random.default_rng(seed)) for seed in range(12)]
+    again = disturb_motion(clip, np.random.default_rng(3))
+    np.testing.assert_array_equal(again.positions, seen[3].positions)
+    length = len(clip.positions) / clip.frame_rate
+    assert all(np.isfinite(one.positions).all() and one.positions.shape[1:] == (20, 3) for one in seen)
+    assert all(abs(len(one.positions) / one.frame_rate - length) < 0.2 for one in seen)
+    assert len({one.frame_rate for one in seen}) > 3
+    short = replace(clip, positions=clip.positions[:1])
+    assert np.isfinite(disturb_motion(short, np.random.default_rng(0)).positions).all()
+
+
+def test_the_truth_of_made_takes_says_series_as_a_labeller_does():
+    shown = "kick bow bow spread spread spread kick kick kick kick".split()
+    pieces = [Piece(10.0 * k, 10.0 * (k + 1), name) for k, name in enumerate(shown)]
+    joined = join_series(pieces)
+    assert [one.category for one in joined] == ["kick", "bow", "bow", "spread", "kick"]
+    assert [(one.start, one.stop) for one in joined[3:]] == [(30.0, 60.0), (60.0, 100.0)]
+    nothing = [Piece(10.0 * k, 10.0 * (k + 1), None) for k in range(4)]
+    assert join_series(nothing) == nothing

@@ -1,7 +1,5 @@
 """A labeller learns from single examples."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -46,14 +44,9 @@ def take(clips):
     by = {(clip.performer, clip.category): clip for clip in clips}
     fourth, fifth = performers[3], performers[4]
     order = [
-        (fourth, "walk"),
-        (fourth, STRANGE),
-        (fourth, "squat"),
-        (fifth, STRANGE),
-        (fourth, "wave_right"),
-        (performers[2], STRANGE),
-        (fourth, "jump"),
-    ]
+        (fourth, "walk"), (fourth, STRANGE), (fourth, "squat"), (fifth, STRANGE), (fourth, "wave_right"),
+        (performers[2], STRANGE), (fourth, "jump"),
+    ]  # fmt: skip
     joined = join_clips([by[one] for one in order], np.random.default_rng(0))
     rate = joined.frame_rate
     return joined, [(piece.start / rate, piece.stop / rate) for piece in joined.pieces if piece.category == STRANGE]

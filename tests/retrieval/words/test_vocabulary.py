@@ -1,7 +1,5 @@
 """Names and queries are taken apart into words, and words name concepts in both languages."""
 
-from __future__ import annotations
-
 import pytest
 
 from dousa.retrieval.words.vocabulary import inflect, load_vocabulary, read_words, split_name, stem

@@ -1,7 +1,5 @@
 """An assessment as JSON: strict, rounded, null where there is no value."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

@@ -1,6 +1,4 @@
-"""People keep who they are: through crossings, breaks and ghosts."""
-
-from __future__ import annotations
+"""People are followed from frame to frame and keep who they are: through crossings, breaks and ghosts."""
 
 import itertools
 
@@ -8,7 +6,8 @@ import numpy as np
 import pytest
 from oracles.made_people import collect, see
 
-from dousa.estimation.keypoints.people import assign, cut_stretches, find_identities
+from dousa.estimation.keypoints.people import PeopleFollower, assign, cut_stretches, find_identities
+from dousa.estimation.keypoints.pose_networks import Detection, Landmarks, PersonCrop
 
 TIMES = np.arange(120) / 30
 
@@ -109,3 +108,73 @@ def test_a_film_shorter_than_people_must_be_seen_has_people_all_the_same(n_frame
     sightings = collect([see(frame, 0, 300 + frame) for frame in range(n_frames)])
     assert [len(rows) for rows in find_identities(sightings, TIMES[:n_frames])] == [n_frames]
     assert find_identities(sightings, TIMES) == []
+
+
+class PlannedLandmarks:
+    """Landmarks of people who stand at planned places; a crop shows the nearest."""
+
+    def __init__(self, places):
+        self.places, self.frame = places, 0
+
+    def find(self, picture, crop, others=(), own=None):
+        shown = [place for place in self.places(self.frame) if np.hypot(place[0] - crop.x, place[1] - crop.y) < 40]
+        x, y = min(shown, key=lambda place: np.hypot(place[0] - crop.x, place[1] - crop.y), default=(crop.x, crop.y))
+        row = see(0, 0, x, y, size=60)
+        mask = np.zeros((128, 128), bool)
+        mask[20:100, 40:90] = bool(shown)
+        at = PersonCrop(x, y, 60.0, 0.0)
+        points, visible = row["points"].astype(float), row["visibility"].astype(float)
+        colours = np.zeros((256, 256, 3), np.uint8)
+        return Landmarks(float(bool(shown)), points, visible, np.zeros((33, 3)), crop, at, mask, colours)
+
+
+class PlannedDetector:
+    """Finds all people who stand at planned places."""
+
+    def __init__(self, landmarks):
+        self.landmarks, self.n_asked = landmarks, 0
+
+    def find(self, picture, part=None):
+        self.n_asked += 1
+        places = self.landmarks.places(self.landmarks.frame)
+        return [Detection(0.9, np.zeros(4), PersonCrop(x + 2, y, 60.0, 0.0)) for x, y in places]
+
+
+def follow(places, n_frames, resume_at=None, most=4):
+    pytest.importorskip("cv2", reason="OpenCV is not installed (dousa[film])")
+    landmarks = PlannedLandmarks(places)
+    detector = PlannedDetector(landmarks)
+    follower, rows = PeopleFollower(detector, landmarks, most), []
+    for frame in range(n_frames):
+        landmarks.frame = frame
+        if frame == resume_at:
+            follower = PeopleFollower(detector, landmarks, most)
+            follower.resume(np.concatenate(rows), frame - 1)
+        rows.append(follower.see(frame, np.zeros((200, 300, 3), np.uint8)))
+    return np.concatenate(rows), detector.n_asked
+
+
+def walk(frame):
+    return [(50 + 2 * frame, 80)] + ([(250, 120)] if not 20 <= frame < 34 else [])
+
+
+def test_people_are_followed_and_the_detector_rests():
+    rows, n_asked = follow(walk, 60)
+    assert (rows["stretch"] == 0).sum() == 60
+    assert np.unique(rows["stretch"]).tolist() == [0, 1, 2]
+    assert rows["frame"][rows["stretch"] == 2].min() in (34, 35, 36)  # looked for where he was lost
+    assert n_asked < 25
+
+
+@pytest.mark.parametrize("resume_at", [1, 20, 22, 36, 59])
+def test_following_goes_on_as_if_nothing_had_happened(resume_at):
+    rows, _ = follow(walk, 60)
+    again, _ = follow(walk, 60, resume_at)
+    assert rows.tobytes() == again.tobytes()
+
+
+def test_no_more_people_than_asked_for_and_none_twice():
+    rows, _ = follow(lambda frame: [(50, 80), (150, 80), (250, 80)], 20, most=2)
+    assert set(np.unique(rows["frame"], return_counts=True)[1].tolist()) == {2}
+    rows, _ = follow(lambda frame: [(50 + 5 * min(frame, 10), 80), (100, 80)], 20)
+    assert (rows["frame"] == 19).sum() == 1

@@ -1,7 +1,5 @@
 """Made-up gestures: what spaces of poses and calibrations take for motions that nobody taught."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,6 +1,4 @@
-"""Girths from silhouettes: a thick person is found thick, in later frames too, and nothing breaks without a body."""
-
-from __future__ import annotations
+"""Stature and girths from silhouettes: a thick person is found thick, and nothing breaks without a body."""
 
 import numpy as np
 import pytest
@@ -15,7 +13,7 @@ from dousa.estimation.body.posing import fit_pose, standing_state
 from dousa.estimation.body.skeleton_body import fit_body
 from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.raster.rasteriser import draw_body
-from dousa.estimation.tracking.measures import fit_girths
+from dousa.estimation.tracking.measures import USUAL_STATURE, fit_girths, fit_scale
 
 BODY = make_human(1.7)
 
@@ -29,6 +27,7 @@ def camera(name, turn, distance=3.5, size=(200, 150)):
 
 
 CAMERAS = [camera("front", 0.0), camera("side", 1.5)]
+ROUND = [camera(f"at{degrees}", np.radians(degrees)) for degrees in (10, 100, 190, 280)]
 
 
 def posed(body):
@@ -135,3 +134,15 @@ def test_girths_of_the_first_frame_serve_the_later_ones(shared_data):
         return overlap([draw_body(tried, pose, view)[0] for view in views], list(masks[:, 18]))
 
     assert fit(own) > max(fit(body), 0.83)
+
+
+def test_several_views_tell_the_stature_and_one_does_not():
+    body = make_human(1.87)
+    masks = [draw_body(body, standing_state(body), view)[0] for view in ROUND]
+    found = fit_scale(ROUND, masks)
+    assert found.measured
+    assert abs(found.stature - 1.87) < 0.03
+    assert found.body.stature == found.stature
+    alone = fit_scale(ROUND[:1], masks[:1])
+    assert not alone.measured
+    assert alone.stature == USUAL_STATURE

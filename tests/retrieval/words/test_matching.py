@@ -1,7 +1,5 @@
 """Words in columns against what is said of one motion at a time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,12 +9,8 @@ from dousa.retrieval.words.vocabulary import load_vocabulary, read_words
 CATEGORIES = ("kick_left", "wave_right", "walk", "", "sit down", "クロール", "throw/overhead", "a07")
 NAMES = ("performer01_3", "kickHighL", "hdm_bd_clap5Reps", "take_000123", "left hand wave", "蹴り_右", "x")
 RELATIONS = (
-    "both hands raised above the head",
-    "the left foot kicks forward",
-    "walking",
-    "the right hand waves",
-    "歩く",
-)
+    "both hands raised above the head", "the left foot kicks forward", "walking", "the right hand waves", "歩く",
+)  # fmt: skip
 QUERIES = ("kick with the left foot", "performer", "performer 3", "both hands up", "蹴る", "kikc", "walk, hands raised",
     "no such thing", "right", "take 000123 wave", "left hand kick", "the")  # fmt: skip
 

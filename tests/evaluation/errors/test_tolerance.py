@@ -1,29 +1,25 @@
 """Tolerance: least and most, steadier and less steady performers, and what errors do to it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from oracles.wrong_dances import ARM, be_late, get_dance, turn_limb
+from oracles.wrong_dances import ARM, EVEN, be_late, compare_dances, get_dance, thin, turn_limb
 
 from dousa.evaluation import assess
 from dousa.evaluation.errors.evidence import SLACK_S, Tolerance, compute_deviations, measure_unsteadiness, merge_takes
 from dousa.evaluation.grade.references import choose_tolerance, prepare_references
-from dousa.evaluation.posture.posture import compute_postures, thin_postures
+from dousa.evaluation.posture.posture import compute_postures
 from dousa.motion import CanonicalMotion
 from lab.injection.injection import simulate_performer
 
-EVEN = np.ones(9)
 MOTION = get_dance()
 LEFT_ARM, RIGHT_ARM = ([f"{side}_{joint}" for joint in ARM] for side in ("left", "right"))
 
 
 def measure(performance: CanonicalMotion) -> Tolerance:
-    theirs, ours = (thin_postures(compute_postures(motion)) for motion in (MOTION, performance))
-    return measure_unsteadiness(compute_deviations(theirs, ours, np.arange(float(ours.n_frames)), EVEN))
+    return measure_unsteadiness(compare_dances(performance, MOTION))
 
 
 def test_of_the_steadiest_the_least_is_tolerated() -> None:
@@ -56,9 +52,9 @@ def test_no_lag_is_forgiven_without_bound() -> None:
 
 def test_one_take_widens_nothing_and_unlike_takes_do() -> None:
     habit = turn_limb(MOTION, LEFT_ARM, 35.0, 2.0, 18.0)
-    takes = [thin_postures(compute_postures(one)) for one in (MOTION, habit, MOTION)]
+    takes = [thin(one) for one in (MOTION, habit, MOTION)]
     clock = np.arange(float(takes[0].n_frames))
-    played = thin_postures(compute_postures(simulate_performer(MOTION, 5)))
+    played = thin(simulate_performer(MOTION, 5))
     each = [compute_deviations(take, played, clock, EVEN) for take in takes]
     alone, two = choose_tolerance(merge_takes(each[:1])), choose_tolerance(merge_takes(each[:2]))
     assert (alone.angle == measure_unsteadiness(each[0]).angle).all()
