@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import dousa
-from dousa.app.demo.demo import write_library
-from dousa.app.demo.takes import read_clips, write_take
+from dousa.app.demo import write_library, write_take
 from dousa.library import Library
 from dousa.motion.synthetic import draw_performer, make_motion
+from dousa.retrieval import LabelledClip
 
 METHODS = [f"Library.{name}" for name, _ in inspect.getmembers(Library) if not name.startswith("_")]
 CATEGORIES = ("walk", "wave_right", "squat")
@@ -26,11 +26,14 @@ def material(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with what the examples read: ``motions``, a trained library, and a wave and a take of another person."""
     folder, person = tmp_path_factory.mktemp("examples"), draw_performer(77)
     write_library(folder / "motions", n_performers=4, categories=CATEGORIES)
+    clips = []
     for category in CATEGORIES:
-        dousa.write_motion(make_motion(category, person), folder / f"{category}.bvh")
-    clips = read_clips([folder / f"{category}.bvh" for category in CATEGORIES], {})
+        motion = make_motion(category, person)
+        moving = dousa.canonicalise(motion)
+        clips.append(LabelledClip(category, category, None, moving.positions, moving.frame_rate, moving.height))
+        if category == "wave_right":
+            dousa.write_motion(motion, folder / "wave.bvh")
     write_take(clips, CATEGORIES, folder / "take.bvh")
-    shutil.move(folder / "wave_right.bvh", folder / "wave.bvh")
     with Library.open(folder / "moves.dousa", create=True) as library:
         library.add(folder / "motions", n_jobs=1)
         library.train(n_trees=20, n_jobs=1)

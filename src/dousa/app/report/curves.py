@@ -153,7 +153,7 @@ def build_details(title: str, content: str, count: int | None = None) -> str:
 
 def build_tables(assessment: Assessment, words: Mapping[str, str], language: str) -> str:
     """Errors, lapses, curves by the second, and what was not seen."""
-    lapses = [
+    lapses: list[tuple[str, ...]] = [
         (
             format_time(lapse.start_s),
             format_time(lapse.end_s),
@@ -162,7 +162,7 @@ def build_tables(assessment: Assessment, words: Mapping[str, str], language: str
         )
         for lapse in assessment.lapses
     ]
-    gaps = [
+    gaps: list[tuple[str, ...]] = [
         (format_time(start), format_time(end), SEGMENT_NAMES[name].render(language))
         for start, end, name in assessment.gaps
     ]

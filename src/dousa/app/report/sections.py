@@ -80,7 +80,7 @@ def _grade(assessment: Assessment, words: Mapping[str, str], language: str) -> s
         state = element("p", "badge sure", words["calibrated"].format(count=assessment.n_references))
     else:
         state = element("p", "badge unsure", words["uncalibrated"])
-    inner = (
+    parts = (
         element("h2", None, words["grade"]),
         element("p", "note", words["coverage"].format(percent=format_number(100.0 * assessment.coverage, 0))),
         element("div", "figures", inner=figure + state),
@@ -89,9 +89,9 @@ def _grade(assessment: Assessment, words: Mapping[str, str], language: str) -> s
         build_details(words["formula_title"], formula),
     )
     if assessment.calibrated:
-        return element("section", "card grade", inner=inner)
+        return element("section", "card grade", inner=parts)
     note = element("p", "note", words["uncalibrated_note"].format(count=assessment.n_references))
-    return element("section", "card grade uncalibrated", inner=(*inner, note))
+    return element("section", "card grade uncalibrated", inner=(*parts, note))
 
 
 def build_event_button(k: int, event: ErrorEvent, words: Mapping[str, str], language: str) -> str:

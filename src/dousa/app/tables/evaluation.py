@@ -87,7 +87,7 @@ def _describe_grade(assessment: Assessment) -> Message:
 
 def _list_rows(assessment: Assessment) -> list[tuple[float, tuple[str, ...]]]:
     """Start (s) and cells of each error and lapse."""
-    rows = []
+    rows: list[tuple[float, tuple[str, ...]]] = []
     for event in assessment.events:
         furi = "" if event.furi is None else str(event.furi + 1)
         cells = furi, str(KINDS[event.kind]), f"{event.severity:.1f}", str(event.message)

@@ -381,9 +381,11 @@ class _Judge:
         asked = [scale.measure(small.apply(features)) for features in parts]
         named = [small.classes_[guess] for guess, _ in asked]
         seen = zip(asked, parts, named, strict=True)
-        evidence = np.concatenate([gather_evidence(scores, space, *part)[0] for (_, scores), *part in seen])
+        evidence = np.concatenate(
+            [gather_evidence(scores, space, features, guess)[0] for (_, scores), features, guess in seen]
+        )
         names = np.concatenate(named)
-        return _Round(evidence, names, kinds, copied, (names == labels) & (kinds == _KNOWN))
+        return _Round(np.concatenate(found), names, kinds, copied, (names == labels) & (kinds == _KNOWN))
 
     def train(
         self, number: int, train: IndexArray, known: IndexArray, unknown: IndexArray, most_trees: int = 50

@@ -97,7 +97,7 @@ def _find_scale(hidden: Sequence[str], moving_seconds: float = 0.3) -> FloatArra
 
     The body's movement counts for ``moving_seconds`` (docs/ranking.md); 0.2 and 0.4 did as well.
     """
-    scale = np.append(np.ones(3 * N_JOINTS), np.full(4, moving_seconds)) / np.sqrt(N_JOINTS)
+    scale: FloatArray = np.append(np.ones(3 * N_JOINTS), np.full(4, moving_seconds)) / np.sqrt(N_JOINTS)
     n_hidden = sum(joint.replace("_", " ").replace("ankle", "foot") in _JOINTS for joint in hidden)
     return scale * np.sqrt(N_JOINTS / max(N_JOINTS - n_hidden, 1)) if n_hidden else scale
 
