@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
-from dousa.errors import LibraryError, OptionError
+from dousa.errors import OptionError
 from dousa.formats.motion_files import ReadOptions, is_unicode
 from dousa.library.changes import LibraryChanges
 from dousa.library.labels import LabelRule, check_labels, check_text, no_label, parse_label_rule
@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from dousa.library.annotations.marks import SavedSearches
     from dousa.library.annotations.store import Annotations
     from dousa.library.care.clip_map import ClipMap, MapProgress
-    from dousa.library.care.compact import CompactProgress, CompactReport
-    from dousa.library.care.damage import CheckReport
-    from dousa.library.care.repair import CheckProgress
     from dousa.library.care.review import DuplicateGroup, LabelReview, ReviewProgress
     from dousa.library.labelling import Labellers, LearnProgress
     from dousa.library.learning.train import TrainProgress
@@ -625,59 +622,6 @@ class Library(LibraryChanges):
         from dousa.library.annotations.marks import SavedSearches
 
         return SavedSearches(self.database)
-
-    def check(
-        self, *, repair: bool = False, salvage: bool = True, progress: CheckProgress | None = None
-    ) -> CheckReport:
-        """Check that the library is as it was written: the structure of the file, and every checksum.
-
-        Rows of an older dousa get their missing checksums, if the library can be written.
-
-        Parameters
-        ----------
-        repair : compute features, leaves and windows again, and read positions again from the original files.
-        salvage : rewrite a file whose structure is damaged, while no other program has it open. If false, nothing of
-            such a file is repaired.
-        progress : called with (rows done, rows, message about the step).
-
-        Raises
-        ------
-        LibraryError : to be repaired, but cannot be written.
-
-        >>> library.check().damage
-        ()
-        """
-        from dousa.library.care.repair import check_library
-
-        if repair and self.database.is_read_only:
-            raise LibraryError("library_file.opened_read_only", library=self.name)
-        return check_library(self.database, repair, progress, salvage)
-
-    def compact(self, *, fragments: str | None = None, progress: CompactProgress | None = None) -> CompactReport:
-        """Shrink the file to its contents, without the room of removed clips.
-
-        Removed clips kept for ``undo`` are deleted, with the changes that need them.
-
-        Needs free space of the final size. Others may read meanwhile, and write afterwards; if interrupted, the file is
-        unchanged.
-
-        Parameters
-        ----------
-        fragments : where to move positions and features, and to write new ones: ``""`` for a folder beside the library
-            file; of a library on a server, a shared folder, or a URL such as ``s3://bucket/moves``. If interrupted,
-            repeat the call to go on. None leaves them in place.
-        progress : called with (kB done, kB, message about the step).
-
-        Raises
-        ------
-        LibraryError : cannot be written, too little free space, a database server without fragments (it manages its own
-            space), or a place for fragments that does not fit the library.
-
-        >>> report = library.compact()
-        """
-        from dousa.library.care.compact import compact_library
-
-        return compact_library(self.database, fragments, progress)
 
 
 def _as_list(paths: Paths) -> list[str | os.PathLike[str]]:

@@ -381,9 +381,7 @@ class _Judge:
         asked = [scale.measure(small.apply(features)) for features in parts]
         named = [small.classes_[guess] for guess, _ in asked]
         seen = zip(asked, parts, named, strict=True)
-        evidence = np.concatenate(
-            [gather_evidence(scores, space, features, guess)[0] for (_, scores), features, guess in seen]
-        )
+        found = [gather_evidence(scores, space, features, guess)[0] for (_, scores), features, guess in seen]
         names = np.concatenate(named)
         return _Round(np.concatenate(found), names, kinds, copied, (names == labels) & (kinds == _KNOWN))
 
