@@ -54,7 +54,7 @@ PLAIN = (
     f"--lang ja evaluate {MODEL} --performance {QUERY} -o report",
     f"convert {QUERY} query.trc",
     "info query.trc",
-    "models --json",
+    "keypoints --json",
     f"render {QUERY} --ring 3 --size 120x90 --frames 0:12 -o seen.npz",
 )
 # What needs an extra, and which.
