@@ -64,7 +64,7 @@ _KICK = "kick_left"
 _WHO = "a performer the library has never seen"
 
 
-def _say(console: Console, text: str) -> None:
+def say(console: Console, text: str) -> None:
     console.print(text, markup=False, soft_wrap=True)
 
 
@@ -136,7 +136,7 @@ def run_demo(
     show_take(console, library, queries, example, strange, output, seed=seed, n_jobs=n_jobs)
     _measure(console, output, seed, n_jobs)
     console.print(f"Done in {time.perf_counter() - started:.0f} s. Now try your own query:")
-    _say(console, f"  dousa search {library} {example}")
+    say(console, f"  dousa search {library} {example}")
 
 
 def _write_motions(
@@ -155,7 +155,7 @@ def _write_motions(
     for path, category in queries.items():
         write_motion(make_motion(category, stranger), path)
     write_dance_figure(stranger, strange, seed)
-    _say(
+    say(
         console,
         f"Made {len(written)} motions as BVH files in {output / 'motions'}: {len(queries)} categories by "
         f"{n_performers} performers, in {time.perf_counter() - started:.1f} s",
@@ -177,7 +177,7 @@ def _build(console: Console, path: Path, motions: Path, seed: int, n_jobs: int |
         )
         size = f"{len(added.added) + len(added.replaced)} files, {added.bytes / 1e6:.1f} MB"
         known = f"; {len(added.unchanged)} were there already" if added.unchanged else ""
-        _say(console, f"Added to {path}: {size} in {added.seconds:.1f} s{known}")
+        say(console, f"Added to {path}: {size} in {added.seconds:.1f} s{known}")
         trained = library.train(random_state=seed, n_jobs=n_jobs, progress=progress)
     console.print(
         f"Trained {trained.n_trees} trees on {trained.n_clips} clips of {len(trained.categories)} categories "
@@ -191,16 +191,16 @@ def _search(console: Console, path: Path, queries: dict[Path, str], example: Pat
         result = library.search(example, 8, explain=True)
         draw_search_result(library, example, result, picture, truth=truth)
         answers = library.classify(list(queries), n_jobs=None)
-    _say(console, f"\nQuery: {example} ({_WHO})")
-    _say(console, f"In truth {truth}; the forest says {describe_verdict(result.verdict)}")
+    say(console, f"\nQuery: {example} ({_WHO})")
+    say(console, f"In truth {truth}; the forest says {describe_verdict(result.verdict)}")
     for reason in result.verdict.explanation.reasons[:1] if result.verdict.explanation else ():
-        _say(console, f"Why: {reason.text}; without that {reason.vote_without:.0%} of the trees would say so")
+        say(console, f"Why: {reason.text}; without that {reason.vote_without:.0%} of the trees would say so")
     print_search(console, result)
     matches = sum(hit.category == truth for hit in result.results)
     console.print(f"{matches} of these {len(result.results)} match, as they are {truth} too.")
     right = sum(answer.category == truth for answer, truth in zip(answers, queries.values(), strict=True))
     console.print(f"Of all {len(answers)} queries ({_WHO}) {right} get the right category.")
-    _say(console, f"Picture of query and results: {picture}")
+    say(console, f"Picture of query and results: {picture}")
 
 
 def _measure(console: Console, output: Path, seed: int, n_jobs: int | None, template_rate: float = 15.0) -> None:
@@ -225,7 +225,7 @@ def _measure(console: Console, output: Path, seed: int, n_jobs: int | None, temp
     console.print(f"\nThe experiment of the paper on these motions (motion templates at {template_rate:g} Hz):")
     print_tables(console, result.to_tables())
     draw_experiment_figure(result.to_json(), output / "experiment.png")
-    _say(console, f"Picture of the table: {output / 'experiment.png'}")
+    say(console, f"Picture of the table: {output / 'experiment.png'}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -299,12 +299,12 @@ def show_take(
     """
     clips, picture = choose_clips(queries, example, strange, seed), output / "timeline.png"
     if len(clips) < 3:
-        _say(console, "No uncut take is shown: it is made of three or more clips of a performer held out")
+        say(console, "No uncut take is shown: it is made of three or more clips of a performer held out")
         return
     with Library.open(library_path) as library:
         take = write_take(clips, tuple(library.categories()), output / "take.bvh", seed)
         library.add(take.path, kind="take", n_jobs=n_jobs)
-        _say(
+        say(
             console,
             f"\nJoined {len(clips)} motions of the same performer into an uncut take of {take.truth[-1].stop:.0f} s, "
             f"and added it: {take.path}",
@@ -312,14 +312,14 @@ def show_take(
         started = time.perf_counter()
         with progress_bar() as progress:
             answer = library.label(take.path, n_jobs=n_jobs, progress=progress)
-        _say(console, _describe_labels(answer, take, time.perf_counter() - started))
+        say(console, _describe_labels(answer, take, time.perf_counter() - started))
         if answer.clip_id is not None:
             draw_timeline(answer.to_json(), picture, library.trajectories(answer.clip_id), take.path.name)
         category = queries[example]
         models = [clip.path for clip in library.clips() if clip.category == category]
         if models:
-            _say(console, _describe_place(library.find(models[0], take.path, k=5), take, category))
-    _say(console, f"Picture of the timeline: {picture}")
+            say(console, _describe_place(library.find(models[0], take.path, k=5), take, category))
+    say(console, f"Picture of the timeline: {picture}")
 
 
 def choose_clips(
@@ -419,7 +419,7 @@ def run_dance_demo(console: Console, output: Path, *, seed: int = 0) -> None:
     make_folder(output)
     started = time.perf_counter()
     reference, pupil, mistakes = write_dance(output, seed)
-    _say(
+    say(
         console,
         f"\nA dance of six figures: {reference}, and a pupil of another build who makes {len(mistakes)} mistakes on "
         f"purpose: {pupil}",
@@ -433,8 +433,8 @@ def run_dance_demo(console: Console, output: Path, *, seed: int = 0) -> None:
         warn(str(text))
     _print_comparison(console, mistakes, done.assessment.events)
     console.print(f"Evaluated in {time.perf_counter() - started:.0f} s. The same again:")
-    _say(console, f"  dousa evaluate {reference} --performance {pupil} -o {folder}")
-    _say(console, f"Open the report in a browser: {page}")
+    say(console, f"  dousa evaluate {reference} --performance {pupil} -o {folder}")
+    say(console, f"Open the report in a browser: {page}")
 
 
 def match_mistakes(
@@ -500,7 +500,7 @@ def run_estimation_demo(console: Console, output: Path, *, seed: int = 0) -> Non
         output / name for name in ("performed.bvh", "seen.npz", "estimated.bvh", "estimated.mp4", "estimated.png")
     )
     stature = write_performance(performed, seen, seed)
-    _say(
+    say(
         console,
         f"\nA performer seen by four cameras only: {seen}, with bones and girths 5 to 7 % off those of the model, and "
         "spoiled silhouettes",
@@ -511,12 +511,12 @@ def run_estimation_demo(console: Console, output: Path, *, seed: int = 0) -> Non
     for text in done.warnings:
         warn(text)
     _print_accuracy(console, done, seen)
-    _say(console, f"Look at it: {overlay} and {sheet}")
+    say(console, f"Look at it: {overlay} and {sheet}")
     if (output / LIBRARY).exists():
         _search_estimate(console, output / LIBRARY, estimated)
     _evaluate_estimate(console, performed, estimated, output, seed)
     console.print(f"Seen, estimated, found and judged in {time.perf_counter() - started:.0f} s. The same again:")
-    _say(console, f"  dousa estimate {seen} --stature {stature:.2f} -o {estimated} -o {overlay}")
+    say(console, f"  dousa estimate {seen} --stature {stature:.2f} -o {estimated} -o {overlay}")
 
 
 def write_performance(performed: Path, seen: Path, seed: int = 0) -> float:
@@ -561,7 +561,7 @@ def _print_accuracy(console: Console, done: Estimation, seen: Path) -> None:
     off = [estimated[name] - truth[:, place] for place, name in enumerate(names) if name in estimated]
     error = np.nanmean(np.linalg.norm(off, axis=-1))
     held = np.linalg.norm(truth - truth[:1], axis=-1).mean() * 1000.0
-    _say(
+    say(
         console,
         f"Estimated {found.n_frames} frames at {found.frames_per_second:.0f} frames/s, the start found by itself: "
         f"overlap {np.nanmean(found.iou):.2f}, mean joint error {1000 * error:.0f} mm (holding the true "
@@ -573,7 +573,7 @@ def _search_estimate(console: Console, library_path: Path, estimated: Path) -> N
     with Library.open(library_path, read_only=True) as library:
         result = library.search(estimated, 5)
     right = sum(hit.category == _KICK for hit in result.results)
-    _say(
+    say(
         console,
         f"In the library: in truth {_KICK}, the forest says {describe_verdict(result.verdict)}; "
         f"{right} of the {len(result.results)} nearest clips are {_KICK}",
@@ -592,9 +592,9 @@ def _evaluate_estimate(console: Console, performed: Path, estimated: Path, outpu
         )
         page = write_report(seen, output / "report_estimated")
     kinds = [", ".join(dict.fromkeys(event.kind for event in found.events)) or "no error" for found in (seen, true)]
-    _say(
+    say(
         console,
         f"Held against {len(takes)} takes of a teacher: grade {round_grade(seen.score):.0f} ({kinds[0]}); "
         f"the motion as it really was: {round_grade(true.score):.0f} ({kinds[1]})",
     )
-    _say(console, f"Open the report in a browser: {page}")
+    say(console, f"Open the report in a browser: {page}")

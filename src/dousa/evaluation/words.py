@@ -24,8 +24,8 @@ KINDS: Mapping[str, Message] = {
 """Kind of error -> its name."""
 
 LAPSE_KINDS: Mapping[str, Message] = {
-    kind: Message(f"lapse_kinds.{kind.replace(' ', '_').replace('-', '_')}")
-    for kind in ("stop", "skip", "repeat", "late start", "early end", "lead-in", "lead-out")
+    code.replace("_", " ").replace("lead ", "lead-"): Message(f"lapse_kinds.{code}")
+    for code in ("stop", "skip", "repeat", "late_start", "early_end", "lead_in", "lead_out")
 }
 """Kind of lapse -> its name."""
 
