@@ -64,9 +64,10 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def empty(tmp_path: Path, shared: Path) -> Path:
-    """A working folder as the project's is seen from its commands: with docs, beside ../shared/data."""
+    """A working folder as the project's is seen from its commands: with docs and lab, beside ../shared/data."""
     (tmp_path / "work").mkdir()
     (tmp_path / "work/docs").symlink_to(ROOT / "docs")
+    (tmp_path / "work/lab").symlink_to(ROOT / "lab")
     (tmp_path / "shared").symlink_to(shared)
     return tmp_path / "work"
 
