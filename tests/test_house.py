@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (418, 6),
 }
 TOTALS = {
-    "lines of tests": 61_696,
+    "lines of tests": 61_697,
     "lines of JavaScript": 12_791,
     "constants": 1_323,
     "numeric constants without a source": 509,
