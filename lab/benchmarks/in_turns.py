@@ -1,9 +1,9 @@
 """Benchmarks of two checkouts in turns (A B A B A B) in one run: is the later version as fast as the earlier?
 
     python -m lab.benchmarks.in_turns --before OLD_CHECKOUT [--after ROOT] [--rounds 3] [--only NAME]
-    python -m lab.benchmarks.in_turns --before OLD_CHECKOUT --command 'estimate.py --threads 1'
+    python -m lab.benchmarks.in_turns --before OLD_CHECKOUT --command 'estimate --threads 1'
 
-Each checkout runs its own benchmarks/ with its own src/ (the same environment), one after the other, so that a machine
+Each checkout runs its own benchmarks with its own src/ (the same environment), one after the other, so that a machine
 that is busy is so for both. Every figure with a unit that a benchmark prints is followed, and the time of the whole
 command. Printed are for each the medians of before and after, their ratio (of rates the inverse: above 1 is always
 slower), the spread of each over the rounds (largest to smallest, in percent of the median), and whether it is slower or
@@ -28,19 +28,19 @@ from pathlib import Path
 from lab.places import ROOT
 
 COMMANDS = {
-    "read_bvh": "read_bvh.py DATA",
-    "read_amc": "read_amc.py DATA",
-    "library_add": "library_add.py DATA/bandai/run --repeats 1 --peer-files 1",
-    "forest": "forest.py --clips 300 --classes 10 --repeats 2",
-    "forest_query": "forest_query.py --clips 300 --classes 10",
-    "search": "search.py --clips 300 --categories 10",
-    "ranking": "ranking.py DATA/utd_mhad/skeleton --performer-from name:_s(.)_ --queries 2",
-    "find": "find.py --minutes 5",
-    "label": "label.py --minutes 2",
-    "silhouette_candidates": "silhouette_candidates.py --candidates 500 --limbs left_forearm",
-    "correlation_matrix": "correlation_matrix.py --frames 3000 --repeats 5",
-    "correspondence": "correspondence.py --frames 6000 --full 500",
-    "assess": "assess.py --memory --minutes 0.5 --rate 30",
+    "read_bvh": "read_bvh DATA",
+    "read_amc": "read_amc DATA",
+    "library_add": "library_add DATA/bandai/run --repeats 1 --peer-files 1",
+    "forest": "forest --clips 300 --classes 10 --repeats 2",
+    "forest_query": "forest_query --clips 300 --classes 10",
+    "search": "search --clips 300 --categories 10",
+    "ranking": "ranking DATA/utd_mhad/skeleton --performer-from name:_s(.)_ --queries 2",
+    "find": "find --minutes 5",
+    "label": "label --minutes 2",
+    "silhouette_candidates": "silhouette_candidates --candidates 500 --limbs left_forearm",
+    "correlation_matrix": "correlation_matrix --frames 3000 --repeats 5",
+    "correspondence": "correspondence --frames 6000 --full 500",
+    "assess": "assess --memory --minutes 0.5 --rate 30",
 }
 WHOLE = "the whole command, s"
 _FIGURE = re.compile(r"(?<![\w.])(\d[\d,]*(?:\.\d+)?) ?((?:million |thousand )?\w+/s|MB|ns|us|µs|ms|s)(?![\w/])")
@@ -59,9 +59,9 @@ def run(checkout: Path, words: Sequence[str]) -> tuple[str, float]:
     """What a benchmark of a checkout prints, and its seconds; ends the program if it fails."""
     begin = time.perf_counter()
     done = subprocess.run(
-        [sys.executable, f"benchmarks/{words[0]}", *words[1:]],
+        [sys.executable, "-m", f"lab.benchmarks.{words[0]}", *words[1:]],
         cwd=checkout,
-        env={**os.environ, "PYTHONPATH": str(checkout / "src"), "COLUMNS": "200"},
+        env={**os.environ, "PYTHONPATH": f"{checkout / 'src'}{os.pathsep}{checkout}", "COLUMNS": "200"},
         text=True,
         capture_output=True,
         check=False,
