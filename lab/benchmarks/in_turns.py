@@ -139,7 +139,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--only", action="append", default=[], metavar="NAME", help=", ".join(COMMANDS))
-    parser.add_argument("--command", action="append", default=[], metavar="'FILE.py OPTIONS'")
+    parser.add_argument("--command", action="append", default=[], metavar="'NAME OPTIONS'")
     options = parser.parse_args()
     if options.before is None:
         print("nothing to compare with: name the checkout of an earlier version with --before")
