@@ -96,12 +96,12 @@ class BodyModel:
             "neutral": (np.float64, (n_parts, 3)),
             "stiffness": (np.float64, (n_parts,)),
         }
-        ones, zeros = np.ones(n_parts), np.zeros(n_parts)
-        for field, usual in (("agility", ones), ("neutral", np.zeros((n_parts, 3))), ("stiffness", zeros)):
-            if getattr(self, field) is None:
-                set_field(self, field, usual)
+        usual = {"agility": 1.0, "neutral": 0.0, "stiffness": 0.0}
         for field, (dtype, shape) in shapes.items():
-            set_field(self, field, _checked(getattr(self, field), dtype, shape, field))
+            value = getattr(self, field)
+            if value is None and field in usual:
+                value = np.full(shape, usual[field])
+            set_field(self, field, _checked(value, dtype, shape, field))
         set_field(self, "stature", float(self.stature))
         self._check_tree()
         self._check_joints()
@@ -167,8 +167,7 @@ class BodyModel:
     @property
     def angle_limits(self) -> FloatArray:
         """(A, 2) rad, least and greatest of each joint angle."""
-        rows = [self.limits[part, :count] for part, count in enumerate(self.n_axes)]
-        return np.concatenate(rows) if rows else np.zeros((0, 2))
+        return self.limits[np.arange(3) < self.n_axes[:, None]]
 
 
 def _checked(values: ArrayLike, dtype: type, shape: tuple[int, ...], what: str) -> NDArray[Any]:
@@ -185,11 +184,19 @@ def _checked(values: ArrayLike, dtype: type, shape: tuple[int, ...], what: str) 
     return array
 
 
-_SHORT = 0.02  # statures: a bone with less than this along an axis does not stretch the solid along it
+def pad_axes(rows: Any, width: int) -> FloatArray:
+    """Return the rows (n, width) of up to three axes of a joint, filled up with zeros to (3, width)."""
+    values = np.array(rows, np.float64).reshape(-1, width)[:3]
+    return np.concatenate((values, np.zeros((3 - len(values), width))))
 
 
 def reshape(
-    body: BodyModel, offsets: FloatArray, tip_offsets: FloatArray, girths: FloatArray | None = None
+    body: BodyModel,
+    offsets: FloatArray,
+    tip_offsets: FloatArray,
+    girths: FloatArray | None = None,
+    *,
+    short: float = 0.02,
 ) -> BodyModel:
     """Move the joints and tips of a body and stretch its solids with them; stature stays.
 
@@ -202,7 +209,13 @@ def reshape(
     offsets : (P, 3) m, new places of the joints in their parents' axes.
     tip_offsets : (K, 3) m, new places of the tips in their parts' axes.
     girths : (S,) factors of the spheres' radii and distances from the part's Y axis; ones by default.
+    short : statures; a bone shorter than this along an axis does not stretch the solid along it.
     """
+
+    def stretch(before: FloatArray, after: FloatArray) -> FloatArray:
+        long = before > short * body.stature
+        return np.where(long & (after > 0), after / np.where(long, before, 1.0), 1.0)
+
     spheres = body.spheres.copy()
     for part in range(body.n_parts):
         children, tips = body.parents == part, body.tip_parts == part
@@ -210,17 +223,12 @@ def reshape(
         after = np.concatenate((offsets[children], tip_offsets[tips], np.zeros((1, 3))))
         own = slice(body.sphere_starts[part], body.sphere_starts[part + 1])
         centres = spheres[own, :3]
-        up = _stretch(before.max(axis=0), after.max(axis=0), body.stature)
-        down = _stretch(-before.min(axis=0), -after.min(axis=0), body.stature)
+        up = stretch(before.max(axis=0), after.max(axis=0))
+        down = stretch(-before.min(axis=0), -after.min(axis=0))
         spheres[own, :3] = centres * np.where(centres > 0, up, down)
     if girths is not None:
         spheres[:, [0, 2, 3]] *= girths[:, None]
     return replace(body, offsets=offsets, tip_offsets=tip_offsets, spheres=spheres)
-
-
-def _stretch(before: FloatArray, after: FloatArray, stature: float) -> FloatArray:
-    long = before > _SHORT * stature
-    return np.where(long & (after > 0), after / np.where(long, before, 1.0), 1.0)
 
 
 def widen(body: BodyModel, shares: ArrayLike) -> BodyModel:

@@ -43,13 +43,12 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.errors import BodyModelError
-from dousa.estimation.body.body import BodyModel
+from dousa.estimation.body.body import BodyModel, pad_axes
 from dousa.estimation.body.human import make_human
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.files.markup import parse_toml, quote_toml
 from dousa.messages import Message
 
-_MOST_BYTES = 1_000_000
 _PERSON_KEYS = ("stature", "sex", "measures")
 _TREE_KEYS = ("stature", "part", "tip")
 _PART_KEYS = (
@@ -58,12 +57,10 @@ _PART_KEYS = (
 )
 _TIP_KEYS = ("name", "part", "offset")
 _AT_LINE = re.compile(r"\s*\(at line (\d+), column \d+\)")
-_STILL = (1.0, 0.0, 0.0, 0.0)
-_UNIT_SLACK = 1e-3  # typed quaternions and axes are a few digits long
 
 
-def read_body(path: str | os.PathLike[str]) -> BodyModel:
-    """Read a body from a TOML file of this module.
+def read_body(path: str | os.PathLike[str], *, most_bytes: int = 1_000_000) -> BodyModel:
+    """Read a body from a TOML file of this module, of at most ``most_bytes``.
 
     Raises
     ------
@@ -71,7 +68,7 @@ def read_body(path: str | os.PathLike[str]) -> BodyModel:
     BodyModelError : no TOML, unknown or missing entries, or an invalid body; with the line where known.
     """
     data = read_bytes(path)
-    if len(data) > _MOST_BYTES:
+    if len(data) > most_bytes:
         raise BodyModelError("body_file.too_large").at(path)
     try:
         text = data.decode("utf-8-sig")
@@ -85,9 +82,17 @@ def read_body(path: str | os.PathLike[str]) -> BodyModel:
         raise BodyModelError("body_file.toml", reason=problem).at(path, int(place[1]) if place else None) from error
     except RecursionError:
         raise BodyModelError("body_file.nested").at(path) from None
-    source = _Source(text)
+    source, is_tree = _Source(text), "part" in content
     try:
-        return _read_tree(source, content) if "part" in content else _read_person(source, content)
+        _refuse_unknown(
+            source,
+            content,
+            _TREE_KEYS if is_tree else _PERSON_KEYS,
+            Message("body_file.tree" if is_tree else "body_file.person"),
+        )
+        if "stature" not in content:
+            raise BodyModelError("body_file.no_stature")
+        return _read_tree(source, content) if is_tree else _read_person(source, content)
     except BodyModelError as error:
         error.at(path)
         raise
@@ -116,9 +121,6 @@ class _Source:
 
 
 def _read_person(source: _Source, content: Mapping[str, Any]) -> BodyModel:
-    _refuse_unknown(source, content, _PERSON_KEYS, Message("body_file.person"))
-    if "stature" not in content:
-        raise BodyModelError("body_file.no_stature")
     measures = content.get("measures", {})
     if not isinstance(measures, Mapping):
         raise BodyModelError("body_file.measures").at(line=source.key("measures"))
@@ -145,9 +147,6 @@ def _refuse_unknown(
 
 
 def _read_tree(source: _Source, content: Mapping[str, Any]) -> BodyModel:
-    _refuse_unknown(source, content, _TREE_KEYS, Message("body_file.tree"))
-    if "stature" not in content:
-        raise BodyModelError("body_file.no_stature")
     parts = _list_tables(source, content, "part", _PART_KEYS)
     tips = _list_tables(source, content, "tip", _TIP_KEYS)
     names = [part.text("name") for part in parts]
@@ -170,10 +169,10 @@ def _build(parts: Sequence[_Table], tips: Sequence[_Table], names: Sequence[str]
         joints=tuple(part.text("joint", name) for part, name in zip(parts, names, strict=True)),
         parents=np.array([_parent(part, names, number) for number, part in enumerate(parts)]),
         offsets=np.array([part.numbers("offset", (3,), (0.0, 0.0, 0.0)) for part in parts]),
-        rest=np.array([part.unit("rest", (4,), _STILL) for part in parts]),
+        rest=np.array([part.unit("rest", (4,), (1.0, 0.0, 0.0, 0.0)) for part in parts]),
         n_axes=np.array([len(axes) for axes, _ in joints]),
-        axes=np.array([_padded(axes) for axes, _ in joints]),
-        limits=np.array([_padded(limits) for _, limits in joints]),
+        axes=np.array([pad_axes(axes, 3) for axes, _ in joints]),
+        limits=np.array([pad_axes(limits, 2) for _, limits in joints]),
         spheres=np.concatenate(solids),
         sphere_starts=np.cumsum([0, *(len(solid) for solid in solids)]),
         tips=tuple(tip.text("name") for tip in tips),
@@ -181,7 +180,12 @@ def _build(parts: Sequence[_Table], tips: Sequence[_Table], names: Sequence[str]
         tip_offsets=np.array([tip.numbers("offset", (3,)) for tip in tips]).reshape(-1, 3),
         stature=stature,
         agility=np.array([part.numbers("agility", (), 1.0) for part in parts]),
-        neutral=np.array([_neutral(part, len(axes)) for part, (axes, _) in zip(parts, joints, strict=True)]),
+        neutral=np.array(
+            [
+                pad_axes(part.numbers("neutral", (len(axes),), (0.0,) * len(axes)), 1).ravel()
+                for part, (axes, _) in zip(parts, joints, strict=True)
+            ]
+        ),
         stiffness=np.array([part.numbers("stiffness", (), 0.0) for part in parts]),
     )
 
@@ -250,12 +254,14 @@ class _Table:
             )
         return array
 
-    def unit(self, key: str, shape: tuple[int | None, ...], default: Sequence[float] | None = None) -> FloatArray:
-        """Return rows of unit length, normalised if they are so to a few digits."""
+    def unit(
+        self, key: str, shape: tuple[int | None, ...], default: Sequence[float] | None = None, *, slack: float = 1e-3
+    ) -> FloatArray:
+        """Return rows of unit length, normalised if they are so within ``slack``, as what is typed has a few digits."""
         array = self.numbers(key, shape, default)
         with np.errstate(over="ignore"):  # then they are not of unit length
             lengths = np.linalg.norm(array, axis=-1, keepdims=True)
-        wrong = lengths[np.abs(lengths - 1.0) > _UNIT_SLACK]
+        wrong = lengths[np.abs(lengths - 1.0) > slack]
         if len(wrong):
             raise self.error(Message("body_file.unit", table=self.title, key=key, found=wrong[0]), key)
         exact = np.abs(lengths - 1.0) < 1e-12  # written by write_body: read back bit for bit
@@ -274,24 +280,12 @@ def _read_joint(part: _Table) -> tuple[FloatArray, FloatArray]:
     return axes, limits if key == "limits" else np.radians(limits)
 
 
-def _neutral(part: _Table, count: int) -> FloatArray:
-    """Return neutral angles (3,) rad, padded with zeros."""
-    angles = part.numbers("neutral", (count,), (0.0,) * count)
-    return np.pad(angles[:3], (0, max(0, 3 - count)))
-
-
 def _parent(part: _Table, names: Sequence[str], number: int) -> int:
     if "parent" not in part.entries:
         if number:
             raise part.error(Message("body_file.parent", table=part.title))
         return -1
     return part.one_of("parent", names)
-
-
-def _padded(rows: FloatArray) -> FloatArray:
-    padded = np.zeros((3, rows.shape[1]))
-    padded[: min(len(rows), 3)] = rows[:3]
-    return padded
 
 
 def write_body(body: BodyModel, path: str | os.PathLike[str]) -> None:

@@ -6,8 +6,8 @@ The tables and their sources are in ``anthropometry.toml``.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib import resources
 from typing import Any
 
@@ -15,55 +15,12 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.errors import BodyModelError
-from dousa.estimation.body.body import BodyModel, reshape
+from dousa.estimation.body.body import BodyModel, pad_axes, reshape
 from dousa.estimation.body.posing import standing_state
 from dousa.messages import Message
 from dousa.motion import rotations as rot
 
-Triple = tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class PartTable:
-    """A part of the left half or the middle of the average body.
-
-    Parameters
-    ----------
-    name, joint, parent : without their side.
-    offset : statures, the joint in the parent's axes, which are the world's in the standing pose.
-    rest : rad, rotation vector of the part's axes in the parent's at angle zero.
-    axes : unit vectors in the part's axes.
-    limits : rad, least and greatest angle of each axis.
-    spheres : statures, (x, y, z, radius); a middle part's left half, whose spheres off the middle are doubled.
-    girths : of each sphere, the name of the girth that widens it, or "" for none.
-    agility, stiffness : see `BodyModel`.
-    """
-
-    name: str
-    joint: str
-    parent: str
-    offset: Triple
-    rest: Triple
-    axes: tuple[Triple, ...]
-    limits: tuple[tuple[float, float], ...]
-    spheres: tuple[tuple[float, float, float, float], ...]
-    girths: tuple[str, ...]
-    agility: float
-    stiffness: float
-
-
-def _tuple(value: Any) -> Any:
-    """Convert nested lists to tuples."""
-    return tuple(_tuple(item) for item in value) if isinstance(value, list) else value
-
-
 _TABLES = tomllib.loads(resources.files(__package__).joinpath("anthropometry.toml").read_text(encoding="utf-8"))
-
-PARTS = tuple(PartTable(**{key: _tuple(value) for key, value in part.items()}) for part in _TABLES["part"])
-"""From the root outwards."""
-
-TIPS: dict[str, tuple[str, Triple]] = {tip["name"]: (tip["part"], _tuple(tip["offset"])) for tip in _TABLES["tip"]}
-"""Further points: name -> part and statures in its axes."""
 
 LENGTHS: dict[str, float] = _TABLES["lengths"]
 """Statures, from joint to joint."""
@@ -80,16 +37,15 @@ MEASURES: tuple[str, ...] = (*LENGTHS, *GIRTHS)
 ``foot`` from heel to tip, ``head`` from chin to crown, ``trunk`` from between the hips to the base of the neck,
 breadths between the joints of both sides, girths round the clothes."""
 
-_SMALLEST, _TALLEST = 0.3, 3.0  # m: a doll, and the tallest person with a hat on
-_LEAST_SHARE, _GREATEST_SHARE = 0.4, 2.5  # of what is usual for the stature; beyond, a unit is wrong
+_PARTS: dict[str, dict[str, Any]] = {part["name"]: part for part in _TABLES["part"]}
+_TIPS: dict[str, dict[str, Any]] = {tip["name"]: tip for tip in _TABLES["tip"]}
 _ORDER = (
     *("pelvis", "trunk", "head"),
     *(f"{side}_{part}" for side in ("left", "right") for part in ("upper_arm", "forearm", "hand")),
     *(f"{side}_{part}" for side in ("left", "right") for part in ("thigh", "shank", "foot")),
 )
-_TABLE = {part.name: part for part in PARTS}
-_MIRROR = np.array([-1.0, 1.0, 1.0])
-_MIRROR_TURN = np.array([1.0, -1.0, -1.0])  # of axes and rotation vectors, which do not mirror as places do
+_MIRROR = np.array([-1.0, 1.0, 1.0])  # of places, by geometry: at the plane x = 0
+_MIRROR_TURN = np.array([1.0, -1.0, -1.0])  # of axes and rotation vectors, by geometry: they turn the other way
 
 # Which coordinates of which joints and tips a length scales.
 _ALL, _ACROSS, _UP = (0, 1, 2), (0,), (1,)
@@ -123,41 +79,27 @@ def make_human(stature: float = 1.72, sex: str = "average", measures: Mapping[st
     ------
     BodyModelError : a stature no person has, an unknown sex or measure, a measure far from any person's.
     """
-    stature = _check_stature(stature)
+    stature = _check_size("stature", stature, "person.stature", 0.3, 3.0)  # a doll; the tallest person with a hat on
     if sex not in SEXES:
         raise BodyModelError("person.sex", measure="sex", known=SEXES, found=str(sex))
     factors = dict.fromkeys(MEASURES, 1.0) | SEX_FACTORS[sex]
     usual = {name: share * stature for name, share in (LENGTHS | GIRTHS).items()}
     for name, value in (measures or {}).items():
-        factors[name] = _check_measure(name, value, usual) / usual[name]
+        if name not in usual:
+            raise BodyModelError("person.measure", measure=name, known=MEASURES)
+        # Beyond these shares of what is usual for the stature, a unit is wrong.
+        factors[name] = _check_size(name, value, "person.size", 0.4 * usual[name], 2.5 * usual[name]) / usual[name]
     return _ease(_apply(_average(stature), factors))
 
 
-def _check_stature(stature: float) -> float:
-    value = _number("stature", stature)
-    if not _SMALLEST <= value <= _TALLEST:
-        remedy = _unit_remedy(value, _SMALLEST, _TALLEST)
-        raise BodyModelError(
-            "person.stature", measure="stature", least=_SMALLEST, most=_TALLEST, found=value, remedy=remedy
-        )
-    return value
-
-
-def _check_measure(name: str, value: float, usual: Mapping[str, float]) -> float:
-    if name not in usual:
-        raise BodyModelError("person.measure", measure=name, known=MEASURES)
-    number = _number(name, value)
-    least, greatest = _LEAST_SHARE * usual[name], _GREATEST_SHARE * usual[name]
-    if not least <= number <= greatest:
-        remedy = _unit_remedy(number, least, greatest)
-        raise BodyModelError("person.size", measure=name, least=least, most=greatest, found=number, remedy=remedy)
-    return number
-
-
-def _number(name: str, value: float) -> float:
+def _check_size(measure: str, value: float, code: str, least: float, most: float) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-        raise BodyModelError("person.number", measure=name, found=repr(value))
-    return float(value)
+        raise BodyModelError("person.number", measure=measure, found=repr(value))
+    number = float(value)
+    if not least <= number <= most:
+        remedy = _unit_remedy(number, least, most)
+        raise BodyModelError(code, measure=measure, least=least, most=most, found=number, remedy=remedy)
+    return number
 
 
 def _unit_remedy(value: float, least: float, greatest: float) -> Message | str:
@@ -169,26 +111,28 @@ def _unit_remedy(value: float, least: float, greatest: float) -> Message | str:
 
 def _average(stature: float) -> BodyModel:
     """Return the average of both sexes, scaled."""
-    rows = [(name, _TABLE[name.removeprefix(_side(name))]) for name in _ORDER]
-    solids = [np.array([sphere[:4] for sphere in _solid(row, name)]) + 0.0 for name, row in rows]  # no -0.0
-    tips = [(name, side) for name in TIPS for side in (("",) if name == "head" else ("left_", "right_"))]
+    rows = [(name, _PARTS[name.removeprefix(_side(name))]) for name in _ORDER]
+    solids = [np.array([sphere[:4] for sphere in _solid(name)]) + 0.0 for name in _ORDER]  # no -0.0
+    tips = [(name, side) for name in _TIPS for side in (("",) if name == "head" else ("left_", "right_"))]
     return BodyModel(
         names=_ORDER,
-        joints=tuple(_side(name) + row.joint for name, row in rows),
-        parents=np.array([_ORDER.index(_parent(name, row)) if row.parent else -1 for name, row in rows]),
-        offsets=stature * np.array([_place(row.offset, name) for name, row in rows]),
-        rest=np.array([rot.from_axis_angle(_turn(row.rest, name)) for name, row in rows]),
-        n_axes=np.array([len(row.axes) for _, row in rows]),
-        axes=np.array([_padded([_turn(axis, name) for axis in row.axes], 3) for name, row in rows]),
-        limits=np.array([_padded(row.limits, 2) for _, row in rows]),
+        joints=tuple(_side(name) + row["joint"] for name, row in rows),
+        parents=np.array([_parent(name, row["parent"]) for name, row in rows]),
+        offsets=stature * np.array([_on_side(row["offset"], name, _MIRROR) for name, row in rows]),
+        rest=np.array([rot.from_axis_angle(_on_side(row["rest"], name, _MIRROR_TURN)) for name, row in rows]),
+        n_axes=np.array([len(row["axes"]) for _, row in rows]),
+        axes=np.array(
+            [pad_axes([_on_side(axis, name, _MIRROR_TURN) for axis in row["axes"]], 3) for name, row in rows]
+        ),
+        limits=np.array([pad_axes(row["limits"], 2) for _, row in rows]),
         spheres=stature * np.concatenate(solids),
         sphere_starts=np.cumsum([0, *(len(solid) for solid in solids)]),
         tips=tuple(side + name for name, side in tips),
-        tip_parts=np.array([_ORDER.index(side + TIPS[name][0]) for name, side in tips]),
-        tip_offsets=stature * np.array([_place(TIPS[name][1], side) for name, side in tips]),
+        tip_parts=np.array([_ORDER.index(side + _TIPS[name]["part"]) for name, side in tips]),
+        tip_offsets=stature * np.array([_on_side(_TIPS[name]["offset"], side, _MIRROR) for name, side in tips]),
         stature=stature,
-        agility=np.array([row.agility for _, row in rows]),
-        stiffness=np.array([row.stiffness for _, row in rows]),
+        agility=np.array([row["agility"] for _, row in rows]),
+        stiffness=np.array([row["stiffness"] for _, row in rows]),
     )
 
 
@@ -205,28 +149,18 @@ def _side(name: str) -> str:
     return next((side for side in ("left_", "right_") if name.startswith(side)), "")
 
 
-def _parent(name: str, row: PartTable) -> str:
-    return row.parent if row.parent in _ORDER else _side(name) + row.parent
+def _parent(name: str, parent: str) -> int:
+    return _ORDER.index(parent if parent in _ORDER else _side(name) + parent) if parent else -1
 
 
-def _place(point: tuple[float, ...], name: str) -> FloatArray:
-    return np.array(point) * (_MIRROR if name.startswith("right_") else 1.0) + 0.0  # no -0.0
+def _on_side(vector: Sequence[float], name: str, mirror: FloatArray) -> FloatArray:
+    return np.array(vector) * (mirror if name.startswith("right_") else 1.0) + 0.0  # no -0.0
 
 
-def _turn(vector: tuple[float, ...], name: str) -> FloatArray:
-    return np.array(vector) * (_MIRROR_TURN if name.startswith("right_") else 1.0) + 0.0
-
-
-def _padded(rows: object, width: int) -> FloatArray:
-    padded = np.zeros((3, width))
-    values = np.array(rows, np.float64).reshape(-1, width)
-    padded[: len(values)] = values
-    return padded
-
-
-def _solid(row: PartTable, name: str) -> list[tuple[float, float, float, float, str]]:
+def _solid(name: str) -> list[tuple[float, float, float, float, str]]:
     """Return spheres in statures, each with the girth that widens it."""
-    spheres = [(*sphere, girth) for sphere, girth in zip(row.spheres, row.girths, strict=True)]
+    row = _PARTS[name.removeprefix(_side(name))]
+    spheres = [(*sphere, girth) for sphere, girth in zip(row["spheres"], row["girths"], strict=True)]
     mirrored = [(-x, y, z, radius, girth) for x, y, z, radius, girth in spheres]
     if _side(name) == "right_":
         return mirrored
@@ -244,5 +178,5 @@ def _apply(body: BodyModel, factors: Mapping[str, float]) -> BodyModel:
             for names, places in ((body.joints, offsets), (body.tips, tip_offsets)):
                 for row in [i for i, name in enumerate(names) if name.removeprefix(_side(name)) == point]:
                     places[row, list(axes)] *= factors[measure]
-    girths = [girth for name in _ORDER for *_, girth in _solid(_TABLE[name.removeprefix(_side(name))], name)]
+    girths = [girth for name in _ORDER for *_, girth in _solid(name)]
     return reshape(body, offsets, tip_offsets, np.array([factors.get(girth, 1.0) for girth in girths]))

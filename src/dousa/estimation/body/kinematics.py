@@ -100,16 +100,23 @@ inlined = _njit(inline="always", **_OPTIONS)
 
 
 @inlined
-def turn_root(pose, x, y, z):  # type: ignore[no-untyped-def]
-    """Turn the root of a pose row by a rotation vector in its own axes, in place."""
+def _turn(a, b, c, d, x, y, z):  # type: ignore[no-untyped-def]
+    """Return a quaternion followed by a rotation vector in its own axes."""
     angle = np.sqrt(x * x + y * y + z * z)
     scale = 0.5 if angle < 1e-9 else np.sin(0.5 * angle) / angle
     w, x, y, z = np.cos(0.5 * angle), x * scale, y * scale, z * scale
-    a, b, c, d = pose[3], pose[4], pose[5], pose[6]
-    pose[3] = a * w - b * x - c * y - d * z
-    pose[4] = a * x + b * w + c * z - d * y
-    pose[5] = a * y + c * w + d * x - b * z
-    pose[6] = a * z + d * w + b * y - c * x
+    return (
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y + c * w + d * x - b * z,
+        a * z + d * w + b * y - c * x,
+    )
+
+
+@inlined
+def turn_root(pose, x, y, z):  # type: ignore[no-untyped-def]
+    """Turn the root of a pose row by a rotation vector in its own axes, in place."""
+    pose[3], pose[4], pose[5], pose[6] = _turn(pose[3], pose[4], pose[5], pose[6], x, y, z)
 
 
 @inlined
@@ -133,15 +140,7 @@ def turn_part(part, pose, tree, local):  # type: ignore[no-untyped-def]
                 turn = pose[first + 1]
                 x, y, z = x + turn * axes[part, 1, 0], y + turn * axes[part, 1, 1], z + turn * axes[part, 1, 2]
                 k = 2
-            angle = np.sqrt(x * x + y * y + z * z)
-            scale = 0.5 if angle < 1e-9 else np.sin(0.5 * angle) / angle
-            w, x, y, z = np.cos(0.5 * angle), x * scale, y * scale, z * scale
-            a, b, c, d = (
-                a * w - b * x - c * y - d * z,
-                a * x + b * w + c * z - d * y,
-                a * y + c * w + d * x - b * z,
-                a * z + d * w + b * y - c * x,
-            )
+            a, b, c, d = _turn(a, b, c, d, x, y, z)
     local[part, 0, 0], local[part, 0, 1], local[part, 0, 2] = (
         1.0 - 2.0 * (c * c + d * d),
         2.0 * (b * c - a * d),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,16 +13,6 @@ from dousa.estimation.body.body import BodyModel
 from dousa.estimation.body.kinematics import compute_points, place_parts, point_names
 from dousa.motion import rotations as rot
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
-
-_PLACE = 0.5  # what a metre off a joint's place costs
-_DIRECTION = 0.3  # what a radian off a limb's direction costs per metre of stature: bones may differ in length
-_NEUTRAL = 0.003  # cost of a radian off the start, likewise: for undetermined angles
-_LIMIT = 0.5  # what a radian beyond a limit costs, likewise
-_SHORT = 0.02  # statures: a shorter bone has no direction worth the name
-_MOST_STEPS = 60
-_DIFFERENCE = 1e-6
-_SETTLED = 1e-7  # a step that gains less than this share ends the search
-_LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e6
 
 
 def find_bones(body: BodyModel, rows: IndexArray) -> IndexArray:
@@ -55,20 +45,34 @@ def turn_onto(source: FloatArray, target: FloatArray) -> FloatArray:
     return np.asarray(u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt)
 
 
-def solve_pose(body: BodyModel, places: FloatArray, rows: IndexArray, start: FloatArray) -> tuple[FloatArray, float]:
-    """Return the pose (7 + A,) near ``start`` whose points ``rows`` fit ``places`` (N, 3) best, and its cost."""
-    costs = _Costs(body, places, rows, start)
+def solve_pose(
+    body: BodyModel,
+    places: FloatArray,
+    rows: IndexArray,
+    start: FloatArray,
+    *,
+    most_steps: int = 60,
+    difference: float = 1e-6,
+    settled: float = 1e-7,
+    damping_range: tuple[float, float] = (1e-9, 1e6),
+) -> tuple[FloatArray, float]:
+    """Return the pose (7 + A,) near ``start`` whose points ``rows`` fit ``places`` (N, 3) best, and its cost.
+
+    Of at most ``most_steps`` steps the first that gains less than the share ``settled`` is the last; a damping beyond
+    the range ends the search too. Slopes are taken over ``difference`` m or rad.
+    """
+    evaluate = _make_residuals(body, places, rows, start)
     pose, damping = start.copy(), 1e-3
-    residuals = costs.evaluate(pose[None])[0]
+    residuals = evaluate(pose[None])[0]
     cost = residuals @ residuals
-    for _ in range(_MOST_STEPS):
-        steps = np.eye(6 + body.n_angles) * _DIFFERENCE
-        slope = (costs.evaluate(_step(pose, steps)) - residuals).T / _DIFFERENCE
+    for _ in range(most_steps):
+        steps = np.eye(6 + body.n_angles) * difference
+        slope = (evaluate(_step(pose, steps)) - residuals).T / difference
         square, gradient = slope.T @ slope, slope.T @ residuals
-        while damping < _MOST_DAMPING:
+        while damping < damping_range[1]:
             damped = square + np.diag(damping * (np.diag(square) + 1e-6))
             tried = _step(pose, -np.linalg.solve(damped, gradient)[None])
-            result = costs.evaluate(tried)[0]
+            result = evaluate(tried)[0]
             if result @ result < cost:
                 break
             damping *= 4.0
@@ -76,8 +80,8 @@ def solve_pose(body: BodyModel, places: FloatArray, rows: IndexArray, start: Flo
             break
         gained = cost - result @ result
         pose, residuals, cost = tried[0], result, float(result @ result)
-        damping = max(damping / 6.0, _LEAST_DAMPING)
-        if gained <= _SETTLED * cost:
+        damping = max(damping / 6.0, damping_range[0])
+        if gained <= settled * cost:
             break
     return pose, float(cost)
 
@@ -91,38 +95,45 @@ def _step(pose: FloatArray, steps: FloatArray) -> FloatArray:
     return moved
 
 
-class _Costs:
-    """Residuals of poses, for least squares."""
+def _make_residuals(
+    body: BodyModel,
+    places: FloatArray,
+    rows: IndexArray,
+    start: FloatArray,
+    *,
+    place: float = 0.5,
+    direction: float = 0.3,
+    limit: float = 0.5,
+    neutral: float = 0.003,
+    short: float = 0.02,
+) -> Callable[[FloatArray], FloatArray]:
+    """Return the function from poses (N, 7 + A) to their residuals (N, R), for least squares.
 
-    def __init__(self, body: BodyModel, places: FloatArray, rows: IndexArray, start: FloatArray) -> None:
-        self._body, self._places, self._rows, self._start = body, places, rows, start
-        bones = find_bones(body, rows)
-        ways = places[bones[:, 1]] - places[bones[:, 0]]
-        lengths = np.linalg.norm(ways, axis=1)
-        long = lengths > _SHORT * body.stature
-        self._bones, self._ways = bones[long], ways[long] / lengths[long, None]
+    A metre off a joint's place costs ``place``. Per metre of stature, a radian off a limb's direction costs
+    ``direction``, one beyond a limit ``limit``, and one off the start ``neutral``, for undetermined angles. A bone of
+    less than ``short`` statures has no direction.
+    """
+    bones, stature = find_bones(body, rows), body.stature
+    wanted = places[bones[:, 1]] - places[bones[:, 0]]
+    lengths = np.linalg.norm(wanted, axis=1)
+    long = lengths > short * stature
+    bones, wanted = bones[long], wanted[long] / lengths[long, None]
+    least, greatest = body.angle_limits.T
 
-    def evaluate(self, poses: FloatArray) -> FloatArray:
-        """Compute residuals (N, R) of poses (N, 7 + A)."""
-        body, stature = self._body, self._body.stature
-        points = compute_points(body, poses)[:, self._rows]
-        ways = points[:, self._bones[:, 1]] - points[:, self._bones[:, 0]]
+    def evaluate(poses: FloatArray) -> FloatArray:
+        points = compute_points(body, poses)[:, rows]
+        ways = points[:, bones[:, 1]] - points[:, bones[:, 0]]
         ways /= np.linalg.norm(ways, axis=2, keepdims=True) + 1e-12
-        angles, limits = poses[:, 7:], body.angle_limits
-        beyond = angles - np.clip(angles, limits[:, 0], limits[:, 1])
+        angles = poses[:, 7:]
         parts = (
-            _PLACE * (points - self._places),
-            _DIRECTION * stature * (ways - self._ways),
-            _LIMIT * stature * beyond,
-            _NEUTRAL * stature * (angles - self._start[7:]),
+            place * (points - places),
+            direction * stature * (ways - wanted),
+            limit * stature * (angles - np.clip(angles, least, greatest)),
+            neutral * stature * (angles - start[7:]),
         )
         return np.concatenate([part.reshape(len(poses), -1) for part in parts], axis=1)
 
-
-_CAUGHT = 1.5  # times the best residual so far: such a frame is fitted again
-_FLAT = 0.01  # statures: joints this near to one line determine no rotation about it
-_STRAIGHT = 0.1  # sine of a bend too small to show which way a hinge folds
-_ARMS_OUT = 0.14  # rad, off the trunk: clothed arms hang so
+    return evaluate
 
 
 def compute_angles(body: BodyModel, part: int, rotation: FloatArray) -> FloatArray:
@@ -141,7 +152,8 @@ def compute_angles(body: BodyModel, part: int, rotation: FloatArray) -> FloatArr
         return np.zeros(0)
     moved = rot.multiply(rot.conjugate(body.rest[part]), rotation)
     if count == 2:
-        angles = _two_angles(moved, axes[0], axes[1])
+        frame = np.stack((axes[0], axes[1], np.cross(axes[0], axes[1])), axis=1)
+        angles = rot.to_euler(rot.from_matrix(frame.T @ rot.to_matrix(moved) @ frame), "XY")
     else:
         twist = 2.0 * np.arctan2(moved[1:] @ axes[count - 1], moved[0])
         angles = np.array([(twist + np.pi) % (2.0 * np.pi) - np.pi])
@@ -151,17 +163,11 @@ def compute_angles(body: BodyModel, part: int, rotation: FloatArray) -> FloatArr
     return np.clip(angles, body.limits[part, :count, 0], body.limits[part, :count, 1])
 
 
-def _two_angles(rotation: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
-    frame = np.stack((first, second, np.cross(first, second)), axis=1)
-    turned = rot.from_matrix(frame.T @ rot.to_matrix(rotation) @ frame)
-    return rot.to_euler(turned, "XY")
-
-
-def standing_state(body: BodyModel) -> FloatArray:
+def standing_state(body: BodyModel, arms_out: float = 0.14) -> FloatArray:
     """Return the upright pose (7 + A,), facing +Z, on the floor y = 0, the root above the origin, within the limits.
 
-    A person (joints ``left_shoulder`` and ``right_shoulder``) has all axes parallel to the world's and the arms a
-    little off the trunk; other bodies have angles of zero.
+    A person (joints ``left_shoulder`` and ``right_shoulder``) has all axes parallel to the world's and the arms
+    ``arms_out`` rad off the trunk, as in clothes; other bodies have angles of zero.
     """
     pose = np.zeros(7 + body.n_angles)
     pose[3] = 1.0
@@ -169,12 +175,11 @@ def standing_state(body: BodyModel) -> FloatArray:
     for part, start in enumerate(body.angle_starts[:-1]):
         count = int(body.n_axes[part])
         if person:
-            out = {"left_shoulder": _ARMS_OUT, "right_shoulder": -_ARMS_OUT}.get(body.joints[part], 0.0)
+            out = {"left_shoulder": arms_out, "right_shoulder": -arms_out}.get(body.joints[part], 0.0)
             hanging = rot.from_axis_angle(np.array([0.0, 0.0, out]))
             pose[7 + start : 7 + start + count] = compute_angles(body, part, hanging)
         else:
-            limits = body.limits[part, :count]
-            pose[7 + start : 7 + start + count] = np.clip(0.0, limits[:, 0], limits[:, 1])
+            pose[7 + start : 7 + start + count] = np.clip(0.0, *body.limits[part, :count].T)
     rotations, positions = place_parts(body, pose)
     owner = np.repeat(np.arange(body.n_parts), np.diff(body.sphere_starts))
     centres = positions[owner] + np.einsum("sij,sj->si", rotations[owner], body.spheres[:, :3])
@@ -211,8 +216,7 @@ def fit_pose(
         if starts[0].shape != (7 + body.n_angles,):
             raise BodyModelError("pose.start", expected=7 + body.n_angles, found=str(starts[0].shape))
     pose = min((solve_pose(body, places, rows, first) for first in starts), key=lambda found: found[1])[0]
-    limits = body.angle_limits
-    pose[7:] = np.clip(pose[7:], limits[:, 0], limits[:, 1])
+    pose[7:] = np.clip(pose[7:], *body.angle_limits.T)
     off = compute_points(body, pose)[rows] - places
     return pose, float(np.sqrt((off * off).sum(axis=1).mean()))
 
@@ -224,13 +228,12 @@ def lead_pose(body: BodyModel, positions: ArrayLike | Mapping[str, ArrayLike]) -
     of `fit_pose`.
     """
     pose = _first_guesses(body, *_match_points(body, positions))[0]
-    limits = body.angle_limits
-    pose[7:] = np.clip(pose[7:], limits[:, 0], limits[:, 1])
+    pose[7:] = np.clip(pose[7:], *body.angle_limits.T)
     return pose
 
 
 def fit_poses(
-    body: BodyModel, positions: ArrayLike, names: Sequence[str] = CANONICAL_JOINTS
+    body: BodyModel, positions: ArrayLike, names: Sequence[str] = CANONICAL_JOINTS, *, caught: float = 1.5
 ) -> tuple[FloatArray, FloatArray]:
     """Fit the poses (T, 7 + A) of a whole motion, each frame starting from the one before (inverse kinematics).
 
@@ -241,6 +244,7 @@ def fit_poses(
     body : any tree of parts with named joints and tips.
     positions : (T, K, 3) m, NaN where unknown.
     names : (K,) of the joints.
+    caught : times the least residual so far, beyond which a frame is fitted from the standing pose too.
 
     Raises
     ------
@@ -257,7 +261,7 @@ def fit_poses(
         try:
             found = fit_pose(body, places, start)
             # Caught in a wrong fold after a jump in time: start again.
-            if start is not None and found[1] > _CAUGHT * usual:
+            if start is not None and found[1] > caught * usual:
                 found = min(found, fit_pose(body, places), key=lambda pair: pair[1])
         except BodyModelError as error:
             problem = error
@@ -287,9 +291,14 @@ def _match_points(body: BodyModel, positions: ArrayLike | Mapping[str, ArrayLike
             raise BodyModelError("pose.place", joint=point_names(body)[row], found=str(place.shape))
     known = [(row, place) for row, place in found if np.isfinite(place).all()]
     places = np.array([place for _, place in known]).reshape(-1, 3)
-    if len(places) < 3 or np.linalg.svd(places - places.mean(axis=0))[1][1] < _FLAT * body.stature:
+    if _are_in_line(body, places):
         raise BodyModelError("pose.few_joints", found=len(known), joints=point_names(body))
     return places, np.array([row for row, _ in known])
+
+
+def _are_in_line(body: BodyModel, points: FloatArray, *, flat: float = 0.01) -> bool:
+    """Return whether points (N, 3) lie within ``flat`` statures of one line, and so determine no turn about it."""
+    return len(points) < 3 or bool(np.linalg.svd(points - points.mean(axis=0))[1][1] < flat * body.stature)
 
 
 def _first_guesses(body: BodyModel, places: FloatArray, rows: IndexArray) -> list[FloatArray]:
@@ -297,20 +306,19 @@ def _first_guesses(body: BodyModel, places: FloatArray, rows: IndexArray) -> lis
     pose = standing_state(body)
     points = compute_points(body, pose)[rows]
     owners = np.concatenate((body.parents, body.tip_parts))[rows]
-    core = np.isin(rows, (0,)) | np.isin(owners, _core_parts(body))
-    if core.sum() < 3 or np.linalg.matrix_rank(places[core] - places[core].mean(axis=0), _FLAT * body.stature) < 2:
+    # The root and the parts with several children determine the body's front.
+    is_core = np.bincount(body.parents[1:], minlength=body.n_parts) > 1
+    is_core[0] = True
+    core = (rows == 0) | is_core[owners]
+    if _are_in_line(body, places[core]):
         core[:] = True
-    turned = turn_onto(points[core] - points[core].mean(axis=0), places[core] - places[core].mean(axis=0))
+    here, there = points[core].mean(axis=0), places[core].mean(axis=0)
+    turned = turn_onto(points[core] - here, places[core] - there)
     pose[3:7] = rot.from_matrix(turned)
-    pose[:3] = places[core].mean(axis=0) + turned @ (pose[:3] - points[core].mean(axis=0))
+    pose[:3] = there + turned @ (pose[:3] - here)
     led = pose.copy()
     _lead_limbs(body, led, places, rows)
     return [led, pose]
-
-
-def _core_parts(body: BodyModel) -> list[int]:
-    """Return the root and the parts with several children, which determine the body's front."""
-    return [part for part in range(body.n_parts) if part == 0 or (body.parents == part).sum() > 1]
 
 
 def _lead_limbs(body: BodyModel, pose: FloatArray, places: FloatArray, rows: IndexArray) -> None:
@@ -335,16 +343,19 @@ def _lead_limbs(body: BodyModel, pose: FloatArray, places: FloatArray, rows: Ind
 
 
 def _turn_hinge(
-    body: BodyModel, part: int, child: int, led: FloatArray, beyond: FloatArray, own: FloatArray
+    body: BodyModel, part: int, child: int, led: FloatArray, beyond: FloatArray, own: FloatArray, straight: float = 0.1
 ) -> FloatArray:
-    """Turn a part about itself so that the hinge below it folds towards the next bone."""
+    """Turn a part about itself so that the hinge below it folds towards the next bone.
+
+    A bend whose sine is less than ``straight`` shows no way in which the hinge folds.
+    """
     if body.n_axes[child] != 1:
         return led
     axis = body.axes[part, 2]
     folded = rot.multiply(body.rest[child], rot.from_axis_angle(body.limits[child, 0].mean() * body.axes[child, 0]))
     ways = np.stack((rot.rotate(folded, own), rot.rotate(rot.conjugate(led), beyond)))
     across = ways - (ways @ axis)[:, None] * axis
-    if (np.linalg.norm(across, axis=1) < _STRAIGHT * np.linalg.norm(ways, axis=1)).any():
+    if (np.linalg.norm(across, axis=1) < straight * np.linalg.norm(ways, axis=1)).any():
         return led
     twist = np.arctan2(axis @ np.cross(across[0], across[1]), across[0] @ across[1])
     return rot.multiply(led, rot.from_axis_angle(twist * axis))

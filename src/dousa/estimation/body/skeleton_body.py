@@ -18,14 +18,6 @@ from dousa.motion.canonical.canonicalise import require_whole
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
 
 _NEEDED = ("pelvis", "spine", "neck", "left_hip", "right_hip", "left_shoulder", "right_shoulder")
-_STRAIGHT = 90.0  # percentile of a distance that bending shortens
-_LEAST_SIZE, _GREATEST_SIZE = 0.4, 1.8  # of the body's own: beyond, a point is wrong
-
-# The flesh follows the joints no farther: some recordings' shoulders sit at the neck.
-_NARROW, _WIDE = 0.8, 1.25
-_LEAST_BENT = 25.0  # percentile of how far the hips are ahead, which bending forward adds to
-_AHEAD = 0.15  # of the trunk's height: how far hips or shoulders can be from the line to the neck
-_SPINE_RANGE = (0.25, 0.75)  # of the way from hips to neck, where a trunk can bend at all
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,35 +60,38 @@ def body_torso(body: BodyModel) -> Torso | None:
     )
 
 
-def measure_torso(tracks: Mapping[str, FloatArray]) -> Torso:
-    """Measure the torso of the recorded joint places (T, 3)."""
-    points = dict(tracks)
-    unseen = np.full((1, 3), np.nan)
+def measure_torso(tracks: Mapping[str, FloatArray], straight: float = 90.0, least_bent: float = 25.0) -> Torso:
+    """Measure the torso of the recorded joint places (T, 3).
+
+    Bending shortens distances to the neck, of which the percentile ``straight`` counts, and brings the hips ahead of
+    the line from root to neck, where ``least_bent`` does; of all else the median.
+    """
+    points = dict.fromkeys(_NEEDED, np.full((1, 3), np.nan)) | dict(tracks)
     for middle in ("hip", "shoulder"):
-        points[middle] = 0.5 * (points.get(f"left_{middle}", unseen) + points.get(f"right_{middle}", unseen))
+        points[middle] = 0.5 * (points[f"left_{middle}"] + points[f"right_{middle}"])
 
     def distance(one: str, other: str, percentile: float = 50.0) -> float:
-        lengths = np.linalg.norm(points.get(one, unseen) - points.get(other, unseen), axis=1)
-        return _typical(lengths, percentile)
+        return _typical(np.linalg.norm(points[one] - points[other], axis=1), percentile)
 
-    ahead = _ahead(points, points["hip"], _LEAST_BENT)
+    ahead = _ahead(points, points["hip"], least_bent)
     root = distance("pelvis", "hip")
     if np.isfinite(ahead):  # the hips' way from the root is down and ahead
         root = float(np.sqrt(max(root**2 - ahead**2, 0.0)))
     spine = root + distance("pelvis", "spine")
     neck = spine + distance("spine", "neck")
     if np.isnan(neck):
-        above = root + distance("pelvis", "neck", _STRAIGHT)
-        neck = distance("hip", "neck", _STRAIGHT) if np.isnan(above) else above
-    drop = _fall(points.get("neck", unseen), points["shoulder"], points["hip"])
-    straight = distance("hip", "shoulder", _STRAIGHT) if np.isnan(neck) else neck - drop
+        above = root + distance("pelvis", "neck", straight)
+        neck = distance("hip", "neck", straight) if np.isnan(above) else above
+    down = points["hip"] - points["neck"]
+    drops = ((points["shoulder"] - points["neck"]) * down).sum(axis=1) / (np.linalg.norm(down, axis=1) + 1e-12)
+    shoulders = distance("hip", "shoulder", straight) if np.isnan(neck) else neck - _typical(drops)
     return Torso(
         distance("left_hip", "right_hip"),
         distance("left_shoulder", "right_shoulder"),
         root,
         spine,
         neck,
-        straight,
+        shoulders,
         ahead,
         _ahead(points, points["shoulder"], 50.0),
     )
@@ -112,23 +107,26 @@ def _typical(values: FloatArray, percentile: float | None = None) -> float:
 
 def _ahead(points: Mapping[str, FloatArray], middle: FloatArray, percentile: float) -> float:
     """Compute how far a middle lies before the line from the root to the neck."""
-    unseen = np.full((1, 3), np.nan)
-    root, neck = points.get("pelvis", unseen), points.get("neck", unseen)
-    left = points.get("left_shoulder", unseen) - points.get("right_shoulder", unseen)
-    front = np.cross(left, neck - root)
+    up = points["neck"] - points["pelvis"]
+    front = np.cross(points["left_shoulder"] - points["right_shoulder"], up)
     front = front / (np.linalg.norm(front, axis=1, keepdims=True) + 1e-12)
-    return _typical(((middle - root) * front).sum(axis=1), percentile)
+    return _typical(((middle - points["pelvis"]) * front).sum(axis=1), percentile)
 
 
-def _fall(neck: FloatArray, shoulders: FloatArray, hips: FloatArray) -> float:
-    """Compute how far the shoulders' middle lies below the neck, along the direction to the hips."""
-    down = hips - neck
-    falls = ((shoulders - neck) * down).sum(axis=1) / (np.linalg.norm(down, axis=1) + 1e-12)
-    return _typical(falls)
+def apply_torso(
+    body: BodyModel,
+    measured: Torso,
+    *,
+    farthest_ahead: float = 0.15,
+    spine_range: tuple[float, float] = (0.25, 0.75),
+    flesh_range: tuple[float, float] = (0.8, 1.25),
+) -> BodyModel:
+    """Move hips, spine, neck and shoulders to their measured places, with the solids about them.
 
-
-def apply_torso(body: BodyModel, measured: Torso) -> BodyModel:
-    """Move hips, spine, neck and shoulders to their measured places, with the solids about them."""
+    Limits: hips and shoulders lie at most ``farthest_ahead`` of the trunk's height before the line to the neck; the
+    spine bends in ``spine_range`` of the way from hips to neck; the flesh follows the shoulders' breadth in
+    ``flesh_range``, as some recordings' shoulders sit at the neck.
+    """
     own = body_torso(body)
     if own is None:
         return body
@@ -137,14 +135,14 @@ def apply_torso(body: BodyModel, measured: Torso) -> BodyModel:
     # A landmark's place is no size: the root may well be the hips' middle.
     root = measured.root if measured.root <= 0.5 * height else own.root * stretch
     spine = measured.spine if np.isfinite(measured.spine) else own.spine * stretch
-    spine = float(np.clip(spine, _SPINE_RANGE[0] * height, _SPINE_RANGE[1] * height))
+    spine = float(np.clip(spine, spine_range[0] * height, spine_range[1] * height))
     shoulders = _plausible_size(measured.shoulders, own.shoulders * stretch)
     hips = _plausible_size(measured.hip_breadth, own.hip_breadth) / own.hip_breadth
     breadth = _plausible_size(measured.shoulder_breadth, own.shoulder_breadth) / own.shoulder_breadth
     offsets, spheres = body.offsets.copy(), body.spheres.copy()
     row = {name: body.joints.index(name) for name in _NEEDED}
     ahead = [
-        float(np.clip(there, -_AHEAD * height, _AHEAD * height)) if np.isfinite(there) else here
+        float(np.clip(there, -farthest_ahead * height, farthest_ahead * height)) if np.isfinite(there) else here
         for there, here in (
             (measured.hips_ahead, own.hips_ahead),
             (measured.shoulders_ahead, own.shoulders_ahead),
@@ -156,7 +154,7 @@ def apply_torso(body: BodyModel, measured: Torso) -> BodyModel:
             offsets[row[f"{side}_{name}"], 0] *= scale
             offsets[row[f"{side}_{name}"], 1:] = place, forward
     offsets[row["spine"], 1], offsets[row["neck"], 1] = spine - root, height - spine
-    flesh = float(np.clip(breadth, _NARROW, _WIDE))
+    flesh = float(np.clip(breadth, *flesh_range))
     for joint, before, after, scale in (("pelvis", own.root, root, 1.0), ("spine", own.spine, spine, flesh)):
         solid = slice(*body.sphere_starts[row[joint] : row[joint] + 2])
         spheres[solid, 1] = (spheres[solid, 1] + before) * stretch - after
@@ -165,18 +163,14 @@ def apply_torso(body: BodyModel, measured: Torso) -> BodyModel:
     return replace(body, offsets=offsets, spheres=spheres)
 
 
-def _plausible_size(value: float, usual: float, otherwise: float | None = None) -> float:
-    """Return the first plausible size, else the usual one."""
+def _plausible_size(
+    value: float, usual: float, otherwise: float | None = None, least: float = 0.4, most: float = 1.8
+) -> float:
+    """Return the first size of ``least`` to ``most`` times the usual one, else that: beyond, a point is wrong."""
     for tried in (value, otherwise):
-        if tried is not None and _LEAST_SIZE * usual <= tried <= _GREATEST_SIZE * usual:
+        if tried is not None and least * usual <= tried <= most * usual:
             return float(tried)
     return usual
-
-
-_LEAST, _GREATEST = 0.6, 1.6  # of the scale of the whole body: a bone beyond is a wrong point
-_SIDES_AGREE = 0.10  # left and right that differ by less are one length, seen twice
-_MOST_FRAMES = 200
-_OVER_JOINTS = 1.085  # stature over the height of the joints: three people of HDM05, within 1 %
 
 
 def fit_body(body: BodyModel, positions: ArrayLike | Mapping[str, ArrayLike]) -> BodyModel:
@@ -202,12 +196,17 @@ def fit_body(body: BodyModel, positions: ArrayLike | Mapping[str, ArrayLike]) ->
     lengths = np.linalg.norm(np.concatenate((body.offsets, body.tip_offsets)), axis=1)
     ratios = np.full(len(names), np.nan)
     for row, name in enumerate(names):
-        if owners[row] >= 0 and lengths[row] > 0 and _is_limb(body, row):
-            ratios[row] = _distance(tracks, names[owners[row]], name) / lengths[row]
+        # A tip, or a joint without siblings, determines the length of its parent part.
+        if owners[row] < 0 or lengths[row] == 0 or (row < body.n_parts and (body.parents == owners[row]).sum() > 1):
+            continue
+        if name in tracks and names[owners[row]] in tracks:
+            apart = np.linalg.norm(tracks[names[owners[row]]] - tracks[name], axis=1)
+            ratios[row] = _typical(apart) / lengths[row]
     torso = measure_torso(tracks)
     overall = _overall(body, ratios, torso)
     ratios = _even_sides(names, _believable(body, ratios / overall))
-    grown = apply_torso(_grow(body, overall), torso)
+    fields = ("offsets", "tip_offsets", "spheres", "stature")
+    grown = apply_torso(replace(body, **{field: overall * getattr(body, field) for field in fields}), torso)
     points = np.concatenate((grown.offsets, grown.tip_offsets)) * np.where(np.isnan(ratios), 1.0, ratios)[:, None]
     # Tips are landmarks and stretch no solid: the head's may be the crown or a point between the ears.
     stretched = reshape(grown, points[: body.n_parts], grown.tip_offsets)
@@ -234,38 +233,29 @@ def _is_measured(ratio: float) -> bool:
     return bool(np.isfinite(ratio) and ratio > 0)
 
 
-def _believable(body: BodyModel, ratios: FloatArray) -> FloatArray:
-    """Drop implausible ratios of joints; ratios of tips are clipped."""
-    joints = np.arange(len(ratios)) < body.n_parts
-    wrong = joints & ~((ratios >= _LEAST) & (ratios <= _GREATEST))
-    return np.where(wrong, np.nan, np.clip(ratios, _LEAST, _GREATEST))
+def _believable(body: BodyModel, ratios: FloatArray, least: float = 0.6, most: float = 1.6) -> FloatArray:
+    """Drop ratios of joints beyond ``least`` to ``most``, where a point is wrong; ratios of tips are clipped."""
+    wrong = (np.arange(len(ratios)) < body.n_parts) & ~((ratios >= least) & (ratios <= most))
+    return np.where(wrong, np.nan, np.clip(ratios, least, most))
 
 
-def _even_sides(names: tuple[str, ...], ratios: FloatArray) -> FloatArray:
-    """Average left and right where they agree, or where one of them is unknown."""
+def _even_sides(names: tuple[str, ...], ratios: FloatArray, agree: float = 0.10) -> FloatArray:
+    """Average left and right where they differ by at most the share ``agree``, or where one of them is unknown."""
     even = ratios.copy()
     for row, name in enumerate(names):
         if not name.startswith("left_") or (other := "right_" + name[5:]) not in names:
             continue
         pair = [row, names.index(other)]
         known = ratios[pair][np.isfinite(ratios[pair])]
-        if len(known) and np.ptp(known) <= _SIDES_AGREE * known.mean():
+        if len(known) and np.ptp(known) <= agree * known.mean():
             even[pair] = known.mean()
     return even
 
 
-def _grow(body: BodyModel, scale: float) -> BodyModel:
-    return replace(
-        body,
-        offsets=scale * body.offsets,
-        tip_offsets=scale * body.tip_offsets,
-        spheres=scale * body.spheres,
-        stature=scale * body.stature,
-    )
-
-
-def _tracks(body: BodyModel, positions: ArrayLike | Mapping[str, ArrayLike]) -> dict[str, FloatArray]:
-    """Return name -> (T, 3) of the body's joints and tips, with a limited number of frames."""
+def _tracks(
+    body: BodyModel, positions: ArrayLike | Mapping[str, ArrayLike], most_frames: int = 200
+) -> dict[str, FloatArray]:
+    """Return name -> (T, 3) of the body's joints and tips, with some ``most_frames`` frames."""
     if not isinstance(positions, Mapping):
         array = np.asarray(positions, np.float64)
         if array.ndim not in (2, 3) or array.shape[-2:] != (len(CANONICAL_JOINTS), 3):
@@ -277,24 +267,13 @@ def _tracks(body: BodyModel, positions: ArrayLike | Mapping[str, ArrayLike]) -> 
         if track.ndim != 2 or track.shape[1] != 3:
             raise BodyModelError("pose.track", joint=name, found=str(track.shape))
         if np.isfinite(track).all(axis=1).any():
-            tracks[name] = track[:: max(1, len(track) // _MOST_FRAMES)]
+            tracks[name] = track[:: max(1, len(track) // most_frames)]
     return tracks
 
 
-def _distance(tracks: Mapping[str, FloatArray], one: str, other: str) -> float:
-    if one not in tracks or other not in tracks:
-        return np.nan
-    return _typical(np.linalg.norm(tracks[one] - tracks[other], axis=1))
-
-
-def _is_limb(body: BodyModel, row: int) -> bool:
-    """Return whether a point determines the length of its parent part: a tip, or a joint without siblings."""
-    if row >= body.n_parts:
-        return True
-    return row > 0 and int((body.parents == body.parents[row]).sum()) == 1
-
-
-def body_from_motion(motion: Motion | Trajectories | CanonicalMotion, sex: str = "average") -> BodyModel:
+def body_from_motion(
+    motion: Motion | Trajectories | CanonicalMotion, sex: str = "average", *, over_joints: float = 1.085
+) -> BodyModel:
     """Return the body of a recorded person: bones from the skeleton, girths from the tables, see `make_human`.
 
     Missing joints keep the tables' proportions.
@@ -303,6 +282,7 @@ def body_from_motion(motion: Motion | Trajectories | CanonicalMotion, sex: str =
     ----------
     motion : any motion whose joints can be identified (BVH, ASF/AMC, C3D, TRC ...), in m, or its canonical joints.
     sex : as in `make_human`; changes girths only.
+    over_joints : stature over the height of the joints: of three people of HDM05, within 1 %.
 
     Raises
     ------
@@ -310,10 +290,9 @@ def body_from_motion(motion: Motion | Trajectories | CanonicalMotion, sex: str =
     BodyModelError : an implausible size, perhaps by a wrong unit.
     """
     canonical = require_whole(motion if isinstance(motion, CanonicalMotion) else canonicalise(motion))
-    frames = slice(None, None, max(1, canonical.n_frames // _MOST_FRAMES))
-    positions = canonical.positions[frames].copy()
+    positions = canonical.positions.copy()
     if canonical.missing is not None:
-        positions[canonical.missing[frames]] = np.nan
+        positions[canonical.missing] = np.nan
     made_up = [index for index, name in enumerate(CANONICAL_JOINTS) if name in canonical.mapping.derived]
     positions[:, made_up] = np.nan
-    return fit_body(make_human(_OVER_JOINTS * canonical.height, sex), positions)
+    return fit_body(make_human(over_joints * canonical.height, sex), positions)
