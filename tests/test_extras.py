@@ -22,7 +22,7 @@ for name in ("cv2", "matplotlib", "fontTools", "fastapi", "uvicorn", "jinja2", "
     sys.modules[name] = None
 """
 CASES = [
-    ("film", "from dousa.extras import cv2"),
+    ("film", "from dousa.extras import cv2; cv2.imread"),
     ("film", "from dousa.estimation.silhouettes.images import read_image; read_image('x.png')"),
     ("film", "from dousa.estimation import find_keypoints; find_keypoints('x.png', cache=False)"),
     ("pictures", "from dousa.app.pictures.canvas import new_figure; new_figure(2.0, 1.0)"),

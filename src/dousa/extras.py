@@ -16,12 +16,14 @@ s3          fragments of a library in object storage                            
 cluster     adding, training and experiments on the workers of a cluster         Dask distributed
 ==========  ===================================================================  =====================================
 
-``from dousa.extras import cv2`` is ``import cv2`` with that message, at the place of use.
+``from dousa.extras import cv2`` is ``import cv2`` with that message, at the first use of the package: modules import it
+at their top, where it costs nothing.
 """
 
 from __future__ import annotations
 
 import importlib
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,7 +70,15 @@ def find_font() -> Path | None:
     return None
 
 
-def __getattr__(name: str) -> Any:
-    if name == "cv2":
-        return require("cv2", "film")
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+class _Package:
+    """A package of an extra, imported when something of it is used."""
+
+    def __init__(self, package: str, extra: str) -> None:
+        self._package, self._extra = package, extra
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(sys.modules.get(self._package) or require(self._package, self._extra), name)
+
+
+if not TYPE_CHECKING:
+    cv2 = _Package("cv2", "film")
