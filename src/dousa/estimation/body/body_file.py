@@ -133,11 +133,7 @@ def _read_person(source: _Source, content: Mapping[str, Any]) -> BodyModel:
 
 
 def _refuse_unknown(
-    source: _Source,
-    table: Mapping[str, Any],
-    known: Sequence[str],
-    what: str | Message,
-    after: int | None = 0,
+    source: _Source, table: Mapping[str, Any], known: Sequence[str], what: str | Message, after: int | None = 0
 ) -> None:
     for key in table:
         if key not in known:

@@ -23,6 +23,7 @@ from dousa.estimation.calibration.rig_search import triangulate
 from dousa.estimation.calibration.sightings import choose_moments, make_track, read_sightings
 from dousa.estimation.cameras.camera import Camera, make_view
 from dousa.estimation.keypoints.keypoints import PersonTrack, ViewKeypoints
+from dousa.extras import cv2
 from dousa.messages import Message
 
 Progress = Callable[[int, int, Message], None]
@@ -84,8 +85,6 @@ class Board:
 
 def parse_board(text: str) -> Board:
     """Parse ``chessboard:9x6:25mm`` or ``charuco:5x7:40mm:30mm[:DICT_4X4_50]``; OptionError for anything else."""
-    from dousa.extras import cv2
-
     chess, charuco = _CHESS.fullmatch(text), _CHARUCO.fullmatch(text)
     found = chess or charuco
     try:
@@ -111,8 +110,6 @@ def parse_board(text: str) -> Board:
 
 
 def _make_detector(board: Board) -> Any:
-    from dousa.extras import cv2
-
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     if board.columns * board.rows // 2 > len(dictionary.bytesList):
         raise OptionError("board.dictionary", found=board.dictionary)
@@ -129,8 +126,6 @@ def find_corners(image: Image, board: Board, detector: Any = None) -> tuple[Inde
     board : the board.
     detector : for many images of one ChArUco board; by default a new one.
     """
-    from dousa.extras import cv2
-
     grey = np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
     if board.marker is None:
         good, corners = cv2.findChessboardCornersSB(grey, board.shape)
@@ -263,8 +258,6 @@ def calibrate_lens(view: ViewKeypoints, board: Board, name: str) -> Camera:
     ------
     CalibrationError : too few frames show the board, or they do not fit any lens.
     """
-    from dousa.extras import cv2
-
     points = view.people[0].points
     seen = np.flatnonzero(np.isfinite(points[..., 0]).sum(axis=1) >= _LEAST_CORNERS)
     if len(seen) < _LEAST_LENS_FRAMES:
@@ -321,8 +314,6 @@ def _find_pose(
     sightings: Sightings, focals: FloatArray, board: Board, view: int, moment: int
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return rotation and translation from the board's axes to a camera's; None with too few corners."""
-    from dousa.extras import cv2
-
     good = sightings.weights[view, moment] > 0
     if good.sum() < _LEAST_CORNERS:
         return None

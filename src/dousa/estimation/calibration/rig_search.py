@@ -15,6 +15,7 @@ import numpy as np
 
 from dousa.arrays import BoolArray, FloatArray
 from dousa.estimation.calibration.bundle import Fit, Freedom, Limb, Rig, Sightings, adjust
+from dousa.extras import cv2
 
 _MOST_PAIRS = 1500  # points for RANSAC: more of the same person add nothing
 _LEAST_PAIRS = 30
@@ -50,8 +51,6 @@ def find_relative_poses(first: FloatArray, second: FloatArray, spread: float) ->
     first, second : (N, 2) normalised coordinates of the same points.
     spread : normalised error of a point; twice as far still agrees.
     """
-    from dousa.extras import cv2
-
     if len(first) < _LEAST_PAIRS:
         return []
     if len(first) > _MOST_PAIRS:
@@ -71,8 +70,6 @@ def _turn_between(first: FloatArray, second: FloatArray) -> float:
 
 
 def _find_relative_pose(first: FloatArray, second: FloatArray, method: int, threshold: float) -> RelativePose | None:
-    from dousa.extras import cv2
-
     cv2.setRNGSeed(_SEED)
     try:
         essential, inliers = cv2.findEssentialMat(
@@ -207,8 +204,6 @@ def _find_pose(
     sightings: Sightings, points: FloatArray, focal: float, view: int
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return the share of points that agree with a further view's pose, and that pose; 0 where there is none."""
-    from dousa.extras import cv2
-
     both = np.isfinite(points[..., 0]) & (sightings.weights[view] > 0)
     if both.sum() < _LEAST_POINTS:
         return 0.0, np.eye(3), np.zeros(3)

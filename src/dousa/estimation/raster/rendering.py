@@ -16,6 +16,7 @@ from dousa.estimation.body.kinematics import point_names
 from dousa.estimation.body.posing import fit_poses
 from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.raster.rasteriser import draw_body
+from dousa.extras import cv2
 from dousa.motion import CANONICAL_JOINTS, Motion, Trajectories, canonicalise, compute_trajectories
 
 _EDGE_GRAIN = 2.5  # px, size of the bumps of a ragged edge
@@ -110,8 +111,6 @@ class _Field:
         self._values = self._draw()
 
     def _draw(self) -> FloatArray:
-        from dousa.extras import cv2
-
         kernel = cv2.getGaussianKernel(2 * int(np.ceil(4.0 * self._grain)) + 1, self._grain)
         noise = self._rng.standard_normal(self._size)
         smooth = cv2.sepFilter2D(noise, cv2.CV_64F, kernel, kernel, borderType=cv2.BORDER_REFLECT)
@@ -129,8 +128,6 @@ def _quantile(share: float) -> float:
 
 def _depths(mask: Mask) -> FloatArray:
     """Compute the distance (px) to the edge, negative outside."""
-    from dousa.extras import cv2
-
     if mask.all() or not mask.any():
         return np.where(mask, np.inf, -np.inf)
     inner = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 3)
@@ -140,8 +137,6 @@ def _depths(mask: Mask) -> FloatArray:
 
 def _cast_shadow(mask: Mask, length: float, side: float) -> Mask:
     """Lay the silhouette flat on the floor from its lowest row, to one side."""
-    from dousa.extras import cv2
-
     rows = np.flatnonzero(mask.any(axis=1))
     if not len(rows):
         return np.zeros_like(mask)
@@ -156,8 +151,6 @@ def _cast_shadow(mask: Mask, length: float, side: float) -> Mask:
 
 def _shift(mask: Mask, shift: FloatArray) -> Mask:
     """Shift the image by (columns, rows) px; the rest is background."""
-    from dousa.extras import cv2
-
     affine = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
     height, width = mask.shape
     return np.asarray(cv2.warpAffine(mask.astype(np.float32), affine, (width, height)) > 0.5)

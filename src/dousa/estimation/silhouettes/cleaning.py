@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, Mask
 from dousa.errors import OptionError
+from dousa.extras import cv2
 
 _MOST_PIECES = 24  # pieces beside the main one that are looked at, the largest first
 _PERSON_SHARE = 0.4  # a far piece with so much of the main one's area is another person
@@ -53,8 +54,6 @@ class MaskState:
 
 def describe_mask(mask: Mask) -> MaskState:
     """Describe a mask (H, W): area, pieces, contact with the image edge."""
-    from dousa.extras import cv2
-
     image = np.ascontiguousarray(mask).view(np.uint8)
     count, _, stats, _ = cv2.connectedComponentsWithStats(image, connectivity=8)
     areas = stats[1:count, cv2.CC_STAT_AREA]
@@ -107,8 +106,6 @@ def clean_mask(
     ):
         if not value >= 0:
             raise OptionError("masks.share", option=name, found=value)
-    from dousa.extras import cv2
-
     image = np.ascontiguousarray(mask, bool).view(np.uint8)
     count, pieces, table, _ = cv2.connectedComponentsWithStats(image, connectivity=8)
     labels, stats = np.asarray(pieces, np.int32), np.asarray(table, np.int32)
@@ -146,8 +143,6 @@ def _around(boxes: NDArray[np.int32], reach: float, shape: tuple[int, ...]) -> t
 
 def count_people(mask: Mask) -> int:
     """Count the pieces of a mask with at least 0.4 of the area of the largest."""
-    from dousa.extras import cv2
-
     image = np.ascontiguousarray(mask, bool).view(np.uint8)
     areas = cv2.connectedComponentsWithStats(image, connectivity=8)[2][1:, cv2.CC_STAT_AREA]
     return int((areas >= _PERSON_SHARE * areas.max()).sum()) if len(areas) else 0
@@ -166,8 +161,6 @@ def _main_piece(labels: NDArray[np.int32], areas: NDArray[np.int32], previous: M
 
 def _nearest_piece(labels: NDArray[np.int32], areas: NDArray[np.int32], previous: Mask) -> int:
     """Return the piece nearest to the last mask among those large enough for a person."""
-    from dousa.extras import cv2
-
     distance = cv2.distanceTransform((~previous).view(np.uint8), cv2.DIST_L2, 3)
     candidates = 1 + np.flatnonzero(areas[1:] >= _PERSON_SHARE * areas[1:].max())
     return int(min(candidates, key=lambda piece: float(distance[labels == piece].min())))
@@ -182,8 +175,6 @@ def _keep_near(
     held: NDArray[np.bool_],
 ) -> None:
     """Mark the pieces that belong to the main one."""
-    from dousa.extras import cv2
-
     speck_share, reach, limb_reach, limb_share = limits
     areas = stats[:, cv2.CC_STAT_AREA]
     side = float(max(stats[main, cv2.CC_STAT_WIDTH], stats[main, cv2.CC_STAT_HEIGHT]))
@@ -231,8 +222,6 @@ def _share_columns(one: NDArray[np.int32], other: NDArray[np.int32]) -> bool:
 
 def _fill_holes(mask: Mask, most: float) -> None:
     """Fill holes of at most ``most`` pixels, in place."""
-    from dousa.extras import cv2
-
     background = (~mask).view(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(background, connectivity=4)
     if count <= 2:
@@ -270,8 +259,6 @@ class MaskMeasure:
 
 def measure_mask(mask: Mask | None) -> MaskMeasure:
     """Measure a mask (H, W); for None the area is NaN."""
-    from dousa.extras import cv2
-
     if mask is None:
         return MaskMeasure(float("nan"), 0.0)
     image = np.ascontiguousarray(mask, bool).view(np.uint8)

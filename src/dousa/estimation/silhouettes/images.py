@@ -14,7 +14,7 @@ from dousa.arrays import Mask
 from dousa.errors import MotionFileError, SilhouetteError
 from dousa.estimation.cameras.camera import format_size
 from dousa.estimation.silhouettes.silhouettes import View, checked_frame, checked_rate
-from dousa.extras import require
+from dousa.extras import cv2, require
 from dousa.files.disk import read_bytes
 from dousa.files.frame_files import natural_key, number_frames
 from dousa.messages import Message
@@ -48,8 +48,6 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
     ------
     SilhouetteError : missing, damaged, no image, too large.
     """
-    from dousa.extras import cv2
-
     try:
         data = read_bytes(path)
     except MotionFileError as error:
@@ -104,8 +102,6 @@ def resize_mask(mask: Mask, size: tuple[int, int]) -> Mask:
     """Resize a mask to (width, height): a pixel is foreground if more than half of its area is."""
     if (mask.shape[1], mask.shape[0]) == size:
         return mask
-    from dousa.extras import cv2
-
     image = np.ascontiguousarray(mask).view(np.uint8) * np.uint8(255)
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA) > 127)
 
@@ -194,10 +190,7 @@ class MaskFolder(View):
     """
 
     def __init__(
-        self,
-        path: str | os.PathLike[str],
-        frame_rate: float | None = None,
-        size: tuple[int, int] | None = None,
+        self, path: str | os.PathLike[str], frame_rate: float | None = None, size: tuple[int, int] | None = None
     ) -> None:
         self._folder = os.fspath(path)
         names = list_images(path)

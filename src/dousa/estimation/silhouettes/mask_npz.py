@@ -134,7 +134,7 @@ def _spool(
     files: list[IO[bytes]] = []
     try:
         for path in spools:
-            files.append(open(path, "wb"))  # noqa: SIM115 - closed below
+            files.append(open(path, "wb"))
         for frame in range(source.n_frames):
             for view, mask in enumerate(source.read(frame)):
                 canvas = np.zeros((height, width), bool)
@@ -235,9 +235,7 @@ def read_stature(path: str | os.PathLike[str]) -> float | None:
         return stature
 
 
-def read_true_joints(
-    path: str | os.PathLike[str],
-) -> tuple[tuple[str, ...], NDArray[np.float64]] | None:
+def read_true_joints(path: str | os.PathLike[str]) -> tuple[tuple[str, ...], NDArray[np.float64]] | None:
     """Return names (K,) and positions (T, K, 3) m of the true joints in an npz file of silhouettes; None if absent.
 
     SilhouetteError : missing or damaged, or inconsistent names and positions.

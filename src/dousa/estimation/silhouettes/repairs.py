@@ -17,6 +17,7 @@ import numpy as np
 from dousa.arrays import Image, Mask
 from dousa.errors import SilhouetteError
 from dousa.estimation.silhouettes.silhouettes import Silhouettes, checked_frame
+from dousa.extras import cv2
 from dousa.messages import Message
 
 if TYPE_CHECKING:
@@ -61,8 +62,6 @@ class MaskStroke:
 
     def apply(self, mask: Mask, frame: int) -> None:
         """Change the mask (H, W) of a frame in place."""
-        from dousa.extras import cv2
-
         canvas = np.zeros(mask.shape, np.uint8)
         dots = np.round(np.asarray(self.points) * (1 << _SHIFT)).astype(np.int64)
         dots = np.clip(dots, -(1 << 20), 1 << 20).astype(np.int32)
@@ -208,11 +207,7 @@ def find_part(silhouettes: Silhouettes, view: int, frame: int, point: tuple[floa
 
 
 def follow_part(
-    silhouettes: Silhouettes,
-    view: int,
-    frame: int,
-    point: tuple[float, float],
-    progress: Progress | None = None,
+    silhouettes: Silhouettes, view: int, frame: int, point: tuple[float, float], progress: Progress | None = None
 ) -> ExcludedPart:
     """Follow a part through all frames by shared area and similar size.
 
@@ -270,8 +265,6 @@ def _part_at(mask: Mask, seed: tuple[int, int]) -> Mask:
 
 
 def _label(mask: Mask) -> NDArray[np.int32]:
-    from dousa.extras import cv2
-
     image = np.ascontiguousarray(mask, bool).view(np.uint8)
     return np.asarray(cv2.connectedComponents(image, connectivity=8)[1], np.int32)
 

@@ -148,10 +148,7 @@ def _per_view(sizes: Sequence[tuple[int, int]] | None, n_views: int) -> list[tup
 
 
 def _plates(
-    method: BackgroundMethod | None,
-    backgrounds: Sequence[Path],
-    places: Sequence[tuple[str, str]],
-    n_views: int,
+    method: BackgroundMethod | None, backgrounds: Sequence[Path], places: Sequence[tuple[str, str]], n_views: int
 ) -> tuple[BackgroundMethod, list[Path | None]]:
     """Return the method, and the plate of each view."""
     if method not in (None, "plate", "median", "mog2"):

@@ -61,7 +61,7 @@ class Silhouettes(ABC):
         """
         return (None,) * self.n_views
 
-    def close(self) -> None:  # noqa: B027 - most kinds hold nothing open
+    def close(self) -> None:
         """Close open files; reading opens them again."""
 
     @property
@@ -225,7 +225,7 @@ class View(ABC):
         """Return the image (height, width, 3) behind the mask of a frame; None where there is none."""
         return None
 
-    def close(self) -> None:  # noqa: B027 - most kinds hold nothing open
+    def close(self) -> None:
         """Close open files; reading opens them again."""
 
 

@@ -28,6 +28,7 @@ from dousa.estimation.silhouettes.images import (
     resize_mask,
 )
 from dousa.estimation.silhouettes.silhouettes import View, checked_frame, checked_rate
+from dousa.extras import cv2
 from dousa.messages import Message
 
 VideoKind = Literal["mask", "video"]
@@ -58,8 +59,6 @@ class VideoFile:
     """
 
     def __init__(self, path: str | os.PathLike[str], frame_rate: float | None = None) -> None:
-        from dousa.extras import cv2
-
         self.path = os.fspath(path)
         self._capture: cv2.VideoCapture | None = None
         self._next = 0
@@ -82,9 +81,7 @@ class VideoFile:
         self.size = (first.shape[1], first.shape[0])
         self.n_frames, self.n_stated = self._count_frames(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
 
-    def _open(self) -> cv2.VideoCapture:  # type: ignore[name-defined]  # noqa: F821
-        from dousa.extras import cv2
-
+    def _open(self) -> cv2.VideoCapture:
         if self._capture is None:
             with quiet_opencv():
                 self._capture = cv2.VideoCapture(self.path)
@@ -96,8 +93,6 @@ class VideoFile:
 
     def _decode(self) -> Image | None:
         """Return the next frame, or None at the end or where the data are damaged."""
-        from dousa.extras import cv2
-
         try:
             with quiet_opencv():
                 good, image = self._open().read()
@@ -112,8 +107,6 @@ class VideoFile:
 
     def _count_frames(self, stated: int) -> tuple[int, int]:
         """Return the number of frames that can be decoded, and the number in the header (0 if absent)."""
-        from dousa.extras import cv2
-
         stated = max(0, stated)
         if stated > 1:
             self._seek(stated - 1)
@@ -135,8 +128,6 @@ class VideoFile:
         return max(1, count), stated
 
     def _seek(self, frame: int) -> None:
-        from dousa.extras import cv2
-
         with quiet_opencv():
             self._open().set(cv2.CAP_PROP_POS_FRAMES, frame)
         self._next = frame
@@ -299,8 +290,6 @@ class VideoView(_VideoBased):
         return None if image is None else self._resize(image[self._part])
 
     def _resize(self, image: Image) -> Image:
-        from dousa.extras import cv2
-
         if (image.shape[1], image.shape[0]) == self.size:
             return image
         return np.asarray(cv2.resize(image, self.size, interpolation=cv2.INTER_AREA), np.uint8)
