@@ -130,9 +130,8 @@ def test_doubtful_are_empty_frames_second_parts_and_sudden_sizes():
     masks[2] = False  # nobody
     masks[5, 20:30, 60:70] = True  # a second part
     masks[8, 30:55] = True  # as wide as the picture
-    measured = [measure_mask(mask) for mask in masks]
-    doubts = doubt_masks(np.array([one.area for one in measured]), np.array([one.second for one in measured]))
-    assert doubts == [(2, "empty"), (5, "parts"), (8, "size")]
+    measured = np.array([measure_mask(mask) for mask in masks])
+    assert doubt_masks(*measured.T) == [(2, "empty"), (5, "parts"), (8, "size")]
 
 
 def test_a_person_who_moves_is_not_doubted_and_no_image_is_no_doubt():

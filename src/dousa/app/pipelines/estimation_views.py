@@ -65,12 +65,12 @@ def _find_sizes(request: EstimationRequest) -> list[tuple[int, int]] | None:
     """Sizes for the masks of videos: the proportions of the cameras', which may differ from those of the files."""
     from dousa.estimation.cameras.camera import match_cameras
     from dousa.estimation.cameras.camera_files import read_cameras
-    from dousa.estimation.silhouettes.video import LONGEST_SIDE, reduce_size
+    from dousa.estimation.silhouettes.video import reduce_size
 
     if request.cameras is None or not all(path.is_file() and path.suffix.lower() != ".npz" for path in request.sources):
         return None
     cameras, _ = match_cameras(read_cameras(request.cameras), [path.stem for path in request.sources])
-    return [reduce_size((camera.width, camera.height), LONGEST_SIDE) for camera in cameras]
+    return [reduce_size((camera.width, camera.height)) for camera in cameras]
 
 
 def _is_npz(sources: Sequence[Path]) -> bool:

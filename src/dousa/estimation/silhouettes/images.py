@@ -19,11 +19,7 @@ from dousa.files.disk import read_bytes
 from dousa.files.frame_files import natural_key, number_frames
 from dousa.messages import Message
 
-_MOST_PIXELS = 200_000_000
-_LABELS = 15  # values up to this are labels, not grey levels
 _PNG = b"\x89PNG\r\n\x1a\n"
-_BAR = 40.0  # grey level; a letterbox bar is darker
-_STRETCHED = 0.02  # change of the aspect ratio worth a word
 
 
 @contextmanager
@@ -41,8 +37,10 @@ def quiet_opencv() -> Iterator[None]:
         logging.setLogLevel(before)
 
 
-def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
+def read_image(path: str | os.PathLike[str], most_pixels: int = 200_000_000) -> NDArray[Any]:
     """Read an image as it is stored: (H, W) or (H, W, channels), 8 or 16 bit or float; blue, green, red.
+
+    A PNG says its size before it is decoded, and is refused beyond ``most_pixels``.
 
     Raises
     ------
@@ -54,7 +52,7 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
         raise SilhouetteError(error.message).at(path) from None
     if data[:8] == _PNG and len(data) >= 24:
         width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
-        if width * height > _MOST_PIXELS:
+        if width * height > most_pixels:
             raise SilhouetteError("mask_files.pixels", size=format_size((width, height))).at(path)
     try:
         with quiet_opencv():
@@ -78,13 +76,14 @@ def read_colour_image(path: str | os.PathLike[str]) -> NDArray[np.uint8]:
     return np.ascontiguousarray(image[..., :3], np.uint8)
 
 
-def mask_from_image(image: NDArray[Any], lossless: bool = True) -> Mask:
+def mask_from_image(image: NDArray[Any], lossless: bool = True, highest_label: int = 15) -> Mask:
     """Return the foreground of a mask image: brighter than half, or not 0 where the values are labels (0, 1, 2 ...).
 
     Parameters
     ----------
     image : (H, W) or (H, W, channels); alpha is ignored, the brightest colour counts.
     lossless : whether small values are reliable; in JPEG they are not.
+    highest_label : images with higher values hold grey levels.
     """
     if image.ndim == 3:
         colours = image[..., :3] if image.shape[2] >= 3 else image[..., :1]
@@ -92,7 +91,7 @@ def mask_from_image(image: NDArray[Any], lossless: bool = True) -> Mask:
     peak = float(image.max())
     if image.dtype.kind == "f":
         return np.asarray(image > (0.5 if peak <= 1.0 else 127.5))
-    if lossless and peak <= _LABELS:
+    if lossless and peak <= highest_label:
         return np.asarray(image > 0)
     full = 255 if image.dtype == np.uint8 or peak <= 255 else 65535
     return np.asarray(image > full // 2)
@@ -127,24 +126,23 @@ def fit_frame(size: tuple[int, int], target: tuple[int, int], sample: NDArray[np
     return whole
 
 
-def _has_bars(profile: NDArray[np.floating[Any]], depth: int) -> bool:
-    """Return whether ``depth`` lines at both ends are black and the scene behind them is not."""
+def _has_bars(profile: NDArray[np.floating[Any]], depth: int, black: float = 40.0) -> bool:
+    """Return whether ``depth`` lines at both ends are below the grey level ``black`` and the scene behind is not."""
     if 4 * depth > len(profile):
         return False
     sure = max(1, depth - 1)  # the last line of a bar is blurred by compression
     outside = max(profile[:sure].max(), profile[-sure:].max())
     inside = min(profile[depth + 1 : 3 * depth + 4].mean(), profile[-3 * depth - 4 : -depth - 1].mean())
-    return bool(outside < _BAR and inside > outside + 20)
+    return bool(outside < black and inside > outside + 20)
 
 
-def is_stretched(size: tuple[int, int], target: tuple[int, int]) -> bool:
-    """Return whether a resize changes the aspect ratio by more than 2 %."""
-    return abs(size[0] * target[1] / (size[1] * target[0]) - 1) > _STRETCHED
+def is_stretched(size: tuple[int, int], target: tuple[int, int], least: float = 0.02) -> bool:
+    """Return whether a resize changes the aspect ratio by more than the share ``least``."""
+    return abs(size[0] * target[1] / (size[1] * target[0]) - 1) > least
 
 
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 _LOSSY = (".jpg", ".jpeg")
-_DEFAULT_RATE = 30.0
 
 
 def _list(path: str | os.PathLike[str]) -> list[str]:
@@ -197,7 +195,7 @@ class MaskFolder(View):
         if not names:
             raise SilhouetteError("mask_files.empty_folder").at(self._folder)
         self.name = os.path.basename(os.path.normpath(self._folder))
-        self.frame_rate = _DEFAULT_RATE if frame_rate is None else checked_rate(frame_rate, self._folder)
+        self.frame_rate = 30.0 if frame_rate is None else checked_rate(frame_rate, self._folder)
         self._frames = number_frames(names)
         self.n_frames = max(self._frames) + 1
         first = read_image(os.path.join(self._folder, names[0]))
@@ -207,14 +205,8 @@ class MaskFolder(View):
         if frame_rate is None:
             notes.append(Message("mask_files.images_rate", view=self.name, rate=self.frame_rate))
         if len(self._frames) < self.n_frames:
-            notes.append(
-                Message(
-                    "mask_files.missing_frames",
-                    view=self.name,
-                    missing=self.n_frames - len(self._frames),
-                    frames=self.n_frames,
-                )
-            )
+            missing = self.n_frames - len(self._frames)
+            notes.append(Message("mask_files.missing_frames", view=self.name, missing=missing, frames=self.n_frames))
         if float(np.mean(mask_from_image(first, not names[0].lower().endswith(_LOSSY)))) > 0.6:
             notes.append(Message("mask_files.inverted", view=self.name))
         self.warnings = tuple(notes)
@@ -227,9 +219,6 @@ class MaskFolder(View):
         path = os.path.join(self._folder, name)
         image = read_image(path)
         if (image.shape[1], image.shape[0]) != self._stored_size:
-            raise SilhouetteError(
-                "mask_files.image_size",
-                size=format_size(self._stored_size),
-                other=format_size(image.shape[1::-1]),
-            ).at(path)
+            sizes = {"size": format_size(self._stored_size), "other": format_size(image.shape[1::-1])}
+            raise SilhouetteError("mask_files.image_size", **sizes).at(path)
         return resize_mask(mask_from_image(image, not name.lower().endswith(_LOSSY)), self.size)

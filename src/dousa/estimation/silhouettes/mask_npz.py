@@ -85,13 +85,16 @@ def write_silhouettes(
     height = max(size[1] for size in source.sizes)
     shape = (source.n_views, source.n_frames, height, (width + 7) // 8)
     beside |= {"width": np.array(width), "height": np.array(height)}
-    with tempfile.TemporaryDirectory(prefix="dousa-") as folder:
-        spools = [os.path.join(folder, str(view)) for view in range(source.n_views)]
-        beside["present"] = _spool(source, spools, (width, height), progress)
-        if beside["present"].all():
-            del beside["present"]
+    with tempfile.TemporaryFile(prefix="dousa-") as spool:
+        present = _spool(source, spool, shape[2:], progress)
+        if not present.all():
+            beside["present"] = present
         with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-            _write_masks(archive, spools, shape)
+            header = {"descr": "|u1", "fortran_order": False, "shape": shape}
+            with archive.open("mask_packed.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array_header_1_0(member, header)
+                spool.seek(0)
+                shutil.copyfileobj(spool, member, 1 << 20)
             for name, values in beside.items():
                 with archive.open(f"{name}.npy", "w") as member:
                     np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
@@ -126,47 +129,23 @@ def _collect(
 
 
 def _spool(
-    source: Silhouettes, spools: Sequence[str], size: tuple[int, int], progress: Progress | None
+    source: Silhouettes, spool: IO[bytes], size: tuple[int, int], progress: Progress | None
 ) -> NDArray[np.bool_]:
-    """Pack every frame into one file per view, as the array is stored by view but read by frame."""
-    width, height = size
+    """Pack every frame into a file in the order of the array, by view and frame, as silhouettes are read by frame."""
+    height, n_bytes = size
     present = np.ones((source.n_views, source.n_frames), bool)
-    files: list[IO[bytes]] = []
-    try:
-        for path in spools:
-            files.append(open(path, "wb"))
-        for frame in range(source.n_frames):
-            for view, mask in enumerate(source.read(frame)):
-                canvas = np.zeros((height, width), bool)
-                if mask is None:
-                    present[view, frame] = False
-                else:
-                    canvas[: mask.shape[0], : mask.shape[1]] = mask
-                files[view].write(np.packbits(canvas, axis=1).tobytes())
-            if progress is not None:
-                progress(frame + 1, source.n_frames, Message("mask_npz.writing"))
-    finally:
-        for file in files:
-            file.close()
+    for frame in range(source.n_frames):
+        for view, mask in enumerate(source.read(frame)):
+            canvas = np.zeros((height, 8 * n_bytes), bool)
+            if mask is None:
+                present[view, frame] = False
+            else:
+                canvas[: mask.shape[0], : mask.shape[1]] = mask
+            spool.seek((view * source.n_frames + frame) * height * n_bytes)
+            spool.write(np.packbits(canvas, axis=1).tobytes())
+        if progress is not None:
+            progress(frame + 1, source.n_frames, Message("mask_npz.writing"))
     return present
-
-
-def _write_masks(archive: zipfile.ZipFile, spools: Sequence[str], shape: tuple[int, ...]) -> None:
-    header = {"descr": "|u1", "fortran_order": False, "shape": shape}
-    with archive.open("mask_packed.npy", "w", force_zip64=True) as member:
-        np.lib.format.write_array_header_1_0(member, header)
-        for path in spools:
-            with open(path, "rb") as file:
-                shutil.copyfileobj(file, member, 1 << 20)
-
-
-_MOST_PACKED_BYTES = 2_000_000_000  # an hour of one view of 320 x 240 at 30 Hz takes 1.04e9
-_HARMLESS_BYTES = 200_000_000
-_MOST_DENSE = 300  # bytes of packed masks of one in the file; of a person 12 to 31, of nothing at all 1030
-_LONGEST_SIDE = 65_536
-_MOST_PIXELS = 200_000_000
-_MOST_VIEWS = 1000
-_DEFAULT_RATE = 30.0
 
 
 def read_silhouettes(path: str | os.PathLike[str], frame_rate: float | None = None) -> PackedSilhouettes:
@@ -189,18 +168,13 @@ def read_silhouettes(path: str | os.PathLike[str], frame_rate: float | None = No
         elif "frame_rate" in file:
             rate = checked_rate(file.read_number("frame_rate"))
         else:
-            rate = _DEFAULT_RATE
+            rate = 30.0
             warnings = (Message("mask_npz.rate", path=path, rate=rate),)
         missing = None
         if "present" in file:
-            missing = ~file.read("present", "b", 2)
-            if missing.shape != (len(packed), len(packed[0])):
-                raise SilhouetteError(
-                    "npz.shape",
-                    array="present",
-                    expected=str((len(packed), len(packed[0]))),
-                    found=str(missing.shape),
-                )
+            missing, expected = ~file.read("present", "b", 2), (len(packed), len(packed[0]))
+            if missing.shape != expected:
+                raise SilhouetteError("npz.shape", array="present", expected=str(expected), found=str(missing.shape))
         packed = [
             np.ascontiguousarray(array[:, :height, : (width + 7) // 8])
             for array, (width, height) in zip(packed, sizes, strict=True)
@@ -246,12 +220,8 @@ def read_true_joints(path: str | os.PathLike[str]) -> tuple[tuple[str, ...], NDA
         names = file.read_texts("joint_names")
         positions = file.read("joint_positions", "f", 3).astype(np.float64)
         if positions.shape[1:] != (len(names), 3):
-            raise SilhouetteError(
-                "npz.shape",
-                array="joint_positions",
-                expected=f"(T, {len(names)}, 3)",
-                found=str(positions.shape),
-            )
+            expected = f"(T, {len(names)}, 3)"
+            raise SilhouetteError("npz.shape", array="joint_positions", expected=expected, found=str(positions.shape))
         return names, positions
 
 
@@ -282,30 +252,39 @@ def _read_masks(file: NpzFile) -> tuple[list[PackedMasks], list[tuple[int, int]]
     raise SilhouetteError("mask_npz.no_masks", found=file.names)
 
 
-def _read_side(file: NpzFile, side: str) -> int:
+def _read_side(file: NpzFile, side: str, most: int = 65_536) -> int:
+    """Return the width or height, at most ``most`` px."""
     value = file.read_number(side)
-    if not (1 <= value <= _LONGEST_SIDE and value == int(value)):
-        raise SilhouetteError("mask_npz.side", side=side, most=_LONGEST_SIDE, found=value)
+    if not (1 <= value <= most and value == int(value)):
+        raise SilhouetteError("mask_npz.side", side=side, most=most, found=value)
     return int(value)
 
 
-def _view_shape(name: str, header: Header) -> tuple[int, int, int, int]:
-    """Return (V, T, H, W) of an array that may lack the axis of the views."""
+def _view_shape(
+    name: str, header: Header, *, most_views: int = 1000, most_pixels: int = 200_000_000, longest_side: int = 65_536
+) -> tuple[int, int, int, int]:
+    """Return (V, T, H, W) of an array that may lack the axis of the views, within limits of views and of an image."""
     shape = header.shape if len(header.shape) == 4 else (1, *header.shape)
     if len(shape) != 4:
         raise SilhouetteError("mask_npz.axes", array=name, found=str(header.shape))
     if min(shape) < 1:
         raise SilhouetteError("mask_npz.empty", array=name, found=str(header.shape))
-    if shape[0] > _MOST_VIEWS or max(shape[2:]) > _LONGEST_SIDE or shape[2] * shape[3] > _MOST_PIXELS:
+    if shape[0] > most_views or max(shape[2:]) > longest_side or shape[2] * shape[3] > most_pixels:
         raise SilhouetteError("mask_npz.huge", array=name, found=str(header.shape))
     return shape[0], shape[1], shape[2], shape[3]
 
 
-def _check_amount(n_bytes: int, header: Header) -> None:
-    """Raise SilhouetteError for more packed masks than the limit, or than the file can plausibly hold."""
-    if n_bytes > _MOST_PACKED_BYTES:
-        raise SilhouetteError("mask_npz.amount", size=n_bytes / 1e9, most=_MOST_PACKED_BYTES / 1e9)
-    if n_bytes > max(_HARMLESS_BYTES, _MOST_DENSE * header.n_packed):
+def _check_amount(
+    n_bytes: int, header: Header, most: int = 2_000_000_000, harmless: int = 200_000_000, densest: int = 300
+) -> None:
+    """Raise SilhouetteError for more packed masks than the file can plausibly hold.
+
+    An hour of one view of 320 x 240 px at 30 Hz has 1.04e9 bytes, of ``most``. What is more than ``harmless`` has at
+    most ``densest`` times the bytes of the file: a person has 12 to 31, nothing at all 1030.
+    """
+    if n_bytes > most:
+        raise SilhouetteError("mask_npz.amount", size=n_bytes / 1e9, most=most / 1e9)
+    if n_bytes > max(harmless, densest * header.n_packed):
         raise SilhouetteError("mask_npz.bomb", size=n_bytes / 1e6, packed=header.n_packed / 1e6)
 
 

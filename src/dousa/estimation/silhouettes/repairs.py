@@ -10,24 +10,16 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from dousa.arrays import Image, Mask
 from dousa.errors import SilhouetteError
+from dousa.estimation.silhouettes.cleaning import label_pieces
 from dousa.estimation.silhouettes.silhouettes import Silhouettes, checked_frame
 from dousa.extras import cv2
 from dousa.messages import Message
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-_SHIFT = 4  # bits of a pixel that strokes are drawn to
-_NEAR = 4  # px beside a part that is still a click on it
-_LEAST_SHARED = 0.3  # of the smaller of two parts, for them to be one part in two frames
-_LIKE = 2.5  # ratio of areas, beyond which a part has grown together with another, or has lost most of itself
-_PATIENCE = 15  # frames without a part, after which it is not looked for any more
 
 Progress = Callable[[int, int, Message], None]
 
@@ -62,14 +54,15 @@ class MaskStroke:
 
     def apply(self, mask: Mask, frame: int) -> None:
         """Change the mask (H, W) of a frame in place."""
+        bits = 4  # of a pixel: OpenCV's coordinates are whole numbers
         canvas = np.zeros(mask.shape, np.uint8)
-        dots = np.round(np.asarray(self.points) * (1 << _SHIFT)).astype(np.int64)
+        dots = np.round(np.asarray(self.points) * (1 << bits)).astype(np.int64)
         dots = np.clip(dots, -(1 << 20), 1 << 20).astype(np.int32)
-        radius = max(1, round(self.radius * (1 << _SHIFT)))
+        radius = max(1, round(self.radius * (1 << bits)))
         for one, other in pairwise(dots):
-            cv2.line(canvas, one.tolist(), other.tolist(), 1, max(1, round(2 * self.radius)), shift=_SHIFT)
+            cv2.line(canvas, one.tolist(), other.tolist(), 1, max(1, round(2 * self.radius)), shift=bits)
         for dot in dots:
-            cv2.circle(canvas, dot.tolist(), radius, 1, -1, shift=_SHIFT)
+            cv2.circle(canvas, dot.tolist(), radius, 1, -1, shift=bits)
         mask[canvas.view(bool)] = self.adds
 
     def to_json(self) -> dict[str, Any]:
@@ -207,18 +200,23 @@ def find_part(silhouettes: Silhouettes, view: int, frame: int, point: tuple[floa
 
 
 def follow_part(
-    silhouettes: Silhouettes, view: int, frame: int, point: tuple[float, float], progress: Progress | None = None
+    silhouettes: Silhouettes,
+    view: int,
+    frame: int,
+    point: tuple[float, float],
+    progress: Progress | None = None,
+    patience: int = 15,
 ) -> ExcludedPart:
     """Follow a part through all frames by shared area and similar size.
 
-    Frames where it has merged with another part, such as the person, stay unchanged; the search in one direction ends
-    after more than 15 such frames in a row.
+    Frames where it has merged with another part, such as the person, stay unchanged.
 
     Parameters
     ----------
     silhouettes : with all earlier repairs.
     view, frame, point : see `find_part`.
     progress : called with (frames done, frames in all, what).
+    patience : frames in a row without the part, after which it is not looked for any more in one direction.
 
     Raises
     ------
@@ -240,12 +238,15 @@ def follow_part(
             n_done += 1
             if progress is not None:
                 progress(n_done, silhouettes.n_frames - 1, Message("mask_repairs.following"))
-            if missed > _PATIENCE:
+            if missed > patience:
                 break
     return ExcludedPart(view, dict(sorted(seeds.items())))
 
 
-def _find_seed(silhouettes: Silhouettes, view: int, frame: int, point: tuple[float, float]) -> tuple[int, int]:
+def _find_seed(
+    silhouettes: Silhouettes, view: int, frame: int, point: tuple[float, float], near: float = 4.0
+) -> tuple[int, int]:
+    """Return the foreground pixel nearest to a point, at most ``near`` px away: a click beside a part counts."""
     _check_view(silhouettes, view)
     mask = silhouettes.read_view(view, checked_frame(frame, silhouettes.n_frames))
     x, y = point
@@ -253,33 +254,34 @@ def _find_seed(silhouettes: Silhouettes, view: int, frame: int, point: tuple[flo
         rows, columns = np.nonzero(mask)
         away = np.hypot(columns - x, rows - y)
         nearest = int(away.argmin())
-        if away[nearest] <= _NEAR:
+        if away[nearest] <= near:
             return int(columns[nearest]), int(rows[nearest])
     raise SilhouetteError("mask_repairs.nothing_there")
 
 
 def _part_at(mask: Mask, seed: tuple[int, int]) -> Mask:
     """Return the connected part (H, W) of a mask at a foreground pixel."""
-    labels = _label(mask)
+    labels = label_pieces(mask)[0]
     return np.asarray(labels == labels[seed[1], seed[0]])
 
 
-def _label(mask: Mask) -> NDArray[np.int32]:
-    image = np.ascontiguousarray(mask, bool).view(np.uint8)
-    return np.asarray(cv2.connectedComponents(image, connectivity=8)[1], np.int32)
+def _find_again(
+    mask: Mask | None, part: Mask, least_shared: float = 0.3, most_ratio: float = 2.5
+) -> tuple[tuple[int, int], Mask] | None:
+    """Return a pixel of the part in another mask, and the part there.
 
-
-def _find_again(mask: Mask | None, part: Mask) -> tuple[tuple[int, int], Mask] | None:
-    """Return a pixel of the part in another mask, and the part there."""
+    They share at least ``least_shared`` of the smaller one. Beyond ``most_ratio`` of their areas the part has grown
+    together with another, or has lost most of itself.
+    """
     if mask is None or not (mask & part).any():
         return None
-    labels = _label(mask)
+    labels = label_pieces(mask)[0]
     shared = np.bincount(labels[part], minlength=2)
     shared[0] = 0
     best = int(shared.argmax())
     found = labels == best
     areas = int(found.sum()), int(part.sum())
-    if shared[best] < _LEAST_SHARED * min(areas) or max(areas) > _LIKE * min(areas):
+    if shared[best] < least_shared * min(areas) or max(areas) > most_ratio * min(areas):
         return None
     row, column = np.argwhere(found & part)[0]
     return (int(column), int(row)), found

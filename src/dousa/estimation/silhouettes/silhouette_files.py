@@ -11,39 +11,25 @@ from dousa.errors import OptionError, SilhouetteError
 from dousa.estimation.silhouettes.background import BackgroundMethod
 from dousa.estimation.silhouettes.images import IMAGE_ENDINGS, MaskFolder, find_mask_folders, resize_mask
 from dousa.estimation.silhouettes.mask_npz import read_silhouettes
-from dousa.estimation.silhouettes.silhouettes import Silhouettes, View, checked_frame, synchronise
-from dousa.estimation.silhouettes.video import LONGEST_SIDE, VideoKind, open_video
+from dousa.estimation.silhouettes.silhouettes import Silhouettes, View, synchronise
+from dousa.estimation.silhouettes.video import VideoKind, open_video
 from dousa.messages import Message
 
 Path = str | os.PathLike[str]
 Progress = Callable[[int, int, Message], None]
 
 
-class _LatestFrame:
-    """A cache of the last frame of silhouettes."""
-
-    def __init__(self, source: Silhouettes) -> None:
-        self.source = source
-        self._latest: tuple[int, tuple[Mask | None, ...]] | None = None
-
-    def read(self, frame: int) -> tuple[Mask | None, ...]:
-        if self._latest is None or self._latest[0] != frame:
-            self._latest = (frame, self.source.read(frame))
-        return self._latest[1]
-
-
 class _ViewOf(View):
     """One view of silhouettes."""
 
-    def __init__(self, latest: _LatestFrame, view: int, size: tuple[int, int] | None) -> None:
-        source = latest.source
-        self._latest, self._view = latest, view
+    def __init__(self, source: Silhouettes, view: int, size: tuple[int, int] | None) -> None:
+        self._source, self._view = source, view
         self.name, self.size = source.names[view], size or source.sizes[view]
         self.n_frames, self.frame_rate = source.n_frames, source.frame_rate
         self.warnings = source.warnings if view == 0 else ()
 
     def read(self, frame: int) -> Mask | None:
-        mask = self._latest.read(checked_frame(frame, self.n_frames))[self._view]
+        mask = self._source.read_view(self._view, frame)
         return None if mask is None else resize_mask(mask, self.size)
 
 
@@ -57,7 +43,7 @@ def open_silhouettes(
     offsets: Sequence[float] | None = None,
     frames: tuple[int, int] | None = None,
     progress: Progress | None = None,
-    longest_side: int = LONGEST_SIDE,
+    longest_side: int = 640,
 ) -> Silhouettes:
     """Open the silhouettes of one or more views; close them, or use ``with``.
 
@@ -98,14 +84,13 @@ def open_silhouettes(
     views: list[View] = []
     try:
         if source is not None:
-            latest = _LatestFrame(source)
-            views += [_ViewOf(latest, view, wanted[view]) for view in range(n_views)]
+            views += [_ViewOf(source, view, wanted[view]) for view in range(n_views)]
         for view, (path, what) in enumerate(places if source is None else ()):
             size = wanted[view]
             if what == "folder":
                 views.append(MaskFolder(path, frame_rate, size))
             elif what == "npz":
-                views.append(_ViewOf(_LatestFrame(read_silhouettes(path, frame_rate)), 0, size))
+                views.append(_ViewOf(read_silhouettes(path, frame_rate), 0, size))
             else:
                 plate = plates[view]
                 views.append(open_video(path, kind, method, plate, frame_rate, size, progress, longest_side))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import operator
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from types import TracebackType
 
 import numpy as np
@@ -17,8 +17,6 @@ from dousa.estimation.cameras.camera import format_size
 from dousa.messages import Message
 
 PackedMasks = NDArray[np.uint8]
-
-_HIGHEST_RATE = 100_000.0
 
 
 class Silhouettes(ABC):
@@ -61,7 +59,7 @@ class Silhouettes(ABC):
         """
         return (None,) * self.n_views
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - most kinds hold nothing open
         """Close open files; reading opens them again."""
 
     @property
@@ -89,13 +87,13 @@ def checked_frame(frame: int, n_frames: int) -> int:
     return index
 
 
-def checked_rate(rate: float, where: str = "") -> float:
-    """Return the frame rate in Hz if it is valid, else raise SilhouetteError with ``where``."""
+def checked_rate(rate: float, where: str = "", highest: float = 100_000.0) -> float:
+    """Return the frame rate in Hz if it is valid, at most ``highest``, else raise SilhouetteError with ``where``."""
     try:
         value = float(rate)
     except (TypeError, ValueError):
         value = float("nan")
-    if not 0 < value <= _HIGHEST_RATE:
+    if not 0 < value <= highest:
         raise SilhouetteError("masks.rate", found=repr(rate)).at(where)
     return value
 
@@ -189,14 +187,14 @@ class PackedSilhouettes(Silhouettes):
 
     def read(self, frame: int) -> tuple[Mask | None, ...]:
         """Return the masks (height, width) of all views in one frame; None where a view has no image."""
+        return tuple(self.read_view(view, frame) for view in range(self.n_views))
+
+    def read_view(self, view: int, frame: int) -> Mask | None:
+        """Return the mask of one view."""
         frame = checked_frame(frame, self.n_frames)
-        return tuple(
-            None if missing else np.unpackbits(array[frame], axis=1, count=width).view(bool)
-            for array, (width, _), missing in zip(self._packed, self.sizes, self._missing[:, frame], strict=True)
-        )
-
-
-_SAME_RATE = 1e-3  # 29.97 and 30 Hz drift by a frame in half a minute; 29.97 and 29.98 are one
+        if self._missing[view, frame]:
+            return None
+        return np.unpackbits(self._packed[view][frame], axis=1, count=self.sizes[view][0]).view(bool)
 
 
 class View(ABC):
@@ -225,7 +223,7 @@ class View(ABC):
         """Return the image (height, width, 3) behind the mask of a frame; None where there is none."""
         return None
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - most kinds hold nothing open
         """Close open files; reading opens them again."""
 
 
@@ -276,10 +274,10 @@ class _ViewsOnOneClock(Silhouettes):
             view.close()
 
 
-def _distinct(names: object) -> tuple[str, ...]:
+def _distinct(names: Iterable[str]) -> tuple[str, ...]:
     """Return the names, with a number added to repeated ones."""
     seen: list[str] = []
-    for name in names:  # type: ignore[attr-defined]
+    for name in names:
         candidate, count = name, 1
         while candidate in seen:
             count += 1
@@ -293,6 +291,7 @@ def synchronise(
     frame_rate: float | None = None,
     offsets: Sequence[float] | None = None,
     frames: tuple[int, int] | None = None,
+    same_rate: float = 1e-3,
 ) -> Silhouettes:
     """Synchronise views: each frame takes the nearest image of every view, as long as the shortest view lasts.
 
@@ -302,6 +301,8 @@ def synchronise(
     frame_rate : Hz of the common clock; by default that of the slowest view, so that no image is used twice.
     offsets : (V,) s from the start of each recording to a common moment, such as a clap; 0 by default.
     frames : first frame and the one after the last, on the common clock; all by default.
+    same_rate : share by which rates may differ and be one: 29.97 and 29.98 Hz are, 30 Hz drifts by a frame in half a
+        minute.
 
     Raises
     ------
@@ -312,11 +313,14 @@ def synchronise(
     rates = [checked_rate(view.frame_rate, view.name) for view in views]
     rate = min(rates) if frame_rate is None else checked_rate(frame_rate)
     warnings: list[Message] = []
-    if max(rates) > min(rates) * (1 + _SAME_RATE):
+    if max(rates) > min(rates) * (1 + same_rate):
         warnings.append(Message("masks.rates", rates=rates, rate=rate))
     elif frame_rate is None:
         rates = [rate] * len(views)  # rates that are the same but for rounding must not drift apart
-    starts = _starts(views, offsets)
+    times = [0.0] * len(views) if offsets is None else [float(value) for value in offsets]
+    if len(times) != len(views) or not all(map(math.isfinite, times)):
+        raise SilhouetteError("masks.offsets", expected=len(views), found=str(times))
+    starts = [time - min(times) for time in times]
     lengths = [  # moments whose nearest image exists
         math.ceil(((view.n_frames - 0.5) / own - start) * rate - 1e-9)
         for view, own, start in zip(views, rates, starts, strict=True)
@@ -325,32 +329,9 @@ def synchronise(
     if length < 1:
         raise SilhouetteError("masks.no_common_moment", view=views[lengths.index(length)].name)
     if max(lengths) > length:
-        warnings.append(
-            Message(
-                "masks.lengths",
-                lengths=tuple(f"{view.name} {count}" for view, count in zip(views, lengths, strict=True)),
-                rate=rate,
-                used=length,
-            )
-        )
-    first, stop = _span(frames, length)
-    return _ViewsOnOneClock(views, rates, rate, starts, first, stop - first, tuple(warnings))
-
-
-def _starts(views: Sequence[View], offsets: Sequence[float] | None) -> list[float]:
-    """Compute the time (s) of each view at the first common moment."""
-    if offsets is None:
-        return [0.0] * len(views)
-    values = [float(value) for value in offsets]
-    if len(values) != len(views) or not all(map(math.isfinite, values)):
-        raise SilhouetteError("masks.offsets", expected=len(views), found=str(values))
-    return [value - min(values) for value in values]
-
-
-def _span(frames: tuple[int, int] | None, length: int) -> tuple[int, int]:
-    if frames is None:
-        return 0, length
-    first, stop = frames
+        named = tuple(f"{view.name} {count}" for view, count in zip(views, lengths, strict=True))
+        warnings.append(Message("masks.lengths", lengths=named, rate=rate, used=length))
+    first, stop = frames or (0, length)
     if not 0 <= first < stop <= length:
         raise SilhouetteError("masks.frames", frames=length, first=first, stop=stop)
-    return first, stop
+    return _ViewsOnOneClock(views, rates, rate, starts, first, stop - first, tuple(warnings))

@@ -34,14 +34,6 @@ from dousa.messages import Message
 VideoKind = Literal["mask", "video"]
 Progress = Callable[[int, int, Message], None]
 
-LONGEST_SIDE = 640
-"""Pixels; silhouettes of scenes are not made larger unless asked for, as the tracker gains nothing by it."""
-
-_SAMPLES = 32  # frames that a background is learnt from
-_SEEK_BEYOND = 64  # frames; decoding so many costs more than seeking
-_LAST_KNOWN = 5  # frames over which the person is followed when some are skipped
-_LEAST_BINARY = 0.97  # share of black and white pixels in a video of masks
-
 
 class VideoFile:
     """Frames of a video file, decoded one at a time; going back or far ahead seeks.
@@ -136,15 +128,18 @@ class VideoFile:
         self.close()
         self._open()
 
-    def read(self, frame: int) -> Image | None:
-        """Return a frame (H, W, 3) uint8 blue, green, red; None where the data are damaged."""
+    def read(self, frame: int, seek_beyond: int = 64) -> Image | None:
+        """Return a frame (H, W, 3) uint8 blue, green, red; None where the data are damaged.
+
+        Decoding ``seek_beyond`` frames costs more than seeking.
+        """
         frame = checked_frame(frame, self.n_frames)
         if self._latest is not None and self._latest[0] == frame:
             return self._latest[1]
         self._open()
         if frame < self._next:
             self._rewind()
-        if frame - self._next > _SEEK_BEYOND:
+        if frame - self._next > seek_beyond:
             self._seek(frame)
         while self._next < frame:
             with quiet_opencv():
@@ -163,19 +158,22 @@ class VideoFile:
         self._next = 0
 
 
-def guess_video_kind(images: Sequence[Image]) -> VideoKind:
-    """Return whether frames (H, W, 3) are masks (nearly all pixels black or white) or a scene."""
+def guess_video_kind(images: Sequence[Image], least_binary: float = 0.97) -> VideoKind:
+    """Return whether frames (H, W, 3) are masks (black or white in at least ``least_binary`` of each) or a scene."""
     for image in images:
         low, high = image.min(axis=2), image.max(axis=2)
         binary = (high <= 40) | (low >= 215)
-        if binary.mean() < _LEAST_BINARY or (low >= 215).mean() > 0.9:
+        if binary.mean() < least_binary or (low >= 215).mean() > 0.9:
             return "video"
     lit = any(bool((image.min(axis=2) >= 215).any()) for image in images)
     return "mask" if images and lit else "video"
 
 
-def reduce_size(size: tuple[int, int], longest: int) -> tuple[int, int]:
-    """Return width and height with at most ``longest`` pixels on the longer side, in proportion if possible."""
+def reduce_size(size: tuple[int, int], longest: int = 640) -> tuple[int, int]:
+    """Return width and height with at most ``longest`` pixels on the longer side, in proportion if possible.
+
+    The tracker gains nothing by larger silhouettes than those of the default.
+    """
     long, short = max(size), min(size)
     if long <= longest:
         return size
@@ -246,7 +244,7 @@ class VideoView(_VideoBased):
         method: BackgroundMethod = "median",
         plate: str | os.PathLike[str] | None = None,
         progress: Progress | None = None,
-        longest_side: int = LONGEST_SIDE,
+        longest_side: int = 640,
     ) -> None:
         scene = None if plate is None else read_colour_image(plate)
         if size is None:
@@ -294,8 +292,9 @@ class VideoView(_VideoBased):
             return image
         return np.asarray(cv2.resize(image, self.size, interpolation=cv2.INTER_AREA), np.uint8)
 
-    def _sample(self, progress: Progress | None) -> Image:
-        frames = _spread(_SAMPLES, self.n_frames)
+    def _sample(self, progress: Progress | None, count: int = 32) -> Image:
+        """Return frames (count, height, width, 3) spread over the video, from which the background is learnt."""
+        frames = _spread(count, self.n_frames)
         samples = []
         for done, frame in enumerate(frames):
             image = self._file.read(frame)
@@ -307,8 +306,11 @@ class VideoView(_VideoBased):
             raise SilhouetteError("film.samples", found=len(samples)).at(self._file.path)
         return np.stack(samples)
 
-    def read(self, frame: int) -> Mask | None:
-        """Return the mask (height, width) of a frame; None where the data are damaged."""
+    def read(self, frame: int, last_known: int = 5) -> Mask | None:
+        """Return the mask (height, width) of a frame; None where the data are damaged.
+
+        The person is followed where up to ``last_known`` - 1 frames are skipped.
+        """
         image = self.look(frame)
         if image is None:
             return None
@@ -317,7 +319,7 @@ class VideoView(_VideoBased):
             self._several = True
             self._notes.append(Message("film.several", view=self.name, frame=frame))
         previous = None
-        if self._previous is not None and 0 < frame - self._previous[0] <= _LAST_KNOWN:
+        if self._previous is not None and 0 < frame - self._previous[0] <= last_known:
             previous = self._previous[1]
         mask = clean_mask(found, previous=previous)
         fill_camouflage(mask, image)
@@ -334,7 +336,7 @@ def open_video(
     frame_rate: float | None = None,
     size: tuple[int, int] | None = None,
     progress: Progress | None = None,
-    longest_side: int = LONGEST_SIDE,
+    longest_side: int = 640,
 ) -> View:
     """Open a video of masks or of a scene as one view; by default the kind is recognised from a few frames."""
     if kind not in (None, "mask", "video"):

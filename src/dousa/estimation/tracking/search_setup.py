@@ -14,7 +14,7 @@ from dousa.estimation.body.body import BodyModel
 from dousa.estimation.body.kinematics import tree_arrays
 from dousa.estimation.cameras.camera import Camera, pack_cameras
 from dousa.estimation.raster.rasteriser import outline_scratch, pack_bits, unpack_bits
-from dousa.estimation.silhouettes.cleaning import NEARLY_FULL
+from dousa.estimation.silhouettes.cleaning import is_nearly_full
 from dousa.estimation.tracking.search_kernels import sweep
 from dousa.estimation.tracking.settings import EVIDENCES, MOST_CANDIDATES, READINGS, TrackerSettings
 
@@ -221,7 +221,7 @@ class Shrinker:
         """Return masks of one frame at the working size; full ones count as not seen."""
         small: list[Mask | None] = []
         for mask, size in zip(masks, self.sizes, strict=True):
-            if mask is None or mask.mean() >= NEARLY_FULL:
+            if mask is None or is_nearly_full(mask):
                 small.append(None)
             elif self.factor == 1:
                 small.append(mask)

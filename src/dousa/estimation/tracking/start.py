@@ -21,7 +21,7 @@ from dousa.estimation.body.body import BodyModel
 from dousa.estimation.body.kinematics import compute_points, point_names
 from dousa.estimation.body.posing import lead_pose, standing_state
 from dousa.estimation.raster.rasteriser import draw_body, pack_bits
-from dousa.estimation.silhouettes.cleaning import NEARLY_FULL
+from dousa.estimation.silhouettes.cleaning import is_nearly_full
 from dousa.estimation.silhouettes.silhouettes import Silhouettes
 from dousa.estimation.tracking.outlines import (
     Outline,
@@ -472,8 +472,8 @@ def find_first(silhouettes: Silhouettes) -> tuple[int, tuple[NDArray[np.bool_] |
     best, best_count, best_masks, full = -1, 0, None, 0
     for frame in range(min(silhouettes.n_frames, _FIRST_FRAMES)):
         masks = silhouettes.read(frame)
-        good = [mask is not None and 0 < mask.mean() < NEARLY_FULL for mask in masks]
-        full += any(mask is not None and mask.mean() >= NEARLY_FULL for mask in masks)
+        good = [mask is not None and mask.any() and not is_nearly_full(mask) for mask in masks]
+        full += any(mask is not None and is_nearly_full(mask) for mask in masks)
         if sum(good) > best_count:
             kept = tuple(mask if fine else None for mask, fine in zip(masks, good, strict=True))
             best, best_count, best_masks = frame, sum(good), kept

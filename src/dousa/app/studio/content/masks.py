@@ -202,8 +202,7 @@ class MaskDesk:
 
     def _measure(self, places: set[tuple[int, int]]) -> None:
         for view, frame in places:
-            measured = measure_mask(self.repaired.read_view(view, frame))
-            self._measures[:, view, frame] = measured.area, measured.second
+            self._measures[:, view, frame] = measure_mask(self.repaired.read_view(view, frame))
 
     def mask(self, view: int, frame: int) -> bytes:
         """Return the repaired mask of a view as PNG of full size; SilhouetteError or RefusedError if there is none."""

@@ -314,8 +314,7 @@ def _write_frames(views: Silhouettes, context: Context) -> Any:
             masks = views.read(frame)
             pictures = views.look(frame) if seen.n_bytes < 1_000_000_000 else (None,) * views.n_views
             for view, (mask, picture) in enumerate(zip(masks, pictures, strict=True)):
-                measured = measure_mask(mask)
-                measures[:, view, frame] = measured.area, measured.second
+                measures[:, view, frame] = measure_mask(mask)
                 if mask is not None:
                     seen.write(frame, view, MASK, encode_mask(mask))
                 if picture is not None:
