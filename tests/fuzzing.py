@@ -1,7 +1,5 @@
 """Random damage to files that are small: what it is, and how a reader takes it."""
 
-from __future__ import annotations
-
 import faulthandler
 import io
 import itertools
@@ -31,20 +29,7 @@ def count_tries(whole: int) -> int:
 
 
 NUMBER = re.compile(rb"-?\d+(\.\d*)?([eE][+-]?\d+)?")
-NASTY_TEXTS = [
-    b"1000000000",
-    b"-1",
-    b"0",
-    b"1e999",
-    b"-1e308",
-    b"nan",
-    b"inf",
-    b"9" * 400,
-    b"1e",
-    b"0x10",
-    b"",
-    b"{",
-]
+NASTY_TEXTS = [b"1000000000", b"-1", b"0", b"1e999", b"-1e308", b"nan", b"inf", b"9" * 400, b"1e", b"0x10", b"", b"{"]
 NASTY_BYTES = [
     bytes(4),
     b"\xff" * 4,
@@ -108,19 +93,7 @@ def swap_lines(rng, data):
     data[:] = b"\n".join(lines)
 
 
-DAMAGES = (
-    flip,
-    flip,
-    cut,
-    remove,
-    repeat,
-    overwrite,
-    overwrite,
-    insert,
-    swap_number,
-    swap_number,
-    swap_lines,
-)
+DAMAGES = (flip, flip, cut, remove, repeat, overwrite, overwrite, insert, swap_number, swap_number, swap_lines)
 
 
 def damage_array(rng, data):

@@ -1,7 +1,5 @@
 """What is dear to make and never changed, as a trained library: one worker makes it, the others wait and read it."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import pickle

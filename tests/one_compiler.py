@@ -1,7 +1,5 @@
 """What one worker of the tests compiles, the others read: no kernel is compiled by two of them at the same time."""
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 from typing import Any

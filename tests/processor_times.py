@@ -3,8 +3,6 @@
 With ``DOUSA_TEST_TIMES=40`` the run ends with the 40 dearest tests and with sums by folders.
 """
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 from collections.abc import Iterator

@@ -5,8 +5,6 @@ the commands of README and tutorial. Nightly: Firefox, all other tests of pages,
 marked ``slow`` (killed processes, long properties, whole experiments), and the tests of libraries on PostgreSQL.
 """
 
-from __future__ import annotations
-
 JOBS = {
     "studio/test_studio_axe.py": ("test_every_page_is_without_a_fault",),
     "studio/test_studio_compare_page.py": ("test_evaluations_of_one_reference_stand_beside_each_other",),

@@ -1,7 +1,5 @@
 """docs/architecture.md names files and folders that there are."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The documents say what the code does: commands exist, links lead somewhere, the table of features is the real one."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 from pathlib import Path

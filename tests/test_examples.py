@@ -1,7 +1,5 @@
 """Every public name of the package and every public method of a library has an example in its docstring that runs."""
 
-from __future__ import annotations
-
 import doctest
 import inspect
 import shutil

@@ -1,7 +1,5 @@
 """What is not installed says which extra brings it."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tomllib

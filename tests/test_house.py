@@ -4,8 +4,6 @@
 gives the reason in the commit's message.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

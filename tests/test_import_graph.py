@@ -1,7 +1,5 @@
 """Imports run as the diagrams of docs/architecture.md say, in no circle, and `import dousa` loads nothing heavy."""
 
-from __future__ import annotations
-
 import ast
 import functools
 import itertools

@@ -1,7 +1,5 @@
 """A headless Chromium for tests of pages, driven through selenium; Debian's packages chromium and chromium-driver."""
 
-from __future__ import annotations
-
 import base64
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The command line, and a real browser for tests of pages; they skip with a message where there is none."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

@@ -3,8 +3,6 @@
 For tests of what is shown (report, player, command line); nothing in it was computed by `assess`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from types import SimpleNamespace
@@ -185,10 +183,7 @@ def _make_furi(dance: _Dance, segments: np.ndarray, frame_rate: float) -> tuple[
 
 
 def make_assessment(
-    seconds: float = 20.0,
-    frame_rate: float = 30.0,
-    events_per_kind: int = 1,
-    words: str | None = None,
+    seconds: float = 20.0, frame_rate: float = 30.0, events_per_kind: int = 1, words: str | None = None
 ) -> Assessment:
     """An assessment of that many seconds.
 

@@ -1,7 +1,5 @@
 """Keypoints of made-up people: the names that a network gives, and the points of the body that stand for them."""
 
-from __future__ import annotations
-
 from dousa.estimation import MEDIAPIPE_NAMES
 
 __all__ = ["NAMES", "OWN"]

@@ -1,7 +1,5 @@
 """A page with a player, or with miniatures, alone; for tests in a real browser."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Assessments that a report must bear, and the data that a page carries."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
@@ -35,10 +33,7 @@ def _cut(assessment: Assessment, n_frames: int) -> Assessment:
     for name in ("reference", "performance"):
         whole = getattr(assessment, name)
         changes[name] = dataclasses.replace(
-            whole,
-            segments=whole.segments[:n_frames],
-            seen=whole.seen[:n_frames],
-            positions=whole.positions[:n_frames],
+            whole, segments=whole.segments[:n_frames], seen=whole.seen[:n_frames], positions=whole.positions[:n_frames]
         )
     return change(assessment, path=assessment.path[:n_frames], events=(), lapses=(), gaps=(), **changes)
 
@@ -69,9 +64,7 @@ UNUSUAL = {
     "no furi": lambda a: change(a, furi=()),
     "no values": _nan_curves,
     "no names": lambda a: change(
-        a,
-        reference=dataclasses.replace(a.reference, name=""),
-        performance=dataclasses.replace(a.performance, name=""),
+        a, reference=dataclasses.replace(a.reference, name=""), performance=dataclasses.replace(a.performance, name="")
     ),
     "a space of no dimensions": lambda a: change(
         a,

@@ -1,7 +1,5 @@
 """The command line as a person uses it: answers, JSON, errors with exit code 2 and no traceback."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """``dousa evaluate --music`` with beats and with sound: sentences, JSON, and mistakes in one line."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

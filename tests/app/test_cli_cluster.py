@@ -1,7 +1,5 @@
 """What the command line says of clusters that cannot be used; ``tests/workers`` uses one."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

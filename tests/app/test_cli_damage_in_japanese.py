@@ -1,7 +1,5 @@
 """What is wrong with files and commands is said in Japanese where that is asked for, without English sentences."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -70,15 +68,7 @@ def files(tmp_path_factory) -> Path:
 
 READ = [
     *("empty.bvh", "head.bvh", "open.bvh", "nonsense.bvh", "few.bvh", "letters.bvh", "rate.bvh"),
-    *(
-        "alone.amc",
-        "bad.asf",
-        "empty.trc",
-        "text.trc",
-        "text.c3d",
-        "text.npz",
-        "cut.npz",
-    ),
+    *("alone.amc", "bad.asf", "empty.trc", "text.trc", "text.c3d", "text.npz", "cut.npz"),
     *("name.xyz", "folder.bvh", "none.bvh"),
 ]
 

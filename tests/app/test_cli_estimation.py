@@ -1,7 +1,5 @@
 """``dousa estimate`` and ``dousa render`` as a person uses them: every mistake is one line with exit code 2."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import json
@@ -131,16 +129,7 @@ def tracked(monkeypatch):
     calls = SimpleNamespace(asked=[], stop_at=None, iou=0.8, lost=[])
 
     def estimate(
-        views,
-        cameras,
-        body,
-        start=None,
-        *,
-        settings,
-        resume=None,
-        on_checkpoint=None,
-        progress=None,
-        on_frame=None,
+        views, cameras, body, start=None, *, settings, resume=None, on_checkpoint=None, progress=None, on_frame=None
     ):
         calls.asked.append(
             SimpleNamespace(views=views, cameras=cameras, body=body, start=start, settings=settings, resume=resume)
@@ -159,15 +148,7 @@ def tracked(monkeypatch):
         iou = np.full((n_frames, len(cameras)), calls.iou)
         hidden = np.zeros((n_frames, body.n_parts), bool)
         return Estimate(
-            body,
-            np.array(done),
-            views.frame_rate,
-            iou,
-            np.full((n_frames, n_points), 0.02),
-            hidden,
-            lost,
-            (),
-            99.0,
+            body, np.array(done), views.frame_rate, iou, np.full((n_frames, n_points), 0.02), hidden, lost, (), 99.0
         )
 
     module = SimpleNamespace(estimate=estimate, PartialTrack=Partial)
@@ -358,10 +339,7 @@ class TestEstimateAround:
             keys = ("camera_matrix", "world_to_camera_rotation", "world_to_camera_translation", "view_names")
             fewer = {key: file[key][:3] for key in keys}
         np.savez(tmp_path / "three.npz", mask_packed=np.zeros((3, 2, 8, 1), np.uint8), width=8, height=8, **fewer)
-        failed(
-            run("estimate", bare, "--cameras", tmp_path / "three.npz"),
-            "3 cameras for the views view1, view2,",
-        )
+        failed(run("estimate", bare, "--cameras", tmp_path / "three.npz"), "3 cameras for the views view1, view2,")
 
     def test_a_start_elsewhere(self, run, jack, tracked, tmp_path):
         motion = read_motion(jack / "jack.bvh")

@@ -1,7 +1,5 @@
 """``dousa evaluate`` as a person uses it: table, JSON, report, and every mistake in one line with exit code 2."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
@@ -110,11 +108,7 @@ def test_a_furi_file_counts_frames_of_the_first_reference(run, takes, asked, tmp
     assert run(*words)[0] == 0
     furi = asked.assess[0][2]["furi"]
     assert [(figure.start, figure.end, figure.label) for figure in furi] == [(0, 20, "down"), (20, 40, "up")]
-    for text, says in (
-        ("1-20\n15-30\n", "overlap"),
-        ("1-20000\n", "expected frames 1 to"),
-        ("one\n", "expected"),
-    ):
+    for text, says in (("1-20\n15-30\n", "overlap"), ("1-20000\n", "expected frames 1 to"), ("one\n", "expected")):
         path.write_text(text)
         code, out, err = run(*words)
         assert code == 2 and out == "" and says in err and str(path) in err and len(err.splitlines()) == 1

@@ -1,7 +1,5 @@
 """dousa experiment: takes and annotated takes, as tables and as JSON, and what it refuses."""
 
-from __future__ import annotations
-
 import io
 import json
 import shutil
@@ -217,13 +215,6 @@ def test_the_answer_is_shown_in_full():
     out = io.StringIO()
     print_tables(Console(file=out, width=160), answer.to_tables())
     text = out.getvalue()
-    for words in (
-        "as recorded",
-        "tempo 0.5 to 2",
-        "unknown pieces",
-        "votes, frame by frame",
-        "MAP",
-        "seed 0",
-    ):
+    for words in ("as recorded", "tempo 0.5 to 2", "unknown pieces", "votes, frame by frame", "MAP", "seed 0"):
         assert words in text
     assert f"{answer.labelled['as recorded']['discriminants of moments, best sequence'].f_measure:.3f}" in text

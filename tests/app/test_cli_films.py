@@ -1,7 +1,5 @@
 """`dousa sync`, `dousa calibrate` and `dousa keypoints`: times, cameras and people of films."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The language of the command line: which one is spoken, and mistakes in the words of a command in both."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -43,8 +41,7 @@ def test_option_beats_variable_beats_locale(words, environment, language):
 
 
 @pytest.mark.parametrize(
-    ("words", "environment", "source"),
-    [("--lang fr", {}, "--lang"), ("info", {"DOUSA_LANG": "de"}, "DOUSA_LANG")],
+    ("words", "environment", "source"), [("--lang fr", {}, "--lang"), ("info", {"DOUSA_LANG": "de"}, "DOUSA_LANG")]
 )
 def test_a_language_that_there_is_not(words, environment, source):
     with pytest.raises(OptionError) as caught:

@@ -1,7 +1,5 @@
 """``dousa evaluate --repetitions`` as a person uses it: table, JSON, CSV, picture, and mistakes in one line."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """dousa search: with a motion and by words, tables and JSON in two languages, and what it refuses."""
 
-from __future__ import annotations
-
 import io
 import json
 

@@ -1,7 +1,5 @@
 """The commands about uncut recordings, unknown motions, orders, reasons and mirror images."""
 
-from __future__ import annotations
-
 import io
 import json
 import shutil

@@ -1,7 +1,5 @@
 """What stands where an answer shall be written: recordings, libraries and other people's tables are not lost."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from types import SimpleNamespace

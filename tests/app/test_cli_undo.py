@@ -1,7 +1,5 @@
 """``dousa undo``, ``dousa tag``, saved searches: what people do to a library bit by bit, and take back."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The demonstration, end to end on a few small categories."""
 
-from __future__ import annotations
-
 import io
 
 import pytest

@@ -1,7 +1,5 @@
 """The demonstration's third act, with a tracker that knows the truth and with the real one."""
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import re
@@ -57,9 +55,7 @@ def tracked(monkeypatch, tmp_path, undrawn):
         return Estimate(body, poses, views.frame_rate, iou, uncertainty, flags, flags[:, 0], (), 50.0)
 
     monkeypatch.setitem(
-        sys.modules,
-        "dousa.estimation.tracking.tracker",
-        SimpleNamespace(estimate=estimate, PartialTrack=Partial),
+        sys.modules, "dousa.estimation.tracking.tracker", SimpleNamespace(estimate=estimate, PartialTrack=Partial)
     )
 
 
@@ -70,14 +66,7 @@ def test_the_chain_writes_its_files_and_says_how_good_it_is(tracked, tmp_path):
     for word in ("mean joint error", "Held against 5 takes of a teacher", "as it really was", "report.html"):
         assert word in said
     names = {path.name for path in tmp_path.iterdir()}
-    assert {
-        "performed.bvh",
-        "seen.npz",
-        "estimated.bvh",
-        "estimated.mp4",
-        "estimated.png",
-        "report_estimated",
-    } <= names
+    assert {"performed.bvh", "seen.npz", "estimated.bvh", "estimated.mp4", "estimated.png", "report_estimated"} <= names
     assert not [name for name in names if name.startswith(".")]
     assert read_motion(tmp_path / "estimated.bvh").n_frames == read_silhouettes(tmp_path / "seen.npz").n_frames
 

@@ -1,7 +1,5 @@
 """The demonstration's second act: the dance, its pupil, and an honest comparison with the mistakes put in."""
 
-from __future__ import annotations
-
 import io
 import itertools
 from pathlib import Path

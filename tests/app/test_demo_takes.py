@@ -1,7 +1,5 @@
 """The demonstration's take: the truth that is written with it, what is told of it, and when it is left out."""
 
-from __future__ import annotations
-
 import io
 import re
 

@@ -1,7 +1,5 @@
 """``dousa estimate`` with the tracker itself on bad input: recovered, or said in one line."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path
@@ -32,8 +30,7 @@ def scene(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("scene")
     whole = make_motion("jumping_jack", draw_performer(10))
     write_motion(
-        whole.replace(rotations=whole.rotations[10:22], translations=whole.translations[10:22]),
-        folder / "jack.bvh",
+        whole.replace(rotations=whole.rotations[10:22], translations=whole.translations[10:22]), folder / "jack.bvh"
     )
     render_file(RenderRequest(folder / "jack.bvh", folder / "seen.npz", size=(160, 120)))
     return folder

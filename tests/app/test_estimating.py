@@ -1,7 +1,5 @@
 """What ``dousa estimate`` does around the tracker: start poses, outputs, partial tracks, and a look at the masks."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``dousa evaluate`` against what a careless or hostile person gives it: endless files, closed streams, Ctrl-C."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

@@ -1,7 +1,5 @@
 """The command `dousa export`: options, answers, and what it says of mistakes."""
 
-from __future__ import annotations
-
 import csv
 import json
 import zipfile

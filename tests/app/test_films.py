@@ -1,7 +1,5 @@
 """Films with nothing prepared: several read at a time, doubts about people and cameras, and a motion of each person."""
 
-from __future__ import annotations
-
 import json
 import threading
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The overlay video and the contact sheet: whole files, every frame, and failure said in more than colour."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 
@@ -12,12 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dousa.app.pictures.overlay import _Page, lay_out, write_overlay
-from dousa.app.pictures.overlay_sheet import (
-    Timeline,
-    choose_frames,
-    draw_overlay_sheet,
-    mean_overlap,
-)
+from dousa.app.pictures.overlay_sheet import Timeline, choose_frames, draw_overlay_sheet, mean_overlap
 from dousa.app.pictures.overlay_view import ALARM, LEFT, RIGHT, ViewPainter, draw_dashed, draw_line
 from dousa.errors import MotionWriteError, OptionError
 from dousa.estimation.body.human import make_human
@@ -98,12 +91,7 @@ def test_frames_are_read_one_after_the_other(made, tmp_path):
     asked = []
 
     class Watched(Silhouettes):
-        names, sizes, n_frames, frame_rate = (
-            silhouettes.names,
-            silhouettes.sizes,
-            N_FRAMES + 3,
-            25.0,
-        )
+        names, sizes, n_frames, frame_rate = (silhouettes.names, silhouettes.sizes, N_FRAMES + 3, 25.0)
 
         def read(self, frame):
             asked.append(frame)

@@ -1,7 +1,5 @@
 """Pictures: valid files of sane size with something on them, in any script, whole or not at all."""
 
-from __future__ import annotations
-
 import errno
 import os
 import re

@@ -1,7 +1,5 @@
 """The 3D player: what its data hold, and what it does in a real browser."""
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import json
@@ -155,14 +153,7 @@ def test_both_languages_have_all_words():
 
 def test_script_and_style_ask_nothing_of_any_network_and_make_no_markup():
     source = read_player_script() + read_player_style()
-    for forbidden in (
-        "eval(",
-        "new Function",
-        "innerHTML",
-        "outerHTML",
-        "insertAdjacentHTML",
-        "document.write",
-    ):
+    for forbidden in ("eval(", "new Function", "innerHTML", "outerHTML", "insertAdjacentHTML", "document.write"):
         assert forbidden not in source
     assert set(re.findall(r"https?://[^\"'\s]+", source)) == {"http://www.w3.org/2000/svg"}  # a name, not an address
     assert "</script" not in source
@@ -342,12 +333,7 @@ def test_the_keyboard_does_it_all(page, assessment):
     page.press("p")
     assert time_of(page) == pytest.approx(assessment.events[0].worst_s, abs=1e-3)
     page.press("o", "s", "m", "i")
-    assert page.run("return player.view") == {
-        "mode": "over",
-        "sync": "time",
-        "mirror": True,
-        "inPlace": False,
-    }
+    assert page.run("return player.view") == {"mode": "over", "sync": "time", "mirror": True, "inPlace": False}
     shown = picture(page)
     page.press("3")
     assert picture(page) != shown

@@ -1,7 +1,5 @@
 """Miniatures in a real browser: they move only where they are seen, in step where they share a clock."""
 
-from __future__ import annotations
-
 import pytest
 
 from app.player_pages import picture, write_miniatures_page
@@ -162,10 +160,7 @@ def test_a_clock_keeps_several_in_step(page):
     page.run("clock.seek(0.25)")
     assert page.run("return [clock.share, ...minis.map((mini) => mini.share)]") == [0.25] * 3
     page.run("minis[1].seek(0.75)")
-    assert page.run("return [clock.share, ...minis.map((mini) => mini.share), ...heard]") == [0.75] * 3 + [
-        0.25,
-        0.75,
-    ]
+    assert page.run("return [clock.share, ...minis.map((mini) => mini.share), ...heard]") == [0.75] * 3 + [0.25, 0.75]
     page.run("clock.play()")
     assert alive(page) == 2
     page.wait("return heard.filter((share, k) => share < heard[k - 1]).length >= 1")  # begins anew

@@ -1,7 +1,5 @@
 """Data of bare motions: one figure, two in step, and the loops of thumbnails."""
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import struct

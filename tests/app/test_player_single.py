@@ -1,7 +1,5 @@
 """The player in a real browser without an assessment: one figure, two in step, other data in place, themes."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The report: one page that opens offline, in both languages, whatever the assessment holds."""
 
-from __future__ import annotations
-
 import base64
 import csv
 import dataclasses
@@ -125,25 +123,13 @@ def test_the_page_asks_nothing_of_the_network(english: str, japanese: str) -> No
             for name in ("src", "href", "poster", "srcset", "data"):
                 value = attrs.get(name)
                 if value is not None:
-                    assert value.startswith(("data:", "#")) or value in ("curves.csv", "events.csv"), (
-                        tag,
-                        value,
-                    )
+                    assert value.startswith(("data:", "#")) or value in ("curves.csv", "events.csv"), (tag, value)
         assert "default-src 'none'" in page
 
 
 def test_contents_in_english(english: str) -> None:
     text = " ".join(_read(english).texts)
-    for words in (
-        "71",
-        "not calibrated",
-        "100 - 10 x 2.9 = 71",
-        "What to work on",
-        "Analysis",
-        "Timeline",
-        "d#",
-        "d*",
-    ):
+    for words in ("71", "not calibrated", "100 - 10 x 2.9 = 71", "What to work on", "Analysis", "Timeline", "d#", "d*"):
         assert words in text
     assert "one take of the reference: the limits are guessed" in text
     assert "leaves out 1.0 s of the reference" in text
@@ -170,15 +156,7 @@ def test_advice_comes_first_with_its_picture(english: str, japanese: str) -> Non
 def test_contents_in_japanese(japanese: str) -> None:
     text = " ".join(_read(japanese).texts)
     assert '<html lang="ja">' in japanese
-    for words in (
-        "未校正",
-        "全体振りミス",
-        "部分振りミス",
-        "不完全動作",
-        "時間ズレ",
-        "手本",
-        "時系列相関行列",
-    ):
+    for words in ("未校正", "全体振りミス", "部分振りミス", "不完全動作", "時間ズレ", "手本", "時系列相関行列"):
         assert words in text
     assert "calibrat" not in text and "Timeline" not in text
 

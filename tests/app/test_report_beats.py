@@ -1,7 +1,5 @@
 """The section of the report on the beats of the music: what it says, draws and lists, and that it is absent without."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

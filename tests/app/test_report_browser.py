@@ -1,7 +1,5 @@
 """The report in a real Chromium: nothing fails, and everything follows one moment."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

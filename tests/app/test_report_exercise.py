@@ -1,7 +1,5 @@
 """The report of an exercise: what it says, draws, lists and plays, in both languages, whatever was found."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import json

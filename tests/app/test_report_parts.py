@@ -1,7 +1,5 @@
 """The report by parts, for a page that shows it live: the same markup, a style that ends where the report ends."""
 
-from __future__ import annotations
-
 import io
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The timeline of a take: a valid picture of any number of categories, from the object or its JSON."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -143,10 +141,7 @@ def test_a_segment_without_confidence_and_one_of_no_length(tmp_path):
 
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
 def test_same_picture_same_bytes_in_any_script(suffix, walk, tmp_path):
-    timeline = {
-        "segments": [segment(0, 0.5, "$x_1$ 動作 \u202e"), segment(0.5, 1, "a" * 200)],
-        "take": "録画",
-    }
+    timeline = {"segments": [segment(0, 0.5, "$x_1$ 動作 \u202e"), segment(0.5, 1, "a" * 200)], "take": "録画"}
     for name in ("a", "b"):
         draw_timeline(timeline, tmp_path / (name + suffix), walk)
     assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()

@@ -1,7 +1,5 @@
 """The commands of the documents: every page is read, every command has a place, and none is passed over."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass

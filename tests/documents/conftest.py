@@ -1,7 +1,5 @@
 """What the documents run leaves the package as it is."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import os

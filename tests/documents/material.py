@@ -4,8 +4,6 @@
 ../shared/data.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Callable
@@ -31,12 +29,7 @@ __all__ = ["DONE_BEFORE", "MATERIAL", "RECORDED", "make_material", "make_readme_
 
 _CATEGORIES = ("bow", "clap", "kick_left", "walk")
 _PERFORMERS = ("aa", "bb", "cc")
-_SIZE, _N_FILMED, _GREY, _DARK = (
-    (160, 120),
-    8,
-    150,
-    40,
-)  # px, frames, grey levels of the room and of the person
+_SIZE, _N_FILMED, _GREY, _DARK = ((160, 120), 8, 150, 40)  # px, frames, grey levels of the room and of the person
 _FILM_STATURE = 1.75
 
 
@@ -270,10 +263,7 @@ def make_readme_libraries(folder: Path, data: Path) -> tuple[str, ...]:
     for category in ("raise-up-right-hand", "run", "wave-right-hand"):
         for path in (data / "bandai" / category).glob("*/*.bvh"):
             _link(path, folder / "waves" / category / path.name)
-    for path in (
-        *(data / "hdm05").glob("*.asf"),
-        *(data / "hdm05").glob("*/HDM_dg_kickLFront1Reps_013_120.amc"),
-    ):
+    for path in (*(data / "hdm05").glob("*.asf"), *(data / "hdm05").glob("*/HDM_dg_kickLFront1Reps_013_120.amc")):
         _link(path, folder / path.name)
     name = "wave-left-hand_active_001.bvh"  # as the README shortens it
     _link(data / "bandai/wave-left-hand/active" / f"dataset-2_{name}", folder / name)

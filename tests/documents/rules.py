@@ -1,7 +1,5 @@
 """How each command of the documents is tried: one table. A command that no row fits fails the tests."""
 
-from __future__ import annotations
-
 import enum
 import functools
 import re

@@ -1,7 +1,5 @@
 """Commands of the documents are run in this process, as they would be in a shell, with what they print kept."""
 
-from __future__ import annotations
-
 import contextlib
 import glob
 import io

@@ -3,8 +3,6 @@
 Pages that are followed have all of them, with less of the films.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

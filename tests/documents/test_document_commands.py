@@ -3,8 +3,6 @@
 `rules.py` says how each command is tried; `material.py` lists the files that stand for a reader's own.
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil
@@ -228,11 +226,7 @@ def test_what_is_mentioned_exists(command: Command):
 @pytest.mark.parametrize("text", sorted({command.text for command in find_commands(How.DRY)}))
 def test_targets_of_make_exist(text: str):
     told = subprocess.run(
-        ["make", "--no-print-directory", "-n", text.split()[1]],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
+        ["make", "--no-print-directory", "-n", text.split()[1]], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert told.returncode == 0, told.stderr
     for name in re.findall(r"\b(?:lab|docs)/[a-z]\w*\.py", told.stdout):

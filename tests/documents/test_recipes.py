@@ -1,7 +1,5 @@
 """CONTRIBUTING.md: every file, function and table that its recipes name is there, where they say."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 from pathlib import Path

@@ -3,8 +3,6 @@
 The whole site is built by ``make docs``, which runs the examples and checks links and anchors.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib
 import importlib.util

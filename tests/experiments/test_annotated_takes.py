@@ -1,7 +1,5 @@
 """The trial of real annotated takes, on takes made of short actions with nothing between them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Scores against scikit-learn, and the cases that are known beforehand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """The experiment: four systems on the same splits, its JSON, its refusals."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -24,15 +22,7 @@ def figure() -> np.ndarray:
     heights = {"pelvis": 0.95, "spine": 1.15, "neck": 1.45, "head": 1.7}
     for name, y in heights.items():
         pose[J[name], 1] = y
-    parts = {
-        "shoulder": 1.4,
-        "elbow": 1.1,
-        "wrist": 0.85,
-        "hand": 0.75,
-        "hip": 0.9,
-        "knee": 0.5,
-        "ankle": 0.1,
-    }
+    parts = {"shoulder": 1.4, "elbow": 1.1, "wrist": 0.85, "hand": 0.75, "hip": 0.9, "knee": 0.5, "ankle": 0.1}
     for side, x in (("left", 0.18), ("right", -0.18)):
         for part, y in parts.items():
             pose[J[f"{side}_{part}"]] = (x, y, 0.0)

@@ -1,7 +1,5 @@
 """Splits: nothing lost, nothing in both, halves per category, performers apart."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np

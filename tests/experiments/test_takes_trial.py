@@ -1,7 +1,5 @@
 """The trial of long takes: joined takes have no jumps and a known truth, and the result is plain and repeatable."""
 
-from __future__ import annotations
-
 import json
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Whole files: clear errors on reading, all or nothing on writing."""
 
-from __future__ import annotations
-
 import errno
 import os
 import stat

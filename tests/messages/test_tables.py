@@ -1,7 +1,5 @@
 """Every code of the program has its words in both languages, with the same values; no words stand in the program."""
 
-from __future__ import annotations
-
 import ast
 import string
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A scheduler and two worker processes on this machine, for tests."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Two worker processes read, describe and grow trees: the library is that of one computer, whoever is killed."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Pieces of work in threads: answers in order, however many threads, and errors as they are."""
 
-from __future__ import annotations
-
 import joblib
 import pytest
 

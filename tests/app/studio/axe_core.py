@@ -1,7 +1,5 @@
 """axe-core in a page: what is wrong with what is shown."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Studios for tests: one asked directly, one that listens for a real browser; each on a library of its own."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

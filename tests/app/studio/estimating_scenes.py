@@ -1,7 +1,5 @@
 """Small silhouettes for tests of estimation: a synthetic person, two cameras."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

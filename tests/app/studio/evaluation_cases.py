@@ -1,7 +1,5 @@
 """A dance for the tests of the evaluation page: takes of a teacher, and a pupil who makes known errors."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import pickle

@@ -1,7 +1,5 @@
 """Keypoints of made-up films for tests of the studio: two people before three cameras, with plain films beside them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

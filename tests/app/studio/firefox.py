@@ -1,7 +1,5 @@
 """A headless Firefox for tests of the studio, driven over its own WebDriver BiDi: no driver program is needed."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -4,8 +4,6 @@ A worker is still a process of its own, with pipes, signals and an end of its ow
 what the tests of jobs try, which have it so (the mark ``plain_workers``).
 """
 
-from __future__ import annotations
-
 import array
 import contextlib
 import importlib

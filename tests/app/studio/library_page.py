@@ -1,7 +1,5 @@
 """What tests of the Library page ask of it."""
 
-from __future__ import annotations
-
 CELLS = "return [...document.querySelectorAll('.cell')].filter((cell) => cell.cell.id && cell.offsetParent)"
 COUNT = "return document.querySelector('#count').textContent"
 

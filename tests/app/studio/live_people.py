@@ -1,7 +1,5 @@
 """Somebody before the camera whose keypoints were recorded, for tests of the live page: no model is needed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,8 +1,6 @@
 """One address for the studios of all tests, one after the other: a browser keeps its process and the scripts that it
 has compiled only for the address that it shows already, and half of what a page costs is those."""
 
-from __future__ import annotations
-
 import asyncio
 import socket
 import threading

@@ -1,7 +1,5 @@
 """Asks a studio that listens, as a program would."""
 
-from __future__ import annotations
-
 import json
 import time
 import urllib.request

@@ -1,7 +1,5 @@
 """What axe-core finds on the pages of the studio: nothing, in light and dark, in both languages, wide and narrow."""
 
-from __future__ import annotations
-
 import pytest
 
 from app.studio.axe_core import AXE

@@ -1,7 +1,5 @@
 """Where less motion is wished for nothing moves by itself, on any page; and where it is not, what is chosen does."""
 
-from __future__ import annotations
-
 import pytest
 
 pytest.importorskip("selenium.webdriver", reason="selenium is not installed: pip install selenium")

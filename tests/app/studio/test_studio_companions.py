@@ -1,7 +1,5 @@
 """Film and music beside the figures of an evaluation: kept, given out in parts, and in step in a real Chromium."""
 
-from __future__ import annotations
-
 import io
 import math
 import struct

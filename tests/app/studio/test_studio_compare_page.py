@@ -1,7 +1,5 @@
 """Evaluations beside each other in Chromium: dates of one pupil, several pupils of one figure, two players in step."""
 
-from __future__ import annotations
-
 import urllib.error
 
 import pytest

@@ -1,7 +1,5 @@
 """Who may come in, what is kept of uploads, how jobs go."""
 
-from __future__ import annotations
-
 import contextlib
 import html
 import json

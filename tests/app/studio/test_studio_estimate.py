@@ -1,7 +1,5 @@
 """Estimation over the interface: a look before, frames while it runs, what comes out, stopping, hostile input."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json
@@ -310,10 +308,7 @@ class TestMaterials:
         assert self.roles(tmp_path, {"1.png": b"x", "2.png": b"x"}) == {".": "source"}
 
     def test_of_two_calibrations_one_is_used(self, tmp_path):
-        assert self.roles(tmp_path, {"a.toml": b"[cam]", "b.xml": b"<a/>"}) == {
-            "a.toml": "cameras",
-            "b.xml": "unused",
-        }
+        assert self.roles(tmp_path, {"a.toml": b"[cam]", "b.xml": b"<a/>"}) == {"a.toml": "cameras", "b.xml": "unused"}
 
 
 def test_messages_name_neither_folders_nor_options(tmp_path):

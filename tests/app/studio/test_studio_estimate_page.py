@@ -1,7 +1,5 @@
 """The page of estimation in Chromium: files in, silhouettes looked at, frames appear, stop, reload, go on, send on."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Judging a performance over HTTP: the job, the report by parts, changes that are answered at once, files."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 
@@ -292,10 +290,7 @@ def _mirror(positions):
         ({"references": [], "performance": {"motion": "clip:1"}}, 422),
         ({"references": [{"motion": "clip:1"}] * 51, "performance": {"motion": "clip:1"}}, 422),
         ({"references": [{"motion": "clip:1"}], "performance": {"motion": "clip:999999"}}, 404),
-        (
-            {"references": [{"motion": "file:00000000000000aa/x.bvh"}], "performance": {"motion": "clip:1"}},
-            404,
-        ),
+        ({"references": [{"motion": "file:00000000000000aa/x.bvh"}], "performance": {"motion": "clip:1"}}, 404),
         ({"references": [{"motion": "../x"}], "performance": {"motion": "clip:1"}}, 422),
         ({"references": [{"motion": "clip:1"}], "performance": {"motion": "clip:1"}, "side": "left"}, 422),
     ],

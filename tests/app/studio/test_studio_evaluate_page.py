@@ -1,7 +1,5 @@
 """The evaluation page in a real Chromium: choose, grade, look, adjust; reload, two tabs, both languages, a phone."""
 
-from __future__ import annotations
-
 import urllib.request
 from typing import Any
 
@@ -285,12 +283,7 @@ def test_problems_are_told_and_the_choice_stays(show, client, dances):
 
 @pytest.mark.parametrize(
     ("width", "height", "scheme", "language"),
-    [
-        (1280, 720, "light", "en"),
-        (1280, 720, "dark", "ja"),
-        (390, 844, "light", "ja"),
-        (390, 844, "dark", "en"),
-    ],
+    [(1280, 720, "light", "en"), (1280, 720, "dark", "ja"), (390, 844, "light", "ja"), (390, 844, "dark", "en")],
 )
 def test_looks(show, client, width, height, scheme, language, tmp_path):
     clips = [one["motion"] for one in client.ask("GET", "/api/clips?category=kick_left")["items"]]

@@ -1,7 +1,5 @@
 """Judging the repetitions of an exercise: over HTTP as the command does it, and in a real Chromium."""
 
-from __future__ import annotations
-
 import csv
 import json
 import urllib.request

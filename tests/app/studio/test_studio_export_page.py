@@ -1,7 +1,5 @@
 """Exporting from the Library and Search pages in a real browser: format, character, the ZIP file."""
 
-from __future__ import annotations
-
 import csv
 import io
 import zipfile

@@ -3,8 +3,6 @@
 No models are needed: the films come with keypoints, as of `dousa keypoints` or another program.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 from pathlib import Path

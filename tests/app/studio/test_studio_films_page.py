@@ -1,8 +1,6 @@
 """The page of estimation from films in Chromium: films dropped, seen at one moment, people chosen and left out by a
 click, cameras in space, fitted again, and on to a BVH on the disk."""
 
-from __future__ import annotations
-
 import base64
 import urllib.request
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Every page of the studio in a real Firefox: opened without an error, in both languages, wide and narrow."""
 
-from __future__ import annotations
-
 import pytest
 
 PAGES = ("library", "search?motion=clip:1", "takes", "evaluate?references=clip:1", "estimate", "live", "api")

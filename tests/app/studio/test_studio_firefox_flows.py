@@ -1,8 +1,6 @@
 """The main ways through the studio in a real Firefox: files added and searched, a take labelled, an evaluation and its
 comparison, silhouettes repaired and fitted."""
 
-from __future__ import annotations
-
 import shutil
 
 import pytest

@@ -1,7 +1,5 @@
 """The server under attack: requests that are none, many at once."""
 
-from __future__ import annotations
-
 import asyncio
 import io
 import json

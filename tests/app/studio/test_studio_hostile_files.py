@@ -1,7 +1,5 @@
 """Files that lie, work that does not end, disks that are full, libraries that go away."""
 
-from __future__ import annotations
-
 import errno
 import io
 import json
@@ -225,11 +223,7 @@ def test_a_library_that_is_taken_away_is_not_written_to(studio, library_copy, bv
     moved = library_copy.with_name("moved")
     library_copy.rename(moved)
     wanted = {"clips": [1], "category": "lost"}
-    for answer in (
-        studio.get("/api/info"),
-        studio.get("/api/clips"),
-        studio.post("/api/clips/relabel", json=wanted),
-    ):
+    for answer in (studio.get("/api/info"), studio.get("/api/clips"), studio.post("/api/clips/relabel", json=wanted)):
         assert answer.status_code == 404
         assert "gone" in answer.json()["problem"]
     batch = send(studio, "x/a.bvh", bvh.read_bytes() + b"\n")["batch"]

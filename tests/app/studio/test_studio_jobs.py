@@ -1,7 +1,5 @@
 """Jobs: queued in lanes, stopped, taken up again, kept over a restart; and processes that end badly."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

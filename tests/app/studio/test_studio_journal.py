@@ -1,7 +1,5 @@
 """What is done on the Library page is undone and done again; tags, stars, searches and selections that are kept."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

@@ -1,7 +1,5 @@
 """The Library page in a real browser: what is done is undone, tags and stars, what is kept, panes, the way to a ZIP."""
 
-from __future__ import annotations
-
 import pytest
 
 from app.studio.library_page import CELLS, click, wait_count

@@ -1,7 +1,5 @@
 """A studio that is killed with work under way: what it had stays, and what worked for it goes."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The list of clips with its facets, small figures, labels and removal, asked as a program would."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sqlite3
@@ -102,16 +100,7 @@ def test_orders(studio, sort):
 
 @pytest.mark.parametrize(
     "query",
-    [
-        "limit=501",
-        "limit=-1",
-        "offset=-1",
-        "kind=dance",
-        "min_s=nan",
-        "max_s=inf",
-        "sort=path;drop",
-        "batch=..",
-    ],
+    ["limit=501", "limit=-1", "offset=-1", "kind=dance", "min_s=nan", "max_s=inf", "sort=path;drop", "batch=.."],
 )
 def test_questions_that_mean_nothing_are_refused(studio, query):
     answer = studio.get(f"/api/clips?{query}")

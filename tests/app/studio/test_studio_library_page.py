@@ -1,7 +1,5 @@
 """The Library page in a real browser: looking, choosing, labelling, removing, adding, training."""
 
-from __future__ import annotations
-
 import threading
 import time
 from pathlib import Path
@@ -42,12 +40,7 @@ def no_messages(page):
 
 @pytest.mark.parametrize(
     "look",
-    [
-        {"width": 1280, "height": 720},
-        {"width": 390, "height": 844},
-        {"scheme": "dark"},
-        {"language": "ja"},
-    ],
+    [{"width": 1280, "height": 720}, {"width": 390, "height": 844}, {"scheme": "dark"}, {"language": "ja"}],
     ids=["desk", "phone", "dark", "japanese"],
 )
 def test_the_grid_shows_moving_figures(library_page, tmp_path, look):

@@ -1,7 +1,5 @@
 """The one box of the Library page and the tree of categories, asked as a program would and in a real browser."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

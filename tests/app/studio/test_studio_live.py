@@ -1,7 +1,5 @@
 """The live interface: pictures in, keypoints, labels and grades out; with recorded keypoints in the network's place."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

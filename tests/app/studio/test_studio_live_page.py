@@ -1,7 +1,5 @@
 """The live page in a real Chromium with a made-up camera, and recorded keypoints in the network's place."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

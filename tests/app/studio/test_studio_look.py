@@ -1,7 +1,5 @@
 """What every page of the studio owes to whoever looks at it, hears it read out, or types instead of pointing."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The map of all clips: the job that makes it, what is told of it as clips change, and the page with its lasso."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Repairing silhouettes over the interface: of films with their pictures, undo and redo, what is refused."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Silhouettes repaired in Chromium: looked through, painted, a part taken away through the film, undone, fitted."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

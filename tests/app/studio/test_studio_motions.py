@@ -1,7 +1,5 @@
 """Motions as figures and files."""
 
-from __future__ import annotations
-
 import base64
 import csv
 import io

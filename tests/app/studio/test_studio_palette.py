@@ -1,7 +1,5 @@
 """The palette of all that can be done (Ctrl+K) and the list of keys (?), in a real browser."""
 
-from __future__ import annotations
-
 import pytest
 
 from app.studio.library_page import CELLS, wait_count

@@ -1,7 +1,5 @@
 """Labels that are likely wrong, the demo of an empty library: asked as a program would and in a real browser."""
 
-from __future__ import annotations
-
 import pytest
 
 from app.studio.conftest import TOKEN, listening, wait_for

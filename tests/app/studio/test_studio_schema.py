@@ -5,8 +5,6 @@ by real ones, so that what lies behind the checks of the door is reached too. ``
 requests there are for each address (16).
 """
 
-from __future__ import annotations
-
 import functools
 import os
 import random
@@ -46,11 +44,7 @@ def fuzzed(trained_library, tmp_path_factory):
     studio.jobs = studio.motions._board = board
     yield (
         app,
-        {
-            "batch": [upload["batch"]],
-            "job": jobs,
-            "motion": [upload["files"][0]["motion"], "clip:1", "clip:24"],
-        },
+        {"batch": [upload["batch"]], "job": jobs, "motion": [upload["files"][0]["motion"], "clip:1", "clip:24"]},
     )
     studio.close()
 

@@ -1,7 +1,5 @@
 """Searching: what the interface answers, and what the page shows of it."""
 
-from __future__ import annotations
-
 import base64
 import json
 
@@ -30,12 +28,7 @@ def add_take(library, folder):
         info = library.clips(category=name)[-1]
         parts.append(
             LabelledClip(
-                name,
-                name,
-                "x",
-                np.array(library.trajectories(info.id).positions),
-                info.frame_rate,
-                info.height,
+                name, name, "x", np.array(library.trajectories(info.id).positions), info.frame_rate, info.height
             )
         )
     take = write_take(parts, (), folder / "take.bvh")

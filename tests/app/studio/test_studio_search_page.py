@@ -1,7 +1,5 @@
 """The page of searching in a browser."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re

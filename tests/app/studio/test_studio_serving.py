@@ -1,7 +1,5 @@
 """``dousa studio`` and ``dousa demo --studio`` as programs: start, answer, end."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -208,13 +206,7 @@ def test_every_call_of_the_page_is_answered(running, bvh, seen, tmp_path):
     # --fail-with-body would hide nothing, but the page should stay plain: a status of 400 or more fails here.
     script = "\n".join(["set -eu", 'curl() { command curl --fail-with-body "$@" && echo; }', *lines])
     folder = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = {
-        **os.environ,
-        "URL": running.url,
-        "TOKEN": running.token,
-        "PATH": folder,
-        "no_proxy": "127.0.0.1",
-    }
+    environment = {**os.environ, "URL": running.url, "TOKEN": running.token, "PATH": folder, "no_proxy": "127.0.0.1"}
     done = subprocess.run(
         ["bash", "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
     )

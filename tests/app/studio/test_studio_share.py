@@ -1,7 +1,5 @@
 """What others on the network reach, asked as somebody who wants more than they are shown."""
 
-from __future__ import annotations
-
 import http.client
 import re
 import socket

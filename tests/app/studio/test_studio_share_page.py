@@ -1,7 +1,5 @@
 """What a pupil sees on a phone, and where a teacher gets the link, in a real Chromium."""
 
-from __future__ import annotations
-
 from ipaddress import IPv4Address
 
 import pytest
@@ -54,11 +52,7 @@ def _visit(browser, address, width=390, height=844, scheme="light", language="en
 
 @pytest.mark.parametrize(
     ("width", "height", "scheme", "language"),
-    [
-        (390, 844, "light", "ja"),
-        (390, 844, "dark", "en"),
-        (1440, 900, "light", "en"),
-    ],
+    [(390, 844, "light", "ja"), (390, 844, "dark", "en"), (1440, 900, "light", "en")],
 )
 def test_a_pupil_sees_the_report_on_a_phone(browser, sharing, job, tmp_path, width, height, scheme, language):
     link = sharing.links.add(job)

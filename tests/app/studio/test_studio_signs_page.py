@@ -1,7 +1,5 @@
 """Signs of what is going on, in Chromium: steps of a bar, a folder that is read, what cannot be read, categories."""
 
-from __future__ import annotations
-
 import sqlite3
 import threading
 

@@ -1,7 +1,5 @@
 """Takes: labels, corrections that are learned and taken back, and the page."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -262,13 +260,7 @@ def test_corrections_are_laid_over_labels():
     spans = [(one["start_s"], one["end_s"], one["category"]) for one in lay_over(labels, [second, first])]
     often = [one.get("repetitions") for one in lay_over([*labels, segment(9, 12, "squat")], [second, first])]
     assert often == [*[None] * 5, 3], "of what was cut nobody knows how often"
-    assert spans == [
-        (0, 3.0, "walk"),
-        (3.0, 6.5, "hop"),
-        (6.5, 6.8, "skip"),
-        (6.8, 7.0, "hop"),
-        (7.0, 9, "kick"),
-    ]
+    assert spans == [(0, 3.0, "walk"), (3.0, 6.5, "hop"), (6.5, 6.8, "skip"), (6.8, 7.0, "hop"), (7.0, 9, "kick")]
 
 
 # --- the page

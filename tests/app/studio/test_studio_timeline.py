@@ -1,7 +1,5 @@
 """The timeline that pages share: cursor, part, cuts, zoom; by mouse and by keyboard."""
 
-from __future__ import annotations
-
 import pytest
 
 LEFT, RIGHT, HOME, END, DELETE, ESCAPE = "\ue012", "\ue014", "\ue011", "\ue010", "\ue017", "\ue00c"

@@ -1,7 +1,5 @@
 """Hostile uploads: none gets through, nothing is written outside the studio's folder."""
 
-from __future__ import annotations
-
 import io
 import os
 import stat

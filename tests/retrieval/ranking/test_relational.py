@@ -8,11 +8,7 @@ from oracles import relational_features as oracle
 
 from dousa.errors import InvalidMotionError
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX, MIRRORED_JOINTS
-from dousa.retrieval.ranking.templates import (
-    RELATIONAL_FEATURES,
-    apply_hysteresis,
-    compute_relational_features,
-)
+from dousa.retrieval.ranking.templates import RELATIONAL_FEATURES, apply_hysteresis, compute_relational_features
 
 RATE = 30.0
 HEIGHT = 1.7
