@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from submission import DOCUMENTS, JOBS
+
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "dousa"
 
@@ -145,6 +147,15 @@ def test_rooms_do_not_grow():
 @pytest.mark.parametrize("what", TOTALS)
 def test_figures_do_not_grow(what: str, totals: dict[str, int]):
     assert totals[what] <= TOTALS[what]
+
+
+def test_every_name_of_submission_is_a_test():
+    """A test that was renamed would be left to the night."""
+    named = {Path("app") / file: names for file, names in JOBS.items()}
+    named[Path("documents/test_document_commands.py")] = [name.partition("[")[0] for name in DOCUMENTS]
+    for file, names in named.items():
+        there = set(re.findall(r"^def (\w+)", (ROOT / "tests" / file).read_text(encoding="utf-8"), re.MULTILINE))
+        assert set(names) <= there, file
 
 
 @pytest.fixture(scope="module")

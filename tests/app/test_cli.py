@@ -77,21 +77,6 @@ def test_help_names_every_command_and_gives_examples(dousa):
         assert re.search(rf"Example:\s+dousa {command}", text)
 
 
-def test_help_says_all_of_it_in_whole_lines(dousa, monkeypatch):
-    """Square brackets are no style, and lines are as long as the terminal, not as those of the source."""
-    monkeypatch.setenv("COLUMNS", "100")
-    _, text, _ = dousa("label", "--help")
-    said = " ".join(text.split())
-    assert '{"time": s, "joints": {"left_hand": [x, y, z], ...}} in m with Y up, and answers go as JSON lines' in said
-    assert "Below 50 % they no longer do. The score is" in " ".join(dousa("find", "--help")[1].split())
-    assert "and answers go as JSON lines" in text
-    assert "more likely right than wrong if there is an action" in re.sub(r"[\s│]+", " ", text)
-
-
-def test_version(dousa):
-    assert re.fullmatch(r"dousa \d+\.\d+\.\d+\n", dousa("--version")[1])
-
-
 def test_info_shows_unit_axis_and_mapping(dousa, motions):
     code, out, _ = dousa("info", motions / "walk/p0.bvh")
     assert code == 0

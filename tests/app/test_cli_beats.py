@@ -34,12 +34,6 @@ def test_the_sentences(dousa, files):
     assert "no drift over the song" in out
 
 
-def test_the_sentences_in_japanese_where_the_start_is_estimated(dousa, files):
-    code, out, _ = evaluate(dousa, files, "--music", files / "beats.csv", language="ja")
-    assert code == 0
-    assert "拍との一致: アクセント 16 個のうち 16 個" in out and "音楽の開始はアクセントから推定しました" in out
-
-
 @pytest.mark.parametrize(("language", "title"), [("en", "On the beat"), ("ja", "音楽の拍との一致")])
 def test_the_report_has_a_section(dousa, files, tmp_path, language, title):
     words = ("--music", files / "beats.csv", "--music-start", "0", "-o", tmp_path)

@@ -1,17 +1,12 @@
 """dousa experiment: takes and annotated takes, as tables and as JSON, and what it refuses."""
 
-import io
 import json
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from oracles.short_actions import make_library
-from rich.console import Console
 
-from dousa.app.tables.lines import print_tables
-from dousa.experiments.takes import run_takes_experiment
 from dousa.formats import write_motion
 from dousa.formats.annotations.reading import read_label_file
 from dousa.formats.annotations.tables import write_labels_csv
@@ -31,9 +26,6 @@ def folder(tmp_path_factory):
             (made / category).mkdir(exist_ok=True)
             write_motion(make_motion(category, performer, seed=number), made / category / f"p{number}.bvh")
     return made
-
-
-PERFORMERS = ("--split", "leave-performer-out", "--performer-from", r"name:(p\d)", "--trees", 10)
 
 
 @pytest.mark.parametrize(
@@ -202,19 +194,3 @@ def test_labels_that_nobody_gave(dousa, session, tmp_path):
     ):
         code, out, err = dousa("label", library, *words)
         assert (code, out) == (2, "") and said in err and err.count("\n") == 1, err
-
-
-def test_a_trial_without_performers_says_why_it_needs_them(dousa, session):
-    code, out, err = dousa("experiment", session, "--takes", "--labels", "beside")
-    assert (code, out) == (2, "") and "--takes --labels requires --performer-from" in err and "--split" not in err
-
-
-def test_the_answer_is_shown_in_full():
-    clips = make_library((0, 1), 2)
-    answer = run_takes_experiment(clips, n_trees=10, random_state=0, n_jobs=1)
-    out = io.StringIO()
-    print_tables(Console(file=out, width=160), answer.to_tables())
-    text = out.getvalue()
-    for words in ("as recorded", "tempo 0.5 to 2", "unknown pieces", "votes, frame by frame", "MAP", "seed 0"):
-        assert words in text
-    assert f"{answer.labelled['as recorded']['discriminants of moments, best sequence'].f_measure:.3f}" in text

@@ -92,23 +92,6 @@ def test_the_report(run, files, tmp_path, language, title):
     assert json.loads(out)["report"] == str(tmp_path / "report" / "report.html")
 
 
-def test_json_alone_is_on_standard_output(run, files):
-    words = ("--performance", files / "kicks.trc", "--repetitions", "--json")
-    code, out, _ = run("evaluate", files / "kick.trc", *words)
-    assert code == 0
-    answer = json.loads(out)
-    assert (answer["count"], answer["n_incomplete"]) == (3, 1)
-    assert answer["performance"].endswith("kicks.trc")
-
-
-def test_the_table_in_japanese(run, files):
-    words = ("--performance", files / "kicks.trc", "--repetitions")
-    code, out, _ = run("--lang", "ja", "evaluate", files / "kick.trc", *words)
-    assert code == 0
-    assert out.startswith("反復 3 回、未完了 1 回")
-    assert "左股関節の屈曲" in out
-
-
 @pytest.mark.parametrize(
     ("words", "says"),
     [

@@ -35,13 +35,6 @@ def test_the_table_says_what_fits_and_how_many(dousa, library):
     assert "1 more; show them with: --limit 3" in out
 
 
-def test_it_speaks_japanese(dousa, library):
-    code, out, _ = dousa("--lang", "ja", "search", library, "--text", "手を叩く")
-    assert code == 0
-    assert "「手を叩く」: 9件のうち3件" in out
-    assert "clap" in out
-
-
 def test_json_has_what_was_understood(dousa, library):
     code, out, _ = dousa("search", library, "--text", "sqaut", "--limit", 1, "--json")
     answer = json.loads(out)

@@ -206,23 +206,6 @@ def click(page, label):
     page.settle()
 
 
-def test_one_global_name_and_the_figures_are_drawn(page):
-    assert page.run("return Object.keys(dousa).join()") == "createPlayer,createMiniature,createClock,miniatures"
-    ink = page.run(
-        """const share = (side) => {
-          const data = pixels(side);
-          let solid = 0;
-          for (let k = 0; k < data.length; k += 4) {
-            const span = Math.max(data[k], data[k+1], data[k+2]) - Math.min(data[k], data[k+1], data[k+2]);
-            solid += data[k + 3] === 255 && (span > 40 || data[k] < 190);
-          }
-          return (4 * solid) / data.length;
-        };
-        return [share(0), share(1)];"""
-    )
-    assert all(0.02 < share < 0.4 for share in ink)
-
-
 def test_it_plays_and_pauses_and_seeks(page):
     still = picture(page)
     assert picture(page) == still
@@ -248,16 +231,6 @@ def test_it_stops_at_the_end_and_begins_anew(page):
     assert time_of(page) == pytest.approx(599 / 30)
     page.run("player.play()")
     page.wait("return player.time > 0 && player.time < 5")
-
-
-def test_speed_changes_how_fast_time_runs(page):
-    page.run("player.setSpeed(0.25); player.setSpeed(-1); player.setSpeed(NaN)")
-    assert page.run("return player.speed") == 0.25
-    page.press("]", "]")
-    assert page.run("return player.speed") == 1
-    page.press("[")
-    page.settle()
-    assert page.run("return document.querySelector('[aria-label=\"Speed 0.5×\"]').ariaPressed") == "true"
 
 
 def test_a_mark_of_an_event_seeks_and_shows_its_words(page, assessment):
@@ -356,12 +329,6 @@ def test_keys_are_left_to_fields_and_taken_from_the_bare_page(page):
     assert page.run("return player.view.mirror") is True
 
 
-def test_space_on_a_button_presses_only_that(page):
-    page.run("document.querySelector('[aria-label=\"Mirror\"]').focus()")
-    page.press(" ")
-    assert page.run("return [player.playing, player.view.mirror]") == [False, True]
-
-
 def test_the_bar_of_time_is_a_slider(page):
     page.run(
         """const bar = document.querySelector('input[type=range]');
@@ -400,20 +367,6 @@ def test_dragging_turns_and_a_double_click_resets(page):
     assert picture(page) != turned
     ActionChains(page.driver).double_click(canvas).perform()
     assert picture(page) == before
-
-
-def test_two_fingers_zoom(page):
-    before = picture(page)
-    page.run(
-        """const canvas = document.querySelector("canvas");
-        canvas.setPointerCapture = () => {};
-        const touch = (name, pointerId, clientX) => canvas.dispatchEvent(
-            new PointerEvent(name, {pointerId, clientX, clientY: 200, pointerType: "touch", bubbles: true}));
-        touch("pointerdown", 1, 300); touch("pointerdown", 2, 340); touch("pointermove", 2, 420);
-        touch("pointerup", 1, 300); touch("pointerup", 2, 420);"""
-    )
-    closer = picture(page)
-    assert closer != before
 
 
 def test_without_a_counterpart_the_reference_is_said_to_be_absent(page):
@@ -470,32 +423,6 @@ def test_two_players_on_a_page_and_none_after_destroy(page):
     assert page.run("return document.querySelectorAll('.dousa-player').length") == 0
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize(("language", "mode"), [("en", "side"), ("ja", "over")])
-def test_a_phone_shows_everything(browser, pages, scheme, language, mode):
-    browser.open(pages[language], 375, 800, scheme)
-    browser.resize(375, 800, ratio=2.0)
-    browser.run("player.setView({mode: arguments[0]}); player.seek(2.2)", mode)
-    browser.settle()
-    assert browser.run("return document.documentElement.scrollWidth") <= 375
-    beyond = browser.run(
-        """return [...document.querySelectorAll(".dousa-player *")]
-            .filter((part) => !part.closest(".dp-status") && part.getBoundingClientRect().right > 375).length"""
-    )
-    assert beyond == 0
-    assert browser.run("const c = document.querySelector('canvas'); return c.width / c.clientWidth") == pytest.approx(
-        2, abs=0.02
-    )
-    assert browser.messages() == []
-
-
-def test_the_scheme_changes_the_colours(browser, pages):
-    browser.open(pages["en"])
-    light = picture(browser)
-    browser.open(pages["en"], scheme="dark")
-    assert picture(browser) != light
-
-
 def test_words_of_any_kind_stay_words(browser, pages):
     browser.open(pages["hostile"])
     browser.run("document.querySelector('.dp-event').click()")
@@ -503,20 +430,6 @@ def test_words_of_any_kind_stay_words(browser, pages):
     assert HOSTILE_WORDS in browser.run("return document.querySelector('.dp-says').textContent")
     assert browser.run("return [window.hacked ?? null, document.querySelectorAll('img').length]") == [None, 0]
     assert browser.messages() == []
-
-
-def test_many_marks_do_not_hide_each_other(browser, pages):
-    browser.open(pages["many"], 900)
-    browser.settle()
-    overlaps = browser.run(
-        """const boxes = [...document.querySelectorAll(".dp-event")].map((mark) => mark.getBoundingClientRect());
-        let hits = 0;
-        boxes.forEach((a, k) => boxes.slice(k + 1).forEach((b) => {
-          hits += Math.abs(a.x - b.x) < 22 && Math.abs(a.y - b.y) < 22;
-        }));
-        return hits;"""
-    )
-    assert overlaps == 0
 
 
 def test_damaged_data_are_refused_in_words(page):

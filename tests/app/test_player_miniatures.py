@@ -194,27 +194,6 @@ def test_a_clock_follows_a_player(page, motions):
     assert page.run("return clock.share > 0.3")
 
 
-def test_the_theme_recolours_still_pictures(page):
-    page.run("window.mini = add(loops[0]); mini.pause(); mini.seek(0.5)")
-    page.wait("return mini.visible")
-    light = picture(page)
-    page.run("document.documentElement.dataset.theme = 'dark'")
-    assert picture(page) != light
-    page.run("delete document.documentElement.dataset.theme")
-    assert picture(page) == light
-
-
-def test_its_pixels_are_those_of_the_screen_and_its_size_stays(browser, page):
-    page.resize(600, 700, ratio=2.0)
-    page.run("window.mini = add(loops[0])")
-    page.wait("return document.querySelector('canvas').width === 240")
-    page.settle()
-    box = page.run("const c = document.querySelector('canvas'); return [c.width, c.clientWidth, c.clientHeight]")
-    assert box == [240, 120, 120]
-    page.run("document.querySelector('canvas').style.width = '60px'")
-    page.wait("return document.querySelector('canvas').width === 120")
-
-
 def test_a_miniature_without_words_is_an_ornament(page):
     assert page.run("add(loops[0]); return document.querySelector('canvas').ariaHidden") == "true"
     named = page.run(
@@ -236,46 +215,3 @@ def test_damaged_bytes_are_refused_in_words(page, at):
         at,
     )
     assert "damaged header" in says
-
-
-STEP = """
-const [frames, ms] = arguments;
-const seen = [];
-let last = pixels(0).slice();
-for (let k = 0; k < frames; k += 1) {
-  window.now += ms;
-  for (const action of window.queue.splice(0)) action(window.now);
-  const picture = pixels(0);
-  let change = 0;
-  for (let at = 3; at < picture.length; at += 4) change += Math.abs(picture[at] - last[at]);
-  last = picture.slice();
-  seen.push([minis[0].share, change]);
-}
-return seen;
-"""
-
-
-def test_a_loop_comes_back_to_its_beginning_without_a_jump(page):
-    page.run("window.queue = []; window.now = 1e6; window.minis = [add(loops[3])]")  # somebody walks
-    page.wait("return minis[0].visible")
-    page.settle()
-    page.run("window.requestAnimationFrame = (action) => window.queue.push(action); minis[0].pause(); minis[0].play()")
-    page.wait("return window.queue.length > 0 || (minis[0].pause(), minis[0].play(), false)")
-    seen = page.run(STEP, 260, 34)
-    shares = [share for share, _ in seen]
-    end = next(k for k, share in enumerate(shares) if share == 1)
-    again = next(k for k in range(end, len(shares)) if shares[k] < 0.5)
-    moving = max(change for share, change in seen[5 : end - 1])
-    returning = [change for _, change in seen[end + 1 : again + 1]]
-    assert sum(change > 0 for change in returning) >= 6  # it moves back, over several pictures
-    assert max(returning) < 2.5 * moving
-
-
-def test_a_moment_is_shown_as_long_as_it_is_pointed_at(page):
-    page.run("window.minis = [add(loops[0])]")
-    page.wait("return minis[0].share > 0")
-    page.run("minis[0].scrub(0.25)")
-    page.settle()
-    assert page.run("return [minis[0].share, minis[0].playing]") == [0.25, False]
-    page.run("minis[0].scrub(null)")
-    page.wait("return minis[0].playing && minis[0].share !== 0.25")

@@ -11,7 +11,6 @@ from dousa.app.player.data import encode_motion, encode_pair, format_player_data
 from dousa.app.player.figures import MINIATURE_BYTES, MINIATURE_FRAMES, encode_miniature
 from dousa.app.player.in_step import _find_steps
 from dousa.errors import InvalidMotionError, OptionError
-from dousa.messages import load_section
 from dousa.motion import JOINT_INDEX as J
 from dousa.motion import canonicalise
 from dousa.motion.canonical.tree_shape import compute_forward
@@ -136,14 +135,6 @@ def test_wrong_options_are_named(wave, options, says):
         encode_motion(wave, **options)
     with pytest.raises(OptionError, match=says):
         encode_pair(wave, wave, **options)
-
-
-def test_other_words_replace_known_ones():
-    for language in ("en", "ja"):
-        for section in ("player_single", "player_pair"):
-            others = load_section(section, language).keys()
-            assert others == load_section(section, "en").keys()
-            assert others and others <= load_section("player", language).keys()
 
 
 # --- two in step

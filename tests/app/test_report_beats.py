@@ -12,7 +12,6 @@ from app.fake_assessment import make_assessment
 from dousa.app.report.page import build_page, write_report
 from dousa.app.report.timeline import build_beats
 from dousa.evaluation import Accent, BeatTiming, TimedAccent
-from dousa.messages import load_section
 
 
 def make_timing(drift: float = 0.0, *, estimated: bool = False, n: int = 24) -> BeatTiming:
@@ -75,13 +74,6 @@ def test_late_throughout_cannot_be_told_of_an_estimated_start() -> None:
     markup = build_beats(make_timing(estimated=True), 24.0, "en")
     assert "cannot be told: the start of the music was estimated" in markup
     assert 'class="level median"' not in markup and "nan" not in markup
-
-
-def test_japanese_uses_its_own_words() -> None:
-    words = load_section("report_beats", "ja")
-    markup = build_beats(make_timing(90.0), 24.0, "ja")
-    assert words["title"] in markup and "1分に90ミリ秒ずつ遅れます" in markup
-    assert "左手・右手" in markup and "late" not in re.sub(r"<[^>]+>", "", markup)
 
 
 def test_no_accents_on_the_beat() -> None:

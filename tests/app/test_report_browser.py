@@ -87,31 +87,9 @@ def test_a_press_on_the_timeline_goes_there(opened: Any) -> None:
     assert opened.messages() == []
 
 
-def test_the_timeline_widens(opened: Any) -> None:
-    before = opened.run("return document.getElementById('lanes').clientWidth")
-    opened.run("document.getElementById('zoom-in').click()")
-    opened.settle()
-    assert opened.run("return document.getElementById('lanes').clientWidth") == pytest.approx(2 * before, abs=3)
-    assert opened.run("return document.documentElement.scrollWidth") <= 1280
-
-
 @pytest.mark.parametrize("language", ["en", "ja"])
 def test_the_embedded_font_draws_the_japanese(language: str, browser: Any, tmp_path: Path) -> None:
     assessment = make_assessment()
     browser.open(write_report(assessment, tmp_path, language=language, title="扇の舞"), 1280, 900)
     browser.wait("return document.fonts.status === 'loaded' && document.fonts.size === 1")
     assert browser.run("return [...document.fonts][0].status") == "loaded"
-
-
-@pytest.mark.parametrize("width", [390, 1280])
-def test_labels_of_the_curves_stand_beside_their_axis(browser: Any, tmp_path: Path, width: int) -> None:
-    browser.open(write_report(make_assessment(), tmp_path), width, 900)
-    places = browser.run(
-        """return [...document.querySelectorAll('.timeline .row-name > .y-labels')].map((labels) => {
-          const [row, box] = [labels.parentElement, labels].map((one) => one.getBoundingClientRect());
-          return [row.right - box.right, box.top - row.top, row.bottom - box.bottom];
-        });"""
-    )
-    assert len(places) == 3
-    for right, top, bottom in places:
-        assert 0 <= right <= 12 and 5 <= top <= 12 and 5 <= bottom <= 12

@@ -193,15 +193,3 @@ def test_a_press_plays_a_repetition(
     third = done.repetitions[2].repetition
     assert third.start_s - 0.4 <= share * done.duration_s <= third.end_s + 0.4
     assert browser.messages() == []
-
-
-@pytest.mark.parametrize("width", [390, 1280])
-def test_nothing_is_wider_than_the_window(
-    browser: Any,
-    done: RepetitionsAssessment,
-    kicks: tuple[CanonicalMotion, CanonicalMotion],
-    tmp_path: Path,
-    width: int,
-) -> None:
-    browser.open(write_exercise_report(done, kicks[1], tmp_path, name="kicks.trc"), width, 900)
-    assert browser.run("return document.documentElement.scrollWidth <= window.innerWidth")

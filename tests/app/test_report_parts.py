@@ -16,7 +16,6 @@ from dousa.app.report.page import (
     build_page,
     build_parts,
     collect_data,
-    read_report_style,
     write_report,
 )
 from dousa.app.tables.evaluation import print_assessment, print_progress
@@ -56,22 +55,6 @@ def test_one_grade_is_told_alike_everywhere(score: float) -> None:
     said = out.file.getvalue()
     assert f"grade {whole} of 100" in said and f"the grade stayed at {whole}" in said
     assert re.findall(r"^ *pupil +(\d+)", said, re.MULTILINE) == [whole, whole]
-
-
-def test_the_style_ends_at_the_report() -> None:
-    style = re.sub(r"/\*.*?\*/", "", read_report_style(), flags=re.DOTALL)
-    depth, selectors, text = 0, [], ""
-    for character in style:
-        if character == "{":
-            if depth == 0:
-                selectors.append(text.strip())
-            depth, text = depth + 1, ""
-        elif character == "}":
-            depth, text = depth - 1, ""
-        else:
-            text += character
-    assert depth == 0
-    assert selectors == [".dousa-report", "@media print", ":where(.dousa-report)"]
 
 
 def test_a_report_can_be_bound_anew(browser: Any, tmp_path: Path) -> None:

@@ -64,33 +64,6 @@ class Firefox:
         assert came["type"] == "success", came["exceptionDetails"]["text"]
         return json.loads(came["result"]["value"])
 
-    def put_files(self, selector: str, *paths: Path) -> None:
-        """Files into a field of the page that takes them."""
-        asked = {
-            "expression": f"document.querySelector({json.dumps(selector)})",
-            "target": {"context": self._page},
-            "awaitPromise": False,
-        }
-        element = self._ask("script.evaluate", asked)["result"]
-        files = {"context": self._page, "element": {"sharedId": element["sharedId"]}, "files": [str(p) for p in paths]}
-        self._ask("input.setFiles", files)
-
-    def drag(self, *places: tuple[float, float]) -> None:
-        """Press at the first place of the view, go through the others, let go."""
-        moves = [{"type": "pointerMove", "x": round(x), "y": round(y)} for x, y in places]
-        down, up = {"type": "pointerDown", "button": 0}, {"type": "pointerUp", "button": 0}
-        pointer = {"type": "pointer", "id": "mouse", "actions": [moves[0], down, *moves[1:], up]}
-        self._ask("input.performActions", {"context": self._page, "actions": [pointer]})
-
-    def press(self, *keys: str) -> None:
-        """Press keys together: those before the last are held."""
-        actions = [{"type": "keyDown", "value": key} for key in keys]
-        actions += [{"type": "keyUp", "value": key} for key in reversed(keys)]
-        self._ask(
-            "input.performActions",
-            {"context": self._page, "actions": [{"type": "key", "id": "keys", "actions": actions}]},
-        )
-
     def wait(self, expression: str, seconds: float = PATIENCE) -> Any:
         """Wait until an expression is something true; that."""
         end = time.monotonic() + seconds

@@ -42,11 +42,3 @@ def test_nothing_moves_by_itself(calm, path):
     page.settle()
     assert page.run(MOVING) == [0, 0, 0]
     assert page.messages() == []
-
-
-def test_motions_that_are_chosen_to_be_evaluated_move(show):
-    page = show("/evaluate?references=clip:1&performance=clip:2")
-    page.wait("return window.dousa.miniatures.alive === 2")
-    drawn = page.run("return window.dousa.miniatures.drawn")
-    page.wait("return window.dousa.miniatures.drawn > arguments[0] + 4", drawn)
-    assert page.messages() == []

@@ -88,13 +88,6 @@ def test_problems_are_in_the_language_of_the_request(studio, language, said):
     assert answer.json()["code"] == "library_clips.no_clip" and answer.json()["values"]["number"] == 999
 
 
-def test_what_is_wrong_with_a_field_is_said_in_both_languages(studio):
-    for language, said in (("en", "k: expected 200 or less"), ("ja", "k: 200 以下にしてください")):
-        wanted = {"query": {"motion": "clip:1"}, "k": 1000}
-        answer = studio.post("/api/search", json=wanted, headers={"accept-language": language})
-        assert answer.status_code == 422 and answer.json()["problem"] == said
-
-
 def test_a_job_speaks_the_language_of_whoever_asks(studio, wait_job):
     studio.app.state.studio.library.remove([clip.id for clip in studio.app.state.studio.library.clips()])
     job = wait_job(studio, studio.post("/api/jobs/train", json={}).json()["id"])
@@ -110,25 +103,6 @@ def test_words_of_the_pages_are_pairs_that_name_the_same():
             assert sorted(re.findall(r"\{\w+\}", english)) == sorted(re.findall(r"\{\w+\}", japanese)), name
             for counted in re.findall(r"\{(\w+):[^{}|]+\|[^{}]+\}", english):  # {count:clip|clips}
                 assert f"{{{counted}}}" in english, name
-
-
-def test_a_category_has_one_name_in_japanese():
-    """カテゴリー, as most messages of the command line call it."""
-    tables = [*resources.files("dousa.messages").joinpath("ja").iterdir()]
-    tables += resources.files("dousa.app.studio").joinpath("words").iterdir()
-    other = re.compile("分類|カテゴリ(?!ー)")
-    assert [file.name for file in tables if other.search(file.read_text(encoding="utf-8"))] == []
-
-
-def test_what_was_not_added_is_said_in_the_language_of_whoever_asks(studio, bvh, wait_job):
-    whole = bvh.read_text()
-    damaged = whole[: whole.index("\n", whole.index("Frame Time"))].encode()  # no frame follows
-    batch = studio.post("/api/uploads?name=kick/short.bvh", content=damaged).json()["batch"]
-    job = wait_job(studio, studio.post("/api/jobs/add", json={"batch": batch}).json()["id"])
-    for language, said in (("en", "is it truncated or edited?"), ("ja", "フレーム")):
-        answer = studio.get(f"/api/jobs/{job['id']}", headers={"accept-language": language}).json()
-        (skipped,) = answer["result"]["skipped"]
-        assert skipped["path"] == "kick/short.bvh" and said in skipped["reason"]
 
 
 def test_pages_load_only_what_there_is(studio):
@@ -307,17 +281,6 @@ def test_uploads_of_forgotten_jobs_have_an_end_after_thirty_days(studio, bvh, wa
     assert {path.name for path in home.iterdir() if path.is_dir()} == set(batches.values()) - {batches["forgotten"]}
     assert studio.get("/api/space").json()["oldest_days"] == 0
     assert studio.post("/api/space/free?older_days=0").status_code == 422
-
-
-def test_what_an_interrupted_upload_left_goes_with_the_next_start(library_copy):
-    from dousa.app.studio.core.workspace import Workspace
-
-    home = Workspace(library_copy.with_suffix(".studio"))
-    part = home.root / "files" / ".0123456789abcdef.part"
-    part.write_bytes(b"x" * 1000)
-    home.hold()
-    assert not part.exists()
-    home.release()
 
 
 @pytest.mark.parametrize(("language", "words"), [("en", "No such page"), ("ja", "このページはありません")])

@@ -65,31 +65,6 @@ def test_from_files_to_a_grade(show, dances):
     assert page.messages() == []
 
 
-@pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844)])
-def test_a_press_on_a_moment_brings_the_whole_player_into_view(show, address, width, height):
-    page = show(address, width, height)
-    _grade(page)
-    seen = """
-        const {top, bottom} = document.querySelector('#player .dousa-player').getBoundingClientRect();
-        const head = document.querySelector('header.bar').getBoundingClientRect().bottom;
-        return [top - head, innerHeight - bottom, bottom - top];
-    """
-    # So far down that only the lower half of the player is seen, and so far up that only the heads are.
-    for from_top in (0.5, 0.2):
-        page.run(
-            "const box = document.querySelector('#player .dousa-player').getBoundingClientRect();"
-            "const top = arguments[0] === 0.5 ? box.top + 0.5 * box.height : box.top - 0.75 * innerHeight;"
-            "window.scrollBy({top, behavior: 'instant'})",
-            from_top,
-        )
-        page.run("document.querySelector('#events [data-event], .moment [data-event], [data-event]').click()")
-        page.settle()
-        above, below, size = page.run(seen)
-        assert above >= -1, (from_top, above, below)
-        assert below >= -1 or size > height - 100, (from_top, above, below)
-    assert page.messages() == []
-
-
 def _compare_counts(page):
     sliders = page.run("return [...document.querySelectorAll('[data-counts^=segment]')].map((e) => e.textContent)")
     shown = page.run("return [...document.querySelectorAll('.segment-table .counts span')].map((e) => e.textContent)")
@@ -279,35 +254,6 @@ def test_problems_are_told_and_the_choice_stays(show, client, dances):
     page = show("/evaluate?job=00000000000000ff")
     page.wait("return !document.querySelector('#problem').hidden")
     assert all("404" in text for text in page.messages())
-
-
-@pytest.mark.parametrize(
-    ("width", "height", "scheme", "language"),
-    [(1280, 720, "light", "en"), (1280, 720, "dark", "ja"), (390, 844, "light", "ja"), (390, 844, "dark", "en")],
-)
-def test_looks(show, client, width, height, scheme, language, tmp_path):
-    clips = [one["motion"] for one in client.ask("GET", "/api/clips?category=kick_left")["items"]]
-    request = {"references": [{"motion": one} for one in clips[1:4]], "performance": {"motion": clips[0]}}
-    job = client.ask("POST", "/api/jobs/evaluate", request)["id"]
-    page = show(f"/evaluate?job={job}", width, height, scheme, language)
-    _wait_report(page)
-    page.settle()
-    assert page.screenshot(tmp_path / "page.png", whole=True).stat().st_size > 20_000
-    assert page.run("return document.documentElement.scrollWidth") <= width
-    text = page.run("return document.querySelector('#report').textContent")
-    assert ("評価点" in text) == (language == "ja")
-    missing = page.run(
-        "const words = JSON.parse(document.querySelector('#words').textContent);"
-        "return [...document.querySelectorAll('button, a, summary, h2, h3, th')].map((one) => one.textContent.trim())"
-        ".filter((text) => /^[a-z]+_[a-z_]+$/.test(text) && !(text in words))"
-    )
-    assert missing == []
-    nameless = page.run(
-        "return [...document.querySelectorAll('main button, main input, main a')].filter((one) => one.offsetParent && "
-        "!(one.textContent.trim() || one.getAttribute('aria-label') || one.labels?.length)).map((one) => one.outerHTML)"
-    )
-    assert nameless == []
-    assert page.messages() == []
 
 
 def test_a_teacher_adds_notes_and_prints_what_a_pupil_needs(show, address, client, running):

@@ -1,6 +1,5 @@
 """The Library page in a real browser: looking, choosing, labelling, removing, adding, training."""
 
-import threading
 import time
 from pathlib import Path
 
@@ -67,57 +66,6 @@ def test_only_what_is_seen_is_there(library_page):
     assert page.messages() == []
 
 
-def test_a_large_window_is_filled_without_a_page_that_scrolls(library_page):
-    page = library_page(width=1440, height=620)
-    assert page.run("return document.documentElement.scrollHeight <= innerHeight")
-    for pane in ("#facets", "#grid-scroll"):
-        assert page.run("const e = document.querySelector(arguments[0]); return e.scrollWidth <= e.clientWidth", pane)
-    assert page.run("return document.querySelector('#grid-scroll').scrollHeight > innerHeight")
-    page.find(".cell").click()
-    page.press(KEYS.END, held=KEYS.CONTROL)
-    page.wait(f"{CELLS}.some((cell) => cell.cell.index === {N - 1} && cell.contains(document.activeElement))")
-    box = page.run("const b = document.activeElement.getBoundingClientRect(); return [b.top, b.bottom, innerHeight]")
-    assert box[0] > 0 and box[1] < box[2]
-    assert page.messages() == []
-
-
-def test_the_place_of_the_pointer_over_a_figure_is_a_moment(library_page):
-    page = library_page()
-    stage = page.find(".cell .stage")
-    shown = "const { miniature, scrubber } = document.querySelector('.cell').cell; return [miniature.share, miniature.playing, scrubber.hidden]"  # noqa: E501
-    place = -round(0.25 * stage.rect["width"])
-    page.point(stage, place)
-    page.wait("return !document.querySelector('.cell').cell.scrubber.hidden")
-    share, playing, hidden = page.run(shown)
-    assert share == pytest.approx(0.25, abs=0.02) and not playing and not hidden
-    page.point(page.find("h1"))
-    page.wait("return document.querySelector('.cell').cell.miniature.playing")
-    features = [{"name": "prefers-reduced-motion", "value": "reduce"}]
-    page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
-    page.point(stage, place)
-    page.settle()
-    assert page.run(shown)[2]
-    assert page.messages() == []
-
-
-def test_a_figure_that_comes_under_the_pointer_shows_its_moment(show, running, monkeypatch):
-    thumbnails, go_on = running.app.state.studio.thumbnails, threading.Event()
-    real = type(thumbnails).get
-    monkeypatch.setattr(type(thumbnails), "get", lambda *asked: go_on.wait(PATIENCE) and real(*asked))
-    try:
-        page = show("/library")
-        page.wait(f"{CELLS}.length > 3")
-        assert not page.run(f"{DRAWN}")
-        page.point(page.find(".cell .stage"))
-        page.settle()
-        assert page.run("return document.querySelector('.cell').cell.scrubber.hidden")
-    finally:
-        go_on.set()
-    page.wait("return !document.querySelector('.cell').cell.scrubber.hidden")
-    assert page.run("return document.querySelector('.cell').cell.miniature.share") == pytest.approx(0.5, abs=0.02)
-    assert page.messages() == []
-
-
 def test_what_can_be_done_with_a_choice_stays_while_clips_are_read_again(library_page, client):
     page = library_page("/library?text=performer03")
     page.find(".cell").click()
@@ -162,25 +110,6 @@ def test_a_clip_is_shown_large_and_the_focus_comes_back(library_page):
     page.press(KEYS.ESCAPE)
     page.wait("return document.activeElement.classList.contains('cell')")
     assert page.run("return document.activeElement.cell.index") == 1
-    assert page.messages() == []
-
-
-def test_in_a_clip_space_plays_and_arrows_change_the_clip(library_page):
-    page = library_page()
-    page.find(".cell").click()
-    page.press(KEYS.ENTER)
-    page.wait("return document.querySelector('dialog .detail-stage canvas')")
-    playing = "return document.querySelector('dialog .dp-play')?.getAttribute('aria-label') ?? ''"
-    page.wait(f"{playing.replace('return ', 'return (')}).startsWith('Pause')")
-    page.press(" ")
-    page.wait(f"{playing.replace('return ', 'return (')}).startsWith('Play')")
-    assert page.run(DIALOG)
-    page.press(KEYS.ARROW_RIGHT)
-    page.wait(f"{DIALOG}.querySelector('h2').textContent === 'performer01_1.bvh'")
-    page.press(KEYS.ARROW_LEFT)
-    page.wait(f"{DIALOG}.querySelector('h2').textContent === 'performer00_1.bvh'")
-    page.press(KEYS.ESCAPE)
-    assert page.run(DIALOG) is None
     assert page.messages() == []
 
 
@@ -274,16 +203,6 @@ def test_while_the_list_is_read_again_what_is_shown_can_be_chosen(library_page, 
     page.run("window.letGo()")
     wait_count(page, 6)
     page.wait("return document.querySelector('.chosen-count')?.textContent === '1 chosen (1 not in this list)'")
-    assert page.messages() == []
-
-
-def test_chosen_clips_lead_to_the_other_pages(library_page):
-    page = library_page()
-    links = "return [...document.querySelectorAll('#actions a')].map((a) => a.getAttribute('href'))"
-    page.find(".cell").click()
-    assert page.run(links) == ["/search?motion=clip:1", "/evaluate?references=clip:1"]
-    page.press(KEYS.ARROW_RIGHT, held=KEYS.SHIFT)
-    assert page.run(links) == ["/evaluate?references=clip:1,clip:2"]
     assert page.messages() == []
 
 

@@ -1,15 +1,10 @@
 """What every page of the studio owes to whoever looks at it, hears it read out, or types instead of pointing."""
 
-import json
-import re
-from pathlib import Path
-
 import pytest
 
 KEYS = pytest.importorskip("selenium.webdriver", reason="selenium is not installed: pip install selenium").Keys
 
 PAGES = ("/library", "/search?motion=clip:1", "/takes", "/evaluate?references=clip:1", "/estimate", "/live", "/api")
-WORDS = Path(__file__).resolve().parents[3] / "src" / "dousa" / "app" / "studio" / "words"
 
 # What a screen reader would call each thing that can be used; those without a name are returned.
 UNNAMED = """
@@ -163,26 +158,6 @@ def test_the_japanese_page_is_japanese_and_fits_its_fields(settled, path):
     check_hints(page)
 
 
-@pytest.mark.parametrize("path", ["/search?motion=clip:1", "/takes?motion=clip:1", "/evaluate", "/estimate"])
-def test_a_large_screen_is_used(settled, path):
-    page = settled(path, width=2560, height=1440)
-    width = "return document.querySelector(arguments[0]).getBoundingClientRect().width"
-    assert page.run(width, "main") > 2000 and page.run(width, ".foot-line") == page.run(width, "main")
-    assert page.run("return document.documentElement.scrollWidth") <= 2560
-    # What is looked at has most of the height.
-    high = page.run("return document.querySelector('#player .dp-stage')?.getBoundingClientRect().height ?? 2000")
-    assert high > 700
-    assert page.messages() == []
-
-
-def test_every_word_has_both_languages_and_the_same_blanks():
-    for path in WORDS.glob("*.json"):
-        for name, (english, japanese) in json.loads(path.read_text(encoding="utf-8")).items():
-            blanks = [sorted(set(re.findall(r"\{(\w+)\}", text))) for text in (english, japanese)]
-            assert blanks[0] == blanks[1], (path.name, name)
-            assert bool(english) == bool(japanese), (path.name, name)
-
-
 def test_the_jobs_are_reached_and_left_by_keyboard(settled, running):
     page = settled("/library")
     studio = running.app.state.studio
@@ -243,51 +218,3 @@ def test_who_looks_at_a_page_of_a_studio_that_is_gone_is_told(settled):
         page.driver.execute_cdp_cmd("Network.emulateNetworkConditions", {**offline, "offline": False})
     page.wait("return document.querySelectorAll('.notice.problem').length === 0")
     page.messages()  # the browser notes what it could not reach
-
-
-def test_a_folder_of_folders_gives_the_inner_ones_as_categories(settled, trained_library):
-    page = settled("/library")
-    page.find("#add-button").click()
-    page.wait("return document.querySelector('#add-files-folder')")
-    page.find("#add-files-folder").send_keys(str(trained_library.parent / "motions"))
-    page.wait("return document.querySelector('#add-go')")
-    shown = page.run("return [...document.querySelectorAll('.preview td:nth-child(2)')].map((e) => e.textContent)")
-    assert set(shown) <= {"kick_left", "squat", "wave_right", "walk"}
-    page.press(KEYS.ESCAPE)
-    assert page.messages() == []
-
-
-def test_what_is_chosen_in_the_picker_is_marked_by_more_than_colour(settled):
-    page = settled("/evaluate")
-    page.find("#reference-pick").send_keys(KEYS.ENTER)
-    page.wait("return document.querySelectorAll('.pick').length > 2")
-    page.press(KEYS.TAB)
-    page.press(KEYS.SPACE)
-    assert page.run("return document.activeElement.ariaSelected") == "true"
-    assert "✓" in page.run("return getComputedStyle(document.activeElement.querySelector('.name'), '::after').content")
-    page.press(KEYS.ESCAPE)
-    assert page.run("return document.activeElement.id") == "reference-pick"
-    assert page.messages() == []
-
-
-@pytest.mark.parametrize(
-    "name, content, says",
-    [
-        ("note.txt", "hello", "動きのファイル（BVH、AMC と ASF、C3D、TRC、GLB、NPZ、CSV、MVNX など）がありません。"),
-        ("empty.bvh", "", "empty.bvh: ファイルが空です。コピーが途中で終わっていませんか"),
-        ("other.bvh", "hello", "other.bvh: 中身が .bvh ファイルではありません"),
-        (
-            'a"b.bvh',
-            "hello",
-            'a"b.bvh: \'a"b.bvh\' には、ファイル名に使えない文字（: * ? " < > | など）があります。'
-            "ファイル名を変えてください",
-        ),
-    ],
-)
-def test_what_is_no_motion_is_said_in_the_language_of_the_page(settled, tmp_path, name, content, says):
-    (tmp_path / name).write_text(content)
-    page = settled("/evaluate", language="ja")
-    page.find("#performance-file").send_keys(str(tmp_path / name))
-    page.wait("return document.querySelector('.notice.problem')")
-    assert page.run("return [...document.querySelectorAll('.notice p')].map((p) => p.textContent)") == [says]
-    assert all("/api/uploads" in text for text in page.messages())

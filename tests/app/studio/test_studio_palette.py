@@ -36,17 +36,6 @@ def test_pages_and_actions_are_found_by_parts_of_their_names(show):
     assert page.messages() == []
 
 
-def test_escape_closes_the_palette_at_once_with_text_in_it(show):
-    page = show("/library")
-    page.wait(f"{CELLS}.length > 3")
-    open_palette(page)
-    page.find("#palette-field").send_keys("trn")
-    page.press(KEYS.ESCAPE)
-    assert page.run("return document.querySelector('dialog')") is None
-    open_palette(page)
-    assert page.messages() == []
-
-
 @pytest.mark.parametrize(("language", "word"), [("en", "Keys"), ("ja", "キー操作")])
 def test_a_question_mark_lists_the_keys_but_not_in_a_field(show, language, word):
     page = show("/library", language=language)

@@ -1,7 +1,5 @@
 """The page of searching in a browser."""
 
-import itertools
-import json
 import re
 import urllib.parse
 from pathlib import Path
@@ -117,18 +115,6 @@ def test_places_inside_takes_open_at_their_moment(show, running, tmp_path):
     assert page.messages() == []
 
 
-def test_unknown_is_said_in_words(show, running):
-    """With the highest bar nothing is known, but perhaps; the nearest guess is told all the same."""
-    page = show(f"/search?motion={first_clip(running)}&threshold=1")
-    page.wait("return document.querySelector('.verdict-words') !== null")
-    known = page.run("return document.querySelector('#verdict').textContent")
-    answer = running.app.state.studio.library.search(int(first_clip(running)[5:]), threshold=1)
-    if answer.verdict.known is not None:
-        assert ("perhaps kick_left" if answer.verdict.perhaps else "Unknown") in known
-        assert "kick_left" in known
-    assert page.messages() == []
-
-
 DRAW_VERDICT = """
     const done = arguments[1];
     const core = document.querySelector('script[type=module][src*="/core/"]').src;
@@ -199,32 +185,6 @@ def test_words_lead_to_motions(show, running):
     assert page.messages() == []
 
 
-@pytest.mark.parametrize(
-    ("width", "height", "scheme", "language"),
-    [(1280, 720, "light", "en"), (1280, 720, "dark", "ja"), (390, 844, "light", "ja")],
-)
-def test_it_fits_and_every_word_is_there(show, running, tmp_path, width, height, scheme, language):
-    page = show(f"/search?motion={first_clip(running)}", width, height, scheme, language)
-    page.wait(DRAWN)
-    page.wait(f"{FIGURES} > 3")
-    page.run("document.querySelector('.hit-open').click()")
-    page.wait("return document.querySelector('#download') !== null")
-    page.screenshot(tmp_path / "search.png")
-    assert page.run("return document.documentElement.scrollWidth") <= width
-    text = page.run("return document.querySelector('main').innerText")
-    words = json.loads(page.run("return document.getElementById('words').textContent"))
-    left = [name for name in words if "_" in name and name in text.split()]
-    assert left == []
-    nameless = page.run("""
-        return [...document.querySelectorAll('main button, main a, main [role=slider], main input, main select')]
-          .filter((one) => !one.hidden && one.getAttribute('aria-hidden') !== 'true')
-          .filter((one) => !(one.textContent.trim() || one.ariaLabel || one.title || one.labels?.length))
-          .map((one) => one.outerHTML.slice(0, 120))
-    """)
-    assert nameless == []
-    assert page.messages() == []
-
-
 def test_the_address_names_its_motion_safely(show, running):
     page = show("/search?" + urllib.parse.urlencode({"motion": "file:0123456789abcdef/<img src=x>.bvh"}))
     page.wait(BACK_AT_START)
@@ -268,78 +228,6 @@ def test_a_whole_take_asks_for_a_part(show, running, tmp_path):
     page.driver.back()
     page.wait("return document.querySelector('#ask-part') !== null")
     assert page.messages() == []
-
-
-def test_on_a_phone_a_chosen_hit_is_seen(show, running):
-    page = show(f"/search?motion={first_clip(running)}", 390, 844)
-    page.wait(DRAWN)
-    page.run("[...document.querySelectorAll('.hit-open')].at(-1).scrollIntoView()")
-    page.run("[...document.querySelectorAll('.hit-open')].at(-1).click()")
-    page.wait("return document.querySelector('.dousa-player[data-mode=side]') !== null")
-    page.wait("""
-        const { top, bottom } = document.querySelector('#player').getBoundingClientRect();
-        return top >= 0 && bottom <= innerHeight;
-    """)
-    assert page.messages() == []
-
-
-def test_headings_come_in_order(show, running):
-    page = show(f"/search?motion={first_clip(running)}")
-    page.wait(DRAWN)
-    levels = page.run("""
-        return [...document.querySelectorAll('h1, h2, h3, h4')].filter((one) => one.checkVisibility())
-          .map((one) => Number(one.tagName[1]))
-    """)
-    assert levels[0] == 1
-    assert all(below - above <= 1 for above, below in itertools.pairwise(levels)), levels
-
-
-def test_reasons_are_japanese_sentences(show, running):
-    page = show(f"/search?motion={first_clip(running, 'squat')}", language="ja")
-    page.wait(DRAWN)
-    page.run("document.querySelector('#verdict .why summary').click()")
-    page.wait("return document.querySelectorAll('#verdict .reasons li span').length > 0")
-    said = page.run("return [...document.querySelectorAll('#verdict .reasons li span')].map((one) => one.textContent)")
-    assert all("ふつうより" in text or "動きより" in text for text in said)
-    assert not any(re.search("[a-z]", text) for text in said)
-    assert page.messages() == []
-
-
-def test_a_long_name_fits_a_phone(show, running, bvh):
-    import urllib.request
-
-    name = "Session_2024_11_Studio_B_performer_with_a_long_name_kick_left_take_0001_cleaned.bvh"
-    headers = {"authorization": f"Bearer {running.token}"}
-    asked = urllib.request.Request(f"{running.url}/api/uploads?name={name}", bvh.read_bytes(), headers, method="POST")
-    with urllib.request.urlopen(asked) as answer:
-        motion = json.load(answer)["files"][0]["motion"]
-    page = show(f"/search?motion={motion}", width=390, height=844)
-    page.wait("return document.querySelectorAll('.hit').length > 3 && document.querySelector('.verdict-words')")
-    assert page.run("return document.documentElement.scrollWidth") <= 390
-    page.run("document.querySelector('.hit-open').click()")
-    page.wait("return !document.querySelector('#match').hidden")
-    page.settle()
-    assert page.run("return document.documentElement.scrollWidth") <= 390
-
-
-def test_the_open_tab_is_seen_on_a_narrow_phone(show):
-    page = show("/estimate", width=320, height=640)
-    seen = page.run(
-        "const a = document.querySelector('.bar nav [aria-current]').getBoundingClientRect();"
-        "return [a.left, a.right, innerWidth]"
-    )
-    assert seen[0] >= 0 and seen[1] <= seen[2]
-
-
-@pytest.mark.parametrize("language", ["en", "ja"])
-@pytest.mark.parametrize("width", [390, 360])
-def test_all_pages_stand_in_the_head_of_a_phone(show, width, language):
-    page = show("/live", width=width, height=844, language=language)
-    cut = page.run(
-        "return [...document.querySelectorAll('.bar nav a')].filter((a) => a.getBoundingClientRect().right > innerWidth"
-        " || a.getBoundingClientRect().left < 0 || a.scrollWidth > a.clientWidth).map((a) => a.textContent)"
-    )
-    assert cut == [] and page.run("return document.querySelectorAll('.bar nav a').length") == 6
 
 
 def test_words_lead_to_the_part_of_a_take(show, running, tmp_path, faults):

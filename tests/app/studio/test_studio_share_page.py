@@ -103,19 +103,6 @@ def test_the_list_and_the_library(browser, sharing, job):
     assert browser.messages() == []
 
 
-def test_the_library_on_a_phone_moves_unless_less_motion_is_wished_for(browser, sharing, job):
-    _visit(browser, sharing.address_of(sharing.links.add(None)))
-    browser.wait("return window.dousa.miniatures.alive > 3")
-    features = [{"name": "prefers-reduced-motion", "value": "reduce"}]
-    browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
-    browser.driver.refresh()
-    browser.wait("return window.dousa?.miniatures.drawn > 3")
-    assert browser.run("return window.dousa.miniatures.alive") == 0
-    browser.run("document.querySelector('.shared-clip').click()")
-    browser.wait("return document.querySelector('dialog .dousa-player button[aria-label=Play]')")
-    assert browser.messages() == []
-
-
 def test_a_teacher_gets_the_code_takes_it_back_and_ends_it(show, sharing, job):
     page = show(f"/evaluate?job={job}", 1440, 900)
     page.wait("return document.querySelector('#share-report')?.offsetParent")

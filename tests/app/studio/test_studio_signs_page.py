@@ -41,25 +41,6 @@ def test_the_bar_of_the_first_labelling_shows_its_steps(show, library_copy, reco
     assert page.messages() == []
 
 
-@pytest.mark.parametrize("language", ["en", "ja"])
-def test_stretches_of_a_take_can_be_read_on_a_phone(show, recording, language):  # noqa: F811
-    page = show("/takes", width=390, height=844, language=language)
-    page.find("#take-file").send_keys(str(recording[0]))
-    page.wait("return document.querySelectorAll('#segments tbody tr').length > 2")
-    page.run("document.querySelector('#segments').scrollIntoView({behavior: 'instant'})")
-    page.settle()
-    high = page.run(
-        "return [...document.querySelectorAll('#segments .what')].map((e) => e.getBoundingClientRect().height)"
-    )
-    assert max(high) < 34, "one line for each name"
-    right = (
-        "return [...document.querySelectorAll('#segments tbody .acts > *')].map((e) => e.getBoundingClientRect().right)"
-    )
-    assert max(page.run(right)) <= page.run("return document.querySelector('#segments').getBoundingClientRect().right")
-    assert page.run("return document.documentElement.scrollWidth") <= 390
-    assert page.messages() == []
-
-
 def test_a_search_that_learns_first_shows_its_steps(show, client, monkeypatch):
     real, go_on = Library.search, threading.Event()
 
@@ -81,37 +62,6 @@ def test_a_search_that_learns_first_shows_its_steps(show, client, monkeypatch):
     page.wait("return document.querySelectorAll('.hit').length > 3")
     assert not page.run("return document.querySelector('#results-note progress')")
     assert client.ask("GET", "/api/search/learning") == {"learning": None}
-    assert page.messages() == []
-
-
-def test_dropping_is_written_in_the_letters_of_the_page(show):
-    page = show("/library", language="ja")
-    page.wait("return document.documentElement.dataset.dropText")
-    page.run("document.documentElement.classList.add('over')")
-    font = "return getComputedStyle(arguments[0] ? document.body : document.documentElement, arguments[1])"
-    overlay = page.run(f"{font}.fontFamily", False, "::after")
-    assert overlay == page.run(f"{font}.fontFamily", True, None) and "dousa-ja" in overlay
-    assert page.run(f"{font}.content", False, "::after").strip('"') == page.run(
-        "return document.documentElement.dataset.dropText"
-    )
-    page.run("document.documentElement.classList.remove('over')")
-    assert page.messages() == []
-
-
-def test_figures_behind_a_dialog_rest(show):
-    page = show("/library")
-    page.wait("return window.dousa.miniatures.alive > 3")
-    click(page, "#add-button")
-    page.wait("return document.querySelector('#add-files')")
-    assert page.run("return window.dousa.miniatures.alive") == 0
-    share = "return document.querySelector('.cell').cell.miniature.share"
-    page.settle()
-    before = page.run(share)
-    page.settle()
-    assert page.run(share) == before
-    page.run("document.querySelector('dialog').close()")
-    page.wait("return window.dousa.miniatures.alive > 3")
-    page.wait(f"{share} !== arguments[0]", before)
     assert page.messages() == []
 
 
@@ -139,30 +89,6 @@ def test_a_folder_that_takes_long_to_read_says_how_far_it_is(show, bvh):
     page.run("window.letGo()")
     page.wait("return document.querySelector('#came')?.textContent.includes('4')")
     assert page.run(f"return {said}") is None
-    assert page.messages() == []
-
-
-def test_many_new_categories_of_a_report_are_a_list_and_few_a_line(show, bvh, tmp_path):
-    page = show("/library")
-    for round_, number in enumerate((2, 12)):
-        for k in range(number):
-            folder = tmp_path / f"up{round_}" / f"kind{round_}_{k:02d}"
-            folder.mkdir(parents=True)
-            (folder / f"one{k}.bvh").write_bytes(bvh.read_bytes() + b"\n" * (1 + 100 * round_ + k))
-        click(page, "#add-button")
-        page.wait("return document.querySelector('#add-files-folder')")
-        page.find("#add-files-folder").send_keys(str(tmp_path / f"up{round_}"))
-        click(page, "#add-go")
-        page.wait("return document.querySelector('#add-report')")
-        folded = "return document.querySelector('#add-categories')"
-        if number == 2:
-            assert not page.run(folded)
-            assert "kind0_00, kind0_01" in page.run("return document.querySelector('dialog').textContent")
-        else:
-            assert not page.run(f"{folded}.open") and page.run(f"{folded}.querySelectorAll('li').length") == number
-            assert page.run("const d = document.querySelector('dialog'); return d.scrollWidth <= d.clientWidth")
-        click(page, "dialog .foot .primary")
-        page.wait("return !document.querySelector('dialog')")
     assert page.messages() == []
 
 

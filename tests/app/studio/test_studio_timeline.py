@@ -75,27 +75,6 @@ def test_labels_are_text_and_say_what_they_are(timeline):
     assert page.messages() == []
 
 
-DOUBTFUL = [
-    {"start": 0, "end": 4, "label": "kick", "kind": "known", "confidence": 0.93},
-    {"start": 4, "end": 10, "label": "kick", "kind": "perhaps", "confidence": 0.31},
-]
-
-
-def test_what_is_doubtful_says_so_and_looks_another_way_without_colour(timeline, tmp_path):
-    page = timeline(segments=DOUBTFUL)
-    sure, doubtful = page.run("return [...document.querySelectorAll('.tl-segment')].map((one) => one.textContent)")
-    assert (sure, doubtful) == ("Akick", "A?perhaps kick")
-    title = page.run("return document.querySelector('.tl-perhaps').title")
-    assert "perhaps kick, 31 %" in title
-    looks = page.run(
-        "return [...document.querySelectorAll('.tl-segment')].map((one) => { const style = getComputedStyle(one);"
-        " return [style.borderTopStyle, style.backgroundImage === 'none', style.fontStyle]; })"
-    )
-    assert looks == [["solid", True, "normal"], ["dashed", False, "italic"]]
-    page.driver.save_screenshot(str(tmp_path / "doubtful.png"))
-    assert page.messages() == []
-
-
 AT_ONE_TIME = [
     {"start": 0, "end": 4, "label": "walk", "kind": "known", "confidence": None},
     {"start": 4, "end": 8, "label": "sit", "kind": "known", "confidence": None},
@@ -131,14 +110,6 @@ def test_labels_at_one_time_lie_one_below_the_other(timeline):
     page.run("timeline.setSegments([{start: 0, end: 4, label: 'walk', kind: 'known'}])")
     assert page.run("return document.querySelector('.tl-inner').offsetHeight") == 76
     assert page.messages() == []
-
-
-@pytest.mark.parametrize("duration", [10, 10.2, 123.4, 3640, 3700])
-def test_the_ruler_needs_no_scrolling(timeline, duration):
-    """The label of the last tick ends where the take does."""
-    page = timeline(duration=duration, segments=[])
-    assert page.run("const one = document.querySelector('.tl-scroll'); return one.scrollWidth - one.clientWidth") <= 0
-    assert page.run("return document.querySelectorAll('.tl-tick').length") > 5
 
 
 def test_a_click_seeks_and_dragging_chooses(timeline):
