@@ -195,12 +195,6 @@ def read_video(path):
         yield from (picture for *_, picture in frames.read())
 
 
-def test_keypoints_in_words(dousa, film, tmp_path):
-    code, out, error = dousa("keypoints", film, "-o", tmp_path / "out")
-    assert (code, error) == (0, "")
-    assert "12 frames at 25 Hz, 1 person" in out and "person 1: in 12 frames, 100% of the points visible" in out
-
-
 def test_mistaken_films_are_one_line(dousa, tmp_path, folder):
     pytest.importorskip("av", reason="PyAV is not installed (dousa[film])")
     pytest.importorskip("ai_edge_litert", reason="LiteRT is not installed (dousa[film])")

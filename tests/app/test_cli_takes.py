@@ -341,23 +341,6 @@ def test_an_old_library_is_brought_up_to_date_and_searched(dousa, tmp_path):
     assert "features 'paper'" in dousa("list", path)[1]
 
 
-def test_the_table_of_a_take_says_how_often(capsys):
-    from rich.console import Console
-
-    from dousa.app.tables.search import print_timeline
-    from dousa.library import LabelledTake
-    from dousa.retrieval import Segment, Timeline
-
-    perhaps = Segment(12.0, 14.0, None, 0.31, 2, guess="[kick]")
-    known = Segment(0.0, 9.0, "squat", 0.9, 5), Segment(9.0, 11.0, "kick", 0.8)
-    timeline = Timeline((*known, Segment(11.0, 12.0, None, 0.6), perhaps), 14.0, 0.5)
-    print_timeline(Console(width=90), LabelledTake("take.bvh", None, timeline))
-    squat, kick, nothing, doubtful = capsys.readouterr().out.splitlines()[-4:]
-    assert "squat × 5" in squat
-    assert "perhaps [kick] × 2" in doubtful and "31%" in doubtful
-    assert "kick" in kick and "×" not in kick + nothing
-
-
 def test_a_doubtful_guess_is_said_to_be_one():
     from dousa.app.tables.search import describe_verdict
     from dousa.library import Verdict
@@ -401,11 +384,6 @@ def test_what_came_up_when_a_file_was_read_is_said(dousa, library, cut_off, word
     code, out, err = dousa(*words, library, cut_off, "--json")
     (answer,) = [json.loads(out)] if words != ("classify",) else json.loads(out)
     assert code == 0 and sum(NOTE in note for note in answer["notes"]) == 1
-
-
-def test_what_came_up_when_a_take_was_read_is_said(dousa, library, cut_off):
-    code, _, err = dousa("find", library, "1", cut_off)
-    assert code == 0 and err.count(f"note: {cut_off}: {NOTE}") == 1
 
 
 def test_what_came_up_when_a_file_was_added_is_said_again(dousa, library, cut_off):
@@ -454,14 +432,3 @@ def test_places_are_in_the_order_of_what_the_table_shows(dousa, library, recordi
     ends = [number for number, row in enumerate(rows[1:]) if "no longer alike" in row] or [len(places)]
     assert [place["probability"] >= 0.5 for place in places] == [number < ends[0] for number in range(len(places))]
     assert "確信度" in dousa("--lang", "ja", *words)[1].splitlines()[1]
-
-
-def test_places_of_bodies_that_lack_joints_have_no_probability(capsys):
-    from rich.console import Console
-
-    from dousa.app.tables.search import print_places
-    from dousa.library import FindResult, Place
-
-    place = Place("take.bvh", None, 0.0, 1.0, 0.4, 0.1, 0.5, 1.0, False, 1)
-    print_places(Console(width=90), FindResult("a", 1.0, 1, 9.0, (place,), ()), mirrored=False)
-    assert capsys.readouterr().out.splitlines()[1].split() == ["rank", "score", "start", "end", "tempo", "take"]

@@ -2,17 +2,12 @@
 
 import io
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
 from rich.console import Console
 
-import dousa.evaluation
-from app.fake_assessment import make_assessment
-from dousa.app import demo
 from dousa.app.demo import match_mistakes, run_dance_demo, write_dance
-from dousa.errors import OptionError
 from dousa.evaluation import ErrorEvent
 from dousa.formats.registry import read_motion
 from dousa.motion import canonicalise
@@ -73,33 +68,6 @@ def test_mistakes_and_events_are_paired():
     assert match_mistakes(mistakes, events) == [events[0], events[2], events[3], None]
     assert match_mistakes([], events) == []
     assert match_mistakes(mistakes, []) == [None] * 4
-
-
-@pytest.fixture
-def told(monkeypatch, tmp_path):
-    """Runs the act with a made-up assessment; returns what it prints."""
-
-    def write_report(assessment, folder, language="en"):
-        Path(folder).mkdir(exist_ok=True)
-        page = Path(folder) / "report.html"
-        page.write_text("page")
-        return page
-
-    monkeypatch.setitem(dousa.evaluation.__dict__, "assess", lambda *_, **__: make_assessment())
-    monkeypatch.setattr(demo, "write_report", write_report)
-
-    def run(output):
-        console = Console(file=io.StringIO(), width=200)
-        run_dance_demo(console, output)
-        return console.file.getvalue()
-
-    return run
-
-
-def test_where_it_cannot_write_is_said(told, tmp_path):
-    (tmp_path / "file").write_text("x")
-    with pytest.raises(OptionError, match="choose another with --output"):
-        told(tmp_path / "file" / "out")
 
 
 def test_the_real_assessment_of_the_demonstration(tmp_path):

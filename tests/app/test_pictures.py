@@ -98,21 +98,6 @@ def test_any_number_of_poses(n_poses, walk, tmp_path, written):
         assert shown[-1] == f"{(walk.n_frames - 1) / walk.frame_rate:.2f} s"
 
 
-def test_one_frame(walk, tmp_path, written):
-    one = walk.replace(rotations=walk.rotations[:1], translations=walk.translations[:1])
-    draw_contact_sheet(one, tmp_path / "one.png")
-    pixels(tmp_path / "one.png")
-    assert times(written[0]) == ["0.00 s"] and any("1 frame at" in text for text in written[0])
-
-
-@pytest.mark.parametrize("parents", [None, np.array([-1, 0, 1, 2, 3, 0, 5, 6, 7])])
-def test_points_that_are_no_joints_are_dots_with_their_tree(parents, tmp_path):
-    draw_contact_sheet(markers(parents=parents), tmp_path / "dots.png", title="dots")
-    image = pixels(tmp_path / "dots.png")
-    assert is_near(image, _canvas.BLUE).sum() > 200
-    assert not is_near(image, _canvas.VERMILLION).any()
-
-
 def test_missing_points_leave_gaps_only(tmp_path):
     positions = np.array(markers().positions)
     positions[3:9, 2] = np.nan
@@ -135,16 +120,6 @@ def test_titles_in_any_script_draw_without_warnings(title, walk, tmp_path, caplo
     assert not caplog.records
     shown = _canvas.drawable(title or "motion")
     assert any(text == shown or text.startswith(shown[:60] + "x") for text in written[0])
-
-
-def test_characters_without_a_glyph_are_spelled_out(monkeypatch):
-    class OnlyLetters:
-        @staticmethod
-        def get_char_index(code):
-            return 1 if code < 128 else 0
-
-    monkeypatch.setattr(_canvas, "_fonts", lambda: (("DejaVu Sans",), (OnlyLetters,)))
-    assert _canvas.drawable("a動\t") == "a\\u52d5\\t"
 
 
 def test_the_viewer_sees_the_front_and_then_the_right_side(walk):

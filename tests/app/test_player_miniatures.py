@@ -88,20 +88,6 @@ def test_what_is_out_of_sight_or_destroyed_costs_nothing(page):
     assert page.run("return dousa.miniatures.drawn") == drawn
 
 
-def test_on_a_page_that_is_left_alone_they_stand_until_somebody_comes_back(page):
-    page.run("window.minis = [add(loops[0]), add(loops[1])]")
-    page.wait("return dousa.miniatures.alive === 2")
-    page.run("dousa.miniatures.patience = 300")
-    page.wait("return dousa.miniatures.alive === 0")
-    page.settle()
-    drawn = page.run("return dousa.miniatures.drawn")
-    page.settle()
-    assert page.run("return dousa.miniatures.drawn") == drawn
-    page.run("dousa.miniatures.patience = 60_000; document.body.dispatchEvent(new Event('scroll', {bubbles: true}))")
-    shares = page.run("return minis.map((mini) => mini.share)")
-    page.wait("return minis.every((mini, k) => mini.share !== arguments[0][k])", shares)
-
-
 def test_play_pause_and_seek(page):
     page.run("window.mini = add(loops[0]); mini.pause()")
     page.wait("return mini.visible")
@@ -192,18 +178,6 @@ def test_a_clock_follows_a_player(page, motions):
     assert page.run("return player.playing") is False
     page.run("leave(); leave(); player.seek(0)")
     assert page.run("return clock.share > 0.3")
-
-
-def test_a_miniature_without_words_is_an_ornament(page):
-    assert page.run("add(loops[0]); return document.querySelector('canvas').ariaHidden") == "true"
-    named = page.run(
-        """const canvas = document.createElement("canvas");
-        canvas.setAttribute("aria-label", "a wave");
-        document.body.append(canvas);
-        dousa.createMiniature(canvas, loops[0]);
-        return canvas.ariaHidden;"""
-    )
-    assert named is None
 
 
 @pytest.mark.parametrize("at", [0, 4, 8, 12])

@@ -140,13 +140,6 @@ def test_advice_comes_first_with_its_picture(english: str, japanese: str) -> Non
             assert ("<svg" in tip and "arrow-head" in tip) == bool(one.corrections) or one.event is None
 
 
-def test_both_languages_have_the_same_texts_and_slots() -> None:
-    english, japanese = load_section("report", "en"), load_section("report", "ja")
-    assert english.keys() == japanese.keys()
-    for name, text in english.items():
-        assert sorted(re.findall(r"\{\w+\}", text)) == sorted(re.findall(r"\{\w+\}", japanese[name])), name
-
-
 def test_every_text_of_the_report_is_used() -> None:
     folder = resources.files("dousa.app.report")
     sources = "".join(

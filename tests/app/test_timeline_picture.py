@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from dousa.app.pictures import canvas as _canvas
 from dousa.app.pictures.timeline import draw_timeline
 from dousa.errors import MotionWriteError, OptionError
-from dousa.motion import Trajectories, canonicalise
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 from dousa.retrieval.takes.label import Segment, Timeline
 
@@ -36,11 +34,6 @@ def ink(path):
     return image
 
 
-def share_of(image, colour):
-    wanted = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
-    return float((np.abs(image - wanted).max(axis=2) < 0.03).mean())
-
-
 def test_bars_lie_at_their_times_and_are_as_high_as_their_confidence(tmp_path):
     timeline = {"segments": [segment(0, 2, "bow", 1.0), segment(2, 4, "wave", 0.5)], "duration_s": 8}
     draw_timeline(timeline, tmp_path / "take.png")
@@ -62,44 +55,6 @@ def test_object_and_json_give_the_same_picture(tmp_path):
     draw_timeline(timeline.to_json() | {"take": "dance.bvh"}, tmp_path / "c.svg")
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "c.svg").read_bytes()
-
-
-@pytest.mark.parametrize("kind", ["motion", "canonical", "markers"])
-def test_poses_stand_above_their_times(kind, walk, tmp_path):
-    positions = np.random.default_rng(0).uniform(-1, 1, (20, 9, 3))
-    markers = Trajectories(tuple(f"M{number}" for number in range(9)), positions, 60.0)
-    motion = {"motion": walk, "canonical": canonicalise(walk), "markers": markers}[kind]
-    draw_timeline({"segments": [segment(0, 0.3)]}, tmp_path / "take.png", motion)
-    draw_timeline({"segments": [segment(0, 0.3)]}, tmp_path / "bare.png")
-    image, bare = ink(tmp_path / "take.png"), ink(tmp_path / "bare.png")
-    assert len(image) - len(bare) == pytest.approx(110 * 1.44, abs=2)
-    if kind != "markers":
-        assert share_of(image, _canvas.VERMILLION) > 0.0005
-
-
-def test_unknown_is_grey_and_comes_last(tmp_path):
-    known = [segment(1, 2, "bow"), segment(3, 4, "wave")]
-    draw_timeline({"segments": [segment(0, 1, None, 0.9), *known]}, tmp_path / "take.png")
-    draw_timeline({"segments": [segment(0, 1, "unknown", 0.9), *known]}, tmp_path / "same.png")
-    assert (tmp_path / "take.png").read_bytes() == (tmp_path / "same.png").read_bytes()
-    image = ink(tmp_path / "take.png")
-    bottom = image[-int(110 * 1.0) - 10 :, 300:420]
-    assert share_of(bottom, _canvas.BLUE) == 0.0
-    assert share_of(bottom, "#e4e4e4") > 0.0
-
-
-def test_what_is_perhaps_of_a_category_stands_in_its_row_and_looks_another_way(tmp_path):
-    doubtful = {**segment(1, 2, None, 0.3), "guess": "bow"}
-    known = [segment(0, 1, "bow", 0.3), segment(2, 3, "wave", 0.5)]
-    draw_timeline({"segments": [*known, doubtful]}, tmp_path / "take.png")
-    draw_timeline({"segments": [*known, segment(1, 2, "bow", 0.3)]}, tmp_path / "sure.png")
-    image, sure = ink(tmp_path / "take.png"), ink(tmp_path / "sure.png")
-    assert image.shape == sure.shape  # no row for what is unknown
-    assert (image != sure).any()
-    assert 0.0 < share_of(image, "#9cc7e4") < share_of(sure, "#9cc7e4")
-    parts = (Segment(0, 1, "bow", 0.3), Segment(1, 2, None, 0.3, guess="bow"), Segment(2, 3, "wave", 0.5))
-    draw_timeline(Timeline(parts, 3.0, 0.5), tmp_path / "object.png")
-    assert (tmp_path / "object.png").read_bytes() == (tmp_path / "take.png").read_bytes()
 
 
 @pytest.mark.parametrize("seconds", [0.4, 30.0, 700.0, 40_000.0])

@@ -113,14 +113,6 @@ def test_what_is_missing_is_said_and_put_right(show, seen, tmp_path):
     assert page.messages() == []
 
 
-def test_a_job_that_is_not_there(show):
-    page = show("/estimate?job=0123456789abcdef")
-    page.wait("return document.querySelector('#watch-problem .problem-box')")
-    assert "removed from the list" in text(page, "#watch-problem")
-    page.find("#watch-actions button").click()
-    page.wait("return !document.querySelector('#setup').hidden")
-
-
 CHART = """
 const done = arguments[0];
 const base = document.querySelector('script[src*="core/frame"]').src.replace('core/frame.js', '');

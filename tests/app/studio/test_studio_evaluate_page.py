@@ -130,29 +130,6 @@ def test_the_report_follows_cuts_and_weights(show, address):
     assert [text for text in page.messages() if "422" not in text] == []
 
 
-def test_what_is_open_and_playing_stays(show, address):
-    page = show(address)
-    _grade(page)
-    page.run("document.querySelectorAll('[data-part=tables] details')[0].open = true")
-    page.run("document.querySelectorAll('.shape-card')[1].open = false")
-    page.run("window.scrollTo({top: 900, behavior: 'instant'})")
-    page.run("const lanes = document.querySelector('#lanes'); lanes.focus({preventScroll: true});")
-    page.press("\ue00f", "\ue00f")
-    page.run("document.querySelector('#zoom-in').click()")
-    at = page.run("return document.querySelector('#lanes').getAttribute('aria-valuenow')")
-    _slide(page, "segment-trunk", 2)
-    _settled(page)
-    page.wait("return document.querySelector('#adjust-changed').textContent.includes('Trunk 2')")
-    assert page.run("return document.querySelectorAll('[data-part=tables] details')[0].open")
-    assert not page.run("return document.querySelectorAll('.shape-card')[1].open")
-    assert page.run("return document.querySelector('#lanes').getAttribute('aria-valuenow')") == at
-    assert page.run("return document.querySelector('#zoom-now').textContent") == "2×"
-    assert page.run("return document.querySelector('.lanes').style.getPropertyValue('--zoom')") == "2"
-    assert page.run("return window.scrollY") == pytest.approx(900, abs=60)
-    assert page.run("return document.activeElement.id") == "lanes"
-    assert page.messages() == []
-
-
 def test_reload_keeps_everything_and_two_tabs_do_no_harm(show, address, running):
     page = show(address)
     first = _grade(page)

@@ -15,7 +15,6 @@ KEYS = pytest.importorskip("selenium.webdriver", reason="selenium is not install
 DIALOG = "return document.querySelector('dialog[open]')"
 FORMATS = "return [...document.querySelectorAll('#export-format option')].map((option) => option.value)"
 DRAWN = "return document.querySelectorAll('.hit').length > 3 && document.querySelector('.verdict-words') !== null"
-CELLS = "return [...document.querySelectorAll('.cell')].filter((cell) => cell.cell.id && cell.offsetParent).length > 3"
 
 
 @pytest.fixture
@@ -84,46 +83,3 @@ def test_one_hit_onto_the_character_which_is_remembered(show, running, hero, dow
     expected = retarget(source, read_motion(hero), keep_reach=True).motion
     assert made.n_frames == expected.n_frames
     assert page.messages() == []
-
-
-@pytest.mark.parametrize("language", ["en", "ja"])
-def test_chosen_clips_by_keyboard_as_they_are(show, running, downloads, tmp_path, language):
-    page = show("/library", language=language)
-    page.wait(CELLS)
-    page.run("document.querySelector('.cell[tabindex=\"0\"]').focus()")
-    page.press(" ")
-    page.press(KEYS.ARROW_RIGHT, held=KEYS.SHIFT)
-    page.run("document.querySelector('[data-word=export]').focus()")
-    page.press(KEYS.ENTER)
-    page.wait("return document.activeElement.id === 'export-format'")
-    assert {"bvh", "glb", "c3d", "original"} <= set(page.run(FORMATS))
-    page.run("document.querySelector('#export-format').value = 'original'")
-    page.run("document.querySelector('#export-format').dispatchEvent(new Event('change'))")
-    assert page.run("return document.querySelector('.character').hidden")
-    assert page.screenshot(tmp_path / "export.png").stat().st_size > 20_000
-    words = page.run("return document.querySelector('dialog').innerText")
-    assert ("書き出す" in words) == (language == "ja")
-    page.run("document.querySelector('#export-go').focus()")
-    page.press(KEYS.ENTER)
-    page.wait("return document.activeElement.id === 'export-file'")
-    rows = rows_of(downloads(".zip"))
-    assert [int(row["id"]) for row in rows] == [1, 2]
-    page.press(KEYS.ESCAPE)
-    # It is found among the jobs too.
-    page.run("document.querySelector('#jobs-button').click()")
-    page.wait("return document.querySelector('.job[data-state=done] a[href^=\"/api/exports/\"]')")
-    assert page.messages() == []
-
-
-def test_what_is_no_character_is_told(show, tmp_path):
-    points = tmp_path / "points.c3d"
-    write_motion(make_motion("bow", draw_performer(3)), points)
-    page = show("/library")
-    page.wait(CELLS)
-    page.find(".cell").click()
-    page.run("document.querySelector('[data-word=export]').click()")
-    page.wait("return document.querySelector('#character-file')")
-    page.find("#character-file").send_keys(str(points))
-    page.wait("return document.querySelector('.notice.problem')")
-    assert page.run("return document.querySelector('.character-name')") is None
-    assert "points.c3d" in page.run("return document.querySelector('.notice.problem p').textContent")

@@ -201,24 +201,3 @@ def test_stopped_reloaded_and_resumed(show, running, scene):
         page.find("#watch-resume").click()
     page.wait(FITTED)
     assert page.messages() == []
-
-
-def test_what_is_missing_is_one_sentence(show, scene, tmp_path):
-    page = show("/estimate")
-    drop(page, scene / "view1.npz", scene / "view2.npz")
-    page.wait("return document.querySelector('#missing')")
-    assert text(page, "#missing").startswith("type the stature")
-    page.find("[name=stature]").send_keys("175")
-    page.wait(CAN_START)
-    assert page.messages() == []
-
-
-def test_models_that_are_not_installed_are_said(show, scene, tmp_path, monkeypatch):
-    pytest.importorskip("ai_edge_litert", reason="LiteRT is not installed: pip install 'dousa[film]'")
-    monkeypatch.setenv("DOUSA_MODELS", str(tmp_path))
-    page = show("/estimate", language="ja")
-    drop(page, scene / "view1.mp4", scene / "view2.mp4")
-    page.find("[name=stature]").send_keys("175")
-    page.wait("return document.querySelector('#missing')?.textContent.includes('dousa keypoints --install')")
-    assert page.run("return document.querySelectorAll('.pictures img').length") == 2
-    assert page.run("return document.querySelector('#start').disabled") and page.messages() == []

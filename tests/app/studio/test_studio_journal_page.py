@@ -76,40 +76,6 @@ def test_tags_stars_and_what_is_kept(library_page, running):
     assert page.messages() == []
 
 
-def test_panes_figures_and_list_are_remembered(library_page):
-    page = library_page(width=1600, height=900)
-    page.wait("return document.querySelector('#look .dousa-player')")
-    assert page.run("return document.querySelector('main').clientWidth") == 1600
-    page.run("document.querySelector('#split-left').focus()")
-    width = "return document.querySelector('#facets').offsetWidth"
-    before = page.run(width)
-    for _ in range(3):
-        page.press(KEYS.ARROW_RIGHT)
-    assert page.run(width) == before + 72
-    columns = "return Number(document.querySelector('#grid').getAttribute('aria-colcount'))"
-    many = page.run(columns)
-    page.run("const s = document.querySelector('#cell-size'); s.value = '300'; s.dispatchEvent(new Event('input'))")
-    page.settle()
-    assert page.run(columns) < many
-    click(page, "#view-list")
-    assert page.run(columns) == 1
-    page.wait(f"{CELLS}.length > 8")
-    click(page, "#look-button")
-    assert not page.run("return document.querySelector('#look').offsetParent")
-    page.driver.refresh()
-    page.wait(f"{CELLS}.length > 8")
-    assert (page.run(columns), page.run(width)) == (1, before + 72)
-    assert not page.run("return document.querySelector('#look').offsetParent")
-    click(page, "#look-button")
-    page.wait("return document.querySelector('#look .dousa-player')")
-    for at in (390, 1100, 2560):
-        page.resize(at, 900)
-        page.settle()
-        assert page.run("return document.documentElement.scrollWidth <= innerWidth")
-    page.run("localStorage.clear()")
-    assert page.messages() == []
-
-
 def test_from_the_list_to_a_zip_onto_a_character(library_page, running, bvh, downloads):
     """The animator's way: a category, all of it, a tag, a format, a character, the file."""
     import csv

@@ -54,35 +54,6 @@ def test_the_grid_shows_moving_figures(library_page, tmp_path, look):
     assert page.messages() == []
 
 
-def test_only_what_is_seen_is_there(library_page):
-    page = library_page(width=390, height=500)
-    assert page.run("return document.querySelector('#grid').getAttribute('aria-rowcount')") == "12"
-    assert page.run(f"{CELLS}.length") < N
-    page.run("window.scrollTo(0, document.body.scrollHeight)")
-    page.wait(f"{CELLS}.some((cell) => cell.cell.index === {N - 1} && !cell.querySelector('canvas').hidden)")
-    assert page.run(f"{CELLS}.length") < N
-    page.settle()
-    assert page.wait("return window.dousa.miniatures.alive") <= 8
-    assert page.messages() == []
-
-
-def test_what_can_be_done_with_a_choice_stays_while_clips_are_read_again(library_page, client):
-    page = library_page("/library?text=performer03")
-    page.find(".cell").click()
-    page.wait("return document.querySelector('#actions a[href^=\"/search\"]')")
-    page.run("window.before = [...document.querySelectorAll('#actions > *')]")
-    other = client.ask("GET", "/api/clips?text=performer03")["items"][1]["id"]
-    client.ask("POST", "/api/clips/tag", {"clips": [other], "add": ["seen"]})
-    page.run("document.dispatchEvent(new Event('visibilitychange'))")
-    page.wait("return document.querySelector('#grid').textContent.includes('#seen')")
-    page.settle()
-    now = "const now = [...document.querySelectorAll('#actions > *')];"
-    assert page.run(f"{now} return now.length === before.length && before.every((one, k) => one === now[k])")
-    page.find(".cell:nth-child(2)").click()  # another one: the bar is about that
-    page.wait("return document.querySelector('#actions a[href^=\"/search\"]').href.endsWith(arguments[0])", str(other))
-    assert page.messages() == []
-
-
 def test_filters_and_words_narrow_the_list_and_stand_in_the_address(library_page):
     page = library_page()
     click(page, "[data-key='category squat']")

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.studio.conftest import TOKEN, wait_for
+from app.studio.conftest import TOKEN
 from app.studio.estimating_scenes import write_scene
 from dousa.estimation import PackedSilhouettes, read_cameras, read_silhouettes, write_silhouettes
 
@@ -188,27 +188,3 @@ def test_silhouettes_without_cameras_are_repaired_and_saved_only(show, running, 
         io.BytesIO(fetch(running, page.run("return document.querySelector('#masks-save').getAttribute('href')")))
     ) as file:
         assert "camera_matrix" not in file and file["mask_packed"].shape[1] == N_FRAMES
-
-
-def test_a_job_that_is_no_silhouettes(show, running):
-    job = running.app.state.studio.jobs.submit(
-        "evaluate", {"references": [{"motion": "clip:1"}], "performance": {"motion": "clip:2"}}, "one"
-    )
-
-    class Client:
-        """Asks as `wait_for` wants it."""
-
-        def get(self, path):
-            import json
-            from types import SimpleNamespace
-
-            content = json.loads(fetch(running, path))
-            return SimpleNamespace(json=lambda: content)
-
-    wait_for(Client(), job.id)
-    page = show(f"/estimate?masks={job.id}")
-    page.wait("return document.querySelector('.notice.problem, #masks-problem .problem-box')")
-    page = show("/estimate?masks=0123456789abcdef")
-    page.wait("return document.querySelector('#masks-problem .problem-box')")
-    page.find("#masks-actions button").click()
-    page.wait("return !document.querySelector('#setup').hidden")

@@ -65,33 +65,6 @@ def test_a_search_that_learns_first_shows_its_steps(show, client, monkeypatch):
     assert page.messages() == []
 
 
-# A folder of so many files, whose last part is read when `letGo` is called.
-DROP_FOLDER = """
-const [text, number] = arguments;
-const file = (k) => ({isFile: true, name: `one${k}.bvh`, file: (done) => done(new File([text + '\\n'.repeat(k)], `one${k}.bvh`))});
-const parts = [Array.from({length: number}, (_, k) => file(k)), [file(number)], []];
-const gate = new Promise((done) => { window.letGo = done; });
-const reader = {async readEntries(done) { const part = parts.shift(); if (parts.length === 1) await gate; done(part); }};
-const folder = {isFile: false, name: 'archive', createReader: () => reader};
-const event = new Event('drop', {bubbles: true, cancelable: true});
-event.dataTransfer = {types: ['Files'], items: [{webkitGetAsEntry: () => folder}], files: []};
-document.querySelector('#grid').dispatchEvent(event);
-"""  # noqa: E501
-
-
-def test_a_folder_that_takes_long_to_read_says_how_far_it_is(show, bvh):
-    page = show("/library")
-    page.wait("return document.querySelector('.cell')")
-    page.run(DROP_FOLDER, bvh.read_text(), 3)
-    said = "document.querySelector('.reading-folder')?.textContent"
-    page.wait(f"return {said} === 'Reading the folder: 3 files'")
-    assert not page.run("return document.querySelector('dialog[open]')")
-    page.run("window.letGo()")
-    page.wait("return document.querySelector('#came')?.textContent.includes('4')")
-    assert page.run(f"return {said}") is None
-    assert page.messages() == []
-
-
 def test_an_fbx_file_is_a_motion_and_what_reads_it_is_named(show, tmp_path, monkeypatch):
     from dousa.formats.exchange import conversion
 

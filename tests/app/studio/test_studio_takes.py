@@ -505,19 +505,6 @@ def test_a_take_that_is_gone_leads_back_to_the_start(show, running, asked):
     page.messages()  # the browser tells of the refused requests itself
 
 
-def test_files_that_are_no_takes_are_told(show, running, recording, tmp_path):
-    text, damaged = tmp_path / "notes.txt", tmp_path / "damaged.bvh"
-    text.write_text("hello")
-    damaged.write_text("\n".join(recording[0].read_text().splitlines()[:9]))
-    page = show("/takes")
-    page.wait("return document.querySelector('#take-file') !== null")
-    page.find("#take-file").send_keys(str(text))
-    page.wait("return document.querySelector('.notice.problem') !== null")
-    page.find("#take-file").send_keys(str(damaged))
-    page.wait(BACK_AT_START)
-    page.messages()  # the browser tells of the refused requests itself
-
-
 # --- labels that were given
 
 
@@ -782,20 +769,6 @@ def open_annotated(show, running, recording, table, tmp_path):
 
 GIVEN = "return document.querySelector('#show-given')?.getAttribute('aria-pressed')"
 NOTICE = "return [...document.querySelectorAll('.notice')].find((one) => one.textContent.includes(arguments[0]))"
-
-
-def test_labels_that_are_asked_for_again_are_shown(show, running, recording, table, tmp_path, faults):
-    page = open_annotated(show, running, recording, table, tmp_path)
-    assert "4 stretches from session.labels.csv" in page.run("return document.querySelector('#take-facts').textContent")
-    page.run("document.querySelector('#label-again').click()")
-    page.wait(f"{GIVEN} === 'false'", seconds=60)
-    page.wait("return document.querySelector('#segments .sure') !== null")  # how sure each is: recognised ones
-    page.wait(NOTICE, "Labelled again")
-    assert faults(page) == []
-    page.screenshot(tmp_path / "again.png")
-    page.run(f"{NOTICE.removeprefix('return ')}.querySelector('button').click()", "Labelled again")
-    page.wait(f"{GIVEN} === 'true'")
-    assert page.messages() == []
 
 
 def test_what_was_learned_leads_to_the_other_place(show, running, recording, strange, table, tmp_path, faults):

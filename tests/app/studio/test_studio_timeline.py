@@ -75,43 +75,6 @@ def test_labels_are_text_and_say_what_they_are(timeline):
     assert page.messages() == []
 
 
-AT_ONE_TIME = [
-    {"start": 0, "end": 4, "label": "walk", "kind": "known", "confidence": None},
-    {"start": 4, "end": 8, "label": "sit", "kind": "known", "confidence": None},
-    {"start": 4, "end": 8, "label": "talk", "kind": "known", "confidence": None},
-    {"start": 5, "end": 6, "label": "nod", "kind": "known", "confidence": None},
-    {"start": 8.002, "end": 10, "label": "stand", "kind": "known", "confidence": None},
-]
-
-
-def test_labels_at_one_time_lie_one_below_the_other(timeline):
-    page = timeline(segments=AT_ONE_TIME, selectable=True)
-    boxes = page.run(
-        "return [...document.querySelectorAll('.tl-segment')].map((one) => { const box = one.getBoundingClientRect();"
-        " return [box.top, box.bottom]; })"
-    )
-    walk, sit, talk, nod, stand = boxes
-    assert walk == stand and walk[1] - walk[0] > 60
-    assert sit[0] == walk[0] and nod[1] == walk[1]
-    for above, below in ((sit, talk), (talk, nod)):
-        assert above[1] <= below[0] + 0.5 and below[1] - below[0] >= 25
-    page.run("timeline.setCursor(5.5)")
-    said = page.run("return document.querySelector('.tl-cursor').getAttribute('aria-valuetext')")
-    assert [name for name in ("sit", "talk", "nod", "walk") if f"{name}, " in said] == ["sit", "talk", "nod"]
-    for number, span in ((2, [4, 8]), (3, [5, 6])):
-        page.run(
-            "const one = document.querySelectorAll('.tl-segment')[arguments[0]], box = one.getBoundingClientRect();"
-            "one.dispatchEvent(new MouseEvent('dblclick', {bubbles: true, clientX: box.left + box.width / 2,"
-            " clientY: box.top + 5}))",
-            number,
-        )
-        chosen = page.run("return timeline.selection")
-        assert [chosen["start"], chosen["end"]] == span
-    page.run("timeline.setSegments([{start: 0, end: 4, label: 'walk', kind: 'known'}])")
-    assert page.run("return document.querySelector('.tl-inner').offsetHeight") == 76
-    assert page.messages() == []
-
-
 def test_a_click_seeks_and_dragging_chooses(timeline):
     page = timeline(selectable=True)
     drag(page, 3, 3)
