@@ -8,13 +8,15 @@ SHIFT = "\ue008"
 MAKE = """
     const done = arguments[1];
     const module = document.querySelector('script[type=module][src*="/core/"]').src.replace('frame.js', 'timeline.js');
-    import(module).then(({createTimeline}) => {
+    import(module).then(({Timeline}) => {
       document.querySelector('#main').innerHTML = '<div id="here" style="width: 800px"></div>';
       window.heard = {seek: [], select: [], cuts: []};
-      window.timeline = createTimeline(document.querySelector('#here'), arguments[0]);
-      timeline.onSeek((seconds) => heard.seek.push(seconds));
-      timeline.onSelect((part, last) => last && heard.select.push(part));
-      timeline.onCuts((cuts, last) => last && heard.cuts.push(cuts));
+      window.timeline = new Timeline(document.querySelector('#here'), {
+        ...arguments[0],
+        onSeek: (seconds) => heard.seek.push(seconds),
+        onSelect: (part, last) => last && heard.select.push(part),
+        onCuts: (cuts, last) => last && heard.cuts.push(cuts),
+      });
       done(true);
     });
 """

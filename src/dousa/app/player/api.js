@@ -22,7 +22,7 @@ function createPlayer(element, data, options = {}) {
       return inner.looped ? [...inner.looped] : null;
     },
   };
-  const calls = ["seek", "play", "pause", "loop", "setSpeed", "setView", "replace", "reveal", "destroy"];
+  const calls = ["seek", "play", "pause", "toggle", "loop", "setSpeed", "setView", "replace", "reveal", "destroy"];
   return makeHandle(inner, { calls, values: ["time", "duration", "playing", "speed"], methods });
 }
 

@@ -69,11 +69,10 @@ class Clock {
     const take = () => this.set(player.time / player.duration);
     const stop = player.onTime(take);
     take();
-    this.unfollow = () => {
+    const mine = (this.unfollow = () => {
       stop();
       Object.assign(this, { player: null, unfollow: null });
-    };
-    const mine = this.unfollow;
+    });
     return () => {
       if (this.unfollow === mine) mine();
     };

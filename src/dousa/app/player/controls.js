@@ -57,7 +57,7 @@ function formatTime(seconds, decimals) {
 }
 
 class Controls {
-  // act: what the buttons do, by name; see player.js.
+  // act: the player, whose methods the buttons call.
   constructor(root, data, act) {
     Object.assign(this, { root, data, act, duration: data.duration, words: data.texts });
     this.assessed = isAssessed(data);
@@ -130,19 +130,23 @@ class Controls {
   }
 
   fillTrack() {
-    const place = (seconds) => Math.min(Math.max(seconds / this.duration, 0), 1);
-    const lay = (element, { start, end }) => {
-      element.style.left = `${(100 * place(start)).toFixed(3)}%`;
-      element.style.width = `${(100 * (place(end) - place(start))).toFixed(3)}%`;
-      return element;
-    };
     for (const box of [this.furi, this.spanBox, this.marks]) box.replaceChildren();
-    this.data.furi.forEach((furi, index) => lay(make("span", index % 2 ? "dp-odd" : "", this.furi, furi.label), furi));
+    this.data.furi.forEach((furi, index) => this.lay(make("span", index % 2 ? "dp-odd" : "", this.furi, furi.label), furi));
     this.spans = this.data.events.map((event) =>
-      lay(make("span", `dp-span dp-${event.kind in SHAPES ? event.kind : "global"}`, this.spanBox), event),
+      this.lay(make("span", `dp-span dp-${event.kind in SHAPES ? event.kind : "global"}`, this.spanBox), event),
     );
-    this.places = this.data.events.map((event) => place(event.worst ?? event.start));
+    this.places = this.data.events.map((event) => this.shareOf(event.worst ?? event.start));
     this.makeMarks();
+  }
+
+  shareOf(seconds) {
+    return Math.min(Math.max(seconds / this.duration, 0), 1);
+  }
+
+  lay(element, { start, end }) {
+    element.style.left = `${(100 * this.shareOf(start)).toFixed(3)}%`;
+    element.style.width = `${(100 * (this.shareOf(end) - this.shareOf(start))).toFixed(3)}%`;
+    return element;
   }
 
   makeMarks() {
@@ -200,11 +204,11 @@ class Controls {
     const { act, words } = this;
     const bar = make("div", "dp-bar", this.root);
     const group = this.group(bar, "player");
-    this.previous = this.button(group, "previous", "P", act.previous, { icon: "previous" });
+    this.previous = this.button(group, "previous", "P", () => act.goBeside(-1), { icon: "previous" });
     this.button(group, "back", "←", () => act.stepFrames(-1), { icon: "back" });
-    this.play = this.button(group, "play", words.space, act.toggle, { icon: "play", className: "dp-play" });
+    this.play = this.button(group, "play", words.space, () => act.toggle(), { icon: "play", className: "dp-play" });
     this.button(group, "on", "→", () => act.stepFrames(1), { icon: "on" });
-    this.next = this.button(group, "next", "N", act.next, { icon: "next" });
+    this.next = this.button(group, "next", "N", () => act.goBeside(1), { icon: "next" });
     this.clock = make("span", "dp-clock", bar);
     const speeds = this.group(bar, "speed");
     speeds.classList.add("dp-choice");
@@ -213,7 +217,7 @@ class Controls {
       button.setAttribute("aria-label", `${words.speed} ${speed}×`);
       return button;
     });
-    this.loop = this.button(bar, "loop", "L", act.toggleLoop, { icon: "loop", text: words.loop });
+    this.loop = this.button(bar, "loop", "L", () => act.toggleLoop(), { icon: "loop", text: words.loop });
     for (const button of [this.previous, this.next]) button.hidden = !this.assessed;
     this.enableEvents();
   }
@@ -223,11 +227,12 @@ class Controls {
     for (const button of [this.previous, this.next, this.loop]) if (button) button.disabled = none;
   }
 
-  choice(bar, name, entries) {
+  // Buttons of which one is pressed: words, and what each sets the view's `part` to.
+  choice(bar, name, key, part, values) {
     const group = this.group(bar, name);
     group.classList.add("dp-choice");
-    return entries.map(([word, key, action, value]) => {
-      const button = this.button(group, word, key, action, { text: this.words[word] });
+    return Object.entries(values).map(([word, value]) => {
+      const button = this.button(group, word, key, () => this.act.setView({ [part]: value }), { text: this.words[word] });
       button.value = value;
       return button;
     });
@@ -236,14 +241,8 @@ class Controls {
   makeViews() {
     const { act, words } = this;
     const bar = make("div", "dp-bar dp-views", this.root);
-    this.modes = this.choice(bar, "arrangement", [
-      ["side", "O", () => act.setView({ mode: "side" }), "side"],
-      ["over", "O", () => act.setView({ mode: "over" }), "over"],
-    ]);
-    this.syncs = this.choice(bar, "timing", [
-      ["step", "S", () => act.setView({ sync: "step" }), "step"],
-      ["real", "S", () => act.setView({ sync: "time" }), "time"],
-    ]);
+    this.modes = this.choice(bar, "arrangement", "O", "mode", { side: "side", over: "over" });
+    this.syncs = this.choice(bar, "timing", "S", "sync", { step: "step", real: "time" });
     for (const choice of [this.modes, this.syncs]) choice[0].parentElement.hidden = !this.data.reference;
     const toggles = this.group(bar, "");
     this.mirror = this.button(toggles, "mirror", "M", () => act.flip("mirror"), { text: words.mirror });
@@ -252,7 +251,7 @@ class Controls {
     ["front", "flank", "top"].forEach((name, index) => {
       this.button(views, name, String(index + 1), () => act.look(name), { text: words[name] });
     });
-    this.button(views, "reset", "0", act.resetView, { icon: "reset" });
+    this.button(views, "reset", "0", () => act.look(null), { icon: "reset" });
   }
 
   makeKeys() {
@@ -290,12 +289,8 @@ class Controls {
     }
     this.updateButtons(state);
     this.updateEvents(state);
-    const { loopBar } = this;
-    loopBar.hidden = !state.looped;
-    if (state.looped) {
-      loopBar.style.left = `${(100 * state.looped[0]) / this.duration}%`;
-      loopBar.style.width = `${(100 * (state.looped[1] - state.looped[0])) / this.duration}%`;
-    }
+    this.loopBar.hidden = !state.looped;
+    if (state.looped) this.lay(this.loopBar, { start: state.looped[0], end: state.looped[1] });
   }
 
   updateButtons(state) {

@@ -318,19 +318,20 @@ SCRIPT_PARTS: tuple[str, ...] = (
 _UNSAFE = {ord(letter): f"\\u{ord(letter):04x}" for letter in "<>&\u2028\u2029"}
 
 
-def _read(name: str) -> str:
+def read_script_part(name: str) -> str:
+    """A file of the player."""
     return (files("dousa.app.player") / name).read_text(encoding="utf-8")
 
 
 def read_player_script() -> str:
     """The whole script of the player; it makes ``window.dousa`` and no other global name."""
-    parts = "\n".join(_read(name) for name in SCRIPT_PARTS)
+    parts = "\n".join(read_script_part(name) for name in SCRIPT_PARTS)
     return f'(() => {{\n"use strict";\n{parts}\n}})();\n'
 
 
 def read_player_style() -> str:
     """The style sheet of player and miniatures; elsewhere it sets only variables that say which theme is on."""
-    return _read("player.css")
+    return read_script_part("player.css")
 
 
 def format_player_data(data: Mapping[str, Any]) -> str:

@@ -31,10 +31,6 @@ for (const side of ["l", "r"]) {
   });
 }
 
-function sphere(at, radius) {
-  return [at[0], at[1], at[2], radius];
-}
-
 // Spheres of all parts, m. `joints` is a flat array of 20 x 3 values, `k` the body's size against 1.7 m; parts of joints
 // that are `absent` (their numbers) are left out.
 function buildBody(joints, k, absent = new Set()) {
@@ -47,100 +43,77 @@ function buildBody(joints, k, absent = new Set()) {
     [1, 0, 0],
   );
   const front = unit(cross(left, up), [0, 0, 1]);
-  const frame = { k, at, hips, neck, up, left, front };
   const parts = [];
-  buildTrunk(frame, parts);
-  buildHead(frame, parts);
+  const sphere = (place, radius) => [...place, radius * k];
+  const add = (name, ...spheres) => parts.push({ name, spheres });
+  const frame = { k, at, hips, neck, up, left, front, sphere, add };
+  buildTrunk(frame);
+  buildHead(frame);
   for (const side of ["l", "r"]) {
-    buildArm(frame, side, parts);
-    buildLeg(frame, side, parts);
+    buildArm(frame, side);
+    buildLeg(frame, side);
   }
   return absent.size ? parts.filter((part) => !PART_JOINTS[part.name].some((name) => absent.has(JOINT[name]))) : parts;
 }
 
-function buildTrunk({ k, at, hips, neck, up, left, front }, parts) {
+function buildTrunk({ k, at, hips, neck, up, left, front, sphere, add }) {
   const waist = mix(at("spine"), mix(hips, neck, 0.36), 0.5);
   const ribs = addScaled(mix(hips, neck, 0.66), front, 0.012 * k);
   const beside = (point, distance, radius) =>
-    [1, -1].map((sign) => sphere(addScaled(point, left, sign * distance * k), radius * k));
-  const inner = (name, sign) => sphere(addScaled(at(name), left, -sign * 0.04 * k), 0.054 * k);
+    [1, -1].map((sign) => sphere(addScaled(point, left, sign * distance * k), radius));
+  const inner = (name, sign) => sphere(addScaled(at(name), left, -sign * 0.04 * k), 0.054);
   const belly = mix(hips, waist, 0.6);
-  parts.push({ name: "hips", spheres: [...beside(hips, 0.074, 0.088), ...beside(mix(hips, waist, 0.5), 0.064, 0.088)] });
-  parts.push({ name: "waist", spheres: [...beside(belly, 0.062, 0.086), ...beside(mix(waist, ribs, 0.5), 0.066, 0.086)] });
-  parts.push({
-    name: "chest",
-    spheres: [
-      inner("lShoulder", 1),
-      inner("rShoulder", -1),
-      ...beside(ribs, 0.075, 0.1),
-      ...beside(mix(waist, ribs, 0.62), 0.062, 0.086),
-      ...beside(addScaled(neck, up, 0.012 * k), 0.024, 0.044),
-    ],
-  });
+  add("hips", ...beside(hips, 0.074, 0.088), ...beside(mix(hips, waist, 0.5), 0.064, 0.088));
+  add("waist", ...beside(belly, 0.062, 0.086), ...beside(mix(waist, ribs, 0.5), 0.066, 0.086));
+  add(
+    "chest",
+    inner("lShoulder", 1),
+    inner("rShoulder", -1),
+    ...beside(ribs, 0.075, 0.1),
+    ...beside(mix(waist, ribs, 0.62), 0.062, 0.086),
+    ...beside(addScaled(neck, up, 0.012 * k), 0.024, 0.044),
+  );
 }
 
-function buildHead({ k, at, neck, up, front }, parts) {
+function buildHead({ k, at, neck, up, front, sphere, add }) {
   // Files put the head joint anywhere from the nape to the crown: only its direction is taken.
   const axis = unit(subtract(at("head"), neck), up);
   const ahead = unit(addScaled(front, axis, -(front[0] * axis[0] + front[1] * axis[1] + front[2] * axis[2])), front);
   const skull = addScaled(addScaled(neck, axis, 0.172 * k), ahead, 0.006 * k);
-  const on = (height, depth, radius) => sphere(addScaled(addScaled(skull, axis, height * k), ahead, depth * k), radius * k);
-  parts.push({
-    name: "neck",
-    spheres: [sphere(addScaled(neck, axis, -0.02 * k), 0.054 * k), sphere(addScaled(neck, axis, 0.1 * k), 0.046 * k)],
-  });
-  parts.push({ name: "head", spheres: [on(0.024, 0.004, 0.084), on(-0.03, 0.026, 0.064), on(-0.072, 0.042, 0.038)] });
-  parts.push({ name: "hair", spheres: [on(0.034, -0.022, 0.084), on(-0.03, -0.04, 0.062)] });
-  parts.push({ name: "nose", spheres: [on(0.006, 0.082, 0.008), on(-0.022, 0.092, 0.013)] });
+  const on = (height, depth, radius) => sphere(addScaled(addScaled(skull, axis, height * k), ahead, depth * k), radius);
+  add("neck", sphere(addScaled(neck, axis, -0.02 * k), 0.054), sphere(addScaled(neck, axis, 0.1 * k), 0.046));
+  add("head", on(0.024, 0.004, 0.084), on(-0.03, 0.026, 0.064), on(-0.072, 0.042, 0.038));
+  add("hair", on(0.034, -0.022, 0.084), on(-0.03, -0.04, 0.062));
+  add("nose", on(0.006, 0.082, 0.008), on(-0.022, 0.092, 0.013));
 }
 
-function buildArm({ k, at }, side, parts) {
+function buildArm({ k, at, sphere, add }, side) {
   const [shoulder, elbow, wrist, hand] = ["Shoulder", "Elbow", "Wrist", "Hand"].map((name) => at(side + name));
-  parts.push({
-    name: `${side}UpperArm`,
-    spheres: [sphere(shoulder, 0.053 * k), sphere(mix(shoulder, elbow, 0.42), 0.048 * k), sphere(elbow, 0.038 * k)],
-  });
-  parts.push({
-    name: `${side}Forearm`,
-    spheres: [sphere(elbow, 0.038 * k), sphere(mix(elbow, wrist, 0.28), 0.041 * k), sphere(wrist, 0.026 * k)],
-  });
+  add(`${side}UpperArm`, sphere(shoulder, 0.053), sphere(mix(shoulder, elbow, 0.42), 0.048), sphere(elbow, 0.038));
+  add(`${side}Forearm`, sphere(elbow, 0.038), sphere(mix(elbow, wrist, 0.28), 0.041), sphere(wrist, 0.026));
   const along = unit(subtract(hand, wrist), unit(subtract(wrist, elbow), [0, -1, 0]));
   const palm = addScaled(wrist, along, Math.min(Math.max(lengthOf(subtract(hand, wrist)), 0.06 * k), 0.085 * k));
-  parts.push({
-    name: `${side}Hand`,
-    spheres: [sphere(wrist, 0.026 * k), sphere(palm, 0.036 * k), sphere(addScaled(palm, along, 0.07 * k), 0.02 * k)],
-  });
+  add(`${side}Hand`, sphere(wrist, 0.026), sphere(palm, 0.036), sphere(addScaled(palm, along, 0.07 * k), 0.02));
 }
 
-function buildLeg({ k, at, front }, side, parts) {
+function buildLeg({ k, at, front, sphere, add }, side) {
   const [hip, knee, ankle, toe] = ["Hip", "Knee", "Ankle", "Toe"].map((name) => at(side + name));
   const down = unit(subtract(ankle, knee), [0, -1, 0]);
   const ahead = unit(subtract(toe, ankle), front);
   const flat = unit(addScaled(ahead, down, -0.5 * (ahead[0] * down[0] + ahead[1] * down[1] + ahead[2] * down[2])), front);
-  parts.push({
-    name: `${side}Thigh`,
-    spheres: [sphere(hip, 0.088 * k), sphere(mix(hip, knee, 0.36), 0.08 * k), sphere(knee, 0.054 * k)],
-  });
-  parts.push({
-    name: `${side}Shank`,
-    spheres: [
-      sphere(knee, 0.053 * k),
-      sphere(addScaled(mix(knee, ankle, 0.3), flat, -0.012 * k), 0.056 * k),
-      sphere(ankle, 0.036 * k),
-    ],
-  });
+  const calf = addScaled(mix(knee, ankle, 0.3), flat, -0.012 * k);
+  add(`${side}Thigh`, sphere(hip, 0.088), sphere(mix(hip, knee, 0.36), 0.08), sphere(knee, 0.054));
+  add(`${side}Shank`, sphere(knee, 0.053), sphere(calf, 0.056), sphere(ankle, 0.036));
   const ball = lengthOf(subtract(toe, ankle)) > 0.02 * k ? toe : addScaled(ankle, front, 0.14 * k);
   const wide = unit(cross(flat, down), [1, 0, 0]);
-  parts.push({
-    name: `${side}Foot`,
-    spheres: [
-      sphere(ankle, 0.036 * k),
-      sphere(addScaled(addScaled(ankle, down, 0.026 * k), flat, -0.045 * k), 0.03 * k),
-      sphere(addScaled(ball, wide, 0.022 * k), 0.028 * k),
-      sphere(addScaled(ball, wide, -0.022 * k), 0.028 * k),
-      sphere(addScaled(ball, flat, 0.045 * k), 0.024 * k),
-    ],
-  });
+  add(
+    `${side}Foot`,
+    sphere(ankle, 0.036),
+    sphere(addScaled(addScaled(ankle, down, 0.026 * k), flat, -0.045 * k), 0.03),
+    sphere(addScaled(ball, wide, 0.022 * k), 0.028),
+    sphere(addScaled(ball, wide, -0.022 * k), 0.028),
+    sphere(addScaled(ball, flat, 0.045 * k), 0.024),
+  );
 }
 
 // Parts on the canvas, far ones first. `wrong` holds names of segments that are drawn thicker.
@@ -169,14 +142,9 @@ const DEPTH_BIAS = {
 
 // Light comes from the upper left: a gradient across each part makes it round.
 function shade(context, part, tones) {
-  const first = part.circles[0];
-  const last = part.circles[part.circles.length - 1];
-  let [x, y, radius] = [0, 0, 0];
-  for (const circle of part.circles) {
-    x += circle[0] / part.circles.length;
-    y += circle[1] / part.circles.length;
-  }
-  for (const circle of part.circles) radius = Math.max(radius, circle[2]);
+  const [first, last] = [part.circles[0], part.circles.at(-1)];
+  const [x, y] = [0, 1].map((k) => part.circles.reduce((sum, circle) => sum + circle[k] / part.circles.length, 0));
+  let radius = Math.max(...part.circles.map((circle) => circle[2]));
   let [nx, ny] = [-(last[1] - first[1]), last[0] - first[0]];
   const size = Math.hypot(nx, ny);
   if (nx * -0.55 + ny * -0.84 < 0) [nx, ny] = [-nx, -ny];

@@ -10,16 +10,19 @@ function decodeBytes(text) {
 const MILLIMETRE = 0.001;
 const VALUES = 60; // 20 joints, x y z
 
-const JOINT = {};
-[
+const JOINTS = [
   ["pelvis", "spine", "neck", "head"],
   ["lShoulder", "lElbow", "lWrist", "lHand", "rShoulder", "rElbow", "rWrist", "rHand"],
   ["lHip", "lKnee", "lAnkle", "lToe", "rHip", "rKnee", "rAnkle", "rToe"],
-]
-  .flat()
-  .forEach((name, index) => {
-    JOINT[name] = index;
-  });
+].flat();
+const JOINT = Object.fromEntries(JOINTS.map((name, index) => [name, index]));
+
+// Of a way from 0 to 1, slow at both ends.
+const ease = (share) => share * share * (3 - 2 * share);
+
+function mixJoints(joints, others, share) {
+  for (let k = 0; k < VALUES; k += 1) joints[k] += share * (others[k] - joints[k]);
+}
 
 // One figure over time; `sample` writes joints in m about the hips' middle into `out` and returns the way gone.
 class Clip {

@@ -99,12 +99,8 @@ class Loop {
 
 // From the colour of far limbs to that of near ones.
 function depthTones(near, far) {
-  const parse = (colour) => [1, 3, 5].map((k) => parseInt(colour.slice(k, k + 2), 16));
-  const [a, b] = [parse(far), parse(near)];
-  return Array.from({ length: DEPTH_TONES }, (_, step) => {
-    const share = step / (DEPTH_TONES - 1);
-    return `rgb(${a.map((value, k) => Math.round((1 - share) * value + share * b[k])).join(",")})`;
-  });
+  const [a, b] = [parseColour(far), parseColour(near)];
+  return Array.from({ length: DEPTH_TONES }, (_, step) => mixColours(a, b, step / (DEPTH_TONES - 1)));
 }
 
 // Paints one pose; all lengths are pixels of the canvas.
@@ -125,7 +121,10 @@ class LoopPainter {
     this.has = (...names) => loop.has(...names);
     context.clearRect(0, 0, width, height);
     loop.sample(share, this.joints);
-    if (mend > 0) this.goBack(loop, mend);
+    if (mend > 0) {
+      loop.sample(0, this.first);
+      mixJoints(this.joints, this.first, ease(mend));
+    }
     this.place(loop.room, width, height);
     context.lineCap = "round";
     context.lineJoin = "round";
@@ -134,13 +133,6 @@ class LoopPainter {
     this.paintShadow(colours.shadow);
     if (fade < 1) this.weaken(fade, width, height);
     context.globalCompositeOperation = "source-over";
-  }
-
-  goBack(loop, mend) {
-    const { joints, first } = this;
-    const part = mend * mend * (3 - 2 * mend);
-    loop.sample(0, first);
-    for (let k = 0; k < VALUES; k += 1) joints[k] += part * (first[k] - joints[k]);
   }
 
   weaken(fade, width, height) {
@@ -196,31 +188,36 @@ class LoopPainter {
     else this.paintLimb(part.names, LIMB_WIDTHS[part.kind]);
   }
 
-  trace(names, width) {
-    const { context, flat } = this;
+  spot(name) {
+    return [this.flat[3 * JOINT[name]], this.flat[3 * JOINT[name] + 1]];
+  }
+
+  trace(spots, width) {
+    const { context } = this;
     context.lineWidth = width * this.unit;
     context.beginPath();
-    for (const name of names) context.lineTo(flat[3 * JOINT[name]], flat[3 * JOINT[name] + 1]);
+    for (const [x, y] of spots) context.lineTo(x, y);
     context.stroke();
   }
 
   // First it clears a little room around itself, so that it stands out on whatever lies behind.
   paintLimb(names, [upper, lower]) {
+    const spots = names.map((name) => this.spot(name));
     this.context.globalCompositeOperation = "destination-out";
-    this.trace(names, lower + 2 * GAP);
+    this.trace(spots, lower + 2 * GAP);
     this.context.globalCompositeOperation = "source-over";
-    this.trace(names.slice(0, 2), upper);
-    this.trace(names.slice(1), lower);
+    this.trace(spots.slice(0, 2), upper);
+    this.trace(spots.slice(1), lower);
   }
 
   paintTrunk() {
-    const { context, flat } = this;
+    const { context } = this;
     context.lineWidth = TRUNK_WIDTH * this.unit;
     context.beginPath();
-    for (const [name, inner] of TRUNK_CORNERS) {
-      if (!this.has(name, inner)) continue;
-      const [a, b] = [3 * JOINT[name], 3 * JOINT[inner]];
-      context.lineTo(flat[a] + 0.2 * (flat[b] - flat[a]), flat[a + 1] + 0.2 * (flat[b + 1] - flat[a + 1]));
+    for (const names of TRUNK_CORNERS) {
+      if (!this.has(...names)) continue;
+      const [a, b] = names.map((name) => this.spot(name));
+      context.lineTo(a[0] + 0.2 * (b[0] - a[0]), a[1] + 0.2 * (b[1] - a[1]));
     }
     context.closePath();
     context.fill();
@@ -239,17 +236,8 @@ class LoopPainter {
     this.context.globalCompositeOperation = "destination-out";
     this.disc(spot, HEAD_RADIUS + GAP);
     this.context.globalCompositeOperation = "source-over";
-    this.paintNeck(spot);
+    this.trace([this.spot("neck"), spot], NECK_WIDTH);
     this.disc(spot, HEAD_RADIUS);
-  }
-
-  paintNeck([x, y]) {
-    const { context, flat } = this;
-    context.lineWidth = NECK_WIDTH * this.unit;
-    context.beginPath();
-    context.moveTo(flat[3 * JOINT.neck], flat[3 * JOINT.neck + 1]);
-    context.lineTo(x, y);
-    context.stroke();
   }
 
   disc([x, y], radius) {

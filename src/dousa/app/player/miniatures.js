@@ -126,10 +126,10 @@ class Miniature {
     if (options.tone === "reference") canvas.classList.add("dp-mini-reference");
     // Whoever puts it on a page says in words what it is; without them it is an ornament.
     if (!canvas.hasAttribute("aria-label")) canvas.setAttribute("aria-hidden", "true");
-    this.stops = [];
+    this.ended = new AbortController();
     this.listen(options.host ?? canvas.closest("a, button, [tabindex]") ?? canvas);
     this.clock = options.clock ?? null;
-    if (this.clock) this.stops.push(this.clock.onChange((share) => this.set(share)));
+    this.endClock = this.clock?.onChange((share) => this.set(share));
     this.settle();
     gallery.add(this);
   }
@@ -142,18 +142,12 @@ class Miniature {
   }
 
   listen(host) {
-    const on = (name, awake) => {
-      const action = () => {
-        this.awake = awake;
-        this.settle();
-      };
-      host.addEventListener(name, action);
-      this.stops.push(() => host.removeEventListener(name, action));
+    const wake = ({ type }) => {
+      this.awake = ["pointerenter", "focusin"].includes(type);
+      this.settle();
     };
-    on("pointerenter", true);
-    on("pointerleave", false);
-    on("focusin", true);
-    on("focusout", false);
+    const { signal } = this.ended;
+    for (const name of ["pointerenter", "pointerleave", "focusin", "focusout"]) host.addEventListener(name, wake, { signal });
   }
 
   // Whether it runs: as was asked for, else unless less motion is wished for and nobody looks.
@@ -246,7 +240,8 @@ class Miniature {
   destroy() {
     if (!gallery.all.has(this)) return;
     gallery.remove(this);
-    for (const stop of this.stops) stop();
+    this.ended.abort();
+    this.endClock?.();
     this.visible = false;
   }
 }

@@ -2,7 +2,7 @@
 //
 // Two figures, a reference and a performance, or the performance alone, on one canvas. Times are seconds of the
 // performance. options.pageKeys false: keys are taken only inside the player, not from the bare page.
-//   player.seek(seconds) .play() .pause() .loop(start, end) .loop(null) .setSpeed(factor)
+//   player.seek(seconds) .play() .pause() .toggle() .loop(start, end) .loop(null) .setSpeed(factor)
 //   player.setView({mode: "side" | "over", sync: "step" | "time", mirror: bool, inPlace: bool}), each optional
 //   player.onTime(callback) -> function that stops the calls; callback(seconds) after every change
 //   player.replace(data, {live: bool}): other data in the same player; view, time, speed and playing stay. With live a
@@ -76,7 +76,7 @@ class Player {
     this.root.replaceChildren();
     this.root.setAttribute("aria-label", this.data.texts.player);
     if (this.data.language) this.root.lang = this.data.language;
-    this.controls = new Controls(this.root, { ...this.data, duration: this.duration }, this.actions());
+    this.controls = new Controls(this.root, { ...this.data, duration: this.duration }, this);
     this.stage = new Stage(this.root, this.controls.canvas, () => {
       this.controls.layMarks();
       this.request();
@@ -109,23 +109,6 @@ class Player {
   comeFirst() {
     players.splice(players.indexOf(this), 1);
     players.unshift(this);
-  }
-
-  actions() {
-    return {
-      seek: (seconds) => this.seek(seconds),
-      goToEvent: (index) => this.goToEvent(index),
-      previous: () => this.goBeside(-1),
-      next: () => this.goBeside(1),
-      stepFrames: (count) => this.stepFrames(count),
-      toggle: () => (this.playing ? this.pause() : this.play()),
-      setSpeed: (speed) => this.setSpeed(speed),
-      toggleLoop: () => this.toggleLoop(),
-      setView: (view) => this.setView(view),
-      flip: (name) => this.setView({ [name]: !this.view[name] }),
-      look: (name) => this.look(name),
-      resetView: () => this.look(null),
-    };
   }
 
   // A little travel fits the picture; a camera that stands still shows it best. Far travel is followed.
@@ -161,6 +144,11 @@ class Player {
     this.tell();
   }
 
+  toggle() {
+    if (this.playing) this.pause();
+    else this.play();
+  }
+
   setSpeed(speed) {
     if (!(speed > 0) || !Number.isFinite(speed)) return;
     this.speed = speed;
@@ -176,14 +164,8 @@ class Player {
   }
 
   toggleLoop() {
-    if (this.looped) {
-      this.loop(null);
-      return;
-    }
-    if (!isAssessed(this.data)) {
-      this.loop(0, this.duration);
-      return;
-    }
+    if (this.looped) return this.loop(null);
+    if (!isAssessed(this.data)) return this.loop(0, this.duration);
     const index = this.currentEvents()[0] ?? this.nearestEvent();
     if (index !== undefined) this.loop(this.data.events[index].start, this.data.events[index].end);
   }
@@ -194,12 +176,8 @@ class Player {
   }
 
   currentEvents() {
-    const now = this.time;
-    const found = [];
-    this.data.events.forEach((event, index) => {
-      if (now >= event.start - 1e-6 && now <= event.end + 1e-6) found.push(index);
-    });
-    return found;
+    const isNow = ({ start, end }) => this.time >= start - 1e-6 && this.time <= end + 1e-6;
+    return [...this.data.events.keys()].filter((index) => isNow(this.data.events[index]));
   }
 
   nearestEvent() {
@@ -240,6 +218,10 @@ class Player {
     this.request();
   }
 
+  flip(name) {
+    this.setView({ [name]: !this.view[name] });
+  }
+
   look(name) {
     if (name) this.stage.camera.look(name);
     else this.stage.camera.reset();
@@ -257,26 +239,24 @@ class Player {
     const { target } = event;
     const button = target.closest?.("button, summary");
     if (button && (event.key === " " || event.key === "Enter")) return;
-    const act = this.actions();
-    const far = event.shiftKey ? 1 : 0;
-    const arrow = (sign) => (far ? this.seek(this.time + sign) : act.stepFrames(sign));
+    const arrow = (sign) => (event.shiftKey ? this.seek(this.time + sign) : this.stepFrames(sign));
     const keys = {
-      " ": act.toggle,
+      " ": () => this.toggle(),
       ArrowLeft: () => arrow(-1),
       ArrowRight: () => arrow(1),
       "[": () => this.changeSpeed(-1),
       "]": () => this.changeSpeed(1),
-      l: act.toggleLoop,
-      m: () => act.flip("mirror"),
-      i: () => act.flip("inPlace"),
-      o: () => act.setView({ mode: this.view.mode === "side" ? "over" : "side" }),
-      s: () => act.setView({ sync: this.view.sync === "step" ? "time" : "step" }),
-      n: act.next,
-      p: act.previous,
-      1: () => act.look("front"),
-      2: () => act.look("flank"),
-      3: () => act.look("top"),
-      0: act.resetView,
+      l: () => this.toggleLoop(),
+      m: () => this.flip("mirror"),
+      i: () => this.flip("inPlace"),
+      o: () => this.setView({ mode: this.view.mode === "side" ? "over" : "side" }),
+      s: () => this.setView({ sync: this.view.sync === "step" ? "time" : "step" }),
+      n: () => this.goBeside(1),
+      p: () => this.goBeside(-1),
+      1: () => this.look("front"),
+      2: () => this.look("flank"),
+      3: () => this.look("top"),
+      0: () => this.look(null),
     };
     if (this.root.contains(target)) {
       keys.Home = () => this.seek(this.looped ? this.looped[0] : 0);
@@ -332,8 +312,7 @@ class Player {
 
   // How far a loop has come back to its beginning, 0 to 1, slow at both ends.
   get back() {
-    const share = Math.max(this.turned - REST, 0) / RETURN;
-    return share * share * (3 - 2 * share);
+    return ease(Math.max(this.turned - REST, 0) / RETURN);
   }
 
   matchAt(time) {
@@ -352,7 +331,7 @@ class Player {
       let { gone, home } = at(time, this.joints[name]);
       if (begin) {
         const other = at(begin[name], this.first);
-        for (let k = 0; k < VALUES; k += 1) this.joints[name][k] += back * (this.first[k] - this.joints[name][k]);
+        mixJoints(this.joints[name], this.first, back);
         [gone, home] = [mixPlaces(gone, other.gone, back), mixPlaces(home, other.home, back)];
       }
       const place = this.view.inPlace ? [0, 0] : gone;
@@ -360,18 +339,9 @@ class Player {
     };
     const reference = this.clips.reference ? figure("reference", match.time) : null;
     const performance = figure("performance", this.time);
-    const { view, follow, travel } = this;
+    const { time, playing, speed, looped, view, follow, travel } = this;
     this.stage.draw({ reference, performance, seen: match.seen, view, follow, travel, wrong });
-    this.controls.update({
-      time: this.time,
-      referenceTime: match.time,
-      seen: match.seen,
-      playing: this.playing,
-      speed: this.speed,
-      looped: this.looped,
-      view,
-      current,
-    });
+    this.controls.update({ time, referenceTime: match.time, seen: match.seen, playing, speed, looped, view, current });
     this.announceLater();
   }
 

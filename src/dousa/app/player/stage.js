@@ -1,11 +1,13 @@
 // The canvas: where the figures stand, colours of the page's scheme, turning and zooming by hand.
 
+// "#rrggbb" as three numbers.
+const parseColour = (colour) => [1, 3, 5].map((k) => parseInt(colour.slice(k, k + 2), 16));
+
+// Between two colours, each three numbers.
+const mixColours = (a, b, share) => `rgb(${a.map((value, k) => Math.round((1 - share) * value + share * b[k])).join(",")})`;
+
 function toneSet(colour, blackness) {
-  const parse = [1, 3, 5].map((k) => parseInt(colour.slice(k, k + 2), 16));
-  const towards = (target, share) => {
-    const mixed = parse.map((value) => Math.round((1 - share) * value + share * target));
-    return `rgb(${mixed.join(",")})`;
-  };
+  const towards = (target, share) => mixColours(parseColour(colour), [target, target, target], share);
   return { light: towards(255, 0.42), base: colour, dark: towards(0, 0.3), line: towards(0, blackness) };
 }
 
@@ -16,7 +18,7 @@ function hexColour(context, style, name) {
 }
 
 function darker(colour, share) {
-  const values = [1, 3, 5].map((k) => Math.round(parseInt(colour.slice(k, k + 2), 16) * (1 - share)));
+  const values = parseColour(colour).map((value) => Math.round(value * (1 - share)));
   return `#${values.map((value) => value.toString(16).padStart(2, "0")).join("")}`;
 }
 
@@ -35,70 +37,30 @@ class Stage {
     this.camera = new Camera();
     this.changed = changed;
     this.ratio = 1;
-    this.stops = [];
+    this.hands = new AbortController();
     this.readColours();
     this.listen();
     this.resize();
   }
 
-  on(target, name, action, options) {
-    target.addEventListener(name, action, options);
-    this.stops.push(() => target.removeEventListener(name, action, options));
-  }
-
   listen() {
-    const observer = new ResizeObserver(() => this.resize());
-    observer.observe(this.canvas);
-    this.stops.push(() => observer.disconnect());
-    const recolour = () => {
-      this.readColours();
-      this.changed();
+    this.observer = new ResizeObserver(() => this.resize());
+    this.observer.observe(this.canvas);
+    this.endTheme = onTheme(() => this.after(() => this.readColours()));
+    const hooks = {
+      press: () => this.root.focus({ preventScroll: true }),
+      turn: (across, down) => this.after(() => this.camera.turn(-0.008 * across, 0.006 * down)),
+      scale: (factor) => this.after(() => this.camera.scaleBy(factor)),
+      reset: () => this.after(() => this.camera.reset()),
+      takesWheel: () => this.root.contains(document.activeElement),
     };
-    this.stops.push(onTheme(recolour));
-    this.listenToHands();
+    watchHands(this.canvas, hooks, this.hands.signal);
   }
 
-  listenToHands() {
-    const held = new Map();
-    const spread = () => {
-      const [a, b] = [...held.values()];
-      return Math.max(Math.hypot(a[0] - b[0], a[1] - b[1]), 1);
-    };
-    this.on(this.canvas, "pointerdown", (event) => {
-      if (event.button > 0) return;
-      this.root.focus({ preventScroll: true });
-      this.canvas.setPointerCapture(event.pointerId);
-      held.set(event.pointerId, [event.clientX, event.clientY]);
-    });
-    this.on(this.canvas, "pointermove", (event) => {
-      const last = held.get(event.pointerId);
-      if (!last) return;
-      const before = held.size === 2 ? spread() : 0;
-      held.set(event.pointerId, [event.clientX, event.clientY]);
-      if (before) this.camera.scaleBy(spread() / before);
-      else this.camera.turn(-0.008 * (event.clientX - last[0]), 0.006 * (event.clientY - last[1]));
-      this.changed();
-    });
-    for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) {
-      this.on(this.canvas, name, (event) => held.delete(event.pointerId));
-    }
-    this.listenToMouse();
-  }
-
-  listenToMouse() {
-    this.on(this.canvas, "dblclick", () => {
-      this.camera.reset();
-      this.changed();
-    });
-    const wheel = (event) => {
-      // A page that is scrolled past the player goes on scrolling; once the player was chosen, it zooms.
-      if (!event.ctrlKey && !this.root.contains(document.activeElement)) return;
-      if (this.camera.scaleBy(Math.exp(-0.0015 * event.deltaY * (event.deltaMode === 1 ? 16 : 1)))) {
-        event.preventDefault();
-        this.changed();
-      }
-    };
-    this.on(this.canvas, "wheel", wheel, { passive: false });
+  after(action) {
+    const result = action();
+    this.changed();
+    return result;
   }
 
   readColours() {
@@ -277,6 +239,8 @@ class Stage {
   }
 
   destroy() {
-    for (const stop of this.stops) stop();
+    this.hands.abort();
+    this.observer.disconnect();
+    this.endTheme();
   }
 }

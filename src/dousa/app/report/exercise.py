@@ -116,7 +116,7 @@ def build_exercise_page(
         "player_data": player_data,
         "text_made_by": escape(words["made_by"]),
     }
-    styles, scripts = ("report.css", "exercise.css"), ("exercise.js", "exercise_page.js")
+    styles, scripts = ("report.css", "exercise.css"), ("exercise.js", "page.js")
     return fill_page(language, title, styles, scripts, parts)
 
 

@@ -9,5 +9,5 @@
   if (window.innerWidth < 700) {
     for (const card of [...document.querySelectorAll(".shape-card[open]")].slice(1)) card.open = false;
   }
-  dousa.bindReport(document.body, read("report-data"), player);
+  (dousa.bindReport ?? dousa.bindExercise)(document.body, read("report-data"), player);
 })();

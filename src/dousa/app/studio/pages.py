@@ -21,7 +21,7 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.routing import NoMatchFound
 
 import dousa
-from dousa.app.player.data import format_player_data, read_player_script, read_player_style
+from dousa.app.player.data import format_player_data, read_player_script, read_player_style, read_script_part
 from dousa.app.report.page import read_report_script, read_report_style
 from dousa.app.studio.core.answers import Answer, RefusedError
 from dousa.extras import find_font
@@ -169,6 +169,10 @@ def _load_static() -> Mapping[str, tuple[bytes, str]]:
     """Load all files by name; no request makes a path."""
     known = {
         "player.js": (read_player_script().encode(), "text/javascript"),
+        "core/theme.js": (
+            f"{read_script_part('theme.js')}export {{ onTheme, watchHands }};\n".encode(),
+            "text/javascript",
+        ),
         "player.css": (read_player_style().encode(), "text/css"),
         "report.js": (read_report_script().encode(), "text/javascript"),
         "report.css": (read_report_style().encode(), "text/css"),

@@ -9,7 +9,7 @@ import { attempt } from "../core/notices.js";
 const LEAST_POINTS = 1; // of a grade, that count
 
 /** Rows {title} or {name, values: [number or null], texts, up: whether more is better} of the answer of /comparisons. */
-export function listRows({ attempts, kinds, segments }) {
+function listRows({ attempts, kinds, segments }) {
   const grade = (score) => (score === null ? "-" : wholeGrade(score));
   const row = (name, pick, say, up) => ({ name, values: attempts.map(pick), texts: attempts.map((one) => say(pick(one), one)), up });
   const rows = [row(t("compare_grade"), (one) => one.score, grade, true)];
@@ -24,7 +24,7 @@ export function listRows({ attempts, kinds, segments }) {
 }
 
 /** heads: what stands in the head of each column; mode: "dates" (against the first column) or "pupils" (the best is marked) */
-export function makeTable(heads, rows, mode) {
+function makeTable(heads, rows, mode) {
   const head = h("tr", {}, h("th", { scope: "col" }, t("compare_what")), ...heads.map((one) => h("th", { scope: "col" }, one)));
   return h("table", { class: "compare-table" }, h("thead", {}, head), h("tbody", {}, ...rows.map((row) => (row.title ? titleRow(row.title, heads.length) : valueRow(row, mode)))));
 }

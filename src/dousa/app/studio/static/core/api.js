@@ -2,7 +2,7 @@
 
 import { language, t } from "./dom.js";
 
-export class Problem extends Error {
+class Problem extends Error {
   constructor(message, status) {
     super(message);
     this.status = status;
@@ -32,16 +32,28 @@ async function call(method, path, { body, headers, signal, params } = {}) {
 const asJson = (value) => ({ body: JSON.stringify(value ?? {}), headers: { "content-type": "application/json" } });
 
 export const get = async (path, params, signal) => (await call("GET", path, { params, signal })).json();
-export const getBytes = async (path, params, signal) => (await call("GET", path, { params, signal })).arrayBuffer();
+const getBytes = async (path, params, signal) => (await call("GET", path, { params, signal })).arrayBuffer();
 export const post = async (path, value, signal) => (await call("POST", path, { ...asJson(value), signal })).json();
-export const postForBytes = async (path, value, signal) => (await call("POST", path, { ...asJson(value), signal })).arrayBuffer();
+export const postBytes = async (path, body, params, signal) => (await call("POST", path, { body, params, signal })).json();
 export const put = async (path, value) => (await call("PUT", path, asJson(value))).json();
-export const patch = async (path, value) => (await call("PATCH", path, asJson(value))).json();
 export const remove = async (path) => (await call("DELETE", path)).json();
 
 /** Upload one file; -> {batch, files: [{name, bytes, motion, labels_of}], refused: [{name, reason}]}. */
-export async function upload(file, { name = file.name, batch, signal } = {}) {
-  return (await call("POST", "/uploads", { body: file, params: { name, batch }, signal })).json();
+export const upload = (file, { name = file.name, batch, signal } = {}) => postBytes("/uploads", file, { name, batch }, signal);
+
+/** The bytes of the small figures of clips, by their numbers; null for one that cannot be drawn. */
+export async function getFigures(clips) {
+  const bytes = await (await call("POST", "/clips/thumbnails", asJson({ clips }))).arrayBuffer();
+  const size = bytes.byteLength / clips.length;
+  // Copies, so that one figure does not hold the bytes of all.
+  const figures = clips.map((_, place) => new Uint8Array(bytes.slice(place * size, (place + 1) * size)));
+  return figures.map((figure) => (figure.some(Boolean) ? figure : null));
+}
+
+/** The figure of a motion on a canvas of the page; undefined if it cannot be drawn: its name is there all the same. */
+export async function drawFigure(canvas, motion, options) {
+  const bytes = await getBytes("/motions/miniature", motion).catch(() => null);
+  return bytes && canvas.isConnected ? window.dousa.createMiniature(canvas, bytes, options) : undefined;
 }
 
 const AT_ONCE = 4;

@@ -84,6 +84,44 @@ export const wholeGrade = (score) => String(Math.floor(score + 0.5));
 
 export const baseName = (path) => path.split(/[\\/]/).pop();
 
+/** act(share of the width, share of the height) where an element is pressed, and while the pointer is dragged from there. */
+export function onDrag(element, act) {
+  const tell = (event) => {
+    const box = element.getBoundingClientRect();
+    act((event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height);
+  };
+  element.addEventListener("pointerdown", (event) => {
+    event.preventDefault();
+    element.setPointerCapture(event.pointerId);
+    tell(event);
+  });
+  element.addEventListener("pointermove", (event) => event.buttons && tell(event));
+}
+
+/** -> a picture that can be drawn, or null where there is none */
+export async function decode(address) {
+  const image = Object.assign(new Image(), { src: address });
+  return image.decode().then(() => image, () => null);
+}
+
+/** What the browser keeps for a page, in "localStorage" or "sessionStorage"; null if nothing of ours is there. */
+export function recall(storage, key) {
+  try {
+    return JSON.parse(window[storage].getItem(key));
+  } catch {
+    return null;
+  }
+}
+
+/** Keep a value there; without room, or where nothing may be kept, it lasts as long as the page. */
+export function keep(storage, key, value) {
+  try {
+    window[storage].setItem(key, JSON.stringify(value));
+  } catch {
+    // nothing to be done
+  }
+}
+
 /** Calls after `wait` ms without another call. */
 export function later(action, wait) {
   let timer = 0;

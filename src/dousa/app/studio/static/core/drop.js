@@ -1,7 +1,8 @@
 // Dropping and choosing files and folders.
 
 import { uploadAll } from "./api.js";
-import { h, icon, language, t } from "./dom.js";
+import { pairTable } from "./dialog.js";
+import { $, count, h, icon, t } from "./dom.js";
 import { attempt, notify } from "./notices.js";
 
 // Files that are looked at without being added to the library.
@@ -54,7 +55,7 @@ const SIGN_AFTER = 150; // ms; a folder of thousands is read for seconds
 function showReading(found) {
   const text = h("p", { class: "reading-folder", role: "status" });
   const timer = setInterval(() => {
-    text.textContent = t("reading_drop", { count: new Intl.NumberFormat(language).format(found.length) });
+    text.textContent = t("reading_drop", { count: count.format(found.length) });
     if (!text.isConnected) document.body.append(text);
   }, SIGN_AFTER);
   return {
@@ -68,33 +69,28 @@ function showReading(found) {
 /** Let files be dropped on an element; onEntries([{file, path}]). */
 export function acceptDrops(element, onEntries) {
   let depth = 0;
-  const mark = () => element.classList.toggle("over", depth > 0);
+  const set = (value) => {
+    depth = Math.max(value, 0);
+    element.classList.toggle("over", depth > 0);
+  };
   element.addEventListener("dragenter", (event) => {
     if (![...event.dataTransfer.types].includes("Files")) return;
     event.preventDefault();
-    depth += 1;
-    mark();
+    set(depth + 1);
   });
-  element.addEventListener("dragleave", () => {
-    depth = Math.max(depth - 1, 0);
-    mark();
-  });
+  element.addEventListener("dragleave", () => set(depth - 1));
   element.addEventListener("dragover", (event) => {
     if ([...event.dataTransfer.types].includes("Files")) event.preventDefault();
   });
   element.addEventListener("drop", async (event) => {
     event.preventDefault();
     event.stopPropagation();
-    depth = 0;
-    mark();
+    set(0);
     const entries = await entriesOf(event.dataTransfer);
     if (entries.length) onEntries(entries);
   });
   // A drop on a zone inside this one does not come up to it, but it ends the dragging.
-  window.addEventListener("drop", () => {
-    depth = 0;
-    mark();
-  }, true);
+  window.addEventListener("drop", () => set(0), true);
 }
 
 /** An input that is not seen, for a button to open; onEntries([{file, path}]). */
@@ -129,13 +125,20 @@ export function dropZone(onEntries, { text = t("drop_here"), hint, accept, multi
 
 /** The list of files that were not taken, and why; null if there are none. */
 export function refusedList(refused) {
-  if (!refused.length) return null;
-  return h(
-    "details",
-    { class: "refused", open: true },
-    h("summary", {}, t("refused_title", { count: refused.length })),
-    h("div", { class: "scroll" }, h("table", {}, h("tbody", {}, ...refused.map(({ name, reason }) => h("tr", {}, h("th", { scope: "row" }, name), h("td", {}, reason)))))),
-  );
+  return pairTable("refused_title", refused.map(({ name, reason }) => [name, reason]), { kind: "refused", open: true });
+}
+
+/** Of a page that needs a library that has learned: where it learns. */
+export function showUntrained() {
+  $("#start").hidden = false;
+  $("#start").replaceChildren(h("div", { class: "card empty" }, h("p", {}, t("not_trained")), h("a", { class: "button primary", href: "/library" }, t("to_library"))));
+}
+
+/** Buttons to look at something else: at other files, which may be dropped too, or at a motion of the library. */
+export function offerChange(take, pick) {
+  const input = fileInput(take, { accept: MOTION_FILES, multiple: true, id: "change-file" });
+  $("#change").replaceChildren(input, h("button", { type: "button", onclick: () => input.click() }, icon("upload"), t("change_file")), h("button", { type: "button", id: "change-pick", onclick: pick }, t("change_pick")));
+  acceptDrops($("#main"), take);
 }
 
 // A file that misses every zone would replace the page.

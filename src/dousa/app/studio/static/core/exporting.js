@@ -1,8 +1,8 @@
 // Taking clips along: format, character, the job, the ZIP file. One motion is downloaded at once.
 
 import { get, post } from "./api.js";
-import { foot, openDialog } from "./dialog.js";
-import { $, count, h, icon, t } from "./dom.js";
+import { foot, openDialog, pairTable } from "./dialog.js";
+import { $, count, h, icon, keep, recall, t } from "./dom.js";
 import { dropZone, takeMotions } from "./drop.js";
 import { followJob, isActive, stopJob } from "./jobs.js";
 import { attempt } from "./notices.js";
@@ -12,28 +12,11 @@ import { attempt } from "./notices.js";
 const KEY = "dousa-character";
 const FILES = ".bvh,.glb,.gltf,.vrm,.fbx,.amc,.asf,.npz,.mvnx,.zip";
 
-function recall() {
-  try {
-    return JSON.parse(localStorage.getItem(KEY));
-  } catch {
-    return null; // nothing of ours, or nothing may be kept
-  }
-}
-
-function keep(character) {
-  try {
-    if (character) localStorage.setItem(KEY, JSON.stringify(character));
-    else localStorage.removeItem(KEY);
-  } catch {
-    // it lasts as long as the page
-  }
-}
-
 /** A field to choose the character in. onChange(character or null), {motion, name, suffix, height_m} -> element */
-export function characterField(onChange) {
+function characterField(onChange) {
   const element = h("div", { class: "character" });
   const choose = (character) => {
-    keep(character);
+    keep("localStorage", KEY, character);
     draw(character);
     onChange(character);
   };
@@ -56,7 +39,7 @@ export function characterField(onChange) {
   };
   draw(null);
   // What was remembered may be gone from the studio by now.
-  const before = recall();
+  const before = recall("localStorage", KEY);
   if (before) get("/export/character", { motion: before.motion }).then(choose, () => choose(null));
   return element;
 }
@@ -182,7 +165,7 @@ function show(body, job, close) {
   const { result } = job;
   const link = result?.bytes ? h("a", { class: "button primary", id: "export-file", href: addressOf(job), download: "" }, icon("download"), t("export_file", { megabytes: Math.max(result.bytes / 1e6, 0.1).toFixed(1) })) : null;
   const said = result ? t("export_done", { count: count.format(result.n_files), skipped: count.format(result.skipped.length + result.n_gone) }) : (job.problem ?? t(`state_${job.state}`));
-  const skipped = result?.skipped.length ? h("details", { class: "refused" }, h("summary", {}, t("export_skipped", { count: count.format(result.skipped.length) })), h("div", { class: "scroll" }, h("table", {}, h("tbody", {}, ...result.skipped.map(({ path, reason }) => h("tr", {}, h("th", { scope: "row" }, path), h("td", {}, reason))))))) : null;
+  const skipped = pairTable("export_skipped", (result?.skipped ?? []).map(({ path, reason }) => [path, reason]), { kind: "refused" });
   body.replaceChildren(...[h("p", { role: "status", class: job.problem ? "problem-box" : "" }, said), skipped, foot(h("button", { type: "button", onclick: close }, t("close")), ...(link ? [link] : []))].filter(Boolean));
   if (link) {
     link.focus();

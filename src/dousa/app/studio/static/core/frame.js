@@ -12,7 +12,7 @@ import { listenForPalette } from "./palette.js";
 const SOON = 3; // s before which nothing can be foretold
 
 /** "12.0 s, about 1:30 to go"; after its end how long it took. */
-export function sayTimes(job, now = Date.now() / 1000) {
+function sayTimes(job, now = Date.now() / 1000) {
   if (!job.started_s) return "";
   const spent = Math.max((job.finished_s ?? now) - job.started_s, 0);
   if (!isActive(job)) return job.finished_s ? t("job_took", { time: formatSeconds(spent) }) : "";
@@ -20,23 +20,12 @@ export function sayTimes(job, now = Date.now() / 1000) {
   return left === null ? formatSeconds(spent) : t("job_left", { time: formatSeconds(spent), left: formatSeconds(left) });
 }
 
-/** Keeps the times of what is under way up to date: elements of `root` with data-started. */
-export function keepTimes(root, jobs) {
-  setInterval(() => {
-    if (root.hidden || document.hidden) return;
-    for (const element of root.querySelectorAll(".job-times")) {
-      const job = jobs().find((one) => one.id === element.dataset.job);
-      if (job && isActive(job)) element.textContent = sayTimes(job);
-    }
-  }, 1000);
-}
-
 const KEY = "dousa_tell";
 const able = () => "Notification" in window;
 const wanted = () => able() && Notification.permission === "granted" && localStorage.getItem(KEY) === "yes";
 
 /** A switch: word of the end of jobs while another page is looked at. Nothing where the browser has no such thing. */
-export function tellSwitch() {
+function tellSwitch() {
   if (!able()) return null;
   const button = h("button", { type: "button", class: "small", id: "jobs-tell", "aria-pressed": String(wanted()), title: t("jobs_tell_title") }, t("jobs_tell"));
   button.addEventListener("click", async () => {
@@ -50,7 +39,7 @@ export function tellSwitch() {
 
 const before = new Map(); // job id -> whether it was under way
 
-export function tellEnds(jobs) {
+function tellEnds(jobs) {
   for (const job of jobs) {
     const ended = before.get(job.id) && !isActive(job);
     before.set(job.id, isActive(job));
@@ -141,7 +130,13 @@ function describeTray(jobs) {
 }
 
 let shown = [];
-keepTimes(tray, () => shown);
+setInterval(() => {
+  if (tray.hidden || document.hidden) return;
+  for (const element of tray.querySelectorAll(".job-times")) {
+    const job = shown.find((one) => one.id === element.dataset.job);
+    if (job && isActive(job)) element.textContent = sayTimes(job);
+  }
+}, 1000);
 
 watchJobs((jobs) => {
   shown = jobs;

@@ -1,39 +1,30 @@
-// createTimeline(element, options) -> timeline: a stretch of time with labels, a cursor, a part, cuts.
+// new Timeline(element, options): a stretch of time with labels, a cursor, a part, cuts.
 //
 //   options: {duration (s), segments: [{start, end, label, kind: "known" | "perhaps" | "unknown" | "corrected", confidence}],
 //     cuts: [s], selectable: a part can be chosen, editable: cuts can be moved, added and taken away,
-//     label: what it shows (for screen readers), texts: {name: word} instead of the words timeline_* of the page}
+//     label: what it shows (for screen readers), onSeek(s), onSelect({start, end, of: label that was chosen} or null, done),
+//     onCuts([s], done), onSpace()}. These are called for what people do, not for the setters; done is false while
+//     something is being dragged.
 //   timeline.setCursor(s) .setSegments(segments) .setSelection(start, end, of) .setSelection(null) .setCuts([s])
-//     .setDuration(s) .show(start, end): zoom there, .destroy()
+//     .show(start, end): zoom there, .destroy()
 //   Segments at one time lie in lanes, one below the other.
-//   timeline.onSeek(callback(s)) .onSelect(callback({start, end, of: label that was chosen} or null, done))
-//     .onCuts(callback([s], done)): -> function that ends it. Called for what people do, not for the setters; done is false while something is being dragged.
 //   to read: .cursor .selection .cuts .duration .element .tones (for makeLegend of timeline_parts.js)
 //
 // Keys on the cursor: arrows (with Shift a part is chosen), Page Up/Down, Home/End, [ and ] set the ends of the part,
 // Escape lets it go, + and - zoom, C cuts. On a cut or an end: arrows move, Delete takes a cut away.
 
-import { formatSeconds, h, t } from "./dom.js";
+import { formatSeconds, h, onDrag, t } from "./dom.js";
 import { describeSegment, drawStrip, findLanes, makeSegment, makeTicks, place, Tones } from "./timeline_parts.js";
 
 // The whole of a timeline in little, while only a part of it is seen; click or drag to see another part.
-export class Overview {
+class Overview {
   /** scroll: the element that scrolls; onGo(share): the middle of what is to be seen. */
   constructor(scroll, onGo) {
     this.scroll = scroll;
     this.strip = h("div", { class: "tl-strip" });
     this.frame = h("div", { class: "tl-frame" });
     this.element = h("div", { class: "tl-overview", hidden: true, "aria-hidden": "true" }, this.strip, this.frame);
-    const go = (event) => {
-      const box = this.element.getBoundingClientRect();
-      onGo((event.clientX - box.left) / box.width);
-    };
-    this.element.addEventListener("pointerdown", (event) => {
-      event.preventDefault();
-      this.element.setPointerCapture(event.pointerId);
-      go(event);
-    });
-    this.element.addEventListener("pointermove", (event) => event.buttons && go(event));
+    onDrag(this.element, onGo);
     scroll.addEventListener("scroll", () => this.place(), { passive: true });
   }
 
@@ -50,28 +41,22 @@ export class Overview {
 
 const STEP = 0.1; // s of an arrow key
 const LEAST = 0.1; // s of a part, and between cuts
+const [LONG, SEEN, BEFORE] = [150, 75, 10]; // s: of a longer recording so much is shown at first, from so long before
 const CLICK = 5; // px that a click may move
 const MOST_PIXELS_A_SECOND = 240;
 const MOST_LANES = 6; // for which the timeline grows: of more, each is lower
 
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
-class Timeline {
-  constructor(element, options) {
-    const { duration, segments = [], cuts = [], selectable = false, editable = false, texts = {}, label } = options;
-    Object.assign(this, { duration: Math.max(duration, 1e-3), segments, selectable, editable, texts, zoom: 1 });
+export class Timeline {
+  constructor(element, { duration, segments = [], cuts = [], selectable = false, editable = false, label, onSeek, onSelect, onCuts, onSpace }) {
+    Object.assign(this, { duration: Math.max(duration, 1e-3), segments, selectable, editable, zoom: 1, onSeek, onSelect, onCuts, onSpace });
     Object.assign(this, { cursor: 0, selection: null, cuts: [...cuts], tones: new Tones(), dragging: false });
-    this.listeners = { seek: new Set(), select: new Set(), cuts: new Set() };
-    this.name = label ?? this.word("timeline");
+    this.name = label ?? t("timeline");
     this.build(element);
     this.watcher = new ResizeObserver(() => this.measure());
     this.watcher.observe(this.scroll);
     this.draw();
-  }
-
-  word(name, values) {
-    const word = this.texts[name];
-    return word ? word.replace(/\{(\w+)\}/g, (whole, key) => values?.[key] ?? whole) : t(name, values);
   }
 
   build(element) {
@@ -87,13 +72,18 @@ class Timeline {
     this.overview = new Overview(this.scroll, (share) => (this.scroll.scrollLeft = share * this.scroll.scrollWidth - this.scroll.clientWidth / 2));
     this.element = h("div", { class: "tl", role: "group", "aria-label": this.name }, this.overview.element, this.scroll, this.makeBar());
     element.replaceChildren(this.element);
+    this.element.addEventListener("keydown", (event) => {
+      if (event.key !== " " || !this.onSpace || event.target.closest("button")) return;
+      event.preventDefault();
+      this.onSpace();
+    });
     this.inner.addEventListener("pointerdown", (event) => this.grab(event));
     this.track.addEventListener("dblclick", (event) => this.chooseSegment(event));
     this.scroll.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
   }
 
   makeBar() {
-    const button = (name, action, text) => h("button", { type: "button", class: "small quiet", onclick: action, title: this.word(name), "aria-label": text ? this.word(name) : null, dataset: { act: name } }, text ?? this.word(name));
+    const button = (name, action, text) => h("button", { type: "button", class: "small quiet", onclick: action, title: t(name), "aria-label": text ? t(name) : null, dataset: { act: name } }, text ?? t(name));
     const zoom = [
       button("timeline_out", () => this.setZoom(this.zoom / 2), "−"),
       button("timeline_in", () => this.setZoom(this.zoom * 2), "+"),
@@ -113,7 +103,7 @@ class Timeline {
 
   makeEnd(name) {
     const at = name === "start" ? 0 : 1;
-    const end = h("div", { class: `tl-end tl-end-${name}`, tabindex: "0", role: "slider", "aria-label": this.word(`timeline_${name}`), hidden: true });
+    const end = h("div", { class: `tl-end tl-end-${name}`, tabindex: "0", role: "slider", "aria-label": t(`timeline_${name}`), hidden: true });
     end.addEventListener("keydown", (event) => this.pressMark(event, (by) => this.setEnd(at, this.selectionEnds()[at] + by), null));
     this.drag(end, (seconds, done) => this.setEnd(at, seconds, done));
     return end;
@@ -153,7 +143,7 @@ class Timeline {
   makeCut(seconds, number) {
     const cut = h("div", { class: `tl-cut${this.editable ? "" : " tl-fixed"}`, title: formatSeconds(seconds) });
     this.setSlider(cut, seconds, formatSeconds(seconds));
-    cut.setAttribute("aria-label", this.word("timeline_cut_number", { number: number + 1 }));
+    cut.setAttribute("aria-label", t("timeline_cut_number", { number: number + 1 }));
     if (!this.editable) return cut;
     cut.tabIndex = 0;
     cut.setAttribute("role", "slider");
@@ -188,8 +178,8 @@ class Timeline {
 
   say() {
     const { selection } = this;
-    const span = selection ? this.word("timeline_part", { start: formatSeconds(selection.start), end: formatSeconds(selection.end) }) : "";
-    const text = span || (this.selectable ? this.word("timeline_hint") : "");
+    const span = selection ? t("timeline_part", { start: formatSeconds(selection.start), end: formatSeconds(selection.end) }) : "";
+    const text = span || (this.selectable ? t("timeline_hint") : "");
     if (this.says.textContent !== text) this.says.textContent = text;
   }
 
@@ -198,19 +188,15 @@ class Timeline {
     return clamp(((clientX - left) / width) * this.duration, 0, this.duration);
   }
 
-  tell(what, ...values) {
-    for (const callback of [...this.listeners[what]]) callback(...values);
-  }
-
   seek(seconds) {
     this.setCursor(clamp(seconds, 0, this.duration));
-    this.tell("seek", this.cursor);
+    this.onSeek?.(this.cursor);
   }
 
   select(part, done) {
     this.selection = part;
     this.drawSelection();
-    this.tell("select", part, done);
+    this.onSelect?.(part, done);
   }
 
   selectionEnds() {
@@ -333,22 +319,21 @@ class Timeline {
     this.cuts[number] = clamp(seconds, low, high);
     const mark = this.marks.children[number];
     this.setSlider(mark, this.cuts[number], formatSeconds(this.cuts[number]));
-    this.tell("cuts", [...this.cuts], done);
+    this.onCuts?.([...this.cuts], done);
   }
 
   addCut(seconds) {
     const edges = [0, ...this.cuts, this.duration];
     if (edges.some((edge) => Math.abs(edge - seconds) < LEAST)) return;
-    this.cuts = [...this.cuts, seconds].sort((a, b) => a - b);
-    this.drawCuts();
-    this.tell("cuts", [...this.cuts], true);
+    this.setCuts([...this.cuts, seconds].sort((a, b) => a - b));
+    this.onCuts?.([...this.cuts], true);
   }
 
   removeCut(number) {
     this.cuts.splice(number, 1);
     this.drawCuts();
     if (!this.cuts.length) this.hand.focus({ preventScroll: true });
-    this.tell("cuts", [...this.cuts], true);
+    this.onCuts?.([...this.cuts], true);
   }
 
   setCursor(seconds) {
@@ -377,47 +362,32 @@ class Timeline {
     this.setZoom(this.duration / Math.max(end - start, LEAST), start);
     this.scroll.scrollLeft = (start / this.duration) * this.inner.clientWidth;
   }
-}
 
-export function createTimeline(element, options) {
-  const inner = new Timeline(element, options);
-  const listen = (what) => (callback) => {
-    inner.listeners[what].add(callback);
-    return () => inner.listeners[what].delete(callback);
-  };
-  return Object.freeze({
-    element: inner.element,
-    tones: inner.tones,
-    setCursor: (seconds) => inner.setCursor(seconds),
-    setSegments(segments) {
-      inner.segments = segments;
-      inner.drawSegments();
-      inner.drawCursor();
-    },
-    setSelection(start, end, of) {
-      const inside = (seconds) => clamp(seconds, 0, inner.duration);
-      inner.selection = start == null ? null : { start: inside(start), end: inside(end), ...(of && { of }) };
-      inner.drawSelection();
-    },
-    setCuts(cuts) {
-      inner.cuts = [...cuts];
-      inner.drawCuts();
-    },
-    setDuration(duration) {
-      inner.duration = Math.max(duration, 1e-3);
-      inner.draw();
-    },
-    show: (start, end) => inner.show(start, end),
-    onSeek: listen("seek"),
-    onSelect: listen("select"),
-    onCuts: listen("cuts"),
-    destroy() {
-      inner.watcher.disconnect();
-      inner.element.remove();
-    },
-    get cursor() { return inner.cursor; },
-    get selection() { return inner.selection ? { ...inner.selection } : null; },
-    get cuts() { return [...inner.cuts]; },
-    get duration() { return inner.duration; },
-  });
+  /** Of a long recording a part is shown, from a little before a moment of it. */
+  showPart(moment) {
+    const from = Math.max(moment - BEFORE, 0);
+    if (this.duration > LONG) this.show(from, from + SEEN);
+  }
+
+  setSegments(segments) {
+    this.segments = segments;
+    this.drawSegments();
+    this.drawCursor();
+  }
+
+  setSelection(start, end, of) {
+    const inside = (seconds) => clamp(seconds, 0, this.duration);
+    this.selection = start == null ? null : { start: inside(start), end: inside(end), ...(of && { of }) };
+    this.drawSelection();
+  }
+
+  setCuts(cuts) {
+    this.cuts = [...cuts];
+    this.drawCuts();
+  }
+
+  destroy() {
+    this.watcher.disconnect();
+    this.element.remove();
+  }
 }

@@ -1,7 +1,7 @@
 // A number of every frame as a curve, such as the overlap; lost frames are hatched, unsure ones shaded, and frames that
 // may still change are dashed.
 
-import { h, t } from "../core/dom.js";
+import { h, onDrag, t } from "../core/dom.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const [WIDE, HIGH] = [1000, 100];
@@ -28,15 +28,7 @@ export class Chart {
     const grid = [0.25, 0.5, 0.75].map((value) => svg("line", { class: "grid", x1: 0, x2: WIDE, y1: HIGH * value, y2: HIGH * value }));
     this.drawing = svg("svg", { viewBox: `0 0 ${WIDE} ${HIGH}`, preserveAspectRatio: "none", "aria-hidden": "true" }, hatching(this.hatch), ...grid, this.spans, this.lines, this.trust, this.cursor);
     place.replaceChildren(...labels.map((text, index) => h("span", { class: "scale", style: { top: `${6 + 44 * index}%` }, "aria-hidden": "true" }, text)), this.drawing);
-    const seek = (event) => {
-      const box = this.drawing.getBoundingClientRect();
-      onSeek(Math.round(Math.min(Math.max((event.clientX - box.left) / box.width, 0), 1) * (this.total - 1)));
-    };
-    this.drawing.addEventListener("pointerdown", (event) => {
-      this.drawing.setPointerCapture(event.pointerId);
-      seek(event);
-    });
-    this.drawing.addEventListener("pointermove", (event) => event.buttons && seek(event));
+    onDrag(this.drawing, (x) => onSeek(Math.round(Math.min(Math.max(x, 0), 1) * (this.total - 1))));
   }
 
   column(frame) {
@@ -77,37 +69,33 @@ export class Chart {
 
   /** How far each frame is to be trusted, along the bottom: green, amber (thicker), red (thickest). */
   bands(known, frames) {
-    const bands = [];
-    for (const frame of known) {
-      const { lost, unsure, stage } = frames.get(frame);
-      if (stage === 0) continue;
-      const trust = lost ? "lost" : unsure ? "unsure" : "good";
-      const newest = bands.at(-1);
-      if (newest && newest.trust === trust && newest.last === frame - 1) newest.last = frame;
-      else bands.push({ trust, first: frame, last: frame });
-    }
-    return bands.map(({ trust, first, last }) => {
-      const left = this.column(first - 0.5);
-      const height = BAND[trust];
-      return svg("rect", { class: `trust-band ${trust}`, x: left, y: HIGH - height, width: Math.max(this.column(last + 0.5) - left, trust === "good" ? 0 : LEAST_LOST), height });
+    const settled = known.filter((frame) => frames.get(frame).stage !== 0);
+    const trustOf = ({ lost, unsure }) => (lost ? "lost" : unsure ? "unsure" : "good");
+    return this.spansOf(settled, (frame) => trustOf(frames.get(frame))).map(({ kind, x, width }) => {
+      const height = BAND[kind];
+      return svg("rect", { class: `trust-band ${kind}`, x, y: HIGH - height, width: kind === "good" ? width : Math.max(width, LEAST_LOST), height });
     });
   }
 
   marked(known, frames, mark) {
-    const spans = [];
-    for (const frame of known.filter((number) => frames.get(number)[mark])) {
-      const newest = spans.at(-1);
-      if (newest && newest[1] === frame - 1) newest[1] = frame;
-      else spans.push([frame, frame]);
-    }
-    return spans.flatMap(([first, last]) => {
-      const left = this.column(first - 0.5);
-      const width = Math.max(this.column(last + 0.5) - left, LEAST_LOST);
+    const spans = this.spansOf(known.filter((frame) => frames.get(frame)[mark]), () => mark);
+    return spans.map(({ x, width }) => {
       const title = svg("title");
       title.textContent = t(`chart_${mark}`);
       const fill = mark === "lost" ? { fill: `url(#${this.hatch})` } : {};
-      return [svg("rect", { class: `${mark}-span`, x: left, y: 0, width, height: HIGH, ...fill }, title)];
+      return svg("rect", { class: `${mark}-span`, x, y: 0, width: Math.max(width, LEAST_LOST), height: HIGH, ...fill }, title);
     });
+  }
+
+  /** Where frames of one kind follow each other without a gap. */
+  spansOf(known, kindOf) {
+    const spans = [];
+    for (const frame of known) {
+      const [newest, kind] = [spans.at(-1), kindOf(frame)];
+      if (newest?.kind === kind && newest.last === frame - 1) newest.last = frame;
+      else spans.push({ kind, first: frame, last: frame });
+    }
+    return spans.map(({ kind, first, last }) => ({ kind, x: this.column(first - 0.5), width: this.column(last + 0.5) - this.column(first - 0.5) }));
   }
 
   point(frame) {

@@ -1,15 +1,15 @@
 // The page of estimation: before (files, person, a look) and while or after (?job=ID).
 
 import { $ } from "../core/dom.js";
-import { showMasks } from "../masks/editor.js";
+import { Editor } from "../masks/editor.js";
 import { addressOf, showSetup } from "./setup.js";
-import { watchEstimation } from "./watch.js";
+import { Watching } from "./watch.js";
 
-let leave = () => {};
+let shown = null;
 
 function route() {
-  leave();
-  leave = () => {};
+  shown?.end();
+  shown = null;
   const asked = new URLSearchParams(location.search);
   const job = asked.get("job");
   const masks = job ? null : asked.get("masks");
@@ -18,8 +18,8 @@ function route() {
   $("#setup").hidden = Boolean(job || masks);
   $("#watch").hidden = !job;
   $("#masks").hidden = !masks;
-  if (masks) leave = showMasks(masks, { of: asked.get("of"), onJob, startOver: () => go({}) });
-  else if (job) leave = watchEstimation(job, { startOver: () => go({}), onJob, onMasks });
+  if (masks) shown = new Editor(masks, { of: asked.get("of"), onJob, startOver: () => go({}) });
+  else if (job) shown = new Watching(job, { startOver: () => go({}), onJob, onMasks });
   else showSetup({ batch: asked.get("batch"), onJob, onMasks });
 }
 

@@ -16,7 +16,7 @@ const choice = (name, values) => field(name, h("select", { name }, ...values.map
 const check = (name, checked) => h("label", { class: "check" }, h("input", { type: "checkbox", name, checked }), t(name));
 
 /** Fill the form; onChange() after a change that a look would show, of films if isFilms(). */
-export function buildOptions(form, onChange, isFilms) {
+function buildOptions(form, onChange, isFilms) {
   form.replaceChildren(
     h(
       "div",
@@ -52,7 +52,7 @@ function more() {
 const numberOf = (input) => (input.value === "" || !Number.isFinite(input.valueAsNumber) ? null : input.valueAsNumber);
 
 /** The fields as POST /jobs/estimate wants them, and the frame of the first pose. */
-export function readOptions(form) {
+function readOptions(form) {
   const at = form.elements;
   const stature = numberOf(at.stature);
   const frames = at.frames.value.trim();
@@ -75,19 +75,19 @@ export function readOptions(form) {
 }
 
 // What would be estimated: silhouettes, cameras, body, and what is missing.
-export function showEmpty() {
+function showEmpty() {
   $("#start").disabled = true;
   $("#repair").hidden = true;
   $("#preview").replaceChildren(h("p", { class: "note" }, t("preview_empty")));
 }
 
-export function showLooking(what = t("preview_looking")) {
+function showLooking(what = t("preview_looking")) {
   $("#start").disabled = true;
   $("#preview .looking")?.remove();
   $("#preview").prepend(h("p", { class: "looking" }, h("i", { "aria-hidden": "true" }), what));
 }
 
-export function showPreview(found) {
+function showPreview(found) {
   const ready = !found.missing && found.views.length > 0;
   $("#start").disabled = !ready;
   $("#repair").hidden = found.films || !found.views.length; // of films people are found, not silhouettes
@@ -129,7 +129,7 @@ function facts(found) {
 const ROLES = ["source", "cameras", "background", "body", "start", "unused"];
 
 /** files: [{name, role, kind, n_files}]; on: {change(name, role), again()} */
-export function showFiles(place, files, on) {
+function showFiles(place, files, on) {
   const focused = place.contains(document.activeElement) ? document.activeElement.dataset.name : null;
   if (!files.length) {
     place.replaceChildren();
@@ -242,7 +242,6 @@ function drawFiles() {
   const change = (name, role) => {
     state.roles.set(name, role);
     state.files = state.files.map((file) => (file.name === name ? { ...file, role } : file));
-    buildRoleOptions();
     look();
   };
   const again = () => {
@@ -254,10 +253,6 @@ function drawFiles() {
 }
 
 const namesOf = (role) => state.files.filter((file) => file.role === role).map((file) => file.name);
-
-function buildRoleOptions() {
-  $("#options").dataset.start = namesOf("start").length ? "file" : "";
-}
 
 function request() {
   const said = { batch: state.batch, ...readOptions($("#options")) };
@@ -286,7 +281,6 @@ async function look() {
     const differs = found.files.some((file) => state.roles.has(file.name) && state.roles.get(file.name) !== file.role);
     if (differs && !mine.explicit) found = await post("/estimations/preview", request(), mine.signal);
     if (state.look !== mine) return;
-    buildRoleOptions();
     drawFiles();
     if (found.films && !state.films) $("#options").elements.overlay_video.checked = false; // the page itself shows them
     state.films = found.films;

@@ -1,7 +1,7 @@
 // An estimation while it runs and afterwards: views, figure and curve stand at one frame, which follows the newest.
 
 import { get, post } from "../core/api.js";
-import { $, formatSeconds, h, icon, language, t } from "../core/dom.js";
+import { $, decode, formatSeconds, h, icon, language, t } from "../core/dom.js";
 import { finished, followJob, isActive, resumeJob, stopJob } from "../core/jobs.js";
 import { attempt, notify } from "../core/notices.js";
 import { FilmDesk } from "../film/desk.js";
@@ -9,7 +9,7 @@ import { Chart } from "./chart.js";
 import { Figure } from "./figure.js";
 
 // Silhouette and model of every view at one frame; a picture stays until the next one is there.
-export class Views {
+class Views {
   constructor(place, job, views) {
     this.job = job;
     this.wanted = null;
@@ -56,18 +56,16 @@ class Cell {
     this.next = null;
     this.busy = true;
     const said = overlap === null ? "-" : overlap.toFixed(2);
-    const image = h("img", { alt: t("view_picture", { name: this.view.name, frame: frame + 1, overlap: said }) });
-    image.src = `/api/estimations/${this.job}/overlay/${this.index}/${frame}?stage=${version}`;
-    try {
-      await image.decode();
+    const image = await decode(`/api/estimations/${this.job}/overlay/${this.index}/${frame}?stage=${version}`);
+    // Where there is none the job was forgotten, or the studio is away: what is shown stays.
+    if (image) {
+      image.alt = t("view_picture", { name: this.view.name, frame: frame + 1, overlap: said });
       this.picture.replaceChildren(image);
       this.value.textContent = overlap === null ? t("no_image") : t("overlap_value", { value: said });
       this.mark.hidden = !lost;
       this.element.classList.toggle("lost", lost);
       this.element.dataset.frame = String(frame);
       this.shown = key;
-    } catch {
-      // the job was forgotten, or the studio is away: what is shown stays
     }
     this.busy = false;
     if (this.next) this.load();
@@ -75,7 +73,7 @@ class Cell {
 }
 
 // What came out, how far to trust it, and where to go with it.
-export function showOutcome(job) {
+function showOutcome(job) {
   const result = job.result;
   const motion = encodeURIComponent(`job:${job.id}`);
   const trust = result.trust ?? "good"; // of an older studio nothing is known
@@ -155,14 +153,9 @@ function describeStep(job) {
   return job.what && job.total > 1 ? t("what_step", { what: job.what, done: job.done, total: job.total }) : job.what;
 }
 
-/** Show a job; -> function that ends the watching. */
-export function watchEstimation(id, { startOver, onJob, onMasks }) {
-  const watching = new Watching(id, startOver, onJob, onMasks);
-  return () => watching.end();
-}
-
-class Watching {
-  constructor(id, startOver, onJob, onMasks) {
+export class Watching {
+  /** id: of the job that is shown */
+  constructor(id, { startOver, onJob, onMasks }) {
     Object.assign(this, { id, startOver, onJob, onMasks, job: null, run: null, next: 0, frames: new Map(), total: 0, rate: 30, frame: -1, following: true, ended: false });
     this.views = null;
     this.desk = null; // of an estimation from films

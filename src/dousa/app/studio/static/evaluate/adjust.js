@@ -4,7 +4,7 @@ import { h, icon, t } from "../core/dom.js";
 import { Cuts, isSameFigures } from "./cuts.js";
 
 // What each limb counts: sliders from 0 to 3 for trunk, arms and legs, and for each of the nine segments.
-export const SEGMENTS = ["trunk", "left_upper_arm", "left_forearm", "right_upper_arm", "right_forearm", "left_thigh", "left_shank", "right_thigh", "right_shank"];
+const SEGMENTS = ["trunk", "left_upper_arm", "left_forearm", "right_upper_arm", "right_forearm", "left_thigh", "left_shank", "right_thigh", "right_shank"];
 const LIMBS = { trunk: [0], arms: [1, 2, 3, 4], legs: [5, 6, 7, 8] };
 const NAMED = { left_arm: [1, 2], right_arm: [3, 4], left_leg: [5, 6], right_leg: [7, 8] };
 const MOST_WEIGHT = 3;
@@ -16,12 +16,12 @@ export function spread(weights = {}) {
   return SEGMENTS.map((name, k) => weights[name] ?? all[k]);
 }
 
-export const gather = (values) => Object.fromEntries(SEGMENTS.map((name, k) => [name, values[k]]).filter(([, value]) => value !== 1));
+const gather = (values) => Object.fromEntries(SEGMENTS.map((name, k) => [name, values[k]]).filter(([, value]) => value !== 1));
 
 const short = (value) => String(Number(value.toFixed(2)));
 
 /** "Arms 0, left thigh 2": as few words as do. */
-export function describeWeights(values, names) {
+function describeWeights(values, names) {
   const said = [];
   for (const [limb, members] of Object.entries(LIMBS)) {
     const inside = members.map((k) => values[k]);
@@ -32,7 +32,7 @@ export function describeWeights(values, names) {
   return said.join(", ");
 }
 
-export class Weights {
+class Weights {
   constructor(element, { names, onChange }) {
     Object.assign(this, { values: SEGMENTS.map(() => 1), counts: null, onChange, sliders: [] });
     this.learned = h("input", { type: "checkbox", id: "learned-importance", checked: "" });
@@ -108,7 +108,7 @@ export class Weights {
 // Changes of figures and weights that are taken back and done again, as long as the evaluation is shown.
 const MOST = 200;
 
-export class Steps {
+class Steps {
   /** hooks: read() -> what is shown now, show(what), changed({back, forth}: whether there is a step) */
   constructor(hooks) {
     Object.assign(this, { hooks, kept: [], at: 0, going: false });

@@ -3,13 +3,14 @@
 import { get, put, remove, upload } from "../core/api.js";
 import { $, h, icon, language, t } from "../core/dom.js";
 import { attempt } from "../core/notices.js";
+import { onTheme } from "../core/theme.js";
 
 // Keeps a film or a piece of music in step with the player: the player leads, and its moments are seconds of the
 // performance. start() says when the medium begins.
 const DRIFT = 0.12; // s that it may be off while it plays
 const STILL = 0.02;
 
-export class InStep {
+class InStep {
   constructor(media, player, start) {
     Object.assign(this, { media, player, start, held: false });
     this.end = player.onTime(() => this.follow());
@@ -71,7 +72,7 @@ async function measure(address, parts) {
   return { peaks: peaks.map((one) => one / loudest), duration: sound.duration };
 }
 
-export class Waveform {
+class Waveform {
   constructor(player, name, start, onSeek) {
     Object.assign(this, { player, start, sound: null, beats: [] });
     this.canvas = h("canvas", { class: "waveform-canvas" });
@@ -84,9 +85,7 @@ export class Waveform {
     this.end = player.onTime((seconds) => this.show(seconds));
     this.watching = new ResizeObserver(() => this.draw());
     this.watching.observe(this.element);
-    this.looks = matchMedia("(prefers-color-scheme: dark)");
-    this.redraw = () => this.draw();
-    this.looks.addEventListener("change", this.redraw);
+    this.endTheme = onTheme(() => this.draw());
     this.show(player.time);
   }
 
@@ -143,13 +142,13 @@ export class Waveform {
   destroy() {
     this.end();
     this.watching.disconnect();
-    this.looks.removeEventListener("change", this.redraw);
+    this.endTheme();
     this.element.remove();
   }
 }
 
 const FILES = { film: ".mp4,.mov,.webm,.mkv,.avi,.m4v", music: ".wav,.mp3,.flac,.ogg,.opus,.m4a,.aac" };
-const KINDS = ["film", "music"];
+const KINDS = Object.keys(FILES);
 
 const soundOf = (media) => h("label", { class: "check" }, h("input", { type: "checkbox", checked: !media.muted, onchange: (event) => { media.muted = !event.target.checked; } }), t("mute"));
 

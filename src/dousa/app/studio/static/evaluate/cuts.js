@@ -1,27 +1,27 @@
 // The figures of the reference: a timeline whose cuts can be dragged, and a table of the same for the keyboard.
 
 import { h, icon, t } from "../core/dom.js";
-import { createTimeline } from "../core/timeline.js";
+import { Timeline } from "../core/timeline.js";
 
 // Figures of the dance as a list that can be changed: {start_s, end_s, label} in order, side by side.
 export const LEAST = 0.1; // s
 
 const round = (seconds) => Math.round(seconds * 1000) / 1000;
 
-export const cutsOf = (figures) => figures.slice(1).map((one) => one.start_s);
+const cutsOf = (figures) => figures.slice(1).map((one) => one.start_s);
 
 export const isSameFigures = (a, b) =>
   a.length === b.length && a.every((one, k) => Math.abs(one.start_s - b[k].start_s) < 0.002 && Math.abs(one.end_s - b[k].end_s) < 0.002 && one.label === b[k].label);
 
 /** A label that no figure has: A, B, ... Z, AA, AB, ... */
-export function freshLabel(figures) {
+function freshLabel(figures) {
   const taken = new Set(figures.map((one) => one.label));
   const name = (number) => (number < 26 ? "" : name(Math.floor(number / 26) - 1)) + String.fromCharCode(65 + (number % 26));
   for (let number = 0; ; number++) if (!taken.has(name(number))) return name(number);
 }
 
 /** The figures with other cuts: moved ones keep their labels, a new one begins a figure with a label of its own. */
-export function recut(figures, cuts) {
+function recut(figures, cuts) {
   const before = cutsOf(figures);
   const edges = [figures[0].start_s, ...cuts, figures.at(-1).end_s].map(round);
   let labels = figures.map((one) => one.label);
@@ -44,9 +44,8 @@ export class Cuts {
     const table = h("table", { class: "cuts-table" }, h("thead", {}, h("tr", {}, ...head, h("td", {}))), this.rows);
     this.reset = h("button", { type: "button", class: "small", id: "reset-cuts", onclick: onReset }, t("reset_cuts"));
     element.append(h("header", { class: "row" }, h("h3", {}, t("cuts")), h("span", { class: "push" }), this.reset), place, h("p", { class: "note" }, t("cuts_hint")), h("div", { class: "scroll cuts-scroll", tabindex: "0" }, table));
-    this.timeline = createTimeline(place, { duration, editable: true, label: t("cuts_timeline") });
-    this.timeline.onSeek(onSeek);
-    this.timeline.onCuts((cuts, done) => this.take(recut(this.figures, cuts), done, false));
+    const onCuts = (cuts, done) => this.take(recut(this.figures, cuts), done, false);
+    this.timeline = new Timeline(place, { duration, editable: true, label: t("cuts_timeline"), onSeek, onCuts });
   }
 
   take(figures, done, fresh = true) {

@@ -10,7 +10,7 @@ import { foldAnalysis, foldForPhones, putParts } from "./parts.js";
 // What the teacher says of a performance: kept as it is typed, printed, and in the report that is downloaded.
 const SETTLE = 600; // ms without a key before it is kept
 
-export function putNotes(section, job, notes) {
+function putNotes(section, job, notes) {
   let kept = notes;
   let waiting = null;
   const state = h("span", { class: "note", role: "status" });
@@ -52,7 +52,7 @@ export function putNotes(section, job, notes) {
 // Asking for what was changed: quickly while it changes, exactly when it rests; never two questions at once.
 const REST = 450; // ms without a change before the exact answer is asked for
 
-export class Asking {
+class Asking {
   constructor(path, { onAnswer, onProblem, onBusy }) {
     Object.assign(this, { path, onAnswer, onProblem, onBusy, wanted: null, busy: false, timer: 0, ended: false });
   }

@@ -1,6 +1,6 @@
 // The three steps before a grade: performance, takes of the reference, options.
 
-import { get, getBytes, post } from "../core/api.js";
+import { drawFigure, get, post } from "../core/api.js";
 import { $, formatSeconds, h, icon, t } from "../core/dom.js";
 import { dropZone, MOTION_FILES, takeMotions } from "../core/drop.js";
 import { attempt, notify } from "../core/notices.js";
@@ -56,19 +56,11 @@ export const showJob = (id) => history.pushState(null, "", `/evaluate?job=${id}`
 // A chosen motion as a row: a small moving figure, its name and length, a part of it, buttons.
 const known = new Map(); // motion -> promise of what it is
 
-export function describeMotion(ref) {
+function describeMotion(ref) {
   const asked = plain({ ...ref, start_s: null, end_s: null });
   const key = JSON.stringify(asked);
   if (!known.has(key)) known.set(key, get("/motions/info", asked));
   return known.get(key);
-}
-
-async function drawFigure(canvas, ref) {
-  try {
-    window.dousa.createMiniature(canvas, await getBytes("/motions/miniature", plain(ref)), { host: canvas.parentElement });
-  } catch {
-    // the row says what is wrong
-  }
 }
 
 function partFields(ref, duration, onChange) {
@@ -85,7 +77,7 @@ function partFields(ref, duration, onChange) {
 }
 
 /** options: {first: bool, onChange(ref), onRemove(), onFirst()} -> row; onBroken() when the motion cannot be used */
-export function motionRow(ref, { first = false, onChange, onRemove, onFirst = null, onBroken = () => {} }) {
+function motionRow(ref, { first = false, onChange, onRemove, onFirst = null, onBroken = () => {} }) {
   const canvas = h("canvas", { class: "figure-small", "aria-hidden": "true" });
   const name = h("b", { class: "motion-name" }, ref.motion.split("/").pop());
   const facts = h("span", { class: "note" }, t("loading"));
@@ -100,7 +92,7 @@ export function motionRow(ref, { first = false, onChange, onRemove, onFirst = nu
       remove.setAttribute("aria-label", t("take_away", { name: info.name }));
       facts.textContent = [info.category, formatSeconds(info.duration_s)].filter(Boolean).join(" · ");
       text.append(partFields(ref, info.duration_s, onChange));
-      drawFigure(canvas, ref);
+      drawFigure(canvas, plain(ref), { host: row });
     },
     (error) => {
       facts.textContent = error.message;

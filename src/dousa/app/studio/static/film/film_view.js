@@ -1,7 +1,7 @@
 // One film at one moment: its picture, the people in it, and what a click on them or beside them does.
 
 import { get } from "../core/api.js";
-import { h, icon, t } from "../core/dom.js";
+import { decode, h, icon, t } from "../core/dom.js";
 import { colourOf } from "./people.js";
 
 // The keypoints of everybody in a film, in pieces that are fetched when they are looked at.
@@ -14,7 +14,7 @@ function bytes(text) {
   return Uint8Array.from(raw, (letter) => letter.charCodeAt(0));
 }
 
-export class Tracks {
+class Tracks {
   constructor(job, view, nNames, onLoad) {
     Object.assign(this, { job, view, nNames, onLoad, pieces: new Map() });
   }
@@ -120,20 +120,15 @@ export class FilmView {
     const { key, frame, address } = this.next;
     this.next = null;
     this.busy = true;
-    const image = new Image();
-    image.src = address;
-    try {
-      await image.decode();
+    const image = await decode(address);
+    if (image) {
       this.image.src = image.src;
-      this.loaded = image;
       this.image.hidden = false;
       this.image.alt = t("film_picture", { name: this.name.textContent, frame: frame + 1 });
-      this.shown = key;
-      this.place(frame);
-      this.desk.onPicture();
-    } catch {
-      this.place(frame); // the picture is still being read: the people show without it
+      Object.assign(this, { loaded: image, shown: key });
     }
+    this.place(frame); // while the picture is still being read the people show without it
+    if (image) this.desk.onPicture();
     this.busy = false;
     if (this.next) this.load();
   }

@@ -6,7 +6,8 @@ const COLOURS = ["#e8590c", "#0b7fc4", "#0a8f6a", "#b0489a", "#a17400", "#4a6fe3
 const NOBODY = "#7a828e";
 
 export const colourOf = (person) => (person === null ? NOBODY : COLOURS[person % COLOURS.length]);
-export const keyOf = (view, track) => `${view}:${track}`;
+const keyOf = (view, track) => `${view}:${track}`;
+const keysOf = (tracks) => new Set(tracks.map(([view, track]) => keyOf(view, track)));
 const readKey = (key) => key.split(":").map(Number);
 const percent = (share) => `${Math.round(100 * share)} %`;
 
@@ -20,14 +21,14 @@ export class Choice {
     const had = this.wants();
     this.film = film;
     this.owner = new Map(film.people.flatMap((person, index) => person.members.map(([view, track]) => [keyOf(view, track), index])));
-    if (first) this.leftOut = new Set(film.left_out.map(([view, track]) => keyOf(view, track)));
+    if (first) this.leftOut = keysOf(film.left_out);
     if (first || !had) this.person = film.chosen;
     if (!had) this.added.clear();
   }
 
   wants() {
     if (!this.film) return false;
-    const before = new Set(this.film.left_out.map(([view, track]) => keyOf(view, track)));
+    const before = keysOf(this.film.left_out);
     const same = before.size === this.leftOut.size && [...before].every((key) => this.leftOut.has(key));
     return !same || this.added.size > 0 || this.person !== this.film.chosen;
   }
@@ -58,7 +59,7 @@ export class Choice {
   }
 
   reset() {
-    this.leftOut = new Set(this.film.left_out.map(([view, track]) => keyOf(view, track)));
+    this.leftOut = keysOf(this.film.left_out);
     this.pick(this.film.chosen);
   }
 
@@ -73,8 +74,7 @@ export class Choice {
 export function showPeople(place, choice, active, on) {
   const { film } = choice;
   const focused = place.contains(document.activeElement) ? document.activeElement.dataset.key : null;
-  const rows = film.people.length ? film.people.map((person, index) => personRow(choice, person, index, on)) : [unmatched(choice, on)];
-  place.replaceChildren(...rows, lost(choice, on), changes(choice, active, on));
+  place.replaceChildren(...film.people.map((person, index) => personRow(choice, person, index, on)), rest(choice, on), changes(choice, active, on));
   if (focused) [...place.querySelectorAll("[data-key]")].find((element) => element.dataset.key === focused)?.focus();
 }
 
@@ -101,35 +101,25 @@ function trackItem(choice, view, track, who, on) {
   const out = choice.leftOut.has(keyOf(view, track));
   const { name } = choice.film.views[view];
   const added = choice.added.has(keyOf(view, track));
-  const label = t(out ? "track_back" : "track_out");
+  const button = (key, label, act) => h("button", { type: "button", class: "small quiet", "aria-label": t("track_of", { action: label, who, view: name }), dataset: { key: `${key}-${view}-${track}` }, onclick: () => act(view, track) }, label);
   return h(
     "li",
     { class: out ? "out" : "" },
     h("span", {}, added ? `${name} → ${choice.person + 1}` : name),
-    h("button", { type: "button", class: "small quiet", "aria-label": t("track_of", { action: label, who, view: name }), dataset: { key: `track-${view}-${track}` }, onclick: () => on.toggle(view, track) }, label),
-    choice.couldBe(view, track) ? sameButton(choice, view, track, who, on) : null,
+    button("track", t(out ? "track_back" : "track_out"), on.toggle),
+    choice.couldBe(view, track) ? button("same", t("menu_same", { number: choice.person + 1 }), on.same) : null,
   );
 }
 
-function sameButton(choice, view, track, who, on) {
-  const label = t("menu_same", { number: choice.person + 1 });
-  return h("button", { type: "button", class: "small quiet", "aria-label": t("track_of", { action: label, who, view: choice.film.views[view].name }), dataset: { key: `same-${view}-${track}` }, onclick: () => on.same(view, track) }, label);
-}
-
-function unmatched(choice, on) {
-  const tracks = choice.film.views.flatMap((view, index) => view.people.map((_, track) => [index, track]));
-  if (!tracks.length) return h("p", { class: "note" }, t("people_waiting"));
+/** Tracks of nobody: all of them while no people were found, then those that belong to none. */
+function rest(choice, on) {
+  const found = choice.film.people.length > 0;
+  const all = choice.film.views.flatMap((view, index) => view.people.map((_, track) => [index, track]));
+  const tracks = found ? all.filter(([view, track]) => choice.personOf(view, track) === null) : all;
+  if (!tracks.length) return found ? "" : h("p", { class: "note" }, t("people_waiting"));
   const items = tracks.map(([view, track]) => trackItem(choice, view, track, t("track_name", { number: track + 1 }), on));
-  return h("div", { class: "person" }, h("p", { class: "note" }, t("people_unmatched")), h("ul", { class: "tracks" }, ...items));
-}
-
-function lost(choice, on) {
-  if (!choice.film.people.length) return "";
-  const tracks = choice.film.views.flatMap((view, index) => view.people.map((_, track) => [index, track]));
-  const rest = tracks.filter(([view, track]) => choice.personOf(view, track) === null);
-  if (!rest.length) return "";
-  const items = rest.map(([view, track]) => trackItem(choice, view, track, t("track_name", { number: track + 1 }), on));
-  return h("div", { class: "person" }, h("p", { class: "note" }, h("i", { class: "person-dot", style: { background: NOBODY }, "aria-hidden": "true" }), t("people_rest")), h("ul", { class: "tracks" }, ...items));
+  const dot = found ? h("i", { class: "person-dot", style: { background: NOBODY }, "aria-hidden": "true" }) : null;
+  return h("div", { class: "person" }, h("p", { class: "note" }, dot, t(found ? "people_rest" : "people_unmatched")), h("ul", { class: "tracks" }, ...items));
 }
 
 function changes(choice, active, on) {

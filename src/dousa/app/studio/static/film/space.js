@@ -2,13 +2,14 @@
 // the person at the moment.
 
 import { h, t } from "../core/dom.js";
+import { onTheme, watchHands } from "../core/theme.js";
 
 // A picture on a plane in space: in cells of two triangles each, which together follow the perspective.
 const CELLS = 4; // on each side
 const OVER = 0.6; // px by which triangles reach over their edges, so that no seams show
 
 /** Draw an image with its corners (left top, right top, right low, left low; in space) where project(point) puts them. */
-export function drawOnPlane(context, image, corners, project) {
+function drawOnPlane(context, image, corners, project) {
   const [wide, high] = [image.naturalWidth, image.naturalHeight];
   if (!wide || !high) return;
   const at = (u, v) => project([0, 1, 2].map((k) => (1 - v) * ((1 - u) * corners[0][k] + u * corners[1][k]) + v * ((1 - u) * corners[3][k] + u * corners[2][k])));
@@ -52,7 +53,7 @@ export class Space {
   constructor(canvas, list, pictureOf = () => null) {
     Object.assign(this, { canvas, list, pictureOf, cameras: [], joints: null, parents: [], frame: 0, colour: "#e8590c" });
     this.reset();
-    this.stops = [];
+    this.ended = new AbortController();
     this.probe = h("span", { class: "space-colours", "aria-hidden": "true", hidden: true }, ...["ink", "soft", "line", "accent"].map((name) => h("i", { class: name })));
     canvas.after(this.probe);
     this.listen();
@@ -62,52 +63,33 @@ export class Space {
     Object.assign(this, { turn: 0.6, tilt: 0.42, zoom: 1 });
   }
 
-  on(target, name, action, options) {
-    target.addEventListener(name, action, options);
-    this.stops.push(() => target.removeEventListener(name, action, options));
-  }
-
   listen() {
     const { canvas } = this;
-    const held = new Map();
+    const { signal } = this.ended;
     const change = (turn, tilt, zoom = 1) => {
       this.turn += turn;
       this.tilt = Math.min(Math.max(this.tilt + tilt, -0.1), 1.57);
       this.zoom = Math.min(Math.max(this.zoom * zoom, NEAREST), FARTHEST);
       this.draw();
+      return true;
     };
-    const spread = () => Math.max(Math.hypot(...[0, 1].map((k) => [...held.values()][0][k] - [...held.values()][1][k])), 1);
-    this.on(canvas, "pointerdown", (event) => {
-      canvas.setPointerCapture(event.pointerId);
-      held.set(event.pointerId, [event.clientX, event.clientY]);
-    });
-    this.on(canvas, "pointermove", (event) => {
-      const last = held.get(event.pointerId);
-      if (!last) return;
-      const before = held.size === 2 ? spread() : 0;
-      held.set(event.pointerId, [event.clientX, event.clientY]);
-      if (before) change(0, 0, spread() / before);
-      else change(0.008 * (event.clientX - last[0]), 0.006 * (event.clientY - last[1]));
-    });
-    for (const name of ["pointerup", "pointercancel"]) this.on(canvas, name, (event) => held.delete(event.pointerId));
-    this.on(canvas, "wheel", (event) => {
-      if (document.activeElement !== canvas && !event.ctrlKey) return; // the page scrolls on
-      event.preventDefault();
-      change(0, 0, Math.exp(-0.0015 * event.deltaY));
-    }, { passive: false });
-    this.on(canvas, "dblclick", () => (this.reset(), this.draw()));
+    const hooks = {
+      press: () => {},
+      turn: (across, down) => change(0.008 * across, 0.006 * down),
+      scale: (factor) => change(0, 0, factor),
+      reset: () => (this.reset(), this.draw()),
+      takesWheel: () => document.activeElement === canvas,
+    };
+    watchHands(canvas, hooks, signal);
     const keys = { ArrowLeft: [-STEP, 0], ArrowRight: [STEP, 0], ArrowUp: [0, STEP], ArrowDown: [0, -STEP], "+": [0, 0, 1.15], "-": [0, 0, 1 / 1.15] };
-    this.on(canvas, "keydown", (event) => {
+    canvas.addEventListener("keydown", (event) => {
       if (!keys[event.key]) return;
       event.preventDefault();
       change(...keys[event.key]);
-    });
-    const observer = new ResizeObserver(() => this.draw());
-    observer.observe(canvas);
-    const themes = new MutationObserver(() => this.draw());
-    themes.observe(document.documentElement, { attributes: true, attributeFilter: ["data-theme"] });
-    this.stops.push(() => observer.disconnect(), () => themes.disconnect());
-    this.on(matchMedia("(prefers-color-scheme: dark)"), "change", () => this.draw());
+    }, { signal });
+    this.observer = new ResizeObserver(() => this.draw());
+    this.observer.observe(canvas);
+    this.endTheme = onTheme(() => this.draw());
   }
 
   /** cameras: [{name, position, corners}]; joints: Float32Array of (frames, 20, 3) or null; parents of the joints. */
@@ -120,13 +102,10 @@ export class Space {
     const middle = path.length ? path : places;
     this.centre = [0, 1, 2].map((k) => middle.reduce((sum, place) => sum + place[k], 0) / Math.max(middle.length, 1));
     this.reach = Math.max(1.5, ...all.map((place) => Math.hypot(place[0] - this.centre[0], place[2] - this.centre[2])));
-    this.list.replaceChildren(...cameras.map((camera) => h("li", {}, h("b", {}, camera.name), " ", this.say(camera))));
+    const away = ({ position }) => Math.hypot(position[0] - this.centre[0], position[2] - this.centre[2]).toFixed(1);
+    const say = (camera) => t("camera_place", { away: away(camera), high: camera.position[1].toFixed(1) });
+    this.list.replaceChildren(...cameras.map((camera) => h("li", {}, h("b", {}, camera.name), " ", say(camera))));
     this.draw();
-  }
-
-  say(camera) {
-    const away = Math.hypot(camera.position[0] - this.centre[0], camera.position[2] - this.centre[2]);
-    return t("camera_place", { away: away.toFixed(1), high: camera.position[1].toFixed(1) });
   }
 
   path() {
@@ -152,10 +131,6 @@ export class Space {
     const [right, forward] = [c * dx + s * dz, -s * dx + c * dz];
     const [ct, st] = [Math.cos(this.tilt), Math.sin(this.tilt)];
     return [right, ct * dy - st * forward, st * dy + ct * forward];
-  }
-
-  depth(place) {
-    return this.turned(place)[2];
   }
 
   project(place) {
@@ -213,7 +188,7 @@ export class Space {
   }
 
   pictures(context) {
-    const away = ({ corners }) => Math.min(...corners.map((corner) => this.depth(corner)));
+    const away = ({ corners }) => Math.min(...corners.map((corner) => this.turned(corner)[2]));
     const shown = this.cameras.map((camera, index) => ({ camera, image: this.pictureOf(index) })).filter(({ image }) => image);
     shown.sort((one, other) => away(one.camera) - away(other.camera));
     for (const { camera, image } of shown) drawOnPlane(context, image, camera.corners, (place) => this.project(place));
@@ -249,7 +224,9 @@ export class Space {
   }
 
   destroy() {
-    for (const stop of this.stops) stop();
+    this.ended.abort();
+    this.observer.disconnect();
+    this.endTheme();
     this.probe.remove();
     this.list.replaceChildren();
   }

@@ -10,7 +10,7 @@ import { openKeep, openTags, toggleStars } from "./tags.js";
 // Dialogs of this page: new labels, removal.
 
 /** facets: {category: {name: n}, performer: {name: n}} for suggestions; done() after the change */
-export async function openRelabel(ids, facets, done) {
+async function openRelabel(ids, facets, done) {
   const fields = ["category", "performer"].map((name) => labelField(name, Object.keys(facets[name] ?? {}).filter(Boolean)));
   const save = h("button", { type: "submit", class: "primary", id: "relabel-save", disabled: true }, t("save"));
   const form = h("form", { class: "stack" }, h("p", { class: "note" }, t("relabel_note", { count: count.format(ids.length) })), ...fields.map((field) => field.element), foot(h("button", { type: "button", onclick: () => close() }, t("cancel")), save));
@@ -51,7 +51,7 @@ function labelField(name, known) {
   };
 }
 
-export function openRemove(ids, names, done) {
+function openRemove(ids, names, done) {
   const go = h("button", { type: "button", class: "danger", id: "remove-go" }, icon("trash"), t("remove_go", { count: count.format(ids.length) }));
   go.addEventListener("click", () => {
     go.disabled = true;

@@ -2,10 +2,10 @@
 // its number in the address.
 
 import { post, remove, uploadAll } from "../core/api.js";
-import { foot, openDialog } from "../core/dialog.js";
-import { count, h, icon, t } from "../core/dom.js";
+import { foot, openDialog, pairTable, waiting } from "../core/dialog.js";
+import { count, h, icon, keep, recall, t } from "../core/dom.js";
 import { dropZone, LABEL_FILES, MOTION_FILES, refusedList } from "../core/drop.js";
-import { followJob, isActive, resumeJob, stopJob } from "../core/jobs.js";
+import { followJob, isActive, resumeJob } from "../core/jobs.js";
 import { attempt, notify } from "../core/notices.js";
 import { undo } from "../core/undo.js";
 import { inAddress } from "./places.js";
@@ -59,16 +59,10 @@ function tallyResult(result) {
 
 function lost(refused, skipped) {
   const all = [...refused.map(({ name, reason }) => [name, reason]), ...skipped.map(({ path, reason }) => [path, reason])];
-  return table("refused_title", all, "refused");
+  return pairTable("refused_title", all, { kind: "refused", open: true });
 }
 
-const pairs = (title, items, cells) => table(title, items.map(cells), "");
-
-function table(title, rows, kind) {
-  if (!rows.length) return null;
-  const lines = rows.map(([name, text]) => h("tr", {}, h("th", { scope: "row" }, name), h("td", {}, text)));
-  return h("details", { class: kind, open: kind === "refused" }, h("summary", {}, t(title, { count: count.format(rows.length) })), h("div", { class: "scroll" }, h("table", {}, h("tbody", {}, ...lines))));
-}
+const pairs = (title, items, cells) => pairTable(title, items.map(cells));
 
 // How the files are added: as what, and where their labels come from, with a look at what comes of it.
 const SHOWN = 5;
@@ -81,7 +75,7 @@ function levels(deepest) {
 }
 
 /** names: of the motions that came, tables: of labels that lie beside some of them -> {element, value: for POST /jobs/add} */
-export function askHow(names, tables = []) {
+function askHow(names, tables = []) {
   const folders = names.some((name) => name.includes("/"));
   const kind = choice("add-kind", ["clip", "take"].map((name) => [name, t(`add_as_${name}`)]), tables.length ? "take" : "clip");
   const depth = Math.min(Math.max(...names.map((name) => name.split("/").length - 1), 0), DEEPEST);
@@ -304,7 +298,7 @@ function question(state) {
     go.disabled = true;
     attempt(async () => {
       state.job = (await post("/jobs/add", { batch: state.batch, ...how.value })).id;
-      keepRefused(state);
+      keep("sessionStorage", remembered(state.job), state.refused.slice(0, 2000));
       state.follow(state.job);
     }).finally(() => (go.disabled = false));
   });
@@ -328,33 +322,12 @@ function stems(name) {
   return [file.slice(0, file.lastIndexOf(".")), file.split(".")[0]].map((stem) => folder + stem);
 }
 
-function keepRefused({ job, refused }) {
-  try {
-    sessionStorage.setItem(remembered(job), JSON.stringify(refused.slice(0, 2000)));
-  } catch {
-    // no room: the report lists what the job refused
-  }
-}
-
-function refusedOf(id) {
-  try {
-    return JSON.parse(sessionStorage.getItem(remembered(id)) ?? "[]");
-  } catch {
-    return [];
-  }
-}
-
 function show(body, job, { close, hooks }) {
   if (!isActive(job)) {
-    body.replaceChildren(...report(job, refusedOf(job.id), { close, hooks, back: open?.files.length ? open.back : null }));
+    body.replaceChildren(...report(job, recall("sessionStorage", remembered(job.id)) ?? [], { close, hooks, back: open?.files.length ? open.back : null }));
     body.querySelector(".foot .primary")?.focus();
     return;
   }
-  body.replaceChildren(
-    h("p", { role: "status" }, job.state === "queued" ? t("waits") : !job.total ? t("adding_begins") : t("adding_now", { done: count.format(job.done), total: count.format(job.total) })),
-    h("progress", { max: String(Math.max(job.total, 1)), value: job.total ? String(job.done) : null, "aria-label": t("kind_add") }),
-    h("p", { class: "note one-line" }, job.what || " "),
-    h("p", { class: "note" }, t("add_close_note")),
-    foot(h("button", { type: "button", class: "danger", disabled: job.state === "stopping", onclick: () => attempt(() => stopJob(job.id)) }, t("stop")), h("button", { type: "button", onclick: close }, t("close"))),
-  );
+  const said = job.state === "queued" ? t("waits") : !job.total ? t("adding_begins") : t("adding_now", { done: count.format(job.done), total: count.format(job.total) });
+  body.replaceChildren(...waiting(job, said, close, h("p", { class: "note one-line" }, job.what || " "), h("p", { class: "note" }, t("add_close_note"))));
 }

@@ -34,11 +34,6 @@ export class Look {
     if (clip.kind !== "take") this.player.loop(0, this.player.duration);
   }
 
-  turn() {
-    if (this.player?.playing) this.player.pause();
-    else this.player?.play();
-  }
-
   destroy() {
     this.round += 1;
     this.player?.destroy();
@@ -74,7 +69,7 @@ export function openDetail(first, hooks) {
   dialog.focus();
   dialog.addEventListener("keydown", (event) => {
     if (event.target.closest("button, summary, a, input, .dousa-player") || event.ctrlKey || event.metaKey || event.altKey) return;
-    const acts = { ArrowLeft: () => step(-1), ArrowRight: () => step(1), " ": () => look.turn() };
+    const acts = { ArrowLeft: () => step(-1), ArrowRight: () => step(1), " ": () => look.player?.toggle() };
     if (!(event.key in acts)) return;
     event.preventDefault();
     acts[event.key]();

@@ -14,7 +14,7 @@ let wanted = ""; // what is searched for
 let field = null;
 
 /** counts: {category: clips}; -> {rows of the tree, or of what is searched for} */
-export function categoryTree(counts, filter, redraw) {
+function categoryTree(counts, filter, redraw) {
   const chosen = filter.query.getAll("category");
   const root = grow([...new Set([...Object.keys(counts), ...chosen.map((one) => one.replace(/\/$/, ""))])], counts);
   const tell = (node) => toggle(filter, chosen, node);
@@ -122,10 +122,6 @@ export class Filter {
     return this.query.get(name) ?? "";
   }
 
-  has(name, value) {
-    return this.query.getAll(name).includes(value);
-  }
-
   get narrows() {
     return [...this.query.keys()].some((name) => name !== "sort" && name !== "wide");
   }
@@ -140,10 +136,7 @@ export class Filter {
 
   toggle(name, value) {
     const others = this.query.getAll(name);
-    this.query.delete(name);
-    const wanted = others.includes(value) ? others.filter((other) => other !== value) : [...others, value];
-    for (const one of wanted) this.query.append(name, one);
-    this.tell();
+    this.setAll(name, others.includes(value) ? others.filter((other) => other !== value) : [...others, value]);
   }
 
   setAll(name, values) {
@@ -156,12 +149,6 @@ export class Filter {
     const sort = this.get("sort");
     this.query = new URLSearchParams(sort ? { sort } : {});
     for (const [name, value] of Object.entries(values)) for (const one of [value].flat()) if (one !== null) this.query.append(name, String(one));
-    this.tell();
-  }
-
-  clear() {
-    const sort = this.get("sort");
-    this.query = new URLSearchParams(sort ? { sort } : {});
     this.tell();
   }
 

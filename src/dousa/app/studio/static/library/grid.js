@@ -133,17 +133,13 @@ export class Grid {
 
   /** How the cells look: size is the least width of one in px, list a row for each. */
   setLook({ size, list }) {
-    const top = this.index();
+    const top = this.columns ? this.seen()[0] * this.columns : 0;
     const figure = Math.round(0.92 * size);
     Object.assign(this, { size, list, row: list ? LIST_ROW : figure + TEXT + GAP, columns: 0 });
     this.element.classList.toggle("list", list);
     this.element.style.setProperty("--figure", `${figure}px`);
     this.layout();
     if (top > 0) this.reveal(top);
-  }
-
-  index() {
-    return this.columns ? this.seen()[0] * this.columns : 0;
   }
 
   reveal(index) {
@@ -158,8 +154,7 @@ export class Grid {
       this.columns = columns;
       this.element.style.setProperty("--columns", String(columns));
       this.element.setAttribute("aria-colcount", String(columns));
-      for (const row of [...this.rows.values(), ...this.spare]) for (const cell of row.cells) cell.destroy();
-      this.element.replaceChildren();
+      for (const row of [...this.rows.values(), ...this.spare]) this.drop(row);
       this.rows.clear();
       this.spare = [];
       this.measure();
@@ -183,13 +178,9 @@ export class Grid {
   }
 
   /** Draw with the next frame; `renew` when what the rows show may have changed. */
-  request({ renew = false } = {}) {
+  request(renew = false) {
     this.stale ||= renew;
     this.waiting ??= requestAnimationFrame(() => this.render());
-  }
-
-  renew() {
-    this.request({ renew: true });
   }
 
   seen() {

@@ -20,7 +20,7 @@ const LOOK_AGAIN = 8000; // ms between looks whether somebody else has changed t
 const many = (thing, number) => t(`n_${thing}_${number === 1 ? "one" : "many"}`, { count: count.format(number) });
 const problem = (error) => attempt(() => Promise.reject(error));
 
-const source = new Source({ reset: show, arrived: () => grid.renew(), failed: problem });
+const source = new Source({ reset: show, arrived: () => grid.request(true), failed: problem });
 const filter = new Filter(() => {
   scroll.to(scroll.isPane ? 0 : Math.min(scroll.top, listTop()));
   attempt(() => source.ask(filter.query));
@@ -28,7 +28,7 @@ const filter = new Filter(() => {
 const selection = new Selection({
   changed: () => {
     actions.show();
-    grid.renew();
+    grid.request(true);
     map?.request();
     showLook();
   },
@@ -147,7 +147,7 @@ function keepSearch() {
 
 function clearFilter() {
   $("#text").value = "";
-  filter.clear();
+  filter.replace({});
 }
 
 function reload() {
@@ -211,8 +211,7 @@ const showLook = later(async () => {
     shown = new Look((name, one) => ({ relabel: () => actions.relabel([one.id]), tags: () => actions.tag([one.id], [one]), remove: () => actions.remove([one], [one.id]) })[name]());
     $("#look").replaceChildren(shown.title = h("h2", {}), shown.element);
   }
-  shown.title.textContent = clip.name;
-  shown.title.title = clip.name;
+  shown.title.textContent = shown.title.title = clip.name;
   shown.show(clip);
 }, 120);
 

@@ -1,10 +1,11 @@
 // The map of all clips: what resembles each other lies together. Clips are chosen by a line drawn around them; the list
 // shows the same clips for those who use the keyboard or a screen reader.
 
-import { get, post, postForBytes } from "../core/api.js";
+import { get, getFigures, post } from "../core/api.js";
 import { count, h, language, later, t } from "../core/dom.js";
 import { followJob, isActive, stopJob } from "../core/jobs.js";
 import { attempt } from "../core/notices.js";
+import { onTheme } from "../core/theme.js";
 import { Dots, inkOf, MapView } from "./map_view.js";
 
 const COLOURS = {
@@ -43,8 +44,7 @@ export class ClipMap {
     });
     this.over.map = this; // for tests
     new ResizeObserver(() => this.resize()).observe(this.stage);
-    dark.addEventListener("change", () => this.recolour());
-    new MutationObserver(() => this.recolour()).observe(document.documentElement, { attributeFilter: ["data-theme"] });
+    onTheme(() => this.recolour());
     this.ask = later((id) => attempt(() => this.tell(id)), 70);
   }
 
@@ -252,14 +252,14 @@ export class ClipMap {
   async clip(id) {
     if (!this.known.has(id)) {
       if (this.known.size > 300) this.known.clear();
-      const [clip, bytes] = await Promise.all([get(`/clips/${id}`), postForBytes("/clips/thumbnails", { clips: [id] })]);
-      this.known.set(id, { clip, bytes: new Uint8Array(bytes) });
+      const [clip, [figure]] = await Promise.all([get(`/clips/${id}`), getFigures([id])]);
+      this.known.set(id, { clip, figure });
     }
     return this.known.get(id);
   }
 
   async tell(id) {
-    const { clip, bytes } = await this.clip(id);
+    const { clip, figure } = await this.clip(id);
     const at = this.hovered;
     if (at < 0 || this.ids[at] !== id) return;
     this.miniature?.destroy();
@@ -267,7 +267,7 @@ export class ClipMap {
     const canvas = h("canvas", { class: "mp-figure" });
     this.tip.replaceChildren(canvas, h("b", {}, clip.name), h("span", { class: "note" }, [clip.category ?? t("no_label"), clip.performer].filter(Boolean).join(" · ")));
     this.tip.hidden = false;
-    if (bytes.some(Boolean)) this.miniature = window.dousa.createMiniature(canvas, bytes, { host: this.over });
+    if (figure) this.miniature = window.dousa.createMiniature(canvas, figure, { host: this.over });
     const [x, y] = [this.places[2 * at], this.places[2 * at + 1]];
     const { offsetWidth: width, offsetHeight: height } = this.tip;
     this.tip.style.left = `${Math.min(Math.max(x + 18 + width > this.view.width ? x - width - 18 : x + 18, 4), Math.max(this.view.width - width - 4, 4))}px`;

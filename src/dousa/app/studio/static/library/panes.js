@@ -1,6 +1,6 @@
 // The panes of the page: how wide they are, how large the figures, grid or list, remembered in this browser; or the map.
 
-import { $, h, t } from "../core/dom.js";
+import { $, h, keep, recall, t } from "../core/dom.js";
 import { fromAddress, inAddress } from "./places.js";
 
 // What the list of clips scrolls in: a pane of its own where the window is large, the page where it is small.
@@ -53,18 +53,10 @@ const LIMITS = { left: [160, 520], right: [300, 1600] };
 const FIRST = { left: 240, right: null, look: null, size: 158, list: false };
 const WIDE = window.matchMedia("(min-width: 1200px)");
 
-function read() {
-  try {
-    return { ...FIRST, ...JSON.parse(localStorage.getItem(KEY)) };
-  } catch {
-    return { ...FIRST };
-  }
-}
-
 /** hooks: look(open) when the pane of one clip opens or closes, grid({size, list}), map(open) */
 export class Panes {
   constructor(hooks) {
-    Object.assign(this, { hooks, now: read(), browse: $("#browse"), map: fromAddress("view") === "map" });
+    Object.assign(this, { hooks, now: { ...FIRST, ...recall("localStorage", KEY) }, browse: $("#browse"), map: fromAddress("view") === "map" });
     for (const side of ["left", "right"]) this.makeSplitter(side, $(`#split-${side}`));
     this.size = $("#cell-size");
     this.size.value = String(this.now.size);
@@ -92,11 +84,7 @@ export class Panes {
 
   set(values) {
     Object.assign(this.now, values);
-    try {
-      localStorage.setItem(KEY, JSON.stringify(this.now));
-    } catch {
-      // no room: it is forgotten with the page
-    }
+    keep("localStorage", KEY, this.now);
     this.draw();
   }
 

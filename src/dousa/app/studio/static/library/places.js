@@ -1,6 +1,7 @@
 // What of the page's state stands in its address besides the filter, and what is kept for who comes back.
 
 import { get } from "../core/api.js";
+import { keep, recall } from "../core/dom.js";
 
 /** Set or, with null, take away parts of the address without a new entry in the history. */
 export function inAddress(values) {
@@ -22,11 +23,7 @@ const FEW = 20; // clips of which the bar of actions wants to know more
 export function keepPlace({ selection, grid, scroll }) {
   window.addEventListener("pagehide", () => {
     const place = { address: location.search, top: scroll.top, active: grid.active, ids: selection.ids.slice(0, MOST_KEPT) };
-    try {
-      sessionStorage.setItem(KEY, JSON.stringify(place));
-    } catch {
-      // no room: the page begins at its top
-    }
+    keep("sessionStorage", KEY, place);
   });
 }
 
@@ -34,9 +31,9 @@ export function keepPlace({ selection, grid, scroll }) {
 export async function findPlace({ selection, grid, scroll }) {
   const [entry] = performance.getEntriesByType("navigation");
   if (!["back_forward", "reload"].includes(entry?.type)) return;
+  const place = recall("sessionStorage", KEY);
+  if (place?.address !== location.search) return;
   try {
-    const place = JSON.parse(sessionStorage.getItem(KEY));
-    if (place?.address !== location.search) return;
     grid.activate(Math.min(place.active, Math.max(grid.total - 1, 0)));
     scroll.to(place.top);
     if (place.ids.length) selection.restore(await findAgain(place.ids));

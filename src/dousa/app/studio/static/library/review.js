@@ -1,14 +1,13 @@
 // Clips whose label is likely wrong, one after the other, decided by keys; and groups of clips that are nearly the same.
 
-import { get, post, postForBytes } from "../core/api.js";
-import { foot, openDialog } from "../core/dialog.js";
+import { get, getFigures, post } from "../core/api.js";
+import { openDialog, waiting } from "../core/dialog.js";
 import { count, h, percent, t } from "../core/dom.js";
-import { followJob, isActive, stopJob } from "../core/jobs.js";
+import { followJob, isActive } from "../core/jobs.js";
 import { attempt, notify } from "../core/notices.js";
 import { inAddress } from "./places.js";
 
 const CHECKED = "checked"; // tag of clips whose label is right
-const FIGURE_BYTES = 1456;
 const MOST_GROUPS = 60;
 
 /** jobId: of a review that was made, null to make one. hooks: changed(), choose(ids), look(clip number) */
@@ -34,7 +33,7 @@ export async function openReview(jobId, hooks) {
   }
   inAddress({ job: id });
   end = followJob(id, (job) => {
-    if (isActive(job)) body.replaceChildren(...waiting(job, close));
+    if (isActive(job)) body.replaceChildren(...waiting(job, job.what || t("waits"), close));
     else if (!job.result) body.replaceChildren(h("p", { class: "problem-box" }, job.problem ?? t("adding_stopped")));
     else if (!queue) {
       queue = new Queue(job.result, { ...hooks, close });
@@ -44,12 +43,6 @@ export async function openReview(jobId, hooks) {
     }
   });
 }
-
-const waiting = (job, close) => [
-  h("p", { role: "status" }, job.what || t("waits")),
-  h("progress", { max: String(Math.max(job.total, 1)), value: job.total ? String(job.done) : null, "aria-label": t("kind_review") }),
-  foot(h("button", { type: "button", class: "danger", onclick: () => attempt(() => stopJob(job.id)) }, t("stop")), h("button", { type: "button", onclick: close }, t("close"))),
-];
 
 class Queue {
   constructor({ doubts, duplicates, n_judged: judged }, hooks) {
@@ -103,10 +96,9 @@ class Queue {
     const open = [...root.querySelectorAll("canvas[data-clip]:not([data-drawn])")];
     if (!open.length) return;
     for (const canvas of open) canvas.dataset.drawn = "1";
-    const bytes = await attempt(() => postForBytes("/clips/thumbnails", { clips: open.map((canvas) => Number(canvas.dataset.clip)) }));
+    const figures = await attempt(() => getFigures(open.map((canvas) => Number(canvas.dataset.clip))));
     open.forEach((canvas, place) => {
-      const own = bytes && new Uint8Array(bytes.slice(place * FIGURE_BYTES, (place + 1) * FIGURE_BYTES));
-      if (own?.some(Boolean) && canvas.isConnected) this.figures.push(window.dousa.createMiniature(canvas, own));
+      if (figures?.[place] && canvas.isConnected) this.figures.push(window.dousa.createMiniature(canvas, figures[place]));
     });
   }
 

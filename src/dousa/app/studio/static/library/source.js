@@ -1,11 +1,10 @@
 // The list of clips as far as it is looked at: pages of it by offset, and the figures of what is near the window.
 // What is far away is forgotten, so that ten thousand clips take no more memory than a few hundred.
 
-import { get, postForBytes } from "../core/api.js";
+import { get, getFigures } from "../core/api.js";
 
 const PAGE = 100; // clips in one answer
 const NEAR = 4; // pages kept before and behind what is seen
-const FIGURE_BYTES = 1456;
 const MOST_FIGURES = 600;
 const AT_ONCE = 120; // figures in one answer
 const PAUSE = 60; // ms between two requests while the page scrolls
@@ -115,21 +114,13 @@ export class Source {
       if (clip && !this.figures.has(clip.id)) wanted.push(clip.id);
     }
     if (!wanted.length) return;
-    this.keep(wanted, await postForBytes("/clips/thumbnails", { clips: wanted }));
-    this.hooks.arrived();
-  }
-
-  keep(ids, buffer) {
-    ids.forEach((id, number) => {
-      // A copy, so that one figure does not hold the bytes of all.
-      const bytes = new Uint8Array(buffer.slice(number * FIGURE_BYTES, (number + 1) * FIGURE_BYTES));
-      this.figures.delete(id);
-      this.figures.set(id, bytes.some(Boolean) ? bytes : null);
-    });
+    const came = await getFigures(wanted);
+    wanted.forEach((id, number) => this.figures.set(id, came[number]));
     for (const id of this.figures.keys()) {
       if (this.figures.size <= MOST_FIGURES) break;
       this.figures.delete(id);
     }
+    this.hooks.arrived();
   }
 
   forget(page) {

@@ -11,7 +11,7 @@ const FEW = 2000; // clips whose own tags are looked at
 
 export const nameTag = (tag) => (tag === FAVOURITE ? `★ ${t("favourite")}` : tag);
 
-export async function changeTags(ids, add, remove, done) {
+async function changeTags(ids, add, remove, done) {
   const { changed, change } = await post("/clips/tag", { clips: ids, add, remove });
   notify(t("tagged", { count: count.format(changed) }), "note", undoButton(change, done));
   await done();

@@ -1,9 +1,9 @@
 // The forest: what state it is in, training it, and what came of it.
 
 import { get, post } from "../core/api.js";
-import { foot, openDialog } from "../core/dialog.js";
+import { foot, openDialog, waiting } from "../core/dialog.js";
 import { $, count, h, language, t } from "../core/dom.js";
-import { followJob, isActive, stopJob } from "../core/jobs.js";
+import { followJob, isActive } from "../core/jobs.js";
 import { attempt } from "../core/notices.js";
 import { inAddress } from "./places.js";
 
@@ -87,12 +87,7 @@ function question(library, close, follow) {
 
 function showJob(body, job, { close, again }) {
   if (isActive(job)) {
-    body.replaceChildren(
-      h("p", { role: "status" }, job.state === "queued" ? t("waits") : t("training_now")),
-      h("progress", { max: String(Math.max(job.total, 1)), value: job.total ? String(job.done) : null, "aria-label": t("kind_train") }),
-      h("p", { class: "note" }, t("train_close_note")),
-      foot(h("button", { type: "button", class: "danger", disabled: job.state === "stopping", onclick: () => attempt(() => stopJob(job.id)) }, t("stop")), h("button", { type: "button", onclick: close }, t("close"))),
-    );
+    body.replaceChildren(...waiting(job, t(job.state === "queued" ? "waits" : "training_now"), close, h("p", { class: "note" }, t("train_close_note"))));
     return;
   }
   const buttons = foot(h("button", { type: "button", onclick: again }, t("train_again")), h("button", { type: "button", class: "primary", onclick: close }, t("close")));

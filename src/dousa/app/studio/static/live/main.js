@@ -1,7 +1,7 @@
 // The live page: the camera, the skeleton over it, what it is and how good it is.
 
-import { get, post, Problem, remove } from "../core/api.js";
-import { $, baseName, formatSeconds, h, language, t, wholeGrade } from "../core/dom.js";
+import { get, post, postBytes, remove } from "../core/api.js";
+import { $, baseName, formatSeconds, h, t, wholeGrade } from "../core/dom.js";
 import { pickClips } from "../core/pick.js";
 
 // The skeleton over the picture of the camera.
@@ -43,7 +43,7 @@ export function drawPerson(canvas, person, bones) {
 // The camera of this machine: pictures of it go to the studio one after the other, over one connection.
 const [LONGEST, QUALITY] = [640, 0.8]; // px of what is looked at; more tells the networks nothing
 
-export class Camera {
+class Camera {
   constructor(video) {
     this.video = video;
     this.canvas = document.createElement("canvas");
@@ -71,19 +71,6 @@ export class Camera {
     this.video.srcObject = null;
     this.stream = null;
   }
-}
-
-export async function sendPicture(session, picture, seconds, signal) {
-  const response = await fetch(`/api/live/${session}/picture?seconds=${seconds.toFixed(3)}`, {
-    method: "POST",
-    body: picture,
-    signal,
-    headers: { "accept-language": language, "content-type": "image/jpeg" },
-    credentials: "same-origin",
-  });
-  const answer = await response.json();
-  if (!response.ok) throw new Problem(answer.problem ?? String(response.status), response.status);
-  return answer;
 }
 
 const KEPT = 40; // settled labels that are shown
@@ -217,7 +204,7 @@ async function watch(session, signal) {
   while (!signal.aborted) {
     const taken = performance.now();
     const picture = await camera.take();
-    const found = await sendPicture(session, picture, taken / 1000, signal);
+    const found = await postBytes(`/live/${session}/picture`, picture, { seconds: (taken / 1000).toFixed(3) }, signal);
     if (signal.aborted) return;
     drawPerson($("#live-drawing"), found.person, state.bones);
     const hint = found.person ? "" : t("nobody");

@@ -1,7 +1,7 @@
 // Silhouettes looked through and repaired before, or after, they are fitted (?masks=JOB, &of= an estimation of them).
 
 import { get, post } from "../core/api.js";
-import { $, formatSeconds, h, icon, t } from "../core/dom.js";
+import { $, decode, formatSeconds, h, icon, t } from "../core/dom.js";
 import { followJob, isActive } from "../core/jobs.js";
 import { attempt } from "../core/notices.js";
 import { Sheet, Strip } from "./sheet.js";
@@ -10,14 +10,9 @@ const TOOLS = { add: "b", remove: "e", exclude: "x", exclude_through: "t" };
 const UNSURE = 0.7; // overlap of silhouette and model, below which a frame is doubtful
 const [LEAST, MOST] = [1, 120]; // px of the brush
 
-/** Show the silhouettes of a job; -> function that ends it. onJob(id) when an estimation of them was started. */
-export function showMasks(id, { of, onJob, startOver }) {
-  const editor = new Editor(id, of, onJob, startOver);
-  return () => editor.end();
-}
-
-class Editor {
-  constructor(id, of, onJob, startOver) {
+export class Editor {
+  /** id: of the job whose silhouettes are shown; onJob(id) when an estimation of them was started */
+  constructor(id, { of, onJob, startOver }) {
     Object.assign(this, { id, of, onJob, startOver, state: null, view: 0, frame: 0, tool: "add", version: 0, overlaps: new Map(), saving: Promise.resolve(), pending: 0 });
     $("#masks-desk").hidden = true;
     $("#masks-problem").replaceChildren();
@@ -71,15 +66,16 @@ class Editor {
   build() {
     const { views, n_frames: total } = this.state;
     const button = (name, act, { key, ...more } = {}) => h("button", { type: "button", class: "small", id: `masks-${name}`, title: key ? `${t(`masks_${name}`)} (${key})` : undefined, onclick: act, ...more }, t(`masks_${name}`));
-    this.sheet = new Sheet({ stroke: (stroke) => this.stroke(stroke), click: (point) => this.exclude(point) }, () => this.tool);
+    const stroke = ({ adds, points, radius }) => this.repair({ action: adds ? "add" : "remove", points, radius });
+    this.sheet = new Sheet({ stroke, click: (point) => this.repair({ action: this.tool, points: [point] }) }, () => this.tool);
     this.sheet.stage.setAttribute("aria-label", t("masks_stage"));
     this.strip = new Strip((view, frame) => this.goTo(frame, view));
     this.tools = Object.entries(TOOLS).map(([tool, key]) => button(tool, () => this.setTool(tool), { key: key.toUpperCase(), dataset: { tool } }));
     this.tabs = views.map((view, index) => h("button", { type: "button", class: "small", dataset: { view: String(index) }, onclick: () => this.goTo(this.frame, index) }, view.name));
     this.radius = h("input", { type: "range", id: "masks-size", min: String(LEAST), max: String(MOST), value: "8", oninput: () => this.setRadius(Number(this.radius.value)) });
     this.slider = h("input", { type: "range", id: "masks-frame", min: "0", max: String(total - 1), value: "0", "aria-label": t("frame_label"), oninput: () => this.goTo(Number(this.slider.value)) });
-    this.undoButton = button("undo", () => this.step("undo"), { key: "Ctrl+Z" });
-    this.redoButton = button("redo", () => this.step("redo"), { key: "Ctrl+Y" });
+    this.undoButton = button("undo", () => this.send("undo", {}), { key: "Ctrl+Z" });
+    this.redoButton = button("redo", () => this.send("redo", {}), { key: "Ctrl+Y" });
     this.nextButton = button("next", () => this.goDoubtful(1), { key: "N" });
     this.now = h("p", { id: "masks-now", role: "status" });
     this.left = h("p", { id: "masks-left", class: "note" });
@@ -194,16 +190,8 @@ class Editor {
     this.radius.setAttribute("aria-valuetext", t("masks_pixels", { value: this.sheet.radius }));
   }
 
-  stroke({ adds, points, radius }) {
-    this.send("repairs", { view: this.view, frame: this.frame, action: adds ? "add" : "remove", points, radius });
-  }
-
-  exclude(point) {
-    this.send("repairs", { view: this.view, frame: this.frame, action: this.tool, points: [point] });
-  }
-
-  step(name) {
-    this.send(name, {});
+  repair(values) {
+    this.send("repairs", { view: this.view, frame: this.frame, ...values });
   }
 
   send(what, value) {
@@ -238,7 +226,7 @@ class Editor {
     const held = event.ctrlKey || event.metaKey;
     const inSlider = event.target.matches?.("input[type=range]");
     const acts = held
-      ? { z: () => (event.shiftKey ? !this.redoButton.disabled && this.step("redo") : !this.undoButton.disabled && this.step("undo")), y: () => !this.redoButton.disabled && this.step("redo") }
+      ? { z: () => (event.shiftKey ? this.redoButton : this.undoButton).click(), y: () => this.redoButton.click() }
       : {
           ...Object.fromEntries(Object.entries(TOOLS).map(([tool, letter]) => [letter, () => this.setTool(tool)])),
           n: () => this.goDoubtful(event.shiftKey ? -1 : 1),
@@ -252,16 +240,5 @@ class Editor {
     if (!acts[key] || event.altKey) return;
     event.preventDefault();
     acts[key]();
-  }
-}
-
-async function decode(address) {
-  const image = new Image();
-  image.src = address;
-  try {
-    await image.decode();
-    return image;
-  } catch {
-    return null; // this view has no image then
   }
 }

@@ -1,7 +1,8 @@
 // One silhouette, large: the picture, the silhouette over it, and the brush. Strokes show at once; the studio's own
 // answer follows.
 
-import { h } from "../core/dom.js";
+import { h, onDrag } from "../core/dom.js";
+import { onTheme } from "../core/theme.js";
 
 // All frames of the silhouettes, a line for each view: which look doubtful, which were repaired, where we are.
 const HIGH = 12; // px of a line
@@ -12,16 +13,10 @@ export class Strip {
     this.canvas = h("canvas", { class: "masks-strip", "aria-hidden": "true" });
     this.element = h("div", {}, this.canvas, this.probe);
     Object.assign(this, { frames: 1, rows: [], view: 0, frame: 0 });
-    const seek = (event) => {
-      const box = this.canvas.getBoundingClientRect();
-      const row = Math.floor(((event.clientY - box.top) / box.height) * this.rows.length);
-      const frame = Math.floor(((event.clientX - box.left) / box.width) * this.frames);
-      onSeek(Math.min(Math.max(row, 0), this.rows.length - 1), Math.min(Math.max(frame, 0), this.frames - 1));
-    };
-    this.canvas.addEventListener("pointerdown", seek);
-    this.canvas.addEventListener("pointermove", (event) => event.buttons && seek(event));
+    const inside = (share, count) => Math.min(Math.max(Math.floor(share * count), 0), count - 1);
+    onDrag(this.canvas, (x, y) => onSeek(inside(y, this.rows.length), inside(x, this.frames)));
     new ResizeObserver(() => this.draw()).observe(this.canvas);
-    new MutationObserver(() => this.draw()).observe(document.documentElement, { attributes: true, attributeFilter: ["data-theme"] });
+    onTheme(() => this.draw());
   }
 
   /** rows: by view {doubts: [frame], repaired: [frame]} */

@@ -1,6 +1,6 @@
 // The ranked clips: small figures that move in step with the query.
 
-import { postForBytes } from "../core/api.js";
+import { getFigures } from "../core/api.js";
 import { baseName, formatSeconds, h, t } from "../core/dom.js";
 
 // Where in takes something like the query happens.
@@ -41,6 +41,17 @@ export function listReasons(reasons, onGo) {
       h("button", { type: "button", class: "small quiet", onclick: () => onGo(reason.start, reason.end), "aria-label": `${t("play")} ${formatSeconds(reason.start)}` }, "▶ ", formatSeconds(reason.start)),
     );
   return h("ol", { class: "reasons" }, ...reasons.map(item));
+}
+
+/** What is asked for once it is opened; load() -> its elements. */
+export function openLater(word, load) {
+  const why = h("details", { class: "why" }, h("summary", {}, t(word)));
+  why.addEventListener("toggle", async () => {
+    if (!why.open || why.children.length > 1) return;
+    const place = why.appendChild(h("p", { class: "note" }, t("loading")));
+    place.replaceWith(...(await load()));
+  });
+  return why;
 }
 
 const FULL = 2.2; // distance at which the bar of likeness is empty
@@ -99,28 +110,19 @@ export class Hits {
   }
 
   makeWhy(hit) {
-    const why = h("details", { class: "why" }, h("summary", {}, t("why_alike")));
-    why.addEventListener("toggle", async () => {
-      if (!why.open || why.children.length > 1) return;
-      const place = why.appendChild(h("p", { class: "note" }, t("loading")));
-      const answer = await this.tools.explain();
-      const found = answer?.results.find((one) => one.motion === hit.motion);
-      place.replaceWith(h("p", { class: "note" }, describeDistance(hit)), listReasons(found?.likeness?.reasons, this.tools.onGo));
+    return openLater("why_alike", async () => {
+      const found = (await this.tools.explain())?.results.find((one) => one.motion === hit.motion);
+      return [h("p", { class: "note" }, describeDistance(hit)), listReasons(found?.likeness?.reasons, this.tools.onGo)];
     });
-    return why;
   }
 
   async drawFigures(hits) {
     const ids = hits.map((hit) => hit.clip_id);
     if (!ids.length) return;
-    const list = this.cards;
-    const bytes = await postForBytes("/clips/thumbnails", { clips: ids });
-    if (list !== this.cards) return;
-    const size = bytes.byteLength / ids.length;
+    const figures = await getFigures(ids);
     hits.forEach((hit, place) => {
       const canvas = this.cards.get(hit.motion)?.querySelector("canvas");
-      if (!canvas) return;
-      this.figures.push(window.dousa.createMiniature(canvas, bytes.slice(place * size, (place + 1) * size), { clock: this.clock, tone: "reference" }));
+      if (canvas && figures[place]) this.figures.push(window.dousa.createMiniature(canvas, figures[place], { clock: this.clock, tone: "reference" }));
     });
   }
 

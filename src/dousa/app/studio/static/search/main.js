@@ -2,7 +2,7 @@
 
 import { get, post } from "../core/api.js";
 import { $, h, icon, t } from "../core/dom.js";
-import { acceptDrops, dropZone, fileInput, MOTION_FILES, takeMotions } from "../core/drop.js";
+import { dropZone, MOTION_FILES, offerChange, showUntrained, takeMotions } from "../core/drop.js";
 import { attempt, notify, showProblem } from "../core/notices.js";
 import { pickClips } from "../core/pick.js";
 import { drawPlaces, Hits, nameOf } from "./hits.js";
@@ -238,24 +238,16 @@ async function pick() {
 }
 
 function drawChoosing() {
-  const pickButton = (kind, id) => h("button", { type: "button", class: kind, id, onclick: pick }, t(id === "pick" ? "start_pick" : "change_pick"));
   const zone = dropZone(take, { text: t("start_drop"), hint: t("start_hint"), accept: MOTION_FILES, id: "query-file" });
-  $("#start").replaceChildren(h("div", { class: "choose" }, zone, h("p", { class: "or" }, t("or")), pickButton("", "pick")));
-  const input = fileInput(take, { accept: MOTION_FILES, multiple: true, id: "change-file" });
-  $("#change").replaceChildren(input, h("button", { type: "button", onclick: () => input.click() }, icon("upload"), t("change_file")), pickButton("", "change-pick"));
-  acceptDrops($("#main"), take);
-}
-
-function drawUntrained() {
-  $("#start").hidden = false;
-  $("#start").replaceChildren(h("div", { class: "card empty" }, h("p", {}, t("not_trained")), h("a", { class: "button primary", href: "/library" }, t("to_library"))));
+  $("#start").replaceChildren(h("div", { class: "choose" }, zone, h("p", { class: "or" }, t("or")), h("button", { type: "button", id: "pick", onclick: pick }, t("start_pick"))));
+  offerChange(take, pick);
 }
 
 async function start() {
   library = (await get("/info")).library;
   if (!library.trained_at) {
     words.show(readState().text);
-    drawUntrained();
+    showUntrained();
     return;
   }
   drawChoosing();

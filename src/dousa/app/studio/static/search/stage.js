@@ -2,11 +2,10 @@
 
 import { get } from "../core/api.js";
 import { $, baseName, formatSeconds, h, icon, language, t } from "../core/dom.js";
-import { createTimeline } from "../core/timeline.js";
+import { Timeline } from "../core/timeline.js";
 import { nameOf } from "./hits.js";
 import { isSameMotion, queryOf, wholeOf } from "./state.js";
 
-const [LONG, SEEN, BEFORE] = [150, 75, 10]; // s: of a longer take so much is shown at first, from before its part
 const [BAR, ENOUGH] = [64, 0.75]; // px that the bar of the page covers; share of the player that has to be seen
 const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
 
@@ -51,20 +50,13 @@ export class Stage {
 
   makeTimeline(info, from) {
     this.timeline?.destroy();
-    this.timeline = createTimeline($("#timeline"), { duration: info.duration_s, selectable: true, label: t("query") });
-    if (info.kind === "take" && info.duration_s > LONG) this.timeline.show(Math.max(from - BEFORE, 0), Math.max(from - BEFORE, 0) + SEEN);
-    this.timeline.onSeek((seconds) => {
+    const onSeek = (seconds) => {
       this.player?.pause();
       this.player?.seek(seconds - this.offset);
-    });
-    this.timeline.onSelect((part, done) => {
-      if (done) this.onPart({ start_s: part?.start ?? null, end_s: part?.end ?? null });
-    });
-    this.timeline.element.addEventListener("keydown", (event) => {
-      if (event.key !== " " || event.target.closest("button")) return;
-      event.preventDefault();
-      this.player?.playing ? this.player.pause() : this.player?.play();
-    });
+    };
+    const onSelect = (part, done) => done && this.onPart({ start_s: part?.start ?? null, end_s: part?.end ?? null });
+    this.timeline = new Timeline($("#timeline"), { duration: info.duration_s, selectable: true, label: t("query"), onSeek, onSelect, onSpace: () => this.player?.toggle() });
+    if (info.kind === "take") this.timeline.showPart(from);
   }
 
   play(data, fresh, state) {

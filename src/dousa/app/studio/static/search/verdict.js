@@ -1,7 +1,7 @@
 // What the query is taken for, in words and bars; unknown is said, and doubtful.
 
 import { h, percent, t } from "../core/dom.js";
-import { listReasons } from "./hits.js";
+import { listReasons, openLater } from "./hits.js";
 
 const MOST_BARS = 5;
 
@@ -41,13 +41,9 @@ export function drawAskPart(element, motion) {
 
 /** explain() -> the answer with reasons; onGo(start, end) plays a moment. */
 export function drawVerdict(element, answer, { explain, onGo }) {
-  const why = h("details", { class: "why" }, h("summary", {}, t("why")));
-  why.addEventListener("toggle", async () => {
-    if (!why.open || why.children.length > 1) return;
-    const place = why.appendChild(h("p", { class: "note" }, t("loading")));
+  const why = openLater("why", async () => {
     const explained = await explain();
-    if (explained) place.replaceWith(listReasons(explained.explanation?.reasons, onGo));
-    else place.remove();
+    return explained ? [listReasons(explained.explanation?.reasons, onGo)] : [];
   });
   const mirrored = answer.mirrored?.fits_better ? h("p", { class: "badge unsure" }, t("verdict_mirrored", { category: mirroredName(answer.mirrored) })) : null;
   const chance = answer.confidence == null || answer.category !== null ? null : h("p", { class: "note" }, t("verdict_right_share", { percent: percent(answer.confidence) }));

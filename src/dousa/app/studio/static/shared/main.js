@@ -1,39 +1,30 @@
 // What others on the network see: a list of reports and the clips of the library, or one report. Nothing here writes.
 
-import { get, getBytes } from "../core/api.js";
+import { drawFigure, get } from "../core/api.js";
 import { openDialog } from "../core/dialog.js";
 import { $, formatSeconds, h, language, later, t } from "../core/dom.js";
 import { attempt, showProblem } from "../core/notices.js";
 import { foldAnalysis, foldForPhones, putParts } from "../evaluate/parts.js";
 
 // One report to look at: advice, player and worst moments first; the analysis is folded.
-export class Report {
-  constructor(root) {
-    this.root = root;
+async function drawReport(root, id, repetitions) {
+  const answer = await get(`/reports/${id}${repetitions ? "/exercise" : ""}`, { language });
+  root.hidden = false; // what is drawn needs its place on the page first
+  root.innerHTML = repetitions ? answer.markup : answer.frame;
+  if (!repetitions) {
+    putParts(root, answer.parts);
+    sayNotes($("[data-part='notes']", root), answer.notes);
+    foldAnalysis(root);
+    foldForPhones(root);
   }
+  $("[data-part='files']", root)?.replaceChildren();
+  const bind = repetitions ? window.dousa.bindExercise : window.dousa.bindReport;
+  bind(root, answer.data, window.dousa.createPlayer($("#player", root), answer.player));
+}
 
-  async show(id, repetitions) {
-    const answer = await get(`/reports/${id}${repetitions ? "/exercise" : ""}`, { language });
-    const { root } = this;
-    root.hidden = false; // what is drawn needs its place on the page first
-    root.innerHTML = repetitions ? answer.markup : answer.frame;
-    if (!repetitions) {
-      putParts(root, answer.parts);
-      this.sayNotes(answer.notes);
-      foldAnalysis(root);
-      foldForPhones(root);
-    }
-    $("[data-part='files']", root)?.replaceChildren();
-    this.player = window.dousa.createPlayer($("#player", root), answer.player);
-    if (repetitions) window.dousa.bindExercise(root, answer.data, this.player);
-    else window.dousa.bindReport(root, answer.data, this.player);
-  }
-
-  sayNotes(notes) {
-    const section = $("[data-part='notes']", this.root);
-    if (!notes.trim()) section.remove();
-    else section.replaceChildren(h("h2", {}, t("notes")), h("div", { class: "card" }, h("p", { class: "notes-said" }, notes)));
-  }
+function sayNotes(section, notes) {
+  if (!notes.trim()) section.remove();
+  else section.replaceChildren(h("h2", {}, t("notes")), h("div", { class: "card" }, h("p", { class: "notes-said" }, notes)));
 }
 
 // The clips of the library, some at a time; a press on one plays it.
@@ -42,21 +33,12 @@ const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
 let [text, shown, turn] = ["", 0, 0];
 let figures = [];
 
-async function drawFigure(canvas, motion) {
-  try {
-    const bytes = await getBytes("/motions/miniature", { motion });
-    if (canvas.isConnected) figures.push(window.dousa.createMiniature(canvas, bytes));
-  } catch {
-    // its name is there all the same
-  }
-}
-
 function clipRow({ id, name, category, duration }) {
   const canvas = h("canvas", { class: "figure-small", "aria-hidden": "true" });
   const motion = `clip:${id}`;
   const about = h("span", { class: "note" }, [category || t("no_label"), formatSeconds(duration)].join(" · "));
   const row = h("li", {}, h("button", { type: "button", class: "shared-clip", onclick: () => attempt(() => play(motion, name)) }, canvas, h("span", { class: "shared-text" }, h("b", {}, name), about)));
-  drawFigure(canvas, motion);
+  drawFigure(canvas, { motion }).then((figure) => figure && figures.push(figure));
   return row;
 }
 
@@ -86,7 +68,7 @@ async function addMore(fresh) {
   $("#shared-more").hidden = shown >= total;
 }
 
-export function showLibrary() {
+function showLibrary() {
   $("#shared-library").hidden = false;
   $("#shared-more").addEventListener("click", () => attempt(() => addMore(false)));
   $("#shared-text").addEventListener("input", later(() => {
@@ -96,7 +78,6 @@ export function showLibrary() {
   attempt(() => addMore(true));
 }
 
-const report = new Report($("#report"));
 const when = new Intl.DateTimeFormat(language, { dateStyle: "medium", timeStyle: "short" });
 
 function reportRow({ id, name, created_s: created, repetitions }) {
@@ -128,7 +109,7 @@ async function showReport(id) {
   if (everything) links.unshift(h("a", { class: "button small", href: "/" }, t("all_shared")));
   $("#tools").replaceChildren(...links);
   $("#tools").hidden = false;
-  await report.show(id, Boolean(asked?.repetitions));
+  await drawReport($("#report"), id, Boolean(asked?.repetitions));
 }
 
 const asked = new URLSearchParams(location.search).get("job");

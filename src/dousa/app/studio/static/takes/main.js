@@ -3,11 +3,11 @@
 
 import { get, post, remove, uploadAll } from "../core/api.js";
 import { $, baseName, formatSeconds, h, icon, language, t } from "../core/dom.js";
-import { acceptDrops, dropZone, fileInput, LABEL_FILES, MOTION_FILES } from "../core/drop.js";
+import { dropZone, fileInput, LABEL_FILES, MOTION_FILES, offerChange, showUntrained } from "../core/drop.js";
 import { finished, followJob, isActive, stopJob } from "../core/jobs.js";
 import { attempt, notify, showProblem } from "../core/notices.js";
 import { pickClips } from "../core/pick.js";
-import { createTimeline } from "../core/timeline.js";
+import { Timeline } from "../core/timeline.js";
 import { drawStrip, makeLegend, nameOf, sayShares, Tones, toSegment } from "../core/timeline_parts.js";
 import { listenForUndo, undoButton } from "../core/undo.js";
 import { Desk, drawSegments, markSegments, Review } from "./desk.js";
@@ -19,7 +19,7 @@ function say(labels, duration) {
 }
 
 /** A list of rows that lead to their takes; the strips come when they are known. */
-export function listTakes(items) {
+function listTakes(items) {
   const tones = new Tones(); // one for all: a category has one colour in the whole list
   const rows = items.map((clip) => {
     const strip = h("div", { class: "take-strip", "aria-hidden": "true" });
@@ -39,7 +39,6 @@ export function listTakes(items) {
   return h("ul", { class: "take-list" }, ...rows.map((row) => row.element));
 }
 
-const [LONG, SEEN] = [150, 75]; // s: of a longer take so much is shown at first
 const TOUCH = 0.1; // s
 const TABLE = /\.(eaf|textgrid|csv|tsv|txt)$/i; // that labels may be in
 
@@ -95,7 +94,7 @@ async function show(name, at) {
   document.title = `${info.name} - ${t("page_takes")} - dousa`;
   drawTools(null);
   seek(at ?? 0);
-  if (info.duration_s > LONG) timeline.show(Math.max((at ?? 0) - 10, 0), Math.max((at ?? 0) - 10, 0) + SEEN);
+  timeline.showPart(at ?? 0);
   const known = await load();
   if (motion === name && (!known.labels || !known.is_current)) label();
 }
@@ -110,17 +109,11 @@ function makeTimeline() {
   timeline?.destroy();
   labels = [];
   recognised = null;
-  timeline = createTimeline($("#timeline"), { duration: info.duration_s, selectable: true, label: t("labels") });
-  timeline.onSeek((seconds) => {
+  const onSeek = (seconds) => {
     player.pause();
     player.seek(seconds);
-  });
-  timeline.onSelect((part) => desk.setPart(part));
-  timeline.element.addEventListener("keydown", (event) => {
-    if (event.key !== " " || event.target.closest("button")) return;
-    event.preventDefault();
-    player.playing ? player.pause() : player.play();
-  });
+  };
+  timeline = new Timeline($("#timeline"), { duration: info.duration_s, selectable: true, label: t("labels"), onSeek, onSelect: (part) => desk.setPart(part), onSpace: () => player.toggle() });
   desk.setPart(null);
 }
 
@@ -331,12 +324,6 @@ async function drawStart(problem = "") {
   $("#start").replaceChildren(h("div", { class: "choose" }, zone, h("h2", {}, t("start_takes")), list));
 }
 
-function drawChange() {
-  const input = fileInput(take, { accept: MOTION_FILES, multiple: true, id: "change-file" });
-  $("#change").replaceChildren(input, h("button", { type: "button", onclick: () => input.click() }, icon("upload"), t("change_file")), h("button", { type: "button", id: "change-pick", onclick: pick }, t("change_pick")));
-  acceptDrops($("#main"), take);
-}
-
 async function followAddress() {
   const asked = new URLSearchParams(location.search);
   let name = asked.get("motion");
@@ -353,13 +340,9 @@ async function followAddress() {
 
 async function start() {
   library = (await get("/info")).library;
-  if (!library.trained_at) {
-    $("#start").hidden = false;
-    $("#start").replaceChildren(h("div", { class: "card empty" }, h("p", {}, t("not_trained")), h("a", { class: "button primary", href: "/library" }, t("to_library"))));
-    return;
-  }
+  if (!library.trained_at) return showUntrained();
   desk.setCategories(Object.keys(library.categories));
-  drawChange();
+  offerChange(take, pick);
   window.addEventListener("popstate", () => attempt(followAddress));
   await followAddress();
 }
