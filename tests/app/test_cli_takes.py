@@ -322,6 +322,12 @@ def test_bad_input_is_one_line_and_exit_code_2(dousa, library, recordings, tmp_p
     assert list(empty.iterdir()) == []
 
 
+def test_label_refuses_a_picture_of_no_format_before_it_answers(dousa, library, recordings, tmp_path):
+    code, out, err = dousa("label", library, recordings / "take.trc", "--picture", tmp_path / "a.xyz")
+    assert (code, out) == (2, "")
+    assert ".png" in err
+
+
 def test_a_library_without_a_forest_says_how_to_train(dousa, recordings, tmp_path):
     library = tmp_path / "new.dousa"
     dousa("add", library, recordings / "take.trc", "--takes")

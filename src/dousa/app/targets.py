@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+from dousa.app.pictures.canvas import check_suffix
 from dousa.errors import DousaError, OptionError
 
 DATABASE_HEAD = b"SQLite format 3\0"
@@ -56,11 +57,13 @@ def check_targets(
 
     Raises
     ------
-    OptionError : a file that is read, a library, or one of another content stands there.
+    OptionError : a file that is read, a library, or one of another content stands there; a ``--picture`` of no format.
     """
     known = {**_BEGINNINGS, **(begins or {})}
     sources = [path for path in inputs if path is not None]
     for option, path in targets.items():
+        if path is not None and option == "--picture":
+            check_suffix(path)
         if path is None or not _look_for_danger(option, path, sources):
             continue
         beginning = known.get(path.suffix.lower())

@@ -16,7 +16,7 @@ import typer
 from dousa.app.cli.library import clip_or_path, open_library, open_to_learn, open_to_read
 from dousa.app.cli.usage import Json, LibraryPath
 from dousa.app.output import print_answer, progress_bar, warn, warn_skipped
-from dousa.app.requests.library import Mirror
+from dousa.app.requests.library import LabelRequest, Mirror
 from dousa.app.requests.reading import Reading
 from dousa.app.targets import check_table, check_targets
 from dousa.errors import InvalidMotionError, OptionError
@@ -90,16 +90,7 @@ def label(
             help="A recording: a file, the number of a take, or - for frames as JSON lines on standard input.",
         ),
     ],
-    threshold: Annotated[
-        float | None,
-        typer.Option(
-            "--threshold",
-            min=0,
-            max=1,
-            help="Minimum confidence of a label.",
-            show_default="more likely right than wrong if there is an action",
-        ),
-    ] = None,
+    request: LabelRequest,
     csv: Annotated[
         Path | None, typer.Option("--csv", help="Write the timeline as a table; with .eaf for ELAN.")
     ] = None,
@@ -138,11 +129,11 @@ def label(
     if take == _STANDARD_INPUT:
         if csv or picture or given or reading.read:
             raise OptionError("takes_cli.live_options")
-        _label_live(library, height, threshold, context.obj)
+        _label_live(library, height, request.threshold, context.obj)
         return
     if height is not None:
         raise OptionError("takes_cli.height_of_recording")
-    if given and (picture or threshold is not None or reading.read):
+    if given and (picture or request.threshold is not None or reading.read):
         raise OptionError("takes_cli.given_options")
     options = reading.load()
     if picture:
@@ -156,7 +147,7 @@ def label(
     with open_library(library) as opened:
         with progress_bar() as progress:
             answer = opened.label(
-                clip_or_path(take), threshold=threshold, options=options, n_jobs=context.obj, progress=progress
+                clip_or_path(take), threshold=request.threshold, options=options, n_jobs=context.obj, progress=progress
             )
         print_answer(answer, print_timeline, json=json)
         # Last, so that an answer is not lost where a file cannot be written.

@@ -108,6 +108,14 @@ def count_noun(number: int, noun: str) -> str:
     return f"{number or 'no'} {noun[:-1]}ies" if noun.endswith("y") else f"{number or 'no'} {noun}s"
 
 
+def check_suffix(path: str | os.PathLike[str]) -> str:
+    """The format of a picture by its suffix, as Matplotlib calls it; OptionError if it is not .png, .svg or .pdf."""
+    suffix = os.path.splitext(os.fspath(path))[1].lower()
+    if suffix not in _FORMATS:
+        raise OptionError("pictures.suffix", path=path, expected=tuple(_FORMATS), found=suffix)
+    return _FORMATS[suffix]
+
+
 def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Write the picture, whole or not at all; the same picture gives the same bytes.
 
@@ -118,10 +126,7 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
     """
     from matplotlib import rc_context
 
-    suffix = os.path.splitext(os.fspath(path))[1].lower()
-    if suffix not in _FORMATS:
-        raise OptionError("pictures.suffix", path=path, expected=tuple(_FORMATS), found=suffix)
-    kind = _FORMATS[suffix]
+    kind = check_suffix(path)
     buffer = io.BytesIO()
     with rc_context({"svg.hashsalt": "dousa"}):
         figure.savefig(buffer, format=kind, metadata=_METADATA[kind], facecolor="white")

@@ -16,6 +16,11 @@ Importance = Literal["learned", "equal"]
 _EQUAL = Path("equal")  # as --weights
 
 
+def choose_tempo(tempo: Tempo | None, *, repetitions: bool) -> Tempo:
+    """The tempo, by default free for repetitions and else the same."""
+    return tempo or ("free" if repetitions else "same")
+
+
 @dataclass(frozen=True, slots=True)
 class EvaluationRequest:
     """How a performance is held against a reference."""
@@ -106,7 +111,7 @@ class EvaluationRequest:
     def choose_judging(self) -> dict[str, Any]:
         """``side``, ``tempo``, ``weights`` and ``importance`` of `dousa.evaluation.assess`; the weights are read."""
         judging: dict[str, Any] = {"side": "mirrored" if self.mirror else "same"}
-        judging["tempo"] = self.tempo or ("free" if self.repetitions else "same")
+        judging["tempo"] = choose_tempo(self.tempo, repetitions=self.repetitions)
         if self.weights == _EQUAL:
             return {**judging, "weights": None, "importance": "equal"}
         from dousa.evaluation import read_weights

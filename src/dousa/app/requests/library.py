@@ -89,6 +89,22 @@ class ClassifyRequest:
 
 
 @dataclass(frozen=True, slots=True)
+class LabelRequest:
+    """How a take is labelled."""
+
+    threshold: Annotated[
+        float | None,
+        typer.Option(
+            "--threshold",
+            min=0,
+            max=1,
+            help="Minimum confidence of a label.",
+            show_default="more likely right than wrong if there is an action",
+        ),
+    ] = None
+
+
+@dataclass(frozen=True, slots=True)
 class SearchRequest:
     """How clips like a motion are searched for."""
 

@@ -10,6 +10,8 @@ from pydantic import Field
 from starlette.responses import FileResponse, Response
 
 from dousa.app.player.figures import encode_miniature
+from dousa.app.requests import library
+from dousa.app.requests.http import derive_model
 from dousa.app.studio.content.motions import (
     EXPORTED,
     Address,
@@ -22,7 +24,7 @@ from dousa.app.studio.content.motions import (
     name_file,
 )
 from dousa.app.studio.content.studio import Studio, StudioNow
-from dousa.app.studio.core.answers import FILE, Answer, RefusedError, StrictModel, attachment, say
+from dousa.app.studio.core.answers import FILE, Answer, RefusedError, attachment, say
 from dousa.formats.registry import read_character
 from dousa.library.export import ORIGINAL, ExportFormat, list_formats
 from dousa.messages import Message
@@ -153,13 +155,15 @@ _Character = Annotated[
 _Format = Annotated[str, Field(max_length=20, description="of GET /api/export/formats")]
 
 
-class ExportRequest(StrictModel):
+_Reach = derive_model(library.Character, ("keep_reach",))
+
+
+class ExportRequest(_Reach):  # type: ignore[misc]
     """Which clips, and what they are written as."""
 
     clips: Annotated[list[_Number], Field(min_length=1, max_length=20_000)]
     to: _Format = "bvh"
     onto: _Character | None = None
-    keep_reach: bool = Field(default=False, description="hands reach the same places, instead of arm directions")
     frame_rate: Annotated[float | None, Field(gt=0, le=1000, description="Hz to resample to")] = None
 
 
@@ -221,10 +225,9 @@ def get_export(studio: StudioNow, job_id: str) -> Response:
     return FileResponse(path, media_type="application/zip", filename=f"{stem}_{job.id[:6]}.zip")
 
 
-class _FormatDownload(MotionPart):
+class _FormatDownload(MotionPart, _Reach):  # type: ignore[misc]
     to: _Format = "bvh"
     onto: _Character | None = None
-    keep_reach: bool = Field(default=False, description="hands reach the same places, instead of arm directions")
 
 
 @export_router.get("/motions/file", summary="Download in any format", **FILE)

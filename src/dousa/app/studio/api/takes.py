@@ -13,6 +13,8 @@ from fastapi import APIRouter, Query
 from pydantic import Field
 from starlette.responses import Response
 
+from dousa.app.requests import library
+from dousa.app.requests.http import derive_model
 from dousa.app.studio.content.corrections import (
     find_take,
     forget_correction,
@@ -32,16 +34,14 @@ from dousa.motion.annotation import Stretch
 
 router = APIRouter(tags=["takes"])
 
-_Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 _Number = Annotated[str, Field(max_length=100)]
 _Motion = Annotated[MotionName, Query()]
 
 
-class LabelRequest(StrictModel):
+class LabelRequest(derive_model(library.LabelRequest)):  # type: ignore[misc]
     """A take, and the confidence that its labels need."""
 
     take: MotionRef
-    threshold: _Share | None = Field(default=None, description="least confidence of a category; learned if left out")
 
 
 class CorrectRequest(StrictModel):

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
 
+from dousa.app.requests import evaluation
+from dousa.app.requests.http import derive_model
 from dousa.app.studio.content.motions import MotionRef, Motions, Named, Seconds
 from dousa.app.studio.core.answers import Gate, RefusedError, StrictModel, reword
 from dousa.app.studio.core.workspace import write_file
@@ -41,14 +43,11 @@ class Cut(StrictModel):
     label: str = Field(min_length=1, max_length=100, description="equal figures have equal labels")
 
 
-class Adjustment(StrictModel):
+class Adjustment(derive_model(evaluation.EvaluationRequest, ("importance",))):  # type: ignore[misc]
     """What a user may change of an evaluation."""
 
     weights: Annotated[dict[_Name, _Weight], Field(max_length=20)] = Field(
         default_factory=dict, description="of segments or limbs; 1 for those not named"
-    )
-    importance: Literal["learned", "equal"] = Field(
-        "learned", description="learned: segments count as they matter in the reference; equal: all count the same"
     )
     furi: Annotated[list[Cut], Field(min_length=1, max_length=400)] | None = Field(
         None, description="figures; those that are found if null"
@@ -58,20 +57,18 @@ class Adjustment(StrictModel):
 _ADJUSTABLE = set(Adjustment.model_fields)
 
 
-class EvaluationRequest(Adjustment):
+class EvaluationRequest(Adjustment, derive_model(evaluation.EvaluationRequest, ("tempo", "repetitions"))):  # type: ignore[misc]
     """A performance and the references with which it is compared."""
 
     references: Annotated[list[MotionRef], Field(min_length=1, max_length=50)]
     performance: MotionRef
     side: Literal["same", "mirrored"] = "same"
-    tempo: Literal["same", "free"] | None = Field(None, description="null: same; of repetitions free")
-    repetitions: bool = Field(False, description="an exercise: each repetition is graded and measured")
     language: Language = "en"
 
     @property
     def pace(self) -> str:
-        """The tempo, by default free for repetitions and else the same."""
-        return self.tempo or ("free" if self.repetitions else "same")
+        """See `dousa.app.requests.evaluation.choose_tempo`."""
+        return evaluation.choose_tempo(self.tempo, repetitions=self.repetitions)
 
 
 @dataclass(slots=True, eq=False)
