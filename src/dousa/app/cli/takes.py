@@ -90,7 +90,6 @@ def label(
             help="A recording: a file, the number of a take, or - for frames as JSON lines on standard input.",
         ),
     ],
-    request: LabelRequest,
     csv: Annotated[
         Path | None, typer.Option("--csv", help="Write the timeline as a table; with .eaf for ELAN.")
     ] = None,
@@ -112,6 +111,7 @@ def label(
         bool, typer.Option("--given", help="The labels that a take was given, instead of recognising any.")
     ] = False,
     *,
+    request: LabelRequest,
     reading: Reading,
     json: Json = False,
 ) -> None:
