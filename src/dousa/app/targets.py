@@ -7,10 +7,11 @@ import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from dousa.app.pictures.canvas import check_suffix
 from dousa.errors import DousaError, OptionError
 
 DATABASE_HEAD = b"SQLite format 3\0"
+
+_PICTURES = (".png", ".svg", ".pdf")
 
 # How the files begin that dousa writes, by their suffix; the name of its first array shows what an npz holds.
 _BEGINNINGS = {
@@ -63,13 +64,21 @@ def check_targets(
     sources = [path for path in inputs if path is not None]
     for option, path in targets.items():
         if path is not None and option == "--picture":
-            check_suffix(path)
+            find_picture_format(path)
         if path is None or not _look_for_danger(option, path, sources):
             continue
         beginning = known.get(path.suffix.lower())
         head = _read_head(path)
         if beginning is not None and head and re.match(beginning, head, re.DOTALL) is None:
             raise OptionError("targets.other_content", option=option, path=path, suffix=path.suffix)
+
+
+def find_picture_format(path: str | os.PathLike[str]) -> str:
+    """The format of a picture by its suffix; OptionError if it is not .png, .svg or .pdf."""
+    suffix = os.path.splitext(os.fspath(path))[1].lower()
+    if suffix not in _PICTURES:
+        raise OptionError("pictures.suffix", path=path, expected=_PICTURES, found=suffix)
+    return suffix[1:]
 
 
 def check_table(

@@ -8,7 +8,7 @@ import os
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
-from dousa.errors import OptionError
+from dousa.app.targets import find_picture_format
 from dousa.extras import find_font, require
 from dousa.files.disk import atomic_write
 
@@ -24,7 +24,6 @@ INK = "#222222"
 GREY = "#6b6b6b"
 FAINT = "#c9c9c9"
 
-_FORMATS = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
 _METADATA: dict[str, dict[str, Any]] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 # Fonts with Chinese, Japanese or Korean characters that systems commonly have.
@@ -108,14 +107,6 @@ def count_noun(number: int, noun: str) -> str:
     return f"{number or 'no'} {noun[:-1]}ies" if noun.endswith("y") else f"{number or 'no'} {noun}s"
 
 
-def check_suffix(path: str | os.PathLike[str]) -> str:
-    """The format of a picture by its suffix, as Matplotlib calls it; OptionError if it is not .png, .svg or .pdf."""
-    suffix = os.path.splitext(os.fspath(path))[1].lower()
-    if suffix not in _FORMATS:
-        raise OptionError("pictures.suffix", path=path, expected=tuple(_FORMATS), found=suffix)
-    return _FORMATS[suffix]
-
-
 def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Write the picture, whole or not at all; the same picture gives the same bytes.
 
@@ -126,7 +117,7 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
     """
     from matplotlib import rc_context
 
-    kind = check_suffix(path)
+    kind = find_picture_format(path)
     buffer = io.BytesIO()
     with rc_context({"svg.hashsalt": "dousa"}):
         figure.savefig(buffer, format=kind, metadata=_METADATA[kind], facecolor="white")
