@@ -14,7 +14,7 @@ from typing import Any
 LANGUAGES = ("en", "ja")
 """Languages with a table; the first one is the default."""
 
-_LANGUAGE: ContextVar[str] = ContextVar("language", default=LANGUAGES[0])
+_LANGUAGE: ContextVar[str] = ContextVar("language", default=LANGUAGES[0])  # by definition the first
 _JOINTS = {"en": (", ", " and ", " or "), "ja": ("、", "と", "または")}
 
 

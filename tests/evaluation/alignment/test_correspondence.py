@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from oracles import yamane_correlation as oracle
 
 from dousa.errors import InvalidMotionError, OptionError
-from dousa.evaluation.alignment import correspondence
 from dousa.evaluation.alignment.correspondence import (
     Line,
     compute_correlation_matrix,
@@ -96,9 +95,7 @@ def test_coarse_to_fine_finds_the_path_of_plain_warping(seed: int, ends: str) ->
     b = dance(seed, 400)
     places = np.maximum.accumulate(np.clip(np.arange(300) * 1.3 + 8 * rng.normal(size=300).cumsum() / 5, 0, 399))
     a = unit(b[places.astype(int)] + 0.1 * rng.normal(size=(300, 9, 3)))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(correspondence, "_COARSEST", 50)
-        found = find_path(a, b, radius=40, ends=ends)
+    found = find_path(a, b, radius=40, ends=ends, coarsest=50)
     check_steps(found)
     whole = find_path(a, b, ends=ends)
     skip = 0.1 if ends == "open" else 0.0
@@ -107,21 +104,19 @@ def test_coarse_to_fine_finds_the_path_of_plain_warping(seed: int, ends: str) ->
         assert np.median(np.abs(mean_columns(found) - mean_columns(whole))) <= 1.0
 
 
-def test_band_of_any_shape_reaches_both_corners(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(correspondence, "_COARSEST", 7)
+def test_band_of_any_shape_reaches_both_corners() -> None:
     for n, m in ((1, 100), (100, 1), (2, 97), (53, 100), (100, 8), (29, 28)):
         for radius in (1, 5):
-            path = find_path(dance(1, n), dance(2, m), radius=radius)
+            path = find_path(dance(1, n), dance(2, m), radius=radius, coarsest=7)
             check_steps(path)
             assert path[0].tolist() == [0, 0] and path[-1].tolist() == [n - 1, m - 1]
 
 
-def test_identity_is_the_diagonal(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_identity_is_the_diagonal() -> None:
     a = dance(3, 200)
     diagonal = np.repeat(np.arange(200)[:, None], 2, axis=1)
     np.testing.assert_array_equal(find_path(a, a), diagonal)
-    monkeypatch.setattr(correspondence, "_COARSEST", 30)
-    np.testing.assert_array_equal(find_path(a, a, ends="open"), diagonal)
+    np.testing.assert_array_equal(find_path(a, a, ends="open", coarsest=30), diagonal)
     np.testing.assert_array_equal(find_path(a[:1], a[:1]), [[0, 0]])
 
 
@@ -163,9 +158,7 @@ def test_weights_decide() -> None:
     ("folder", "first", "second"),
     [("squat1Reps", "_bd_", "_bk_"), ("lieDownFloor", "_bd_", "_dg_"), ("throwBasketball", "_bk_", "_dg_")],
 )
-def test_real_takes_of_two_people(
-    shared_data: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch, folder: str, first: str, second: str
-) -> None:
+def test_real_takes_of_two_people(shared_data: Callable[[str], Path], folder: str, first: str, second: str) -> None:
     """Coarse to fine against plain warping over the whole matrix, at 30 frames/s for the oracle's sake."""
     takes = []
     for actor in (first, second):
@@ -173,8 +166,7 @@ def test_real_takes_of_two_people(
         takes.append(compute_postures(canonicalise(read_motion(paths[0])), 30.0).segments)
     a, b = takes
     _, expected = oracle.warp(costs(a, b))
-    monkeypatch.setattr(correspondence, "_COARSEST", 25)
-    found = find_path(a, b, radius=20)
+    found = find_path(a, b, radius=20, coarsest=25)
     difference = np.abs(mean_columns(found) - mean_columns(np.array(expected)))
     assert np.median(difference) <= 1.0
 
@@ -218,7 +210,7 @@ def test_no_line_where_nothing_is_alike_or_too_short() -> None:
     assert find_lines(dance(14, 1), dance(14, 1), 30.0, shortest=0.01, threshold=0.5) == (Line(0, 0, 1, 1.0),)
 
 
-def test_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bad_input() -> None:
     a = dance(0, 20)
     for function in (find_path, lambda x, y: find_lines(x, y, 30.0)):
         with pytest.raises(InvalidMotionError, match="a: expected at least one frame"):
@@ -236,9 +228,8 @@ def test_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("frame_rate", "window", "shortest"):
         with pytest.raises(OptionError, match=f"{name}: expected a number above 0"):
             find_lines(a, a, **{"frame_rate": 30.0, name: 0.0})
-    monkeypatch.setattr(correspondence, "_MOST_CELLS", 399)
     with pytest.raises(OptionError, match="lower the radius"):
-        find_path(a, a)
+        find_path(a, a, largest_gib=399 / 2**30)
 
 
 def draw(seed: int, n: int = 5) -> np.ndarray:
@@ -313,11 +304,10 @@ def test_a_segment_of_no_weight_does_not_count() -> None:
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 70), (130, 1), (65, 17), (200, 31)])
-def test_tiles_and_threads_change_nothing(shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tiles_and_threads_change_nothing(shape: tuple[int, int]) -> None:
     a, b = draw(6, shape[0]), draw(7, shape[1])
     alone = compute_correlation_matrix(a, b)
-    monkeypatch.setattr(correspondence, "_WORTH_THREADS", 0)
-    np.testing.assert_array_equal(compute_correlation_matrix(a, b), alone)
+    np.testing.assert_array_equal(compute_correlation_matrix(a, b, worth_threads=0), alone)
     np.testing.assert_allclose(alone, compute_similarity(a[:, None], b[None]), atol=1e-6)
 
 
@@ -325,7 +315,7 @@ def test_no_frames_make_an_empty_matrix() -> None:
     assert compute_correlation_matrix(draw(0)[:0], draw(1)).shape == (0, 5)
 
 
-def test_bad_input_of_the_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bad_input_of_the_matrix() -> None:
     a = draw(0)
     with pytest.raises(InvalidMotionError, match=r"a: expected shape \(frames, 9, 3\), got \(9, 3\)"):
         compute_correlation_matrix(a[0], a)
@@ -337,6 +327,5 @@ def test_bad_input_of_the_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
         compute_correlation_matrix(a, a, similarity="sine")
     with pytest.raises(OptionError, match=r"weights: .*got \(5, 9\)"):
         compute_correlation_matrix(a, a, np.ones((5, 9)))
-    monkeypatch.setattr(correspondence, "_MOST_PAIRS", 24)
     with pytest.raises(OptionError, match="5 x 5 is too large"):
-        compute_correlation_matrix(a, a)
+        compute_correlation_matrix(a, a, largest_gib=99 / 2**30)

@@ -216,15 +216,12 @@ def test_two_frames_make_one_axis():
     assert fit_eigenspace(wander(3, 20)[[0, 10]]).n_dims == 1
 
 
-def test_long_stretches_are_compared_in_pieces(monkeypatch):
-    from dousa.evaluation.figures import eigenspace
-
+def test_long_stretches_are_compared_in_pieces():
     poses, performance = wander(5, 30), wander(6, 50)
     space = fit_eigenspace(poses)
     arguments = space, space.align(poses), space.align(performance)
     whole = compute_distance_to_path(*arguments)
-    monkeypatch.setattr(eigenspace, "_CHUNK", 100)
-    assert np.allclose(compute_distance_to_path(*arguments), whole)
+    assert np.allclose(compute_distance_to_path(*arguments, at_once=100), whole)
 
 
 @pytest.mark.parametrize(

@@ -18,12 +18,15 @@ from dousa.evaluation.alignment.dynamic_programming import Matrix, correlate_row
 from dousa.evaluation.posture.posture import SEGMENTS, check_segments, check_weights
 from dousa.motion.runs import find_runs
 
-_WORTH_THREADS = 1_000_000  # pairs of poses; below, starting threads takes longer than the work
-_MOST_PAIRS = 2**34  # 64 GiB
-
 
 def compute_correlation_matrix(
-    a: ArrayLike, b: ArrayLike, weights: ArrayLike | None = None, similarity: str = "cosine"
+    a: ArrayLike,
+    b: ArrayLike,
+    weights: ArrayLike | None = None,
+    similarity: str = "cosine",
+    *,
+    largest_gib: float = 64.0,
+    worth_threads: int = 1_000_000,
 ) -> Matrix:
     """Compute the similarity of every pose of one motion to every pose of another, at any heading.
 
@@ -34,6 +37,8 @@ def compute_correlation_matrix(
     weights : (9,) of the segments, 0 or above; None for equal ones.
     similarity : ``"cosine"`` is S, the mean cosine between the segments at the best yaw; ``"planar"`` is |C|, the
         modulus of the complex correlation, which sees only the horizontal parts.
+    largest_gib : GiB that the matrix may have.
+    worth_threads : pairs of poses from which threads save more time than they cost.
 
     Returns
     -------
@@ -42,7 +47,7 @@ def compute_correlation_matrix(
     Raises
     ------
     InvalidMotionError : wrong shapes or missing values.
-    OptionError : an unknown similarity, wrong weights, or a matrix of more than 64 GiB.
+    OptionError : an unknown similarity, wrong weights, or a matrix that is too large.
 
     Source: Yamane and Shakunaga, section 2.2 and eq. 5. |C| is the paper's; it is blind to height, so that arms
     mirrored up and down score 1. The default is S = (|sum w h conj(h')| + sum w y y') / sum w, where h is the
@@ -51,7 +56,7 @@ def compute_correlation_matrix(
     """
     first, second = check_sequence(a, "a"), check_sequence(b, "b")
     shares = check_segment_weights(weights)
-    if len(first) * len(second) > _MOST_PAIRS:
+    if 4 * len(first) * len(second) > largest_gib * 2**30:
         raise OptionError("correlation.too_large", rows=len(first), columns=len(second))
     if similarity == "cosine":
         shares_of_a: FloatArray = shares / shares.sum()
@@ -62,7 +67,7 @@ def compute_correlation_matrix(
     else:
         raise OptionError("correlation.similarity", similarity=similarity)
 
-    return _correlate(pack(first, shares_of_a), np.ascontiguousarray(pack(second, shares_of_b).T))
+    return _correlate(pack(first, shares_of_a), np.ascontiguousarray(pack(second, shares_of_b).T), worth_threads)
 
 
 def check_sequence(values: ArrayLike, what: str) -> FloatArray:
@@ -117,12 +122,12 @@ def _flatten(segments: FloatArray) -> FloatArray:
     return np.asarray(segments * np.array([1.0, 0.0, 1.0]))
 
 
-def _correlate(a: Matrix, b: Matrix, *, tile: int = 64) -> Matrix:
+def _correlate(a: Matrix, b: Matrix, worth_threads: int, *, tile: int = 64) -> Matrix:
     # tile: rows that a thread takes at a time
     from joblib import cpu_count
 
     matrix = np.empty((len(a), b.shape[1]), np.float32)
-    if matrix.size < _WORTH_THREADS:
+    if matrix.size < worth_threads:
         correlate_rows(a, b, matrix, 0, len(a))
         return matrix
     with ThreadPoolExecutor(cpu_count()) as pool:
@@ -135,10 +140,6 @@ def _correlate(a: Matrix, b: Matrix, *, tile: int = 64) -> Matrix:
     return matrix
 
 
-_COARSEST = 3000  # frames of the longer motion on the level where every path is tried
-_MOST_CELLS = 2**32  # one byte each
-
-
 def find_path(
     a: ArrayLike,
     b: ArrayLike,
@@ -148,11 +149,12 @@ def find_path(
     *,
     step: int = 4,
     left_out: float = 0.1,
+    coarsest: int = 3000,
+    largest_gib: float = 4.0,
 ) -> IndexArray:
     """Find the curve of best correspondence: dynamic time warping on 1 - S, coarse to fine.
 
-    Every path is tried on a coarse level of at most 3,000 frames; each finer level searches a band around the path
-    of the coarser one. Motions of at most 3,000 frames are searched whole.
+    Every path is tried on a coarse level; each finer level searches a band around the path of the coarser one.
 
     Parameters
     ----------
@@ -165,6 +167,8 @@ def find_path(
         S = 0.8 are rather left out than paired.
     step : ratio of the frames of neighbouring levels, about.
     left_out : price of a frame left out at an open end; two of them stand against one pair of poses.
+    coarsest : frames of the longer motion up to which every path is tried.
+    largest_gib : GiB that a band may have.
 
     Returns
     -------
@@ -173,7 +177,7 @@ def find_path(
     Raises
     ------
     InvalidMotionError : wrong shapes, missing values, or no frame.
-    OptionError : wrong weights, a radius below 1, unknown ends, or a band of more than 4 GiB.
+    OptionError : wrong weights, a radius below 1, unknown ends, or a band that is too large.
 
     Memory is one byte a cell of the band, about 4 * radius * T: it grows linearly. Without any price, open ends would
     shrink the path to one pair of poses. The band misses the path of the full search where a whole passage goes
@@ -186,11 +190,11 @@ def find_path(
     if ends not in {"fixed", "open"}:
         raise OptionError("correlation.ends", ends=ends)
     skip = 1e30 if ends == "fixed" else left_out
-    size = -(-max(len(first), len(second)) // _COARSEST)
+    size = -(-max(len(first), len(second)) // coarsest)
     band = None
     while True:
         level_a, level_b = _shrink(first, size), _shrink(second, size)
-        path = _warp(level_a, level_b, shares / shares.sum(), band, skip)
+        path = _warp(level_a, level_b, shares / shares.sum(), band, skip, largest_gib)
         if size == 1:
             return path
         finer = max(1, size // step)
@@ -230,7 +234,12 @@ def _band(path: IndexArray, ratio: float, counts: tuple[int, int], radius: int) 
 
 
 def _warp(
-    a: FloatArray, b: FloatArray, shares: FloatArray, band: tuple[IndexArray, IndexArray] | None, skip: float
+    a: FloatArray,
+    b: FloatArray,
+    shares: FloatArray,
+    band: tuple[IndexArray, IndexArray] | None,
+    skip: float,
+    largest_gib: float,
 ) -> IndexArray:
     """The cheapest path of one level, inside the band."""
     if band is None:
@@ -238,7 +247,7 @@ def _warp(
     else:
         low, high = band
     n_cells = int((high - low).sum())
-    if n_cells > _MOST_CELLS:
+    if n_cells > largest_gib * 2**30:  # one byte each
         raise OptionError("correlation.band_too_large", gib=n_cells / 2**30)
     origin = np.empty(n_cells, np.uint8)
     first = np.cumsum(high - low) - (high - low)

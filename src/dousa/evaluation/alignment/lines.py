@@ -20,10 +20,9 @@ from dousa.messages import Message
 COARSE_RATE = 10.0  # Hz, see docs/evaluation.md
 _SMALL = 1.0 - np.cos(np.radians(8.0))  # dissimilarity of the same pose taken twice, see docs/evaluation.md
 JUMP_S = 2.5  # s of complete mismatch that are worth a new line, see docs/evaluation.md
-PAUSE = {"same": 1e9, "free": 0.35}  # of a frame's full cost
-OUTSIDE = 0.75
+PAUSE = {"same": 1e9, "free": 0.35}  # of a frame's full cost, see docs/evaluation.md
+OUTSIDE = 0.75  # cost of a frame outside the reference, see docs/evaluation.md
 _SAME_LINE_S = 1.0  # s; lines nearer than this are one line and a lag, see docs/evaluation.md
-_SLOPES = (0.4, 2.5)  # reference per performance time
 _SHORT_S, _SHORT_RATIO, _SHORT_SHARE = 8.0, 2.0, 0.65
 
 
@@ -137,7 +136,12 @@ def _measure_slope(course: np.ndarray, *, fewest_for_tempo: int = 12) -> float:
     far = len(on) // 4
     slopes = (course[on[far:]] - course[on[:-far]]) / (on[far:] - on[:-far])
     slopes = slopes[slopes > 0]
-    return float(np.clip(np.median(slopes), *_SLOPES)) if len(slopes) else 1.0
+    return _limit_slope(float(np.median(slopes))) if len(slopes) else 1.0
+
+
+def _limit_slope(slope: float, *, slowest: float = 0.4, fastest: float = 2.5) -> float:
+    # reference per performance time; a tempo beyond these is a false line
+    return min(max(slope, slowest), fastest)
 
 
 def find_pauses(course: np.ndarray, rate: float, *, pause_s: float = 1.0) -> NDArray[np.bool_]:
@@ -285,7 +289,7 @@ def smooth_course(course: np.ndarray, run: Run, rate: float, *, smooth_s: float 
         if len(x) < 3 or np.ptp(x) == 0:
             break
         slope, middle = np.polyfit(x, y, 1, w=np.sqrt(weights))
-        slope = float(np.clip(slope, *_SLOPES))
+        slope = _limit_slope(float(slope))
         off = np.abs(y - slope * x - middle)
         weights = 1.0 / np.maximum(off, 0.1 * rate)
     line = slope * frames + middle
@@ -306,8 +310,7 @@ def _measure_tempo(frames: FloatArray, runs: tuple[Run, ...]) -> float:
     return float(spent / covered) if covered > 0 and spent > 0 else 1.0
 
 
-_SHORTEST_END_S = 0.7  # recordings are cut half a second earlier or later as it comes
-NO_LIKENESS = 0.74  # mismatch of a performance whose lines mean nothing
+NO_LIKENESS = 0.74  # mismatch from which a performance has nothing in common, see docs/evaluation.md
 
 
 @dataclass(frozen=True, slots=True)
@@ -357,25 +360,29 @@ def find_lapses(alignment: Alignment, reference: Working, performance: Working) 
     return tuple(found)
 
 
-def _look_before(alignment: Alignment, performance: Working) -> list[Lapse]:
+def _look_before(alignment: Alignment, performance: Working, *, shortest_s: float = 0.7) -> list[Lapse]:
+    # shortest_s: recordings are cut half a second earlier or later by chance
     first = float(alignment.frames[0])
-    if first > _SHORTEST_END_S * performance.frame_rate:
+    if first > shortest_s * performance.frame_rate:
         return [Lapse("late start", 0.0, 0.0, 0.0, first / performance.frame_rate)]
     # The reference begins where the line comes to its frame 0.
     begins = int(np.searchsorted(alignment.frames, 0.0))
-    if begins > _SHORTEST_END_S * performance.frame_rate:
+    if begins > shortest_s * performance.frame_rate:
         return [Lapse("lead-in", 0.0, begins / performance.frame_rate, 0.0, 0.0)]
     return []
 
 
-def _look_after(alignment: Alignment, reference: Working, performance: Working) -> list[Lapse]:
+def _look_after(
+    alignment: Alignment, reference: Working, performance: Working, *, shortest_s: float = 0.7
+) -> list[Lapse]:
+    # shortest_s: as in `_look_before`
     rate = performance.frame_rate
     end, last = performance.n_frames / rate, reference.n_frames / rate
     left = reference.n_frames - 1.0 - float(alignment.frames[-1])
-    if left > _SHORTEST_END_S * rate:
+    if left > shortest_s * rate:
         return [Lapse("early end", end, end, last - left / rate, last)]
     beyond = int((alignment.frames[::-1] > reference.n_frames - 1.0).cumprod().sum())
-    if beyond > _SHORTEST_END_S * rate:
+    if beyond > shortest_s * rate:
         return [Lapse("lead-out", end - beyond / rate, end, last, last)]
     return []
 

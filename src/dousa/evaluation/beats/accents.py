@@ -30,11 +30,10 @@ from dousa.motion.resampling import smooth_gaussian
 ACCENTS: tuple[str, ...] = ("clap", "step", "stop", "turn")
 """Kinds of accents, the most certain first: of several in one moment the first is reported."""
 
-_SMOOTH_S = 0.025  # deviation of the Gaussian over positions: what trembles in a tracked joint
-_USUAL = 0.35  # of the limb's fast movements (their 90th percentile): a smaller one is no accent beside them
 _HIGH, _LOW = 0.5, 0.1  # of the fall: between these the descent is a line
-_APART_S = 0.1  # accents of one limb
-_ASIDE_S = 0.08  # a direction is looked at so far before and after
+_SMOOTH_S = 0.025  # deviation of the Gaussian over positions, see docs/evaluation.md
+_USUAL = 0.35  # of the limb's fast movements, see docs/evaluation.md
+_APART_S = 0.1  # between accents of one limb, see docs/evaluation.md
 _MEET, _OPEN = 0.16, 0.08  # body heights between the hands at a clap, and by how much more they were apart before
 
 _LIMBS = ("left_hand", "right_hand", "left_foot", "right_foot")
@@ -225,11 +224,17 @@ def _find_lowest(speed: FloatArray, valley: int) -> float:
 
 
 def _turns(
-    velocity: FloatArray, frame: int, rate: float, limit: float, *, sharp: float = np.cos(np.radians(60.0))
+    velocity: FloatArray,
+    frame: int,
+    rate: float,
+    limit: float,
+    *,
+    sharp: float = np.cos(np.radians(60.0)),
+    aside_s: float = 0.08,
 ) -> bool:
     """Whether a limb leaves in another direction than it came from."""
-    # sharp: cosine of the turn that is an accent
-    aside = max(round(_ASIDE_S * rate), 1)
+    # sharp: cosine of the turn that is an accent; aside_s: before and after, where the directions are taken
+    aside = max(round(aside_s * rate), 1)
     before, after = velocity[max(frame - aside, 0)], velocity[min(frame + aside, len(velocity) - 1)]
     sizes = np.linalg.norm(before), np.linalg.norm(after)
     return bool(min(sizes) > 0.5 * limit and before @ after < sharp * sizes[0] * sizes[1])
@@ -243,15 +248,18 @@ def _find_corners(
     limit: float,
     usual: float,
     known: Sequence[Accent],
+    *,
+    aside_s: float = 0.08,
 ) -> list[Accent]:
     """Sharp turns in full speed, at peaks of the acceleration without a fall of the speed."""
+    # aside_s: before and after the peak, where the limb has to be fast
     acceleration = np.linalg.norm(np.gradient(velocity, axis=0), axis=1) * rate
     if len(acceleration) < 3:
         return []
     inner = acceleration[1:-1]
     peaks = np.flatnonzero((inner >= acceleration[:-2]) & (inner > acceleration[2:])) + 1
     least = max(limit, _USUAL * usual) if np.isfinite(usual) else limit
-    aside = max(round(_ASIDE_S * rate), 1)
+    aside = max(round(aside_s * rate), 1)
     times = [one.time_s for one in known]
     found: list[Accent] = []
     for peak in sorted(peaks.tolist(), key=lambda frame: -acceleration[frame]):

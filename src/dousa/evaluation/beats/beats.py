@@ -34,8 +34,6 @@ from dousa.files.json_values import round_number
 from dousa.messages import Message
 from dousa.motion import CanonicalMotion
 
-_FEWEST_BEATS = 4  # beats: fewer give no tempo
-_CLOSEST_S = 0.1  # apart: 600 a minute
 _SEPARATOR = re.compile(r"[\s,;]+")
 
 
@@ -52,11 +50,12 @@ class Beats:
 
     def __post_init__(self) -> None:
         times = np.array(self.times, np.float64)
-        if times.ndim != 1 or len(times) < _FEWEST_BEATS:
-            raise OptionError("beats.too_few", least=_FEWEST_BEATS, n=times.size)
+        fewest, closest_s = 4, 0.1  # fewer beats give no tempo; 600 a minute are none
+        if times.ndim != 1 or len(times) < fewest:
+            raise OptionError("beats.too_few", least=fewest, n=times.size)
         if not np.isfinite(times).all():
             raise OptionError("beats.not_finite", number=int(np.flatnonzero(~np.isfinite(times))[0]) + 1)
-        close = np.flatnonzero(np.diff(times) < _CLOSEST_S)
+        close = np.flatnonzero(np.diff(times) < closest_s)
         if len(close):
             first = int(close[0])
             code = "beats.unsorted" if times[first + 1] <= times[first] else "beats.too_close"
@@ -172,7 +171,7 @@ def _read(soundfile: Any, path: str | os.PathLike[str], *, longest_s: float = 36
     return mono, rate
 
 
-_FEWEST_ACCENTS = 5  # accents that an answer rests on
+_FEWEST_ACCENTS = 5  # that an answer rests on, see docs/evaluation.md
 _CHANCE = 0.01  # p: agreement that chance gives as rarely as this is agreement, see docs/evaluation.md
 
 

@@ -50,7 +50,7 @@ _PER_WINDOW = (
     "time_spread",
 )
 _LAG = _PER_WINDOW.index("lag")
-_SLIGHT = 0.03  # rad
+_SLIGHT = 0.03  # rad, so that nothing is divided by 0: the judge of lab/training/train_judge.py is fitted with it
 _FLIP = np.array([-1.0, 1.0, 1.0])  # mirror image by definition: x negated
 _SORTED = ("own", "best", "at_body", "path", "left_by_gain", "gain", "lag_beside_body")
 

@@ -22,7 +22,7 @@ from dousa.motion.runs import find_runs
 
 MAX_LAG_S = 1.2  # see docs/evaluation.md
 YAW_WINDOW_S = 0.6  # see docs/evaluation.md
-YAW_SCALE = np.radians(12.0)  # chord from which a segment loses its say in the heading
+YAW_SCALE = np.radians(12.0)  # chord from which a segment loses its say in the heading, see docs/evaluation.md
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,7 +114,6 @@ def take_nearest(mine: FloatArray, its: FloatArray) -> FloatArray:
     return np.where((its > 0.0) & ((its < mine) | (mine == 0.0)), its, mine)
 
 
-_YAW_ROUNDS = 4
 _SMALLEST_SEEN = 1e-30  # by definition 0 means not seen; this is far below rounding
 
 
@@ -161,7 +160,7 @@ def measure_deviations(
                 upright[t, s] = 2.0 - 2.0 * y * q
                 weight[t, s] = weights[s] if ours_seen[t, s] and theirs_seen[t + k, s] else 0.0
                 trust[t, s] = weight[t, s]
-        for _ in range(_YAW_ROUNDS):
+        for _ in range(4):  # each time what is off loses more of its say
             for t in range(n_frames):
                 a, b = 0.0, 0.0
                 for s in range(9):
@@ -386,13 +385,13 @@ CAP = 9.0
 """The square of three, by definition: three times out of tolerance a segment is wrong; further out says no more."""
 
 SLACK_S = 0.07
-"""s; no person is steadier in time than this, so a smaller lag is forgiven."""
+"""s; no person is steadier in time than this, so a smaller lag is forgiven (docs/evaluation.md)."""
 
 LIMB_SEGMENTS: tuple[NDArray[np.intp], ...] = tuple(np.array(indices) for indices in LIMBS.values())
 
 # All in units of one frame at 30 Hz with one segment at its tolerance.
 LAG_CHANGE = 2.0  # price of one column of lag more or less
-LAG_PRICE = 0.15  # and of being late at all, a frame and column: of two explanations the nearer one
+LAG_PRICE = 0.15  # and of being late at all, a frame and column, see docs/evaluation.md
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -50,7 +50,6 @@ class BoostedTrees:
         return cls(**{name: np.ascontiguousarray(arrays[f"{prefix}_{name}"]) for name in _ARRAYS})
 
 
-_BLOCK = 128
 _ARRAYS = ("feature", "threshold", "left", "right", "roots", "start")
 
 
@@ -63,14 +62,15 @@ def _add_up(
     right: np.ndarray,
     roots: np.ndarray,
     start: np.ndarray,
+    block: int = 128,
 ) -> FloatArray:  # pragma: no cover - compiled
     logits = np.empty((len(rows), len(start)))
     for i in range(len(rows)):  # all at once would have the compiler write the message of an error, for seconds
         for c in range(len(start)):
             logits[i, c] = start[c]
     # A tree for a block of rows: both stay in the nearest cache.
-    for first in range(0, len(rows), _BLOCK):
-        last = min(first + _BLOCK, len(rows))
+    for first in range(0, len(rows), block):
+        last = min(first + block, len(rows))
         for turn in range(len(roots)):
             for c in range(len(start)):
                 root = roots[turn, c]

@@ -52,7 +52,7 @@ ANGLE_NAMES: Mapping[str, Message] = {name: Message(f"joint_angles.{name}") for 
 """Angle -> its name."""
 
 MOVING_DEG = 20.0
-"""A joint whose angle ranges over less is not what the exercise is about."""
+"""A joint whose angle ranges over less is not what the exercise is about (docs/exercises.md)."""
 
 
 @dataclass(frozen=True, slots=True)

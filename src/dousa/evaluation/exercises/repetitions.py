@@ -46,7 +46,6 @@ from dousa.motion.canonical.canonicalise import mirror_canonical
 LEVEL = 0.05
 """Two-sided probability below which a trend is called distinguishable from none: the convention of R. A. Fisher,
 "Statistical Methods for Research Workers", 1925."""
-_EXACT_UP_TO = 40  # repetitions without ties; beyond, and with ties, the normal approximation
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,10 +98,11 @@ def adjust_for_many(trends: Mapping[str, Trend]) -> dict[str, Trend]:
     return adjusted
 
 
-def _compute_p_value(score: int, values: np.ndarray) -> float:
+def _compute_p_value(score: int, values: np.ndarray, *, exact_up_to: int = 40) -> float:
+    # exact_up_to: values without ties; of more, and with ties, the normal approximation
     n = len(values)
     ties = np.unique(values, return_counts=True)[1]
-    if n <= _EXACT_UP_TO and ties.max() == 1:
+    if n <= exact_up_to and ties.max() == 1:
         counts = _count_orders(n)
         total = math.factorial(n)
         most = n * (n - 1) // 2
@@ -115,7 +115,7 @@ def _compute_p_value(score: int, values: np.ndarray) -> float:
     return math.erfc(max(abs(score) - 1, 0) / math.sqrt(2.0 * variance))
 
 
-@lru_cache(maxsize=_EXACT_UP_TO)
+@lru_cache
 def _count_orders(n: int) -> tuple[int, ...]:
     """Number of orders of n values by how many pairs are out of order."""
     counts = [1]

@@ -181,11 +181,12 @@ def _squared(a: FloatArray, b: FloatArray) -> FloatArray:
 
 LEAST_EXCURSION = 0.25
 """Chord: what moves less is standing still; by geometry that of a limb of two segments that turns by 10 degrees."""
-_OTHER = 2.0  # mean squared residual, as a share of the template's mean squared displacement, of other motion
+_OTHER = 2.0  # mean squared residual, a share of the template's power, of other motion: by definition, two unrelated
+# motions of equal power differ by twice it
 _ONSET = 0.12  # share of the displacement at which a repetition has begun, see docs/exercises.md
 _SHORTEST_S, _LONGEST_S = 0.4, 20.0
 _ALIKE, _ALIKE_ALONE = 1.0, 2.5  # misfit, a share of the template's power, from which on a pass is another motion
-_RETURNS = 0.55  # share of its reach within which a repetition begins and ends at rest
+_RETURNS = 0.55  # share of its reach within which a repetition begins and ends at rest, see docs/exercises.md
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,6 @@ from dousa.evaluation.posture.yaw import (
 )
 
 _WIDTH = 3 * len(SEGMENTS)  # of a posture, by definition
-_CHUNK = 500_000  # pairs of poses compared at a time: they stay in the cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -243,7 +242,9 @@ def compute_segment_residuals(space: Eigenspace, aligned: ArrayLike) -> FloatArr
     return np.asarray(np.linalg.norm(residual.reshape(*residual.shape[:-1], len(SEGMENTS), 3), axis=-1))
 
 
-def compute_distance_to_path(space: Eigenspace, reference: ArrayLike, performance: ArrayLike) -> FloatArray:
+def compute_distance_to_path(
+    space: Eigenspace, reference: ArrayLike, performance: ArrayLike, *, at_once: int = 500_000
+) -> FloatArray:
     """Compute the distance of postures from the nearest posture of the reference at any time.
 
     Parameters
@@ -251,6 +252,7 @@ def compute_distance_to_path(space: Eigenspace, reference: ArrayLike, performanc
     space : of the furi.
     reference : (T, 9, 3) aligned postures of the furi, at least one.
     performance : (U, 9, 3) aligned.
+    at_once : pairs of postures compared at a time; their memory.
 
     Returns
     -------
@@ -267,7 +269,7 @@ def compute_distance_to_path(space: Eigenspace, reference: ArrayLike, performanc
         raise InvalidMotionError("eigenspace.no_posture")
     squares = 0.5 * (targets * targets).sum(axis=1)
     nearest = np.empty(len(queries), np.intp)
-    step = max(1, _CHUNK // len(targets))
+    step = max(1, at_once // len(targets))
     for first in range(0, len(queries), step):
         # The smallest |q - t|^2 / 2, with its sign changed and without |q|^2 / 2, the same for all targets.
         scores = queries[first : first + step] @ targets.T

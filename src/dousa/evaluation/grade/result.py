@@ -268,9 +268,13 @@ _EVENT = (
     "worst_s reference_s furi"
 )
 _LAPSE = "kind start_s end_s reference_start_s reference_end_s says"
-_DIGITS = {"contribution": _SHARES, "severity": 2}
-_DIGITS |= dict.fromkeys(("shortfall_deg", "deviation_deg", "facing_deg"), _DEGREES)
-_DIGITS |= dict.fromkeys(("score", "lag_ms", "shortfall_percent"), 1)
+# Decimals of numbers in JSON, by definition.
+_DIGITS = {
+    "contribution": _SHARES,
+    "severity": 2,
+    **dict.fromkeys(("shortfall_deg", "deviation_deg", "facing_deg"), _DEGREES),
+    **dict.fromkeys(("score", "lag_ms", "shortfall_percent"), 1),
+}
 
 
 def _describe(what: object, names: str, language: str | None = None) -> dict[str, Any]:

@@ -217,9 +217,6 @@ def compare_with_reference(
     return np.where(judged, 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)), np.nan), bool(judged.all())
 
 
-_N_ROUNDS = 3
-
-
 @njit(cache=True, nogil=True)
 def compare_pose(
     ours: FloatArray,
@@ -254,7 +251,7 @@ def compare_pose(
             across[s] = x * r - z * p
             fixed[s] = 2.0 - 2.0 * y * q
             squared[k, s] = 0.0
-        for _ in range(_N_ROUNDS):
+        for _ in range(3):  # each time what is off loses more of its say
             more_along, more_across = 0.0, 0.0
             for s in range(9):
                 if weights[s] > 0.0 and theirs_seen[k, s]:

@@ -47,7 +47,7 @@ from dousa.evaluation.errors.measures import measure_suspects
 from dousa.evaluation.grade.references import ReferenceTakes, choose_tolerance, describe
 from dousa.evaluation.posture.posture import Working
 
-_KEPT_S = 30.0  # for which the past may still be seen otherwise
+_KEPT_S = 30.0  # for which the past may still change, see docs/evaluation.md
 
 
 @dataclass(slots=True)
@@ -230,7 +230,7 @@ class LineFollower:
 
 
 _SHORT_S, _LONG_S = 12.0, 30.0
-_CONTEXT_S = 2.5  # before a stretch that is still open
+_CONTEXT_S = 2.5  # before a stretch that is still open, see docs/evaluation.md
 _MOVED = 0.25  # frames by which a line must have moved for its deviations to be measured again
 _HISTORY_S, _NEAR_S = 180.0, 0.6
 _ORDER = ("stop", "skip", "repeat")

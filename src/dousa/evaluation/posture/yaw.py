@@ -189,7 +189,7 @@ WITHIN_S = 2.5  # see docs/evaluation.md
 
 
 _N_YAWS, _N_ROUNDS = 2, 5
-_MOST_MOMENTS = 1500
+_MOST_MOMENTS = 1500  # that an offset is estimated from, see docs/evaluation.md
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -40,7 +40,11 @@ A standing foot slopes: the ankle is higher than the toe joint by 0.4 of their d
 """
 
 STATURE_PER_HEIGHT = 1.1
-"""The crown of the head and the sole of the foot lie beyond the joints."""
+"""The crown of the head and the sole of the foot lie beyond the joints.
+
+By D. A. Winter's proportions (fig. 4.1) eye level is at 0.936 of the stature and the ankle at 0.039: a chain from
+there to between the ankle and the floor makes 0.90 to 0.94 of it.
+"""
 
 
 def chain_height(points: FloatArray) -> float:

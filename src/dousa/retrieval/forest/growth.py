@@ -37,7 +37,7 @@ from dousa.retrieval.forest.trees import (
     replace_leaves,
 )
 
-_AT_ONCE = 4096  # clips whose features are read in one step
+_AT_ONCE = 4096  # clips whose features are read in one step; memory alone depends on it, by definition
 _MOST_OTHERS = 64  # a leaf grows where this many times its strangers are at least all its clips (docs/retrieval.md)
 _MOST_SILENT = 256  # later clips count beside examples where this many times their number is all (lab/notes/scaling.md)
 _MOST_DRAWN = 256  # clips that a leaf grows from (docs/retrieval.md)

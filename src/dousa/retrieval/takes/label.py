@@ -50,7 +50,7 @@ from dousa.retrieval.takes.windows import TAKE_RATE
 from dousa.workers.threads import map_pieces
 
 SHORT_GAP = 15
-"""Frames, the longest gap between two actions, or at an end, that is added to them."""
+"""Frames, the longest gap between two actions, or at an end, that is added to them: half a second (docs/takes.md)."""
 
 _VERSION, _EARLIER = 7, (4, 5, 6)
 _WHAT = Message("stored.labeller")

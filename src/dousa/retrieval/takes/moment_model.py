@@ -33,11 +33,11 @@ HOP = 6
 """Frames at 30 Hz from one moment to the next: a fifth of a second (docs/takes.md)."""
 
 REACH = 120
-"""Frames on either side of a moment that it can depend on."""
+"""Frames on either side of a moment that it can depend on: four seconds (docs/takes.md)."""
 
 _SECONDS = np.array([-2.0, -1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0, 2.0])  # edges of cells (docs/takes.md)
 _FIRST_MOVING = [channel.name for channel in CHANNELS].index("body moving to the left")
-_CHUNK = 4092  # frames, a multiple of the hop
+_CHUNK = 682 * HOP  # frames, some two minutes (docs/takes.md)
 
 N_VALUES = 3 * (len(_SECONDS) - 1) * len(CHANNELS)
 """F, values of a moment (docs/takes.md)."""

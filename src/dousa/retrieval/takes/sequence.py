@@ -37,7 +37,7 @@ class SequenceWeights:
 
 
 FLOOR = 0.01
-"""Added to probabilities, so that no moment excludes a category."""
+"""Added to probabilities, so that no moment excludes a category (docs/takes.md)."""
 
 N_PHASES = 3
 """Phases of an action: beginning, middle, end (docs/takes.md)."""
