@@ -276,7 +276,7 @@ class TestInterrupted:
         from dousa.estimation.tracking import tracker
 
         monkeypatch.setattr("dousa.app.pipelines.track_log._EVERY_S", 0.0)
-        monkeypatch.setattr(tracker, "_CHECKPOINT_FRAMES", 3)
+        monkeypatch.setitem(tracker.estimate.__kwdefaults__, "checkpoint_every", 3)
         path = change(masks)
 
         def run(name, stop_at=None):

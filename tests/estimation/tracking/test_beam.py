@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from oracles.slow_search import random_body, random_pose, two_cameras
 
 from dousa.estimation.body.human import make_human
-from dousa.estimation.body.kinematics import compute_points
+from dousa.estimation.body.kinematics import compute_points, pose_difference, step_poses
 from dousa.estimation.body.posing import standing_state
 from dousa.estimation.cameras.camera import make_ring
 from dousa.estimation.raster.rendering import render
@@ -17,9 +17,6 @@ from dousa.estimation.tracking.beam import (
     _Track,
     choose_switch,
     choose_track,
-    move_pose,
-    narrow,
-    pose_difference,
     replay,
     score_frames,
 )
@@ -144,7 +141,7 @@ def test_what_is_replaced_hangs_on_the_line():
     beam.replace_newest(anew)
     assert len(beam._tracks) == 1
     np.testing.assert_array_equal(beam.best, anew[-1])
-    np.testing.assert_allclose(move_pose(anew[0], beam._tracks[0].velocity), anew[1], atol=1e-9)
+    np.testing.assert_allclose(step_poses(anew[0], beam._tracks[0].velocity), anew[1], atol=1e-9)
     settled = list(beam.settle(0))
     assert [one.pose[0] for one in settled[:-2]] == line[:-2]
     np.testing.assert_array_equal([one.pose for one in settled[-2:]], anew)
@@ -172,7 +169,7 @@ def test_the_difference_of_poses_is_the_way_between_them(seed):
     rng = np.random.default_rng(seed)
     body = random_body(rng)
     before, steps = random_pose(rng, body), rng.uniform(-0.8, 0.8, 6 + body.n_angles)
-    after = move_pose(before, steps)
+    after = step_poses(before, steps)
     assert np.linalg.norm(after[3:7]) == pytest.approx(1.0)
     np.testing.assert_allclose(pose_difference(before, after), steps, atol=1e-9)
     after[3:7] *= -1.0
@@ -184,8 +181,8 @@ CAMERAS = make_ring(3, size=(128, 96))
 AREA = 900.0
 
 
-def make_setup():
-    return SearchSetup(BODY, CAMERAS, TrackerSettings(), 30.0, AREA)
+def make_setup(n_kept=None):
+    return SearchSetup(BODY, CAMERAS, TrackerSettings(beam=n_kept), 30.0, AREA)
 
 
 def walk(n_frames=8):
@@ -201,8 +198,7 @@ def make_frames(setup, poses):
 
 
 def test_a_stretch_is_followed_either_way():
-    setup, poses = narrow(make_setup(), AREA), walk()
-    assert setup.beam == 1
+    setup, poses = make_setup(1), walk()
     frames = make_frames(setup, poses)
     for order in (slice(None), slice(None, None, -1)):
         found = replay(setup, poses[order][0], frames[order])

@@ -12,7 +12,7 @@ from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import BodyModelError
 from dousa.estimation.body.body import BodyModel
 from dousa.motion import Motion, Skeleton
-from dousa.motion.rotations import from_matrix, identity
+from dousa.motion import rotations as rot
 
 Tree = tuple[IndexArray, FloatArray, FloatArray, IndexArray, FloatArray, IndexArray]
 
@@ -68,6 +68,19 @@ def compute_points(body: BodyModel, poses: ArrayLike) -> FloatArray:
     return np.concatenate((positions, tips), axis=-2)
 
 
+def step_poses(poses: FloatArray, steps: FloatArray) -> FloatArray:
+    """Move poses (..., 7 + A) by steps (..., 6 + A): place, turn in the root's own axes, angles."""
+    places, angles = poses[..., :3] + steps[..., :3], poses[..., 7:] + steps[..., 6:]
+    turned = rot.normalise(rot.multiply(poses[..., 3:7], rot.from_axis_angle(steps[..., 3:6])))
+    return np.concatenate((places, turned, angles), axis=-1)
+
+
+def pose_difference(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Compute the steps (..., 6 + A) by which `step_poses` takes poses (..., 7 + A) to others."""
+    turn = rot.to_axis_angle(rot.multiply(rot.conjugate(before[..., 3:7]), after[..., 3:7]))
+    return np.concatenate((after[..., :3] - before[..., :3], turn, after[..., 7:] - before[..., 7:]), axis=-1)
+
+
 def to_motion(body: BodyModel, poses: ArrayLike, frame_rate: float) -> Motion:
     """Convert poses (T, 7 + A) to a motion in metres with a joint for every part and every tip.
 
@@ -81,7 +94,7 @@ def to_motion(body: BodyModel, poses: ArrayLike, frame_rate: float) -> Motion:
     local[:, 0] = rotations[:, 0]
     above = rotations[:, body.parents[1:]]
     local[:, 1:] = np.swapaxes(above, -1, -2) @ rotations[:, 1:]
-    quaternions = np.concatenate((from_matrix(local), identity((n_frames, n_tips))), axis=1)
+    quaternions = np.concatenate((rot.from_matrix(local), rot.identity((n_frames, n_tips))), axis=1)
     offsets = np.concatenate((body.offsets, body.tip_offsets))
     parents = np.concatenate((body.parents, body.tip_parts))
     translations = np.tile(offsets, (n_frames, 1, 1))

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import BodyModelError
 from dousa.estimation.body.body import BodyModel
-from dousa.estimation.body.kinematics import compute_points, place_parts, point_names
+from dousa.estimation.body.kinematics import compute_points, place_parts, point_names, step_poses
 from dousa.motion import rotations as rot
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
 
@@ -67,11 +67,11 @@ def solve_pose(
     cost = residuals @ residuals
     for _ in range(most_steps):
         steps = np.eye(6 + body.n_angles) * difference
-        slope = (evaluate(_step(pose, steps)) - residuals).T / difference
+        slope = (evaluate(step_poses(pose[None].repeat(len(steps), axis=0), steps)) - residuals).T / difference
         square, gradient = slope.T @ slope, slope.T @ residuals
         while damping < damping_range[1]:
             damped = square + np.diag(damping * (np.diag(square) + 1e-6))
-            tried = _step(pose, -np.linalg.solve(damped, gradient)[None])
+            tried = step_poses(pose[None], -np.linalg.solve(damped, gradient)[None])
             result = evaluate(tried)[0]
             if result @ result < cost:
                 break
@@ -84,15 +84,6 @@ def solve_pose(
         if gained <= settled * cost:
             break
     return pose, float(cost)
-
-
-def _step(pose: FloatArray, steps: FloatArray) -> FloatArray:
-    """Move a pose by steps (N, 6 + A): place, turn in the root's axes, angles."""
-    moved = np.repeat(pose[None], len(steps), axis=0)
-    moved[:, :3] += steps[:, :3]
-    moved[:, 3:7] = rot.normalise(rot.multiply(pose[3:7], rot.from_axis_angle(steps[:, 3:6])))
-    moved[:, 7:] += steps[:, 6:]
-    return moved
 
 
 def _make_residuals(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -13,27 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.estimation.body.kinematics import compute_points
+from dousa.estimation.body.kinematics import compute_points, pose_difference, step_poses
 from dousa.estimation.tracking.search_setup import Frame, SearchSetup
-from dousa.motion import rotations as rot
-
-_MEMORY = 0.7  # share of the score so far that still counts a frame later
-_APART = 0.12  # rad: poses nearer to a better one in all angles are the same pose
-
-
-def move_pose(pose: FloatArray, steps: FloatArray) -> FloatArray:
-    """Return a pose (7 + A,) moved by steps (6 + A,): place, turn in the root's own axes, angles."""
-    moved = pose.copy()
-    moved[:3] += steps[:3]
-    moved[3:7] = rot.normalise(rot.multiply(pose[3:7], rot.from_axis_angle(steps[3:6])))
-    moved[7:] += steps[6:]
-    return moved
-
-
-def pose_difference(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Compute the steps (6 + A,) by which `move_pose` takes one pose to the other."""
-    turn = rot.to_axis_angle(rot.multiply(rot.conjugate(before[3:7]), after[3:7]))
-    return np.concatenate((after[:3] - before[:3], turn, after[7:] - before[7:]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,11 +58,14 @@ class Beam:
     setup : body, cameras and settings.
     start : (7 + A,) the pose of the first frame.
     n_threads : threads; the result does not depend on their number.
+    memory : share of the score so far that still counts a frame later; 0 judges each frame for itself.
+    apart : rad, poses nearer than this to a better one in all angles are the same pose.
     """
 
-    def __init__(self, setup: SearchSetup, start: FloatArray, n_threads: int = 1) -> None:
-        self.setup = setup
-        self._scratch = threading.local()
+    def __init__(
+        self, setup: SearchSetup, start: FloatArray, n_threads: int = 1, *, memory: float = 0.7, apart: float = 0.12
+    ) -> None:
+        self.setup, self._memory, self._apart = setup, memory, apart
         self.pool = ThreadPoolExecutor(n_threads) if n_threads > 1 else None
         self._tracks = [_Track(0.0, start.copy(), np.zeros(setup.n_axes), 0)]
         self._pending: deque[tuple[list[_Track], Frame]] = deque()
@@ -96,13 +79,6 @@ class Beam:
     def best(self) -> FloatArray:
         """The best pose (7 + A,) of the newest frame; it may still change."""
         return self._tracks[0].pose
-
-    def own_scratch(self) -> tuple[Any, ...]:
-        """Return the scratch of the calling thread."""
-        if not hasattr(self._scratch, "arrays"):
-            self._scratch.arrays = self.setup.make_scratch()
-        arrays: tuple[Any, ...] = self._scratch.arrays
-        return arrays
 
     def begin(self, frame: Frame) -> None:
         """Take the first frame, whose pose is the start."""
@@ -119,7 +95,7 @@ class Beam:
         searched = sorted(self._map(self._search, tasks), key=lambda found: -found[0])
         kept: list[tuple[float, int, FloatArray, FloatArray]] = []
         for found in searched:
-            new = all(np.abs(found[2][7:] - other[2][7:]).max(initial=0.0) > _APART for other in kept)
+            new = all(np.abs(found[2][7:] - other[2][7:]).max(initial=0.0) > self._apart for other in kept)
             if not kept or (new and len(kept) < self.setup.beam):
                 kept.append(found)
         revisited = self._map(self._revisit, [(*found, frame) for found in kept])
@@ -179,7 +155,7 @@ class Beam:
         return list(self.pool.map(work, tasks) if self.pool is not None else map(work, tasks))
 
     def _predict(self, track: _Track, damping: float) -> FloatArray:
-        predicted = move_pose(track.pose, damping * track.velocity)
+        predicted = step_poses(track.pose, damping * track.velocity)
         limits = self.setup.bounds[2]
         predicted[7:] = np.clip(predicted[7:], limits[:, 0], limits[:, 1])
         return predicted
@@ -187,20 +163,20 @@ class Beam:
     def _search(self, task: tuple[int, float, Frame]) -> tuple[float, int, FloatArray, FloatArray]:
         """Run the first pass from one prediction of one track."""
         number, damping, frame = task
-        setup, track, scratch = self.setup, self._tracks[number], self.own_scratch()
+        setup, track, scratch = self.setup, self._tracks[number], self.setup.own_scratch()
         pose, shift = self._predict(track, damping), np.zeros(setup.n_axes)
         setup.sweep(pose, shift, setup.settings.passes[0], frame, scratch)
-        score = _MEMORY * track.score + setup.score(pose, shift, frame, scratch)
+        score = self._memory * track.score + setup.score(pose, shift, frame, scratch)
         return score, number, pose, shift
 
     def _revisit(self, task: tuple[float, int, FloatArray, FloatArray, Frame]) -> _Track:
         """Run the finer passes over a kept pose."""
         _, number, pose, shift, frame = task
-        setup, track, scratch = self.setup, self._tracks[number], self.own_scratch()
+        setup, track, scratch = self.setup, self._tracks[number], self.setup.own_scratch()
         for factor in setup.settings.passes[1:]:
             setup.sweep(pose, shift, factor, frame, scratch, setup.half_later)
         pose[3:7] /= np.linalg.norm(pose[3:7])
-        score = _MEMORY * track.score + setup.score(pose, shift, frame, scratch)
+        score = self._memory * track.score + setup.score(pose, shift, frame, scratch)
         return _Track(score, pose, pose_difference(track.pose, pose), number)
 
     def _coast(self, number: int, track: _Track) -> _Track:
@@ -242,10 +218,6 @@ class Beam:
         self._pending[-1] = (self._tracks, frames[-1])
 
 
-_MOST = 5.0  # log score that a track can fall behind in one frame: any track may lose a limb for some frames
-_JUMP = 30.0  # log score that a metre costs by which the joints jump where one track ends and another begins
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Replay:
     """A stretch tracked from its first pose.
@@ -258,12 +230,6 @@ class Replay:
 
     poses: FloatArray
     scores: FloatArray
-
-
-def narrow(setup: SearchSetup, area: float) -> SearchSetup:
-    """Return the same search with a beam of one pose."""
-    settings = replace(setup.settings, beam=1)
-    return SearchSetup(setup.body, setup.cameras, settings, setup.frame_rate, area)
 
 
 def replay(setup: SearchSetup, pose: FloatArray, frames: Sequence[Frame], n_threads: int = 1) -> Replay:
@@ -290,17 +256,21 @@ def score_frames(setup: SearchSetup, poses: FloatArray, frames: Sequence[Frame])
     )
 
 
-def choose_track(tracks: Sequence[Replay]) -> int:
-    """Return the index of the best of several tracks of the same frames; one bad frame counts little."""
+def choose_track(tracks: Sequence[Replay], most: float = 5.0) -> int:
+    """Return the index of the best of several tracks of the same frames.
+
+    In one frame a track falls behind by no more than the log score ``most``, as any track may lose a limb for a moment.
+    """
     scores = np.array([track.scores for track in tracks])
-    behind = np.minimum(scores.max(axis=0) - scores, _MOST)
+    behind = np.minimum(scores.max(axis=0) - scores, most)
     return int(np.argmin(behind.mean(axis=1)))
 
 
-def choose_switch(setup: SearchSetup, old: Replay, new: Replay) -> int:
+def choose_switch(setup: SearchSetup, old: Replay, new: Replay, jump: float = 30.0) -> int:
     """Return the frame, 0 to n, from which track ``new`` replaces ``old``; n keeps the old one.
 
-    Weighs the scores against the jump of the joints of the body between the tracks, both in order of time.
+    Weighs the scores against the jump of the joints of the body between the tracks, both in order of time: a metre
+    costs the log score ``jump``.
     """
     n = len(old.poses)
     before, after = (compute_points(setup.body, track.poses) for track in (old, new))
@@ -308,5 +278,5 @@ def choose_switch(setup: SearchSetup, old: Replay, new: Replay) -> int:
     totals = np.concatenate(([0.0], np.cumsum(old.scores))) + np.concatenate((np.cumsum(new.scores[::-1])[::-1], [0.0]))
     usual = np.linalg.norm(np.diff(before, axis=0), axis=-1).mean(axis=-1)
     jumps = np.linalg.norm(after[1:] - before[:-1], axis=-1).mean(axis=-1)
-    totals[1:n] -= _JUMP * np.maximum(0.0, jumps - usual)
+    totals[1:n] -= jump * np.maximum(0.0, jumps - usual)
     return int(np.argmax(totals))

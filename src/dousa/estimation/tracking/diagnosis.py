@@ -7,19 +7,16 @@ unnoticed. Pixels within a narrow rim of the outline do not count, as bodies and
 
 from __future__ import annotations
 
-import threading
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from math import erf
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, FloatArray
-from dousa.estimation.body.kinematics import compiled, compute_points, inlined
+from dousa.estimation.body.kinematics import compiled, compute_points, inlined, step_poses
 from dousa.estimation.raster.rasteriser import interval_mask, outline_part, popcount
-from dousa.estimation.tracking.beam import move_pose
 from dousa.estimation.tracking.search_kernels import (
     clear_bits,
     count_parts,
@@ -29,22 +26,16 @@ from dousa.estimation.tracking.search_kernels import (
     place_parts,
     select_fixed,
 )
-from dousa.estimation.tracking.search_setup import Frame, SearchSetup
+from dousa.estimation.tracking.search_setup import Frame, SearchSetup, standing_height
 
 LOST_ERROR = 0.15
-"""m, mean error of the joints of a frame that is called lost (of a person of usual stature)."""
+"""m, by definition the mean error of the joints of a frame that is lost (of a person of usual stature)."""
 
-_RIM = 0.015  # of a standing silhouette's height: what bodies and segmentations differ by
-_ASPECT = 0.22  # area of a standing person's silhouette over the square of its height
-_WINDOW_S = 0.13  # to either side: tracks are lost and found in more than a frame
-_LEAST = 0.004  # share of the silhouettes that is no patch worth the name
-_PATCHES, _OVERHANG, _SCALE = 0.495, 0.128, 0.119  # powers, and the logarithm of the error (m) where both are one
-_HABIT, _OFTEN, _ENOUGH = 0.7, 0.1, 10  # of what nine frames in ten leave, a share that is no error: shadows, clothes
-_ONE_VIEW = 1.5  # of the logarithm, where lines of sight do not meet
-_SPREAD, _SPREAD_ONE_VIEW = 0.387, 0.671  # of the logarithm
-_LOST = 0.2  # probability of an error above `LOST_ERROR`
-_USUAL_STATURE = 1.72  # m
-_RIGID = 0.03  # m: error of a joint without any movement of its own
+# A regression over made-up films of two people, see lab/notes/estimation.md ("What is said to be lost"): powers of
+# patches and overhang, what is added to both, and the logarithm of the error (m) where they are one.
+_PATCHES, _OVERHANG, _LEAST, _SCALE = 0.495, 0.128, 0.004, 0.119
+# Likewise: shift and spread of the logarithm by whether lines of sight meet.
+_SHIFT, _SPREAD = {True: 0.0, False: 1.5}, {True: 0.387, False: 0.671}
 
 
 def erode(bits: NDArray[np.uint64], steps: int) -> NDArray[np.uint64]:
@@ -65,11 +56,15 @@ def erode(bits: NDArray[np.uint64], steps: int) -> NDArray[np.uint64]:
 
 
 class PatchMeasure:
-    """Measure patches and overhang; ``area`` (px) is the mean area of a silhouette at the working size."""
+    """Measure patches and overhang.
 
-    def __init__(self, area: float) -> None:
+    ``area`` (px) is the mean area of a silhouette at the working size, ``rim`` the share of a standing silhouette's
+    height by which bodies and segmentations differ without an error.
+    """
+
+    def __init__(self, area: float, rim: float = 0.015) -> None:
         self.area = max(area, 1.0)
-        self.steps = max(1, round(_RIM * float(np.sqrt(self.area / _ASPECT))))
+        self.steps = max(1, round(rim * standing_height(area)))
 
     def measure(self, drawn: NDArray[np.uint64], frame: Frame) -> FloatArray:
         """Compute patches and overhang (2,) of the drawn body (V, H, words) as shares of a usual silhouette.
@@ -100,12 +95,24 @@ class Doubt:
 
 
 class ErrorModel:
-    """Estimate the error of poses; ``meet`` is true if the lines of sight of the views meet, so that depth is known."""
+    """Estimate the error of poses.
 
-    def __init__(self, setup: SearchSetup, meet: bool) -> None:
-        self.scale = setup.body.stature / _USUAL_STATURE
-        self.frame_rate = setup.frame_rate
-        self.shift, self.spread = (0.0, _SPREAD) if meet else (_ONE_VIEW, _SPREAD_ONE_VIEW)
+    Parameters
+    ----------
+    setup : body and frame rate.
+    meet : whether the lines of sight of the views meet, so that depth is known.
+    window : s to either side that are averaged, as tracks are lost and found in more than a frame.
+    unlikely : probability of an error above `LOST_ERROR` from which a frame is lost.
+    rigid : m, error of a joint without any movement of its own.
+    usual : m, stature to which `LOST_ERROR` applies; errors grow with the body.
+    """
+
+    def __init__(
+        self, setup: SearchSetup, meet: bool, *, window: float = 0.13, unlikely: float = 0.2, rigid: float = 0.03,
+        usual: float = 1.72,
+    ) -> None:  # fmt: skip
+        self.scale, self.reach = setup.body.stature / usual, round(window * setup.frame_rate)
+        self.shift, self.spread, self.unlikely, self.rigid = _SHIFT[meet], _SPREAD[meet], unlikely, rigid
 
     def judge(self, patches: FloatArray, widths: FloatArray, habit: float | None = None) -> Doubt:
         """Compute the doubt of consecutive frames.
@@ -117,20 +124,23 @@ class ErrorModel:
         habit : see `find_habit`; of these frames by default.
         """
         seen = np.asarray(np.isfinite(patches).all(axis=1))
-        found = np.where(seen[:, None], _average(patches, seen, round(_WINDOW_S * self.frame_rate)), 1.0)
+        found = np.where(seen[:, None], _average(patches, seen, self.reach), 1.0)
         found[:, 0] = np.maximum(found[:, 0] - (find_habit(patches) if habit is None else habit), 0.0)
         middle = _SCALE + self.shift + np.log(found + _LEAST) @ (_PATCHES, _OVERHANG)
         expected = np.exp(middle + 0.5 * self.spread**2)
         above = np.array([0.5 * (1.0 + erf(z)) for z in (middle - np.log(LOST_ERROR)) / (self.spread * np.sqrt(2.0))])
-        own = np.hypot(widths, _RIGID * self.scale)
+        own = np.hypot(widths, self.rigid * self.scale)
         errors = self.scale * expected[:, None] * own / own.mean(axis=1, keepdims=True)
-        return Doubt(errors, np.asarray((above > _LOST) | ~seen))
+        return Doubt(errors, np.asarray((above > self.unlikely) | ~seen))
 
 
-def find_habit(patches: FloatArray) -> float:
-    """Compute the share of patches (T, 2) present in nearly every frame: shadows or clothes, no error."""
+def find_habit(patches: FloatArray, *, rarely: float = 0.1, share: float = 0.7, enough: int = 10) -> float:
+    """Compute the share of patches (T, 2) present in nearly every frame: shadows or clothes, no error.
+
+    It is ``share`` of what all but ``rarely`` of the frames leave; 0 for fewer frames than ``enough``.
+    """
     seen = patches[np.isfinite(patches[:, 0]), 0]
-    return _HABIT * float(np.quantile(seen, _OFTEN)) if len(seen) >= _ENOUGH else 0.0
+    return share * float(np.quantile(seen, rarely)) if len(seen) >= enough else 0.0
 
 
 def _average(values: FloatArray, known: BoolArray, reach: int) -> FloatArray:
@@ -139,10 +149,6 @@ def _average(values: FloatArray, known: BoolArray, reach: int) -> FloatArray:
     count = np.convolve(known, window)[reach : reach + len(known)]
     columns = [np.convolve(np.where(known, column, 0.0), window)[reach : reach + len(known)] for column in values.T]
     return np.asarray(np.stack(columns, axis=1) / np.maximum(count, 1.0)[:, None])
-
-
-_RECENT = 300  # frames whose habit counts for a new frame
-_HIDDEN = 0.1  # share of a part's own pixels below which the image does not determine its place
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,12 +182,14 @@ class Diagnosis:
     area : px, mean area of a silhouette at the size of the setup's cameras.
     meet : whether the lines of sight of the views meet, so that depth is known.
     pool : threads that take the notes during the search; None takes them at once.
+    hidden : share of a part's own pixels below which the image does not determine its place.
     """
 
-    def __init__(self, setup: SearchSetup, area: float, meet: bool, pool: Executor | None = None) -> None:
-        self.setup, self.pool = setup, pool
+    def __init__(
+        self, setup: SearchSetup, area: float, meet: bool, pool: Executor | None = None, hidden: float = 0.1
+    ) -> None:
+        self.setup, self.pool, self._hidden = setup, pool, hidden
         self._patch_measure, self._model = PatchMeasure(area), ErrorModel(setup, meet)
-        self._own = threading.local()
         self._notes: list[Note | Future[Note]] = []
 
     def cover(self, pose: FloatArray, frame: Frame) -> tuple[float, float]:
@@ -193,14 +201,14 @@ class Diagnosis:
     def _cover(self, pose: FloatArray, frame: Frame) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Compute overlap (V,), share of each part (P,) that no other covers, and patches (2,)."""
         overlap, visible = np.empty(len(self.setup.cameras)), np.empty(self.setup.body.n_parts)
-        scratch = self._own_scratch()
+        scratch = self.setup.own_scratch()
         cover_views(pose, self.setup.model, self.setup.views(frame), scratch, overlap, visible)
         return overlap, visible, self._patch_measure.measure(scratch[2], frame)
 
     def look(self, pose: FloatArray, frame: Frame) -> Note:
         """Measure a pose."""
         overlap, visible, patches = self._cover(pose, frame)
-        return Note(overlap, self._measure_spread(pose, frame), visible < _HIDDEN, patches)
+        return Note(overlap, self._measure_spread(pose, frame), visible < self._hidden, patches)
 
     @property
     def latest(self) -> Note:
@@ -215,21 +223,15 @@ class Diagnosis:
         """Wait for the notes in progress."""
         self._notes = [_await(note) for note in self._notes]
 
-    def is_lost(self, note: Note) -> bool:
-        """Return whether a frame by itself is probably lost; `judge` includes its neighbours."""
-        before = np.array([_await(old).patches for old in self._notes[-_RECENT:]]).reshape(-1, 2)
+    def is_lost(self, note: Note, recent: int = 300) -> bool:
+        """Return whether a frame by itself is probably lost, with the habit of ``recent`` frames before it."""
+        before = np.array([_await(old).patches for old in self._notes[-recent:]]).reshape(-1, 2)
         return bool(self._model.judge(note.patches[None], note.widths[None], find_habit(before)).lost[0])
 
     def judge(self) -> Doubt:
         """Compute the doubt of all noted poses."""
         _, widths, _, patches = self.arrays()
         return self._model.judge(patches, widths)
-
-    def _own_scratch(self) -> tuple[Any, ...]:
-        if not hasattr(self._own, "arrays"):
-            self._own.arrays = self.setup.make_scratch()
-        arrays: tuple[Any, ...] = self._own.arrays
-        return arrays
 
     def _measure_spread(self, pose: FloatArray, frame: Frame) -> FloatArray:
         """Compute how far (P + K,) m each point moves while the image score stays nearly the same.
@@ -238,7 +240,7 @@ class Diagnosis:
         """
         setup = self.setup
         low, high = np.zeros(setup.n_axes), np.zeros(setup.n_axes)
-        scratch = self._own_scratch()
+        scratch = self.setup.own_scratch()
         measure_widths(pose, setup.weights, setup.bounds, setup.model, setup.views(frame), scratch, low, high)
         half = 0.5 * (low + high)
         axes = np.flatnonzero(half)
@@ -247,7 +249,7 @@ class Diagnosis:
         moved = np.tile(pose, (len(axes), 1))
         for row, axis in zip(moved, axes, strict=True):
             if 3 <= axis < 6:
-                row[:] = move_pose(pose, half[axis] * np.eye(setup.n_axes)[axis])
+                row[:] = step_poses(pose, half[axis] * np.eye(setup.n_axes)[axis])
             else:
                 row[axis + (axis >= 6)] += half[axis]
         points = compute_points(setup.body, np.concatenate((pose[None], moved)))
@@ -268,9 +270,6 @@ class Diagnosis:
     def load(self, overlap: FloatArray, widths: FloatArray, occluded: NDArray[np.bool_], patches: FloatArray) -> None:
         """Load the notes of an earlier run."""
         self._notes = [Note(*row) for row in zip(overlap, widths, occluded, patches, strict=True)]
-
-
-_TIE = 1.0  # log score: what drops by less is as good
 
 
 @inlined
@@ -341,7 +340,7 @@ def measure_widths(pose, weights, bounds, model, views, scratch, low, high):  # 
         fixed = scratch[9][: select_fixed(part, n_parts, below, scratch[9])]
         draw_parts_into(scratch[4], fixed, model, views, scratch)
         fill_evidence(np.int64(0), views[3], scratch[4], plus, minus, scratch[7])
-        allowed = count_parts(below, model, views, plus, minus, scratch, np.inf) + _TIE / weights[2]
+        allowed = count_parts(below, model, views, plus, minus, scratch, np.inf) + 1.0 / weights[2]
         first = 0 if part == 0 else 6 + tree[5][part]
         for axis in range(first, first + (6 if part == 0 else tree[3][part])):
             for side in (-1.0, 1.0):

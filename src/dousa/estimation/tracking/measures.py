@@ -20,13 +20,6 @@ from dousa.estimation.tracking.settings import TrackerSettings
 from dousa.estimation.tracking.start import StartSearch, find_start
 from dousa.messages import Message
 
-USUAL_STATURE = 1.72
-"""m, assumed if unknown."""
-
-_STATURES = np.round(np.arange(1.40, 2.051, 0.05), 2)
-_EXTENT = 130.0  # px
-_SWEEPS = (0.5, 0.5, 0.25)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scale:
@@ -35,7 +28,7 @@ class Scale:
     Parameters
     ----------
     stature : m.
-    measured : whether it follows from the silhouettes; else it is `USUAL_STATURE`.
+    measured : whether it follows from the silhouettes; else it is assumed.
     body : of that stature.
     pose : (7 + A,) of the body in the frame.
     iou : overlap of body and silhouettes.
@@ -54,11 +47,13 @@ def fit_scale(
     *,
     make_body: Callable[[float], BodyModel] = make_human,
     progress: Callable[[int, int, Message], None] | None = None,
+    usual: float = 1.72,
+    statures: Sequence[float] = tuple(number / 100 for number in range(140, 206, 5)),
+    extent: float = 130.0,
 ) -> Scale:
-    """Find stature (1.40 to 2.05 m) and pose together from one frame, best one in which the person stands.
+    """Find stature and pose together from one frame, best one in which the person stands.
 
-    With one view, or views from about one side, the stature is undetermined: it is then `USUAL_STATURE` and
-    ``measured`` is false.
+    With one view, or views from about one side, the stature is undetermined: ``measured`` is then false.
 
     Parameters
     ----------
@@ -66,6 +61,9 @@ def fit_scale(
     masks : (V,) of one frame; None where a view has no image.
     make_body : returns the body of a stature (m).
     progress : called with steps done, steps in all and the current step.
+    usual : m, stature that is assumed where it is undetermined.
+    statures : m, evenly spaced, that are tried; between them the top of a parabola is taken.
+    extent : px, to which the longest side of the silhouettes is shrunk: more is slower.
 
     Raises
     ------
@@ -76,20 +74,20 @@ def fit_scale(
     if not extents:
         raise SilhouetteError("tracker.nobody")
     tell = progress or (lambda done, total, what: None)
-    views, small = shrink_views(cameras, masks, min(1.0, _EXTENT / max(extents)))
-    tell(0, 1 + len(_STATURES), Message("tracker.first_pose"))
-    body = make_body(USUAL_STATURE)
+    views, small = shrink_views(cameras, masks, min(1.0, extent / max(extents)))
+    tell(0, 1 + len(statures), Message("tracker.first_pose"))
+    body = make_body(usual)
     setup = SearchSetup(body, views, TrackerSettings(), 30.0, 1.0)
     found = find_start(setup, setup.pack(small), small)[0]
     if not lines_meet(cameras, outlines):
-        return Scale(USUAL_STATURE, False, body, found.pose, found.iou)
+        return Scale(usual, False, body, found.pose, found.iou)
     scores: dict[float, float] = {}
     poses: dict[float, FloatArray] = {}
     # Outwards from the usual stature, each pose beginning with that of the stature beside it.
-    for way in (_STATURES[_STATURES >= USUAL_STATURE], _STATURES[_STATURES < USUAL_STATURE][::-1]):
-        pose, before = found.pose, USUAL_STATURE
+    for way in ([one for one in statures if one >= usual], [one for one in statures if one < usual][::-1]):
+        pose, before = found.pose, usual
         for stature in way:
-            tell(1 + len(scores), 1 + len(_STATURES), Message("tracker.stature"))
+            tell(1 + len(scores), 1 + len(statures), Message("tracker.stature"))
             body = make_body(float(stature))
             scores[stature], pose, _ = _try_stature(body, pose, stature / before, views, small)
             poses[stature], before = pose, stature
@@ -102,13 +100,17 @@ def _try_stature(
     growth: float,
     cameras: Sequence[Camera],
     masks: Sequence[Mask | None],
+    sweeps: Sequence[float] = (0.5, 0.5, 0.25),
 ) -> tuple[float, FloatArray, StartSearch]:
-    """Return score, pose and search of a body ``growth`` times as tall as that of the given pose."""
+    """Return score, pose and search of a body ``growth`` times as tall as that of the given pose.
+
+    ``sweeps`` are the shares of dR in which the pose is searched.
+    """
     setup = SearchSetup(body, cameras, TrackerSettings(), 30.0, 1.0)
     search = StartSearch(setup, setup.pack(masks), [measure_outline(mask) for mask in masks])
     begun = pose.copy()
     begun[1] += 0.5 * (growth - 1.0) * body.stature  # feet stay about where they were
-    return (*search.refine(begun, _SWEEPS), search)
+    return (*search.refine(begun, sweeps), search)
 
 
 def _choose(
@@ -133,13 +135,16 @@ def _choose(
     return Scale(stature, True, body, pose, search.measure_overlap(pose))
 
 
-_LEAST, _GREATEST = 0.6, 1.8  # of the body's own girth: naked child to winter coat
-_APART = 1.25  # a part may be so much thicker or thinner than the whole
-_STEPS = (0.16, 0.08, 0.04, 0.02)
-_WORTH = 5e-4  # of the silhouette: a change that gains fewer pixels is not made
-
-
-def fit_girths(body: BodyModel, poses: ArrayLike, masks: Sequence[Mask], cameras: Sequence[Camera]) -> BodyModel:
+def fit_girths(
+    body: BodyModel,
+    poses: ArrayLike,
+    masks: Sequence[Mask],
+    cameras: Sequence[Camera],
+    *,
+    limits: tuple[float, float] = (0.6, 1.8),
+    apart: float = 1.25,
+    worth: float = 5e-4,
+) -> BodyModel:
     """Fit the girths of a body to silhouettes of known poses.
 
     First the whole body, then part by part, left and right together; lengths stay, see `fit_body`.
@@ -150,6 +155,9 @@ def fit_girths(body: BodyModel, poses: ArrayLike, masks: Sequence[Mask], cameras
     poses : (T, 7 + A) or (7 + A,), one frame or a few, best with the limbs off the trunk.
     masks : (V,) one (T, height, width) or (height, width) for each camera, true on the body.
     cameras : (V,).
+    limits : of the new girths over the old: from a naked child to a winter coat.
+    apart : how much thicker or thinner than the whole a part may become.
+    worth : share of the silhouettes; a change that gains fewer pixels is not made.
 
     Raises
     ------
@@ -170,10 +178,9 @@ def fit_girths(body: BodyModel, poses: ArrayLike, masks: Sequence[Mask], cameras
         return sum(int((mask ^ view).sum()) for mask, view in zip(drawn, views, strict=True))
 
     shares = np.ones(body.n_parts)
-    shares = _search(mismatch, shares, [np.arange(body.n_parts)], (_LEAST, _GREATEST), _WORTH * area)
-    middle = shares[0]
-    bounds = max(_LEAST, middle / _APART), min(_GREATEST, middle * _APART)
-    return widen(body, _search(mismatch, shares, _groups(body), bounds, _WORTH * area))
+    shares = _search(mismatch, shares, [np.arange(body.n_parts)], limits, worth * area)
+    bounds = max(limits[0], shares[0] / apart), min(limits[1], shares[0] * apart)
+    return widen(body, _search(mismatch, shares, _groups(body), bounds, worth * area))
 
 
 def _check_masks(masks: Sequence[Mask], cameras: Sequence[Camera], n_frames: int) -> list[Mask]:
@@ -206,10 +213,11 @@ def _search(
     groups: Sequence[IndexArray],
     bounds: tuple[float, float],
     worth: float,
+    steps: Sequence[float] = (0.16, 0.08, 0.04, 0.02),
 ) -> FloatArray:
     """Minimise the mismatch over shares (P,) of groups of parts by coordinate descent with shrinking steps."""
     best = mismatch(shares)
-    for step in _STEPS:
+    for step in steps:
         for group in groups:
             for way in (1.0 + step, 1.0 / (1.0 + step)):
                 while True:

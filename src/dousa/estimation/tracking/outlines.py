@@ -14,13 +14,6 @@ from dousa.estimation.body.kinematics import place_parts
 from dousa.estimation.cameras.camera import Camera
 from dousa.motion import rotations as rot
 
-_LEAST_SHARE = 0.1  # of the largest piece of a mask: smaller ones are speckle
-_STEPS = 5
-_CENTRE_WEIGHT = 2.0  # of the centre of gravity against one side of the bounding box
-_PARALLEL = 0.02  # least eigenvalue per view: rays that are more parallel (some 16 degrees) do not meet
-_LENGTH = 0.85  # statures that a silhouette is high, mostly
-_STEP_LIMIT = 0.5  # statures
-
 
 @dataclass(frozen=True, slots=True)
 class Outline:
@@ -43,8 +36,11 @@ class Outline:
         return float(max(self.box[1] - self.box[0], self.box[3] - self.box[2], 1.0))
 
 
-def measure_outline(mask: Mask | None) -> Outline | None:
-    """Compute box and centre of a mask without its specks; None if it shows no person."""
+def measure_outline(mask: Mask | None, least: float = 0.1) -> Outline | None:
+    """Compute box and centre of a mask; None if it shows no person.
+
+    Pieces below the share ``least`` of the largest one are specks and do not count.
+    """
     if mask is None or not mask.any():
         return None
     from dousa.extras import cv2
@@ -52,7 +48,7 @@ def measure_outline(mask: Mask | None) -> Outline | None:
     _, labels, stats, _ = cv2.connectedComponentsWithStats(np.ascontiguousarray(mask, np.uint8), connectivity=8)
     areas = stats[:, cv2.CC_STAT_AREA].copy()
     areas[0] = 0
-    kept = areas >= _LEAST_SHARE * areas.max()
+    kept = areas >= least * areas.max()
     kept[0] = False
     rows, columns = np.nonzero(kept[labels])
     height, width = mask.shape
@@ -61,21 +57,22 @@ def measure_outline(mask: Mask | None) -> Outline | None:
     return Outline(box, whole, np.array([columns.mean(), rows.mean()]))
 
 
+def shrink_mask(mask: Mask, size: tuple[int, int]) -> Mask:
+    """Return a mask of another width and height; a pixel stays if more than half covered."""
+    from dousa.extras import cv2
+
+    return np.asarray(cv2.resize(mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) >= 128)
+
+
 def shrink_views(
     cameras: Sequence[Camera], masks: Sequence[Mask | None], share: float
 ) -> tuple[tuple[Camera, ...], list[Mask | None]]:
-    """Return cameras and masks at ``share`` of their size; a pixel stays if more than half covered."""
-    from dousa.extras import cv2
-
-    small = tuple(camera.scaled(share) for camera in cameras) if share < 1.0 else tuple(cameras)
-    shrunk: list[Mask | None] = []
-    for mask, camera in zip(masks, small, strict=True):
-        if mask is not None and share < 1.0:
-            grey = cv2.resize(mask.astype(np.uint8) * 255, camera.size, interpolation=cv2.INTER_AREA)
-            shrunk.append(np.asarray(grey > 127))
-        else:
-            shrunk.append(mask)
-    return small, shrunk
+    """Return cameras and masks at ``share`` of their size, which stay as they are from 1 on."""
+    if share >= 1.0:
+        return tuple(cameras), list(masks)
+    small = tuple(camera.scaled(share) for camera in cameras)
+    pairs = zip(masks, small, strict=True)
+    return small, [None if mask is None else shrink_mask(mask, camera.size) for mask, camera in pairs]
 
 
 def _trace(pairs: Sequence[tuple[Camera, Outline]]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -85,9 +82,12 @@ def _trace(pairs: Sequence[tuple[Camera, Outline]]) -> tuple[FloatArray, FloatAr
     return origins, ways, np.eye(3) - ways[:, :, None] * ways[:, None, :]
 
 
-def do_meet(across: FloatArray) -> bool:
-    """Return whether lines, given by projections (N, 3, 3) across them, are far enough from parallel to meet."""
-    return bool(np.linalg.eigvalsh(across.sum(axis=0))[0] > _PARALLEL * len(across))
+def do_meet(across: FloatArray, least: float = 0.02) -> bool:
+    """Return whether lines, given by projections (N, 3, 3) across them, are far enough from parallel to meet.
+
+    ``least`` is the least eigenvalue of their mean, 0 for parallel lines: 0.02 is some 16 degrees between two.
+    """
+    return bool(np.linalg.eigvalsh(across.sum(axis=0))[0] > least * len(across))
 
 
 def lines_meet(cameras: Sequence[Camera], outlines: Sequence[Outline | None]) -> bool:
@@ -96,17 +96,19 @@ def lines_meet(cameras: Sequence[Camera], outlines: Sequence[Outline | None]) ->
     return do_meet(_trace(pairs)[2])
 
 
-def guess_place(cameras: Sequence[Camera], outlines: Sequence[Outline | None], stature: float) -> FloatArray:
+def guess_place(
+    cameras: Sequence[Camera], outlines: Sequence[Outline | None], stature: float, *, steps: int = 5, tall: float = 0.85
+) -> FloatArray:
     """Estimate the middle of the body (3,) m.
 
-    The point nearest to the lines of sight, outlying views weighed less; with one view, or views from nearly one side,
-    at the depth where the body is as tall as the silhouettes.
+    The point nearest to the lines of sight, outlying views weighed less in ``steps`` rounds; with one view, or views
+    from nearly one side, at the depth where the silhouettes are ``tall`` statures high.
     """
     pairs = [(camera, found) for camera, found in zip(cameras, outlines, strict=True) if found is not None]
     origins, ways, across = _trace(pairs)
     weights = np.ones(len(pairs))
     if do_meet(across):
-        for _ in range(_STEPS):
+        for _ in range(steps):
             normal = (weights[:, None, None] * across).sum(axis=0)
             place = np.linalg.solve(normal, (weights[:, None] * (across @ origins[:, :, None])[..., 0]).sum(axis=0))
             off = np.linalg.norm((across @ (place - origins)[:, :, None])[..., 0], axis=1)
@@ -115,7 +117,7 @@ def guess_place(cameras: Sequence[Camera], outlines: Sequence[Outline | None], s
     places = []
     for (camera, found), origin, way in zip(pairs, origins, ways, strict=True):
         focal = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
-        depth = focal * _LENGTH * stature / found.extent if camera.kind == "pinhole" else 3.0 * stature
+        depth = focal * tall * stature / found.extent if camera.kind == "pinhole" else 3.0 * stature
         places.append(origin + way * depth)
     return np.asarray(np.mean(places, axis=0))
 
@@ -135,6 +137,9 @@ def move_onto(
     place: FloatArray,
     cameras: Sequence[Camera],
     outlines: Sequence[Outline | None],
+    *,
+    steps: int = 5,
+    most: float = 0.5,
 ) -> FloatArray:
     """Shift poses so that boxes and centres of their projections match those of the silhouettes.
 
@@ -147,6 +152,8 @@ def move_onto(
     poses : (N, 7 + A), anywhere.
     place : (3,) m, first guess of their middles.
     cameras, outlines : (V,); None if no person is seen.
+    steps : Gauss-Newton steps.
+    most : statures that one of them may shift a pose.
     """
     moved = poses.copy()
     rotations, positions = place_parts(body, moved)
@@ -157,7 +164,7 @@ def move_onto(
     weights = np.maximum(radii, 1e-3 * body.stature)
     weights = weights / weights.sum()
     shift = place - np.einsum("nsi,s->ni", centres, weights)
-    for _ in range(_STEPS):
+    for _ in range(steps):
         square = np.tile(1e-4 * np.eye(3), (len(poses), 1, 1))
         gradient = np.zeros((len(poses), 3))
         for camera, outline in zip(cameras, outlines, strict=True):
@@ -165,7 +172,7 @@ def move_onto(
                 _add_view(camera, outline, centres + shift[:, None], radii, weights, square, gradient)
         step = np.linalg.solve(square, gradient[..., None])[..., 0]
         length = np.linalg.norm(step, axis=1, keepdims=True)
-        shift += step * np.minimum(1.0, _STEP_LIMIT * body.stature / np.maximum(length, 1e-9))
+        shift += step * np.minimum(1.0, most * body.stature / np.maximum(length, 1e-9))
     moved[:, :3] += shift
     return moved
 
@@ -178,8 +185,12 @@ def _add_view(
     weights: FloatArray,
     square: FloatArray,
     gradient: FloatArray,
+    centre: float = 2.0,
 ) -> None:
-    """Add one view's normal equations in place, in shares of the silhouette's extent."""
+    """Add one view's normal equations in place, in shares of the silhouette's extent.
+
+    The centre of gravity weighs ``centre`` times as much as a side of the box, and a tenth of that if cut off.
+    """
     focal = np.array([camera.matrix[0, 0], camera.matrix[1, 1]])
     depths = camera.compute_depths(centres)
     ahead = np.maximum(depths, 0.05) if camera.kind == "pinhole" else np.ones_like(depths)
@@ -206,7 +217,7 @@ def _add_view(
         cut = not outline.whole[2 * axis : 2 * axis + 2].all()
         off = scale * (outline.centre[axis] - image[..., axis] @ weights)
         slope = scale * np.einsum("nsi,s->ni", slopes[axis], weights)
-        _add_row(off, slope, 0.2 if cut else _CENTRE_WEIGHT, square, gradient)
+        _add_row(off, slope, 0.1 * centre if cut else centre, square, gradient)
 
 
 def _add_row(off: FloatArray, slope: FloatArray, weight: float, square: FloatArray, gradient: FloatArray) -> None:

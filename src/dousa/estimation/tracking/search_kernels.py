@@ -23,9 +23,6 @@ from dousa.estimation.raster.rasteriser import draw_intervals, outline_part, pop
 
 _ONES, _ONE, _WORD, _BIT = np.uint64(0xFFFFFFFFFFFFFFFF), np.uint64(1), np.uint64(6), np.uint64(63)
 _ONE_PART, _MASKED = np.int64(1), np.int64(0)  # numbers as such would have the kernels compiled once more for them
-_LEAST_WEIGHT = 1e-3  # W below this (beyond 2 dR) is out of reach
-_UNKNOWN = 1e18  # no number of pixels
-_MARGIN = 1e-6  # log score: what falls short by less is counted to the end
 
 
 @compiled
@@ -235,7 +232,7 @@ def sweep(pose, shift, order, whole, reach, weights, bounds, model, views, scrat
         fill_evidence(weights[0], views[3], scratch[4], scratch[2], scratch[3], scratch[7])
         lowest = _find_lowest(fixed, model[1], scratch)
         first = 0 if part == 0 else 6 + tree[5][part]
-        known = _UNKNOWN
+        known = np.inf  # no number of pixels
         for axis in range(first, first + n_axes):
             best = _search_axis(axis, moved, lowest, known, pose, shift, reach, weights, bounds, model, views, scratch)
             amount = reach[0] * bounds[0][axis] * best / half
@@ -283,7 +280,7 @@ def _search_axis(axis, moved, lowest, known, pose, shift, reach, weights, bounds
             prior = _weigh(k, axis, amount, pose, shift, weights, bounds)
             if prior == -np.inf:
                 continue
-            settled = k == 0 and known != _UNKNOWN and weights[1] != 1 and weights[4][1] == 0.0
+            settled = k == 0 and known < np.inf and weights[1] != 1 and weights[4][1] == 0.0
             if not settled:
                 for number in range(len(pose)):
                     trial[number] = pose[number]
@@ -292,7 +289,8 @@ def _search_axis(axis, moved, lowest, known, pose, shift, reach, weights, bounds
                 if weights[4][1] > 0.0:
                     low = _find_lowest(moved, model[1], scratch)
                     prior -= _price_floor(low if low < lowest else lowest, weights[4])
-                spare = np.inf if weights[1] > 0 else (prior - best_score + _MARGIN) / weights[2]
+                # beyond rounding errors: equal candidates are counted to the end
+                spare = np.inf if weights[1] > 0 else (prior - best_score + 1e-6) / weights[2]
                 found = count_parts(moved, model, views, scratch[2], scratch[3], scratch, spare)
                 if found > spare:
                     continue
@@ -309,15 +307,19 @@ def _search_axis(axis, moved, lowest, known, pose, shift, reach, weights, bounds
 
 
 @inlined
+def _weigh_inertia(off):  # type: ignore[no-untyped-def]
+    """Compute W (eq. 3) of a candidate ``off`` dR from the prediction; 0.001 where less, from nearly 2 dR on."""
+    w = 1.0 - 0.25 * off * off
+    return w if w > 1e-3 else 1e-3
+
+
+@inlined
 def _weigh(k, axis, amount, pose, shift, weights, bounds):  # type: ignore[no-untyped-def]
     """Compute inertia and ease of candidate k of an axis; -inf where it is out of reach."""
     spread, ease, limits = bounds
-    off = (shift[axis] + amount) / spread[axis]
-    w = 1.0 - 0.25 * off * off
-    if w <= _LEAST_WEIGHT:
-        if k != 0:
-            return -np.inf
-        w = _LEAST_WEIGHT
+    w = _weigh_inertia((shift[axis] + amount) / spread[axis])
+    if k != 0 and w <= 1e-3:
+        return -np.inf
     price = 0.0
     if axis >= 6:
         angle = pose[axis + 1] + amount
@@ -367,9 +369,7 @@ def _score(pose, shift, weights, bounds, model, views, scratch):  # type: ignore
     fill_evidence(_MASKED, views[3], scratch[4], scratch[2], scratch[3], scratch[7])
     score = -weights[2] * count_parts(every, model, views, scratch[2], scratch[3], scratch, np.inf)
     for axis in range(len(shift)):
-        off = shift[axis] / bounds[0][axis]
-        w = 1.0 - 0.25 * off * off
-        score += weights[3] * np.log(w if w > _LEAST_WEIGHT else _LEAST_WEIGHT)
+        score += weights[3] * np.log(_weigh_inertia(shift[axis] / bounds[0][axis]))
         if axis >= 6:
             score -= _price_strain(axis, pose[axis + 1], bounds[1])
     if weights[4][1] > 0.0:

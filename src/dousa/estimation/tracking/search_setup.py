@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,15 +16,9 @@ from dousa.estimation.body.kinematics import tree_arrays
 from dousa.estimation.cameras.camera import Camera, pack_cameras
 from dousa.estimation.raster.rasteriser import outline_scratch, pack_bits, unpack_bits
 from dousa.estimation.silhouettes.cleaning import is_nearly_full
+from dousa.estimation.tracking.outlines import shrink_mask
 from dousa.estimation.tracking.search_kernels import sweep
-from dousa.estimation.tracking.settings import EVIDENCES, MOST_CANDIDATES, READINGS, TrackerSettings
-
-_FLOOR_SIGMA, _FLOOR_CAP = 0.03, 4.0  # m; log score, so that people may jump
-_BEAM_TIMES_VIEWS, _LEAST_BEAM = (
-    12,
-    3,
-)  # poses times views: a frame costs the same with few views as with four
-_LEAST_RANGE = 0.1  # rad: a joint that hardly moves is not infinitely stiff
+from dousa.estimation.tracking.settings import EVIDENCES, READINGS, TrackerSettings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +43,8 @@ class SearchSetup:
     body, cameras, settings : see `dousa.estimation.tracking.tracker.estimate`.
     frame_rate : Hz.
     area : px, mean area of a silhouette, which scales the evidence.
+    floor_sigma : m, one sigma of the lowest point of the body off the floor, where that is known.
+    floor_cap : log score, the most that the floor costs: the lower, the easier a person jumps.
     """
 
     def __init__(
@@ -57,6 +54,9 @@ class SearchSetup:
         settings: TrackerSettings,
         frame_rate: float,
         area: float,
+        *,
+        floor_sigma: float = 0.03,
+        floor_cap: float = 4.0,
     ) -> None:
         self.body, self.cameras, self.settings, self.frame_rate = body, tuple(cameras), settings, frame_rate
         self.rows = pack_cameras(cameras)
@@ -67,31 +67,26 @@ class SearchSetup:
         subtrees, starts = _list_subtrees(body.parents)
         self.model = (tree_arrays(body), (body.spheres, body.sphere_starts), subtrees, starts)
         self.order = np.arange(body.n_parts)
-        self.beam = settings.beam or max(_LEAST_BEAM, _BEAM_TIMES_VIEWS // max(1, len(self.cameras)))
+        self.beam = settings.beam or max(3, 12 // max(1, len(self.cameras)))
         self.whole = settings.candidates == "subtree"
         self.half = settings.n_candidates // 2
         self.half_later = settings.n_candidates_later // 2
-        self.bounds = (
-            _spread(body, settings, frame_rate),
-            _ease(body, settings.stiffness),
-            np.array(body.angle_limits),
-        )
-        self.weights = self.make_weights(area)
-
-    def make_weights(self, area: float) -> tuple[Any, ...]:
-        """Return the kernels' weights for silhouettes of this mean area (px)."""
-        settings = self.settings
+        spread, ease = _spread(body, settings, frame_rate), _ease(body, settings.stiffness)
+        self.bounds = (spread, ease, np.array(body.angle_limits))
         floor = np.zeros(3)
         if settings.floor is not None:
-            floor[:] = settings.floor, 1.0 / _FLOOR_SIGMA**2, _FLOOR_CAP
+            floor[:] = settings.floor, 1.0 / floor_sigma**2, floor_cap
         image = 1.0 / (settings.image_scale * max(area, 1.0))
-        return (
-            READINGS.index(settings.reading),
-            EVIDENCES.index(settings.evidence),
-            image,
-            settings.inertia,
-            floor,
-        )
+        reading, evidence = READINGS.index(settings.reading), EVIDENCES.index(settings.evidence)
+        self.weights = (reading, evidence, image, settings.inertia, floor)
+        self._own = threading.local()
+
+    def own_scratch(self) -> tuple[Any, ...]:
+        """Return the scratch of the calling thread."""
+        if not hasattr(self._own, "arrays"):
+            self._own.arrays = self.make_scratch()
+        arrays: tuple[Any, ...] = self._own.arrays
+        return arrays
 
     def make_scratch(self) -> tuple[Any, ...]:
         """Return scratch arrays of the kernels, one set per thread.
@@ -111,8 +106,8 @@ class SearchSetup:
             np.zeros(len(self.cameras), np.int64),
             np.zeros(7 + body.n_angles),
             np.zeros(body.n_parts + 1, np.int64),
-            np.zeros(MOST_CANDIDATES),
-            np.zeros(MOST_CANDIDATES),
+            np.zeros(TrackerSettings.MOST_CANDIDATES),
+            np.zeros(TrackerSettings.MOST_CANDIDATES),
             np.zeros((body.n_parts, 3, 3)),
         )
 
@@ -140,25 +135,15 @@ class SearchSetup:
         scratch: tuple[Any, ...],
         half: int | None = None,
     ) -> float:
-        """Run one pass over the whole body, in place, and return its log score; see `search_kernels.sweep`."""
-        return self._run(self.order, pose, shift, (factor, half or self.half, self.settings.thinning), frame, scratch)
+        """Run one pass over the parts in `order`, in place, and return the log score; see `search_kernels.sweep`."""
+        reach, views = (factor, half or self.half, self.settings.thinning), self.views(frame)
+        order = self.order if factor else self.order[:0]
+        found = sweep(pose, shift, order, self.whole, reach, self.weights, self.bounds, self.model, views, scratch)
+        return float(found)
 
     def score(self, pose: FloatArray, shift: FloatArray, frame: Frame, scratch: tuple[Any, ...]) -> float:
         """Compute the log score of a whole pose."""
-        return self._run(self.order[:0], pose, shift, (1.0, self.half, self.settings.thinning), frame, scratch)
-
-    def _run(
-        self,
-        order: NDArray[np.intp],
-        pose: FloatArray,
-        shift: FloatArray,
-        reach: tuple[float, int, int],
-        frame: Frame,
-        scratch: tuple[Any, ...],
-    ) -> float:
-        views = self.views(frame)
-        found = sweep(pose, shift, order, self.whole, reach, self.weights, self.bounds, self.model, views, scratch)
-        return float(found)
+        return self.sweep(pose, shift, 0.0, frame, scratch)
 
 
 def _list_subtrees(parents: NDArray[np.intp]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -183,26 +168,30 @@ def _spread(body: BodyModel, settings: TrackerSettings, frame_rate: float) -> Fl
     return spread
 
 
-def _ease(body: BodyModel, stiffness: float) -> FloatArray:
-    """Return neutral value and root of the price per square radian of every degree of freedom, (6 + A, 2)."""
+def _ease(body: BodyModel, stiffness: float, least: float = 0.1) -> FloatArray:
+    """Return neutral value and root of the price per square radian of every degree of freedom, (6 + A, 2).
+
+    Half of a joint's range counts as ``least`` rad at least, so that one that hardly moves is not infinitely stiff.
+    """
     ease = np.zeros((6 + body.n_angles, 2))
     limits = body.angle_limits
-    half = np.maximum(0.5 * (limits[:, 1] - limits[:, 0]), _LEAST_RANGE)
+    half = np.maximum(0.5 * (limits[:, 1] - limits[:, 0]), least)
     used = np.arange(3) < body.n_axes[:, None]
     ease[6:, 0] = body.neutral[used]
     ease[6:, 1] = np.sqrt(stiffness * np.repeat(body.stiffness, body.n_axes)) / half
     return ease
 
 
-_ASPECT = 0.22  # area of a standing person's silhouette over the square of its height
+def standing_height(area: float, aspect: float = 0.22) -> float:
+    """Compute the height (px) of a standing person whose silhouette of ``area`` px is ``aspect`` of its square."""
+    return float(np.sqrt(max(area, 1.0) / aspect))
 
 
 class Shrinker:
     """Shrink masks and cameras by a whole factor to about ``height`` px per silhouette; ``area`` is their mean, px."""
 
     def __init__(self, cameras: Sequence[Camera], area: float, height: int) -> None:
-        tall = np.sqrt(max(area, 1.0) / _ASPECT)
-        self.factor = max(1, int(np.ceil(tall / height - 0.15)))
+        self.factor = max(1, int(np.ceil(standing_height(area) / height - 0.15)))
         self.sizes = [
             (max(1, round(camera.width / self.factor)), max(1, round(camera.height / self.factor)))
             for camera in cameras
@@ -223,13 +212,8 @@ class Shrinker:
         for mask, size in zip(masks, self.sizes, strict=True):
             if mask is None or is_nearly_full(mask):
                 small.append(None)
-            elif self.factor == 1:
-                small.append(mask)
             else:
-                from dousa.extras import cv2
-
-                shrunk = cv2.resize(mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA)
-                small.append(shrunk >= 128)
+                small.append(mask if self.factor == 1 else shrink_mask(mask, size))
         return small
 
     def unpack(self, frame: Frame) -> list[Mask | None]:

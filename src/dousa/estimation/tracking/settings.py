@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +32,6 @@ EVIDENCES: tuple[Evidence, ...] = ("log", "local", "global")
 ``log`` (default): -m / lambda + log W. ``global``, as printed: W / (1 + m) with all of the silhouette counted.
 ``local``: W / (1 + m) with only those pixels of the silhouette counted that some candidate can reach."""
 
-MOST_CANDIDATES = 63
-
 
 @dataclass(frozen=True, slots=True)
 class TrackerSettings:
@@ -45,7 +43,7 @@ class TrackerSettings:
     max_change : rad at 30 frames/s, dR of eq. 1; scaled by 30 / rate at other rates.
     agility : ``"body"`` scales dR by joint as the body model has it, ``"uniform"`` does not (the paper).
     root_change : statures at 30 frames/s, dR of the root's place.
-    n_candidates : per axis, odd; the paper's 13 are 2 dR / s + 1.
+    n_candidates : per axis, odd, at most `MOST_CANDIDATES`; the paper's 13 are 2 dR / s + 1.
     n_candidates_later : the same for the passes after the first.
     thinning : 1 tries all candidates, 2 every other one and then the neighbours of the best.
     candidates : ``"part"`` judges a candidate by its own part before those already placed (the paper), ``"subtree"``
@@ -61,6 +59,8 @@ class TrackerSettings:
     height : px, taller silhouettes are shrunk before the search.
     floor : m, height of the floor; None if unknown.
     """
+
+    MOST_CANDIDATES: ClassVar[int] = 63
 
     reading: Reading = field(default="masked", metadata={"choices": READINGS})
     evidence: Evidence = field(default="log", metadata={"choices": EVIDENCES})
@@ -90,8 +90,8 @@ class TrackerSettings:
         if not (0 < self.max_change < np.pi and 0 < self.root_change < 1):
             raise OptionError("tracker.change", change=self.max_change, root=self.root_change)
         for count in (self.n_candidates, self.n_candidates_later):
-            if count < 3 or count % 2 == 0 or count > MOST_CANDIDATES:
-                raise OptionError("tracker.candidates", most=MOST_CANDIDATES, found=count)
+            if count < 3 or count % 2 == 0 or count > self.MOST_CANDIDATES:
+                raise OptionError("tracker.candidates", most=self.MOST_CANDIDATES, found=count)
             if self.thinning == 2 and count % 4 != 1:
                 raise OptionError("tracker.thinned", found=count)
         if (

@@ -37,21 +37,14 @@ from dousa.messages import Message
 from dousa.motion import CANONICAL_JOINTS, canonicalise
 from dousa.motion import rotations as rot
 
-_COUNT = 56  # templates of a person, before standing, T-pose, arms up and lying
-_CROUCH = 0.14  # statures from ankles to hips of a crouching person
-_REACHES = (0.0, -0.9)
-_RANDOM = 48  # templates of another body
-_RATE = 3.0  # Hz at which the synthetic motions are looked at
-_HIPS, _FRONT = ("left_hip", "right_hip"), (2, 0)
-
 
 def is_person(body: BodyModel) -> bool:
     """Return whether joints and tips have the canonical names."""
     return set(CANONICAL_JOINTS) <= set(point_names(body))
 
 
-def list_templates(body: BodyModel) -> FloatArray:
-    """Return template poses (N, 7 + A) that face about +Z, cached by body.
+def list_templates(body: BodyModel, n_bodies: int = 8) -> FloatArray:
+    """Return template poses (N, 7 + A) that face about +Z, cached for the last ``n_bodies`` bodies.
 
     A person: varied frames of the package's synthetic motions, and standing, arms to the sides, arms up, crouching and
     lying. Another body: at ease, and drawn at random within the limits.
@@ -62,7 +55,7 @@ def list_templates(body: BodyModel) -> FloatArray:
     )
     key = (body.names, body.joints, body.tips, *(array.tobytes() for array in arrays))
     if key not in _made:
-        if len(_made) >= _KEPT:
+        if len(_made) >= n_bodies:
             _made.clear()
         poses = _person_poses(body) if is_person(body) else _random_poses(body)
         poses.flags.writeable = False
@@ -71,17 +64,16 @@ def list_templates(body: BodyModel) -> FloatArray:
 
 
 _made: dict[tuple[object, ...], FloatArray] = {}
-_KEPT = 8
 
 
 def _person_poses(body: BodyModel) -> FloatArray:
-    scale = body.stature / 1.72
-    poses = [lead_pose(body, scale * points) for points in _natural_points()]
+    stature, natural = _natural_points()
+    poses = [lead_pose(body, body.stature / stature * points) for points in natural]
     standing = standing_state(body)
     poses.append(standing)
     for height in (0.0, 0.9):
         poses.append(lead_pose(body, _raise_arms(body, standing, height)))
-    for reach in _REACHES:
+    for reach in (0.0, -0.9):
         poses.append(lead_pose(body, _crouch(body, standing, reach)))
     for axis in ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)):
         lying = standing.copy()
@@ -103,12 +95,15 @@ def _raise_arms(body: BodyModel, standing: FloatArray, height: float) -> FloatAr
     return np.asarray(points)
 
 
-def _crouch(body: BodyModel, standing: FloatArray, reach: float) -> FloatArray:
-    """Return canonical points of crouching, knees apart, arms forward and, with ``reach`` < 0, down."""
+def _crouch(body: BodyModel, standing: FloatArray, reach: float, height: float = 0.14) -> FloatArray:
+    """Return canonical points of crouching, knees apart, arms forward and, with ``reach`` < 0, down.
+
+    The hips are ``height`` statures above the ankles.
+    """
     names = point_names(body)
     points = compute_points(body, standing)[[names.index(name) for name in CANONICAL_JOINTS]]
     place = {name: row for row, name in enumerate(CANONICAL_JOINTS)}
-    down = points[place["left_hip"], 1] - points[place["left_ankle"], 1] - _CROUCH * body.stature
+    down = points[place["left_hip"], 1] - points[place["left_ankle"], 1] - height * body.stature
     legs = {place[side + joint] for side in ("left_", "right_") for joint in ("knee", "ankle", "toe")}
     above = [row for row in range(len(points)) if row not in legs]
     points[above] -= np.array([0.0, down, 0.1 * body.stature])
@@ -125,19 +120,22 @@ def _crouch(body: BodyModel, standing: FloatArray, reach: float) -> FloatArray:
 
 
 @lru_cache(maxsize=1)
-def _natural_points() -> FloatArray:
-    """Return canonical points (N, 20, 3) m of a person of 1.72 m in everyday poses, at the origin, facing +Z."""
+def _natural_points(count: int = 56, rate: float = 3.0) -> tuple[float, FloatArray]:
+    """Return stature (m) and canonical points (N, 20, 3) m of a person in everyday poses, at the origin, facing +Z.
+
+    They are the ``count`` most different frames of the synthetic motions, looked at ``rate`` times a second.
+    """
     from dousa.motion.synthetic.performers import CATEGORIES, Performer, make_motion
 
     performer = Performer()
-    points = np.concatenate([canonicalise(make_motion(name, performer, 0, _RATE)).positions for name in CATEGORIES])
+    points = np.concatenate([canonicalise(make_motion(name, performer, 0, rate)).positions for name in CATEGORIES])
     points = np.concatenate((points, _mirror(points)))
-    left, right = (CANONICAL_JOINTS.index(name) for name in _HIPS)
+    left, right = (CANONICAL_JOINTS.index(name) for name in ("left_hip", "right_hip"))
     across = points[:, left] - points[:, right]
     yaw = np.arctan2(-across[:, 2], across[:, 0])
     turned = rot.rotate(rot.from_axis_angle(np.stack((0 * yaw, -yaw, 0 * yaw), axis=-1))[:, None], points)
     turned -= turned[:, :1] * (1.0, 0.0, 1.0)
-    return np.asarray(turned[_spread_out(turned, _COUNT)])
+    return performer.stature, np.asarray(turned[_spread_out(turned, count)])
 
 
 def _mirror(points: FloatArray) -> FloatArray:
@@ -162,16 +160,16 @@ def _spread_out(points: FloatArray, count: int) -> IndexArray:
     return np.array(chosen)
 
 
-def _random_poses(body: BodyModel) -> FloatArray:
-    """Draw angles within the limits, the first half nearer to ease."""
+def _random_poses(body: BodyModel, count: int = 48) -> FloatArray:
+    """Draw ``count`` poses within the limits, the first half nearer to ease."""
     rng = np.random.default_rng(0)
     limits = body.angle_limits
     used = np.arange(3) < body.n_axes[:, None]
-    poses = np.zeros((_RANDOM, 7 + body.n_angles))
+    poses = np.zeros((count, 7 + body.n_angles))
     poses[:, 3] = 1.0
     ease = np.clip(body.neutral[used], limits[:, 0], limits[:, 1])
-    drawn = rng.uniform(limits[:, 0], limits[:, 1], (_RANDOM, body.n_angles))
-    share = np.linspace(0.0, 1.0, _RANDOM)[:, None]
+    drawn = rng.uniform(limits[:, 0], limits[:, 1], (count, body.n_angles))
+    share = np.linspace(0.0, 1.0, count)[:, None]
     poses[:, 7:] = ease + np.minimum(2.0 * share, 1.0) * (drawn - ease)
     return poses
 
@@ -223,16 +221,6 @@ Scored = tuple[float, FloatArray]
 
 Progress = Callable[[int, int, Message], None]
 
-_HEADINGS = 16
-_FIRST, _SECOND, _LAST = 20, 8, 4  # poses kept from step to step
-_APART = 0.03  # statures, mean distance of joints: nearer poses are one
-_LIMBS_TRIED, _LIMBS_APART = 5, 0.35  # templates searched for each limb; rad
-
-# dR of the sweeps of each step.
-_WIDE, _NARROW, _TWIN, _LIMB, _FINE = (1.5, 1.0), (1.0, 0.5), (1.5, 1.0, 0.5), (1.5, 0.75, 0.4), (0.5, 0.25)
-_STEPS = 5
-_LEVEL = 0.1  # a camera that looks straight down or up cannot distinguish front and back
-
 
 class StartSearch:
     """The search for a body in the silhouettes of one frame.
@@ -242,9 +230,16 @@ class StartSearch:
     setup : body, cameras and settings.
     frame : the silhouettes as the setup packs them.
     outlines : (V,) box and centre of each silhouette; None if no person is seen.
+    n_headings : in which templates are laid onto the silhouettes.
+    n_kept : poses kept after the first, the second and every later step.
+    apart : statures; poses whose joints are nearer than this in the mean are one.
     """
 
-    def __init__(self, setup: SearchSetup, frame: Frame, outlines: Sequence[Outline | None]) -> None:
+    def __init__(
+        self, setup: SearchSetup, frame: Frame, outlines: Sequence[Outline | None], *, n_headings: int = 16,
+        n_kept: tuple[int, int, int] = (20, 8, 4), apart: float = 0.03,
+    ) -> None:  # fmt: skip
+        self.n_headings, self.n_kept, self.apart = n_headings, n_kept, apart
         self.body, self.cameras = setup.body, setup.cameras
         self.frame, self.outlines = frame, outlines
         area = float(np.bitwise_count(frame.bits).sum()) / max(int(frame.seen.sum()), 1)
@@ -255,32 +250,33 @@ class StartSearch:
 
     def run(self, near: FloatArray | None, tell: Progress) -> list[Scored]:
         """Return a few refined poses, best first; ``near`` adds a pose to the templates."""
+        first, second, last = self.n_kept
         what = Message("tracker.first_pose")
-        tell(0, _STEPS, what)
-        found = self.keep([(self.score(pose), pose) for pose in self._list_candidates(near)], _FIRST)
-        tell(1, _STEPS, what)
-        found = self.keep([self.refine(pose, _WIDE) for _, pose in found], _SECOND)
-        tell(2, _STEPS, what)
-        found = self.keep([self.refine(self._exchange_limbs(pose), _NARROW) for _, pose in found], _LAST)
-        tell(3, _STEPS, what)
+        tell(0, 5, what)
+        found = self.keep([(self.score(pose), pose) for pose in self._list_candidates(near)], first)
+        tell(1, 5, what)
+        found = self.keep([self.refine(pose, (1.5, 1.0)) for _, pose in found], second)
+        tell(2, 5, what)
+        found = self.keep([self.refine(self._exchange_limbs(pose), (1.0, 0.5)) for _, pose in found], last)
+        tell(3, 5, what)
         if is_person(self.body):
-            twins = [self.refine(twin, _TWIN) for _, pose in found for twin in self._list_twins(pose)]
-            found = self.keep(found + twins, _LAST)
-        tell(4, _STEPS, what)
-        found = self.keep([self.refine(self._exchange_limbs(pose), _NARROW) for _, pose in found], _LAST)
-        tell(_STEPS, _STEPS, what)
+            twins = [self.refine(twin, (1.5, 1.0, 0.5)) for _, pose in found for twin in self._list_twins(pose)]
+            found = self.keep(found + twins, last)
+        tell(4, 5, what)
+        found = self.keep([self.refine(self._exchange_limbs(pose), (1.0, 0.5)) for _, pose in found], last)
+        tell(5, 5, what)
         return found
 
     def finish(self, found: Sequence[Scored], count: int) -> list[Scored]:
         """Run the last fine sweeps and return the ``count`` best different poses."""
-        return self.keep([self.refine(pose, _FINE) for _, pose in found], count)
+        return self.keep([self.refine(pose, (0.5, 0.25)) for _, pose in found], count)
 
     def score(self, pose: FloatArray) -> float:
         """Compute the log score of image, ease and floor."""
         return self.setup.score(pose, self.still, self.frame, self.scratch)
 
     def refine(self, pose: FloatArray, factors: Sequence[float]) -> Scored:
-        """Return score and pose after sweeps of these widths."""
+        """Return score and pose after sweeps of these widths, in dR."""
         pose = pose.copy()
         for factor in factors:
             self._sweep(pose, factor)
@@ -296,7 +292,7 @@ class StartSearch:
             if len(kept) == count:
                 break
             off = np.linalg.norm(points[kept] - points[index], axis=-1).mean(axis=-1)
-            if not (off < _APART * self.body.stature).any():
+            if not (off < self.apart * self.body.stature).any():
                 kept.append(index)
         return [ordered[index] for index in kept]
 
@@ -318,12 +314,12 @@ class StartSearch:
         place = guess_place(self.cameras, self.outlines, self.body.stature)
         templates = list_templates(self.body)
         templates = templates if near is None else np.concatenate((templates, near[None]))
-        turned = [turn_about(templates, 2.0 * np.pi * k / _HEADINGS) for k in range(_HEADINGS)]
+        turned = [turn_about(templates, 2.0 * np.pi * k / self.n_headings) for k in range(self.n_headings)]
         moved = move_onto(self.body, np.concatenate(turned), place, self.cameras, self.outlines)
         return moved if near is None else np.concatenate((moved, near[None]))
 
-    def _exchange_limbs(self, pose: FloatArray) -> FloatArray:
-        """Set each limb to its best template after a search of its own, where that improves the score."""
+    def _exchange_limbs(self, pose: FloatArray, widths: Sequence[float] = (1.5, 0.75, 0.4)) -> FloatArray:
+        """Set each limb to its best template after sweeps of these ``widths`` (dR), where that improves the score."""
         pose, templates = pose.copy(), list_templates(self.body)
         whole = self.setup.order
         for limb, parts in self.limbs:
@@ -335,7 +331,7 @@ class StartSearch:
             self.setup.order = parts
             for number in _pick_limbs(templates[:, limb], scores):
                 pose[limb] = templates[number, limb]
-                for factor in _LIMB:
+                for factor in widths:
                     self._sweep(pose, factor)
                 score = self.score(pose)
                 if score > best:
@@ -344,20 +340,21 @@ class StartSearch:
             pose[limb] = kept
         return pose
 
-    def _list_twins(self, pose: FloatArray) -> list[FloatArray]:
+    def _list_twins(self, pose: FloatArray, level: float = 0.1) -> list[FloatArray]:
+        """Return mirror twins; none if the camera is hardly ``level`` and thus cannot distinguish front and back."""
         seen = [camera for camera, found in zip(self.cameras, self.outlines, strict=True) if found]
         towards = seen[0].rotation[2] * (1.0, 0.0, 1.0)
         length = float(np.linalg.norm(towards))
-        return mirror_twins(self.body, pose, towards / length) if length > _LEVEL else []
+        return mirror_twins(self.body, pose, towards / length) if length > level else []
 
 
-def _pick_limbs(limbs: FloatArray, scores: FloatArray) -> list[int]:
-    """Return the numbers of the best templates with different limbs (N, n) rad."""
+def _pick_limbs(limbs: FloatArray, scores: FloatArray, count: int = 5, apart: float = 0.35) -> list[int]:
+    """Return the numbers of the ``count`` best templates with limbs (N, n) rad that are ``apart`` in some angle."""
     chosen: list[int] = []
     for number in np.argsort(-scores, kind="stable"):
-        if len(chosen) == _LIMBS_TRIED:
+        if len(chosen) == count:
             break
-        if not (np.abs(limbs[chosen] - limbs[number]).max(axis=1) < _LIMBS_APART).any():
+        if not (np.abs(limbs[chosen] - limbs[number]).max(axis=1) < apart).any():
             chosen.append(int(number))
     return chosen
 
@@ -368,11 +365,6 @@ def _own_settings(settings: TrackerSettings) -> TrackerSettings:
     return dataclasses.replace(
         usual, inertia=0.0, floor=settings.floor, stiffness=max(settings.stiffness, usual.stiffness)
     )
-
-
-_ROUGH_EXTENT = 90.0  # px, longest side of the silhouettes in all but the last step
-_FOLLOWED = 5  # poses that are tracked through later frames
-_FOLLOWING = (1.0, 0.5)  # dR of the sweeps with which they are
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -400,6 +392,8 @@ def find_start(
     near: FloatArray | None = None,
     later: Sequence[Frame] = (),
     progress: Progress | None = None,
+    extent: float = 90.0,
+    n_followed: int = 5,
 ) -> list[Start]:
     """Find the pose in one frame from its silhouettes alone: at most ``n_best`` different ones, best first.
 
@@ -415,6 +409,8 @@ def find_start(
     near : (7 + A,) an earlier pose of the body, one more template.
     later : following frames; the best poses are tracked through them and ranked by mean score.
     progress : called with steps done, steps in all and the current step.
+    extent : px, to which the longest side of the silhouettes is shrunk in all but the last step: more is slower.
+    n_followed : poses, at least, that are tracked through ``later``.
 
     Raises
     ------
@@ -425,12 +421,12 @@ def find_start(
     extents = [found.extent for found in outlines if found is not None]
     if not extents or not frame.seen.any():
         raise SilhouetteError("tracker.nobody")
-    cameras, small = shrink_views(setup.cameras, masks, min(1.0, _ROUGH_EXTENT / max(extents)))
+    cameras, small = shrink_views(setup.cameras, masks, min(1.0, extent / max(extents)))
     rough = SearchSetup(setup.body, cameras, setup.settings, 30.0, 1.0)
     coarse = StartSearch(rough, rough.pack(small), [measure_outline(mask) for mask in small])
     found = coarse.run(near, tell)
     fine = StartSearch(setup, frame, outlines)
-    found = fine.finish(found, max(n_best, _FOLLOWED) if later else n_best)
+    found = fine.finish(found, max(n_best, n_followed) if later else n_best)
     if later:
         found = [(_follow(setup, pose, score, later), pose) for score, pose in found]
         found.sort(key=lambda pair: -pair[0])
@@ -443,14 +439,11 @@ def _follow(setup: SearchSetup, pose: FloatArray, score: float, later: Sequence[
     scores = [score]
     for frame in later:
         shift = np.zeros(setup.n_axes)
-        for factor in _FOLLOWING:
+        for factor in (1.0, 0.5):
             setup.sweep(pose, shift, factor, frame, scratch)
         pose[3:7] /= np.linalg.norm(pose[3:7])
         scores.append(setup.score(pose, shift, frame, scratch))
     return float(np.mean(scores))
-
-
-_FIRST_FRAMES = 150  # looked through for the first one with a person in it
 
 
 def checked_start(body: BodyModel, start: ArrayLike) -> FloatArray:
@@ -467,10 +460,11 @@ def checked_start(body: BodyModel, start: ArrayLike) -> FloatArray:
     return pose
 
 
-def find_first(silhouettes: Silhouettes) -> tuple[int, tuple[NDArray[np.bool_] | None, ...]]:
-    """Return the first frame with a person in as many views as any of the first frames has, and its masks."""
+def find_first(silhouettes: Silhouettes, most: int = 150) -> tuple[int, tuple[NDArray[np.bool_] | None, ...]]:
+    """Return the first frame with a person in as many views as any of the ``most`` first frames, and its masks."""
     best, best_count, best_masks, full = -1, 0, None, 0
-    for frame in range(min(silhouettes.n_frames, _FIRST_FRAMES)):
+    n_frames = min(silhouettes.n_frames, most)
+    for frame in range(n_frames):
         masks = silhouettes.read(frame)
         good = [mask is not None and mask.any() and not is_nearly_full(mask) for mask in masks]
         full += any(mask is not None and is_nearly_full(mask) for mask in masks)
@@ -480,8 +474,5 @@ def find_first(silhouettes: Silhouettes) -> tuple[int, tuple[NDArray[np.bool_] |
         if best_count and (best_count == len(masks) or frame >= best + 5):
             break
     if best_masks is None:
-        raise SilhouetteError(
-            "tracker.all_full" if full else "tracker.all_empty",
-            frames=min(silhouettes.n_frames, _FIRST_FRAMES),
-        )
+        raise SilhouetteError("tracker.all_full" if full else "tracker.all_empty", frames=n_frames)
     return best, best_masks

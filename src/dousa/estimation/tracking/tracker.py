@@ -19,7 +19,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dousa.arrays import FloatArray
+from dousa.arrays import FloatArray, Mask
 from dousa.errors import OptionError
 from dousa.estimation.body.body import BodyModel
 from dousa.estimation.cameras.camera import Camera, check_cameras
@@ -30,7 +30,6 @@ from dousa.estimation.tracking.beam import (
     Replay,
     choose_switch,
     choose_track,
-    narrow,
     replay,
     score_frames,
 )
@@ -47,14 +46,27 @@ __all__ = ["PAPER", "PartialTrack", "TrackerSettings", "estimate", "smooth_poses
 
 Progress = Callable[[int, int, Message], None]
 
-_CHECKPOINT_FRAMES = 32
-_LOST_FRAMES = 5  # after so many in a row the track is searched again
-_POOR = 0.7  # of the usual overlap
-_PATCHES, _MORE = 0.02, 1.5  # share of the silhouettes in patches that is poor, and how often the usual one
-_GAIN = 4.0  # log score by which another pose must fit better
-_REPAIRED = 60  # frames at most that are tracked back
-_STARTS, _TRIED_S, _BEHIND = 4, 0.7, 8.0  # first poses that are tried, for how long, and how much worse they may fit
-_DOUBTFUL, _CLEARLY = 0.75, 0.08  # overlap below which a given start is held against a found one; by how much
+
+@dataclass(frozen=True, slots=True)
+class RestartSettings:
+    """When a track counts as lost, and what replaces it.
+
+    Parameters
+    ----------
+    overlap : share of the usual overlap; below, a frame is poor.
+    patches : share of the silhouettes that no part covers; above, a frame is poor, if it is also above
+    more : times the usual share.
+    frames : poor ones in a row, or ones without a person, after which the pose is searched again.
+    gain : log score by which another pose must fit better.
+    repaired : frames, at most, that are tracked back from it.
+    """
+
+    overlap: float = 0.7
+    patches: float = 0.02
+    more: float = 1.5
+    frames: int = 5
+    gain: float = 4.0
+    repaired: int = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,6 +118,8 @@ def estimate(
     on_checkpoint: Callable[[PartialTrack], None] | None = None,
     progress: Progress | None = None,
     on_frame: Callable[[TrackedFrame], None] | None = None,
+    checkpoint_every: int = 32,
+    restart: RestartSettings = RestartSettings(),
 ) -> Estimate:
     """Estimate a motion from silhouettes.
 
@@ -119,9 +133,11 @@ def estimate(
     girths : ``"fit"`` fits the girths of the parts to the first silhouettes, ``"keep"`` does not.
     n_threads : by default two, or one on a machine of one core; the result does not depend on it.
     resume : the state of an interrupted call with the same arguments.
-    on_checkpoint : called every 32 frames with the state so far.
+    on_checkpoint : called with the state so far.
     progress : called with frames done, frames in all and the current step.
     on_frame : called with every frame as soon as it has a pose, and again when that is settled.
+    checkpoint_every : frames from one call of ``on_checkpoint`` to the next.
+    restart : when the track counts as lost.
 
     Raises
     ------
@@ -135,13 +151,13 @@ def estimate(
         raise OptionError("tracker.choice", option="girths", known=("fit", "keep"), found=str(girths))
     check_cameras(cameras, silhouettes.names, silhouettes.sizes)
     n_threads = n_threads or min(2, os.cpu_count() or 1)
-    job = _Job(silhouettes, cameras, body, settings, n_threads, progress, on_frame)
+    job = _Job(silhouettes, cameras, body, settings, restart, n_threads, progress, on_frame)
     try:
         if resume is None:
             job.begin(start, girths)
         else:
             job.resume(resume)
-        job.run(on_checkpoint)
+        job.run(on_checkpoint, checkpoint_every)
     finally:
         job.close()
     return job.finish()
@@ -154,11 +170,13 @@ class _Job:
         cameras: Sequence[Camera],
         body: BodyModel,
         settings: TrackerSettings,
+        restart: RestartSettings,
         n_threads: int,
         progress: Progress | None,
         on_frame: Callable[[TrackedFrame], None] | None,
     ) -> None:
         self.silhouettes, self.body, self.settings, self.n_threads = silhouettes, body, settings, n_threads
+        self.restart = restart
         self.progress = progress or (lambda done, total, what: None)
         self.on_frame = on_frame
         self.cameras = tuple(cameras)
@@ -190,20 +208,25 @@ class _Job:
         self.beam.begin(frame)
         self.at = self.first + 1
         covered, patches = self.diagnosis.cover(pose, frame)
-        self.usual, self.usual_patches = max(0.3, covered), min(_PATCHES, patches)
-        if start is not None and covered < _DOUBTFUL and self.settings.candidates == "subtree":
+        self.usual, self.usual_patches = max(0.3, covered), min(self.restart.patches, patches)
+        if start is not None and self.settings.candidates == "subtree":
             self._doubt_start(frame, small, covered)
         for _ in range(self.first):
             self._keep(pose, self.setup.pack([None] * len(self.cameras)))
         self._show_newest(frame)
 
-    def _find_first_pose(self, frame: Frame, masks: Sequence[NDArray[np.bool_] | None]) -> FloatArray:
-        """Return the pose, of those that fit the first frame, that tracks best through the frames after it."""
-        found = find_start(self.setup, frame, masks, n_best=_STARTS)
-        poses = [start.pose for start in found if start.score > found[0].score - _BEHIND]
+    def _find_first_pose(
+        self, frame: Frame, masks: Sequence[Mask | None], count: int = 4, behind: float = 8.0, seconds: float = 0.7
+    ) -> FloatArray:
+        """Return the pose that tracks best through the ``seconds`` after the first frame.
+
+        Tries the ``count`` poses that fit that frame best, by at most the log score ``behind`` worse than the first.
+        """
+        found = find_start(self.setup, frame, masks, n_best=count)
+        poses = [start.pose for start in found if start.score > found[0].score - behind]
         if len(poses) < 2 or self.settings.candidates != "subtree":
             return poses[0]
-        frames = [frame, *self._look_ahead(round(_TRIED_S * self.silhouettes.frame_rate))]
+        frames = [frame, *self._look_ahead(round(seconds * self.silhouettes.frame_rate))]
         tracks = []
         for pose in poses:
             self.progress(0, self.silhouettes.n_frames, Message("tracker.first_pose"))
@@ -216,25 +239,25 @@ class _Job:
             self.ahead.append(self.setup.pack(self.shrinker.shrink(self.silhouettes.read(number))))
         return list(self.ahead)
 
-    def _doubt_start(self, frame: Frame, masks: Sequence[NDArray[np.bool_] | None], covered: float) -> None:
-        """Add a note if a pose found without the start covers the silhouettes clearly better."""
-        found = find_start(self.setup, frame, masks)[0]
-        if found.iou > covered + _CLEARLY:
+    def _doubt_start(
+        self, frame: Frame, masks: Sequence[Mask | None], covered: float, good: float = 0.75, clearly: float = 0.08
+    ) -> None:
+        """Add a note if a start with less than a ``good`` overlap is ``clearly`` beaten by a pose found without it."""
+        if covered < good and (found := find_start(self.setup, frame, masks)[0]).iou > covered + clearly:
             self.notes.append(Message("tracker.start_doubtful", covered=covered, found=found.iou))
 
     def _set_up(self) -> None:
         self.shrinker = Shrinker(self.cameras, self.area, self.settings.height)
-        area = self.area * self.shrinker.area_share
-        self.setup = SearchSetup(self.body, self.shrinker.cameras, self.settings, self.silhouettes.frame_rate, area)
-        self.diagnosis = Diagnosis(self.setup, area, self._views_meet())
-
-    def _views_meet(self) -> bool:
-        """Return whether the views look from different enough sides to determine depth."""
+        self.setup = self._make_setup(self.settings)
         ways = np.array([camera.rotation[2] for camera in self.cameras])
-        across = np.eye(3) - ways[:, :, None] * ways[:, None, :]
-        return do_meet(across)
+        meet = do_meet(np.eye(3) - ways[:, :, None] * ways[:, None, :])
+        self.diagnosis = Diagnosis(self.setup, self.area * self.shrinker.area_share, meet)
 
-    def _fit_girths(self, pose: FloatArray, masks: Sequence[NDArray[np.bool_] | None]) -> None:
+    def _make_setup(self, settings: TrackerSettings) -> SearchSetup:
+        area = self.area * self.shrinker.area_share
+        return SearchSetup(self.body, self.shrinker.cameras, settings, self.silhouettes.frame_rate, area)
+
+    def _fit_girths(self, pose: FloatArray, masks: Sequence[Mask | None]) -> None:
         views = [number for number, mask in enumerate(masks) if mask is not None and mask.any()]
         seen = [mask for mask in masks if mask is not None and mask.any()]
         self.body = fit_girths(self.body, pose, seen, [self.shrinker.cameras[view] for view in views])
@@ -263,7 +286,7 @@ class _Job:
             return self.ahead.popleft()
         return self.setup.pack(self.shrinker.shrink(self.silhouettes.read(self.at - 1)))
 
-    def run(self, on_checkpoint: Callable[[PartialTrack], None] | None) -> None:
+    def run(self, on_checkpoint: Callable[[PartialTrack], None] | None, checkpoint_every: int) -> None:
         """Track to the end."""
         n_frames = self.silhouettes.n_frames
         self.clock = time.perf_counter()
@@ -276,7 +299,7 @@ class _Job:
             for settled in self.beam.settle(self.settings.lag):
                 self._keep(settled.pose, settled.frame)
             self.progress(self.at, n_frames, Message("tracker.tracking"))
-            if on_checkpoint is not None and self.at % _CHECKPOINT_FRAMES == 0:
+            if on_checkpoint is not None and self.at % checkpoint_every == 0:
                 on_checkpoint(self._save())
         for settled in self.beam.settle(0):
             self._keep(settled.pose, settled.frame)
@@ -288,9 +311,10 @@ class _Job:
         if not frame.seen.any():
             self.unseen += 1
             return
-        returned, self.unseen = self.unseen >= _LOST_FRAMES, 0
+        rule = self.restart
+        returned, self.unseen = self.unseen >= rule.frames, 0
         covered, patches = self.diagnosis.cover(self.beam.best, frame)
-        poor = covered < _POOR * self.usual or patches > max(_PATCHES, _MORE * self.usual_patches)
+        poor = covered < rule.overlap * self.usual or patches > max(rule.patches, rule.more * self.usual_patches)
         self.poor = self.poor + 1 if poor else 0
         if not poor:
             self.usual += 0.05 * (covered - self.usual)
@@ -298,24 +322,24 @@ class _Job:
             self.patience = max(1, self.patience // 2)
         if self.settings.candidates != "subtree":
             return
-        if returned or (self.poor >= _LOST_FRAMES and self.at - self.searched >= self.patience):
-            self._search_anew(frame)
+        if returned or (self.poor >= rule.frames and self.at - self.searched >= self.patience):
+            self._search_again(frame)
 
-    def _search_anew(self, frame: Frame) -> None:
+    def _search_again(self, frame: Frame) -> None:
         """Search for the pose without the track; if a better one is found, track back from it."""
-        masks = self.shrinker.unpack(frame)
+        rule, masks = self.restart, self.shrinker.unpack(frame)
         found = find_start(self.setup, frame, masks, near=self.beam.best)
-        line = self.beam.line[-_REPAIRED:]
+        line = self.beam.line[-rule.repaired :]
         frames = [settled.frame for settled in line]
         poses = np.array([settled.pose for settled in line])
         own = Replay(poses, score_frames(self.setup, poses, frames))
         self.searched = self.at
         gain = score_frames(self.setup, found[0].pose[None], [frame])[0] - own.scores[-1]
-        if gain < _GAIN:
-            self.patience = min(2 * self.patience + _LOST_FRAMES, 10 * _LOST_FRAMES)
-            self.usual_patches = max(self.usual_patches, self.diagnosis.cover(line[-1].pose, frame)[1] / _MORE)
+        if gain < rule.gain:
+            self.patience = min(2 * self.patience + rule.frames, 10 * rule.frames)
+            self.usual_patches = max(self.usual_patches, self.diagnosis.cover(line[-1].pose, frame)[1] / rule.more)
             return
-        back = replay(narrow(self.setup, self.area * self.shrinker.area_share), found[0].pose, frames[::-1], 1)
+        back = replay(self._make_setup(replace(self.settings, beam=1)), found[0].pose, frames[::-1], 1)
         new = Replay(back.poses[::-1], back.scores[::-1])
         switch = min(choose_switch(self.setup, own, new), len(line) - 1)
         self.beam.replace_newest(new.poses[switch:])
