@@ -183,12 +183,10 @@ class TestFit:
         four = fit_keypoints(cameras, tracks, NAMES, RATE, stature=1.80)
         assert fit.depth_doubt.mean() > 1.5 * four.depth_doubt.mean()
 
-    def test_a_long_film_is_fitted_in_stretches(self, body, poses, cameras, monkeypatch):
+    def test_a_long_film_is_fitted_in_stretches(self, body, poses, cameras):
         tracks, _ = film(body, poses, cameras)
         whole = fit_keypoints(cameras, tracks, NAMES, RATE)
-        monkeypatch.setattr("dousa.estimation.multiview.keypoint_fit._WINDOW", 20)
-        monkeypatch.setattr("dousa.estimation.multiview.keypoint_fit._MARGIN", 8)
-        parts = fit_keypoints(cameras, tracks, NAMES, RATE)
+        parts = fit_keypoints(cameras, tracks, NAMES, RATE, window=20, margin=8)
         apart = np.linalg.norm(parts.points - whole.points, axis=2)
         assert parts.estimate.n_frames == 60 and apart.max() < 0.01
         np.testing.assert_allclose(parts.estimate.uncertainty, whole.estimate.uncertainty, rtol=0.1)

@@ -4,15 +4,13 @@ import numpy as np
 import pytest
 
 from dousa.estimation import make_human, make_ring
-from dousa.estimation.body.kinematics import compute_points, place_parts, point_names
+from dousa.estimation.body.kinematics import compute_points, place_parts, point_names, step_poses
 from dousa.estimation.body.posing import standing_state
 from dousa.estimation.multiview.landmarks import place_landmarks
 from dousa.estimation.multiview.pose_residuals import (
-    NETWORK_STATURE,
     list_bones,
     place_points,
     point_slopes,
-    step_poses,
     world_terms,
 )
 
@@ -60,7 +58,7 @@ class TestWorld:
         truth = places @ camera.rotation.T
         wanted = np.einsum("bl,tli->tbi", bones.ways, truth) / body.stature + bones.biases
         world = np.stack([np.linalg.lstsq(bones.ways, one, rcond=None)[0] for one in wanted])
-        return NETWORK_STATURE * world
+        return 1.73 * world
 
     def test_the_measured_errors_are_taken_off_and_the_size_does_not_matter(self, body, poses):
         camera = make_ring(3)[1]

@@ -13,29 +13,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.estimation.body.body import BodyModel
+from dousa.estimation.body.kinematics import pose_difference, step_poses
 from dousa.estimation.multiview.landmarks import SHIFTS, Landmarks
 from dousa.estimation.multiview.pose_residuals import (
-    CORRELATED_S,
     Terms,
     image_weights,
     normal_equations,
     place_points,
     point_slopes,
-    step_poses,
 )
 from dousa.estimation.multiview.triangulation import project_slope
-from dousa.motion import rotations as rot
-
-_STEP = 1e-4
-_ROUNDS = 8
-
-BuildBody = Callable[[FloatArray], BodyModel]
-"""The body of parameters (N,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,11 +38,13 @@ class BodyParameters:
     Parameters
     ----------
     build : makes the body of parameters (N,), zeros being the expected body.
+    place : puts the landmarks on a body.
     sigmas : (N,) standard deviations.
     groups : of shifted landmarks, three parameters each after those of the body.
     """
 
-    build: BuildBody
+    build: Callable[[FloatArray], BodyModel]
+    place: Callable[[BodyModel], Landmarks]
     sigmas: FloatArray
     groups: tuple[str, ...]
 
@@ -58,95 +53,113 @@ class BodyParameters:
         """Standard deviations (N + 3 G,) of all parameters."""
         return np.concatenate((self.sigmas, np.repeat([SHIFTS[group] for group in self.groups], 3)))
 
-    def split(self, values: FloatArray) -> tuple[FloatArray, dict[str, FloatArray]]:
-        """Split values into parameters of the body and shifts of the groups."""
+    def make(self, values: FloatArray, body: BodyModel | None = None) -> tuple[BodyModel, Landmarks]:
+        """Return the body of all parameters, or a given one, and its shifted landmarks."""
         count = len(self.sigmas)
-        shifts = values[count:].reshape(-1, 3)
-        return values[:count], dict(zip(self.groups, shifts, strict=True))
+        body = self.build(values[:count]) if body is None else body
+        shifts = dict(zip(self.groups, values[count:].reshape(-1, 3), strict=True))
+        return body, self.place(body).shifted(shifts)
+
+
+def minimise(
+    state: Any,
+    evaluate: Callable[[Any], tuple[float, Any]],
+    linearise: Callable[[Any, Any], Callable[[float], Any]],
+    *,
+    steps: int,
+    settled: float,
+    damping: float,
+    most_damping: float,
+) -> tuple[Any, Any]:
+    """Minimise a cost by Levenberg and Marquardt's method; return the state and what `evaluate` found there.
+
+    Parameters
+    ----------
+    state : to begin with.
+    evaluate : a state -> its cost, and what the next step needs of it.
+    linearise : a state, and that -> a function that takes a damping to the next state.
+    steps : at most.
+    settled : the end, once a step gains less than this share of the cost.
+    damping, most_damping : at the beginning, and beyond which no step is taken.
+    """
+    cost, found = evaluate(state)
+    for _ in range(steps):
+        move = linearise(state, found)
+        while damping < most_damping:
+            tried = move(damping)
+            tried_cost, tried_found = evaluate(tried)
+            if tried_cost < cost:
+                break
+            damping *= 5.0
+        else:
+            break
+        gained = cost - tried_cost
+        state, cost, found = tried, tried_cost, tried_found
+        damping = max(damping / 8.0, 1e-6)
+        if gained <= settled * abs(cost):
+            break
+    return state, found
 
 
 def fit_body_parameters(
-    parameters: BodyParameters, place: Callable[[BodyModel], Landmarks], poses: FloatArray, terms: Terms
-) -> tuple[BodyModel, Landmarks, FloatArray]:
-    """Fit body, landmarks and poses (T, 7 + A) to a choice of frames.
+    parameters: BodyParameters, poses: FloatArray, terms: Terms, *, steps: int = 8, settled: float = 1e-3
+) -> tuple[BodyModel, Landmarks]:
+    """Fit body and landmarks to a choice of frames, together with the poses.
 
     Parameters
     ----------
     parameters : what may change.
-    place : puts the landmarks on a body.
     poses : (T, 7 + A) to begin with.
     terms : of these frames, not necessarily consecutive; each counts as one independent image.
+    steps, settled : see `minimise`.
     """
-    values = np.zeros(len(parameters.all_sigmas))
-    body, landmarks = _make(parameters, place, values)
-    cost = _cost(body, landmarks, poses, terms, values, parameters)
-    damping = 1e-2
-    for _ in range(_ROUNDS):
-        square, gradient, _ = normal_equations(body, poses, landmarks, terms)
-        cross, own, pull = _parameter_equations(parameters, place, values, body, landmarks, poses, terms)
-        accepted = False
-        while damping < 1e5:
-            steps, change = _eliminate(square, gradient, cross, own, pull, damping)
-            tried_values, tried_poses = values + change, step_poses(poses, steps)
-            tried_body, tried_landmarks = _make(parameters, place, tried_values)
-            tried = _cost(tried_body, tried_landmarks, tried_poses, terms, tried_values, parameters)
-            if tried < cost:
-                accepted = True
-                break
-            damping *= 5.0
-        if not accepted:
-            break
-        gained = cost - tried
-        values, poses, body, landmarks, cost = tried_values, tried_poses, tried_body, tried_landmarks, tried
-        damping = max(damping / 8.0, 1e-6)
-        if gained < 1e-3 * cost:
-            break
-    return body, landmarks, poses
+    sigmas = parameters.all_sigmas
 
+    def evaluate(state: tuple[FloatArray, FloatArray]) -> tuple[float, Any]:
+        values, poses = state
+        body, landmarks = parameters.make(values)
+        square, gradient, costs = normal_equations(body, poses, landmarks, terms)
+        return float(costs.sum() + 0.5 * ((values / sigmas) ** 2).sum()), (body, landmarks, square, gradient)
 
-def _make(
-    parameters: BodyParameters, place: Callable[[BodyModel], Landmarks], values: FloatArray
-) -> tuple[BodyModel, Landmarks]:
-    own, shifts = parameters.split(values)
-    body = parameters.build(own)
-    return body, place(body).shifted(shifts)
+    def linearise(state: tuple[FloatArray, FloatArray], found: Any) -> Callable[[float], Any]:
+        values, poses = state
+        body, landmarks, square, gradient = found
+        others = _parameter_equations(parameters, values, body, landmarks, poses, terms)
 
+        def move(damping: float) -> tuple[FloatArray, FloatArray]:
+            steps, change = _eliminate(square, gradient, *others, damping)
+            return values + change, step_poses(poses, steps)
 
-def _cost(
-    body: BodyModel,
-    landmarks: Landmarks,
-    poses: FloatArray,
-    terms: Terms,
-    values: FloatArray,
-    parameters: BodyParameters,
-) -> float:
-    costs = normal_equations(body, poses, landmarks, terms)[2]
-    return float(costs.sum() + 0.5 * ((values / parameters.all_sigmas) ** 2).sum())
+        return move
+
+    state = (np.zeros(len(sigmas)), poses)
+    _, found = minimise(state, evaluate, linearise, steps=steps, settled=settled, damping=1e-2, most_damping=1e5)
+    return found[0], found[1]
 
 
 def _parameter_equations(
     parameters: BodyParameters,
-    place: Callable[[BodyModel], Landmarks],
     values: FloatArray,
     body: BodyModel,
     landmarks: Landmarks,
     poses: FloatArray,
     terms: Terms,
+    step: float = 1e-4,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Compute curvature between poses and parameters (T, D, N), of the parameters (N, N), and their gradient (N,)."""
-    share = min(1.0, 1.0 / (terms.frame_rate * CORRELATED_S))
+    """Compute curvature between poses and parameters (T, D, N), of the parameters (N, N), and their gradient (N,).
+
+    The slopes are differences over ``step`` of a parameter.
+    """
     places, slopes = point_slopes(body, poses, landmarks)
     grown = []
     for number in range(len(values)):
         tried = values.copy()
-        tried[number] += _STEP
-        if number < len(parameters.sigmas):
-            other_body, other = _make(parameters, place, tried)
-        else:  # points are shifted on the same body
-            other_body, other = body, place(body).shifted(parameters.split(tried)[1])
-        grown.append((place_points(other_body, poses, other) - places) / _STEP)
+        tried[number] += step
+        # shifts move points on the same body
+        other_body, other = parameters.make(tried, None if number < len(parameters.sigmas) else body)
+        grown.append((place_points(other_body, poses, other) - places) / step)
     growth = np.stack(grown, axis=-1)  # (T, L, 3, N)
-    errors, weights, _ = image_weights(terms, landmarks, places, share)
+    errors, weights, _ = image_weights(terms, landmarks, places)
     sigmas = parameters.all_sigmas
     cross = np.zeros((len(poses), slopes.shape[-1], len(values)))
     own, pull = np.diag(1.0 / sigmas**2), values / sigmas**2
@@ -181,30 +194,12 @@ def _eliminate(
     return steps, change
 
 
-_ROOT_FORCE = 6.0  # m/s^2, one sigma of the acceleration of the body's place over `_FORCE_S`
-_TURN_FORCE = 25.0  # rad/s^2, likewise of its turning
-_JOINT_FORCE = 60.0  # rad/s^2, likewise of a joint, times its agility
-_FORCE_S = 0.1
-_MOST_STEPS = 25
-_SETTLED = 1e-4
-_LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e6
-
-Tell = Callable[[int, int], None]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Trajectory:
-    """Poses (T, 7 + A), the covariance (T, D, D) of their steps, and the cost."""
-
-    poses: FloatArray
-    covariance: FloatArray
-    cost: float
-
-
 def fit_trajectory(
-    body: BodyModel, start: FloatArray, landmarks: Landmarks, terms: Terms, tell: Tell | None = None
-) -> Trajectory:
+    body: BodyModel, start: FloatArray, landmarks: Landmarks, terms: Terms, *, steps: int = 25, settled: float = 1e-4
+) -> tuple[FloatArray, FloatArray]:
     """Fit the most likely poses of a film, within the joints' limits but for hundredths of a radian.
+
+    Returns poses (T, 7 + A) and the covariance (T, D, D) of their steps.
 
     Parameters
     ----------
@@ -212,87 +207,62 @@ def fit_trajectory(
     start : (T, 7 + A) to begin with.
     landmarks : on the body, those of ``terms``.
     terms : the observations.
-    tell : called with steps done and steps at most.
+    steps, settled : see `minimise`.
     """
-    poses, damping = start.copy(), 1e-3
     force = force_weights(body, terms.frame_rate)
-    square, gradient, cost = _evaluate(body, poses, landmarks, terms, force)
-    for number in range(_MOST_STEPS):
-        if tell is not None:
-            tell(number, _MOST_STEPS)
-        while damping < _MOST_DAMPING:
-            tried = step_poses(poses, _solve(square, gradient, force, damping))
-            found = _evaluate(body, tried, landmarks, terms, force)
-            if found[2] < cost:
-                break
-            damping *= 5.0
-        else:
-            break
-        gained = cost - found[2]
-        poses, (square, gradient, cost) = tried, found
-        damping = max(damping / 8.0, _LEAST_DAMPING)
-        if gained <= _SETTLED * abs(cost):
-            break
-    return Trajectory(poses, find_covariance(square, force), cost)
+
+    def evaluate(poses: FloatArray) -> tuple[float, tuple[FloatArray, FloatArray]]:
+        square, gradient, costs = normal_equations(body, poses, landmarks, terms)
+        cost = float(costs.sum())
+        if len(poses) > 2:
+            bend = np.diff(pose_difference(poses[:-1], poses[1:]), axis=0)
+            pull = force * bend
+            gradient[:-2] += pull
+            gradient[1:-1] -= 2.0 * pull
+            gradient[2:] += pull
+            cost += 0.5 * float((pull * bend).sum())
+        return cost, (square, gradient)
+
+    poses, (square, _) = minimise(
+        start.copy(), evaluate, lambda poses, found: lambda damping: step_poses(poses, _solve(*found, force, damping)),
+        steps=steps, settled=settled, damping=1e-3, most_damping=1e6,
+    )  # fmt: skip
+    return poses, find_covariance(square, force)
 
 
-def force_weights(body: BodyModel, frame_rate: float) -> FloatArray:
-    """Compute the cost (D,) of a squared second difference."""
-    sigma = [np.full(3, _ROOT_FORCE), np.full(3, _TURN_FORCE)]
-    sigma += [np.full(count, _JOINT_FORCE * body.agility[part]) for part, count in enumerate(body.n_axes)]
+def force_weights(
+    body: BodyModel,
+    frame_rate: float,
+    *,
+    place: float = 6.0,
+    turn: float = 25.0,
+    joint: float = 60.0,
+    lasting: float = 0.1,
+) -> FloatArray:
+    """Compute the cost (D,) of a squared second difference.
+
+    Parameters
+    ----------
+    body : the model.
+    frame_rate : Hz.
+    place : m/s^2, one sigma of the acceleration of the body's place: the larger, the less smooth.
+    turn, joint : rad/s^2, likewise of its turning, and of a joint, times its agility.
+    lasting : s, over which forces stay much the same.
+    """
+    sigma = [np.full(3, place), np.full(3, turn)]
+    sigma += [np.full(count, joint * body.agility[part]) for part, count in enumerate(body.n_axes)]
     second = np.concatenate(sigma) / frame_rate**2
-    return np.asarray(1.0 / (second**2 * max(1.0, frame_rate * _FORCE_S)))
+    return np.asarray(1.0 / (second**2 * max(1.0, frame_rate * lasting)))
 
 
-def _evaluate(
-    body: BodyModel, poses: FloatArray, landmarks: Landmarks, terms: Terms, force: FloatArray
-) -> tuple[FloatArray, FloatArray, float]:
-    square, gradient, costs = normal_equations(body, poses, landmarks, terms)
-    cost = float(costs.sum())
-    if len(poses) > 2:
-        bend = _second_differences(poses)
-        pull = force * bend
-        gradient[:-2] += pull
-        gradient[1:-1] -= 2.0 * pull
-        gradient[2:] += pull
-        cost += 0.5 * float((pull * bend).sum())
-    return square, gradient, cost
+def _assemble(square: FloatArray, force: FloatArray, damping: float) -> tuple[FloatArray, FloatArray]:
+    """Return the banded equations as block tridiagonal ones; an odd last frame is padded with the identity.
 
-
-def _second_differences(poses: FloatArray) -> FloatArray:
-    """Compute second differences (T - 2, D) of poses."""
-    moves = np.concatenate(
-        (
-            np.diff(poses[:, :3], axis=0),
-            rot.to_axis_angle(rot.multiply(rot.conjugate(poses[:-1, 3:7]), poses[1:, 3:7])),
-            np.diff(poses[:, 7:], axis=0),
-        ),
-        axis=1,
-    )
-    return np.asarray(np.diff(moves, axis=0))
-
-
-def _couplings(n_frames: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return diagonals (T,), (T - 1,), (T - 2,) of the square of second differences."""
-    own, one, two = np.zeros(n_frames), np.zeros(max(n_frames - 1, 0)), np.zeros(max(n_frames - 2, 0))
-    if n_frames > 2:
-        own[:-2] += 1.0
-        own[1:-1] += 4.0
-        own[2:] += 1.0
-        one[:-1] -= 2.0
-        one[1:] -= 2.0
-        two += 1.0
-    return own, one, two
-
-
-Blocks = tuple[FloatArray, FloatArray]
-"""Diagonal blocks (N, 2 D, 2 D) and those to the right of them (N - 1, 2 D, 2 D): two frames are one block."""
-
-
-def _assemble(square: FloatArray, force: FloatArray, damping: float) -> Blocks:
-    """Return the banded equations as block tridiagonal ones; an odd last frame is padded with the identity."""
+    Two frames are one block: diagonal ones (N, 2 D, 2 D) and those to the right of them (N - 1, 2 D, 2 D).
+    """
     n_frames, size = square.shape[:2]
-    own, one, two = _couplings(n_frames)
+    bend = np.diff(np.eye(n_frames), 2, axis=0)
+    own, one, two = (np.diag(bend.T @ bend, apart) for apart in range(3))
     n_blocks = (n_frames + 1) // 2
     index = np.arange(size)
     frames = np.tile(np.eye(size), (2 * n_blocks, 1, 1))

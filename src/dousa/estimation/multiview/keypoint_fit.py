@@ -33,28 +33,19 @@ from dousa.estimation.multiview.landmarks import (
 )
 from dousa.estimation.multiview.people import repair_sides
 from dousa.estimation.multiview.pose_residuals import Terms, place_points, point_slopes
-from dousa.estimation.multiview.triangulation import Triangulated, known_median, pixels_per_metre, triangulate
+from dousa.estimation.multiview.triangulation import pixels_per_metre, reduce_known, triangulate
 from dousa.estimation.tracking.settings import Estimate
 from dousa.messages import Message
 from dousa.motion import rotations as rot
-
-USUAL_STATURE = 1.72
-"""m, if unknown."""
+from dousa.motion.resampling import fill_gaps
 
 STATURE_SHARE = 0.04
-"""Relative error of a stature from several views: of 40 synthetic people 4 % small, spread 2 %."""
+"""Relative error of a stature from several views, measured by python -m lab.trials.made_people: 4 % small."""
 
 _MEASURES = ("upper_arm", "forearm", "thigh", "shank", "trunk", "shoulder_breadth", "hip_breadth", "head", "foot")
 _STATURE_SIGMA, _GIVEN_SIGMA, _MEASURE_SIGMA = 0.03, 0.01, 0.06  # of logarithms
-_FIRST_S = 0.1  # between two poses that the trajectory begins with
-_BODY_FRAMES = 60
-_BODY_RATE = 40.0  # Hz: a network's errors are much the same all over a film, so that a frame counts as a quarter
-_BONES = (("hip", "knee", 0.236), ("knee", "ankle", 0.246), ("shoulder", "elbow", 0.162), ("elbow", "wrist", 0.158))
-_WINDOW, _MARGIN = 600, 60  # frames that are fitted at once, and that are shared with the next
-_ONE_VIEW_EASE = 4.0  # times the ease with several views, as one view leaves more undetermined
-_LOST_SIGMA = 0.10  # m, mean uncertainty of the joints of a frame that is lost
-_LOST_SEEN = 0.35  # share of the landmarks that two views, or the only one, must show
-_LOST_ERROR = 3.0  # sigmas, middle error of a frame's points
+_BONES = (("hip", "knee", "thigh"), ("knee", "ankle", "shank"), ("shoulder", "elbow", "upper_arm"),
+          ("elbow", "wrist", "forearm"))  # fmt: skip
 
 Progress = Callable[[int, int, Message], None]
 
@@ -96,6 +87,8 @@ def fit_keypoints(
     stature: float | None = None,
     sex: str = "average",
     progress: Progress | None = None,
+    window: int = 600,
+    margin: int = 60,
 ) -> KeypointFit:
     """Fit a body to one person's keypoints.
 
@@ -108,9 +101,10 @@ def fit_keypoints(
     names : (K,) of the keypoints, such as `MEDIAPIPE_NAMES`.
     frame_rate : Hz.
     body : with known lengths; by default they are found.
-    stature : m; by default from several views, or `USUAL_STATURE` with one view.
+    stature : m; by default from several views, or 1.72 with one view.
     sex : of the proportions, without a body.
     progress : called with steps done, steps in all and the current step.
+    window, margin : frames that are fitted at once, and shared with the next: fewer take less memory.
 
     Raises
     ------
@@ -130,12 +124,12 @@ def fit_keypoints(
     tell(1, 4, Message("multiview.body"))
     given = body if body is not None else _usual_body(stature or _guess_stature(places, seen.names, len(shown)), sex)
     poses, determined = _first_poses(given, places, seen.names, frame_rate)
-    terms = (
-        Terms(cameras, seen, frame_rate, 1.0, _ONE_VIEW_EASE) if len(shown) == 1 else Terms(cameras, seen, frame_rate)
-    )
-    own, landmarks, poses = _find_body(given, body is None, stature, sex, poses, determined, terms)
+    terms = Terms(cameras, seen, frame_rate)
+    if len(shown) == 1:  # weight and ease were chosen on the films of lab/trials/made_people.py
+        terms = replace(terms, world_weight=1.0, ease=4.0)
+    own, landmarks = _find_body(given, body is None, stature, sex, poses, determined, terms)
     tell(2, 4, Message("multiview.fitting"))
-    poses, covariance = _fit_in_windows(own, poses, landmarks, terms, tell)
+    poses, covariance = _fit_in_windows(own, poses, landmarks, terms, tell, window, margin)
     seconds = perf_counter() - begun
     fit = _answer(own, landmarks, (poses, covariance), terms, exchanged, n_frames / max(seconds, 1e-9))
     if len(cameras) > 1:
@@ -150,8 +144,7 @@ def _first_places(cameras: Sequence[Camera], seen: SeenLandmarks, shown: Sequenc
         raise KeypointError("multiview.nobody")
     if len(shown) > 1:
         some = list(shown)
-        found: Triangulated = triangulate([cameras[v] for v in some], seen.points[some], seen.visibility[some])
-        return found.points
+        return triangulate([cameras[v] for v in some], seen.points[some], seen.visibility[some]).points
     view = shown[0]
     return _place_world(cameras[view], seen.points[view], seen.visibility[view], seen.world[view])
 
@@ -174,36 +167,32 @@ def _place_world(camera: Camera, points: FloatArray, visibility: FloatArray, wor
     return np.asarray((placed - camera.translation) @ camera.rotation)
 
 
-def _guess_stature(places: FloatArray, names: tuple[str, ...], n_views: int) -> float:
-    """Estimate the stature from median limb lengths and the tables."""
+def _guess_stature(places: FloatArray, names: tuple[str, ...], n_views: int, usual: float = 1.72) -> float:
+    """Estimate the stature from median limb lengths and the tables; ``usual`` m where that is impossible."""
     if n_views < 2:
-        return USUAL_STATURE
+        return usual
     ratios = []
-    for one, other, share in _BONES:
+    for one, other, measure in _BONES:
         for side in ("left_", "right_"):
             if side + one in names and side + other in names:
                 ways = places[:, names.index(side + one)] - places[:, names.index(side + other)]
                 length = np.nanmedian(np.linalg.norm(ways, axis=1)) if np.isfinite(ways).any() else np.nan
-                ratios.append(length / share)
+                ratios.append(length / LENGTHS[measure])
     determined = [ratio for ratio in ratios if np.isfinite(ratio)]
-    return float(np.clip(np.median(determined), 0.5, 2.3)) if determined else USUAL_STATURE
+    return float(np.clip(np.median(determined), 0.5, 2.3)) if determined else usual
 
 
 def _first_poses(
-    body: BodyModel, places: FloatArray, names: tuple[str, ...], frame_rate: float
+    body: BodyModel, places: FloatArray, names: tuple[str, ...], frame_rate: float, every: float = 0.1
 ) -> tuple[FloatArray, BoolArray]:
-    """Return first poses (T, 7 + A), and (T,) whether the frame determines the pose."""
+    """Return first poses (T, 7 + A), fitted ``every`` s, and (T,) whether the frame determines the pose."""
     known = set(point_names(body))
     rows = [row for row, name in enumerate(names) if name in known and not name.endswith("neck")]
     determined = np.isfinite(places[:, rows, 0])
     filled = places.copy()
-    frames = np.arange(len(places))
-    for row in rows:
-        own = np.isfinite(places[:, row, 0])
-        if own.sum() > 1:
-            for axis in range(3):
-                filled[:, row, axis] = np.interp(frames, frames[own], places[own, row, axis])
-    some = np.unique(np.append(np.arange(0, len(places), max(1, round(_FIRST_S * frame_rate))), len(places) - 1))
+    several = [row for row in rows if np.isfinite(places[:, row, 0]).sum() > 1]
+    filled[:, several] = fill_gaps(places[:, several])
+    some = np.unique(np.append(np.arange(0, len(places), max(1, round(every * frame_rate))), len(places) - 1))
     try:
         poses, _ = fit_poses(body, filled[some][:, rows], [names[row] for row in rows])
     except BodyModelError as error:
@@ -230,12 +219,17 @@ def _find_body(
     poses: FloatArray,
     determined: BoolArray,
     terms: Terms,
-) -> tuple[BodyModel, Landmarks, FloatArray]:
-    """Return the body, its landmarks, and the first poses, from frames of the whole film."""
+    count: int = 60,
+    rate: float = 40.0,
+) -> tuple[BodyModel, Landmarks]:
+    """Return the body and its landmarks from ``count`` frames of the whole film.
+
+    As a network's errors are much the same all over a film, these count as if they followed each other at ``rate`` Hz.
+    """
     chosen = np.flatnonzero(determined)
     if not len(chosen):
         chosen = np.arange(len(poses))
-    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, _BODY_FRAMES).astype(int))]
+    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, count).astype(int))]
     names = terms.seen.names
     groups = tuple(group for group in SHIFTS if group in place_landmarks(given, names).groups)
     usual = given.stature
@@ -250,10 +244,10 @@ def _find_body(
     sigmas = np.array([first, *[_MEASURE_SIGMA] * len(_MEASURES)]) if free else np.zeros(0)
     seen = terms.seen
     part = SeenLandmarks(names, seen.points[:, chosen], seen.visibility[:, chosen], seen.world[:, chosen])
-    few = replace(terms, seen=part, frame_rate=_BODY_RATE)
-    parameters = BodyParameters(build, sigmas, groups)
-    body, landmarks, _ = fit_body_parameters(parameters, lambda own: place_landmarks(own, names), poses[chosen], few)
-    return body, landmarks, poses
+    few = replace(terms, seen=part, frame_rate=rate)
+    return fit_body_parameters(
+        BodyParameters(build, lambda own: place_landmarks(own, names), sigmas, groups), poses[chosen], few
+    )
 
 
 def _usual_body(stature: float, sex: str, sizes: Mapping[str, float] | None = None) -> BodyModel:
@@ -265,21 +259,21 @@ def _usual_body(stature: float, sex: str, sizes: Mapping[str, float] | None = No
 
 
 def _fit_in_windows(
-    body: BodyModel, start: FloatArray, landmarks: Landmarks, terms: Terms, tell: Progress
+    body: BodyModel, start: FloatArray, landmarks: Landmarks, terms: Terms, tell: Progress, window: int, margin: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return poses (T, 7 + A) and covariance (T, P + K, 3, 3) m^2 of the joints, by windows to limit memory."""
     n_frames, seen = len(start), terms.seen
     poses, covariance = [], []
-    edges = [*range(0, max(n_frames - _WINDOW // 2, 1), _WINDOW), n_frames]
+    edges = [*range(0, max(n_frames - window // 2, 1), window), n_frames]
     for begin, end in pairwise(edges):
         tell(begin, n_frames, Message("multiview.fitting"))
-        first, last = max(0, begin - _MARGIN), min(n_frames, end + _MARGIN)
+        first, last = max(0, begin - margin), min(n_frames, end + margin)
         whole = slice(first, last)
         own = SeenLandmarks(seen.names, seen.points[:, whole], seen.visibility[:, whole], seen.world[:, whole])
-        fitted = fit_trajectory(body, start[whole], landmarks, replace(terms, seen=own))
+        fitted, doubt = fit_trajectory(body, start[whole], landmarks, replace(terms, seen=own))
         kept = slice(begin - first, end - first)
-        poses.append(fitted.poses[kept])
-        covariance.append(_joint_covariance(body, poses[-1], fitted.covariance[kept]))
+        poses.append(fitted[kept])
+        covariance.append(_joint_covariance(body, poses[-1], doubt[kept]))
     return np.concatenate(poses), np.concatenate(covariance)
 
 
@@ -290,7 +284,16 @@ def _answer(
     terms: Terms,
     exchanged: BoolArray,
     speed: float,
+    *,
+    most_sigma: float = 0.10,
+    least_seen: float = 0.35,
+    most_error: float = 3.0,
 ) -> KeypointFit:
+    """Return the result of a fit.
+
+    A frame is lost whose joints are known less well than ``most_sigma`` m, of whose landmarks two views (or the only
+    one) show less than the share ``least_seen``, or whose points are off by ``most_error`` sigmas in the middle.
+    """
     limits = body.angle_limits
     poses, covariance = fitted[0].copy(), fitted[1]
     poses[:, 7:] = np.clip(poses[:, 7:], limits[:, 0], limits[:, 1])
@@ -305,11 +308,11 @@ def _answer(
     off = np.where(visible, errors / sigma, np.nan)
     n_needed = min(2, len(terms.cameras))
     determined = (visible.sum(axis=0) >= n_needed).mean(axis=1)
-    middle = known_median(np.moveaxis(off, 1, 0).reshape(len(poses), -1), axis=1)
+    middle = reduce_known(np.nanmedian, np.moveaxis(off, 1, 0).reshape(len(poses), -1), axis=1)
     middle = np.where(np.isfinite(middle), middle, np.inf)
-    lost = (uncertainty.mean(axis=1) > _LOST_SIGMA) | (determined < _LOST_SEEN) | (middle > _LOST_ERROR)
-    if len(terms.cameras) == 1:
-        lost = (determined < _LOST_SEEN) | (middle > _LOST_ERROR)
+    lost = (determined < least_seen) | (middle > most_error)
+    if len(terms.cameras) > 1:
+        lost |= uncertainty.mean(axis=1) > most_sigma
     estimate = Estimate(
         body,
         poses,

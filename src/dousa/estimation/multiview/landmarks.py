@@ -18,11 +18,13 @@ from dousa.errors import KeypointError
 from dousa.estimation.body.body import BodyModel
 from dousa.estimation.keypoints.keypoints import PersonTrack
 
+# Measured by python -m lab.trials.made_people.
 _MIDDLE: dict[str, tuple[str, tuple[float, float, float], float, str]] = {
     "nose": ("head", (0.0, 0.066, 0.086), 0.025, "head"),
     "neck": ("head", (0.0, 0.0, 0.0), 0.035, "neck"),
     "head": ("head", (0.0, 0.140, 0.018), 0.035, "crown"),
 }
+# Measured by python -m lab.trials.made_people.
 _LEFT: dict[str, tuple[str, tuple[float, float, float], float, str]] = {
     "eye": ("head", (0.014, 0.084, 0.072), 0.025, "head"),
     "ear": ("head", (0.028, 0.076, 0.044), 0.025, "head"),
@@ -41,23 +43,16 @@ _LEFT: dict[str, tuple[str, tuple[float, float, float], float, str]] = {
 
 SHIFTS = {"head": 0.015, "neck": 0.03, "crown": 0.03, "shoulder": 0.015, "elbow": 0.008, "wrist": 0.006,
           "hand": 0.01, "hip": 0.02, "knee": 0.012, "ankle": 0.008, "heel": 0.01, "toe": 0.01}  # fmt: skip
-"""m, how far the points of a group may lie beside their places on the body."""
+"""m, how far the points of a group lie beside their places from person to person (python -m lab.trials.made_people)."""
 
 BREADTHS = {"hip_breadth": 0.103, "shoulder_breadth": 0.210}
 """Statures between the joints of both sides: hips by Harrington and others (2007) for a pelvis 240 mm wide, shoulders
 18 mm within the acromia (Gordon and others, ANSUR II, 2012), below which de Leva (1996) has them too."""
 
-_SOURCES: dict[str, tuple[tuple[str, ...], ...]] = {
-    "mouth": (("mouth_left",), ("mouth_right",)),
-    "hand": (("left_index", "left_pinky"), ("right_index", "right_pinky")),
-    "toe": (("left_foot_index",), ("right_foot_index",)),
-}
-_OTHERWISE: dict[str, tuple[tuple[str, ...], ...]] = {
-    "toe": (("left_big_toe", "left_small_toe"), ("right_big_toe", "right_small_toe")),
-    "hand": (("left_hand",), ("right_hand",)),
-}
-_SIDES = ("left", "right")
-_LEAST = 6  # landmarks, at least, to determine a body
+# Of a side; the first there is.
+_SOURCES = {
+    "mouth": ("mouth_{}",), "hand": ("{}_index {}_pinky",), "toe": ("{}_foot_index", "{}_big_toe {}_small_toe"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,12 +74,6 @@ class Landmarks:
     spread: FloatArray
     groups: tuple[str, ...]
 
-    @property
-    def mirrored(self) -> IndexArray:
-        """(L,) the index of each point's mirror image."""
-        return np.array([self.names.index(_mirror(name)) if _mirror(name) in self.names else row
-                         for row, name in enumerate(self.names)])  # fmt: skip
-
     def shifted(self, shifts: dict[str, FloatArray]) -> Landmarks:
         """Return landmarks with groups shifted by (3,) m to the left, up and ahead, mirrored on the right."""
         places = self.places.copy()
@@ -95,33 +84,20 @@ class Landmarks:
         return replace(self, places=places)
 
 
-def _mirror(name: str) -> str:
-    if name.startswith("left_"):
-        return "right_" + name[5:]
-    return "left_" + name[6:] if name.startswith("right_") else name
-
-
-def find_sources(names: Sequence[str]) -> dict[str, tuple[int, ...]]:
-    """Return for each landmark the keypoints whose mean it is; KeypointError for too few points of a body."""
+def find_sources(names: Sequence[str], least: int = 6) -> dict[str, tuple[int, ...]]:
+    """Return for each landmark the keypoints whose mean it is; KeypointError for less than ``least`` of a body's."""
     place = {name: row for row, name in enumerate(names)}
-    found: dict[str, tuple[int, ...]] = {}
-    for name in _MIDDLE:
-        if name in place:
-            found[name] = (place[name],)
+    found: dict[str, tuple[int, ...]] = {name: (place[name],) for name in _MIDDLE if name in place}
     for point in _LEFT:
-        for number, side in enumerate(_SIDES):
-            usual = ((f"{side}_{point}",),)
-            for sources in (*_choices(_SOURCES, point, number), *_choices(_OTHERWISE, point, number), *usual):
+        for side in ("left", "right"):
+            for words in (*_SOURCES.get(point, ()), f"{{}}_{point}"):
+                sources = words.format(side, side).split()
                 if all(source in place for source in sources):
                     found[f"{side}_{point}"] = tuple(place[source] for source in sources)
                     break
-    if sum(name.split("_")[-1] in ("shoulder", "hip", "knee", "elbow", "wrist", "ankle") for name in found) < _LEAST:
+    if sum(name.split("_")[-1] in ("shoulder", "hip", "knee", "elbow", "wrist", "ankle") for name in found) < least:
         raise KeypointError("multiview.no_body", names=tuple(names))
     return found
-
-
-def _choices(table: dict[str, tuple[tuple[str, ...], ...]], point: str, number: int) -> tuple[tuple[str, ...], ...]:
-    return (table[point][number],) if point in table else ()
 
 
 def place_landmarks(body: BodyModel, names: Sequence[str]) -> Landmarks:

@@ -1,8 +1,8 @@
 """Costs of a pose: reprojection of landmarks, limits of the joints, rest, and the network's own places in space.
 
 Every term is a normal distribution in metres or radians, so that a pose's uncertainty follows from the curvature.
-Errors of keypoints last for several frames: an image counts as `1 / (rate * CORRELATED_S)` of an independent one, so
-that results do not depend on the frame rate.
+Errors of keypoints last for several frames, so that an image counts as a share of an independent one, and results do
+not depend on the frame rate.
 
 A network's errors in space add up from bone to bone and its scale is unknown, so vectors from joint to joint are
 compared, in statures. Their biases and spreads across the view and in depth were measured on synthetic films
@@ -18,18 +18,16 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.estimation.body.body import BodyModel
-from dousa.estimation.body.kinematics import place_parts
+from dousa.estimation.body.kinematics import place_parts, step_poses
 from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.multiview.landmarks import Landmarks, SeenLandmarks
 from dousa.estimation.multiview.triangulation import pixels_per_metre, project_slope
-from dousa.motion import rotations as rot
 
-NETWORK_STATURE = 1.73
-"""m, stature of every person in a network's places in space."""
-
+# Measured by python -m lab.trials.made_people.
 _ACROSS = (("hip", 0.018, 0.038), ("shoulder", 0.040, 0.060), ("ear", 0.050, 0.060))
 """Point -> the way from its right to its left: statures by which it is off across the view and in depth."""
 
+# Measured by python -m lab.trials.made_people.
 _BONES: tuple[tuple[str, str, float, float, tuple[float, float, float]], ...] = (
     ("neck", "hips", 0.020, 0.050, (0.0, 0.0, 0.0)),
     ("nose", "neck", 0.022, 0.035, (0.0, 0.027, -0.048)),
@@ -91,7 +89,13 @@ def _pick(names: Sequence[str], name: str) -> FloatArray | None:
 
 
 def world_terms(
-    camera: Camera, world: FloatArray, names: Sequence[str], places: FloatArray, slopes: FloatArray, stature: float
+    camera: Camera,
+    world: FloatArray,
+    names: Sequence[str],
+    places: FloatArray,
+    slopes: FloatArray,
+    stature: float,
+    network_stature: float = 1.73,
 ) -> tuple[FloatArray, FloatArray]:
     """Compute errors in sigmas (T, B, 3), nan where unknown, and their derivative by the pose (T, B, 3, D).
 
@@ -103,28 +107,17 @@ def world_terms(
     places : (T, L, 3) m, those of the body.
     slopes : (T, L, 3, D) their slopes.
     stature : m, of the body.
-    """
+    network_stature : m, of every person in the network's places.
+    """  # fmt: skip
     bones = list_bones(names)
     expected = np.einsum("bl,tli->tbi", bones.ways, np.nan_to_num(world))
     known = ~np.einsum("bl,tl->tb", bones.ways != 0, np.isnan(world).any(axis=-1))
-    expected = expected * stature / NETWORK_STATURE - stature * bones.biases
+    expected = expected * stature / network_stature - stature * bones.biases
     turned = places @ camera.rotation.T
     sigmas = stature * bones.sigmas
     off = (np.einsum("bl,tli->tbi", bones.ways, turned) - expected) / sigmas
     change = np.einsum("bl,ij,tljd->tbid", bones.ways, camera.rotation, slopes, optimize=True) / sigmas[..., None]
     return np.where(known[..., None], off, np.nan), np.asarray(change)
-
-
-CORRELATED_S = 0.1
-"""s over which the errors of a network's points stay much the same."""
-
-_STEP = 1e-5  # rad and m, for slopes
-_TAIL = 4.0  # degrees of freedom of Student's t: points that are far off count little
-_LEAST_VISIBLE = 0.05
-_LIMIT = 0.05  # rad beyond a limit, one sigma
-_REST = 0.8  # of half a joint's range, one sigma about the angle at ease, for stiffness 1
-WORLD_CORRELATED_S = 0.3
-"""s, likewise of its depths."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,6 +131,9 @@ class Terms:
     frame_rate : Hz.
     world_weight : weight of the network's own places in space, 0 to 1.
     ease : factor of the pull of joints to their neutral angles.
+    lasting : s, over which the errors of a network's points stay much the same.
+    world_lasting : s, likewise of its places in space.
+    tail : degrees of freedom of Student's t: the fewer, the less points count that are far off.
     """
 
     cameras: Sequence[Camera]
@@ -145,19 +141,14 @@ class Terms:
     frame_rate: float
     world_weight: float = 0.0
     ease: float = 1.0
+    lasting: float = 0.1
+    world_lasting: float = 0.3
+    tail: float = 4.0
 
-
-def step_poses(poses: FloatArray, steps: FloatArray) -> FloatArray:
-    """Move poses (..., 7 + A) by (..., 6 + A): place, turn in the root's axes, angles."""
-    moved = np.concatenate(
-        (
-            poses[..., :3] + steps[..., :3],
-            rot.normalise(rot.multiply(poses[..., 3:7], rot.from_axis_angle(steps[..., 3:6]))),
-            poses[..., 7:] + steps[..., 6:],
-        ),
-        axis=-1,
-    )
-    return np.asarray(moved)
+    @property
+    def share(self) -> float:
+        """Share of an independent image that each counts as."""
+        return min(1.0, 1.0 / (self.frame_rate * self.lasting))
 
 
 def place_points(body: BodyModel, poses: FloatArray, landmarks: Landmarks) -> FloatArray:
@@ -167,30 +158,37 @@ def place_points(body: BodyModel, poses: FloatArray, landmarks: Landmarks) -> Fl
     return np.asarray(positions[..., landmarks.parts, :] + turned)
 
 
-def point_slopes(body: BodyModel, poses: FloatArray, landmarks: Landmarks) -> tuple[FloatArray, FloatArray]:
-    """Return places (T, L, 3) and their slopes (T, L, 3, 6 + A)."""
+def point_slopes(
+    body: BodyModel, poses: FloatArray, landmarks: Landmarks, step: float = 1e-5
+) -> tuple[FloatArray, FloatArray]:
+    """Return places (T, L, 3) and their slopes (T, L, 3, 6 + A), differences over ``step`` m and rad."""
     n_steps = 6 + body.n_angles
-    tried = step_poses(poses[:, None], np.broadcast_to(_STEP * np.eye(n_steps), (len(poses), n_steps, n_steps)))
+    steps = np.broadcast_to(step * np.eye(n_steps), (len(poses), n_steps, n_steps))
+    tried = step_poses(poses[:, None], steps)
     here = place_points(body, poses, landmarks)
     there = place_points(body, tried, landmarks)
-    return here, np.asarray(np.moveaxis(there - here[:, None], 1, -1) / _STEP)
+    return here, np.asarray(np.moveaxis(there - here[:, None], 1, -1) / step)
 
 
 def image_weights(
-    terms: Terms, landmarks: Landmarks, places: FloatArray, share: float
+    terms: Terms, landmarks: Landmarks, places: FloatArray, visible: float = 0.05
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return errors (V, T, L, 2) px, the cost of a squared pixel (V, T, L), and the robust total cost (T,)."""
+    """Return errors (V, T, L, 2) px, the cost of a squared pixel (V, T, L), and the robust total cost (T,).
+
+    Points are left out whose visibility is not above ``visible``.
+    """
+    share, tail = terms.share, terms.tail
     errors, weights, costs = [], [], np.zeros(len(places))
     for view, camera in enumerate(terms.cameras):
         visibility = terms.seen.visibility[view]
         off = terms.seen.points[view] - camera.project(places)
         sigma = landmarks.spread * pixels_per_metre(camera, places)
         square = (off**2).sum(axis=-1) / sigma**2
-        good = np.isfinite(square) & (visibility > _LEAST_VISIBLE)
+        good = np.isfinite(square) & (visibility > visible)
         trust = np.where(good, visibility, 0.0)
         square = np.where(good, square, 0.0)
-        costs += share * (trust * 0.5 * (_TAIL + 2) * np.log1p(square / _TAIL)).sum(axis=1)
-        weights.append(share * trust * (_TAIL + 2) / (_TAIL + square) / np.where(good, sigma, 1.0) ** 2)
+        costs += share * (trust * 0.5 * (tail + 2) * np.log1p(square / tail)).sum(axis=1)
+        weights.append(share * trust * (tail + 2) / (tail + square) / np.where(good, sigma, 1.0) ** 2)
         errors.append(np.where(good[..., None], off, 0.0))
     return np.stack(errors), np.stack(weights), costs
 
@@ -199,9 +197,8 @@ def normal_equations(
     body: BodyModel, poses: FloatArray, landmarks: Landmarks, terms: Terms
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return curvature (T, D, D), gradient (T, D) and cost (T,) of the frames' own terms; D = 6 + A."""
-    share = min(1.0, 1.0 / (terms.frame_rate * CORRELATED_S))
     places, slopes = point_slopes(body, poses, landmarks)
-    errors, weights, costs = image_weights(terms, landmarks, places, share)
+    errors, weights, costs = image_weights(terms, landmarks, places)
     n_frames, n_steps = len(poses), slopes.shape[-1]
     square, gradient = np.zeros((n_frames, n_steps, n_steps)), np.zeros((n_frames, n_steps))
     for view, camera in enumerate(terms.cameras):
@@ -211,7 +208,7 @@ def normal_equations(
         gradient -= np.einsum("tlid,tl,tli->td", flow, weights[view], errors[view])
     if terms.world_weight > 0:
         _add_world(body, terms, landmarks, places, slopes, square, gradient, costs)
-    _add_angles(body, poses, share, terms.ease * share, square, gradient, costs)
+    _add_angles(body, poses, terms, square, gradient, costs)
     return square, gradient, costs
 
 
@@ -226,45 +223,48 @@ def _add_world(
     costs: FloatArray,
 ) -> None:
     """Add the network's own vectors from joint to joint, in place."""
-    share = terms.world_weight * min(1.0, 1.0 / (terms.frame_rate * WORLD_CORRELATED_S))
+    share, tail = terms.world_weight * min(1.0, 1.0 / (terms.frame_rate * terms.world_lasting)), terms.tail
     for view, camera in enumerate(terms.cameras):
         off, ways = world_terms(camera, terms.seen.world[view], landmarks.names, places, slopes, body.stature)
         known = np.asarray(np.isfinite(off).all(axis=-1))
         off = np.where(known[..., None], off, 0.0)
         far = (off**2).sum(axis=-1)
         scale = share * np.where(known, 1.0, 0.0)
-        costs += (scale * 0.5 * (_TAIL + 3) * np.log1p(far / _TAIL)).sum(axis=1)
-        weight = scale * (_TAIL + 3) / (_TAIL + far)
+        costs += (scale * 0.5 * (tail + 3) * np.log1p(far / tail)).sum(axis=1)
+        weight = scale * (tail + 3) / (tail + far)
         rooted = (np.sqrt(weight)[..., None, None] * ways).reshape(len(places), -1, square.shape[1])
         square += np.swapaxes(rooted, 1, 2) @ rooted
         gradient += np.einsum("tbid,tb,tbi->td", ways, weight, off)
 
 
-def angle_rest(body: BodyModel) -> tuple[FloatArray, FloatArray]:
-    """Return neutral angles (A,), and the cost of a squared radian off them."""
+def angle_rest(body: BodyModel, rest: float = 0.8) -> tuple[FloatArray, FloatArray]:
+    """Return neutral angles (A,), and the cost of a squared radian off them.
+
+    One sigma of a joint of stiffness 1 is the share ``rest`` of half its range.
+    """
     ease, cost = [], []
     for part, count in enumerate(body.n_axes):
         half = 0.5 * np.ptp(body.limits[part, :count], axis=1)
         ease.append(body.neutral[part, :count])
-        cost.append(body.stiffness[part] / (_REST * np.maximum(half, 0.05)) ** 2)
+        cost.append(body.stiffness[part] / (rest * np.maximum(half, 0.05)) ** 2)
     return np.concatenate(ease), np.concatenate(cost)
 
 
 def _add_angles(
     body: BodyModel,
     poses: FloatArray,
-    share: float,
-    ease_share: float,
+    terms: Terms,
     square: FloatArray,
     gradient: FloatArray,
     costs: FloatArray,
+    limit: float = 0.05,
 ) -> None:
-    """Add limits and ease of the joints, in place."""
+    """Add limits and ease of the joints, in place; ``limit`` rad beyond a limit are one sigma."""
     angles, limits = poses[:, 7:], body.angle_limits
     beyond = angles - np.clip(angles, limits[:, 0], limits[:, 1])
     ease, rest = angle_rest(body)
-    off, rest = angles - ease, ease_share * rest
-    hard = share * (beyond != 0) / _LIMIT**2
+    off, rest = angles - ease, terms.ease * terms.share * rest
+    hard = terms.share * (beyond != 0) / limit**2
     rows = np.arange(6, square.shape[1])
     square[:, rows, rows] += hard + rest
     gradient[:, 6:] += hard * beyond + rest * off

@@ -7,9 +7,10 @@ views that disagree are left out, and the point is refined on its reprojection e
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -17,31 +18,11 @@ from dousa.arrays import BoolArray, FloatArray
 from dousa.estimation.cameras.camera import Camera
 
 
-def known_mean(values: FloatArray, axis: int) -> FloatArray:
-    """Compute the mean along an axis without nan."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # all nan, whose mean is nan
-        return np.asarray(np.nanmean(values, axis=axis))
-
-
-def known_median(values: FloatArray, axis: int) -> FloatArray:
-    """Compute the median along an axis without nan."""
+def reduce_known(reduce: Callable[..., Any], values: FloatArray, axis: int) -> FloatArray:
+    """Apply a function such as `np.nanmedian` along an axis; without a warning nan where all is nan."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        return np.asarray(np.nanmedian(values, axis=axis))
-
-
-def known_span(values: FloatArray, axis: int) -> FloatArray:
-    """Compute greatest less least along an axis without nan."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        return np.asarray(np.nanmax(values, axis=axis) - np.nanmin(values, axis=axis))
-
-
-_AGREES = 3.0  # sigmas: a view farther off is left out
-_STEPS = 4
-_LEAST_ANGLE = 0.06  # rad between two rays; below, depth is undetermined
-_DIFFERENCE = 1e-5  # m
+        return np.asarray(reduce(values, axis=axis))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +44,13 @@ class Triangulated:
 
 
 def triangulate(
-    cameras: Sequence[Camera], points: FloatArray, visibility: FloatArray | None = None, spread: float = 0.03
+    cameras: Sequence[Camera],
+    points: FloatArray,
+    visibility: FloatArray | None = None,
+    spread: float = 0.03,
+    *,
+    agrees: float = 3.0,
+    steps: int = 4,
 ) -> Triangulated:
     """Triangulate points, leaving out views that do not agree.
 
@@ -73,6 +60,8 @@ def triangulate(
     points : (V, ..., 2) px, nan where not seen.
     visibility : (V, ...) 0 to 1, weights; ones by default.
     spread : m, one sigma of the points' errors at the distance of the person.
+    agrees : sigmas; a view that is farther off is left out.
+    steps : of Gauss and Newton that refine a point.
     """
     batch = points.shape[1:-1]
     flat = points.reshape(len(cameras), -1, 2)
@@ -85,16 +74,19 @@ def triangulate(
         found = meet([rays[view] for view in pair])
         found[~(seen[pair[0]] & seen[pair[1]])] = np.nan
         errors, scale = _reproject(cameras, found, flat, spread)
-        off = np.minimum((errors / scale) ** 2, _AGREES**2)
-        score = np.where(seen, weights * np.where(np.isfinite(off), off, _AGREES**2), 0.0).sum(axis=0)
-        score += _AGREES**2 * 1e-3 * (2.0 - weights[list(pair)].sum(axis=0))  # of equals, those that are seen better
+        off = np.minimum((errors / scale) ** 2, agrees**2)
+        score = np.where(seen, weights * np.where(np.isfinite(off), off, agrees**2), 0.0).sum(axis=0)
+        score += agrees**2 * 1e-3 * (2.0 - weights[list(pair)].sum(axis=0))  # of equals, those that are seen better
         better = np.isfinite(found[:, 0]) & (score < best_score)
         best[better], best_score[better] = found[better], score[better]
-    return _refine(cameras, flat, weights, best, spread, batch)
+    return _refine(cameras, flat, weights, best, batch, spread=spread, agrees=agrees, steps=steps)
 
 
-def meet(rays: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
-    """Return the points (N, 3) nearest to two rays; nan where these are nearly parallel or meet behind a camera."""
+def meet(rays: Sequence[tuple[FloatArray, FloatArray]], least_angle: float = 0.06) -> FloatArray:
+    """Return the points (N, 3) nearest to two rays.
+
+    They are nan where the rays meet behind a camera, or at less than ``least_angle`` (rad), which leaves depth open.
+    """
     (start, way), (other_start, other_way) = rays
     cosine = (way * other_way).sum(axis=1)
     between = other_start - start
@@ -103,7 +95,7 @@ def meet(rays: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
     with np.errstate(all="ignore"):
         here, there = (a - cosine * b) / sine, (cosine * a - b) / sine
         found = 0.5 * (start + here[:, None] * way + other_start + there[:, None] * other_way)
-    found[(sine < np.sin(_LEAST_ANGLE) ** 2) | ~(here > 0) | ~(there > 0)] = np.nan
+    found[(sine < np.sin(least_angle) ** 2) | ~(here > 0) | ~(there > 0)] = np.nan
     return np.asarray(found)
 
 
@@ -130,21 +122,23 @@ def _refine(
     flat: FloatArray,
     weights: FloatArray,
     best: FloatArray,
-    spread: float,
     batch: tuple[int, ...],
+    *,
+    spread: float,
+    agrees: float,
+    steps: int,
 ) -> Triangulated:
     """Refine points by Gauss-Newton on the agreeing views, chosen again at each step."""
     points = best.copy()
     n_points = len(points)
-    identity = np.eye(3)
     used = np.zeros(flat.shape[:2], bool)
     square = np.zeros((n_points, 3, 3))
-    for _ in range(_STEPS):
-        square[:] = 1e-9 * identity
+    for _ in range(steps):
+        square[:] = 1e-9 * np.eye(3)
         gradient = np.zeros((n_points, 3))
         errors, scale = _reproject(cameras, points, flat, spread)
         with np.errstate(invalid="ignore"):
-            used = (errors < _AGREES * scale) & (weights > 0)
+            used = (errors < agrees * scale) & (weights > 0)
         for view, camera in enumerate(cameras):
             share = np.where(used[view], weights[view] / scale[view] ** 2, 0.0)
             slope = project_slope(camera, points)
@@ -167,8 +161,8 @@ def _refine(
     )
 
 
-def project_slope(camera: Camera, points: FloatArray) -> FloatArray:
-    """Compute the derivative (..., 2, 3) px per metre of the image of points (..., 3)."""
-    steps = points[..., None, :] + _DIFFERENCE * np.eye(3)
+def project_slope(camera: Camera, points: FloatArray, step: float = 1e-5) -> FloatArray:
+    """Compute the derivative (..., 2, 3) px/m of the image of points (..., 3) by differences over ``step`` m."""
+    steps = points[..., None, :] + step * np.eye(3)
     here = camera.project(points)
-    return np.asarray(np.swapaxes(camera.project(steps) - here[..., None, :], -1, -2) / _DIFFERENCE)
+    return np.asarray(np.swapaxes(camera.project(steps) - here[..., None, :], -1, -2) / step)
