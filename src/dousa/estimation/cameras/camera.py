@@ -21,10 +21,8 @@ from dousa.errors import CalibrationError, OptionError
 from dousa.messages import Message
 
 CAMERA_ROW = 24
-"""Numbers of a camera as the kernels take it: 0 pinhole or 1 orthographic, fx, fy, cx, cy, skew, R (9), t (3), k1, k2,
-p1, p2, k3, and one unused."""
-
-_NEWTON_STEPS = 20  # quadratic convergence: real lenses need four
+"""Numbers of a camera as the kernels take it, by definition: 0 pinhole or 1 orthographic, fx, fy, cx, cy, skew, R (9),
+t (3), k1, k2, p1, p2, k3, and one unused."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,17 +135,18 @@ class Camera:
             axis=-1,
         )
 
-    def undistort(self, distorted: ArrayLike) -> FloatArray:
+    def undistort(self, distorted: ArrayLike, steps: int = 20) -> FloatArray:
         """Invert `distort` for points (..., 2) on the plane at depth 1; NaN where no point is imaged there.
 
-        Newton's method to rounding error, where OpenCV stops after a few fixed-point steps.
+        Newton's method to rounding error, where OpenCV stops after a few fixed-point steps; real lenses need four of
+        the ``steps``.
         """
         goal = np.asarray(distorted, np.float64)
         if self.kind == "orthographic" or not self.distortion.any():
             return goal.copy()
         found = goal.copy()
         with np.errstate(all="ignore"):  # what diverges becomes NaN below
-            for _ in range(_NEWTON_STEPS):
+            for _ in range(steps):
                 rest = self.distort(found) - goal
                 a, b, d = self._slope(found)
                 found = found - (
@@ -259,10 +258,6 @@ def pack_cameras(cameras: Sequence[Camera]) -> FloatArray:
     return np.stack([camera.to_row() for camera in cameras])
 
 
-_FOCAL_PER_SIDE = 1.25  # of the shorter side: a person with raised hands fits at 3.5 m
-_STRETCH = 0.02  # widths and heights may be scaled differently by up to this share without a warning
-
-
 def make_view(
     position: ArrayLike,
     target: ArrayLike,
@@ -280,7 +275,7 @@ def make_view(
     position : (3,) m, of the camera; Y is up.
     target : (3,) m, in the middle of the image.
     size : px, width and height.
-    focal : px; by default 1.25 times the shorter side.
+    focal : px; by default 1.25 times the shorter side, so that a person with raised hands fits at 3.5 m.
     name : of the view.
 
     Raises
@@ -297,7 +292,7 @@ def make_view(
     right = right / length if length > 1e-9 else np.array([1.0, 0.0, 0.0])
     rotation = np.stack((right, np.cross(forward, right), forward))
     width, height = size
-    focal = _FOCAL_PER_SIDE * min(size) if focal is None else focal
+    focal = 1.25 * min(size) if focal is None else focal
     matrix = [[focal, 0.0, (width - 1) / 2], [0.0, focal, (height - 1) / 2], [0.0, 0.0, 1.0]]
     return Camera(name, width, height, np.array(matrix), rotation, -rotation @ place)
 
@@ -345,17 +340,18 @@ def make_ring(
 
 
 def fit_cameras(
-    cameras: Sequence[Camera], sizes: Sequence[tuple[int, int]]
+    cameras: Sequence[Camera], sizes: Sequence[tuple[int, int]], stretch: float = 0.02
 ) -> tuple[tuple[Camera, ...], tuple[Message, ...]]:
     """Fit cameras to images of other sizes than those of the calibration.
 
-    Returns the stretched cameras, and a note for each image whose shape changes by more than 2 %: it was probably
-    cropped or turned, which no scale corrects.
+    Returns the stretched cameras, and a note for each image whose shape changes: it was probably cropped or turned,
+    which no scale corrects.
 
     Parameters
     ----------
     cameras : V cameras.
     sizes : (V,) width and height of the actual images, px.
+    stretch : share by which widths and heights may be scaled differently without a note.
 
     Raises
     ------
@@ -369,8 +365,8 @@ def fit_cameras(
             fitted.append(camera)
             continue
         fitted.append(camera.resized(width, height))
-        stretch = (width / camera.width) / (height / camera.height)
-        if max(stretch, 1.0 / stretch) > 1.0 + _STRETCH:
+        ratio = (width / camera.width) / (height / camera.height)
+        if max(ratio, 1.0 / ratio) > 1.0 + stretch:
             turned = (width > height) != (camera.width > camera.height) and camera.width != camera.height
             names = {"camera": camera.name, "size": format_size(camera.size)}
             names["other"] = format_size((width, height))

@@ -47,8 +47,6 @@ from dousa.files.markup import parse_xml
 from dousa.messages import Message
 from dousa.motion.canonical.reference_frame import parse_unit, parse_up
 
-_DEEPEST = 20
-
 
 def read_json(text: str) -> dict[str, Any]:
     """Parse a JSON object, else raise CalibrationError."""
@@ -65,11 +63,11 @@ def read_json(text: str) -> dict[str, Any]:
 
 def read_xml(root: ET.Element) -> dict[str, Any]:
     """Return the document below ``<opencv_storage>``."""
-    return {child.tag: _read_element(child, 0) for child in root}
+    return {child.tag: _read_element(child, 20) for child in root}
 
 
-def _read_element(element: ET.Element, depth: int) -> Any:
-    if depth > _DEEPEST:
+def _read_element(element: ET.Element, deepest: int) -> Any:
+    if deepest < 0:
         raise CalibrationError("opencv.deep")
     if len(element) == 0:
         text = (element.text or "").strip()
@@ -78,8 +76,8 @@ def _read_element(element: ET.Element, depth: int) -> Any:
             return words[0] if len(words) == 1 else words
         return text.strip('"')
     if all(child.tag == "_" for child in element):
-        return [_read_element(child, depth + 1) for child in element]
-    return {child.tag: _read_element(child, depth + 1) for child in element}
+        return [_read_element(child, deepest - 1) for child in element]
+    return {child.tag: _read_element(child, deepest - 1) for child in element}
 
 
 def _scalar(text: str) -> Any:
@@ -107,7 +105,7 @@ def read_yaml(text: str) -> list[dict[str, Any]]:
         events: Iterator[Any] = yaml.parse(bare, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
         for event in events:
             if isinstance(event, yaml.DocumentStartEvent):
-                value = _read_node(first := next(events), events, 0)
+                value = _read_node(first := next(events), events, 20)
                 if value is not None and not isinstance(value, dict):
                     raise CalibrationError("opencv.no_mapping").at(line=first.start_mark.line + 1)
                 found.append(value or {})
@@ -118,10 +116,10 @@ def read_yaml(text: str) -> list[dict[str, Any]]:
     return found
 
 
-def _read_node(event: Any, events: Iterator[Any], depth: int) -> Any:
-    """Return the value that begins with an event."""
+def _read_node(event: Any, events: Iterator[Any], deepest: int) -> Any:
+    """Return the value that begins with an event, in which others are nested ``deepest`` times at most."""
     line = event.start_mark.line + 1
-    if depth > _DEEPEST:
+    if deepest < 0:
         raise CalibrationError("opencv.deep").at(line=line)
     if event.anchor is not None:
         raise CalibrationError("opencv.alias").at(line=line)
@@ -130,14 +128,14 @@ def _read_node(event: Any, events: Iterator[Any], depth: int) -> Any:
     if isinstance(event, yaml.SequenceStartEvent):
         items = []
         while not isinstance(item := next(events), yaml.SequenceEndEvent):
-            items.append(_read_node(item, events, depth + 1))
+            items.append(_read_node(item, events, deepest - 1))
         return items
     found: dict[str, Any] = {}
     while not isinstance(begun := next(events), yaml.MappingEndEvent):
         line = begun.start_mark.line + 1
         if not isinstance(begun, yaml.ScalarEvent):
             raise CalibrationError("opencv.key").at(line=line)
-        key, value = begun.value, _read_node(next(events), events, depth + 1)
+        key, value = begun.value, _read_node(next(events), events, deepest - 1)
         if value is None and ":" in key and not begun.style:  # OpenCV writes {width:640}
             key, _, text = key.partition(":")
             value = _scalar(text)
@@ -293,15 +291,14 @@ def _read_pose(keys: _Keys, name: str) -> tuple[FloatArray, FloatArray]:
     raise CalibrationError("opencv.no_pose" if board is None else "opencv.board_poses", camera=name)
 
 
+# OpenCV's FileStorage states no unit: metres are usual.
 OPENCV = CameraFormat("OpenCV FileStorage", _parse, unit=1.0, up=None)
 
 
 _FORMATS = (QUALISYS, POSE2SIM, OPENCV)
+# By definition, see `mask_npz`.
 _ARRAYS = CameraFormat("npz", lambda _content, _stem: None, unit=1.0, up="y", unit_is_sure=True)
 _SUFFIXES = (".xml", ".txt", ".qca", ".toml", ".yml", ".yaml", ".json", ".npz")
-_MOST_BYTES = 5_000_000
-_MOST_FILES = 1000
-_LONGEST_TEXT, _MOST_TEXTS = 80, 10  # of a file in a message
 
 _Found = tuple[CameraFormat, list[RawCamera]]
 
@@ -357,29 +354,29 @@ def read_cameras(
         raise
 
 
-def _tame(value: Any) -> Any:
-    """Shorten a message to one line, as names and values in it come from the file."""
+def _tame(value: Any, longest: int = 80, most: int = 10) -> Any:
+    """Shorten a message, whose names and values come from the file, to ``most`` texts of ``longest`` letters each."""
     if isinstance(value, Message):
         return Message(value.code, **{name: _tame(part) for name, part in value.values.items()})
     if isinstance(value, tuple):
-        return tuple(_tame(part) for part in value[:_MOST_TEXTS])
+        return tuple(_tame(part) for part in value[:most])
     if not isinstance(value, str):
         return value
-    text = "".join(letter if letter.isprintable() else " " for letter in value[:_LONGEST_TEXT])
-    return text if len(value) <= _LONGEST_TEXT else f"{text}..."
+    text = "".join(letter if letter.isprintable() else " " for letter in value[:longest])
+    return text if len(value) <= longest else f"{text}..."
 
 
 class _NoCalibrationError(CalibrationError):
     """The content has no known format."""
 
 
-def _read_folder(folder: Path) -> list[_Found]:
-    """Read the calibration files of a folder; other files are skipped."""
+def _read_folder(folder: Path, most: int = 1000) -> list[_Found]:
+    """Read the calibration files of a folder, ``most`` at most; other files are skipped."""
     try:
         paths = [entry for entry in folder.iterdir() if entry.suffix.lower() in _SUFFIXES]
     except OSError as error:
         raise CalibrationError("camera_files.folder_unreadable", reason=error) from error
-    if len(paths) > _MOST_FILES:
+    if len(paths) > most:
         raise CalibrationError("camera_files.many_files", found=len(paths))
     found: list[_Found] = []
     for path in sorted(paths, key=_natural_key):
@@ -418,8 +415,8 @@ def _read_file(path: str | os.PathLike[str]) -> _Found:
     raise _NoCalibrationError(Message("camera_files.unknown"))
 
 
-def _read_content(path: str | os.PathLike[str]) -> bytes | None:
-    """Return the bytes of a text file; None for an npz, which may be large and is read in parts."""
+def _read_content(path: str | os.PathLike[str], most: int = 5_000_000) -> bytes | None:
+    """Return the bytes of a text file, ``most`` at most; None for an npz, which may be large and is read in parts."""
     size = 0
     with suppress(OSError, ValueError):  # what cannot be opened is for read_bytes to name
         status = os.stat(path)
@@ -428,7 +425,7 @@ def _read_content(path: str | os.PathLike[str]) -> bytes | None:
             with open(path, "rb") as file:
                 if file.read(4) == b"PK\x03\x04":
                     return None
-    if size > _MOST_BYTES:
+    if size > most:
         raise _NoCalibrationError(Message("camera_files.too_large", megabytes=size / 1e6))
     try:
         return read_bytes(path)

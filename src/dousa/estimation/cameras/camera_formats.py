@@ -34,19 +34,17 @@ from dousa.files.npz_arrays import open_npz
 from dousa.messages import Message
 from dousa.motion.rotations import from_axis_angle, from_matrix, to_axis_angle, to_matrix
 
-_FAR = 100.0  # m: no studio is wider, so that such a distance is in millimetres or centimetres
-_MOST = 1e100  # of any number of a file: squares and cubes of it stay finite
-_CLEARLY_UP = 0.8  # cosine of the angle between the cameras' mean up direction and an axis
-
-# Columns: where the axes of the file go once the axis of the key points to +Y. Z up becomes (y, z, x), as Pose2Sim and
-# OpenSim have it.
+# Geometry: half a turn about x, from y up and z backwards to y down and z forward.
+_FLIP = np.diag([1.0, -1.0, -1.0])
+# By definition (y, z, x), as Pose2Sim and OpenSim have it.
 _Z_UP = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+# Geometry: the columns are where the axes of the file go once the axis of the key points to +Y.
 _Y_UP: dict[str, FloatArray] = {
     "y": np.eye(3),
     "z": _Z_UP,
     "x": _Z_UP.T,
-    "-y": np.diag([1.0, -1.0, -1.0]),
-    "-z": _Z_UP @ np.diag([1.0, -1.0, -1.0]),
+    "-y": _FLIP,
+    "-z": _Z_UP @ _FLIP,
     "-x": _Z_UP.T @ np.diag([-1.0, 1.0, -1.0]),
 }
 
@@ -99,15 +97,15 @@ def entry(camera: str, key: str) -> Message:
     return Message("camera_files.entry", camera=camera, key=key)
 
 
-def parse_number(text: object, what: str | Message) -> float:
-    """Return a finite number, or raise CalibrationError about ``what``."""
+def parse_number(text: object, what: str | Message, most: float = 1e100) -> float:
+    """Return a number below ``most``, whose cube is finite, or raise CalibrationError about ``what``."""
     value = np.nan
     if isinstance(text, (int, float, str, np.number)) and not isinstance(text, bool) and "_" not in str(text):
         try:  # float() would take 1_000
             value = float(text)
         except (ValueError, OverflowError):
             value = np.nan
-    if not abs(value) < _MOST:  # nan neither
+    if not abs(value) < most:  # nan neither
         raise CalibrationError("camera_files.number", what=what, found=str(text)[:40])
     return float(value)
 
@@ -145,23 +143,26 @@ def rotation_from_vector(vector: FloatArray) -> FloatArray:
     return to_matrix(from_axis_angle(vector))
 
 
-def find_up(raws: Sequence[RawCamera]) -> str:
-    """Return the axis of the file's world nearest to the cameras' mean up direction; CalibrationError if unclear."""
+def find_up(raws: Sequence[RawCamera], clearly: float = 0.8) -> str:
+    """Return the axis of the file's world nearest to the cameras' mean up direction.
+
+    Raises CalibrationError if the cosine of the angle between the two is below ``clearly``.
+    """
     mean = np.mean([-raw.rotation[1] for raw in raws], axis=0)
     mean = mean / max(float(np.linalg.norm(mean)), 1e-12)
     axis = int(np.argmax(np.abs(mean)))
-    if abs(mean[axis]) < _CLEARLY_UP:
+    if abs(mean[axis]) < clearly:
         x, y, z = (round(float(value), 2) for value in mean)
         raise CalibrationError("camera_files.no_up", x=x, y=y, z=z)
     return ("" if mean[axis] > 0 else "-") + "xyz"[axis]
 
 
-def check_distance(raws: Sequence[RawCamera]) -> None:
-    """Raise CalibrationError if the cameras are too far away for metres."""
+def check_distance(raws: Sequence[RawCamera], far: float = 100.0) -> None:
+    """Raise CalibrationError if the cameras are farther than ``far`` away: no studio is that many metres wide."""
     if not raws:
         return
     distance = float(np.median([np.linalg.norm(raw.translation) for raw in raws]))
-    if distance > _FAR:
+    if distance > far:
         raise CalibrationError("camera_files.far", metres=distance)
 
 
@@ -186,8 +187,7 @@ def _nearest_rotation(matrix: FloatArray) -> FloatArray:
     return np.asarray(left @ right)
 
 
-_PER_PIXEL = 64.0
-_FLIP = np.diag([1.0, -1.0, -1.0])
+_PER_PIXEL = 64.0  # by the definition of Qualisys
 
 
 def _parse_qualisys(content: bytes, stem: str) -> list[RawCamera] | None:
@@ -268,6 +268,7 @@ def _read_view(element: ET.Element, intrinsic: ET.Element, camera: str) -> tuple
     return (width, height), (corner[0], corner[1])
 
 
+# Millimetres and Z up by the definition of Qualisys.
 QUALISYS = CameraFormat("Qualisys XML", _parse_qualisys, unit=0.001, up="z", unit_is_sure=True)
 
 
@@ -312,6 +313,7 @@ def _read_section(key: str, section: dict[str, Any]) -> RawCamera:
     )
 
 
+# Metres and Z up by the definition of Pose2Sim.
 POSE2SIM = CameraFormat("Pose2Sim TOML", _parse_pose2sim, unit=1.0, up="z")
 
 
@@ -346,11 +348,12 @@ def _list(values: Sequence[float] | np.ndarray) -> str:
 
 _NEEDED = ("camera_matrix", "world_to_camera_rotation", "world_to_camera_translation")
 _CAMERA_KEYS = (*_NEEDED, "width", "height", "camera_distortion", "camera_kind", "view_names", "view_sizes")
-_MOST_BYTES = 1_000_000  # of one array; a thousand cameras need less
 
 
-def read_npz_cameras(path: str | os.PathLike[str]) -> list[RawCamera]:
+def read_npz_cameras(path: str | os.PathLike[str], most: int = 1_000_000) -> list[RawCamera]:
     """Read the cameras of an npz file; no other arrays are loaded.
+
+    Each array may have ``most`` bytes; a thousand cameras need less.
 
     Raises
     ------
@@ -358,7 +361,7 @@ def read_npz_cameras(path: str | os.PathLike[str]) -> list[RawCamera]:
     """
     with open_npz(path, CalibrationError) as file:
         kinds = {"view_names": "Ubiuf", "camera_kind": "Ubiuf"}
-        arrays = {key: file.read(key, kinds.get(key, "biuf"), most=_MOST_BYTES) for key in _CAMERA_KEYS if key in file}
+        arrays = {key: file.read(key, kinds.get(key, "biuf"), most=most) for key in _CAMERA_KEYS if key in file}
     return _raw_from_arrays(arrays)
 
 

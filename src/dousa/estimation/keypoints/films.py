@@ -19,10 +19,6 @@ from dousa.arrays import Image
 from dousa.errors import KeypointError
 from dousa.extras import require
 
-_DEFAULT_RATE = 30.0
-_MOST_PIXELS = 100_000_000
-_AHEAD = 2  # frames
-
 Frame = tuple[int, float, Image]
 """Number, s since the first frame, picture (H, W, 3)."""
 
@@ -33,13 +29,21 @@ class FilmFrames:
     ``size`` is width and height in px, upright; ``n_stated`` the number of frames in the header, 0 if absent;
     ``nominal_rate`` Hz; ``n_damaged`` packets that could not be decoded so far.
 
+    Parameters
+    ----------
+    path : of the film.
+    usual_rate : Hz, of a film that states none.
+    most_pixels : of an image; larger ones are refused.
+
     Raises
     ------
     KeypointError : missing, no film, an unsupported codec, no frame that can be decoded.
     MissingExtraError : PyAV is not installed.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(
+        self, path: str | os.PathLike[str], *, usual_rate: float = 30.0, most_pixels: int = 100_000_000
+    ) -> None:
         self.path = os.fspath(path)
         self.n_damaged = 0
         if not os.path.exists(path):
@@ -61,8 +65,8 @@ class FilmFrames:
             raise KeypointError("keypoint_film.no_pictures").at(path)
         self._stream = streams[0]
         self._stream.thread_type = "AUTO"
-        rate = self._stream.average_rate or self._stream.guessed_rate or _DEFAULT_RATE
-        self.nominal_rate = float(rate) if 0 < float(rate) <= 2000 else _DEFAULT_RATE
+        rate = float(self._stream.average_rate or self._stream.guessed_rate or usual_rate)
+        self.nominal_rate = rate if 0 < rate <= 2000 else usual_rate
         self.n_stated = self._count()
         self._frames = self._decode()
         first = next(self._frames, None)
@@ -71,7 +75,7 @@ class FilmFrames:
             raise KeypointError("film.no_frame").at(path)
         self._first: Any = first
         width, height = int(first.width), int(first.height)
-        if width * height > _MOST_PIXELS:
+        if width * height > most_pixels:
             self.close()
             raise KeypointError("keypoint_film.large", width=width, height=height).at(path)
         self._size = (width, height)
@@ -149,8 +153,8 @@ class FilmFrames:
 
 
 @contextmanager
-def read_ahead(frames: Iterator[Frame]) -> Iterator[Iterator[Frame]]:
-    """Yield the same frames while a thread decodes the next ones."""
+def read_ahead(frames: Iterator[Frame], count: int = 2) -> Iterator[Iterator[Frame]]:
+    """Yield the same frames while a thread decodes the next ``count``."""
     waiting: deque[Future[Frame | None]] = deque()
     with ThreadPoolExecutor(1) as pool:
 
@@ -159,7 +163,7 @@ def read_ahead(frames: Iterator[Frame]) -> Iterator[Iterator[Frame]]:
                 waiting.append(pool.submit(next, frames, None))
                 yield frame
 
-        waiting.extend(pool.submit(next, frames, None) for _ in range(_AHEAD))
+        waiting.extend(pool.submit(next, frames, None) for _ in range(count))
         yield follow()
 
 

@@ -2,7 +2,7 @@
 
 Films are identified by content, so they may be moved or renamed. During a search sightings are written frame by frame
 into a folder of this process; an interrupted search leaves it to the next one with the same film and settings. The
-least recently used films are removed beyond `MOST_BYTES`.
+least recently used films are removed.
 """
 
 from __future__ import annotations
@@ -29,26 +29,22 @@ from dousa.estimation.keypoints.keypoint_files import read_keypoint_npz, write_k
 from dousa.estimation.keypoints.keypoints import PersonMasks, PersonTrack, ViewKeypoints
 from dousa.estimation.keypoints.people import SIGHTING
 
-_SAMPLES, _SAMPLE = 48, 262_144
-_ABANDONED_S = 60.0  # without a write, after which an unfinished folder is abandoned
-_FLUSH_S = 2.0
-MOST_BYTES = 4_000_000_000
-"""Of the disk, that kept films may take."""
-
 _SIGHTINGS, _TIMES = "sightings.bin", "times.bin"
 _POINTS, _MASKS, _CROPS, _DAMAGED = "keypoints.npz", "masks.npy", "crops.npy", "damaged.npy"
 
 
-def fingerprint_film(path: str | os.PathLike[str], settings: Mapping[str, Any]) -> str:
-    """Compute a hash of a film and the settings: of its size and samples of its bytes."""
+def fingerprint_film(
+    path: str | os.PathLike[str], settings: Mapping[str, Any], *, n_samples: int = 48, sample: int = 262_144
+) -> str:
+    """Compute a hash of a film and the settings: of its size and ``n_samples`` of ``sample`` bytes each."""
     digest = hashlib.sha256(json.dumps(dict(settings), sort_keys=True, default=str).encode())
     try:
         with open(path, "rb") as file:
             size = file.seek(0, os.SEEK_END)
             digest.update(str(size).encode())
-            for place in np.linspace(0, max(0, size - _SAMPLE), _SAMPLES).astype(int).tolist():
+            for place in np.linspace(0, max(0, size - sample), n_samples).astype(int).tolist():
                 file.seek(place)
-                digest.update(file.read(_SAMPLE))
+                digest.update(file.read(sample))
     except OSError as error:
         raise KeypointError("disk.unreadable", reason=error).at(path) from error
     return digest.hexdigest()[:40]
@@ -63,9 +59,14 @@ class KeypointCache:
     ----------
     folder : of all films; None keeps nothing.
     key : of the film and the settings, see `fingerprint_film`.
+    most_bytes : of the disk, that kept films may take.
+    flush_every : s, between two writes to the disk: what an interrupted search loses at most.
     """
 
-    def __init__(self, folder: Path | None, key: str) -> None:
+    def __init__(
+        self, folder: Path | None, key: str, *, most_bytes: int = 4_000_000_000, flush_every: float = 2.0
+    ) -> None:
+        self._most_bytes, self._flush_every = most_bytes, flush_every
         self._final = None if folder is None else folder / key
         self._files: list[IO[bytes]] = []
         self._work: Path | None = None
@@ -108,8 +109,7 @@ class KeypointCache:
                 mine = self._final.with_name(f"{self._final.name}.{os.getpid()}-{threading.get_ident()}")
                 shutil.rmtree(mine, ignore_errors=True)
                 for left in sorted(self._final.parent.glob(f"{self._final.name}.*")):
-                    free = left.suffix == ".left" or time.time() - _last_write(left) > _ABANDONED_S
-                    if free and not mine.exists():
+                    if (left.suffix == ".left" or _is_abandoned(left)) and not mine.exists():
                         with suppress(OSError):
                             os.rename(left, mine)
                 mine.mkdir(exist_ok=True)
@@ -122,7 +122,7 @@ class KeypointCache:
         try:
             self._files[0].write(sightings.tobytes())
             self._files[1].write(np.float64(seconds).tobytes())
-            if time.monotonic() - self._last_flush > _FLUSH_S:
+            if time.monotonic() - self._last_flush > self._flush_every:
                 self._flush()
         except OSError as error:
             raise KeypointError("keypoints.cache_disk", folder=self._work, reason=error) from error
@@ -160,7 +160,7 @@ class KeypointCache:
             del sightings
             kept = self._final is not None and self._move()
             if kept and self._final is not None:
-                clear_kept(self._final.parent, MOST_BYTES, but=self._final)
+                clear_kept(self._final.parent, self._most_bytes, but=self._final)
             return _load(self._final if kept and self._final else self._work, keypoints.source, in_memory=not kept)
         except OSError as error:
             raise KeypointError("keypoints.cache_disk", folder=self._work, reason=error) from error
@@ -233,7 +233,7 @@ def clear_kept(folder: Path, most_bytes: int = 0, but: Path | None = None) -> li
     """
     removed, total = [], 0
     for film in list_kept(folder):
-        busy = film.path.suffix != "" and time.time() - _last_write(film.path) < _ABANDONED_S
+        busy = film.path.suffix != "" and not _is_abandoned(film.path)
         total += film.n_bytes
         if film.path != but and not busy and (total > most_bytes or not most_bytes):
             shutil.rmtree(film.path, ignore_errors=True)
@@ -250,11 +250,12 @@ def _map(path: Path) -> NDArray[np.void]:
     return np.memmap(path, SIGHTING, "r", shape=(n_sightings,))
 
 
-def _last_write(folder: Path) -> float:
+def _is_abandoned(folder: Path, after: float = 60.0) -> bool:
+    """Return whether the last write to an unfinished folder is more than ``after`` s ago."""
     try:
-        return max(os.stat(path).st_mtime for path in (folder, *folder.iterdir()))
+        return time.time() - max(os.stat(path).st_mtime for path in (folder, *folder.iterdir())) > after
     except OSError:
-        return time.time()
+        return False
 
 
 def _write_masks(folder: Path, n_frames: int, sightings: NDArray[np.void], people: list[NDArray[np.int64]]) -> None:

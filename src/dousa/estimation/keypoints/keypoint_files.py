@@ -28,9 +28,6 @@ from dousa.files.disk import atomic_write
 from dousa.files.npz_arrays import NpzFile, open_npz
 from dousa.messages import Message
 
-_MOST_BYTES = 2_000_000_000
-_MOST_POINTS, _MOST_PEOPLE = 1000, 200
-
 
 def write_keypoints(path: str | os.PathLike[str], keypoints: ViewKeypoints, *, masks: bool = True) -> None:
     """Write the keypoints of one view as an npz file, with ``masks`` the people's masks too, if known.
@@ -64,8 +61,16 @@ def write_keypoints(path: str | os.PathLike[str], keypoints: ViewKeypoints, *, m
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
-def read_keypoint_npz(path: str | os.PathLike[str]) -> ViewKeypoints:
+def read_keypoint_npz(
+    path: str | os.PathLike[str], *, most_bytes: int = 2_000_000_000, most_points: int = 1000, most_people: int = 200
+) -> ViewKeypoints:
     """Read the keypoints of one view from an npz file of `write_keypoints`.
+
+    Parameters
+    ----------
+    path : of the file.
+    most_bytes : of one of its arrays.
+    most_points, most_people : a file with more is refused.
 
     Raises
     ------
@@ -73,29 +78,29 @@ def read_keypoint_npz(path: str | os.PathLike[str]) -> ViewKeypoints:
     """
     try:
         with open_npz(path, KeypointError) as file:
-            return _read(file)
+            return _read(file, most_bytes, most_points, most_people)
     except KeypointError as error:
         error.at(path)
         raise
 
 
-def _read(file: NpzFile) -> ViewKeypoints:
+def _read(file: NpzFile, most: int, most_points: int, most_people: int) -> ViewKeypoints:
     names = file.read_texts("names")
     times = file.read("times", "fiu", 1)
     width, height = _expect(file.read("size", "iu", 1), "size", (2,)).tolist()
-    points = file.read("points", "f", 4, _MOST_BYTES)
-    if len(points) > _MOST_PEOPLE or len(names) > _MOST_POINTS:
+    points = file.read("points", "f", 4, most)
+    if len(points) > most_people or len(names) > most_points:
         raise KeypointError("keypoints.many", people=len(points), points=len(names))
     shape = (len(points), len(times), len(names))
     _expect(points, "points", (*shape, 2))
-    visibility = _expect(file.read("visibility", "f", 3, _MOST_BYTES), "visibility", shape)
+    visibility = _expect(file.read("visibility", "f", 3, most), "visibility", shape)
     world = None
     if "world" in file:
-        world = _expect(file.read("world", "f", 4, _MOST_BYTES), "world", (*shape, 3))
+        world = _expect(file.read("world", "f", 4, most), "world", (*shape, 3))
     packed = crops = None
     if "mask_packed" in file:
-        packed = file.read("mask_packed", "u", 4, _MOST_BYTES)
-        crops = _expect(file.read("mask_crops", "f", 4, _MOST_BYTES), "mask_crops", (*shape[:2], 2, 3))
+        packed = file.read("mask_packed", "u", 4, most)
+        crops = _expect(file.read("mask_crops", "f", 4, most), "mask_crops", (*shape[:2], 2, 3))
         _expect(packed, "mask_packed", (*shape[:2], *packed.shape[2:]))
     people = []
     for place in range(len(points)):
@@ -110,11 +115,6 @@ def _expect(array: NDArray[np.generic], name: str, shape: tuple[int, ...]) -> ND
     if array.shape != shape:
         raise KeypointError("npz.shape", array=name, expected=str(shape), found=str(array.shape))
     return array
-
-
-_DEFAULT_RATE = 30.0
-_FARTHEST = 0.4  # of a person's size that the points move from one frame to the next, on average
-_LOST_FOR = 60  # frames
 
 
 def read_keypoints(
@@ -152,8 +152,9 @@ def read_keypoints(
         tracks = link_people(frames, len(names))
     except KeypointError as error:
         raise error.at(path) from None
-    warnings = () if frame_rate else (Message("mask_npz.rate", path=os.fspath(path), rate=_DEFAULT_RATE),)
-    times = np.arange(len(frames)) / (frame_rate or _DEFAULT_RATE)
+    rate = frame_rate or 30.0
+    warnings = () if frame_rate else (Message("mask_npz.rate", path=os.fspath(path), rate=rate),)
+    times = np.arange(len(frames)) / rate
     return ViewKeypoints(names, sort_people(tracks), times, size, os.fspath(path), warnings)
 
 
@@ -164,7 +165,9 @@ def _find_names(numbers: set[int]) -> tuple[str, ...]:
     return next(names for names in SCHEMES.values() if len(names) in numbers)
 
 
-def link_people(frames: Sequence[Sequence[ReadPerson]], n_points: int) -> list[PersonTrack]:
+def link_people(
+    frames: Sequence[Sequence[ReadPerson]], n_points: int, *, farthest: float = 0.4, lost_for: int = 60
+) -> list[PersonTrack]:
     """Return tracks (T, K) of the people of all frames.
 
     Parameters
@@ -172,6 +175,8 @@ def link_people(frames: Sequence[Sequence[ReadPerson]], n_points: int) -> list[P
     frames : the people of each frame. If each has a unique number in every frame, the numbers decide; else people are
         matched to the last frames such that the sum of the distances is least.
     n_points : K.
+    farthest : of a person's size, that the points move from one frame to the next, on average.
+    lost_for : frames after which a person who comes back is another one.
     """
     everybody = [person for people in frames for person in people]
     by_number = bool(everybody) and all(
@@ -181,7 +186,11 @@ def link_people(frames: Sequence[Sequence[ReadPerson]], n_points: int) -> list[P
     found: dict[int, FloatArray] = {}
     last: dict[int, tuple[int, FloatArray]] = {}
     for frame, people in enumerate(frames):
-        owners = [int(person.number or 0) for person in people] if by_number else _find_owners(frame, people, last)
+        if by_number:
+            owners = [int(person.number or 0) for person in people]
+        else:
+            known = {owner: points for owner, (seen, points) in last.items() if frame - seen <= lost_for}
+            owners = _find_owners(people, known, max(last, default=-1) + 1, farthest)
         for owner, person in zip(owners, people, strict=True):
             if owner not in found:
                 found[owner] = np.full((len(frames), n_points, 3), (np.nan, np.nan, 0.0))
@@ -190,17 +199,18 @@ def link_people(frames: Sequence[Sequence[ReadPerson]], n_points: int) -> list[P
     return [PersonTrack(values[..., :2], values[..., 2]) for values in found.values()]
 
 
-def _find_owners(frame: int, people: Sequence[ReadPerson], last: dict[int, tuple[int, FloatArray]]) -> list[int]:
-    """Return the track numbers of the people of a frame; new ones where no track is near."""
-    known = [(number, points) for number, (seen, points) in last.items() if frame - seen <= _LOST_FOR]
-    costs = np.full((len(people), len(known) + len(people)), _FARTHEST)
+def _find_owners(
+    people: Sequence[ReadPerson], known: dict[int, FloatArray], following: int, farthest: float
+) -> list[int]:
+    """Return the track numbers of the people of a frame; new ones, from ``following`` on, where no track is near."""
+    costs = np.full((len(people), len(known) + len(people)), farthest)
     for row, person in enumerate(people):
-        for column, (_, points) in enumerate(known):
+        for column, points in enumerate(known.values()):
             costs[row, column] = _measure_distance(person.points, points)
-    owners, following = [], max(last, default=-1) + 1
+    owners = []
     for row, column in enumerate(assign(costs) if len(people) else []):
-        if column < len(known) and costs[row, column] < _FARTHEST:
-            owners.append(known[column][0])
+        if column < len(known) and costs[row, column] < farthest:
+            owners.append(list(known)[column])
         else:
             owners.append(following)
             following += 1

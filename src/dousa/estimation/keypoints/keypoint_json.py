@@ -52,16 +52,14 @@ SCHEMES: dict[int, tuple[str, ...]] = {
     133: WHOLE_BODY,
     136: HALPE_26,
 }
-"""Names by the number of points: COCO, OpenPose (COCO and BODY_25), Halpe, MediaPipe, COCO-WholeBody, Halpe's whole."""
-
+"""Names by the number of points, by definition of COCO, OpenPose (COCO and BODY_25), Halpe, MediaPipe, COCO-WholeBody
+and Halpe's whole body."""
 
 _MOST_BYTES, _MOST_FRAMES, _MOST_PEOPLE = 1_000_000_000, 2_000_000, 200
 _POINT_KEYS = ("pose_keypoints_2d", "keypoints", "pose_landmarks", "poseLandmarks", "landmarks")
 _PEOPLE_KEYS = ("people", "instances", "predictions", "persons", *_POINT_KEYS)
 _SCORE_KEYS = ("keypoint_scores", "scores")
 _NUMBER_KEYS = ("person_id", "track_id", "idx")
-_FARTHEST = 1e6  # px: what is farther out is no place in a picture
-_NORMALISED = 2.0  # no picture of a person is that small in px
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -257,13 +255,19 @@ def _to_points(values: list[tuple[float, ...]]) -> FloatArray:
     return np.array(values, np.float64)[: len(names)]
 
 
-def settle_units(frames: list[list[ReadPerson]], size: tuple[int, int] | None) -> Iterator[list[ReadPerson]]:
-    """Return the people with points in px and confidences from 0 to 1, nan where a point was not seen."""
+def settle_units(
+    frames: list[list[ReadPerson]], size: tuple[int, int] | None, *, shares: float = 2.0, farthest: float = 1e6
+) -> Iterator[list[ReadPerson]]:
+    """Return the people with points in px and confidences from 0 to 1, nan where a point was not seen.
+
+    Coordinates are shares of the image if none is above ``shares``, as no picture of a person is that small in px.
+    What lies ``farthest`` px out is no place in a picture.
+    """
     everybody = [person.points for people in frames for person in people]
     places = np.concatenate([points[:, :2] for points in everybody]) if everybody else np.zeros((0, 2))
     sure = np.concatenate([points[:, 2] for points in everybody]) if everybody else np.zeros(0)
     known = places[np.isfinite(places).all(axis=1)]
-    is_share = len(known) > 0 and float(np.abs(known).max()) <= _NORMALISED
+    is_share = len(known) > 0 and float(np.abs(known).max()) <= shares
     if is_share and size is None:
         raise KeypointError("keypoint_json.no_size")
     is_flag = bool(len(sure)) and bool(np.isin(sure, (0, 1, 2)).all()) and bool((sure == 2).any())
@@ -275,6 +279,6 @@ def settle_units(frames: list[list[ReadPerson]], size: tuple[int, int] | None) -
             if is_share and size is not None:
                 points[:, :2] = points[:, :2] * np.array(size) - 0.5
             points[:, 2] = np.clip(np.nan_to_num(points[:, 2] / (2 if is_flag else 1), nan=0.0), 0, 1)
-            points[nowhere | ~(np.abs(points[:, :2]) < _FARTHEST).all(axis=1)] = (np.nan, np.nan, 0.0)
+            points[nowhere | ~(np.abs(points[:, :2]) < farthest).all(axis=1)] = (np.nan, np.nan, 0.0)
             settled.append(ReadPerson(points, person.number))
         yield settled

@@ -23,9 +23,6 @@ from dousa.messages import Message
 LandmarkModel = Literal["lite", "full", "heavy"]
 Progress = Callable[[int, int, Message], None]
 
-_VERSION = 1  # of the method: raised when it finds other keypoints than before
-_MOST_PEOPLE = 16
-
 
 def find_keypoints(
     film: str | os.PathLike[str],
@@ -64,13 +61,12 @@ def find_keypoints(
     """
     if model not in LANDMARK_MODELS:
         raise OptionError("keypoints.model", found=str(model), known=LANDMARK_MODELS)
-    if not 1 <= most_people <= _MOST_PEOPLE:
-        raise OptionError("keypoints.most_people", most=_MOST_PEOPLE, found=most_people)
+    if not 1 <= most_people <= 16:
+        raise OptionError("keypoints.most_people", most=16, found=most_people)
     report = progress or (lambda done, total, what: None)
     with FilmFrames(film) as frames:
-        key = fingerprint_film(
-            film, {"model": model, "people": most_people, "version": _VERSION, "kept": SIGHTING.descr}
-        )
+        # version: of the method, raised when it finds other keypoints than before
+        key = fingerprint_film(film, {"model": model, "people": most_people, "version": 1, "kept": SIGHTING.descr})
         kept = KeypointCache(_choose_folder(cache), key)
         known = kept.load(frames.path)
         if known is None:

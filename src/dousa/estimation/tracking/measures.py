@@ -48,7 +48,7 @@ def fit_scale(
     make_body: Callable[[float], BodyModel] = make_human,
     progress: Callable[[int, int, Message], None] | None = None,
     usual: float = 1.72,
-    statures: Sequence[float] = tuple(number / 100 for number in range(140, 206, 5)),
+    statures: Sequence[float] = tuple(np.arange(140, 206, 5) / 100),
     extent: float = 130.0,
 ) -> Scale:
     """Find stature and pose together from one frame, best one in which the person stands.
