@@ -19,7 +19,7 @@ from dousa.library import Library
 from dousa.library.store import schema
 from dousa.library.store.checksums import LABELS, LEAVES, POSES, RELATIONS, Seal, seal_positions, seal_rows
 from dousa.library.store.engine import next_revision, note_changed_clips, take_clip_ids
-from dousa.library.store.forests import StoredForest, load_forest, name_votes
+from dousa.library.store.forests import StoredForest, count_votes, load_forest
 from dousa.library.takes.portions import Portion, read_portion
 from dousa.library.takes.scanning import TakesOnDisk
 from dousa.retrieval.takes.windows import TAKE_RATE, TakeWindows
@@ -146,7 +146,9 @@ class _Known:
         said = [(number, *row[::2], own) for number, row, own in zip(ids, words, sums, strict=True)]
         text = "INSERT INTO clip_relations (clip_id, version, relations, checksum) VALUES (?, ?, ?, ?)"
         connection.exec_driver_sql(text, said)
-        told = [ids, name_votes(stored, leaves), [leaf.tobytes() for leaf in leaves], [way.tobytes() for way in ways]]
+        some = (leaves[start : start + 1024] for start in range(0, len(leaves), 1024))  # votes take memory
+        voted = [name for few in some for name in count_votes(stored, few).predicted()]
+        told = [ids, voted, [leaf.tobytes() for leaf in leaves], [way.tobytes() for way in ways]]
         _insert(connection, LEAVES, told)
 
 

@@ -22,6 +22,7 @@ from dousa.library import ClipInfo, Library, SearchResult
 from dousa.library.search import part_search as dense_index
 from dousa.library.search import search as search_room
 from dousa.library.search.leaf_index import LeafIndex
+from dousa.library.search.ranking import number_hits
 from dousa.retrieval import RankedClips, Ranking, RankingQuery
 
 SETS = {
@@ -115,7 +116,7 @@ def search(library: Library, query: object, k: int, cosines: bool) -> SearchResu
 
     def search_all(index: LeafIndex, asked, k, by, category, read_poses, among=None):  # type: ignore[no-untyped-def]
         hits, _ = dense_index.rank_places(dense_index.make_dense(index), asked[0], k, by, None, read_poses)
-        return search_room.Found(tuple(search_room.number_hits(hits)), None)
+        return number_hits(hits), None
 
     dense_index.find_alike = lambda index, asked: None
     dense_index.rank_clips = rank_shuffled  # type: ignore[assignment]

@@ -6,31 +6,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from oracles.dense_clips import DenseClips, make_clips
+from oracles.dense_clips import NO_FEATURES, make_clips
 
 from dousa.errors import OptionError
 from dousa.formats.registry import read_motion, write_motion
 from dousa.library import Library
-from dousa.library.search.search import Asked, search_index
+from dousa.library.search.ranking import Asked, search_index
 from dousa.library.store.forests import TreeAnswers
 from dousa.motion import canonicalise, compute_trajectories
 from dousa.motion.canonical.canonicalise import mirror_canonical
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 from dousa.retrieval.ranking.ranking import RANKINGS
 
-NO_FEATURES = np.zeros((1, 0, 0))
-
-
-def ask(clips: DenseClips, row: int, mirrored: bool = False) -> Asked:
-    own = slice(row, row + 1)
-    answers = TreeAnswers(clips.votes[own], clips.leaves[own], clips.categories, clips.directions[own])
-    return Asked(answers, NO_FEATURES, clips.poses[row], mirrored)
-
 
 @pytest.mark.parametrize("by", RANKINGS)
 def test_clips_come_in_the_order_of_the_ranking(by):
     clips = make_clips(3, 60)
-    index, asked, read = clips.make_index(), ask(clips, 7), []
+    index, asked, read = clips.make_index(), clips.ask(7), []
 
     def read_poses(ids):
         read.append(list(ids))
@@ -38,12 +30,12 @@ def test_clips_come_in_the_order_of_the_ranking(by):
 
     for k in (1, 7, 60, 100):
         expected, count = clips.rank(7, k, by)
-        found = search_index(index, [asked], k, by, None, read_poses)
-        assert [hit.clip_id for hit in found.hits] == [one[0] for one in expected]
-        assert [hit.rank for hit in found.hits] == list(range(1, min(k, 60) + 1))
-        assert found.n_alike == count
+        hits, n_alike = search_index(index, [asked], k, by, None, read_poses)
+        assert [hit.clip_id for hit in hits] == [one[0] for one in expected]
+        assert [hit.rank for hit in hits] == list(range(1, min(k, 60) + 1))
+        assert n_alike == count
     shares = clips.votes / clips.votes.sum(axis=1, keepdims=True)
-    for hit in found.hits:
+    for hit in hits:
         row = (hit.clip_id - 100) // 3
         assert hit.path == clips.paths[row] and hit.category == clips.labels[row]
         assert hit.distance == pytest.approx(np.linalg.norm(shares[row] - shares[7]), abs=1e-9)
@@ -54,23 +46,23 @@ def test_clips_come_in_the_order_of_the_ranking(by):
 @pytest.mark.parametrize("by", RANKINGS)
 def test_a_motion_and_its_mirror_image_are_merged(by):
     clips = make_clips(5, 60)
-    index, both = clips.make_index(), [ask(clips, 10), ask(clips, 20, mirrored=True)]
-    found = search_index(index, both, 60, by, None, clips.read_poses)
-    assert sorted(hit.clip_id for hit in found.hits) == clips.ids.tolist()
+    index, both = clips.make_index(), [clips.ask(10), clips.ask(20, mirrored=True)]
+    hits, n_alike = search_index(index, both, 60, by, None, clips.read_poses)
+    assert sorted(hit.clip_id for hit in hits) == clips.ids.tolist()
     alike: set[int] = set()
     for one in both:
-        alone = search_index(index, [one], 60, by, None, clips.read_poses).hits
+        alone, _ = search_index(index, [one], 60, by, None, clips.read_poses)
         alike |= {hit.clip_id for hit in alone if hit.alike}
         own = {hit.clip_id: hit.rank_distance for hit in alone}
-        assert all(hit.rank_distance == own[hit.clip_id] for hit in found.hits if hit.mirrored == one.mirrored)
-    assert found.n_alike == len(alike)
+        assert all(hit.rank_distance == own[hit.clip_id] for hit in hits if hit.mirrored == one.mirrored)
+    assert n_alike == len(alike)
 
 
 def test_nothing_is_found_among_nothing():
     clips = make_clips(6, 0)
     answers = TreeAnswers(np.array([[6 * 64, 0, 0, 0]], np.int32), np.zeros((1, 6), np.int32), clips.categories)
     asked = Asked(answers, NO_FEATURES, np.zeros((4, 3), np.float32))
-    assert search_index(clips.make_index(), [asked], 3, "leaves", None, clips.read_poses).hits == ()
+    assert search_index(clips.make_index(), [asked], 3, "leaves", None, clips.read_poses)[0] == ()
 
 
 def test_an_unknown_ranking_is_refused(library):

@@ -7,11 +7,14 @@ import numpy as np
 
 from dousa.library.search.leaf_index import LeafIndex
 from dousa.library.search.parts import ClipPart, SparseVotes, encode_rows
+from dousa.library.search.ranking import Asked
+from dousa.library.store.forests import TreeAnswers
 from dousa.retrieval.forest.likeness import Likeness, merge_votes
 from dousa.retrieval.forest.pose_space import Curve
 from dousa.retrieval.ranking.ranking import RankedClips, RankingQuery, rank_clips
 
 N_PARTS = 64
+NO_FEATURES = np.zeros((1, 0, 0))
 
 
 @dataclass
@@ -40,6 +43,13 @@ class DenseClips:
 
     def read_poses(self, numbers):
         return self.poses[np.searchsorted(self.ids, numbers)]
+
+    def ask(self, row, mirrored=False):
+        """One of the clips, as a motion to search for."""
+        own = slice(row, row + 1)
+        directions = None if self.directions is None else self.directions[own]
+        answers = TreeAnswers(self.votes[own], self.leaves[own], self.categories, directions)
+        return Asked(answers, NO_FEATURES, self.poses[row], mirrored)
 
     def chances(self, row):
         """Probabilities that clips mean the same as one; None where that was not learned."""

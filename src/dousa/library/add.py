@@ -221,9 +221,9 @@ class Adding:
         self.forest, changes = annotate_takes(self._database, wanted, self.forest, self.change)
         changed = set(changes.takes)
         # Do not repeat notes on unchanged labels.
-        told = [(row.path, note) for row in rows if row.path in changed for note in notes[row.id]]
-        of_several = {note: path for path, note in reversed(told) if note.code == "annotations.one_name"}
-        self._tally["warnings"] += [(path, note) for path, note in told if of_several.get(note, path) == path]
+        new = [(row.path, note) for row in rows if row.path in changed for note in notes[row.id]]
+        of_several = {note: path for path, note in reversed(new) if note.code == "annotations.one_name"}
+        self._tally["warnings"] += [(path, note) for path, note in new if of_several.get(note, path) == path]
         self._tally["warnings"] += changes.warnings
         blank = {row.path for row in rows if row.id in wanted and wanted[row.id].is_blank}
         self._tally["labelled"] += [path for path in changes.takes if path not in blank]

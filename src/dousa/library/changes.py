@@ -111,13 +111,13 @@ class LibraryChanges(LibraryContents):
         if category is UNCHANGED and performer is UNCHANGED:
             raise OptionError("library_clips.no_new_label")
         check_labels(category, performer)
-        told = {"category": category, "performer": performer}
-        told = {name: label for name, label in told.items() if label is not UNCHANGED}
+        given = {"category": category, "performer": performer}
+        values = {name: label for name, label in given.items() if label is not UNCHANGED}
         with self.database.writing() as connection:
             ids = select_ids(connection, self.name, selection, where_category, where_performer)
             if ids:
                 revision, marked = next_revision(connection), _selection.with_segments(connection, ids)
-                with recording(connection, revision, "relabel", marked=marked, told=told) as recorded:
+                with recording(connection, revision, "relabel", marked=marked, values=values) as recorded:
                     _selection.set_labels(connection, ids, category, performer)
                 self._note_change(recorded)
             return [clip.path for clip in _selection.list_clips(connection, ids)]
@@ -157,10 +157,10 @@ class LibraryChanges(LibraryContents):
         more, less = check_tags(add), check_tags(remove)
         if not more and not less:
             raise OptionError("library_tags.nothing_to_change")
-        told = {"tags": [*(f"+{name}" for name in more), *(f"-{name}" for name in less)]}
+        values = {"tags": [*(f"+{name}" for name in more), *(f"-{name}" for name in less)]}
         with self.database.writing() as connection:
             ids = select_ids(connection, self.name, selection, where_category, where_performer, where_tag)
-            with recording(connection, next_revision(connection), "tag", marked=ids, told=told) as recorded:
+            with recording(connection, next_revision(connection), "tag", marked=ids, values=values) as recorded:
                 changed = change_tags(connection, ids, more, less)
             self._note_change(recorded)
             return _selection.list_paths(connection, list(changed))
@@ -215,7 +215,7 @@ class LibraryChanges(LibraryContents):
         return getattr(self._last, "change", None)
 
     @contextmanager
-    def one_change(self, kind: str | None = None, **told: Any) -> Iterator[None]:
+    def one_change(self, kind: str | None = None, **values: Any) -> Iterator[None]:
         """Make this thread's changes inside the block one step of undo and redo.
 
         Changes before an error stay, as the change of ``last_change``. Within a block a clip can be changed once.
@@ -227,7 +227,7 @@ class LibraryChanges(LibraryContents):
         >>> library.tags()
         {}
         """
-        with recording_together(self.database.engine, kind, told) as whole:
+        with recording_together(self.database.engine, kind, values) as whole:
             try:
                 yield
             finally:

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from dousa.library.labelling import Labellers, LearnProgress
     from dousa.library.learning.train import TrainProgress
     from dousa.library.results import Classification, FindResult, LabelledTake, SearchResult
-    from dousa.library.search.part_forests import PartForests
-    from dousa.library.search.search import PartProgress, Searcher
+    from dousa.library.search.part_forests import PartForests, Progress
+    from dousa.library.search.search import Searcher
     from dousa.library.search.text import TextMatches, TextResult, TextSearcher
     from dousa.library.store.ingest import Query
     from dousa.library.takes.takes import Takes
@@ -245,7 +245,7 @@ class Library(LibraryChanges):
         threshold: float | None = None,
         among: Iterable[int] | None = None,
         options: ReadOptions | None = None,
-        progress: PartProgress | None = None,
+        progress: Progress | None = None,
     ) -> SearchResult:
         """Find the clips most similar to a motion, best first; takes are left out.
 
@@ -419,7 +419,7 @@ class Library(LibraryChanges):
         threshold: float | None = None,
         options: ReadOptions | None = None,
         n_jobs: int | None = None,
-        progress: PartProgress | None = None,
+        progress: Progress | None = None,
     ) -> list[Classification]:
         """Predict the categories of motion files, without adding them.
 
@@ -465,7 +465,7 @@ class Library(LibraryChanges):
         exact: bool = False,
         options: ReadOptions | None = None,
         n_jobs: int | None = None,
-        progress: PartProgress | None = None,
+        progress: Progress | None = None,
     ) -> FindResult:
         """Find the places in takes most similar to a motion, at half to twice its tempo.
 
@@ -578,9 +578,9 @@ class Library(LibraryChanges):
 
     @cached_property
     def _searcher(self) -> Searcher:
-        from dousa.library.search.part_search import PartSearcher
+        from dousa.library.search.search import Searcher
 
-        return PartSearcher(self.database, self._forests, self._parts)
+        return Searcher(self.database, self._forests, self._parts)
 
     @cached_property
     def _text(self) -> TextSearcher:

@@ -8,8 +8,8 @@ from oracles.dense_clips import DenseClips, make_clips
 from dousa.library import Library
 from dousa.library.search import leaf_index
 from dousa.library.search.kernels import find_limit
-from dousa.library.search.leaf_index import IndexQuery, LeafIndex, number_meanings, read_index
-from dousa.library.search.ranking import Ranked, rank_index
+from dousa.library.search.leaf_index import LeafIndex, number_meanings, read_index
+from dousa.library.search.ranking import rank_index
 from dousa.library.store import schema
 from dousa.library.store.engine import read_revision
 from dousa.library.store.features import load_poses
@@ -99,24 +99,20 @@ def test_of_the_same_category_and_of_some_clips(library, category):
     assert answer.alike_count == count
 
 
-def ask(clips: DenseClips, row: int) -> IndexQuery:
-    direction = None if clips.directions is None else clips.directions[row]
-    return IndexQuery(clips.votes[row], clips.leaves[row], clips.poses[row], direction)
+def search(clips: DenseClips, index: LeafIndex, row: int, k: int, by: str, category=None, among=None):
+    return rank_index(index, clips.ask(row), k, by, index.choose(category, among), clips.read_poses)
 
 
-def search(clips: DenseClips, index: LeafIndex, row: int, k: int, by: str, category=None, among=None) -> Ranked:
-    return rank_index(index, ask(clips, row), k, by, index.choose(category, among), clips.read_poses)
-
-
-def compare(index: LeafIndex, found: Ranked, expected, count) -> None:
-    assert [index.clip_id(row) for row in found.rows.tolist()] == [one[0] for one in expected]
-    for place, one in enumerate(expected):
-        own = found.histograms, found.leaves, found.poses, found.distances
-        assert np.array_equal([column[place] for column in own], one[1:5], equal_nan=True)
-        assert (None if found.alike is None else bool(found.alike[place])) == one[5]
-        if found.chances is not None:
-            assert found.chances[place] == pytest.approx(one[6], abs=1e-12)
-    assert (None if found.all_alike is None else len(found.all_alike)) == count
+def compare(found, expected, count) -> None:
+    hits, similar = found
+    assert [hit.clip_id for hit in hits] == [one[0] for one in expected]
+    for hit, one in zip(hits, expected, strict=True):
+        own = hit.distance, hit.leaf_share, hit.pose_distance, hit.rank_distance
+        distances = [np.nan if value is None else value for value in own]
+        assert np.array_equal(distances, [one[1], 1.0 - one[2], *one[3:5]], equal_nan=True)
+        assert hit.alike == one[5]
+        assert hit.probability == (None if one[6] is None else pytest.approx(one[6], abs=0.5001e-4))
+    assert (None if similar is None else len(similar)) == count
 
 
 @pytest.mark.parametrize("by", RANKINGS)
@@ -128,7 +124,7 @@ def test_the_first_clips_are_those_of_all(by, learned, pooled):
         index = clips.make_index()
         for row, k in ((0, 1), (7, 10), (50, 64), (123, 150), (7, 399), (9, 1000)):
             expected = clips.rank(row, k, by)
-            compare(index, search(clips, index, row, k, by), *expected)
+            compare(search(clips, index, row, k, by), *expected)
 
 
 @pytest.mark.parametrize("by", RANKINGS)
@@ -138,7 +134,7 @@ def test_several_threads_say_the_same(by, monkeypatch):
     clips = make_clips(21, 401, pooled=True)
     for k in (10, 1000):
         index = clips.make_index(130)
-        compare(index, search(clips, index, 8, k, by), *clips.rank(8, k, by))
+        compare(search(clips, index, 8, k, by), *clips.rank(8, k, by))
 
 
 @pytest.mark.parametrize("by", RANKINGS)
@@ -148,7 +144,7 @@ def test_of_a_category_and_of_some_numbers_come_only_these(by):
     among = frozenset(clips.ids[::2].tolist()) | {7}
     for category, some in (("b", None), (None, among), ("c", among), ("unheard of", None), (None, frozenset())):
         expected = clips.rank(5, 20, by, category, some)
-        compare(index, search(clips, index, 5, 20, by, category, some), *expected)
+        compare(search(clips, index, 5, 20, by, category, some), *expected)
 
 
 def test_clips_that_are_no_more_are_never_found():
@@ -156,7 +152,7 @@ def test_clips_that_are_no_more_are_never_found():
     dead = set(clips.ids[::3].tolist())
     index = clips.make_index(80, dead=dead)
     left = frozenset(clips.ids.tolist()) - dead
-    compare(index, search(clips, index, 1, 40, "fused"), *clips.rank(1, 40, "fused", among=left))
+    compare(search(clips, index, 1, 40, "fused"), *clips.rank(1, 40, "fused", among=left))
     assert index.n_clips == len(left)
     assert all((index.find(number) is None) == (number in dead) for number in clips.ids.tolist())
 
@@ -179,7 +175,7 @@ def test_leaves_that_two_trees_share_are_compared_as_they_are():
     index = clips.make_index(30)
     found = search(clips, index, 3, 60, "leaves")
     expected, _ = clips.rank(3, 60, "leaves")
-    assert found.leaves.tolist() == [one[2] for one in expected]
+    assert [hit.leaf_share for hit in found[0]] == [1.0 - one[2] for one in expected]
 
 
 def test_a_limit_lets_enough_pass():

@@ -328,8 +328,8 @@ def _exchange(
     revision = next_revision(connection)
     takes = {row.id for row, _ in planned.tables}
     named = next((str(one.row["category"]) for one in planned.records if planned.by_hand), None)
-    kind, told = ("label", {}) if named is None else ("name", {"category": named})
-    written = recording(connection, revision, kind, gone=planned.gone, takes=takes, told=told, into=change)
+    kind, values = ("label", {}) if named is None else ("name", {"category": named})
+    written = recording(connection, revision, kind, gone=planned.gone, takes=takes, values=values, into=change)
     with written as recorded:
         ids = _write_exchange(connection, planned)
     return planned.changes, ids, planned.forest, recorded.number

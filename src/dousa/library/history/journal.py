@@ -104,18 +104,18 @@ def list_entries(connection: sa.Connection, numbers: Sequence[int] | None = None
     return entries
 
 
-def describe(kind: str, n: int, told: dict[str, Any]) -> Message:
+def describe(kind: str, n: int, values: dict[str, Any]) -> Message:
     """Describe a change of n clips in words.
 
-    ``told`` has ``category`` and ``performer`` of a relabelling, added and removed ``tags`` as ``["+a", "-b"]``, or the
+    ``values`` has ``category`` and ``performer`` of a relabelling, changed ``tags`` as ``["+a", "-b"]``, or the
     ``category`` of a named part.
     """
     if kind == "relabel":
-        return _describe_labels(n, told)
+        return _describe_labels(n, values)
     if kind == "tag":
-        return Message("journal.tagged", n=n, tags=tuple(told.get("tags", ())))
+        return Message("journal.tagged", n=n, tags=tuple(values.get("tags", ())))
     if kind == "name":
-        return Message("journal.named", category=told.get("category", "?"))
+        return Message("journal.named", category=values.get("category", "?"))
     simple: dict[str, Callable[[int], Message]] = {
         "add": lambda n: Message("journal.added", n=n),
         "remove": lambda n: Message("journal.removed", n=n),
@@ -124,11 +124,11 @@ def describe(kind: str, n: int, told: dict[str, Any]) -> Message:
     return simple[kind](n) if kind in simple else Message("journal.other", n=n)
 
 
-def _describe_labels(n: int, told: dict[str, Any]) -> Message:
-    category, performer = told.get("category"), told.get("performer")
-    if "category" in told and "performer" in told:
+def _describe_labels(n: int, values: dict[str, Any]) -> Message:
+    category, performer = values.get("category"), values.get("performer")
+    if "category" in values and "performer" in values:
         return Message("journal.both_labels", n=n)
-    if "performer" in told:
+    if "performer" in values:
         if performer is None:
             return Message("journal.no_performer", n=n)
         return Message("journal.performer", n=n, performer=performer)

@@ -51,19 +51,19 @@ class _Together(Recorded):
 
     engine: sa.Engine | None = None
     kind: str | None = None
-    told: dict[str, Any] = field(default_factory=dict)
+    values: dict[str, Any] = field(default_factory=dict)
 
 
 _TOGETHER: ContextVar[_Together | None] = ContextVar("together", default=None)
 
 
 @contextmanager
-def recording_together(engine: sa.Engine, kind: str | None, told: dict[str, Any]) -> Iterator[Recorded]:
+def recording_together(engine: sa.Engine, kind: str | None, values: dict[str, Any]) -> Iterator[Recorded]:
     """Record this thread's changes of a library inside the block as one change, even over several transactions.
 
     ``kind`` and message values as in `recording`, of the whole.
     """
-    together = _Together(engine=engine, kind=kind, told=told)
+    together = _Together(engine=engine, kind=kind, values=values)
     token = _TOGETHER.set(together)
     try:
         yield together
@@ -115,7 +115,7 @@ def recording(
     marked: Sequence[int] = (),
     gone: Sequence[int] = (),
     takes: Iterable[int] = (),
-    told: dict[str, Any] | None = None,
+    values: dict[str, Any] | None = None,
     into: int | None = None,
 ) -> Iterator[Recorded]:
     """Record the changes inside the block, after ``next_revision`` in the same transaction.
@@ -123,7 +123,7 @@ def recording(
     Parameters
     ----------
     revision : of the library in this transaction.
-    kind, told : see ``JournalEntry``; values of the change's message.
+    kind, values : see ``JournalEntry``; values of the change's message.
     marked : clips whose labels or tags may change.
     gone : clips to be removed; they are kept, with the segments of takes among them.
     takes : whose tables of labels may change.
@@ -134,14 +134,14 @@ def recording(
         together = None
     if together is not None:
         into = together.number if into is None else into
-        kind, told = (kind, told) if together.kind is None else (together.kind, together.told)
+        kind, values = (kind, values) if together.kind is None else (together.kind, together.values)
     known = None if into is None else read_row(connection, into)
     if known is not None and known.undone is not None:
         known = None
     number = revision if known is None else int(known.number)
     forget_undone(connection)
     if known is None:
-        _begin(connection, number, kind, told or {})
+        _begin(connection, number, kind, values or {})
     leaving = with_segments(connection, gone) if gone else []
     put_away(connection, leaving, number)
     marks, tables = read_marks(connection, marked), read_tables(connection, takes)
@@ -163,13 +163,13 @@ def recording(
         together.number = recorded.number
 
 
-def _begin(connection: sa.Connection, number: int, kind: str, told: dict[str, Any]) -> None:
+def _begin(connection: sa.Connection, number: int, kind: str, values: dict[str, Any]) -> None:
     row = {
         "number": number,
         "made_at": datetime.now(UTC).isoformat(timespec="seconds"),
         "kind": kind,
         "n_clips": 0,
-        "told": told,
+        schema.journal.c.told.name: values,
         "changes": Changes().to_json(),
         "undone": None,
     }

@@ -108,7 +108,7 @@ def count_sparsely(
 
 @njit(cache=True, nogil=True)
 def bound_clips(
-    starts, found, votes, squares, lengths, query, told, numbers, weights, n_trees, bounds, cosines
+    starts, found, votes, squares, lengths, query, meant, numbers, weights, n_trees, bounds, cosines
 ):  # fmt: skip
     """Bound the distance of each clip from below, and compute the cosine of its votes with those of a query.
 
@@ -116,7 +116,7 @@ def bound_clips(
 
     Parameters
     ----------
-    query, told : (C,) votes of the query for each category, and for its meaning.
+    query, meant : (C,) votes of the query for each category, and for its meaning.
     numbers : sum of the query's votes, of their squares, length of its votes for meanings, and parts of a vote.
     weights : of the distance of the histograms, and of the share of other leaves.
     bounds, cosines : (N,), filled.
@@ -124,17 +124,17 @@ def bound_clips(
     total, square, length, parts = numbers
     by_histogram, by_leaves = weights
     for clip in range(len(bounds)):
-        dot, common, alike = 0.0, np.int64(0), 0.0
+        dot, common, same = 0.0, np.int64(0), 0.0
         first, last = starts[clip], starts[clip + 1]
         for entry in range(first, last):
             own, other = votes[entry], query[found[entry]]
             dot += float(own) * float(other)
             common += min(own, other)
-            alike += float(own) * float(told[found[entry]])
+            same += float(own) * float(meant[found[entry]])
         histogram = np.sqrt(max(float(squares[clip]) + square - 2.0 * dot, 0.0)) / total
         shared = min((common + (last - first)) / parts, float(n_trees))  # votes are rounded
         bounds[clip] = by_histogram * histogram + by_leaves * (1.0 - shared / n_trees)
-        cosines[clip] = alike / max(lengths[clip] * length, 1e-9)
+        cosines[clip] = same / max(lengths[clip] * length, 1e-9)
 
 
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})

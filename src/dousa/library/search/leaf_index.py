@@ -15,7 +15,6 @@ from typing import Any, Protocol
 
 import numpy as np
 import sqlalchemy as sa
-from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, FloatArray, IndexArray, IntArray
 from dousa.library.search.kernels import bound_clips, compare_clips
@@ -24,7 +23,7 @@ from dousa.library.search.text_store import find_meanings
 from dousa.library.store import schema
 from dousa.library.store.engine import next_clip_id
 from dousa.library.store.features import lacks
-from dousa.library.store.forests import StoredForest, TreeAnswers
+from dousa.library.store.forests import PARTS_OF_A_VOTE, StoredForest, TreeAnswers
 from dousa.library.store.selection import portions
 from dousa.retrieval.forest.likeness import Likeness
 
@@ -46,39 +45,6 @@ class IndexedRows:
     def is_sealed(self) -> bool:
         """Whether all rows have checksums; an older dousa wrote none."""
         return bool((self.sums[:, 0] == self.sums[:, 1]).all() and (self.sums[:, 3] == self.sums[:, 4]).all())
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class IndexQuery:
-    """A motion to search for.
-
-    Parameters
-    ----------
-    votes, leaves : (C,) and (n_trees,) of its ``TreeAnswers``.
-    poses : pose sequence.
-    direction : (K,) of ``Likeness.place``; None if unknown.
-    """
-
-    votes: NDArray[np.int32]
-    leaves: NDArray[np.int32]
-    poses: NDArray[np.float32]
-    direction: NDArray[np.float32] | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Compared:
-    """Distances of M clips from a query.
-
-    Parameters
-    ----------
-    histograms : (M,) eq. 8 between shares.
-    leaves : (M,) share of the trees with other leaves.
-    cosines : (M,) of the angle to the query; 0 if unknown.
-    """
-
-    histograms: FloatArray
-    leaves: FloatArray
-    cosines: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,16 +146,16 @@ class LeafIndex:
         places = (slice(int(a), int(b)) for a, b in zip(self.starts[:-1], self.starts[1:], strict=True))
         return zip(self.parts, self.votes, places, strict=True)
 
-    def bound(self, query: IndexQuery, weights: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
-        """Compute lower bounds of the distances of all rows, and the cosines of their votes for meanings.
+    def bound(self, query: TreeAnswers, weights: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+        """Compute lower bounds of the distances of all rows from one motion, and the cosines of the votes for meanings.
 
         ``weights`` are those of the distance of the histograms and of the share of other leaves.
         """
-        merged = np.bincount(self.meanings, query.votes, minlength=1) if len(self.meanings) else np.zeros(1)
-        told = merged[self.meanings].astype(np.int64)
-        votes = query.votes.astype(np.int64)
+        votes = query.votes[0].astype(np.int64)
+        merged = np.bincount(self.meanings, query.votes[0], minlength=1) if len(self.meanings) else np.zeros(1)
+        meant = merged[self.meanings].astype(np.int64)
         length = float(np.linalg.norm(merged))
-        numbers = _total(query), float((votes * votes).sum()), length, _PARTS
+        numbers = _total(votes), float((votes * votes).sum()), length, float(PARTS_OF_A_VOTE)
         bounds, cosines = np.empty(self.starts[-1]), np.empty(self.starts[-1])
         for _, own, place in self._each():
 
@@ -197,38 +163,42 @@ class LeafIndex:
                 some = slice(place.start + first, place.start + last)
                 bound_clips(
                     own.starts[first : last + 1], own.categories, own.votes, own.squares[first:last],
-                    own.lengths[first:last], votes, told, numbers, weights, len(query.leaves), bounds[some],
+                    own.lengths[first:last], votes, meant, numbers, weights, query.leaves.shape[1], bounds[some],
                     cosines[some],
                 )  # fmt: skip
 
             _share_out(place.stop - place.start, work)
         return bounds, cosines
 
-    def compare(self, query: IndexQuery, rows: IndexArray) -> Compared:
-        """Compute the distances of some clips, of ascending rows, from a query."""
-        votes = query.votes.astype(np.int64)
-        total, square = _total(query), float((votes * votes).sum())
-        found = Compared(np.empty(len(rows)), np.empty(len(rows)), np.zeros(len(rows)))
-        uses = self.has_directions and query.direction is not None
-        direction = query.direction if uses and query.direction is not None else np.zeros(0, np.float32)
+    def compare(self, query: TreeAnswers, rows: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Compare some clips, of ascending rows (M,), with one motion.
+
+        Returns
+        -------
+        Distances of the histograms (eq. 8), shares of the trees with other leaves, and cosines of the angles (0 if
+        unknown), (M,) each.
+        """
+        votes = query.votes[0].astype(np.int64)
+        total, square = _total(votes), float((votes * votes).sum())
+        histograms, others, cosines = np.empty(len(rows)), np.empty(len(rows)), np.zeros(len(rows))
+        uses = self.has_directions and query.directions is not None
+        direction = query.directions[0] if uses and query.directions is not None else np.zeros(0, np.float32)
         edges = np.searchsorted(rows, self.starts)
         for (part, own, place), first, last in zip(self._each(), edges[:-1], edges[1:], strict=True):
             some = slice(int(first), int(last))
             directions = np.zeros((0, 0), np.float32) if part.directions is None or not uses else part.directions
-            told = rows[some] - place.start, found.histograms[some], found.leaves[some], found.cosines[some]
+            filled = rows[some] - place.start, histograms[some], others[some], cosines[some]
             clips = own.starts, own.categories, own.votes, own.squares, part.codes, directions
-            asked = votes, part.encode(query.leaves), direction, total, square
+            asked = votes, part.encode(query.leaves[0]), direction, total, square
 
-            def work(first: int, last: int, told: Any = told, clips: Any = clips, asked: Any = asked) -> None:
-                chosen, *places = (column[first:last] for column in told)
+            def work(first: int, last: int, filled: Any = filled, clips: Any = clips, asked: Any = asked) -> None:
+                chosen, *places = (column[first:last] for column in filled)
                 compare_clips(chosen, *clips, *asked, *places)
 
             _share_out(some.stop - some.start, work)
-        found.leaves[:] /= len(query.leaves)
-        return found
+        return histograms, others / query.leaves.shape[1], cosines
 
 
-_PARTS = 64.0
 _FEWEST = 50_000  # clips for a thread
 _MOST_THREADS = 4
 
@@ -244,8 +214,8 @@ def _share_out(count: int, work: Callable[[int, int], None]) -> None:
         list(pool.map(work, edges[:-1], edges[1:]))
 
 
-def _total(query: IndexQuery) -> float:
-    return max(float(query.votes.sum()), 1e-300)
+def _total(votes: IntArray) -> float:
+    return max(float(votes.sum()), 1e-300)
 
 
 def number_meanings(categories: Sequence[str]) -> IndexArray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,6 @@ import sqlalchemy as sa
 from numpy.typing import NDArray
 
 from dousa.errors import DousaError, LibraryDamagedError, LibraryError
-from dousa.library.search.search import PartProgress
 from dousa.library.store import schema
 from dousa.library.store.checksums import PART_FORESTS, seal_rows
 from dousa.library.store.engine import Database, choose_jobs
@@ -39,13 +38,15 @@ from dousa.library.store.schema import pack, stack
 from dousa.messages import Message
 from dousa.retrieval.features.posed_motion import is_comparable, name_parts
 from dousa.retrieval.forest.calibration import Assessor
+from dousa.retrieval.forest.likeness import merge_votes
 
 if TYPE_CHECKING:
     from dousa.arrays import FloatArray
     from dousa.retrieval.features.feature_sets import FeatureSet
+    from dousa.retrieval.forest.likeness import Likeness
 
-STEPS = 4
-"""Steps of learning a forest, for the progress."""
+Progress = Callable[[int, int, Message], None]
+"""Called with (steps done, steps, message about the next step)."""
 
 _LEARNED_BY = "copies"  # the way of learning: a forest learned in another way is learned again
 
@@ -134,7 +135,7 @@ class Lesson:
     kind: FeatureSet
     material: Material
     n_jobs: int | None = None
-    progress: PartProgress | None = None
+    progress: Progress | None = None
     _described: dict[int, Description] = field(default_factory=dict)
 
     def learn(self, stored: StoredForest | None, answers: Answers) -> tuple[StoredForest, bool]:
@@ -156,12 +157,12 @@ class Lesson:
         if new:
             stored = self._grow(stored, answers, new)
         self._ask(stored, answers, [number for number in missing if number not in answers.leaves])
-        self._tell(STEPS, Message("library_training.done"))
+        self._tell(4, Message("library_training.done"))
         return stored, True
 
     def _tell(self, done: int, message: Message) -> None:
         if self.progress is not None:
-            self.progress(done, STEPS, message)
+            self.progress(done, 4, message)  # the steps of ``learn``
 
     def _describe(self, ids: Sequence[int]) -> None:
         def tell(done: int, total: int) -> None:
@@ -249,25 +250,61 @@ class Lesson:
         return grown
 
 
+@dataclass(frozen=True, eq=False)
+class DenseIndex:
+    """N clips, sorted by path, with all votes of the trees.
+
+    Parameters
+    ----------
+    labels : given category of each clip, else the predicted one.
+    answers : tree answers about the clips.
+    likeness : finds clips of the same meaning; None if not learned, as ``meanings``.
+    meanings : (C,) number of each category's meaning.
+    """
+
+    ids: tuple[int, ...]
+    paths: tuple[str, ...]
+    labels: tuple[str, ...]
+    answers: TreeAnswers
+    likeness: Likeness | None = None
+    meanings: NDArray[np.intp] | None = None
+
+    @cached_property
+    def rows(self) -> dict[int, int]:
+        """The place of each clip, by number."""
+        return {clip_id: row for row, clip_id in enumerate(self.ids)}
+
+    @cached_property
+    def meant(self) -> FloatArray:
+        """(N, M) share of the trees that vote for each meaning."""
+        assert self.meanings is not None
+        return merge_votes(self.answers.shares(), self.meanings)
+
+    @cached_property
+    def lengths(self) -> FloatArray:
+        """(N,) Euclidean lengths of ``meant``."""
+        lengths: FloatArray = np.linalg.norm(self.meant, axis=1)
+        return lengths
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PartIndex:
-    """A forest for a part of the body, and its answers about the N clips that have this part, sorted by path.
+    """A forest for a part of the body, and its answers about the N clips that have this part.
 
     Parameters
     ----------
     learned_from : hash of all that it has learned from.
-    labels : given category of each clip, else the predicted one.
-    answers : tree answers about the clips.
     poses : (N, cells, columns) pose sequences.
     """
 
     stored: StoredForest
     learned_from: str
-    ids: tuple[int, ...]
-    paths: tuple[str, ...]
-    labels: tuple[str, ...]
-    answers: TreeAnswers
+    index: DenseIndex
     poses: NDArray[np.float32]
+
+    def read_poses(self, ids: Sequence[int]) -> NDArray[np.float32]:
+        """Return the pose sequences of clips."""
+        return self.poses[[self.index.rows[clip_id] for clip_id in ids]]
 
 
 class PartForests:
@@ -278,7 +315,7 @@ class PartForests:
         self._kept: dict[str, PartIndex] = {}
 
     def choose(
-        self, main: StoredForest, absent: Collection[str], progress: PartProgress | None = None
+        self, main: StoredForest, absent: Collection[str], progress: Progress | None = None
     ) -> tuple[StoredForest | None, Message | None]:
         """Choose the forest for a body, with a note on the joints that it ignores; or None, with the reason.
 
@@ -300,7 +337,7 @@ class PartForests:
         code = "partial.query_and_library" if main.hidden else "partial.query"
         return part.stored, Message(code, parts=name_parts(kind.hidden))
 
-    def prepare(self, main: StoredForest, n_jobs: int | None = None, progress: PartProgress | None = None) -> None:
+    def prepare(self, main: StoredForest, n_jobs: int | None = None, progress: Progress | None = None) -> None:
         """Learn the forest that most clips with absent joints need, in about a quarter of the time of a training."""
         clips, whole = schema.clips.c, find_feature_set(main.feature_set)
         counted = sa.select(clips.absent, sa.func.count().label("n")).where(clips.kind == schema.CLIP)
@@ -320,7 +357,7 @@ class PartForests:
         main: StoredForest,
         hidden: Sequence[str],
         n_jobs: int | None = None,
-        progress: PartProgress | None = None,
+        progress: Progress | None = None,
     ) -> PartIndex | None:
         """Load or learn the forest for bodies without some joints; None if its clips have fewer than two categories.
 
@@ -341,10 +378,8 @@ class PartForests:
             if count_categories(material.rows) < 2:
                 return None
             known = self._kept.get(kind.name)
-            if known is not None and (known.learned_from, known.ids) == (
-                material.learned_from,
-                tuple(row.id for row in material.by_path),
-            ):
+            ids = tuple(row.id for row in material.by_path)
+            if known is not None and (known.learned_from, known.index.ids) == (material.learned_from, ids):
                 return known
             stored, answers = self._read(connection, main, kind, material)
             lesson = Lesson(connection, main, kind, material, n_jobs, progress)
@@ -433,14 +468,8 @@ class PartForests:
 
 def _index(stored: StoredForest, material: Material, answers: Answers) -> PartIndex:
     rows = material.by_path
-    said = count_votes(stored, np.stack([answers.leaves[row.id] for row in rows]))
-    guesses = said.predicted()
-    return PartIndex(
-        stored=stored,
-        learned_from=material.learned_from,
-        ids=tuple(row.id for row in rows),
-        paths=tuple(row.path for row in rows),
-        labels=tuple(b if row.category is None else row.category for row, b in zip(rows, guesses, strict=True)),
-        answers=said,
-        poses=np.stack([answers.poses[row.id] for row in rows]),
-    )
+    votes = count_votes(stored, np.stack([answers.leaves[row.id] for row in rows]))
+    guesses = votes.predicted()
+    labels = tuple(b if row.category is None else row.category for row, b in zip(rows, guesses, strict=True))
+    index = DenseIndex(tuple(row.id for row in rows), tuple(row.path for row in rows), labels, votes)
+    return PartIndex(stored, material.learned_from, index, np.stack([answers.poses[row.id] for row in rows]))

@@ -7,8 +7,8 @@ equals are sorted by path.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
@@ -16,8 +16,11 @@ from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.errors import OptionError
+from dousa.library.results import MIRROR_DISTANCE, Hit
 from dousa.library.search.kernels import find_limit
-from dousa.library.search.leaf_index import IndexQuery, LeafIndex
+from dousa.library.search.leaf_index import LeafIndex
+from dousa.library.store.features import StoredMotion, describe_clip
+from dousa.library.store.forests import StoredForest, TreeAnswers, ask_trees
 from dousa.retrieval.ranking.ranking import (
     DEFAULT_RANKING,
     HISTOGRAM_SCALE,
@@ -29,49 +32,146 @@ from dousa.retrieval.ranking.ranking import (
     rank_by_pose,
 )
 
-_SLACK = 1e-5  # for float32 and rounded cosines
-_WEIGHTS = {"histogram": (1.0, 0.0), "leaves": (0.0, 1.0)}
-_BEYOND = 1e9  # the bound of excluded clips is infinite
-_FEW = 256  # extra clips compared first, for a closer limit
-
 PoseReader = Callable[[Sequence[int]], NDArray[np.float32]]
 """Returns the pose sequences (n, cells, columns) of n clip numbers."""
 
+Measures = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""Distances (M,) of histograms, of leaves, of poses, and the ones to rank by, as in ``Ranking``."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ranked:
-    """The first clips in order.
+class Asked:
+    """A motion to search for.
 
     Parameters
     ----------
-    rows : (M,) of the index.
-    histograms, leaves, poses, distances : (M,) as in ``dousa.retrieval.ranking.ranking.Ranking``.
-    chances : (M,) probability that they mean the same as the query; None if not learned, as the next two.
-    alike : (M,) whether this reaches the threshold.
-    all_alike : rows of all clips that reach it.
+    answers, features : tree answers, and the features that they are about; one row each.
+    poses : pose sequence.
+    mirrored : whether it is the mirror image of the query.
     """
 
-    rows: IndexArray
-    histograms: FloatArray
-    leaves: FloatArray
-    poses: FloatArray
-    distances: FloatArray
-    chances: FloatArray | None
-    alike: BoolArray | None
-    all_alike: IndexArray | None
+    answers: TreeAnswers
+    features: FloatArray
+    poses: NDArray[np.float32]
+    mirrored: bool = False
+
+
+def ask_forest(stored: StoredForest, motion: StoredMotion, mirrored: bool = False) -> Asked:
+    """Ask the trees about a motion that is not stored."""
+    described = describe_clip(motion, stored.feature_set)
+    features = described.features[None]
+    return Asked(ask_trees(stored, features), features, described.poses, mirrored)
+
+
+def search_index(
+    index: LeafIndex,
+    asked: Sequence[Asked],
+    k: int,
+    by: str,
+    category: str | None,
+    read_poses: PoseReader,
+    among: Collection[int] | None = None,
+) -> tuple[tuple[Hit, ...], int | None]:
+    """Find the k clips that are most like a motion, or like its mirror image.
+
+    Parameters
+    ----------
+    asked : the motion, and its mirror image if wanted.
+    by : one of ``dousa.retrieval.ranking.ranking.RANKINGS``.
+    category : search only this category; None for all.
+    read_poses : called at most once for each motion.
+    among : search only clips of these numbers; None for all.
+
+    Returns
+    -------
+    The clips, and the number of all that are similar; None if likeness was not learned.
+
+    Raises
+    ------
+    OptionError : an unknown ranking.
+    """
+    chosen = index.choose(category, among)
+    found = [rank_index(index, one, k, by, chosen, read_poses) for one in asked]
+    similar = [rows for _, rows in found if rows is not None]
+    hits = number_hits(found[0][0]) if len(found) == 1 else choose_best((hit for own, _ in found for hit in own), k)
+    return hits, len(np.unique(np.concatenate(similar))) if similar and len(similar) == len(found) else None
+
+
+def make_hits(
+    clips: Iterable[tuple[int, str, str]],
+    measures: Measures,
+    chances: FloatArray | None,
+    similar: BoolArray | None,
+    mirrored: bool,
+) -> list[Hit]:
+    """Make the hits of M clips, of (number, path, category); their ranks follow.
+
+    Parameters
+    ----------
+    measures : of the clips.
+    chances, similar : (M,) probability of the same meaning, and whether it suffices; None if not learned.
+    mirrored : whether the query is a mirror image.
+    """
+    return [
+        Hit(
+            path,
+            category,
+            distance=float(measures[0][place]),
+            rank=0,
+            clip_id=clip_id,
+            leaf_share=1.0 - float(measures[1][place]),
+            pose_distance=_number_or_none(measures[2][place]),
+            rank_distance=_number_or_none(measures[3][place]),
+            mirrored=mirrored,
+            alike=None if similar is None else bool(similar[place]),
+            probability=None if chances is None else round(float(chances[place]), 4),
+        )
+        for place, (clip_id, path, category) in enumerate(clips)
+    ]
+
+
+def _number_or_none(value: np.float64) -> float | None:
+    return None if np.isnan(value) else float(value)
+
+
+def choose_best(hits: Iterable[Hit], k: int) -> tuple[Hit, ...]:
+    """Return the nearest k clips among the hits of several searches, each clip once."""
+    best: dict[int, Hit] = {}
+    for hit in sorted(hits, key=_mirrored_last):
+        best.setdefault(hit.clip_id, hit)
+    return number_hits(list(best.values())[:k])
+
+
+def _mirrored_last(hit: Hit) -> tuple[tuple[bool, bool], float]:
+    """Sort by distance with a handicap for mirrored clips; unlike clips come later, those without poses last."""
+    far = hit.rank_distance is None, hit.alike is False
+    distance = hit.distance if hit.rank_distance is None else hit.rank_distance
+    return far, distance / MIRROR_DISTANCE if hit.mirrored else distance
+
+
+def number_hits(hits: Iterable[Hit]) -> tuple[Hit, ...]:
+    """Give hits their ranks, from 1."""
+    return tuple(replace(hit, rank=rank) for rank, hit in enumerate(hits, start=1))
 
 
 class _Comparison:
-    """Distances of the clips of an index from one query: lower bounds of all, and those computed so far."""
+    """Distances of the clips of an index from one motion: lower bounds of all, and those computed so far.
 
-    def __init__(self, index: LeafIndex, query: IndexQuery, by: str, chosen: BoolArray) -> None:
-        self._index, self._query, self._by = index, query, by
-        weights = _WEIGHTS.get(by, (HISTOGRAM_SCALE, LEAVES_WEIGHT))
-        self._bounds, self._told = index.bound(query, weights)
+    Parameters
+    ----------
+    slack : added to a bound for the rounding of float32 numbers and cosines; larger compares more clips.
+    """
+
+    def __init__(
+        self, index: LeafIndex, query: TreeAnswers, by: str, chosen: BoolArray, *, slack: float = 1e-5
+    ) -> None:
+        self._index, self._query, self._by, self._slack = index, query, by, slack
+        weights = {"histogram": (1.0, 0.0), "leaves": (0.0, 1.0)}.get(by, (HISTOGRAM_SCALE, LEAVES_WEIGHT))
+        self._bounds, self._meant = index.bound(query, weights)
         self._chosen = chosen
         self._bounds[~chosen] = np.inf
         self.n_clips = int(chosen.sum())
-        self.has_directions = index.has_directions and query.direction is not None
+        self.has_directions = index.has_directions and query.directions is not None
         size = len(chosen)
         self._known = np.zeros(size, np.bool_)
         self.histograms, self.leaves, self._cosines = np.empty(size), np.empty(size), np.empty(size)
@@ -82,23 +182,25 @@ class _Comparison:
         rows = rows[~self._known[rows]]
         if not len(rows):
             return
-        found = self._index.compare(self._query, rows)
+        histograms, leaves, angles = self._index.compare(self._query, rows)
         self._known[rows] = True
-        self.histograms[rows], self.leaves[rows] = found.histograms, found.leaves
-        self._cosines[rows] = found.cosines
+        self.histograms[rows], self.leaves[rows], self._cosines[rows] = histograms, leaves, angles
         # Rounded, so that a clip has distance 0 from itself.
-        cosines = np.round(found.cosines, 6) if self.has_directions else None
-        keys = {"histogram": found.histograms, "leaves": found.leaves}
-        self.keys[rows] = keys[self._by] if self._by in keys else add_up(found.histograms, found.leaves, cosines)
+        cosines = np.round(angles, 6) if self.has_directions else None
+        keys = {"histogram": histograms, "leaves": leaves}
+        self.keys[rows] = keys[self._by] if self._by in keys else add_up(histograms, leaves, cosines)
 
-    def find_nearest(self, count: int, among: IndexArray | None = None) -> IndexArray:
-        """Return the rows of the nearest clips in order, among all chosen clips or some of them."""
+    def find_nearest(self, count: int, among: IndexArray | None = None, *, more: int = 256) -> IndexArray:
+        """Return the rows of the nearest clips in order, among all chosen clips or some of them.
+
+        ``more`` clips than four times the count are compared first: more make a closer limit for the others.
+        """
         if among is None and count < self.n_clips:
-            rows = np.flatnonzero(self._bounds <= min(find_limit(self._bounds, 4 * count + _FEW), _BEYOND))
+            rows = np.flatnonzero(self._bounds <= min(find_limit(self._bounds, 4 * count + more), np.finfo(float).max))
             self.measure(rows)
             if len(rows) > count:
                 limit = np.partition(self.keys[rows], count - 1)[count - 1]
-                rows = np.flatnonzero(self._bounds <= limit + _SLACK)
+                rows = np.flatnonzero(self._bounds <= limit + self._slack)
                 self.measure(rows)
                 rows = rows[self.keys[rows] <= limit]
         else:
@@ -108,48 +210,41 @@ class _Comparison:
 
     def _sort(self, rows: IndexArray, count: int) -> IndexArray:
         """Sort rows by key, then by the other measure, then by path, and return the first."""
-        others = {"histogram": self.leaves, "leaves": self.histograms}
-        second = others[self._by][rows] if self._by in others else np.zeros(len(rows))
-        rows = rows[np.lexsort((second, self.keys[rows]))]
-        path = self._index.path
+        others = {"histogram": self.leaves, "leaves": self.histograms}.get(self._by, np.zeros(len(self.keys)))
+        rows = rows[np.lexsort((others[rows], self.keys[rows]))]
         found: list[int] = []
-        for _, equals in groupby(rows.tolist(), self._name_place):
+        for _, equals in groupby(rows.tolist(), lambda row: (self.keys[row], others[row])):
             own = list(equals)
-            found += own if len(own) == 1 else sorted(own, key=path)
+            found += own if len(own) == 1 else sorted(own, key=self._index.path)
             if len(found) >= count:
                 break
         return np.array(found[:count], np.intp)
 
-    def _name_place(self, row: int) -> tuple[float, float]:
-        others = {"histogram": self.leaves, "leaves": self.histograms}
-        return self.keys[row], others[self._by][row] if self._by in others else 0.0
-
-    def find_alike(self) -> IndexArray | None:
+    def find_similar(self) -> IndexArray | None:
         """Return the rows of the chosen clips like the query; None if not learned."""
         likeness = self._index.likeness
         if likeness is None or not self.has_directions:
             return None
         intercept, slopes = likeness.curve.intercept, likeness.curve.slopes
         with np.errstate(divide="ignore"):
-            least = np.log(likeness.threshold) - np.log1p(-likeness.threshold) - intercept - slopes[1] - _SLACK
-        rows = np.flatnonzero((slopes[0] * self._told >= least) & self._chosen)
+            least = np.log(likeness.threshold) - np.log1p(-likeness.threshold) - intercept - slopes[1] - self._slack
+        rows = np.flatnonzero((slopes[0] * self._meant >= least) & self._chosen)
         self.measure(rows)
-        return rows[self._judge(rows) >= likeness.threshold]
-
-    def _judge(self, rows: IndexArray) -> FloatArray:
-        likeness = self._index.likeness
-        assert likeness is not None
-        return likeness.curve.evaluate(np.column_stack([self._told[rows], self._cosines[rows]]))
+        chances = self.judge(rows)
+        return rows if chances is None else rows[chances >= likeness.threshold]
 
     def judge(self, rows: IndexArray) -> FloatArray | None:
-        """Compute the probabilities (M,) that compared clips mean the same as the query."""
-        return self._judge(rows) if self._index.likeness is not None and self.has_directions else None
+        """Compute the probabilities (M,) that compared clips mean the same as the query; None if not learned."""
+        likeness = self._index.likeness
+        if likeness is None or not self.has_directions:
+            return None
+        return likeness.curve.evaluate(np.column_stack([self._meant[rows], self._cosines[rows]]))
 
 
 def rank_index(
-    index: LeafIndex, query: IndexQuery, k: int, by: str, chosen: BoolArray, read_poses: PoseReader
-) -> Ranked:
-    """Return the first k clips for a query.
+    index: LeafIndex, asked: Asked, k: int, by: str, chosen: BoolArray, read_poses: PoseReader
+) -> tuple[list[Hit], IndexArray | None]:
+    """Return the first k clips for a motion, and the rows of all that are similar; None if that was not learned.
 
     Parameters
     ----------
@@ -163,45 +258,39 @@ def rank_index(
     """
     if by not in RANKINGS:
         raise OptionError("ranking.unknown", known=RANKINGS, found=by)
-    clips = _Comparison(index, query, by, chosen)
-    alike = clips.find_alike()
+    clips = _Comparison(index, asked.answers, by, chosen)
+    similar = clips.find_similar()
     if by in ("histogram", "leaves"):
         rows = clips.find_nearest(k)
         distances, poses = clips.keys[rows], np.full(len(rows), np.nan)
     else:
-        rows = _list_candidates(clips, k, alike if by == DEFAULT_RANKING else None)
+        rows = _list_candidates(clips, k, similar if by == DEFAULT_RANKING else None)
         refined = np.arange(min(N_REFINED, len(rows)))
         poses = np.full(len(rows), np.nan)
         if len(refined):
             own = [index.clip_id(int(row)) for row in rows[refined]]
-            poses[refined] = rank_by_pose(query.poses, read_poses(own))[1]
+            poses[refined] = rank_by_pose(asked.poses, read_poses(own))[1]
         distances = poses if by == "pose" else fuse(clips.keys[rows], poses, refined)
         order = np.arange(len(rows))
         order[: len(refined)] = np.argsort(distances[refined], kind="stable")
-        if alike is not None and by == DEFAULT_RANKING:
-            order = order[np.argsort(~np.isin(rows[order], alike), kind="stable")]
+        if similar is not None and by == DEFAULT_RANKING:
+            order = order[np.argsort(~np.isin(rows[order], similar), kind="stable")]
         order = order[:k]
         rows, distances, poses = rows[order], distances[order], poses[order]
-    return Ranked(
-        rows,
-        clips.histograms[rows],
-        clips.leaves[rows],
-        poses,
-        distances,
-        clips.judge(rows),
-        None if alike is None else np.isin(rows, alike),
-        alike,
-    )
+    named = [(index.clip_id(row), index.path(row).decode(), index.label(row)) for row in rows.tolist()]
+    measures = clips.histograms[rows], clips.leaves[rows], poses, distances
+    reached = None if similar is None else np.isin(rows, similar)
+    return make_hits(named, measures, clips.judge(rows), reached, asked.mirrored), similar
 
 
-def _list_candidates(clips: _Comparison, k: int, alike: IndexArray | None) -> IndexArray:
+def _list_candidates(clips: _Comparison, k: int, similar: IndexArray | None) -> IndexArray:
     """Return rows that include the first k, sorted by the distance without poses."""
-    if alike is None:
+    if similar is None:
         return clips.find_nearest(max(k, N_REFINED))
-    if len(alike) < k:
+    if len(similar) < k:
         rows = clips.find_nearest(N_REFINED + 2 * k)
-        more = alike
+        more = similar
     else:
         rows = clips.find_nearest(N_REFINED)
-        more = clips.find_nearest(N_REFINED + k, alike)
+        more = clips.find_nearest(N_REFINED + k, similar)
     return clips.find_nearest(len(rows) + len(more), np.union1d(rows, more))

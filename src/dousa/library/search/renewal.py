@@ -223,11 +223,11 @@ def teach_rows(
     parts += [_Told(part, np.ones(len(part), np.bool_), None, moved) for part, moved in others]
     base = rows.base if parts and parts[0].votes is not None else None
     changes: dict[int, dict[str, Any]] = {}
-    told = [_tell(stored, one, changes) for one in parts]
+    taught = [_count_again(stored, one, changes) for one in parts]
     return LearnedRows(
-        tuple(one.part for one, _ in told),
-        tuple(one.alive for one, _ in told),
-        tuple(votes for _, votes in told),
+        tuple(one.part for one, _ in taught),
+        tuple(one.alive for one, _ in taught),
+        tuple(votes for _, votes in taught),
         rows.source,
         changes,
         base,
@@ -244,7 +244,7 @@ class _Told:
     moved: bool = False
 
 
-def _tell(stored: StoredForest, one: _Told, changes: dict[int, dict[str, Any]]) -> tuple[_Told, SparseVotes]:
+def _count_again(stored: StoredForest, one: _Told, changes: dict[int, dict[str, Any]]) -> tuple[_Told, SparseVotes]:
     """Return clips and their votes after learning, and add the changed values of their rows to ``changes``."""
     part = one.part
     if one.votes is not None:
@@ -252,10 +252,10 @@ def _tell(stored: StoredForest, one: _Told, changes: dict[int, dict[str, Any]]) 
     votes = count_part(stored, part, number_meanings(stored.categories))
     guessed, others = _guess_again(part, votes, stored.categories)
     for row in np.flatnonzero(one.alive & (others | one.moved)).tolist():
-        told: dict[str, Any] = {"predicted_category": guessed.names[guessed.predicted[row]]}
+        values: dict[str, Any] = {"predicted_category": guessed.names[guessed.predicted[row]]}
         if one.moved:
-            told["leaves"] = pack(part.leaves(slice(row, row + 1))[0], "<i4")
-        changes[int(part.ids[row])] = told
+            values["leaves"] = pack(part.leaves(slice(row, row + 1))[0], "<i4")
+        changes[int(part.ids[row])] = values
     return replace(one, part=guessed), votes
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
@@ -14,11 +13,13 @@ import sqlalchemy as sa
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.errors import LibraryError, OptionError
+from dousa.errors import InvalidMotionError, LibraryError, OptionError
 from dousa.formats.motion_files import ReadOptions, Skipped, find_motion_files, is_unicode
-from dousa.library.results import MIRROR_DISTANCE, Classification, Hit, SearchResult, Verdict
-from dousa.library.search.leaf_index import IndexQuery, LeafIndex
-from dousa.library.search.ranking import PoseReader, Ranked, rank_index
+from dousa.library.results import Classification, Hit, SearchResult, Verdict
+from dousa.library.search.leaf_index import LeafIndex
+from dousa.library.search.part_forests import DenseIndex, PartForests, Progress
+from dousa.library.search.part_search import group_clips, make_dense, rank_groups
+from dousa.library.search.ranking import Asked, ask_forest, choose_best, search_index
 from dousa.library.search.renewal import load_index
 from dousa.library.store import schema
 from dousa.library.store.engine import Database
@@ -36,120 +37,6 @@ from dousa.library.store.ingest import (
 )
 from dousa.library.store.selection import find_row, read_doubts
 from dousa.messages import Message
-
-PartProgress = Callable[[int, int, Message], None]
-"""Called with (steps done, steps, message about the next step)."""
-
-# A recording of at least 10 s, and twice as long as 99 % of the clips, is taken for uncut.
-_LEAST_TAKE, _TAKE_FACTOR, _NEARLY_ALL = 10.0, 2.0, 0.99
-_MOST_POSES = 16_384  # in memory; some 4 kB each
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Asked:
-    """A motion to search for.
-
-    Parameters
-    ----------
-    answers, features : tree answers, and the features that they are about; one row each.
-    poses : pose sequence.
-    mirrored : whether it is the mirror image of the query.
-    """
-
-    answers: TreeAnswers
-    features: FloatArray
-    poses: NDArray[np.float32]
-    mirrored: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """The first clips, and the number of all clips like the query; None if likeness was not learned."""
-
-    hits: tuple[Hit, ...]
-    n_alike: int | None
-
-
-def search_index(
-    index: LeafIndex,
-    asked: Sequence[Asked],
-    k: int,
-    by: str,
-    category: str | None,
-    read_poses: PoseReader,
-    among: Collection[int] | None = None,
-) -> Found:
-    """Find the k clips that are most like a motion, or like its mirror image.
-
-    Parameters
-    ----------
-    asked : the motion, and its mirror image if wanted.
-    by : one of ``dousa.retrieval.ranking.ranking.RANKINGS``.
-    category : search only this category; None for all.
-    read_poses : called at most once for each motion.
-    among : search only clips of these numbers; None for all.
-
-    Raises
-    ------
-    OptionError : an unknown ranking.
-    """
-    chosen = index.choose(category, among)
-    ranked = [rank_index(index, _as_query(one), k, by, chosen, read_poses) for one in asked]
-    hits = [_make_hits(index, found, one.mirrored) for one, found in zip(asked, ranked, strict=True)]
-    alike = [found.all_alike for found in ranked if found.all_alike is not None]
-    return Found(
-        tuple(number_hits(hits[0])) if len(hits) == 1 else choose_best((hit for some in hits for hit in some), k),
-        len(np.unique(np.concatenate(alike))) if alike and len(alike) == len(ranked) else None,
-    )
-
-
-def _as_query(asked: Asked) -> IndexQuery:
-    answers = asked.answers
-    direction = None if answers.directions is None else answers.directions[0]
-    return IndexQuery(answers.votes[0], answers.leaves[0], asked.poses, direction)
-
-
-def _make_hits(index: LeafIndex, found: Ranked, mirrored: bool) -> list[Hit]:
-    return [
-        Hit(
-            path=index.path(row).decode(),
-            category=index.label(row),
-            distance=float(found.histograms[place]),
-            rank=0,
-            clip_id=index.clip_id(row),
-            leaf_share=1.0 - float(found.leaves[place]),
-            pose_distance=number_or_none(found.poses[place]),
-            rank_distance=number_or_none(found.distances[place]),
-            mirrored=mirrored,
-            alike=None if found.alike is None else bool(found.alike[place]),
-            probability=None if found.chances is None else round(float(found.chances[place]), 4),
-        )
-        for place, row in enumerate(found.rows.tolist())
-    ]
-
-
-def number_or_none(value: np.float64) -> float | None:
-    """Return a distance, or None for NaN."""
-    return None if np.isnan(value) else float(value)
-
-
-def choose_best(hits: Iterable[Hit], k: int) -> tuple[Hit, ...]:
-    """Return the nearest k clips among the hits of several searches, each clip once."""
-    best: dict[int, Hit] = {}
-    for hit in sorted(hits, key=_mirrored_last):
-        best.setdefault(hit.clip_id, hit)
-    return tuple(number_hits(list(best.values())[:k]))
-
-
-def _mirrored_last(hit: Hit) -> tuple[tuple[bool, bool], float]:
-    """Sort by distance with a handicap for mirrored clips; unlike clips come later, those without poses last."""
-    far = hit.rank_distance is None, hit.alike is False
-    distance = hit.distance if hit.rank_distance is None else hit.rank_distance
-    return far, distance / MIRROR_DISTANCE if hit.mirrored else distance
-
-
-def number_hits(hits: Sequence[Hit]) -> list[Hit]:
-    return [replace(hit, rank=rank) for rank, hit in enumerate(hits, start=1)]
 
 
 def check_threshold(threshold: float | None) -> None:
@@ -212,18 +99,11 @@ class Explaining:
             explained.append(replace(verdict, explanation=reasons))
         return explained
 
-    def hits(self, hits: Sequence[Hit], motion: StoredMotion, found: Iterable[StoredMotion]) -> tuple[Hit, ...]:
-        """Add the reasons why hits are like the query or its mirror image."""
-        explained = []
-        for hit, other in zip(hits, found, strict=True):
-            own = motion.mirror() if hit.mirrored else motion
-            likeness = self._explainer.explain_pair(
-                describe_clip(own, self._feature_set).features,
-                describe_clip(other, self._feature_set).features,
-                (own.duration, other.duration),
-            )
-            explained.append(replace(hit, likeness=likeness))
-        return tuple(explained)
+    def hit(self, hit: Hit, motion: StoredMotion, other: StoredMotion) -> Hit:
+        """Add the reasons why a clip is like the query or its mirror image."""
+        own = motion.mirror() if hit.mirrored else motion
+        features = (describe_clip(one, self._feature_set).features for one in (own, other))
+        return replace(hit, likeness=self._explainer.explain_pair(*features, (own.duration, other.duration)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,20 +119,20 @@ class Wanted:
     among: frozenset[int] | None = None
 
 
-class Searcher(ABC):
-    """Searches and classifies whole motions; ``part_search.PartSearcher`` adds bodies that lack joints.
+class Searcher:
+    """Searches and classifies motions, also of bodies that lack joints.
 
     The index stays in memory until the revision of the library changes.
     """
 
-    def __init__(self, database: Database, forests: ForestCache) -> None:
-        self._database = database
-        self._forests = forests
+    def __init__(self, database: Database, forests: ForestCache, parts: PartForests) -> None:
+        self._database, self._forests, self._parts = database, forests, parts
         self._index: LeafIndex | None = None
+        self._dense: tuple[LeafIndex, DenseIndex] | None = None
         self._poses: dict[int, NDArray[np.float32]] = {}
 
     def search(
-        self, query: Query, wanted: Wanted, options: ReadOptions, progress: PartProgress | None = None
+        self, query: Query, wanted: Wanted, options: ReadOptions, progress: Progress | None = None
     ) -> SearchResult:
         """Find the clips nearest to a file, a clip or a motion, as ``Library.search`` does."""
         check_threshold(wanted.threshold)
@@ -274,24 +154,8 @@ class Searcher(ABC):
                 found = self._search_whole(connection, index, stored, (name, clip_id, motion), wanted)
                 return replace(found, notes=doubts)
         assert motion is not None
-        found = self._search_parts((stored, index), (name, motion), wanted, progress)
+        found = self._search_parts(stored, index, (name, motion), wanted, progress)
         return replace(found, notes=(*doubts, *found.notes))
-
-    @abstractmethod
-    def _search_parts(
-        self,
-        library: tuple[StoredForest, LeafIndex],
-        query: tuple[str, StoredMotion],
-        wanted: Wanted,
-        progress: PartProgress | None,
-    ) -> SearchResult:
-        """Search where the query or some of the clips lack joints of the library's forest."""
-
-    @abstractmethod
-    def _choose_forest(
-        self, stored: StoredForest, absent: Sequence[str], progress: PartProgress | None
-    ) -> tuple[StoredForest | None, Message | None]:
-        """Choose the forest for a body, with a note on the joints that it ignores; or None, with the reason."""
 
     def _search_whole(
         self,
@@ -301,7 +165,7 @@ class Searcher(ABC):
         query: tuple[str, int | None, StoredMotion | None],
         wanted: Wanted,
     ) -> SearchResult:
-        """Search where all bodies have the joints of the forest."""
+        """Search where all bodies have the joints of the forest; ``query`` is its name, number and motion."""
         name, clip_id, motion = query
         if clip_id is None:
             assert motion is not None
@@ -316,15 +180,56 @@ class Searcher(ABC):
         verdicts = [judge(stored, one.answers, one.features, wanted.threshold)[0] for one in asked]
         category = verdicts[0].guess if wanted.same_category else None
         read_poses = partial(self._read_poses, connection, stored.feature_set)
-        found = search_index(index, asked, wanted.k, wanted.ranking, category, read_poses, wanted.among)
-        hits = found.hits
+        hits, n_alike = search_index(index, asked, wanted.k, wanted.ranking, category, read_poses, wanted.among)
         if wanted.explain:
             assert motion is not None
             explaining = Explaining(stored)
             verdicts = explaining.verdicts(verdicts, motion)
-            hits = explaining.hits(hits, motion, load_motions(connection, [hit.clip_id for hit in hits]))
+            found = load_motions(connection, [hit.clip_id for hit in hits])
+            hits = tuple(explaining.hit(hit, motion, other) for hit, other in zip(hits, found, strict=True))
         mirrored = verdicts[1] if wanted.mirror else None
-        return SearchResult(name, verdicts[0], hits, wanted.ranking, mirrored, alike_count=found.n_alike)
+        return SearchResult(name, verdicts[0], hits, wanted.ranking, mirrored, alike_count=n_alike)
+
+    def _search_parts(
+        self,
+        stored: StoredForest,
+        index: LeafIndex,
+        query: tuple[str, StoredMotion],
+        wanted: Wanted,
+        progress: Progress | None,
+    ) -> SearchResult:
+        """Search where the query or some of the clips lack joints of the library's forest.
+
+        InvalidMotionError if the body lacks too many joints, or too few clips have those that are left.
+        """
+        name, motion = query
+        part, note = self._parts.choose(stored, motion.absent, progress)
+        if part is None:
+            assert note is not None
+            raise InvalidMotionError(note)
+        notes = [] if note is None else [note]
+        kept = self._dense
+        if kept is None or kept[0] is not index:
+            kept = self._dense = index, make_dense(index)
+        motions = (motion, motion.mirror()) if wanted.mirror else (motion,)
+        asked = [ask_forest(part, one) for one in motions]
+        verdicts = [judge(part, one.answers, one.features, wanted.threshold)[0] for one in asked]
+        groups, n_left_out = group_clips(self._database, self._parts, (stored, *kept), motion.absent, progress)
+        category = verdicts[0].guess if wanted.same_category else None
+        ranked = rank_groups(groups, motions, wanted.k, wanted.ranking, category, wanted.among)
+        hits = choose_best(ranked, wanted.k)
+        if wanted.explain:
+            verdicts = Explaining(part).verdicts(verdicts, motion)
+            explaining = {group.stored.hidden: Explaining(group.stored) for group in groups}
+            with self._database.reading() as connection:
+                found = list(load_motions(connection, [hit.clip_id for hit in hits]))
+            hits = tuple(explaining[hit.hidden].hit(hit, motion, other) for hit, other in zip(hits, found, strict=True))
+        if any(hit.hidden != part.hidden for hit in hits):
+            notes.append(Message("partial.some_hits", n=sum(hit.hidden != part.hidden for hit in hits)))
+        if n_left_out:
+            notes.append(Message("partial.left_out", n=n_left_out))
+        mirrored = verdicts[1] if wanted.mirror else None
+        return SearchResult(name, verdicts[0], hits, wanted.ranking, mirrored, tuple(notes))
 
     def _name(self, connection: sa.Connection, index: LeafIndex, query: Query) -> str:
         if not isinstance(query, int):
@@ -343,7 +248,7 @@ class Searcher(ABC):
         threshold: float | None,
         options: ReadOptions,
         n_jobs: int | None,
-        progress: PartProgress | None = None,
+        progress: Progress | None = None,
     ) -> list[Classification]:
         """Predict the categories of files, as ``Library.classify`` does."""
         check_threshold(threshold)
@@ -352,7 +257,7 @@ class Searcher(ABC):
         files, missing = find_motion_files(paths)
         tasks = [ReadTask(str(file.path), options, feature_set=stored.feature_set) for file in files]
         explaining = {stored.feature_set: Explaining(stored)} if explain else None
-        choose = lru_cache(maxsize=None)(lambda absent: self._choose_forest(stored, absent, progress))
+        choose = lru_cache(maxsize=None)(lambda absent: self._parts.choose(stored, absent, progress))
         answers: list[Classification] = []
         for item in (*missing, *read_clips(tasks, n_jobs)):
             if isinstance(item, ClipRecord):
@@ -369,19 +274,14 @@ class Searcher(ABC):
                 if explaining is not None:
                     own = explaining.setdefault(asked.feature_set, Explaining(asked))
                     verdicts = own.verdicts(verdicts, item.motion)
-                notes = [*list_doubts(item), *self._note_long(item.motion.duration)]
+                with self._database.reading() as connection:
+                    notes = [*list_doubts(item), *note_long(connection, item.motion.duration)]
                 notes += [] if note is None else [note]
                 mirrored = verdicts[1] if mirror else None
                 answers.append(Classification(item.path, verdicts[0], mirrored, None, tuple(notes)))
             elif isinstance(item, Skipped):
                 answers.append(Classification(item.path, None, problem=item.reason))
         return answers
-
-    def _note_long(self, seconds: float) -> tuple[Message, ...]:
-        if seconds < _LEAST_TAKE:
-            return ()
-        with self._database.reading() as connection:
-            return note_long(connection, seconds)
 
     def _load_index(self, connection: sa.Connection, stored: StoredForest) -> LeafIndex:
         known, database = self._index, self._database
@@ -390,11 +290,13 @@ class Searcher(ABC):
             self._index, self._poses = index, {}
         return index
 
-    def _read_poses(self, connection: sa.Connection, feature_set: str, ids: Sequence[int]) -> NDArray[np.float32]:
-        """Return (N, cells, columns) pose sequences of clips, and keep them for later searches."""
+    def _read_poses(
+        self, connection: sa.Connection, feature_set: str, ids: Sequence[int], *, most: int = 16_384
+    ) -> NDArray[np.float32]:
+        """Return (N, cells, columns) pose sequences of clips, and keep ``most`` of them, 4 kB each, for later."""
         kept = self._poses  # a local name, as another thread may replace it
         missing = [clip_id for clip_id in ids if clip_id not in kept]
-        if len(kept) + len(missing) > _MOST_POSES:
+        if len(kept) + len(missing) > most:
             kept, missing = {}, list(ids)
             self._poses = kept
         if missing:
@@ -422,20 +324,19 @@ class Searcher(ABC):
         return int(row.id)
 
 
-def note_long(connection: sa.Connection, seconds: float) -> tuple[Message, ...]:
-    """Return a note for a motion that is much longer than the clips of the library."""
-    if seconds < _LEAST_TAKE:
+def note_long(
+    connection: sa.Connection, seconds: float, *, least: float = 10.0, factor: float = 2.0, usual: float = 0.99
+) -> tuple[Message, ...]:
+    """Return a note for a motion that is much longer than the clips of the library, so probably an uncut recording.
+
+    It lasts ``least`` s at least, and ``factor`` times as long as this quantile (``usual``) of the clips; larger
+    numbers give fewer notes.
+    """
+    if seconds < least:
         return ()
     table = schema.clips.c
     durations = connection.execute(sa.select(table.duration).where(table.kind == schema.CLIP)).scalars().all()
-    longest = float(np.quantile(durations, _NEARLY_ALL)) if durations else math.inf
-    if seconds < _TAKE_FACTOR * longest:
+    longest = float(np.quantile(durations, usual)) if durations else math.inf
+    if seconds < factor * longest:
         return ()
     return (Message("library_search.like_a_take", seconds=seconds, longest=longest),)
-
-
-def ask_forest(stored: StoredForest, motion: StoredMotion, mirrored: bool = False) -> Asked:
-    """Return the tree answers about a motion that is not stored."""
-    described = describe_clip(motion, stored.feature_set)
-    features = described.features[None]
-    return Asked(ask_trees(stored, features), features, described.poses, mirrored)

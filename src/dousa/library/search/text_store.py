@@ -30,9 +30,9 @@ def find_meanings(categories: Iterable[str]) -> dict[str, str]:
     meanings = {}
     for category in categories:
         named = {word.meanings[0] for word in read_words(vocabulary, category, name=True) if word.meanings}
-        told = sorted(name for name in named if kinds[name] in _KINDS)
-        is_action = any(kinds[name] == "action" for name in told)
-        meanings[category] = f"({' '.join(told)})" if is_action else category
+        kept = sorted(name for name in named if kinds[name] in _KINDS)
+        is_action = any(kinds[name] == "action" for name in kept)
+        meanings[category] = f"({' '.join(kept)})" if is_action else category
     return meanings
 
 

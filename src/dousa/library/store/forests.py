@@ -156,14 +156,6 @@ def count_votes(stored: StoredForest, leaves: NDArray[np.int32]) -> TreeAnswers:
     return TreeAnswers(votes, leaves, stored.categories)
 
 
-def name_votes(stored: StoredForest, leaves: NDArray[np.int32]) -> list[str]:
-    """Return the most voted category of clips with leaves (N, n_trees); LibraryDamagedError as in ``count_votes``."""
-    names: list[str] = []
-    for start in range(0, len(leaves), _AT_ONCE):
-        names += count_votes(stored, leaves[start : start + _AT_ONCE]).predicted()
-    return names
-
-
 def load_forest(connection: sa.Connection, where: str, known: StoredForest | None = None) -> StoredForest | None:
     """Load the forest of the library, None before the training; ``known`` is returned if it is still current.
 
@@ -421,10 +413,10 @@ def save_answers(connection: sa.Connection, ids: Sequence[int], answers: TreeAns
     for start in range(0, len(ids), _AT_ONCE):
         some = answers[start : start + _AT_ONCE]
         directions = [None] * len(some.leaves) if some.directions is None else [pack(d, "<f4") for d in some.directions]
-        told = zip(ids[start : start + _AT_ONCE], some.predicted(), some.leaves, directions, strict=True)
+        answered = zip(ids[start : start + _AT_ONCE], some.predicted(), some.leaves, directions, strict=True)
         rows = [
             {"clip_id": clip_id, "predicted_category": category, "leaves": pack(leaves, "<i4"), "direction": direction}
-            for clip_id, category, leaves, direction in told
+            for clip_id, category, leaves, direction in answered
         ]
         for few in portions(rows):
             connection.execute(sa.insert(schema.clip_leaves), seal_rows(schema.clip_leaves, few))

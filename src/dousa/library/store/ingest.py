@@ -176,8 +176,8 @@ def read_clip(task: ReadTask) -> ClipRecord | FileRecord | Skipped:
         if row["content_hash"] in task.known:
             return FileRecord(row)
         up, unit, notes = task.voted
-        told = replace(task.options, up=up or task.options.up, unit=unit or task.options.unit)
-        motion, canonical = read_both(task.path, told, whole=False)
+        options = replace(task.options, up=up or task.options.up, unit=unit or task.options.unit)
+        motion, canonical = read_both(task.path, options, whole=False)
         if up or unit:
             kept = tuple(note for note in canonical.warnings if note.code not in OVERRULED)
             canonical = replace(canonical, warnings=(*notes, *kept))

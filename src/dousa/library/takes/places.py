@@ -181,9 +181,9 @@ def judge_places(
         first = min(round(place.start * whole.frame_rate), whole.n_frames - 1)
         last = max(round(place.end * whole.frame_rate), first + 1)
         part = StoredMotion(whole.positions[first:last], whole.frame_rate, whole.height)
-        shares, told, direction = _describe_alike(stored, part, meanings)
+        shares, means, direction = _describe_alike(stored, part, meanings)
         own = asked[place.mirrored]
-        likeness = float(stored.likeness.judge(*own[1:], told[None], direction[None])[0])
+        likeness = float(stored.likeness.judge(*own[1:], means[None], direction[None])[0])
         chance = judge_place(likeness, place.score, float(shares[own[0].argmax()]))
         judged.append((chance, replace(place, alike=chance >= _ALIKE, probability=round(chance, 4))))
     judged.sort(key=lambda one: -one[0])

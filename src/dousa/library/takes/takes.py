@@ -12,8 +12,7 @@ import sqlalchemy as sa
 from dousa.errors import InvalidMotionError, LibraryError, MotionFileError
 from dousa.formats.motion_files import ReadOptions, Skipped, find_motion_files, is_unicode
 from dousa.library.results import FindResult
-from dousa.library.search.part_forests import PartForests
-from dousa.library.search.search import PartProgress
+from dousa.library.search.part_forests import PartForests, Progress
 from dousa.library.store import schema
 from dousa.library.store.engine import Database
 from dousa.library.store.features import StoredMotion, load_motions
@@ -64,7 +63,7 @@ class Takes:
         exact: bool = False,
         options: ReadOptions,
         n_jobs: int | None,
-        progress: PartProgress | None = None,
+        progress: Progress | None = None,
     ) -> FindResult:
         """Find the places of takes that are most like a motion, as ``Library.find`` does."""
         with self._database.reading() as connection:
@@ -113,7 +112,7 @@ class Takes:
         self,
         far: tuple[sa.Connection, StoredForest, set[int] | None] | None,
         asked: tuple[Sequence[StoredMotion], Sequence[ReadTake], int],
-        progress: PartProgress | None,
+        progress: Progress | None,
     ) -> tuple[list[tuple[Found, bool]], float, list[Message]]:
         """Run ``find_places``, with files if the windows are many; damaged files are dropped."""
         from dousa.library.takes.portions import PortionGoneError
