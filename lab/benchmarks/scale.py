@@ -131,7 +131,7 @@ def add(path: Path, files: Path) -> None:
 def find(path: Path, queries: list[Path], n_takes: int) -> None:
     """Time looking for a motion in takes, and count the places that are those of a search that compares everything."""
     there = f"in {n_takes} takes of ten minutes"
-    with Library.open(path) as library, mock.patch.object(keeper, "MOST_IN_MEMORY", 1 << 60):
+    with Library.open(path) as library, mock.patch.dict(keeper.WindowKeeper.open.__kwdefaults__, in_memory=1 << 60):
         for what in ("first", "second"):
             measure(f"{what} find {there}, all compared", lambda: library.find(queries[0], mirror=True))
         exact = [library.find(query, mirror=True).results for query in queries]

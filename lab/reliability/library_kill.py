@@ -186,7 +186,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", help="one of the commands")
     options = parser.parse_args()
-    adding._PORTION_CLIPS = 3  # so that an add has several transactions
+    adding._is_full.__kwdefaults__["n_clips"] = 3  # so that an add has several transactions
     chance, kills, before_end, faults = random.Random(options.seed), Counter(), Counter(), []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -31,7 +31,7 @@ def files(tmp_path):
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "127.0.0.1:9"])
 def test_no_scheduler_is_one_error_and_no_library(dousa, tmp_path, files, monkeypatch, address):
-    monkeypatch.setattr(cluster_module, "_CONNECT", 0.5)
+    monkeypatch.setitem(cluster_module.connect.__wrapped__.__kwdefaults__, "timeout", 0.5)
     code, out, err = dousa("--cluster", address, "add", tmp_path / "m.dousa", files)
     assert (code, out) == (2, "")
     assert "Dask scheduler" in err and "Traceback" not in err

@@ -96,8 +96,8 @@ def workers():
 @pytest.fixture
 def small_portions(monkeypatch):
     """Several portions, some of them shared."""
-    monkeypatch.setattr(cluster_module, "_MOST_BYTES", 100_000)
-    monkeypatch.setattr(cluster_module, "_INLINE", 10_000)
+    monkeypatch.setitem(cluster_module.Cluster.map.__kwdefaults__, "most_bytes", 100_000)
+    monkeypatch.setitem(cluster_module._send.__kwdefaults__, "inline", 10_000)
 
 
 @pytest.mark.slow
@@ -164,7 +164,7 @@ def test_experiments_give_the_same_numbers(files, monkeypatch, workers):
 
 
 def test_a_scheduler_that_is_not_there(monkeypatch):
-    monkeypatch.setattr(cluster_module, "_CONNECT", 0.5)
+    monkeypatch.setitem(cluster_module.connect.__wrapped__.__kwdefaults__, "timeout", 0.5)
     with pytest.raises(ClusterError, match=r"no Dask scheduler can be reached"), use_cluster("tcp://127.0.0.1:9"):
         pass
     with pytest.raises(OptionError, match="tcp://HOST:8786"), use_cluster("nonsense"):

@@ -22,7 +22,7 @@ from dousa.formats.annotations.label_file import to_annotation
 from dousa.formats.motion_files import FoundFile, FrameVotes, ReadOptions, Skipped, find_motion_files, is_unicode
 from dousa.library.annotations.matching import FoundLabels, TakeLength, check_fit, choose_labels, find_labels
 from dousa.library.annotations.store import annotate_takes, read_annotations, rename_segments
-from dousa.library.care.compact import BEGIN_AT, begin_where_large
+from dousa.library.care.compact import begin_where_large
 from dousa.library.history.recording import recording, step
 from dousa.library.labels import LabelRule, check_text, no_label
 from dousa.library.learning.insert import Arrival, describe_arrival, insert_clips
@@ -44,11 +44,6 @@ _NO_LABEL = {
     "category": Message("library_add.no_category"),
     "performer": Message("library_add.no_performer"),
 }
-
-_MOST_DOUBTFUL = 500  # doubtful files held until the others of their skeleton are read
-_PORTION_CLIPS = 256
-_PORTION_SECONDS = 1.0  # an interrupted program loses little
-_PORTION_FRAMES = (1 << 26) // (4 * 3 * 20)  # 64 MiB of stored positions
 
 Labels = dict[str, str | None]
 
@@ -142,9 +137,22 @@ class Adding:
         return self._finish(start, n_jobs, progress)
 
     def _read(
-        self, tasks: Sequence[ReadTask], labels: Mapping[str, FoundLabels], n_jobs: int | None, report: AddProgress
+        self,
+        tasks: Sequence[ReadTask],
+        labels: Mapping[str, FoundLabels],
+        n_jobs: int | None,
+        report: AddProgress,
+        *,
+        most_doubtful: int = 500,
+        at_most_s: float = 1.0,
     ) -> None:
-        """Read files and store them in portions; a table that does not fit its take is an error."""
+        """Read files and store them in portions; a table that does not fit its take is an error.
+
+        Parameters
+        ----------
+        most_doubtful : doubtful files held in memory until the others of their skeleton are read; more are read twice.
+        at_most_s : s between two portions, which is what an interrupted program loses; less makes more transactions.
+        """
         files = self._found
         done = len(files) - len(tasks)
         if done:
@@ -160,12 +168,12 @@ class Adding:
                 claim = answer.claim if isinstance(answer, ClipRecord) else None
                 if claim is not None:
                     votes.count(claim)
-                if claim is not None and claim.doubtful and len(doubtful) < _MOST_DOUBTFUL:
+                if claim is not None and claim.doubtful and len(doubtful) < most_doubtful:
                     doubtful.append(cast("ClipRecord", answer))
                 else:
                     portion.append(answer)
                 # Takes with tables wait while there is room, so that nothing is written if one does not fit.
-                if _is_full(portion) or (not labels and time.monotonic() - last >= _PORTION_SECONDS):
+                if _is_full(portion) or (not labels and time.monotonic() - last >= at_most_s):
                     portion = self._store_portion(portion)
                     last = time.monotonic()
                 done += 1
@@ -289,8 +297,8 @@ class Adding:
             make_window_files(
                 self._database, self.forest, n_jobs, lambda done, total, what: report(done, total, str(what))
             )
-        if begin_where_large(self._database):
-            self._tally["warnings"].append((self._database.where, Message("library_fragments.begun", most=BEGIN_AT)))
+        if begun := begin_where_large(self._database):
+            self._tally["warnings"].append((self._database.where, Message("library_fragments.begun", most=begun)))
         return _make_report(self._tally, time.perf_counter() - start)
 
     def _plan(self) -> list[ReadTask]:
@@ -464,9 +472,10 @@ def _is_gone(row: Any) -> bool:
     return bool(row.fingerprint) and not os.path.exists(row.path)
 
 
-def _is_full(portion: Sequence[Answer]) -> bool:
+def _is_full(portion: Sequence[Answer], *, n_clips: int = 256, n_bytes: int = 1 << 26) -> bool:
+    """Return whether a portion has this many clips, or bytes of positions; larger ones need more memory."""
     n_frames = sum(answer.motion.n_frames for answer in portion if isinstance(answer, ClipRecord))
-    return len(portion) >= _PORTION_CLIPS or n_frames >= _PORTION_FRAMES
+    return len(portion) >= n_clips or n_frames >= n_bytes // schema.FRAME_BYTES
 
 
 def _find_hashes(connection: sa.Connection, sizes: set[int]) -> dict[int, list[str]]:

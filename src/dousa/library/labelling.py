@@ -35,9 +35,6 @@ if TYPE_CHECKING:
 LearnProgress = Callable[[int, int, Message], None]
 """Called with (steps done, steps, message about the next step)."""
 
-_MOST_CLIPS = 1500  # for learning a labeller: more than it samples moments from
-_CLIPS_AT_ONCE = 100
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Kept:
@@ -263,8 +260,16 @@ def _complete(motion: PosedMotion, feature_set: str) -> PosedMotion:
     return kind.complete(hide_joints(motion, kind.hidden))
 
 
-def _read_clips(connection: sa.Connection, stored: StoredForest) -> list[LabelledClip]:
-    """Read a limited number of clips of some categories that are not segments of takes."""
+def _read_clips(
+    connection: sa.Connection, stored: StoredForest, *, most: int = 1500, at_once: int = 100
+) -> list[LabelledClip]:
+    """Read clips of the forest's categories that are not segments of takes.
+
+    Parameters
+    ----------
+    most : clips at most, more than a labeller samples moments from; of more every n-th of each category is read.
+    at_once : clips that are in memory at their own frame rate.
+    """
     from dousa.retrieval import LabelledClip, guess_performers
     from dousa.retrieval.features.channels import CHANNEL_RATE, sample_positions
 
@@ -275,14 +280,13 @@ def _read_clips(connection: sa.Connection, stored: StoredForest) -> list[Labelle
     known = set(stored.categories)
     rows = [row for row in connection.execute(query) if row.category in known]
     rows = [row for row in rows if not lacks(stored.feature_set, row.absent)]
-    # Every n-th clip of every category.
     rows.sort(key=lambda row: (row.category, row.id))
-    if len(rows) > _MOST_CLIPS:
-        rows = [rows[place] for place in np.unique(np.linspace(0, len(rows) - 1, _MOST_CLIPS).astype(int))]
+    if len(rows) > most:
+        rows = [rows[place] for place in np.unique(np.linspace(0, len(rows) - 1, most).astype(int))]
     people = guess_performers([row.height for row in rows])
     chosen = []
-    for first in range(0, len(rows), _CLIPS_AT_ONCE):
-        some = slice(first, first + _CLIPS_AT_ONCE)
+    for first in range(0, len(rows), at_once):
+        some = slice(first, first + at_once)
         motions = load_motions(connection, [row.id for row in rows[some]])
         for row, who, motion in zip(rows[some], people[some], motions, strict=True):
             # The labeller needs no higher rate, and many clips are in memory.

@@ -37,9 +37,9 @@ _WORDS = {
     "takes": Message("label_rules.takes"),
 }
 
-
+# A database server cannot look up text of a third of a page, 2.7 kB: https://www.postgresql.org/docs/current/btree.html
 MOST_BYTES = 1000
-"""Most bytes of a label in UTF-8: a database server cannot look up longer ones."""
+"""Most bytes of a label in UTF-8."""
 
 
 def check_text(text: str) -> None:

@@ -34,7 +34,6 @@ __all__ = [
 
 # Many motions equal their mirror image, which must thus be clearly better: share of the votes, distance ratio, score.
 MIRROR_VOTES, MIRROR_DISTANCE, MIRROR_SCORE = 0.1, 0.95, 0.02
-_LEAST_REST = 0.002  # s; shorter rests come from rounded times
 
 
 class _Answer:
@@ -422,8 +421,13 @@ class TakeAnnotation(_Answer):
     def rows(self) -> list[Stretch]:
         """Return the rows of a label table: the segments, which may overlap, and the rest."""
         named = [Stretch(one.start, one.end, one.category) for one in self.segments if one.category is not None]
-        rest = [one for one in self.stretches if one.category is None and one.stop - one.start >= _LEAST_REST]
+        rest = [one for one in self.stretches if _is_rest(one)]
         return sorted([*named, *rest], key=lambda one: (one.start, one.stop))
+
+
+def _is_rest(stretch: Stretch, *, least: float = 0.002) -> bool:
+    """Return whether a stretch has no category and lasts ``least`` s; shorter ones come from rounded times."""
+    return stretch.category is None and stretch.stop - stretch.start >= least
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,10 +23,6 @@ from dousa.workers.remote import check_versions, cut, find_hidden, list_versions
 _Task = TypeVar("_Task")
 _Answer = TypeVar("_Answer")
 
-_CONNECT = 10.0  # s to wait for a scheduler
-_MOST_BYTES = 1 << 23  # of the files or arrays of a portion
-_INLINE = 1 << 18  # bytes; larger data are scattered to the workers first
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cluster:
@@ -63,6 +59,7 @@ class Cluster:
         *,
         most: int = 64,
         sizes: Sequence[int] | None = None,
+        most_bytes: int = 1 << 23,
     ) -> Generator[_Answer, None, None]:
         """Yield answers in the order of the tasks.
 
@@ -72,6 +69,7 @@ class Cluster:
         tasks : any number.
         most : tasks in a portion.
         sizes : bytes that each task reads or carries; None for few.
+        most_bytes : of these in a portion; more leave workers idle at the end, fewer take more messages.
 
         Raises
         ------
@@ -80,7 +78,7 @@ class Cluster:
         import cloudpickle
 
         shared = _Shared(self, cloudpickle.dumps(work))
-        portions = cut([0] * len(tasks) if sizes is None else sizes, most, _MOST_BYTES)
+        portions = cut([0] * len(tasks) if sizes is None else sizes, most, most_bytes)
         ahead = 2 * max(self.n_threads, 1) + 2
         waiting: deque[_Portion] = deque()
         coming = iter(portions)
@@ -128,11 +126,14 @@ class _Shared:
 
     def hold(self, again: bool = False) -> Any:
         """Return the work, or a reference to it on the workers."""
-        if len(self._work) <= _INLINE:
-            return self._work
         if self._held is None or again:
-            self._held = self._cluster.client.scatter(self._work, broadcast=True, hash=False)
+            self._held = _send(self._cluster.client, self._work, broadcast=True)
         return self._held
+
+
+def _send(client: Any, data: bytes, *, broadcast: bool = False, inline: int = 1 << 18) -> Any:
+    """Return data of up to ``inline`` bytes; scatter larger ones to the workers, and return the reference to them."""
+    return data if len(data) <= inline else client.scatter(data, broadcast=broadcast, hash=False)
 
 
 class _Portion:
@@ -143,8 +144,8 @@ class _Portion:
         self._future = self._submit()
 
     def _submit(self, again: bool = False) -> Any:
-        client, tasks = self._cluster.client, self._tasks
-        given = tasks if len(tasks) <= _INLINE else client.scatter(tasks, hash=False)
+        client = self._cluster.client
+        given = _send(client, self._tasks)
         return client.submit(run_portion, self._shared.hold(again), given, list_versions(), pure=False)
 
     def finish(self, attempts: int = 5) -> list[Any]:
@@ -170,8 +171,8 @@ class _Portion:
 
 
 @contextmanager
-def connect(address: str) -> Iterator[Cluster]:
-    """Connect to the cluster of a scheduler and check its workers; see ``use_cluster``."""
+def connect(address: str, *, timeout: float = 10.0) -> Iterator[Cluster]:
+    """Connect to the cluster of a scheduler, within so many s, and check its workers; see ``use_cluster``."""
     distributed = require("distributed", "cluster")
     if "://" not in address:
         raise OptionError("cluster.address", address=address)
@@ -181,7 +182,7 @@ def connect(address: str) -> Iterator[Cluster]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of other versions: they are compared below
         try:
-            client = distributed.Client(address, timeout=_CONNECT, set_as_default=False)
+            client = distributed.Client(address, timeout=timeout, set_as_default=False)
         except (OSError, ValueError, RuntimeError) as error:
             raise ClusterError("cluster.unreachable", address=address, reason=_shorten(error)) from error
     try:
@@ -189,7 +190,7 @@ def connect(address: str) -> Iterator[Cluster]:
         _check_workers(cluster)
         yield cluster
     finally:
-        client.close(timeout=_CONNECT)
+        client.close(timeout=timeout)
 
 
 def _shorten(error: BaseException) -> str:

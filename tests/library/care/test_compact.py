@@ -9,6 +9,7 @@ import pytest
 
 from dousa.errors import LibraryError
 from dousa.library import Library
+from dousa.library.care import compact
 
 pytestmark = pytest.mark.sqlite  # a server sees to its room itself
 
@@ -55,7 +56,7 @@ def test_what_cannot_be_written_is_neither_compacted_nor_trained(library_file):
 def test_stopped_in_the_middle_nothing_has_changed(library, library_file, monkeypatch):
     library.remove(category="wave")
     before = library.clips()
-    monkeypatch.setattr("dousa.library.care.compact._STEPS", 1)
+    monkeypatch.setitem(compact._vacuum.__kwdefaults__, "steps", 1)
     monkeypatch.setattr("dousa.library.care.compact._go_on", lambda: 1)
     with pytest.raises(KeyboardInterrupt):
         library.compact()

@@ -264,7 +264,7 @@ def test_compacting_forgets_removed_clips_and_says_so(library):
 
 
 def test_the_oldest_changes_are_forgotten_where_they_keep_too_much(library, monkeypatch):
-    monkeypatch.setattr(entries, "MOST_KEPT_BYTES", 3 * 24 * schema.FRAME_BYTES)
+    monkeypatch.setitem(entries.keep_within_bounds.__kwdefaults__, "most_bytes", 3 * 24 * schema.FRAME_BYTES)
     library.remove([1, 2])
     library.relabel([7], category="x")
     library.remove([3, 4])
@@ -273,7 +273,7 @@ def test_the_oldest_changes_are_forgotten_where_they_keep_too_much(library, monk
     assert [(entry.kind, entry.n_clips) for entry in library.journal()] == [("remove", 4)]
     library.undo()
     assert {5, 6, 8, 9} <= {clip.id for clip in library.clips()}
-    monkeypatch.setattr(entries, "MOST_CHANGES", 3)
+    monkeypatch.setitem(entries.keep_within_bounds.__kwdefaults__, "most", 3)
     for tag in "abcde":
         library.tag([5], add=[tag])
     assert [entry.what.values["tags"] for entry in library.journal()] == [("+e",), ("+d",), ("+c",)]

@@ -93,7 +93,7 @@ def test_the_same_clips_give_the_same_forest(two_categories, write_move, tmp_pat
     for seed in range(5):
         for name in ("squat", "bow"):
             write_move(tmp_path / "new" / name / f"{name}{seed}.bvh", name, 200 + seed)
-    monkeypatch.setattr(add_module, "_PORTION_CLIPS", 2)
+    monkeypatch.setitem(add_module._is_full.__kwdefaults__, "n_clips", 2)
     two_categories.close()
     files = sorted((tmp_path / "new").rglob("*.bvh"))
     rules = {"category_from": "name:([a-z]+)", "n_jobs": 1}
@@ -107,7 +107,7 @@ def test_the_same_clips_give_the_same_forest(two_categories, write_move, tmp_pat
         with Library.open(shutil.copy(tmp_path / "two.dousa", tmp_path / f"{which}.dousa")) as library:
             portions = [[tmp_path / "new"]]
             if which == "slow":
-                monkeypatch.setattr(add_module, "_PORTION_SECONDS", 0.0)
+                monkeypatch.setitem(add_module.Adding._read.__kwdefaults__, "at_most_s", 0.0)
             elif which == "workers":
                 rules["n_jobs"] = 2
             elif which == "stopped":

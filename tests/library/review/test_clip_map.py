@@ -54,7 +54,7 @@ def test_the_same_clips_give_the_same_map_whatever_they_are_called(library):
 
 
 def test_of_a_large_library_the_others_are_placed_beside_those_that_they_resemble(library, monkeypatch):
-    monkeypatch.setattr(clip_map, "MOST_LAID_OUT", 16)
+    monkeypatch.setitem(clip_map.map_clips.__kwdefaults__, "most", 16)
     found = library.map()
     assert (len(found.clip_ids), found.n_laid_out) == (N, 16)
     assert np.isfinite(found.points).all() and share_of_own(library, found) > 0.75

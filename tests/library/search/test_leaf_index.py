@@ -129,7 +129,7 @@ def test_the_first_clips_are_those_of_all(by, learned, pooled):
 
 @pytest.mark.parametrize("by", RANKINGS)
 def test_several_threads_say_the_same(by, monkeypatch):
-    monkeypatch.setattr(leaf_index, "_FEWEST", 20)
+    monkeypatch.setitem(leaf_index._share_out.__kwdefaults__, "fewest", 20)
     monkeypatch.setattr(leaf_index.os, "cpu_count", lambda: 3)
     clips = make_clips(21, 401, pooled=True)
     for k in (10, 1000):

@@ -195,7 +195,7 @@ def test_what_a_forest_has_learned_is_in_a_file(
 def later(monkeypatch, large):
     """What a forest learns goes into a later file, however much it is."""
     monkeypatch.setattr(renewal, "_MOST_AGAIN", 1e9)
-    monkeypatch.setattr(refresh, "_MOST_CHANGED", 1e9)
+    monkeypatch.setitem(refresh.refresh_index.__kwdefaults__, "most_changed", 1e9)
 
 
 def find_later(folder):

@@ -100,7 +100,7 @@ def test_removed_clips_come_back_until_they_are_forgotten(moved):
 
 
 def test_small_fragments_are_joined(moved, write_move, tmp_path, monkeypatch):
-    monkeypatch.setattr(store, "MOST_BYTES", 1)
+    monkeypatch.setitem(store.FolderFragments.__init__.__kwdefaults__, "full", 1)
     for seed in range(3):
         moved.add(write_move(tmp_path / "in" / "wave" / f"{seed}.bvh", "wave", 70 + seed).parent)
     assert len(list_fragments(moved)) > 3
@@ -113,7 +113,8 @@ def test_small_fragments_are_joined(moved, write_move, tmp_path, monkeypatch):
 def test_a_stopped_move_goes_on(library_file, place, monkeypatch):
     with Library.open(library_file) as library:
         before = dump(library)
-        monkeypatch.setattr(moving, "_BYTES_AT_ONCE", 20_000)
+        for move in (moving._move_some, moving._rewrite_some):
+            monkeypatch.setitem(move.__kwdefaults__, "most", 20_000)
 
         def stop(done, total, what):
             if done > 30:
@@ -211,7 +212,7 @@ def test_a_library_is_copied_with_its_folder(moved, library_file, tmp_path):
 
 @pytest.mark.sqlite  # a server's fragments are where somebody says
 def test_large_libraries_begin_by_themselves(library, write_move, tmp_path, monkeypatch):
-    monkeypatch.setattr("dousa.library.care.compact.BEGIN_AT", 10)
+    monkeypatch.setitem(moving.begin_where_large.__kwdefaults__, "begin_at", 10)
     report = library.add(write_move(tmp_path / "in" / "wave" / "a.bvh", "wave", 50).parent.parent)
     assert [note.code for _, note in report.warnings] == ["library_fragments.begun"]
     assert count_in_rows(library) == 32
@@ -256,7 +257,7 @@ def test_blocks_are_laid_out_and_read_in_any_order(tmp_path, monkeypatch):
     chance = random.Random(1)
     folder = FolderFragments(tmp_path / "f", "library")
     assert folder.sizes() == {} and folder.read([Place("000001-00000000.blocks", 0, 5)]) == [b""]
-    monkeypatch.setattr(store, "MOST_BYTES", 300)
+    monkeypatch.setitem(store.FolderFragments.__init__.__kwdefaults__, "full", 300)
     blocks, places = [], []
     for _ in range(20):
         some = [chance.randbytes(chance.randrange(60)) for _ in range(4)]

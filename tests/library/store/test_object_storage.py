@@ -36,8 +36,8 @@ def test_blocks_come_back_as_they_were(bucket, monkeypatch):
     places = own.append(blocks[:30]) + own.append(blocks[30:])
     assert len(own.sizes()) == 2 and sum(own.sizes().values()) == sum(map(len, blocks))
     order = list(reversed(range(50)))
-    for gap in (0, store._GAP):
-        monkeypatch.setattr(store, "_GAP", gap)
+    for gap in (0, 2**16):
+        monkeypatch.setitem(store._join.__kwdefaults__, "gap", gap)
         assert own.read([places[n] for n in order]) == [blocks[n] for n in order]
     gone = places[0].fragment
     own.delete(gone)

@@ -23,7 +23,7 @@ def named(tmp_path):
 
 
 def test_going_through_all_is_listing_all(named, monkeypatch):
-    monkeypatch.setattr(selection, "_PAGE", 2)
+    monkeypatch.setitem(selection.read_page.__kwdefaults__, "most", 2)
     pages = []
     plain = selection.read_page
 
@@ -41,7 +41,7 @@ def test_going_through_all_is_listing_all(named, monkeypatch):
 
 
 def test_clips_that_go_meanwhile_are_left_out(named, monkeypatch):
-    monkeypatch.setattr(selection, "_PAGE", 2)
+    monkeypatch.setitem(selection.read_page.__kwdefaults__, "most", 2)
     found = []
     for clip in named.iterate_clips():
         found.append(clip.id)

@@ -7,9 +7,8 @@ from hypothesis import strategies as st
 from oracles.slow_takes import near_sketches, pose_distance
 
 from dousa.library.takes import portions
-from dousa.library.takes import portions as making
 from dousa.library.takes.portions import Sketcher, cut_windows, sketch_windows
-from dousa.library.takes.scanning import TILE, scan_sketches
+from dousa.library.takes.scanning import scan_sketches
 from dousa.retrieval.takes.find import cut_parts
 from dousa.retrieval.takes.windows import TakeWindows, WindowGrid, count_windows, place_windows
 
@@ -53,13 +52,14 @@ def test_the_loop_finds_what_the_oracle_finds(n_values, count, seed, most):
 
 
 def test_more_windows_than_are_in_hand_at_a_time():
-    sketches = np.zeros((3, 2 * TILE + 5), np.int8)
+    count = 2 * 2048 + 5
+    sketches = np.zeros((3, count), np.int8)
     sketches[0, -1], sketches[2] = 7, -128
-    marks = np.zeros((2 * TILE + 5, 1), np.uint8)
-    rows, costs = np.empty(2 * TILE + 5, np.int64), np.empty(2 * TILE + 5)
+    marks = np.zeros((count, 1), np.uint8)
+    rows, costs = np.empty(count, np.int64), np.empty(count)
     asked = np.array([7, 0], np.float32), np.zeros(256, np.float32), np.zeros(1, np.uint8), np.array([9.0, 1.0]), 1.0
-    assert scan_sketches(sketches, marks, 0, 2 * TILE + 5, *asked, 3.0, rows, costs) == 1
-    assert (rows[0], costs[0]) == (2 * TILE + 4, 1.0)
+    assert scan_sketches(sketches, marks, 0, count, *asked, 3.0, rows, costs) == 1
+    assert (rows[0], costs[0]) == (count - 1, 1.0)
 
 
 def test_a_sketch_says_nearly_how_far_a_window_is():
@@ -98,9 +98,8 @@ def test_of_a_long_take_some_windows_at_a_time_are_sketched(monkeypatch, at_once
     one = make_windows(3)
     sketcher = fit(one)
     whole = sketcher.sketch(cut_windows(one, slice(None)))
-    monkeypatch.setattr(making, "_AT_ONCE", at_once)
-    monkeypatch.setattr(portions, "_AT_ONCE", at_once)
-    rows = [some for length in GRID.lengths for some in portions._portions(one, length)]
+    monkeypatch.setitem(portions._cut.__kwdefaults__, "at_once", at_once)
+    rows = [some for length in GRID.lengths for some in portions._cut(portions._rows(one, length), len(one.starts))]
     assert np.array_equal(
         np.concatenate([np.arange(len(one.starts))[some] for some in rows]), np.arange(len(one.starts))
     )

@@ -189,7 +189,7 @@ def test_takes_that_memory_does_not_hold_give_the_same_answers(
     monkeypatch.setattr(TakeWindows, "from_bytes", lambda data: read.append(data) or unpack(data))
     assert library.find(query, mirror=True) == expected and not read
     for most, n_read in ((0, {4, 5, 6}), (1 << 29, {2})):
-        monkeypatch.setattr(takes, "MOST_KEPT", most)
+        monkeypatch.setitem(takes.Takes._read.__kwdefaults__, "room", most)
         with Library.open(path_with_take) as other:
             read.clear()
             assert other.find(query, mirror=True) == expected
@@ -382,7 +382,7 @@ def test_a_training_that_memory_has_no_room_for_writes_windows_one_by_one(
     query = "SELECT clip_id, data FROM take_windows ORDER BY clip_id"
     steps, seen = [], []
     for most in (1 << 29, 0):
-        monkeypatch.setattr(kept_windows, "MOST_KEPT", most)
+        monkeypatch.setitem(kept_windows.describe_takes.__kwdefaults__, "room", most)
         library.train(n_trees=30, progress=lambda done, total, what: steps.append((done, what.code)))
         seen.append(run_sql(path_with_take, query))
         assert library.check().is_sound

@@ -22,6 +22,8 @@ from dousa.messages import Message
 from dousa.retrieval.takes.windows import TakeWindows
 from library.takes.test_takes import join
 
+OPEN = keeper.WindowKeeper.open.__kwdefaults__
+
 ASKED = ("wave", 4, False), ("squat", 15, True), ("bow", 15, True)
 ORDERS = ("bow wave squat bow", "squat squat wave", "wave bow", "bow squat bow wave wave", "wave", "squat bow bow")
 
@@ -64,8 +66,8 @@ def many(monkeypatch):
     """Takes are more than memory has room for, from now on; two or so are in a file, and all windows are compared."""
 
     def begin(most: int = 10**9) -> None:
-        monkeypatch.setattr(keeper, "MOST_IN_MEMORY", 0)
-        monkeypatch.setattr(keeper, "PORTION_BYTES", 40_000)
+        monkeypatch.setitem(OPEN, "in_memory", 0)
+        monkeypatch.setitem(OPEN, "in_a_file", 40_000)
         monkeypatch.setattr(scanning, "MOST_KEPT", 4 * most)
         monkeypatch.setattr(scanning, "MOST_COMPARED", most)
 
@@ -161,7 +163,7 @@ def test_files_follow_the_library(library_path, made, many, write_move, tmp_path
 
     def check() -> None:
         with Library.open(library_path) as other, monkeypatch.context() as patch:
-            patch.setattr(keeper, "MOST_IN_MEMORY", 1 << 40)
+            patch.setitem(OPEN, "in_memory", 1 << 40)
             expected = ask(other, made)
         assert ask(library, made) == expected
 
@@ -289,7 +291,7 @@ def test_compacting_takes_files_away_that_no_search_uses(library_path, made, man
         assert report.swept == report.to_json()["swept"] == size
         assert "library_compact.swept" in [message.code for message in report.to_messages()]
         assert find_files(tmp_path) == files[1:]
-        monkeypatch.setattr(keeper, "MOST_IN_MEMORY", 1 << 40)
+        monkeypatch.setitem(OPEN, "in_memory", 1 << 40)
         library.train(n_trees=10)
         assert library.compact().swept > 0
         assert not files[0].parent.exists()

@@ -26,9 +26,6 @@ FAVOURITE = "favourite"
 CHECKED = "checked"
 """The tag of clips whose label was reviewed and found right."""
 
-MOST_TAGS = 100
-"""Most tags of a clip."""
-
 
 def check_tags(tags: Iterable[str]) -> tuple[str, ...]:
     """Return tags stripped and without repeats; OptionError for an invalid one."""
@@ -43,15 +40,15 @@ def check_tags(tags: Iterable[str]) -> tuple[str, ...]:
 
 
 def change_tags(
-    connection: sa.Connection, ids: Sequence[int], add: Iterable[str], remove: Iterable[str]
+    connection: sa.Connection, ids: Sequence[int], add: Iterable[str], remove: Iterable[str], *, most: int = 100
 ) -> dict[int, tuple[str, ...]]:
-    """Add and remove tags; return the tags of clips and takes that change. OptionError if one gets too many."""
+    """Add and remove tags; return the tags of clips and takes that change. OptionError if one gets over ``most``."""
     there = read_tags(connection, ids)
     more, less = set(add), set(remove)
     wanted = {number: tuple(sorted((set(there.get(number, ())) - less) | more)) for number in ids}
     changed = {number: tags for number, tags in wanted.items() if tags != there.get(number, ())}
-    if any(len(tags) > MOST_TAGS for tags in changed.values()):
-        raise OptionError("library_tags.too_many", most=MOST_TAGS)
+    if any(len(tags) > most for tags in changed.values()):
+        raise OptionError("library_tags.too_many", most=most)
     save_tags(connection, changed)
     return changed
 
@@ -61,7 +58,6 @@ def count_tags(connection: sa.Connection) -> dict[str, int]:
     return dict(sorted(Counter(tag for tags in read_tags(connection).values() for tag in tags).items()))
 
 
-MOST_SEARCHES = 500
 _FILTERS = ("text", "category", "performer", "tag", "kind", "min_s", "max_s", "clips")
 
 
@@ -90,10 +86,10 @@ class SavedSearch:
 
 
 class SavedSearches:
-    """The saved searches and selections of a library, ``Library.searches``."""
+    """The saved searches and selections of a library, ``Library.searches``; ``most`` of them can be saved."""
 
-    def __init__(self, database: Database) -> None:
-        self._database = database
+    def __init__(self, database: Database, *, most: int = 500) -> None:
+        self._database, self._most = database, most
 
     def all(self) -> list[SavedSearch]:
         """Return all, by name."""
@@ -121,9 +117,9 @@ class SavedSearches:
             table = schema.saved_searches
             connection.execute(sa.delete(table).where(table.c.name == search.name))
             numbers = set(connection.execute(sa.select(table.c.number)).scalars())
-            if len(numbers) >= MOST_SEARCHES:
-                raise LibraryError("library_searches.too_many", library=self._database.where, most=MOST_SEARCHES)
-            free = next(number for number in range(1, MOST_SEARCHES + 1) if number not in numbers)
+            if len(numbers) >= self._most:
+                raise LibraryError("library_searches.too_many", library=self._database.where, most=self._most)
+            free = next(number for number in range(1, self._most + 1) if number not in numbers)
             row = {"number": free, "name": search.name, "asked": dict(search.asked)}
             connection.execute(sa.insert(table), seal_rows(table, [row]))
         return search

@@ -22,13 +22,6 @@ from dousa.library.results import TakeAnnotation
 from dousa.messages import Message
 from dousa.motion.annotation import Annotation, Stretch
 
-LEAST_FRAMES = 2
-"""Fewest frames of a segment, as one pose is no motion."""
-
-_FAR = 3.0  # durations of the take: whole numbers up to this may be another unit
-_COVERED = 0.25  # of the take, covered by whole-number times in another unit
-_SLACK = 1.05
-
 
 @dataclass(frozen=True, slots=True)
 class TakeLength:
@@ -50,14 +43,17 @@ class TakeLength:
         return max(first, 0), min(stop, self.n_frames)
 
 
-def fit(take: TakeLength, segments: Iterable[Stretch]) -> tuple[list[Stretch], list[Message]]:
-    """Fit segments into a take, sorted by time and without repeats; return them and notes on the others."""
+def fit(take: TakeLength, segments: Iterable[Stretch], *, least_frames: int = 2) -> tuple[list[Stretch], list[Message]]:
+    """Fit segments into a take, sorted by time and without repeats; return them and notes on the others.
+
+    Segments of fewer than ``least_frames`` are left out, as one pose is no motion.
+    """
     once, twice = leave_out_twice(sorted(segments, key=lambda one: (one.start, one.stop)))
     kept, cut, beyond, short = [], [], [], []
     for one in once:
         part = replace(one, start=max(one.start, 0.0), stop=min(one.stop, take.duration))
         first, last = take.find_frames(part)
-        if last - first >= LEAST_FRAMES:
+        if last - first >= least_frames:
             kept.append(part)
             if one.stop - take.duration > 1.0 / take.frame_rate:
                 cut.append(one)
@@ -79,16 +75,17 @@ def fit(take: TakeLength, segments: Iterable[Stretch]) -> tuple[list[Stretch], l
     return kept, notes
 
 
-def check_fit(take: TakeLength, labels: Annotation) -> None:
+def check_fit(take: TakeLength, labels: Annotation, *, covered: float = 0.25) -> None:
     """Refuse a table of another take, which would remove the take's labels.
 
     MotionFileError, with table and line, if no label lies in the take, all are too short for it, or they count
-    milliseconds or frames; OptionError for labels without a table.
+    milliseconds or frames; OptionError for labels without a table. Where some lie in the take, times in another unit
+    must cover the share ``covered`` of it; less refuses more tables.
     """
     if not labels.segments:
         return
     kept, _ = fit(take, labels.segments)
-    unit = _guess_unit(take, labels.segments, 0.0 if not kept else _COVERED)
+    unit = _guess_unit(take, labels.segments, 0.0 if not kept else covered)
     if kept and unit is None:
         return
     outside = [one for one in labels.segments if one.stop > take.duration or one.stop <= 0.0]
@@ -104,17 +101,22 @@ def _about(labels: Annotation, segment: Stretch, problem: Message) -> DousaError
     return MotionFileError(labels.source, problem, segment.line) if labels.source else OptionError(problem)
 
 
-def _guess_unit(take: TakeLength, segments: Sequence[Stretch], covered: float) -> Message | None:
-    """Guess the unit of times that are not seconds but cover a share of the take; None if they may be seconds."""
+def _guess_unit(
+    take: TakeLength, segments: Sequence[Stretch], covered: float, *, far: float = 3.0, slack: float = 1.05
+) -> Message | None:
+    """Guess the unit of times that are not seconds but cover a share of the take; None if they may be seconds.
+
+    They are whole numbers up to ``far`` durations or more, that in their unit end before ``slack`` durations.
+    """
     times = [time for one in segments for time in (one.start, one.stop)]
     last = max(times)
-    if last < _FAR * take.duration or any(time != int(time) for time in times):
+    if last < far * take.duration or any(time != int(time) for time in times):
         return None
     for scale, unit in (
         (take.frame_rate, Message("annotations.in_frames", rate=take.frame_rate)),
         (1000.0, Message("annotations.in_ms")),
     ):
-        if covered * take.duration <= last / scale <= _SLACK * take.duration:
+        if covered * take.duration <= last / scale <= slack * take.duration:
             return unit
     return None
 

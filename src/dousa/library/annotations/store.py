@@ -73,7 +73,6 @@ def leave_open(connection: sa.Connection, removed: Spans) -> None:
 
 
 _TIME = "#t="  # between the path of a take and the time of a segment
-_TAKES_AT_ONCE = 16  # in one transaction
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +109,8 @@ def annotate_takes(
     forest: StoredForest | None,
     change: int | None = None,
     note: Callable[[int | None], None] = lambda number: None,
+    *,
+    at_once: int = 16,
 ) -> tuple[StoredForest | None, AnnotationChanges]:
     """Replace the labels of takes by those of tables; return the forest after learning, and the changes.
 
@@ -119,6 +120,7 @@ def annotate_takes(
     forest : of the library, if it is loaded.
     change : number in the journal of the change that this belongs to.
     note : called with the number of the change in the journal; None if nothing changed.
+    at_once : takes in one transaction; more make other writers wait longer.
 
     Raises
     ------
@@ -131,8 +133,8 @@ def annotate_takes(
         for row in _read_takes(connection, ids):
             check_fit(TakeLength.of(row), wanted[row.id])
     changes = AnnotationChanges()
-    for start in range(0, len(ids), _TAKES_AT_ONCE):
-        some = {number: wanted[number] for number in ids[start : start + _TAKES_AT_ONCE]}
+    for start in range(0, len(ids), at_once):
+        some = {number: wanted[number] for number in ids[start : start + at_once]}
         plan = partial(_plan_tables, database.where, some, forest)
         done, _, forest, change = database.write_planned(plan, partial(_exchange, change=change))
         changes += done

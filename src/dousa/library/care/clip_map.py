@@ -27,15 +27,9 @@ from dousa.retrieval import DEFAULT_FEATURE_SET
 MapProgress = Callable[[int, int, Message], None]
 """Called with (steps done, steps, message about the next step)."""
 
-MOST_LAID_OUT = 5_000
-"""Most clips laid out together; the others of a larger library are placed beside similar ones."""
-
-_COMPONENTS = 50
-_PERPLEXITY = 30.0  # approximate neighbours of a clip in t-SNE
-_EXAGGERATION = 12.0  # early exaggeration of t-SNE, so that groups form
-_PARTS, _STEPS = 3, 250  # of t-SNE; progress is reported between parts
-_NEIGHBOURS = 3  # for placing a clip that was not laid out
-_FEWEST = 4  # clips with meaningful neighbours
+# Principal components to begin with, perplexity and early exaggeration, as scikit-learn advises or chooses:
+# https://scikit-learn.org/stable/modules/generated/sklearn.manifold.TSNE.html
+_COMPONENTS, _PERPLEXITY, _EXAGGERATION = 50, 30.0, 12.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,25 +50,34 @@ class ClipMap:
     left_out: tuple[int, ...]
 
 
-def map_clips(database: Database, progress: MapProgress | None) -> ClipMap:
-    """Compute the map of a library; as ``Library.map``."""
+def map_clips(
+    database: Database, progress: MapProgress | None, *, most: int = 5_000, fewest: int = 4, n_rounds: int = 3
+) -> ClipMap:
+    """Compute the map of a library; as ``Library.map``.
+
+    Parameters
+    ----------
+    most : clips laid out together; the others of a larger library are placed beside similar ones.
+    fewest : clips that have meaningful neighbours; fewer are placed in a row.
+    n_rounds : of the layout, of 250 steps each; progress is reported between them.
+    """
     for name in ("sklearn", "sklearn.manifold"):  # loaded before the limit, which only affects loaded libraries
         require(name, "map")
     limits = require("threadpoolctl", "map")
-    steps = _PARTS + 2
+    steps = n_rounds + 2
     tell = progress or (lambda done, total, what: None)
     tell(0, steps, Message("library_map.reading"))
     # One thread: the order of sums over several varies, and the map would vary with it.
     with limits.threadpool_limits(1):
         with database.reading() as connection:
             ids, left_out, feature_set = _list(connection)
-            if len(ids) < _FEWEST:
+            if len(ids) < fewest:
                 return ClipMap(np.array(ids, np.int64), _in_a_row(len(ids)), len(ids), tuple(left_out))
-            chosen = np.sort(np.random.default_rng(0).permutation(len(ids))[:MOST_LAID_OUT])
+            chosen = np.sort(np.random.default_rng(0).permutation(len(ids))[:most])
             reduced = _reduce(connection, ids, chosen, feature_set)
         points = np.empty((len(ids), 2), np.float32)
         laying_out = Message("library_map.laying_out")
-        points[chosen] = _lay_out(reduced[chosen], lambda part: tell(1 + part, steps, laying_out))
+        points[chosen] = _lay_out(reduced[chosen], n_rounds, lambda done: tell(1 + done, steps, laying_out))
         tell(steps - 1, steps, Message("library_map.placing"))
         others = np.setdiff1d(np.arange(len(ids)), chosen)
         if len(others):
@@ -118,7 +121,7 @@ def _in_a_row(count: int) -> NDArray[np.float32]:
     return np.stack([across, np.zeros(count)], axis=1).astype(np.float32)
 
 
-def _lay_out(known: NDArray[np.float32], tell: Callable[[int], None]) -> NDArray[np.float32]:
+def _lay_out(known: NDArray[np.float32], n_rounds: int, tell: Callable[[int], None]) -> NDArray[np.float32]:
     """Compute (N, 2) points by t-SNE, started from the first two of the principal components (N, C)."""
     manifold = require("sklearn.manifold", "map")
     points = np.zeros((len(known), 2), np.float32)
@@ -128,14 +131,14 @@ def _lay_out(known: NDArray[np.float32], tell: Callable[[int], None]) -> NDArray
         return points
     points *= np.float32(1e-4 / spread)
     rate = max(len(known) / _EXAGGERATION / 4, 50.0)  # scikit-learn's choice for a single run
-    for part in range(_PARTS):
-        tell(part)
-        exaggeration = 1.0 if part else _EXAGGERATION
+    for number in range(n_rounds):
+        tell(number)
+        exaggeration = 1.0 if number else _EXAGGERATION
         layout = manifold.TSNE(
             perplexity=min(_PERPLEXITY, (len(known) - 1) / 3),
             early_exaggeration=exaggeration,
             learning_rate=rate,
-            max_iter=_STEPS,
+            max_iter=250,
             init=points,
             random_state=0,
             n_jobs=1,
@@ -144,10 +147,12 @@ def _lay_out(known: NDArray[np.float32], tell: Callable[[int], None]) -> NDArray
     return points
 
 
-def _place(others: NDArray[np.float32], known: NDArray[np.float32], points: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Compute (M, 2) points as means of the nearest clips, weighted by nearness."""
+def _place(
+    others: NDArray[np.float32], known: NDArray[np.float32], points: NDArray[np.float32], *, n_nearest: int = 3
+) -> NDArray[np.float32]:
+    """Compute (M, 2) points as means of the ``n_nearest`` clips, weighted by nearness; more draw to the middle."""
     neighbours = require("sklearn.neighbors", "map")
-    nearest = neighbours.NearestNeighbors(n_neighbors=min(_NEIGHBOURS, len(known)), n_jobs=1).fit(known)
+    nearest = neighbours.NearestNeighbors(n_neighbors=min(n_nearest, len(known)), n_jobs=1).fit(known)
     distances, rows = nearest.kneighbors(others)
     shares = 1 / np.maximum(distances, 1e-6) ** 2
     shares /= shares.sum(axis=1, keepdims=True)

@@ -22,7 +22,6 @@ from dousa.library.store.checksums import FEATURES, seal_positions
 from dousa.library.store.engine import Database, lock_for_writing
 from dousa.library.store.fragments import (
     ARRAYS,
-    MOST_BYTES,
     FragmentStore,
     begin_store,
     find_store,
@@ -30,39 +29,35 @@ from dousa.library.store.fragments import (
     read_blocks,
 )
 from dousa.library.store.schema import PLACE
+from dousa.library.store.selection import portions
 from dousa.library.takes.windows import sweep_files
 from dousa.messages import Message
 
 MoveProgress = Callable[[int, int], None]
 """Called with (bytes moved, bytes to move)."""
 
-_ROWS_AT_ONCE = 500
-_BYTES_AT_ONCE = 2**25  # in one transaction
-_SMALL = MOST_BYTES // 8  # bytes; smaller fragments are joined
-_PAUSE = 0.1  # s between checks for readers of an earlier state
 
-BEGIN_AT = 100_000
-"""Number of clips of a library file from which new arrays go to fragments."""
+def begin_where_large(database: Database, *, begin_at: int = 100_000) -> int:
+    """Let new arrays of a library file of ``begin_at`` clips go to fragments beside it.
 
-
-def begin_where_large(database: Database) -> bool:
-    """Let new arrays of a large library file go to fragments beside it; return whether this call began that."""
+    Return this number if the call began that, else 0. A file of fewer clips is easier to handle alone.
+    """
     if database.engine.dialect.name != "sqlite" or database.is_read_only:
-        return False
+        return 0
     with database.reading() as connection:
         if find_store(connection) is not None:
-            return False
+            return 0
         # All but segments have positions, and counting positions directly would read the whole file.
         n_clips, n_segments = (
             connection.execute(sa.select(sa.func.count()).select_from(table)).scalar_one()
             for table in (schema.clips, schema.segments)
         )
-        if n_clips - n_segments < BEGIN_AT:
-            return False
+        if n_clips - n_segments < begin_at:
+            return 0
     with database.writing() as connection:
         if find_store(connection) is None:
             begin_store(connection, "")
-    return True
+    return begin_at
 
 
 def choose_place(database: Database, place: str) -> None:
@@ -105,8 +100,8 @@ def move_arrays(database: Database, progress: MoveProgress | None = None) -> int
             table = column.table.c
             query = sa.select(_key_of(column)).where(table.fragment.is_(None), sa.func.length(column) > 0)
             keys = list(connection.execute(query.order_by(_key_of(column))).scalars())
-        for start in range(0, len(keys), _ROWS_AT_ONCE):
-            left: Sequence[Any] = keys[start : start + _ROWS_AT_ONCE]
+        for some in portions(keys):
+            left: Sequence[Any] = some
             while left:
                 report(done, max(total, done))
                 moved, left = _move_some(database, column, left)
@@ -119,8 +114,10 @@ def _key_of(column: sa.Column[Any]) -> sa.Column[Any]:
     return next(iter(column.table.primary_key))
 
 
-def _move_some(database: Database, column: sa.Column[Any], keys: Sequence[Any]) -> tuple[int, Sequence[Any]]:
-    """Move rows in one transaction; return their bytes, and the rows left for the next."""
+def _move_some(
+    database: Database, column: sa.Column[Any], keys: Sequence[Any], *, most: int = 2**25
+) -> tuple[int, Sequence[Any]]:
+    """Move rows of ``most`` bytes in one transaction; return their bytes, and the rows left for the next."""
     key, table = _key_of(column), column.table
     with database.writing() as connection:
         lock_for_writing(connection)
@@ -132,7 +129,7 @@ def _move_some(database: Database, column: sa.Column[Any], keys: Sequence[Any]) 
         some: list[Any] = []
         size = 0
         for number in keys:
-            if some and size + sizes.get(number, 0) > _BYTES_AT_ONCE:
+            if some and size + sizes.get(number, 0) > most:
                 break
             some.append(number)
             size += sizes.get(number, 0)
@@ -157,8 +154,8 @@ def _seal(column: sa.Column[Any], row: Any) -> dict[str, Any]:
     return {"block_checksums": known if known is not None else seal_positions(row[0], row.positions)}
 
 
-def rewrite_fragments(database: Database, progress: MoveProgress | None = None) -> None:
-    """Rewrite fragments that have unused blocks, and join small ones."""
+def rewrite_fragments(database: Database, progress: MoveProgress | None = None, *, small: float = 1 / 8) -> None:
+    """Rewrite fragments that have unused blocks, and join those below the share ``small`` of a full one."""
     report = progress or (lambda done, total: None)
     with database.reading() as connection:
         store, used = find_store(connection), measure_used(connection)
@@ -166,8 +163,8 @@ def rewrite_fragments(database: Database, progress: MoveProgress | None = None) 
         return
     sizes = store.sizes()
     sparse = [name for name, size in sizes.items() if 0 < used[name] < size]
-    small = [name for name, size in sizes.items() if 0 < used[name] == size < _SMALL]
-    chosen = sorted([*sparse, *(small if len(small) > 1 else [])])
+    few = [name for name, size in sizes.items() if 0 < used[name] == size < small * store.full]
+    chosen = sorted([*sparse, *(few if len(few) > 1 else [])])
     total, done, into = sum(used[name] for name in chosen), 0, make_name(list(sizes))
     for name in chosen:
         for column in ARRAYS:
@@ -177,21 +174,23 @@ def rewrite_fragments(database: Database, progress: MoveProgress | None = None) 
                 if not size:
                     break
                 done += size
-                if store.sizes().get(into, 0) >= MOST_BYTES:
+                if store.sizes().get(into, 0) >= store.full:
                     into = make_name(list(store.sizes()))
     report(total, total)
 
 
-def _rewrite_some(database: Database, column: sa.Column[Any], name: str, into: str) -> int:
-    """Move some blocks out of a fragment in one transaction; return their bytes, 0 if none was left."""
+def _rewrite_some(
+    database: Database, column: sa.Column[Any], name: str, into: str, *, most: int = 2**25, most_rows: int = 500
+) -> int:
+    """Move blocks of ``most`` bytes and rows out of a fragment in one transaction; return their bytes, 0 for none."""
     key, table = _key_of(column), column.table
     with database.writing() as connection:
         lock_for_writing(connection)
         query = sa.select(key, column, *(table.c[one] for one in PLACE)).where(table.c.fragment == name)
         rows: list[Any] = []
         size = 0
-        for row in connection.execute(query.order_by(table.c.first_byte).limit(_ROWS_AT_ONCE)).all():
-            if rows and size + row.n_bytes > _BYTES_AT_ONCE:
+        for row in connection.execute(query.order_by(table.c.first_byte).limit(most_rows)).all():
+            if rows and size + row.n_bytes > most:
                 break
             rows.append(row)
             size += row.n_bytes
@@ -215,16 +214,17 @@ def measure_used(connection: sa.Connection) -> Counter[str]:
     return used
 
 
-def drop_unused(database: Database, timeout: float) -> int:
+def drop_unused(database: Database, timeout: float, *, pause: float = 0.1) -> int:
     """Delete unused fragments once no reader sees an earlier state of the library; return their bytes.
 
-    If there still is such a reader after the timeout, s, they are left for the next time.
+    If there still is such a reader after the timeout, s, they are left for the next time; it is looked for every
+    ``pause`` s.
     """
     deadline = time.monotonic() + timeout
-    while not _is_read_by_nobody(database):
+    while _has_readers(database):
         if time.monotonic() >= deadline:
             return 0
-        time.sleep(_PAUSE)
+        time.sleep(pause)
     freed = 0
     # Under the write lock: a block is written before the row that names it.
     with database.writing() as connection:
@@ -239,15 +239,15 @@ def drop_unused(database: Database, timeout: float) -> int:
     return freed
 
 
-def _is_read_by_nobody(database: Database) -> bool:
-    """Return whether no earlier transaction is still open."""
+def _has_readers(database: Database) -> bool:
+    """Return whether an earlier transaction is still open."""
     if database.engine.dialect.name == "sqlite":
         with database.alone() as connection:
             # Busy if a reader still needs the log.
-            return not connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0]
+            return bool(connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0])
     with database.reading() as connection:
         others = "SELECT count(*) FROM pg_stat_activity WHERE datname = current_database() AND pid <> pg_backend_pid()"
-        return not connection.execute(sa.text(f"{others} AND backend_xmin IS NOT NULL")).scalar_one()
+        return bool(connection.execute(sa.text(f"{others} AND backend_xmin IS NOT NULL")).scalar_one())
 
 
 def measure_fragments(connection: sa.Connection) -> tuple[int, int]:
@@ -256,8 +256,6 @@ def measure_fragments(connection: sa.Connection) -> tuple[int, int]:
     sizes = {} if store is None else store.sizes()
     return len(sizes), sum(sizes.values())
 
-
-_STEPS = 10_000  # SQLite steps between checks for an interrupt
 
 CompactProgress = Callable[[int, int, Message], None]
 """Called with (kB done, kB, message about the step)."""
@@ -380,11 +378,10 @@ def _measure_room(database: Database) -> tuple[int, int]:
     return (pages - unused) * size - kept, free
 
 
-def _vacuum(database: Database) -> None:
-    """Rewrite a library file without its unused room, all or nothing."""
+def _vacuum(database: Database, *, steps: int = 10_000) -> None:
+    """Rewrite a library file without its unused room, all or nothing; Ctrl-C is noticed after ``steps`` of SQLite."""
     with database.alone() as connection:
-        # Called while SQLite works, so that Ctrl-C is noticed.
-        connection.set_progress_handler(_go_on, _STEPS)
+        connection.set_progress_handler(_go_on, steps)
         try:
             connection.execute("VACUUM")
         except sqlite3.OperationalError as error:

@@ -116,8 +116,6 @@ Tell = Callable[[int, int], None]
 """Called with (rows done, rows)."""
 
 _POSITIONS = (schema.clip_trajectories, schema.removed_positions)
-_ARRAYS_AT_ONCE = 64
-_MOST_SAID = 20  # messages of SQLite about the structure
 REMOVED_POSITIONS = Message("library_damage.removed_positions")
 """Names positions of a removed clip."""
 
@@ -158,8 +156,8 @@ class Findings:
         self.faults[fault] = None
 
 
-def find_damage(database: Database, tell: Tell | None = None) -> Findings:
-    """Check everything in a library."""
+def find_damage(database: Database, tell: Tell | None = None, *, at_once: int = 64) -> Findings:
+    """Check everything in a library, ``at_once`` rows in a transaction; more need more memory."""
     findings = Findings()
     report = tell or (lambda done, total: None)
     with _noting(findings), database.reading() as connection:
@@ -173,9 +171,9 @@ def find_damage(database: Database, tell: Tell | None = None) -> Findings:
     total, done = sum(map(len, keys.values())), 0
     for table in tables:
         own = keys.get(table.name, [])
-        for start in range(0, len(own), _ARRAYS_AT_ONCE):
+        for start in range(0, len(own), at_once):
             report(done, total)
-            some = own[start : start + _ARRAYS_AT_ONCE]
+            some = own[start : start + at_once]
             with _noting(findings), database.reading() as connection:
                 _check_rows(connection, table, some, findings)
             done += len(some)
@@ -206,8 +204,8 @@ def _key_of(table: sa.Table) -> sa.Column[Any]:
     return next(iter(table.primary_key))
 
 
-def _check_structure(connection: sa.Connection) -> Iterator[str]:
-    """Check the columns of all tables and, in SQLite, the integrity of the file; yield the faults."""
+def _check_structure(connection: sa.Connection, *, most: int = 20) -> Iterator[str]:
+    """Check the columns of all tables and, in SQLite, the integrity of the file; yield the faults, ``most`` a kind."""
     inspector = sa.inspect(connection)
     for table in schema.metadata.sorted_tables:
         there = {column["name"] for column in inspector.get_columns(table.name)}
@@ -216,10 +214,10 @@ def _check_structure(connection: sa.Connection) -> Iterator[str]:
             yield f"{table.name}: {', '.join(lacking)}"
     if connection.dialect.name != "sqlite":
         return
-    for said in connection.exec_driver_sql(f"PRAGMA integrity_check({_MOST_SAID})").scalars():
+    for said in connection.exec_driver_sql(f"PRAGMA integrity_check({most})").scalars():
         if said != "ok":
             yield from (line for line in str(said).splitlines() if line and not line.startswith("***"))
-    for row in connection.exec_driver_sql("PRAGMA foreign_key_check").all()[:_MOST_SAID]:
+    for row in connection.exec_driver_sql("PRAGMA foreign_key_check").all()[:most]:
         yield f"{row[0]} {row[1]}"
 
 

@@ -29,12 +29,6 @@ from dousa.library.store.selection import list_clips
 from dousa.messages import Message
 from dousa.retrieval import DEFAULT_FEATURE_SET, FeatureSet, MotionForest
 
-NEAR = 0.01
-"""Largest distance of the joints of near duplicates, root mean square over joints and time, body heights."""
-
-_LONGER = 1.15  # largest ratio of the durations of near duplicates
-_BLOCK = 1024
-
 
 @dataclass(frozen=True, slots=True)
 class DuplicateGroup:
@@ -88,27 +82,31 @@ def find_near_duplicates(database: Database, near: float) -> list[DuplicateGroup
     return sorted(found, key=lambda group: (-len(group.clip_ids), group.distance, group.paths))
 
 
-def find_pairs(poses: NDArray[np.float32], durations: FloatArray, near: float) -> list[tuple[int, int, float]]:
+def find_pairs(
+    poses: NDArray[np.float32], durations: FloatArray, near: float, *, longer: float = 1.15, at_once: int = 1024
+) -> list[tuple[int, int, float]]:
     """Pairs of clips (row, later row, distance) that are nearer than a bound.
 
     Parameters
     ----------
     poses : (N, cells, columns) pose sequences.
     durations : (N,) s.
-    near : bound, body heights.
+    near : bound of the root mean square over joints and time, body heights.
+    longer : largest ratio of the durations of a pair; larger finds parts of clips.
+    at_once : clips compared with the others at a time.
     """
     flat = poses.reshape(len(poses), -1) / np.float32(np.sqrt(poses.shape[1] if poses.ndim > 1 else 1))
     order = np.argsort(durations, kind="stable")
     flat, lengths = flat[order], durations[order]
     squares = (flat * flat).sum(axis=1)
     pairs = []
-    for start in range(0, len(flat), _BLOCK):
-        stop = min(start + _BLOCK, len(flat))
-        last = int(np.searchsorted(lengths, _LONGER * lengths[stop - 1], side="right"))
+    for start in range(0, len(flat), at_once):
+        stop = min(start + at_once, len(flat))
+        last = int(np.searchsorted(lengths, longer * lengths[stop - 1], side="right"))
         square = squares[start:stop, np.newaxis] + squares[start:last] - 2 * flat[start:stop] @ flat[start:last].T
         for one, other in np.argwhere(square < (2 * near) ** 2).tolist():
             first, second = start + one, start + other
-            if second <= first or lengths[second] > _LONGER * lengths[first]:
+            if second <= first or lengths[second] > longer * lengths[first]:
                 continue
             # Computed again directly: the difference of large numbers is imprecise.
             distance = float(np.linalg.norm(flat[first] - flat[second]))
@@ -121,10 +119,8 @@ def find_pairs(poses: NDArray[np.float32], durations: FloatArray, near: float) -
 ReviewProgress = Callable[[int, int, Message], None]
 """Called with (steps done, steps, message about the next step)."""
 
-_SPLITS = 12  # into halves, and _TREES of each half: python -m lab.trials.label_review
-_TREES = 10
-_LEAST = 3  # fewest clips of a judged category, so that there are others to compare
-_NEIGHBOURS = 3
+_SPLITS = 12  # into halves: python -m lab.trials.label_review
+_TREES = 10  # of each half: python -m lab.trials.label_review
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,8 +175,13 @@ class LabelReview:
         return counts | {"doubts": [one.to_json() for one in self.doubts]}
 
 
-def review_labels(database: Database, n_jobs: int | None, progress: ReviewProgress | None) -> LabelReview:
-    """Find the labels of a library that are likely wrong; as ``Library.review_labels``."""
+def review_labels(
+    database: Database, n_jobs: int | None, progress: ReviewProgress | None, *, least: int = 3
+) -> LabelReview:
+    """Find the labels of a library that are likely wrong; as ``Library.review_labels``.
+
+    Categories of fewer than ``least`` clips are not judged, as there are too few others to compare.
+    """
     tell = progress or (lambda done, total, what: None)
     tell(0, 2 * _SPLITS + 1, Message("library_training.describing_clips"))
     with database.reading() as connection:
@@ -189,10 +190,10 @@ def review_labels(database: Database, n_jobs: int | None, progress: ReviewProgre
         clips = load_features(connection, feature_set, n_jobs=n_jobs)
         paths = {clip.id: (clip.path, CHECKED in clip.tags) for clip in list_clips(connection)}
     counts = Counter(category for category in clips.categories if category is not None)
-    rows = [row for row, label in enumerate(clips.categories) if label is not None and counts[label] >= _LEAST]
+    rows = [row for row, label in enumerate(clips.categories) if label is not None and counts[label] >= least]
     labels = np.array([clips.categories[row] for row in rows], dtype=np.str_)
     if len(set(labels.tolist())) < 2:
-        raise TrainingError("library_review.too_few", library=database.where, least=_LEAST)
+        raise TrainingError("library_review.too_few", library=database.where, least=least)
 
     def tell_part(part: int) -> None:
         tell(1 + part, 2 * _SPLITS + 1, Message("library_review.comparing"))
@@ -302,8 +303,10 @@ def _compare(shares: FloatArray, meant: NDArray[np.str_], own: str) -> tuple[str
     return other, votes.get(other, 0.0), mine
 
 
-def _nearest(shared: IndexArray, chosen: NDArray[np.bool_], ids: NDArray[Any], row: int) -> tuple[int, ...]:
+def _nearest(
+    shared: IndexArray, chosen: NDArray[np.bool_], ids: NDArray[Any], row: int, *, count: int = 3
+) -> tuple[int, ...]:
     places = np.flatnonzero(chosen)
     places = places[places != row]
-    order = np.argsort(-shared[places], kind="stable")[:_NEIGHBOURS]
+    order = np.argsort(-shared[places], kind="stable")[:count]
     return tuple(int(number) for number in ids[places[order]])

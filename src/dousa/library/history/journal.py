@@ -22,12 +22,6 @@ from dousa.library.store.forests import ask_trees, load_forest, save_answers
 from dousa.library.store.selection import fetch_in, portions
 from dousa.messages import Message
 
-MOST_CHANGES = 1000
-"""Most recorded changes; the oldest are deleted."""
-
-MOST_KEPT_BYTES = 1 << 30
-"""Most bytes of removed clips: beyond it the oldest changes are deleted, but never the last one."""
-
 
 @dataclass(frozen=True, slots=True)
 class JournalEntry:
@@ -157,16 +151,19 @@ def forget_kept(connection: sa.Connection) -> int:
     return size
 
 
-def keep_within_bounds(connection: sa.Connection, newest: int) -> None:
-    """Delete the oldest changes if there are too many, or if they keep too many bytes."""
+def keep_within_bounds(connection: sa.Connection, newest: int, *, most: int = 1000, most_bytes: int = 1 << 30) -> None:
+    """Delete the oldest changes if there are over ``most``, or if they keep more bytes of removed clips.
+
+    The newest one is never deleted.
+    """
     table, kept = schema.journal.c, schema.removed_clips.c
     numbers = list(connection.execute(sa.select(table.number).order_by(table.number.desc())).scalars())
-    bound = numbers[MOST_CHANGES] if len(numbers) > MOST_CHANGES else 0
+    bound = numbers[most] if len(numbers) > most else 0
     query = sa.select(kept.change, sa.func.sum(kept.size)).group_by(kept.change).order_by(kept.change.desc())
     total = 0
     for number, size in connection.execute(query):
         total += int(size)
-        if total > MOST_KEPT_BYTES and number != newest:
+        if total > most_bytes and number != newest:
             bound = max(bound, number)
             break
     if bound:

@@ -31,9 +31,7 @@ from dousa.retrieval.forest.standing_leaves import MOST_EXAMPLES, StandingLeaves
 if TYPE_CHECKING:
     from dousa.retrieval.forest.growth import Growth
 
-_TAKEN_AT_ONCE = 16_384  # clips
-
-_ID = 1
+_ID = 1  # of the only row, by definition
 
 
 def choose_trained(
@@ -57,10 +55,12 @@ def _choose(
     clips: tuple[IntArray, NDArray[Any]],
     rows: IndexArray,
     read_leaves: Callable[[IndexArray], NDArray[np.int32]],
+    *,
+    at_once: int = 16_384,
 ) -> NDArray[np.int32]:
-    """Choose examples among some rows of clips (numbers, categories), whose leaves are read in portions."""
+    """Choose examples among some rows of clips (numbers, categories), whose leaves are read ``at_once``."""
     ids, categories = clips
-    portions = (rows[start : start + _TAKEN_AT_ONCE] for start in range(0, len(rows), _TAKEN_AT_ONCE))
+    portions = (rows[start : start + at_once] for start in range(0, len(rows), at_once))
     handed = ((ids[some], categories[some].astype(np.int32), read_leaves(some)) for some in portions)
     return choose_examples(handed, stored.forest.trees_.n_leaves)
 
@@ -311,10 +311,12 @@ def _find_moved(
     clips: _Clips,
     taught: tuple[BoolArray, IntArray],
     growth: Growth,
+    *,
+    at_once: int = 16_384,
 ) -> tuple[IntArray, NDArray[np.int32]]:
     """Return the ascending numbers of the clips that moved to other leaves, and these.
 
-    ``taught`` is which clips the forest has learned, and the rows of the new ones.
+    ``taught`` is which clips the forest has learned, and the rows of the new ones; ``at_once`` clips are compared.
     """
     stands, new = taught
     rows = [np.flatnonzero(stands)[growth.moved], new]
@@ -337,11 +339,8 @@ def _find_moved(
             leaves.append(find_leaves(grown, features).astype(np.int64))
     places, now = np.concatenate(rows), np.concatenate(leaves).astype(np.int32)
     differs = np.empty(len(places), np.bool_)
-    for first in range(0, len(places), _AT_ONCE):
-        some = slice(first, first + _AT_ONCE)
+    for first in range(0, len(places), at_once):
+        some = slice(first, first + at_once)
         differs[some] = (now[some] != clips.leaves.take(places[some])).any(axis=1)
     order = np.flatnonzero(differs)[np.argsort(places[differs], kind="stable")]
     return clips.ids[places[order]], now[order]
-
-
-_AT_ONCE = 16_384

@@ -21,7 +21,6 @@ from dousa.library.store import schema
 from dousa.library.store.engine import Database, next_clip_id, next_revision, note_changed_clips, read_revision
 from dousa.library.store.features import ClipFeatures, keep_features, lacks, load_features, save_descriptions
 from dousa.library.store.forests import (
-    MOST_COPIES,
     HeldBack,
     StoredForest,
     TreeAnswers,
@@ -44,12 +43,30 @@ from dousa.retrieval.forest.likeness import LikenessLearner
 from dousa.retrieval.takes.label import TakeLabeller
 
 TrainProgress = Callable[[int, int, Message], None]
-
-_STEPS = 6
-_ENOUGH_WHOLE = 1 / 3  # share of whole bodies from which the forest is one of whole bodies
+"""Called with (steps done, steps, message about the next step)."""
 
 LearnLabeller = Callable[[sa.Connection, StoredForest, int | None], TakeLabeller | None]
 """Called with a connection, the forest, and the number of threads."""
+
+
+class _Tell:
+    """Reports the six steps of a training."""
+
+    def __init__(self, progress: TrainProgress | None) -> None:
+        self._progress = progress
+
+    def __call__(self, step: int, what: str, *counts: int) -> None:
+        if self._progress is not None:
+            values = dict(zip(("done", "total"), counts, strict=False))
+            self._progress(step, 6, Message(f"library_training.{what}", **values))
+
+    def of_clips(self, done: int, total: int) -> None:
+        """Report described clips."""
+        self(0, "describing_clips_done", done, total)
+
+    def of_takes(self, done: int, total: int) -> None:
+        """Report described takes."""
+        self(4, "describing_takes_done", done, total)
 
 
 def train_forest(
@@ -77,37 +94,27 @@ def train_forest(
     TrainingError : fewer than two categories.
     """
     start = time.perf_counter()
-    report = progress or (lambda done, total, what: None)
-    report(0, _STEPS, Message("library_training.describing_clips"))
-
-    def tell_clips(done: int, total: int) -> None:
-        report(0, _STEPS, Message("library_training.describing_clips_done", done=done, total=total))
-
-    def tell_takes(done: int, total: int) -> None:
-        report(4, _STEPS, Message("library_training.describing_takes_done", done=done, total=total))
-
-    def tell_files(done: int, total: int, what: Message) -> None:
-        report(5, _STEPS, Message("library_training.keeping_takes_done", done=done, total=total))
-
+    tell = _Tell(progress)
+    tell(0, "describing_clips")
     database.check_writable()  # before the work
     with database.reading() as connection:
         kind, n_partial = _choose_joints(database.where, connection, kind)  # before the work
-    keep_features(database, kind.name, n_jobs, tell_clips, partial(keep_relations_of, database))
-    stored, answers, counts = _learn(database, forest, kind, n_jobs, report)
-    report(3, _STEPS, Message("library_training.labeller"))
+    keep_features(database, kind.name, n_jobs, tell.of_clips, partial(keep_relations_of, database))
+    stored, answers, counts = _learn(database, forest, kind, n_jobs, tell)
+    tell(3, "labeller")
     with database.reading() as connection:
         labeller = learn_labeller(connection, stored, n_jobs)
-    report(4, _STEPS, Message("library_training.describing_takes"))
+    tell(4, "describing_takes")
     with database.reading() as connection:
-        windows = describe_takes(connection, stored, n_jobs=n_jobs, progress=tell_takes)
-    report(5, _STEPS, Message("library_training.writing"))
+        windows = describe_takes(connection, stored, n_jobs=n_jobs, progress=tell.of_takes)
+    tell(5, "writing")
     keep_all_relations(database)
     stored = _store(database, stored, replace(answers, windows=windows), labeller)
     del windows
-    refresh_windows(database, stored, n_jobs, tell_takes)
+    refresh_windows(database, stored, n_jobs, tell.of_takes)
     make_side_file(database, stored)
-    make_window_files(database, stored, n_jobs, tell_files)
-    report(_STEPS, _STEPS, Message("library_training.done"))
+    make_window_files(database, stored, n_jobs, lambda done, total, _: tell(5, "keeping_takes_done", done, total))
+    tell(6, "done")
     n_clips, n_labelled = len(answers.clips.ids), sum(counts.values())
     done = TrainReport(
         feature_set=kind.name,
@@ -135,25 +142,24 @@ class _Answers:
 
 
 def _learn(
-    database: Database, forest: MotionForest, kind: FeatureSet, n_jobs: int | None, report: TrainProgress
+    database: Database, forest: MotionForest, kind: FeatureSet, n_jobs: int | None, tell: _Tell, *, copies: int = 1000
 ) -> tuple[StoredForest, _Answers, dict[str, int]]:
-    """Grow and calibrate the trees; return them, their answers, and the number of clips in each category."""
+    """Grow and calibrate the trees; return them, their answers, and the number of clips in each category.
 
-    def tell_clips(done: int, total: int) -> None:
-        report(0, _STEPS, Message("library_training.describing_clips_done", done=done, total=total))
-
+    The trees learn at most so many disturbed ``copies``, as ``describe_copies`` says.
+    """
     with database.reading() as connection:
         seen, following = read_revision(connection), next_clip_id(connection)
-        clips = load_features(connection, kind.name, n_jobs=n_jobs, progress=tell_clips, spare=MOST_COPIES)
+        clips = load_features(connection, kind.name, n_jobs=n_jobs, progress=tell.of_clips, spare=copies)
         grid = fit_grid(connection)
         labelled, counts = _check_categories(database.where, clips.categories)
-        copies = describe_copies(connection, clips, labelled, kind, n_jobs)
-    report(1, _STEPS, Message("library_training.growing_trees"))
-    fit_forest(forest, clips, labelled, kind, copies)
-    report(2, _STEPS, Message("library_training.calibrating"))
+        disturbed = describe_copies(connection, clips, labelled, kind, n_jobs, most=copies)
+    tell(1, "growing_trees")
+    fit_forest(forest, clips, labelled, kind, disturbed)
+    tell(2, "calibrating")
     held = hold_back(clips, labelled)
     learner = make_likeness_learner(held, kind)
-    assessor = learn_unknown(forest, held, kind, copies, learner.watch)
+    assessor = learn_unknown(forest, held, kind, disturbed, learner.watch)
     likeness = None if assessor is None else learner.finish()
     names = tuple(str(name) for name in forest.classes_)
     stored = StoredForest(forest, names, kind.name, grid, assessor, 0, 0, likeness, following)
@@ -216,18 +222,20 @@ def _choose_examples(stored: StoredForest, known: _Answers) -> NDArray[np.int32]
     return choose_trained(stored, np.array(known.clips.ids, np.int64), own, known.answers)
 
 
-def _choose_joints(where: str, connection: sa.Connection, kind: FeatureSet) -> tuple[FeatureSet, int]:
+def _choose_joints(
+    where: str, connection: sa.Connection, kind: FeatureSet, *, enough: float = 1 / 3
+) -> tuple[FeatureSet, int]:
     """Choose the features of a forest, and count the clips that lack joints of these.
 
-    They are those of whole bodies if these are a third of the labelled clips and have two categories, else those of
-    the most frequent set of joints.
+    They are those of whole bodies if the share ``enough`` of the labelled clips is whole and has two categories, else
+    those of the most frequent set of joints.
     """
     table = schema.clips.c
     rows = connection.execute(sa.select(table.category, table.absent).where(table.kind == schema.CLIP)).all()
     parts = {row.absent: kind.without(row.absent.split()) if row.absent else kind for row in rows}
     labelled = [row for row in rows if row.category is not None]
     counts = Counter(parts[row.absent].name for row in labelled)
-    if counts[kind.name] >= _ENOUGH_WHOLE * len(labelled):
+    if counts[kind.name] >= enough * len(labelled):
         counts[kind.name] = len(labelled) + 1
     by_name = {part.name: part for part in parts.values() if is_comparable(part.hidden)}
     chosen = kind

@@ -9,9 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-_BUCKETS = 1 << 14
-_FARTHEST = 4.0  # the largest finite bound
-
 
 @njit(cache=True, nogil=True)
 def find_owners(leaves, owners):
@@ -174,15 +171,18 @@ def compare_clips(
 
 
 @njit(cache=True, nogil=True)
-def find_limit(bounds, least):
-    """Return a limit that at least ``least`` of the bounds (N,) do not exceed; infinity if there are fewer."""
-    counts = np.zeros(_BUCKETS, np.int64)
+def find_limit(bounds, least, n_buckets=1 << 14, farthest=4.0):
+    """Return a limit that at least ``least`` of the bounds (N,) do not exceed; infinity if there are fewer.
+
+    Bounds of ``farthest`` and more are left out; the limit is that much too high at most, divided by ``n_buckets``.
+    """
+    counts = np.zeros(n_buckets, np.int64)
     for clip in range(len(bounds)):
-        if bounds[clip] < _FARTHEST:
-            counts[max(int(bounds[clip] * (_BUCKETS / _FARTHEST)), 0)] += 1
+        if bounds[clip] < farthest:
+            counts[max(int(bounds[clip] * (n_buckets / farthest)), 0)] += 1
     below = 0
-    for bucket in range(_BUCKETS):
+    for bucket in range(n_buckets):
         below += counts[bucket]
         if below >= least:
-            return (bucket + 1) * (_FARTHEST / _BUCKETS)
+            return (bucket + 1) * (farthest / n_buckets)
     return np.inf

@@ -199,13 +199,9 @@ class LeafIndex:
         return histograms, others / query.leaves.shape[1], cosines
 
 
-_FEWEST = 50_000  # clips for a thread
-_MOST_THREADS = 4
-
-
-def _share_out(count: int, work: Callable[[int, int], None]) -> None:
-    """Call ``work(first, last)`` for all clips, in several threads if they are many."""
-    n_threads = min(count // _FEWEST, os.cpu_count() or 1, _MOST_THREADS)
+def _share_out(count: int, work: Callable[[int, int], None], *, fewest: int = 50_000, most_threads: int = 4) -> None:
+    """Call ``work(first, last)`` for all clips, in several threads of at least ``fewest`` clips each."""
+    n_threads = min(count // fewest, os.cpu_count() or 1, most_threads)
     if n_threads < 2:
         work(0, count)
         return
@@ -242,10 +238,7 @@ class KnownRows(Protocol):
 
 
 BLOCK = 16_384
-"""Clip numbers of a block, over which checksums are summed."""
-
-_MOST_PARTS = 6
-_MOST_CHANGED = 0.1  # share of the clips beyond which the whole library is read
+"""Clip numbers of a block, over which checksums are summed, by definition of the index files."""
 
 
 def add_checksums(connection: sa.Connection) -> IntArray:
@@ -322,8 +315,22 @@ def make_index(
     )
 
 
-def refresh_index(connection: sa.Connection, revision: int, stored: StoredForest, known: LeafIndex) -> LeafIndex | None:
-    """Update an earlier index of the same trees; None if so much has changed that all must be read."""
+def refresh_index(
+    connection: sa.Connection,
+    revision: int,
+    stored: StoredForest,
+    known: LeafIndex,
+    *,
+    most_parts: int = 6,
+    most_changed: float = 0.1,
+) -> LeafIndex | None:
+    """Update an earlier index of the same trees; None if so much has changed that all must be read.
+
+    Parameters
+    ----------
+    most_parts : more are joined to one; each is looked through by every search.
+    most_changed : share of the clips beyond which reading the whole library is faster.
+    """
     rows = known.source
     if rows is None or known.learned[0] != stored.revision:
         return None
@@ -331,11 +338,11 @@ def refresh_index(connection: sa.Connection, revision: int, stored: StoredForest
     if compared is None:
         return None
     sums, changed, fresh, alive = compared
-    if len(known.parts) > _MOST_PARTS:  # the small ones become one
+    if len(known.parts) > most_parts:  # the small ones become one
         alive, again = _fold(known, alive)
         fresh = np.union1d(fresh, again)
     n_changed = len(fresh) + sum(int(a.sum()) for a in alive[known.n_kept :])
-    if n_changed > max(_MOST_CHANGED * len(known.parts[0]), 1000):
+    if n_changed > max(most_changed * len(known.parts[0]), 1000):
         return None
     lacking = renew_lacking(connection, known, changed)
     parts, votes = list(known.parts), list(known.votes)

@@ -17,9 +17,7 @@ from dousa.library.store.checksums import LABELS, LEAVES
 from dousa.library.store.forests import PARTS_OF_A_VOTE, StoredForest, check_leaves
 from dousa.library.store.schema import stack
 
-_MOST_CODES = 2**16 - 1  # the last code is for leaves without clips
-_ROOM = 2**22  # entries of votes counted at a time
-_CLIPS_AT_ONCE = 1024  # counted in one tree at a time
+_MISSING = np.iinfo(np.uint16).max  # the code of leaves without clips
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +81,7 @@ class ClipPart:
     def encode(self, leaves: NDArray[np.int32]) -> NDArray[Any]:
         """Return (n_trees,) codes of leaves, with an unused code for leaves without clips."""
         ends = np.append(self.offsets[1:], len(self.table)) if self.offsets.any() else [len(self.table)] * len(leaves)
-        missing = _MOST_CODES if self.codes.dtype == np.uint16 else -1
+        missing = _MISSING if self.codes.dtype == np.uint16 else -1
         codes = np.full(len(leaves), missing, self.codes.dtype)
         for tree, (leaf, start, end) in enumerate(zip(leaves, self.offsets, ends, strict=True)):
             place = int(np.searchsorted(self.table[start:end], leaf))
@@ -243,27 +241,36 @@ def order_table(owners: NDArray[np.int32], n_trees: int) -> tuple[NDArray[np.int
 
 def choose_code(ranks: IntArray) -> type[np.uint16 | np.int32]:
     """Choose the type of the codes by the largest rank."""
-    return np.uint16 if int(ranks.max(initial=0)) < _MOST_CODES else np.int32
+    return np.uint16 if int(ranks.max(initial=0)) < _MISSING else np.int32
 
 
-def count_part(stored: StoredForest, part: ClipPart, meanings: IndexArray) -> SparseVotes:
-    """Count the votes of the trees for clips; ``meanings`` (C,) is the number of each category's meaning."""
+def count_part(
+    stored: StoredForest, part: ClipPart, meanings: IndexArray, *, at_once: int = 1024, room: int = 2**22
+) -> SparseVotes:
+    """Count the votes of the trees for clips.
+
+    Parameters
+    ----------
+    meanings : (C,) number of each category's meaning.
+    at_once : clips counted in one tree before the next, so that its leaves stay in the processor's cache.
+    room : votes in memory before they are copied to where they stay.
+    """
     starts, classes, weights = stored.forest.vote_entries
     begins, stops = starts[part.table], starts[part.table + 1]
-    shares = np.empty((_CLIPS_AT_ONCE, len(meanings)))
+    shares = np.empty((at_once, len(meanings)))
     n_meanings = int(meanings.max(initial=-1)) + 1
-    portion = max(_ROOM // max(len(meanings), 1), 1)
+    portion = max(room // max(len(meanings), 1), 1)
     ends = np.zeros(len(part) + 1, np.int64)
     squares, lengths = np.zeros(len(part), np.int64), np.zeros(len(part))
     found = [(np.zeros(0, np.uint16), np.zeros(0, np.int32))]
     for first in range(0, len(part), portion):
         own = np.zeros(min(portion, len(part) - first), np.int64)
-        room = np.empty(len(own) * len(meanings), np.uint16), np.empty(len(own) * len(meanings), np.int32)
+        space = np.empty(len(own) * len(meanings), np.uint16), np.empty(len(own) * len(meanings), np.int32)
         written = count_sparsely(
             part.codes, part.offsets, begins, stops, classes, weights, PARTS_OF_A_VOTE, meanings, n_meanings, first,
-            shares, own, *room, squares, lengths,
+            shares, own, *space, squares, lengths,
         )  # fmt: skip
-        found.append((room[0][:written].copy(), room[1][:written].copy()))
+        found.append((space[0][:written].copy(), space[1][:written].copy()))
         ends[first + 1 : first + 1 + len(own)] = ends[first] + own
     categories, votes = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return SparseVotes(ends, categories, votes, squares, lengths)

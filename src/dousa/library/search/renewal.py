@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from dousa.arrays import BoolArray, IndexArray, IntArray
 from dousa.library.search.kernels import find_most
 from dousa.library.search.leaf_index import (
+    BLOCK,
     IndexedRows,
     LeafIndex,
     change_sums,
@@ -44,10 +45,11 @@ from dousa.library.store.selection import portions
 from dousa.retrieval.forest.growth import find_changed
 from dousa.retrieval.forest.tree_kernels import find_marked
 
-FEWEST_CLIPS = 16_384
-"""Clips from which on a library has an index file: fewer are read as fast from their rows."""
+FEWEST_CLIPS = BLOCK
+"""Clips from which on a library has an index file, those of a block: fewer are read as fast from their rows."""
 
-_MOST_AGAIN = 0.25  # clips in the later file per clip of the first: 64 files change the votes of 15 % of a million
+# Clips in the later file per clip of the first: of a million, 64 files change the votes of 15 % (lab/notes/scaling.md).
+_MOST_AGAIN = 0.25
 
 
 def load_index(

@@ -30,8 +30,6 @@ from dousa.library.search.leaf_index import IndexedRows, LeafIndex, make_index
 from dousa.library.search.parts import ClipPart, SparseVotes, choose_code, order_table
 from dousa.library.store.forests import StoredForest
 
-_AT_ONCE = 1 << 14  # clips
-
 Portion = list[tuple[int, IndexArray, IndexArray]]
 """For each part its number, rows of it, and their places in the portion."""
 
@@ -55,12 +53,17 @@ class IndexedParts(Protocol):
 class MergedParts:
     """The unchanged clips of an index of at least one part, sorted by number and merged in portions to save memory.
 
+    Parameters
+    ----------
+    at_once : clips of a portion.
+
     Raises
     ------
     ValueError : a leaf is in two trees, as in damaged rows without checksums.
     """
 
-    def __init__(self, index: IndexedParts) -> None:
+    def __init__(self, index: IndexedParts, *, at_once: int = 1 << 14) -> None:
+        self._at_once = at_once
         rows = [
             np.arange(len(part)) if own is None else np.flatnonzero(own)
             for part, own in zip(index.parts, index.alive, strict=True)
@@ -116,8 +119,8 @@ class MergedParts:
 
     def _portions(self) -> Iterator[tuple[int, Portion]]:
         """Yield the number of clips and their places for each portion; at least one."""
-        for first in range(0, max(len(self), 1), _AT_ONCE):
-            owners, rows = self._owners[first : first + _AT_ONCE], self._rows[first : first + _AT_ONCE]
+        for first in range(0, max(len(self), 1), self._at_once):
+            owners, rows = self._owners[first : first + self._at_once], self._rows[first : first + self._at_once]
             own = ((number, np.flatnonzero(owners == number)) for number in range(len(self._parts)))
             yield len(rows), [(number, rows[places], places) for number, places in own if len(places)]
 
@@ -177,7 +180,6 @@ def _starts_of(ends: IntArray) -> IntArray:
 
 _MAGIC = b"dousa index 2\n\0\0"
 _START = struct.Struct("<16sQQI")  # magic; place, length and checksum of the header at the end
-_ALIGNED = 64
 _PART = ("ids", "sums", "given", "predicted", "path_ends", "path_bytes", "codes", "table", "offsets", "directions")
 _VOTES = ("starts", "categories", "votes", "squares", "lengths")
 
@@ -319,13 +321,18 @@ def _write_file(
     rows: IndexedRows,
     more: Mapping[str, Any] | None = None,
     dead: IntArray | None = None,
+    *,
+    aligned: int = 64,
 ) -> None:
-    """Write the clips of an index, the checksums of their rows, and the extras of a later file."""
-    file.write(bytes(_ALIGNED))  # for the start, which is written last
+    """Write the clips of an index, the checksums of their rows, and the extras of a later file.
+
+    Arrays begin at multiples of ``aligned`` bytes, such as a line of the processor's cache.
+    """
+    file.write(bytes(aligned))  # for the start, which is written last
     described = []
     others = [("rows", iter([rows.sums]))] if dead is None else [("rows", iter([rows.sums])), ("dead", iter([dead]))]
     for name, portions_of_it in (*merged.arrays(), *others):
-        file.write(bytes(-file.tell() % _ALIGNED))
+        file.write(bytes(-file.tell() % aligned))
         place, count, checksum = file.tell(), 0, 0
         for array in portions_of_it:
             data = np.ascontiguousarray(array)

@@ -130,11 +130,7 @@ class TextResult:
         }
 
 
-_LONGEST = 500  # characters of a query
 _TIME = re.compile(r"#t=[0-9.]+,[0-9.]+(&id=[0-9]+)?$")  # of a segment, after the path of its take
-_LITERAL = 0.6  # score of a name that contains the query letter by letter
-_SAME = 1e-6  # difference of scores by rounding
-_MOST_NEAR = 5  # words offered if nothing fits
 _NEAR_MEANING, _NEAR_SPELLING = 0.4, 60  # least score of a near meaning; of a near spelling, in per cent
 
 
@@ -206,7 +202,7 @@ class TextSearcher:
         near: tuple[str, ...] = ()
         if not len(rows):
             there = [index.entries[row] for row in chosen]
-            near = tuple(dict.fromkeys(word for one in matchers for word in _find_near(one, there)))[:_MOST_NEAR]
+            near = _find_near(matchers, there)
         corrections = _join([one.corrections for one in queries]), _join([one.replaced for one in queries])
         unknown = tuple(word for one in queries for word in one.unknown)
         return TextResult(text, hits, len(rows), len(chosen), *corrections, unknown, near)
@@ -250,11 +246,12 @@ def _join(parts: Iterable[Mapping[str, str]]) -> dict[str, str]:
     return {word: other for part in parts for word, other in part.items()}
 
 
-def _check_text(text: str) -> None:
+def _check_text(text: str, *, most: int = 500) -> None:
+    """Raise OptionError for a query that is empty, or has more characters than this."""
     if not text.strip():
         raise OptionError("library_text.empty")
-    if len(text) > _LONGEST:
-        raise OptionError("library_text.too_long", most=_LONGEST, found=len(text))
+    if len(text) > most:
+        raise OptionError("library_text.too_long", most=most, found=len(text))
 
 
 def _choose(entries: Sequence[_Entry], category: str | None, performer: str | None, kind: str | None) -> IndexArray:
@@ -353,14 +350,17 @@ def _literal(text: str) -> str:
 
 
 def _find(
-    matchers: Sequence[Matcher], text: str, index: _TextIndex, chosen: IndexArray
+    matchers: Sequence[Matcher], text: str, index: _TextIndex, chosen: IndexArray, *, literal: float = 0.6
 ) -> tuple[IndexArray, FloatArray, IndexArray]:
-    """Return places, scores and best alternatives of the motions that fit, the best first, equals by path."""
+    """Return places, scores and best alternatives of the motions that fit, the best first, equals by path.
+
+    A label or name that contains the query letter by letter has the score ``literal``, unless its words have more.
+    """
     alternatives, letters = np.stack([index.columns.score(one) for one in matchers]), _literal(text)
     fitting, scores = alternatives.argmax(axis=0), alternatives.max(axis=0)
     if len(letters) >= 3:
-        weak = chosen[scores[chosen] < _LITERAL]
-        scores[[row for row in weak.tolist() if letters in index.entries[row].literal]] = _LITERAL
+        weak = chosen[scores[chosen] < literal]
+        scores[[row for row in weak.tolist() if letters in index.entries[row].literal]] = literal
     found = chosen[scores[chosen] >= LEAST_SCORE]
     found = found[np.argsort(-np.round(scores[found], 3), kind="stable")]
     best = scores[found[0]] if len(found) else 0.0
@@ -368,10 +368,10 @@ def _find(
     return found, scores[found], fitting[found]
 
 
-def _fit(matcher: Matcher, index: _TextIndex, row: int, score: float) -> Fit:
-    """Return how a motion fits: by its words, or by its letters if these score higher."""
+def _fit(matcher: Matcher, index: _TextIndex, row: int, score: float, *, rounding: float = 1e-6) -> Fit:
+    """Return how a motion fits: by its words, or by its letters if these score higher than ``rounding`` explains."""
     fit = index.columns.fit(matcher, row)
-    return fit if fit.score >= score - _SAME else Fit(_LITERAL, (), in_category=False, in_name=True)
+    return fit if fit.score >= score - rounding else Fit(score, (), in_category=False, in_name=True)
 
 
 def _make_hit(entry: _Entry, fit: Fit, rank: int) -> TextHit:
@@ -390,8 +390,14 @@ def _make_hit(entry: _Entry, fit: Fit, rank: int) -> TextHit:
     )
 
 
-def _find_near(matcher: Matcher, entries: Iterable[_Entry]) -> tuple[str, ...]:
-    """Find the nearest words of categories and relations, by meaning, then by spelling."""
+def _find_near(matchers: Sequence[Matcher], entries: Sequence[_Entry], *, most: int = 5) -> tuple[str, ...]:
+    """Find the ``most`` nearest words of categories and relations."""
+    near = (word for one in matchers for word in _find_near_words(one, entries)[:most])
+    return tuple(dict.fromkeys(near))[:most]
+
+
+def _find_near_words(matcher: Matcher, entries: Iterable[_Entry]) -> list[str]:
+    """Find words of categories and relations that are near by meaning, then by spelling."""
     from rapidfuzz import fuzz, process
 
     units: dict[str, Unit] = {}
@@ -426,4 +432,4 @@ def _find_near(matcher: Matcher, entries: Iterable[_Entry]) -> tuple[str, ...]:
         for found, ratio, _ in process.extract(word, words, scorer=fuzz.ratio, limit=2)
         if ratio >= _NEAR_SPELLING
     ]
-    return tuple(dict.fromkeys([*meant, *spelled]))[:_MOST_NEAR]
+    return list(dict.fromkeys([*meant, *spelled]))

@@ -22,7 +22,7 @@ from dousa.library.store import schema
 from dousa.messages import Message
 
 BLOCK_FRAMES = 256
-"""Frames of positions that share a checksum."""
+"""Frames of positions that share a checksum, by definition of the stored form."""
 
 LIBRARY_NAME = "dousa_library"
 """Execution option of a connection: the name of its library in messages."""

@@ -35,13 +35,10 @@ from dousa.library.store.schema import APPLICATION_ID, library_state
 BESIDE = "dousa_beside"
 """Execution option of a connection to a library file: the folder with its fragments, if any."""
 
-STATE_ID = 1
+STATE_ID = 1  # of the only row, by definition
 _WRITES = "dousa_writes"
 _READ_ONLY = "dousa_read_only"
-_ATTEMPTS = 3  # at planning a change while others may write
-_MOST_PAUSE = 0.2  # s
-_BUSY = 5.0  # s that SQLite waits by itself, not interruptible
-_LEAST_BYTES = 512  # of a database that is not empty: one page
+_LEAST_BYTES = 512  # the smallest page of SQLite: https://sqlite.org/fileformat.html, 1.3.2
 
 
 Plan = TypeVar("Plan")
@@ -63,15 +60,17 @@ def name_of(path_or_url: str | os.PathLike[str]) -> str:
         return re.sub(r"(?<=:)[^:@/]+(?=@)", "***", str(path_or_url))
 
 
-def make_engine(path_or_url: str | os.PathLike[str], *, create: bool, read_only: bool, timeout: float) -> sa.Engine:
-    """Make an engine for a file or a URL, without connecting."""
+def make_engine(
+    path_or_url: str | os.PathLike[str], *, create: bool, read_only: bool, timeout: float, busy: float = 5.0
+) -> sa.Engine:
+    """Make an engine for a file or a URL, without connecting; SQLite waits ``busy`` s at most, not interruptible."""
     if is_url(path_or_url):
         return _server_engine(str(path_or_url), read_only, timeout)
     path = Path(path_or_url).absolute()
     _check_place(path, create)
     engine = sa.create_engine(
         "sqlite+pysqlite://",
-        creator=lambda: _connect(path, create, read_only, min(timeout, _BUSY)),
+        creator=lambda: _connect(path, create, read_only, min(timeout, busy)),
         poolclass=sa.pool.QueuePool,
         pool_size=1,
         execution_options={
@@ -237,7 +236,7 @@ class Database:
 
     engine: sa.Engine
     where: str
-    timeout: float = _BUSY
+    timeout: float = 5.0
 
     @property
     def is_read_only(self) -> bool:
@@ -276,7 +275,7 @@ class Database:
                 busy = getattr(error.orig, "sqlite_errorname", "").startswith("SQLITE_BUSY")
                 if not busy or time.monotonic() >= deadline:
                     raise
-            time.sleep(random.uniform(0, _MOST_PAUSE))
+            _pause()
 
     @contextmanager
     def alone(self) -> Iterator[sqlite3.Connection]:
@@ -295,15 +294,20 @@ class Database:
             connection.execute(sa.update(library_state).where(state.id == STATE_ID).values(id=STATE_ID))
 
     def write_planned(
-        self, plan: Callable[[sa.Connection, Plan | None], Plan], write: Callable[[sa.Connection, Plan], Result]
+        self,
+        plan: Callable[[sa.Connection, Plan | None], Plan],
+        write: Callable[[sa.Connection, Plan], Result],
+        *,
+        attempts: int = 3,
     ) -> Result:
         """Plan a change while others may write, then write it in one transaction.
 
-        After a write by another program it is planned again; the last attempt makes others wait. ``plan`` gets a
-        connection and its last result, and writes nothing; ``write`` writes the plan, in a library unchanged since.
+        After a write by another program it is planned again; after this many attempts others have to wait. ``plan``
+        gets a connection and its last result, and writes nothing; ``write`` writes the plan, in a library unchanged
+        since.
         """
         planned: Plan | None = None
-        for attempt in range(_ATTEMPTS + 1):
+        for attempt in range(attempts + 1):
             with self.reading() as connection:
                 seen = read_revision(connection)
                 planned = plan(connection, planned)
@@ -311,10 +315,15 @@ class Database:
                 lock_for_writing(connection)
                 if read_revision(connection) == seen:
                     return write(connection, planned)
-                if attempt == _ATTEMPTS:
+                if attempt == attempts:
                     return write(connection, plan(connection, planned))
-            time.sleep(random.uniform(0, _MOST_PAUSE))  # so that two writers do not keep colliding
+            _pause()
         raise AssertionError
+
+
+def _pause(most: float = 0.2) -> None:
+    """Wait at random, ``most`` s at most, so that two writers do not keep colliding."""
+    time.sleep(random.uniform(0, most))
 
 
 @contextmanager

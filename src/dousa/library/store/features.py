@@ -29,9 +29,6 @@ if TYPE_CHECKING:
     from dousa.motion import CanonicalMotion, Trajectories
     from dousa.retrieval.features.feature_sets import FeatureSet
 
-BEYOND_MEASURE = 1e9
-"""Metres, body heights and hertz beyond which input is not a motion."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredMotion(CanonicalPoses):
@@ -72,6 +69,14 @@ class Description:
     feature_set: str
     features: FloatArray
     poses: NDArray[np.float32]
+
+
+def is_measurable(values: FloatArray, height: float, *, most: float = 1e9) -> bool:
+    """Return whether values and a height can be of a motion: m, body heights or Hz below ``most``, a body above none.
+
+    Larger numbers come from a wrong unit or a damaged file; NaN is not measurable.
+    """
+    return bool((np.abs(values) < most).all()) and height * most > 1
 
 
 def round_positions(motion: CanonicalMotion | StoredMotion) -> StoredMotion:
@@ -227,8 +232,8 @@ def pack_positions(motion: StoredMotion) -> bytes:
 
 def _unpack(connection: sa.Connection, row: Any, data: bytes) -> StoredMotion:
     positions = _unpack_positions(connection, row, data)
-    numbers = row.height, 1 / row.height if row.height else np.inf, row.frame_rate, np.nanmax(np.abs(positions))
-    if not (max(numbers) < BEYOND_MEASURE and min(numbers) >= 0 and row.frame_rate >= SLOWEST_RATE):
+    numbers = np.array([row.height, row.frame_rate, np.nanmax(np.abs(positions))])
+    if not (is_measurable(numbers, row.height) and row.frame_rate >= SLOWEST_RATE):
         raise LibraryDamagedError(
             "library_clips.impossible", path=row.path, height=row.height, frame_rate=row.frame_rate
         )
@@ -237,8 +242,6 @@ def _unpack(connection: sa.Connection, row: Any, data: bytes) -> StoredMotion:
 
 _FEATURES, _POSES = "<f4", "<f4"
 _EARLIER_FEATURES = "<f8"  # of an older dousa; the values have float32 precision too
-_LARGEST = 1e37  # of float32
-_IN_MEMORY = 2**32  # bytes of features; more go to a temporary file
 
 Progress = Callable[[int, int], None]
 
@@ -302,11 +305,8 @@ def load_features(
         read = read_feature_rows(connection, some)
         if read:
             checksums.FEATURES.check_all(connection, list(zip(*read, strict=True)))
-        for own in _stack_features(read, features.shape[1:]):
-            values = own[1]
-            if not np.abs(values).max() < _LARGEST:
-                raise LibraryDamagedError("library_clips.features_beyond_measure")
-            features[[places[clip_id] for clip_id in own[0]]] = values
+        for own, values in _stack_features(read, features.shape[1:]):
+            features[[places[clip_id] for clip_id in own]] = values
     lacking = [row.id for row in rows if row.feature_set != feature_set]
     computed = describe_stored(connection, lacking, feature_set, n_jobs, progress)
     for place, row in enumerate(rows):
@@ -323,18 +323,26 @@ def load_features(
     )
 
 
-def _stack_features(rows: Sequence[Any], shape: tuple[int, ...]) -> Iterator[tuple[list[int], NDArray[Any]]]:
-    """Yield numbers and features of rows, those of an older dousa apart from the others."""
+def _stack_features(
+    rows: Sequence[Any], shape: tuple[int, ...], *, most: float = 1e37
+) -> Iterator[tuple[list[int], NDArray[Any]]]:
+    """Yield numbers and features of rows, those of an older dousa apart from the others.
+
+    LibraryDamagedError for values over ``most``, near the largest that float32 has.
+    """
     earlier = int(np.prod(shape)) * np.dtype(_EARLIER_FEATURES).itemsize
     for kind in (_EARLIER_FEATURES, _FEATURES):
         some = [row for row in rows if (len(row.pose_features) == earlier) == (kind == _EARLIER_FEATURES)]
         if some:
-            yield [row.clip_id for row in some], stack([row.pose_features for row in some], kind, shape, "features")
+            values = stack([row.pose_features for row in some], kind, shape, "features")
+            if not np.abs(values).max() < most:
+                raise LibraryDamagedError("library_clips.features_beyond_measure")
+            yield [row.clip_id for row in some], values
 
 
-def _allocate(shape: tuple[int, int, int]) -> NDArray[Any]:
-    """Allocate room for features; if large, in a temporary file that is deleted with its last view."""
-    if 4 * int(np.prod(shape)) <= _IN_MEMORY:
+def _allocate(shape: tuple[int, int, int], *, in_memory: int = 2**32) -> NDArray[Any]:
+    """Allocate room for features; over ``in_memory`` bytes in a temporary file that is deleted with its last view."""
+    if 4 * int(np.prod(shape)) <= in_memory:
         return np.zeros(shape, np.float32)
     import tempfile
 

@@ -31,19 +31,13 @@ if TYPE_CHECKING:
     from dousa.retrieval.forest.likeness import Likeness
     from dousa.retrieval.takes.windows import WindowGrid
 
-_FOREST_ID = 1
-
-_AT_ONCE = 1024  # clips per pass through the trees; each needs some kilobytes more
+_FOREST_ID = 1  # of the only row, by definition
 
 # Clips that the rounds of a calibration use, enough for two curves: so many of each category, within these bounds.
 _HELD_OF_EACH, _MOST_HELD_BACK = 20, (1500, 3000)
 
-MOST_COPIES = 1000
-"""Most disturbed copies: with a tenth of the clips the forest learns most effects of noise."""
-
-PARTS_OF_A_VOTE = 64  # of a vote: a power of two, so that whole votes are exact
-
-_TEMPOS = (0.5, 2.0)  # windows from half to twice the length of the clips
+PARTS_OF_A_VOTE = 64
+"""The unit of stored votes is this part of a tree: a power of two, so that whole votes are exact."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,7 +114,7 @@ def ask_trees(stored: StoredForest, features: FloatArray) -> TreeAnswers:
     answers = count_votes(stored, find_leaves(stored, features))
     if stored.likeness is None or not len(features):
         return answers
-    parts = [features[start : start + _AT_ONCE] for start in range(0, len(features), _AT_ONCE)]
+    parts = [features[some] for some in _cut(len(features))]
     placed = map_pieces(stored.likeness.place, parts, stored.forest.n_jobs, at_a_time=1)
     return replace(answers, directions=np.concatenate(placed))
 
@@ -129,11 +123,16 @@ def find_leaves(stored: StoredForest, features: FloatArray) -> NDArray[np.int32]
     """Return the leaf that each clip reaches in each tree, (N, n_trees)."""
     leaves = np.empty((len(features), len(stored.forest.trees_.roots)), np.int32)
 
-    def find(start: int) -> None:
-        leaves[start : start + _AT_ONCE] = stored.forest.apply(features[start : start + _AT_ONCE])
+    def find(some: slice) -> None:
+        leaves[some] = stored.forest.apply(features[some])
 
-    map_pieces(find, range(0, len(features), _AT_ONCE), stored.forest.n_jobs, at_a_time=1)
+    map_pieces(find, _cut(len(features)), stored.forest.n_jobs, at_a_time=1)
     return leaves
+
+
+def _cut(count: int, *, at_once: int = 1024) -> list[slice]:
+    """Cut clips into portions for one pass through the trees, which needs some kilobytes for each clip."""
+    return [slice(start, start + at_once) for start in range(0, count, at_once)]
 
 
 def make_keys(hashes: Iterable[str]) -> NDArray[np.uint64]:
@@ -246,13 +245,13 @@ def _read_grid(connection: sa.Connection, lengths: Any) -> WindowGrid:
         raise LibraryDamagedError("library_forest.windows_damaged", reason=error) from error
 
 
-def fit_grid(connection: sa.Connection) -> WindowGrid:
-    """Choose windows as long as the labelled clips."""
+def fit_grid(connection: sa.Connection, *, tempos: tuple[float, float] = (0.5, 2.0)) -> WindowGrid:
+    """Choose windows as long as the labelled clips at these tempos, between which places in takes are found."""
     from dousa.retrieval.takes.windows import choose_grid
 
     table = schema.clips.c
     query = sa.select(table.duration).where(table.kind == schema.CLIP, table.category.is_not(None))
-    return choose_grid(list(connection.execute(query).scalars()) or [1.0], *_TEMPOS)
+    return choose_grid(list(connection.execute(query).scalars()) or [1.0], *tempos)
 
 
 def choose_held_back(clips: ClipFeatures, labelled: Sequence[int]) -> list[int]:
@@ -283,11 +282,18 @@ def hold_back(clips: ClipFeatures, labelled: Sequence[int]) -> HeldBack:
 
 
 def describe_copies(
-    connection: sa.Connection, clips: ClipFeatures, labelled: Sequence[int], kind: FeatureSet, n_jobs: int | None = 1
+    connection: sa.Connection,
+    clips: ClipFeatures,
+    labelled: Sequence[int],
+    kind: FeatureSet,
+    n_jobs: int | None = 1,
+    *,
+    most: int = 1000,
 ) -> Copies:
     """Describe disturbed copies of some clips of ``choose_held_back``, to learn the effect of noise.
 
-    Empty for features without banks: the paper has no copies.
+    There are ``most`` copies: more take longer, and of a tenth of the clips a forest learns most effects. Empty for
+    features without banks: the paper has no copies.
     """
     from dousa.retrieval.features.posed_motion import hide_joints
     from dousa.retrieval.features.sensor_noise import reduce_noise_of_all
@@ -296,7 +302,7 @@ def describe_copies(
 
     rows = choose_held_back(clips, labelled)
     some = bool(rows) and kind.has_banks
-    places = np.arange(0, len(rows), -(-len(rows) // MOST_COPIES)) if some else np.zeros(0, np.intp)
+    places = np.arange(0, len(rows), -(-len(rows) // most)) if some else np.zeros(0, np.intp)
 
     def disturb(place: int, motion: StoredMotion) -> PosedMotion:
         whole = kind.complete(hide_joints(motion, kind.hidden))
@@ -410,10 +416,10 @@ def note_unlearned(connection: sa.Connection, ids: Sequence[int]) -> None:
 
 def save_answers(connection: sa.Connection, ids: Sequence[int], answers: TreeAnswers) -> None:
     """Write the leaves and votes of clips that have none yet."""
-    for start in range(0, len(ids), _AT_ONCE):
-        some = answers[start : start + _AT_ONCE]
+    for portion in _cut(len(ids)):
+        some = answers[portion]
         directions = [None] * len(some.leaves) if some.directions is None else [pack(d, "<f4") for d in some.directions]
-        answered = zip(ids[start : start + _AT_ONCE], some.predicted(), some.leaves, directions, strict=True)
+        answered = zip(ids[portion], some.predicted(), some.leaves, directions, strict=True)
         rows = [
             {"clip_id": clip_id, "predicted_category": category, "leaves": pack(leaves, "<i4"), "direction": direction}
             for clip_id, category, leaves, direction in answered

@@ -16,7 +16,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, TypeAlias
 
 import sqlalchemy as sa
 
@@ -28,9 +28,6 @@ from dousa.library.store.engine import BESIDE
 from dousa.library.store.schema import PLACE, array_store
 from dousa.library.store.selection import fetch_in
 
-MOST_BYTES = 2**28
-"""Size at which a fragment is closed and another begun."""
-
 _NAME = re.compile(r"\d{6,}-[0-9a-f]{8}\.blocks")
 _EXTRAS = {"s3": ("s3fs", "s3"), "s3a": ("s3fs", "s3")}  # package and extra of dousa, by URL scheme
 
@@ -41,25 +38,6 @@ class Place(NamedTuple):
     fragment: str
     first_byte: int
     n_bytes: int
-
-
-class FragmentStore(Protocol):
-    """A store of fragments."""
-
-    where: str
-    """Its name in messages."""
-
-    def append(self, blocks: Sequence[bytes], into: str | None = None) -> list[Place]:
-        """Write blocks to disk, into a fragment of this name if possible."""
-
-    def read(self, places: Sequence[Place]) -> list[bytes]:
-        """Read blocks in the order of their places; missing or incomplete ones are shorter."""
-
-    def sizes(self) -> dict[str, int]:
-        """Return the bytes of all fragments, by name."""
-
-    def delete(self, name: str) -> None:
-        """Delete a fragment."""
 
 
 def is_name(name: Any) -> bool:
@@ -74,13 +52,19 @@ def make_name(known: Sequence[str]) -> str:
 
 
 class FolderFragments:
-    """Fragments as files of a folder, made when the first block is written."""
+    """Fragments as files of a folder, made when the first block is written.
 
-    def __init__(self, folder: Path, library: str) -> None:
-        self.folder, self.library, self.where = folder, library, os.fspath(folder)
+    Parameters
+    ----------
+    library : its name in messages; ``where`` is that of the store.
+    full : bytes at which a fragment is closed and another begun; larger ones take longer to rewrite.
+    """
+
+    def __init__(self, folder: Path, library: str, *, full: int = 2**28) -> None:
+        self.folder, self.library, self.where, self.full = folder, library, os.fspath(folder), full
 
     def append(self, blocks: Sequence[bytes], into: str | None = None) -> list[Place]:
-        """As ``FragmentStore.append``."""
+        """Write blocks to disk, into a fragment of this name if possible."""
         with _plain_errors(self.library, self.where):
             self.folder.mkdir(parents=True, exist_ok=True)
             name = into or self._choose()
@@ -98,10 +82,10 @@ class FolderFragments:
     def _choose(self) -> str:
         sizes = self.sizes()
         newest = max(sizes, default=None)
-        return newest if newest is not None and sizes[newest] < MOST_BYTES else make_name(list(sizes))
+        return newest if newest is not None and sizes[newest] < self.full else make_name(list(sizes))
 
     def read(self, places: Sequence[Place]) -> list[bytes]:
-        """As ``FragmentStore.read``."""
+        """Read blocks in the order of their places; missing or incomplete ones are shorter."""
         found = [b""] * len(places)
         by_name: dict[str, list[int]] = {}
         for number, place in enumerate(places):
@@ -118,7 +102,7 @@ class FolderFragments:
         return found
 
     def sizes(self) -> dict[str, int]:
-        """As ``FragmentStore.sizes``."""
+        """Return the bytes of all fragments, by name."""
         with _plain_errors(self.library, self.where):
             if not self.folder.is_dir():
                 return {}
@@ -126,7 +110,7 @@ class FolderFragments:
                 return {entry.name: entry.stat().st_size for entry in entries if is_name(entry.name)}
 
     def delete(self, name: str) -> None:
-        """As ``FragmentStore.delete``; the folder is deleted with its last fragment."""
+        """Delete a fragment, and the folder with the last one."""
         with _plain_errors(self.library, self.where), suppress(FileNotFoundError):
             os.unlink(self.folder / name)
         with suppress(OSError):
@@ -134,10 +118,10 @@ class FolderFragments:
 
 
 class ObjectFragments:
-    """Fragments as objects below a URL that fsspec supports, such as ``s3://bucket/moves``."""
+    """Fragments as objects below a URL that fsspec supports, such as ``s3://bucket/moves``; as ``FolderFragments``."""
 
-    def __init__(self, url: str, library: str) -> None:
-        self.library, self.where = library, url
+    def __init__(self, url: str, library: str, *, full: int = 2**28) -> None:
+        self.library, self.where, self.full = library, url, full
         kind = url.partition("://")[0]
         if kind in _EXTRAS:
             require(*_EXTRAS[kind])
@@ -146,15 +130,15 @@ class ObjectFragments:
             self._files, self._root = core.url_to_fs(url)
 
     def append(self, blocks: Sequence[bytes], into: str | None = None) -> list[Place]:
-        """As ``FragmentStore.append``; always a new fragment."""
+        """Write blocks, always into a new fragment."""
         name = f"{int(time.time()):010}-{secrets.token_hex(4)}.blocks"  # needs no list of existing fragments
         with _plain_errors(self.library, self.where):
             self._files.pipe_file(f"{self._root}/{name}", b"".join(blocks))
         return list(_lay_out(name, 0, blocks))
 
     def read(self, places: Sequence[Place]) -> list[bytes]:
-        """As ``FragmentStore.read``; neighbours are read together."""
-        spans = _join([place for place in places if is_name(place.fragment)])
+        """Read blocks in the order of their places; neighbours are read together."""
+        spans = _join([place for place in places if is_name(place.fragment)], self.full)
         paths = [f"{self._root}/{name}" for name, _, _ in spans]
         starts, ends = [first for _, first, _ in spans], [first + n for _, first, n in spans]
         with _plain_errors(self.library, self.where):
@@ -171,7 +155,7 @@ class ObjectFragments:
         return found
 
     def sizes(self) -> dict[str, int]:
-        """As ``FragmentStore.sizes``."""
+        """Return the bytes of all fragments, by name."""
         with _plain_errors(self.library, self.where), suppress(FileNotFoundError):
             self._files.invalidate_cache(self._root)
             listed = self._files.ls(self._root, detail=True)
@@ -180,22 +164,23 @@ class ObjectFragments:
         return {}
 
     def delete(self, name: str) -> None:
-        """As ``FragmentStore.delete``."""
+        """Delete a fragment."""
         with _plain_errors(self.library, self.where), suppress(FileNotFoundError):
             self._files.rm_file(f"{self._root}/{name}")
 
 
-_GAP = 2**16  # bytes between two blocks that are still read together
+FragmentStore: TypeAlias = FolderFragments | ObjectFragments
 
 
-def _join(places: Sequence[Place]) -> list[Place]:
+def _join(places: Sequence[Place], most: int, *, gap: int = 2**16) -> list[Place]:
+    """Join places to spans of ``most`` bytes, with gaps of so many bytes: a larger gap saves requests, not bytes."""
     spans: list[Place] = []
     for place in sorted(set(places)):
         last = spans[-1] if spans else None
         end = place.first_byte + place.n_bytes
         if last is not None and last.fragment == place.fragment:
             reached = last.first_byte + last.n_bytes
-            if place.first_byte <= reached + _GAP and end - last.first_byte <= MOST_BYTES:
+            if place.first_byte <= reached + gap and end - last.first_byte <= most:
                 spans[-1] = last._replace(n_bytes=max(end, reached) - last.first_byte)
                 continue
         spans.append(place)
@@ -259,8 +244,6 @@ ARRAYS = (
     schema.removed_positions.c.positions,
 )
 """The columns whose bytes may be in fragments."""
-
-_READ_AT_ONCE = 2**24  # bytes
 
 
 def find_store(connection: sa.Connection) -> FragmentStore | None:
@@ -337,14 +320,14 @@ def look_at_blocks(connection: sa.Connection, rows: Sequence[Any], column: str) 
     return [row._mapping[column] if place_of(row) is None else next(found) for row in rows]
 
 
-def in_portions(rows: Iterable[Any]) -> Iterator[list[Any]]:
-    """Yield rows of positions in portions that fit in memory."""
+def in_portions(rows: Iterable[Any], *, n_bytes: int = 2**24) -> Iterator[list[Any]]:
+    """Yield rows of positions in portions of about ``n_bytes``, so that they fit in memory."""
     some: list[Any] = []
     size = 0
     for row in rows:
         some.append(row)
         size += len(row.positions) if row.fragment is None else row.n_bytes or 0
-        if size >= _READ_AT_ONCE:
+        if size >= n_bytes:
             yield some
             some, size = [], 0
     if some:

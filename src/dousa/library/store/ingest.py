@@ -28,10 +28,10 @@ from dousa.formats.motion_files import (
 )
 from dousa.library.store.engine import check_jobs, choose_jobs
 from dousa.library.store.features import (
-    BEYOND_MEASURE,
     Description,
     StoredMotion,
     describe_clip,
+    is_measurable,
     lacks,
     round_positions,
 )
@@ -243,7 +243,7 @@ def _round(motion: CanonicalMotion) -> StoredMotion:
     """Return the motion as it would be stored; InvalidMotionError if positions or the frame rate are beyond measure."""
     rounded = round_positions(motion)
     there = [row for row, joint in enumerate(CANONICAL_JOINTS) if joint not in rounded.absent]
-    if not ((np.abs(rounded.positions[:, there]) < BEYOND_MEASURE).all() and motion.height * BEYOND_MEASURE > 1):
+    if not is_measurable(rounded.positions[:, there], motion.height):
         raise InvalidMotionError("motion_files.beyond_measure")
     check_frame_rate(motion.frame_rate)
     return rounded

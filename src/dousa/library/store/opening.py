@@ -176,6 +176,7 @@ def _add_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
     connection.execute(sa.DDL(f"ALTER TABLE {table.name} ADD COLUMN {column}"))  # type: ignore[no-untyped-call]
 
 
+# The versions of the tables, by definition: each library records the numbers of its steps.
 MIGRATIONS: tuple[Migration, ...] = (
     Migration(1, "first tables", _first_tables),
     Migration(2, "takes and feature sets", _takes_and_feature_sets),

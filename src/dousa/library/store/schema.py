@@ -19,15 +19,13 @@ from dousa.errors import LibraryDamagedError
 from dousa.messages import Message
 
 APPLICATION_ID = 0x444F5553
-"""``DOUS``: marks an SQLite file as a dousa library."""
+"""``DOUS``: marks an SQLite file as a dousa library (https://sqlite.org/fileformat.html, 1.3.12)."""
 
 FRAME_BYTES = 4 * 3 * 20
-"""Bytes of one frame of stored positions."""
+"""Bytes of one frame of stored positions, by definition of ``clip_trajectories``: float32 of 20 joints."""
 
 CLIP, TAKE = "clip", "take"
 """The kinds of motion in a library: a cut clip, and an uncut recording."""
-
-_IDS = range(1, 2**31)  # beyond them databases raise errors of their own
 
 metadata = sa.MetaData()
 
@@ -353,8 +351,8 @@ PLACE = ("fragment", "first_byte", "n_bytes")
 
 
 def is_id(number: int) -> bool:
-    """Return whether a clip or take can have this number."""
-    return number in _IDS
+    """Return whether a clip or take can have this number; beyond them databases raise errors of their own."""
+    return number in range(1, 2**31)
 
 
 def as_message(stored: Any) -> Message:

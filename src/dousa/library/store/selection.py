@@ -18,9 +18,6 @@ from dousa.library.store.checksums import LABELS, NUMBERS, TAGS, seal_rows, upda
 from dousa.library.store.engine import note_changed_clips, read_revision
 from dousa.messages import Message
 
-_VALUES_AT_ONCE = 500  # databases limit the number of values in one query
-_PAGE = 1000  # clips read at a time
-
 Item = TypeVar("Item")
 
 Selection = int | str | os.PathLike[str] | Iterable[int | str | os.PathLike[str]]
@@ -122,9 +119,12 @@ def find_row(connection: sa.Connection, where: str, number: int) -> Any:
     return row
 
 
-def portions(ids: Sequence[Item]) -> Iterable[Sequence[Item]]:
-    """Split numbers, or rows, into lists short enough for one query."""
-    return (ids[start : start + _VALUES_AT_ONCE] for start in range(0, len(ids), _VALUES_AT_ONCE))
+def portions(ids: Sequence[Item], *, at_once: int = 500) -> Iterable[Sequence[Item]]:
+    """Split numbers, or rows, into lists short enough for one query, whose values databases limit.
+
+    SQLite before 3.32 allows 999 (https://sqlite.org/limits.html).
+    """
+    return (ids[start : start + at_once] for start in range(0, len(ids), at_once))
 
 
 def fetch_in(
@@ -149,9 +149,14 @@ def list_clips(connection: sa.Connection, ids: Sequence[int] | None = None) -> l
 
 
 def read_page(
-    connection: sa.Connection, after: int, category: str | None = None, performer: str | None = None
+    connection: sa.Connection,
+    after: int,
+    category: str | None = None,
+    performer: str | None = None,
+    *,
+    most: int = 1000,
 ) -> list[ClipInfo]:
-    """Read the next page of clips and takes, in the order of their numbers; of these labels if given."""
+    """Read the next page, ``most`` clips and takes, in the order of their numbers; of these labels if given."""
     table = schema.clips.c
     wanted = [table.id > after]
     wanted += [
@@ -159,7 +164,7 @@ def read_page(
         for column, value in ((table.category, category), (table.performer, performer))
         if value is not None
     ]
-    return _read_infos(connection, *wanted, limit=_PAGE)
+    return _read_infos(connection, *wanted, limit=most)
 
 
 def _read_infos(connection: sa.Connection, *wanted: sa.ColumnElement[bool], limit: int | None = None) -> list[ClipInfo]:

@@ -80,10 +80,6 @@ class Describing:
         return ReadTake(path, clip_id, lambda: windows, stored, kept, notes)
 
 
-_ALIKE = 0.5
-_SAME_PLACE = 0.3  # intersection over union from which two answers are one place
-
-
 def find_places(
     motions: Sequence[StoredMotion],
     takes: Sequence[ReadTake],
@@ -140,15 +136,20 @@ def _look_again(
     return take.read()
 
 
-def rank_places(found: list[tuple[Found, bool]], takes: Sequence[ReadTake], k: int) -> list[Place]:
-    """Rank places of the query and of its mirror image, the best first, each once."""
+def rank_places(
+    found: list[tuple[Found, bool]], takes: Sequence[ReadTake], k: int, *, shared: float = 0.3
+) -> list[Place]:
+    """Rank places of the query and of its mirror image, the best first, each once.
+
+    Places whose intersection over union is ``shared`` are one place; less leaves out more of them.
+    """
     from dousa.retrieval.takes.find import overlap
 
     found.sort(key=lambda one: (one[1] * MIRROR_SCORE - one[0].score, int(one[0].take), one[0].start))
     kept: list[tuple[Found, bool]] = []
     for one, mirrored in found:
         same = (
-            other.take == one.take and overlap((one.start, one.stop), (other.start, other.stop)) >= _SAME_PLACE
+            other.take == one.take and overlap((one.start, one.stop), (other.start, other.stop)) >= shared
             for other, _ in kept
         )
         if not any(same):
@@ -161,9 +162,18 @@ def rank_places(found: list[tuple[Found, bool]], takes: Sequence[ReadTake], k: i
 
 
 def judge_places(
-    connection: sa.Connection, stored: StoredForest, query: StoredMotion, takes: Sequence[ReadTake], places: list[Place]
+    connection: sa.Connection,
+    stored: StoredForest,
+    query: StoredMotion,
+    takes: Sequence[ReadTake],
+    places: list[Place],
+    *,
+    threshold: float = 0.5,
 ) -> list[Place]:
-    """Rank places by the probability that they show the same as the query, each judged as a clip."""
+    """Rank places by the probability that they show the same as the query, each judged as a clip.
+
+    They probably show it from the threshold on; a higher one calls fewer of them similar.
+    """
     from dousa.retrieval.takes.find import judge_place
 
     if stored.likeness is None or not places or any(take.stored is not stored for take in takes):
@@ -185,7 +195,7 @@ def judge_places(
         own = asked[place.mirrored]
         likeness = float(stored.likeness.judge(*own[1:], means[None], direction[None])[0])
         chance = judge_place(likeness, place.score, float(shares[own[0].argmax()]))
-        judged.append((chance, replace(place, alike=chance >= _ALIKE, probability=round(chance, 4))))
+        judged.append((chance, replace(place, alike=chance >= threshold, probability=round(chance, 4))))
     judged.sort(key=lambda one: -one[0])
     return [replace(place, rank=rank) for rank, (_, place) in enumerate(judged, 1)]
 

@@ -27,19 +27,13 @@ from dousa.library.search.side_file import create_alone
 from dousa.retrieval.takes.find import cost_windows
 from dousa.retrieval.takes.windows import N_PARTS, N_SMALL, TakeWindows, WindowGrid, count_windows, hop_of
 
+# Measured by python -m lab.benchmarks.find_many (lab/notes/takes.md): half as many marks are of no use, and 31
+# coordinates find 0.02 to 0.09 more of the places where few windows are compared.
 N_VALUES = 15
-"""Coordinates of a sketch."""
+"""Coordinates of a sketch, measured as above."""
 
 N_MARKS = 32
-"""Trees whose leaves are in the marks."""
-
-# Cosine between the rests of a query and of similar windows; chosen on joined takes of UTD-MHAD.
-_ALIKE = 0.4
-# The share of all trees is estimated from the marks and one more tree with this share.
-_USUAL_SHARE = 0.25
-_LEAST_STEP = 1e-9
-_AT_ONCE = 16_384  # windows whose mean poses are in memory: 28 MB, and a few times that for a moment
-_NEARLY_ALL = 0.9999  # quantile at which coordinates and rests are clipped
+"""Trees whose leaves are in the marks, measured as above."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,8 +52,11 @@ class Sketcher:
     steps: FloatArray
 
     @classmethod
-    def fit(cls, means: FloatArray) -> Sketcher:
-        """Fit to the mean poses of the parts of some windows (N, 8, 27)."""
+    def fit(cls, means: FloatArray, *, within: float = 0.9999) -> Sketcher:
+        """Fit to the mean poses of the parts of some windows (N, 8, 27).
+
+        Coordinates and rests beyond the quantile ``within`` are clipped; a lower one makes the steps finer.
+        """
         flat = means.reshape(len(means), -1)
         centre = flat.mean(axis=0)
         whole = _expand((flat - centre).reshape(means.shape))
@@ -67,8 +64,8 @@ class Sketcher:
         axes = _expand(np.eye(flat.shape[1]).reshape(-1, *means.shape[1:])) @ basis
         known = cls(centre, axes, np.ones(2))
         placed, rests = known.place(means)
-        steps = np.quantile(np.abs(placed), _NEARLY_ALL) / 127, np.quantile(rests, _NEARLY_ALL) / 255
-        return cls(centre, axes, np.maximum(steps, _LEAST_STEP))
+        steps = np.quantile(np.abs(placed), within) / 127, np.quantile(rests, within) / 255
+        return cls(centre, axes, np.maximum(steps, 1e-9))  # above zero
 
     def place(self, means: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Compute coordinates (N, R) and rests (N,) of mean poses of parts (N, 8, 27)."""
@@ -89,18 +86,24 @@ class Sketcher:
         sketches[-1] = np.clip(np.rint(rests / self.steps[1]), 0, 255) - 128
         return sketches
 
-    def ask(self, parts: FloatArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the coordinates (R,) of a query (8, 27), and the squared distance (256,) each rest adds, in steps."""
+    def ask(self, parts: FloatArray, *, cosine: float = 0.4) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return the coordinates (R,) of a query (8, 27), and the squared distance (256,) each rest adds, in steps.
+
+        The ``cosine`` between the rests of a query and of similar windows was chosen on joined takes of UTD-MHAD.
+        """
         placed, rests = self.place(parts[None])
         own, theirs = float(rests[0]), np.arange(256) * self.steps[1]
-        added = (theirs - own) ** 2 + 2.0 * (1.0 - _ALIKE) * theirs * own
+        added = (theirs - own) ** 2 + 2.0 * (1.0 - cosine) * theirs * own
         step = self.steps[0]
         return (placed[0] / step).astype(np.float32), (added / step**2).astype(np.float32)
 
 
-def cost_marks(n_marks: int) -> FloatArray:
-    """Return the cost (S + 1,) of the leaves by the number of equal marks."""
-    shares = (np.arange(n_marks + 1) + _USUAL_SHARE) / (n_marks + 1)
+def cost_marks(n_marks: int, *, usual: float = 0.25) -> FloatArray:
+    """Return the cost (S + 1,) of the leaves by the number of equal marks.
+
+    The share of all trees is estimated from the marks and one more tree with the ``usual`` share.
+    """
+    shares = (np.arange(n_marks + 1) + usual) / (n_marks + 1)
     costs: FloatArray = cost_windows(0.0, shares)
     return costs
 
@@ -115,10 +118,15 @@ def cut_windows(windows: TakeWindows, rows: slice | NDArray[np.intp]) -> FloatAr
 
 def sketch_windows(sketcher: Sketcher, windows: TakeWindows, rows: slice) -> NDArray[np.int8]:
     """Return (R + 1, N) sketches of some windows of a take, computed in portions as it may be long."""
-    first, last, _ = rows.indices(len(windows.starts))
-    starts = range(first, last, _AT_ONCE)
-    parts = [sketcher.sketch(cut_windows(windows, slice(one, min(one + _AT_ONCE, last)))) for one in starts]
+    parts = [sketcher.sketch(cut_windows(windows, some)) for some in _cut(rows, len(windows.starts))]
     return np.concatenate([np.empty((sketcher.axes.shape[1] + 1, 0), np.int8), *parts], axis=1)
+
+
+def _cut(rows: slice, count: int, *, at_once: int = 16_384) -> Iterator[slice]:
+    """Yield rows among ``count`` in portions: the mean poses of 16,384 windows take 28 MB, and more for a moment."""
+    first, last, _ = rows.indices(count)
+    for start in range(first, last, at_once):
+        yield slice(start, min(start + at_once, last))
 
 
 def _expand(means: FloatArray) -> FloatArray:
@@ -129,13 +137,10 @@ def _expand(means: FloatArray) -> FloatArray:
     return scaled
 
 
-BLOCK = 64  # frames with one checksum
+BLOCK = 64  # frames with one checksum, by definition of the files
 _MAGIC = b"dousa windows 1\n"
 _START = struct.Struct("<16sQQI")  # magic; place, length and checksum of the header at the end
-_BLOCK_BYTES = BLOCK * N_SMALL * 2 + 4
-_AT_ONCE = 16_384  # windows packed at a time
-_READ = 1 << 20  # bytes
-_FITTED = 20_000  # windows to which sketches are fitted
+_BLOCK_BYTES = BLOCK * N_SMALL * 2 + 4  # of float16 and the checksum, by definition of the files
 _MISSING = np.iinfo(np.uint16).max  # the code of leaves without windows
 
 
@@ -252,15 +257,23 @@ def _count_ends(lengths: Sequence[int], n_frames: Sequence[int]) -> IntArray:
     return np.pad(np.cumsum(np.array(counts, np.int64), axis=1), ((0, 0), (1, 0)))
 
 
-def write_portion(path: Path, forest: list[int], takes: Sequence[tuple[int, int, TakeWindows]], n_leaves: int) -> bool:
+def write_portion(
+    path: Path,
+    forest: list[int],
+    takes: Sequence[tuple[int, int, TakeWindows]],
+    n_leaves: int,
+    *,
+    n_fitted: int = 20_000,
+) -> bool:
     """Write the windows of takes (number, stamp, windows) of one grid; OSError if the file cannot be written.
 
-    Return False if another program is writing it, or a leaf is in two trees.
+    Sketches are fitted to about ``n_fitted`` windows: more take longer. Return False if another program is writing the
+    file, or a leaf is in two trees.
     """
     windows = [own for _, _, own in takes]
     lengths = windows[0].grid.lengths
     ends = _count_ends(lengths, [own.n_frames for own in windows])
-    step = max(int(ends[:, -1].sum()) // _FITTED, 1)
+    step = max(int(ends[:, -1].sum()) // n_fitted, 1)
     sketcher = Sketcher.fit(np.concatenate([cut_windows(own, slice(None, None, step)) for own in windows]))
     ranks = _rank_leaves(windows, n_leaves)
     if ranks is None:
@@ -282,7 +295,7 @@ def write_portion(path: Path, forest: list[int], takes: Sequence[tuple[int, int,
         places.append(file.tell())
         for length in lengths:
             for one in windows:
-                for some in _portions(one, length):
+                for some in _cut(_rows(one, length), len(one.starts)):
                     file.write(_pack_rows(one.leaves[some], ranks, code_type))
         places.append(file.tell())
         for one in windows:
@@ -332,15 +345,8 @@ def _sketch(
     own = [sketch_windows(sketcher, one, _rows(one, length)) for one in takes]
     yield np.ascontiguousarray(np.concatenate(own, axis=1))
     for one in takes:
-        for some in _portions(one, length):
+        for some in _cut(_rows(one, length), len(one.starts)):
             yield np.ascontiguousarray(ranks[one.leaves[some, :N_MARKS]].astype(np.uint8))
-
-
-def _portions(windows: TakeWindows, length: int) -> Iterator[slice]:
-    """Yield the windows of a length in portions."""
-    rows = _rows(windows, length)
-    for first in range(rows.start, rows.stop, _AT_ONCE):
-        yield slice(first, min(first + _AT_ONCE, rows.stop))
 
 
 def _pack_rows(leaves: NDArray[Any], ranks: IntArray, code_type: np.dtype[Any]) -> bytes:
@@ -418,20 +424,23 @@ def check_portion(path: Path) -> bool:
         return False
 
 
-def _is_whole(portion: Portion, file: IO[bytes]) -> bool:
-    """Compare sketches, rows and poses with their checksums; PortionGoneError for damaged rows or poses."""
+def _is_whole(portion: Portion, file: IO[bytes], *, at_once: int = 1 << 20) -> bool:
+    """Compare sketches, rows and poses with their checksums; PortionGoneError for damaged rows or poses.
+
+    ``at_once`` bytes of sketches are read.
+    """
     for place, expected in enumerate(portion.sums):
         checksum, left = 0, int(portion.places[place + 1] - portion.places[place])
         file.seek(int(portion.places[place]))
-        while left and (data := file.read(min(left, _READ))):
+        while left and (data := file.read(min(left, at_once))):
             checksum, left = zlib.crc32(data, checksum), left - len(data)
         if left or checksum != expected:
             return False
     for place, count in enumerate(portion.ends[:, -1].tolist()):
-        for first in range(0, count, _AT_ONCE):
-            windows = np.arange(first, min(first + _AT_ONCE, count))
+        for some in _cut(slice(None), count):
+            windows = np.arange(some.start, some.stop)
             portion.read_rows(file, np.full(len(windows), place), windows)
     for take, n_frames in enumerate(portion.n_frames.tolist()):
-        for first in range(0, n_frames, _AT_ONCE):
-            portion.read_frames(file, take, first, first + _AT_ONCE)
+        for some in _cut(slice(None), n_frames):
+            portion.read_frames(file, take, some.start, some.stop)
     return True

@@ -21,12 +21,10 @@ from dousa.motion.runs import find_runs
 from dousa.retrieval.takes.find import POSE_WEIGHT, WINDOW_NUMBERS, CutStretch, Stretch, TakeSearch, cost_windows
 from dousa.retrieval.takes.moment_kernels import compare_leaves
 
-TILE = 2048  # windows whose distances are computed at a time
-
 
 @njit(cache=True, nogil=True)
 def scan_sketches(
-    sketches, marks, first, last, query, rests, leaves, added, weight, most, rows, costs
+    sketches, marks, first, last, query, rests, leaves, added, weight, most, rows, costs, tile_size=2048
 ):  # pragma: no cover - compiled
     """Write windows of cost at most ``most`` by their sketches into ``rows`` and ``costs``; return their number.
 
@@ -38,14 +36,15 @@ def scan_sketches(
     rests : (256,) float32, squared distance in steps that each rest adds.
     added : (S + 1,) cost by the number of equal marks.
     weight : cost of a step.
+    tile_size : windows whose distances are computed at a time, so that they stay in the processor's cache.
     """
     n_values, n_marks = sketches.shape[0] - 1, marks.shape[1]
-    tile = np.empty(TILE, np.float32)
+    tile = np.empty(tile_size, np.float32)
     nearest = most - added.min()
     limit = np.float32((nearest / weight) ** 2 if nearest > 0.0 else -1.0)
     count = 0
-    for start in range(first, last, TILE):
-        size = min(TILE, last - start)
+    for start in range(first, last, tile_size):
+        size = min(tile_size, last - start)
         for w in range(size):
             tile[w] = rests[np.int64(sketches[n_values, start + w]) + 128]
         for k in range(n_values):
@@ -66,11 +65,12 @@ def scan_sketches(
     return count
 
 
+# All three are measured by python -m lab.benchmarks.find_many: lab/notes/takes.md has the shares that were found.
 MOST_KEPT = 16_384
-"""Windows whose leaves are read, or twice as many as are compared if that is more."""
+"""Windows whose leaves are read, or twice as many as are compared if that is more; measured as above."""
 
 MOST_COMPARED = 4096
-"""Windows that are compared, the cheapest by sketches and leaves; more in more than 50 hours of takes."""
+"""Windows that are compared, the cheapest by sketches and leaves; more in more than 50 hours; measured as above."""
 
 # Measured: with one of 400 windows all of the first ten places were found in 50 and in 200 hours. The limit bounds
 # memory and time beyond 200 hours.

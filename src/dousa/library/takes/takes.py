@@ -29,14 +29,12 @@ from dousa.library.store.ingest import (
 )
 from dousa.library.store.selection import fetch_in, find_row, read_doubts
 from dousa.library.takes.places import Describing, ReadTake, count_alike, find_places, judge_places, rank_places
-from dousa.library.takes.windows import MOST_KEPT, WindowKeeper, describe_windows, read_windows, replace_windows
+from dousa.library.takes.windows import WindowKeeper, describe_windows, read_windows, replace_windows
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.retrieval.takes.find import Found
     from dousa.retrieval.takes.windows import TakeWindows, WindowGrid
-
-_TRIES = 8  # searches in files of windows, if one after the other is gone
 
 
 class Takes:
@@ -113,15 +111,20 @@ class Takes:
         far: tuple[sa.Connection, StoredForest, set[int] | None] | None,
         asked: tuple[Sequence[StoredMotion], Sequence[ReadTake], int],
         progress: Progress | None,
+        *,
+        tries: int = 8,
     ) -> tuple[list[tuple[Found, bool]], float, list[Message]]:
-        """Run ``find_places``, with files if the windows are many; damaged files are dropped."""
+        """Run ``find_places``, with files if the windows are many; damaged files are dropped.
+
+        After so many tries, each of which found a file gone, all windows are read into memory.
+        """
         from dousa.library.takes.portions import PortionGoneError
 
         if far is None:
             return *find_places(*asked), []
         connection, stored, numbers = far
         read = partial(self._read, connection, stored, keep=False)
-        for _ in range(_TRIES):
+        for _ in range(tries):
             on_disk = self._keeper.open(connection, stored, numbers, read, progress)
             if on_disk is None:
                 break
@@ -282,8 +285,13 @@ class Takes:
         names = [path for path in paths if is_unicode(path)]
         return {row.path: row for row in fetch_in(connection, query, table.path, names)}
 
-    def _read(self, connection: sa.Connection, stored: StoredForest, clip_id: int, *, keep: bool = True) -> TakeWindows:
-        """Read or describe the windows of a take; with ``keep`` they stay in memory while there is room."""
+    def _read(
+        self, connection: sa.Connection, stored: StoredForest, clip_id: int, *, keep: bool = True, room: int = 1 << 29
+    ) -> TakeWindows:
+        """Read or describe the windows of a take; with ``keep`` they stay in memory while there is room, in bytes.
+
+        Half a gigabyte has the windows of some 10 hours.
+        """
         if self._learned != stored.learned:
             self._learned, self._windows, self._kept_bytes = stored.learned, {}, 0
         known = self._windows.get(clip_id)
@@ -294,7 +302,7 @@ class Takes:
             (motion,) = load_motions(connection, [clip_id])
             windows = describe_windows(stored, motion, None)
             self._keep(stored, clip_id, windows)
-        if keep and self._kept_bytes + windows.n_bytes <= MOST_KEPT:
+        if keep and self._kept_bytes + windows.n_bytes <= room:
             self._windows[clip_id] = windows
             self._kept_bytes += windows.n_bytes
         return windows

@@ -26,20 +26,10 @@ from dousa.library.takes.portions import Portion, read_portion, write_portion
 from dousa.library.takes.scanning import TakesOnDisk
 from dousa.messages import Message
 from dousa.retrieval.features.posed_motion import hide_joints
-from dousa.retrieval.takes.windows import TAKE_RATE, TakeWindows, hop_of
+from dousa.retrieval.takes.windows import N_SMALL, TAKE_RATE, TakeWindows, hop_of
 
 if TYPE_CHECKING:
     from dousa.retrieval.takes.windows import WindowGrid
-
-MOST_IN_MEMORY = 1 << 29
-"""Bytes of windows that are compared in memory, some 10 hours; for more, a search uses files."""
-
-PORTION_BYTES = 1 << 28
-"""Bytes in memory of the windows of one file."""
-
-_CLEARLY = 1.25  # margin for the estimate, which is a ninth too high for short takes
-_ABANDONED = 86_400.0  # s after which an unfinished file is taken for abandoned
-_BYTES_A_FRAME = 27 * (2 + 8)  # a pose and its running sums
 
 Progress = Callable[[int, int, Message], None]
 
@@ -67,6 +57,10 @@ class WindowKeeper:
         asked: Collection[int] | None,
         read: Callable[[int], TakeWindows],
         progress: Progress | None = None,
+        *,
+        in_memory: int = 1 << 29,
+        in_a_file: int = 1 << 28,
+        margin: float = 1.25,
     ) -> TakesOnDisk | None:
         """Open the files of windows, and make missing ones; None if the wanted windows fit in memory.
 
@@ -76,10 +70,13 @@ class WindowKeeper:
         asked : numbers of the wanted takes; None for all.
         read : returns the windows of a take.
         progress : called with (takes done, takes, message) while files are made.
+        in_memory : bytes of windows that are compared in memory, some 10 hours; for more, a search uses files.
+        in_a_file : bytes in memory of the windows of one file.
+        margin : of the estimate of these bytes before files are made; it is a ninth too high for short takes.
         """
         takes = _list_takes(connection, stored)
         wanted = takes.values() if asked is None else [takes[number] for number in asked if number in takes]
-        if _estimate(stored, (take.duration for take in wanted)) <= MOST_IN_MEMORY:
+        if _estimate(stored, (take.duration for take in wanted)) <= in_memory:
             return None
         folder = find_place(connection, self._database.where, "windows")
         forest = name_forest(stored)
@@ -87,10 +84,10 @@ class WindowKeeper:
         places = _place(portions, takes)
         pending = [number for number in sorted(takes) if number not in places]
         waiting = _estimate(stored, (takes[number].duration for number in pending))
-        if self._writes and waiting >= _CLEARLY * PORTION_BYTES:
+        if self._writes and waiting >= margin * in_a_file:
             kept, _ = _sweep(folder, portions, places)
             pending = [number for number in sorted(takes) if number not in _place(kept, takes)]
-            making = _Making(folder, forest, stored.forest.trees_.n_leaves, takes)
+            making = _Making(folder, forest, stored.forest.trees_.n_leaves, takes, in_a_file)
             self._writes = making.make(pending, read, progress)
             portions = self._load(folder, forest)
             places = _place(portions, takes)
@@ -141,11 +138,12 @@ def sweep_files(database: Database) -> int:
 
 
 def _sweep(
-    folder: Path, portions: Sequence[Portion], places: Mapping[int, tuple[int, int]]
+    folder: Path, portions: Sequence[Portion], places: Mapping[int, tuple[int, int]], *, unfinished: float = 86_400.0
 ) -> tuple[list[Portion], int]:
     """Delete files of other forests, files with at most half of their takes in use, and abandoned ones.
 
-    Return the files that are left, and the bytes of those that are deleted.
+    These were begun so many seconds ago and are still unfinished: a newer one may be in use by another program. Return
+    the files that are left, and the bytes of those that are deleted.
     """
     alive = [0] * len(portions)
     for portion, _ in places.values():
@@ -156,8 +154,7 @@ def _sweep(
     for path in (*folder.glob(f"*{SUFFIX}"), *folder.glob(f"*{SUFFIX}.part")):
         with suppress(OSError):
             state = path.stat()
-            # A new unfinished file may still be in use by another program.
-            if path not in names and (path.suffix == SUFFIX or time.time() - state.st_mtime > _ABANDONED):
+            if path not in names and (path.suffix == SUFFIX or time.time() - state.st_mtime > unfinished):
                 path.unlink()
                 size += state.st_size
     return kept, size
@@ -176,9 +173,9 @@ def _list_takes(connection: sa.Connection, stored: StoredForest) -> dict[int, _T
 
 
 def _estimate(stored: StoredForest, durations: Iterable[float]) -> float:
-    """Estimate the bytes of the windows of takes in memory."""
+    """Estimate the bytes of the windows of takes in memory: those of each, and poses with their running sums."""
     a_window = len(stored.forest.trees_.roots) * (2 if stored.forest.trees_.n_leaves < 2**16 else 4) + 16
-    a_frame = _BYTES_A_FRAME + sum(a_window / hop_of(length) for length in stored.grid.lengths)
+    a_frame = N_SMALL * (2 + 8) + sum(a_window / hop_of(length) for length in stored.grid.lengths)
     return sum(durations) * TAKE_RATE * a_frame
 
 
@@ -200,6 +197,7 @@ class _Making:
     forest: list[int]
     n_leaves: int
     takes: Mapping[int, _Take]
+    in_a_file: int
 
     def make(self, pending: Sequence[int], read: Callable[[int], TakeWindows], progress: Progress | None) -> bool:
         """Make all full files, unless another program makes them; return False if they cannot be written."""
@@ -210,7 +208,7 @@ class _Making:
                 progress(done, len(pending), Message("library_takes.keeping"))
             waiting.append((number, self.takes[number].stamp, read(number)))
             size += waiting[-1][2].n_bytes
-            if size >= PORTION_BYTES:
+            if size >= self.in_a_file:
                 try:
                     if not self._write(waiting):
                         break
@@ -231,10 +229,6 @@ class _Making:
         return write_portion(path, self.forest, some, self.n_leaves)
 
 
-MOST_KEPT = 1 << 29
-"""Bytes of windows that stay in memory: some 10 hours of takes, 20 in a training."""
-
-
 def describe_windows(
     stored: StoredForest, motion: StoredMotion, n_jobs: int | None = 1, grid: WindowGrid | None = None
 ) -> TakeWindows:
@@ -252,6 +246,8 @@ def describe_takes(
     known: Mapping[int, bytes] | None = None,
     n_jobs: int | None = 1,
     progress: Callable[[int, int], None] | None = None,
+    *,
+    room: int = 1 << 29,
 ) -> dict[int, bytes]:
     """Describe the windows of takes, by number, until memory is full; ``refresh_windows`` describes the others.
 
@@ -259,6 +255,7 @@ def describe_takes(
     ----------
     known : windows that this forest has described already.
     progress : called with (takes described, takes to describe).
+    room : bytes of windows in memory, of some 20 hours.
     """
     table = schema.clips.c
     rows = connection.execute(sa.select(table.id, table.absent).where(table.kind == schema.TAKE))
@@ -267,7 +264,7 @@ def describe_takes(
     new = [clip_id for clip_id in ids if clip_id not in windows]
     size = sum(map(len, windows.values()))
     for done, clip_id in enumerate(new, 1):
-        if size > MOST_KEPT:
+        if size > room:
             break
         (motion,) = load_motions(connection, [clip_id])  # one at a time: they are long
         windows[clip_id] = describe_windows(stored, motion, n_jobs).to_bytes()
