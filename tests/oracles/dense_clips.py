@@ -92,8 +92,9 @@ class DenseClips:
         votes = [self._make_votes(slice(a, b)) for a, b in pairwise(edges)]
         alive = [~np.isin(part.ids, list(dead)) if dead else None for part in parts]
         return LeafIndex(
-            1, (1, 1), self.categories, self.likeness, self.meanings, tuple(parts), tuple(votes), tuple(alive)
-        )
+            tuple(parts), tuple(votes), tuple(alive), revision=1, learned=(1, 1), categories=self.categories,
+            likeness=self.likeness, meanings=self.meanings,
+        )  # fmt: skip
 
     def _make_part(self, own):
         names = sorted({*self.predicted, *(name for name in self.given if name)}, reverse=True)

@@ -40,10 +40,7 @@ from dousa.messages import Message
 AddProgress = Callable[[int, int, str], None]
 """Called with (files done, files, path of the last one), then, for many takes, with (takes done, takes, message)."""
 
-_NO_LABEL = {
-    "category": Message("library_add.no_category"),
-    "performer": Message("library_add.no_performer"),
-}
+_NO_LABEL = {"category": Message("library_add.no_category"), "performer": Message("library_add.no_performer")}
 
 Labels = dict[str, str | None]
 

@@ -16,10 +16,10 @@ from dousa.library.store.engine import next_revision
 from dousa.library.store.selection import UNCHANGED, Selection, Unchanged, select_ids
 
 if TYPE_CHECKING:
-    from dousa.library.care.compact import CompactProgress, CompactReport
+    from dousa.library.care.compact import CompactReport
     from dousa.library.care.damage import CheckReport
-    from dousa.library.care.repair import CheckProgress
     from dousa.library.history.journal import JournalEntry
+    from dousa.library.results import Progress
 
 _FULL = ("library_file.disk_full", "library_file.server_disk_full", "library_file.disk_failed")
 
@@ -280,9 +280,7 @@ class LibraryChanges(LibraryContents):
             refresh_windows(self.database, stored, n_jobs)
         return entry
 
-    def check(
-        self, *, repair: bool = False, salvage: bool = True, progress: CheckProgress | None = None
-    ) -> CheckReport:
+    def check(self, *, repair: bool = False, salvage: bool = True, progress: Progress | None = None) -> CheckReport:
         """Check that the library is as it was written: the structure of the file, and every checksum.
 
         Rows of an older dousa get their missing checksums, if the library can be written.
@@ -307,7 +305,7 @@ class LibraryChanges(LibraryContents):
             raise LibraryError("library_file.opened_read_only", library=self.name)
         return check_library(self.database, repair, progress, salvage)
 
-    def compact(self, *, fragments: str | None = None, progress: CompactProgress | None = None) -> CompactReport:
+    def compact(self, *, fragments: str | None = None, progress: Progress | None = None) -> CompactReport:
         """Shrink the file to its contents, without the room of removed clips.
 
         Removed clips kept for ``undo`` are deleted, with the changes that need them.

@@ -42,12 +42,7 @@ class LibraryContents:
 
     @classmethod
     def open(
-        cls,
-        path_or_url: str | os.PathLike[str],
-        *,
-        create: bool = False,
-        read_only: bool = False,
-        timeout: float = 5.0,
+        cls, path_or_url: str | os.PathLike[str], *, create: bool = False, read_only: bool = False, timeout: float = 5.0
     ) -> Self:
         """Open a library, or make one.
 

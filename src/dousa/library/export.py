@@ -25,6 +25,7 @@ from dousa.errors import DousaError, MotionWriteError, OptionError
 from dousa.files.disk import NO_ROOM, atomic_write, read_bytes, write_error
 from dousa.formats.motion_files import ReadOptions, Skipped, describe_problem
 from dousa.formats.registry import WRITERS
+from dousa.library.results import Answer
 
 if TYPE_CHECKING:
     from dousa.library.results import ClipInfo
@@ -179,7 +180,7 @@ class Source(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class ExportReport:
+class ExportReport(Answer):
     """The result of an export.
 
     Parameters
@@ -191,14 +192,6 @@ class ExportReport:
     written: tuple[str, ...]
     kept: tuple[str, ...]
     skipped: tuple[Skipped, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        return {
-            "written": list(self.written),
-            "kept": list(self.kept),
-            "skipped": [skipped.to_json() for skipped in self.skipped],
-        }
 
 
 @dataclass(frozen=True, slots=True)

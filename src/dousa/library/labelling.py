@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ import sqlalchemy as sa
 from dousa.errors import DousaError, LibraryDamagedError, LibraryError, MotionFileError
 from dousa.formats.motion_files import ReadOptions
 from dousa.library.annotations.store import load_annotated_takes
-from dousa.library.results import LabelledTake
+from dousa.library.results import Count, LabelledTake, Progress
 from dousa.library.search.part_forests import PartForests
 from dousa.library.store import schema
 from dousa.library.store.engine import Database, choose_jobs
@@ -31,9 +31,6 @@ if TYPE_CHECKING:
     from dousa.retrieval.forest.stretches import StretchJudge
     from dousa.retrieval.takes.label import TakeLabeller
     from dousa.retrieval.takes.live import LiveLabeller
-
-LearnProgress = Callable[[int, int, Message], None]
-"""Called with (steps done, steps, message about the next step)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +63,7 @@ class Labellers:
         examples: Sequence[int],
         options: ReadOptions,
         n_jobs: int | None,
-        progress: LearnProgress | None,
+        progress: Progress | None,
     ) -> LabelledTake:
         """Label a take; as ``Library.label``."""
         from dousa.retrieval.takes.label import label_take
@@ -97,7 +94,7 @@ class Labellers:
         with self._database.reading() as connection:
             return judge.sparing(frozenset(name for _, name in _read_labels(connection, examples)))
 
-    def _get_part(self, part: StoredForest, n_jobs: int | None, progress: LearnProgress | None) -> TakeLabeller:
+    def _get_part(self, part: StoredForest, n_jobs: int | None, progress: Progress | None) -> TakeLabeller:
         """Return the labeller for takes of bodies that lack joints; it does not learn from examples."""
         known = self._of_parts.get(part.feature_set)
         if known is None or known[0] is not part:
@@ -109,11 +106,7 @@ class Labellers:
         return known[1]
 
     def live(
-        self,
-        height: float | None,
-        threshold: float | None,
-        n_jobs: int | None,
-        progress: LearnProgress | None,
+        self, height: float | None, threshold: float | None, n_jobs: int | None, progress: Progress | None
     ) -> LiveLabeller:
         """Return a labeller of single frames; as ``Library.live``."""
         from dousa.retrieval.takes.live import LiveLabeller
@@ -127,11 +120,7 @@ class Labellers:
             return self._forests.load(connection)
 
     def get(
-        self,
-        stored: StoredForest,
-        n_jobs: int | None,
-        progress: LearnProgress | None,
-        examples: Sequence[int] = (),
+        self, stored: StoredForest, n_jobs: int | None, progress: Progress | None, examples: Sequence[int] = ()
     ) -> TakeLabeller:
         """Return the labeller of a forest, taught by examples: clips, of which unlabelled ones are left out.
 
@@ -149,11 +138,7 @@ class Labellers:
         return taught
 
     def _get_base(
-        self,
-        stored: StoredForest,
-        n_jobs: int | None,
-        progress: LearnProgress | None,
-        examples: frozenset[int],
+        self, stored: StoredForest, n_jobs: int | None, progress: Progress | None, examples: frozenset[int]
     ) -> TakeLabeller:
         """Return the labeller without examples."""
         if self._last is None or self._last.stored.learned != stored.learned:
@@ -205,7 +190,7 @@ class Labellers:
                 "library_forest.part_damaged", library=self._database.where, problem=error
             ) from error
 
-    def _learn(self, stored: StoredForest, n_jobs: int | None, progress: LearnProgress | None) -> TakeLabeller:
+    def _learn(self, stored: StoredForest, n_jobs: int | None, progress: Progress | None) -> TakeLabeller:
         def report(done: int, total: int) -> None:
             if progress is not None:
                 progress(done, total, Message("library_training.labeller"))
@@ -230,10 +215,7 @@ class Labellers:
 
 
 def learn_labeller(
-    connection: sa.Connection,
-    stored: StoredForest,
-    n_jobs: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    connection: sa.Connection, stored: StoredForest, n_jobs: int | None = None, progress: Count | None = None
 ) -> TakeLabeller | None:
     """Learn a labeller from a library; None if it holds nothing of these categories.
 

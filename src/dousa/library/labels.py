@@ -124,13 +124,7 @@ def _table_rule(path: Path, label: str) -> LabelRule:
         if by_text.setdefault(relative, value) != value:
             first, word = by_text[relative], _WORDS[label]
             raise OptionError(
-                "label_rules.second_label",
-                path=path,
-                line=line,
-                name=name,
-                label=word,
-                second=value,
-                first=first,
+                "label_rules.second_label", path=path, line=line, name=name, label=word, second=value, first=first
             )
         by_place[os.path.normpath(os.path.join(base, relative))] = value
 

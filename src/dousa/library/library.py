@@ -19,12 +19,11 @@ if TYPE_CHECKING:
     from dousa.library.add import AddProgress
     from dousa.library.annotations.marks import SavedSearches
     from dousa.library.annotations.store import Annotations
-    from dousa.library.care.clip_map import ClipMap, MapProgress
-    from dousa.library.care.review import DuplicateGroup, LabelReview, ReviewProgress
-    from dousa.library.labelling import Labellers, LearnProgress
-    from dousa.library.learning.train import TrainProgress
-    from dousa.library.results import Classification, FindResult, LabelledTake, SearchResult
-    from dousa.library.search.part_forests import PartForests, Progress
+    from dousa.library.care.clip_map import ClipMap
+    from dousa.library.care.review import DuplicateGroup, LabelReview
+    from dousa.library.labelling import Labellers
+    from dousa.library.results import Classification, FindResult, LabelledTake, Progress, SearchResult
+    from dousa.library.search.part_forests import PartForests
     from dousa.library.search.search import Searcher
     from dousa.library.search.text import TextMatches, TextResult, TextSearcher
     from dousa.library.store.ingest import Query
@@ -189,7 +188,7 @@ class Library(LibraryChanges):
         bootstrap: bool = False,
         random_state: int | None = 0,
         n_jobs: int | None = None,
-        progress: TrainProgress | None = None,
+        progress: Progress | None = None,
     ) -> TrainReport:
         """Train a new forest on all labelled clips, and classify every clip and take with it.
 
@@ -339,7 +338,7 @@ class Library(LibraryChanges):
         """
         return self._text.match(text)
 
-    def review_labels(self, *, n_jobs: int | None = None, progress: ReviewProgress | None = None) -> LabelReview:
+    def review_labels(self, *, n_jobs: int | None = None, progress: Progress | None = None) -> LabelReview:
         """Find clips whose label is likely wrong because similar clips have another one, the likeliest first.
 
         Each is judged by trees trained without it. Clips with the tag ``checked`` count as right, and are not listed.
@@ -389,7 +388,7 @@ class Library(LibraryChanges):
             raise OptionError("library_review.near", near=near)
         return find_near_duplicates(self.database, near)
 
-    def map(self, *, progress: MapProgress | None = None) -> ClipMap:
+    def map(self, *, progress: Progress | None = None) -> ClipMap:
         """Compute a map of the clips: a plane with clips of similar poses near each other.
 
         No forest is needed, and labels are not used. The same clips give the same map. Takes are left out.
@@ -512,7 +511,7 @@ class Library(LibraryChanges):
         examples: Iterable[int] = (),
         options: ReadOptions | None = None,
         n_jobs: int | None = None,
-        progress: LearnProgress | None = None,
+        progress: Progress | None = None,
     ) -> LabelledTake:
         """Label a take from beginning to end: categories with their times, and what is unknown.
 
@@ -547,7 +546,7 @@ class Library(LibraryChanges):
         height: float | None = None,
         threshold: float | None = None,
         n_jobs: int | None = None,
-        progress: LearnProgress | None = None,
+        progress: Progress | None = None,
     ) -> LiveLabeller:
         """Return a labeller for a motion in progress: ``push`` a frame at a time; it answers several times a second.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -36,13 +37,21 @@ __all__ = [
 MIRROR_VOTES, MIRROR_DISTANCE, MIRROR_SCORE = 0.1, 0.95, 0.02
 
 
-class _Answer:
+Progress = Callable[[int, int, Message], None]
+"""Called with (steps done, steps, message about the next step)."""
+
+Count = Callable[[int, int], None]
+"""Called with (number done, number of all)."""
+
+
+class Answer:
     """A plain value that can be written as JSON; ``_names`` renames keys."""
 
     __slots__ = ()
     _names: ClassVar[dict[str, str]] = {}
 
     def to_json(self) -> dict[str, Any]:
+        """Return plain lists and dictionaries, with messages in the current language."""
         names = [field.name for field in fields(self)]  # type: ignore[arg-type]
         return {self._names.get(name, name): _to_plain(getattr(self, name)) for name in names}
 
@@ -65,7 +74,7 @@ def _without(answer: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict(_Answer):
+class Verdict(Answer):
     """What the forest predicts for a motion.
 
     Parameters
@@ -98,11 +107,11 @@ class Verdict(_Answer):
 
     def to_json(self) -> dict[str, Any]:
         """Return plain lists and dictionaries; ``explanation`` only if there is one."""
-        return _without({"category": None, "histogram": None, **_Answer.to_json(self)}, "explanation")
+        return _without({"category": None, "histogram": None, **Answer.to_json(self)}, "explanation")
 
 
 @dataclass(frozen=True, slots=True)
-class Hit(_Answer):
+class Hit(Answer):
     """One clip found by a search.
 
     Parameters
@@ -140,7 +149,7 @@ class Hit(_Answer):
 
     def to_json(self) -> dict[str, Any]:
         """Return a plain dictionary; ``likeness`` and ``compared_without`` only if not empty."""
-        answer = _without(_Answer.to_json(self), "likeness")
+        answer = _without(Answer.to_json(self), "likeness")
         if not self.hidden:
             del answer["compared_without"]
         return answer
@@ -241,7 +250,7 @@ def _mirrored_json(verdict: Verdict, mirrored: Verdict | None) -> dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Duplicate(_Answer):
+class Duplicate(Answer):
     """A file whose content is in the library under another path, ``same_as``."""
 
     path: str
@@ -249,7 +258,7 @@ class Duplicate(_Answer):
 
 
 @dataclass(frozen=True, slots=True)
-class AddReport(_Answer):
+class AddReport(Answer):
     """The result of ``Library.add``.
 
     Parameters
@@ -289,7 +298,7 @@ class AddReport(_Answer):
     def to_json(self) -> dict[str, Any]:
         """Return plain lists and dictionaries."""
         return {
-            **_Answer.to_json(self),
+            **Answer.to_json(self),
             "moved": [{"path": item.path, "from": item.same_as} for item in self.moved],
             "warnings": [{"path": path, "warning": str(text)} for path, text in self.warnings],
             "passed_over": dict(self.passed_over),
@@ -297,7 +306,7 @@ class AddReport(_Answer):
 
 
 @dataclass(frozen=True, slots=True)
-class TrainReport(_Answer):
+class TrainReport(Answer):
     """The result of ``Library.train``.
 
     Parameters
@@ -326,7 +335,7 @@ class TrainReport(_Answer):
 
 
 @dataclass(frozen=True, slots=True)
-class ClipInfo(_Answer):
+class ClipInfo(Answer):
     """A clip or take of the library, without its arrays.
 
     Parameters
@@ -366,7 +375,7 @@ class ClipInfo(_Answer):
 
 
 @dataclass(frozen=True, slots=True)
-class TakeSegment(_Answer):
+class TakeSegment(Answer):
     """A labelled part of a take: a clip of the library without a file of its own.
 
     Parameters
@@ -387,7 +396,7 @@ class TakeSegment(_Answer):
 
 
 @dataclass(frozen=True, slots=True)
-class TakeAnnotation(_Answer):
+class TakeAnnotation(Answer):
     """The labels of a take.
 
     Parameters
@@ -431,7 +440,7 @@ def _is_rest(stretch: Stretch, *, least: float = 0.002) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class LibraryStats(_Answer):
+class LibraryStats(Answer):
     """The library in numbers.
 
     Parameters
@@ -464,7 +473,7 @@ class LibraryStats(_Answer):
 
 
 @dataclass(frozen=True, slots=True)
-class Place(_Answer):
+class Place(Answer):
     """A part of a take that is similar to the query.
 
     Parameters
@@ -499,7 +508,7 @@ class Place(_Answer):
 
 
 @dataclass(frozen=True, slots=True)
-class FindResult(_Answer):
+class FindResult(Answer):
     """The result of a search inside takes.
 
     Parameters
@@ -527,7 +536,7 @@ class FindResult(_Answer):
 
     def to_json(self) -> dict[str, Any]:
         """Return plain lists and dictionaries, times in s; ``notes`` only if not empty."""
-        answer = _Answer.to_json(self)
+        answer = Answer.to_json(self)
         if not self.notes:
             del answer["notes"]
         return answer

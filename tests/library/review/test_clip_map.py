@@ -68,7 +68,7 @@ def test_few_clips_stand_in_a_row(library, left):
 
 
 def test_clips_that_are_all_the_same_lie_on_one_point():
-    assert not clip_map._lay_out(np.ones((9, 4), np.float32) * 0, lambda part: None).any()
+    assert not clip_map._lay_out(np.ones((9, 4), np.float32) * 0, 3, lambda part: None).any()
 
 
 def test_bodies_that_lack_joints_and_takes_are_not_on_it(library, made, tmp_path):

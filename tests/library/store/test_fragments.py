@@ -253,11 +253,10 @@ def test_what_can_be_read_of_a_broken_file_keeps_its_fragments(moved, library_fi
             assert connection.execute(sa.select(schema.array_store.c.id)).scalars().all() == [1]
 
 
-def test_blocks_are_laid_out_and_read_in_any_order(tmp_path, monkeypatch):
+def test_blocks_are_laid_out_and_read_in_any_order(tmp_path):
     chance = random.Random(1)
-    folder = FolderFragments(tmp_path / "f", "library")
+    folder = FolderFragments(tmp_path / "f", "library", full=300)
     assert folder.sizes() == {} and folder.read([Place("000001-00000000.blocks", 0, 5)]) == [b""]
-    monkeypatch.setitem(store.FolderFragments.__init__.__kwdefaults__, "full", 300)
     blocks, places = [], []
     for _ in range(20):
         some = [chance.randbytes(chance.randrange(60)) for _ in range(4)]

@@ -15,6 +15,7 @@ import sqlalchemy as sa
 
 from dousa.errors import LibraryError, OptionError
 from dousa.library.labels import check_text
+from dousa.library.results import Answer
 from dousa.library.store import schema
 from dousa.library.store.checksums import SEARCHES, seal_rows
 from dousa.library.store.engine import Database, next_revision
@@ -62,7 +63,7 @@ _FILTERS = ("text", "category", "performer", "tag", "kind", "min_s", "max_s", "c
 
 
 @dataclass(frozen=True, slots=True)
-class SavedSearch:
+class SavedSearch(Answer):
     """A saved search or selection.
 
     Parameters
@@ -79,10 +80,6 @@ class SavedSearch:
     def is_selection(self) -> bool:
         """Whether it is a list of clips."""
         return "clips" in self.asked
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        return {"name": self.name, "asked": dict(self.asked)}
 
 
 class SavedSearches:

@@ -17,15 +17,13 @@ from numpy.typing import NDArray
 
 from dousa.arrays import IndexArray
 from dousa.extras import require
+from dousa.library.results import Progress
 from dousa.library.store import schema
 from dousa.library.store.engine import Database
 from dousa.library.store.features import lacks, load_poses
 from dousa.library.store.selection import portions
 from dousa.messages import Message
 from dousa.retrieval import DEFAULT_FEATURE_SET
-
-MapProgress = Callable[[int, int, Message], None]
-"""Called with (steps done, steps, message about the next step)."""
 
 # Principal components to begin with, perplexity and early exaggeration, as scikit-learn advises or chooses:
 # https://scikit-learn.org/stable/modules/generated/sklearn.manifold.TSNE.html
@@ -51,7 +49,7 @@ class ClipMap:
 
 
 def map_clips(
-    database: Database, progress: MapProgress | None, *, most: int = 5_000, fewest: int = 4, n_rounds: int = 3
+    database: Database, progress: Progress | None, *, most: int = 5_000, fewest: int = 4, n_rounds: int = 3
 ) -> ClipMap:
     """Compute the map of a library; as ``Library.map``.
 

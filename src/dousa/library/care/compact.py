@@ -8,7 +8,7 @@ import shutil
 import sqlite3
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,24 +17,15 @@ import sqlalchemy as sa
 
 from dousa.errors import LibraryDamagedError, LibraryError
 from dousa.library.history.journal import forget_kept, measure_kept
+from dousa.library.results import Answer, Count, Progress
 from dousa.library.store import schema
 from dousa.library.store.checksums import FEATURES, seal_positions
 from dousa.library.store.engine import Database, lock_for_writing
-from dousa.library.store.fragments import (
-    ARRAYS,
-    FragmentStore,
-    begin_store,
-    find_store,
-    make_name,
-    read_blocks,
-)
+from dousa.library.store.fragments import ARRAYS, FragmentStore, begin_store, find_store, make_name, read_blocks
 from dousa.library.store.schema import PLACE
 from dousa.library.store.selection import portions
 from dousa.library.takes.windows import sweep_files
 from dousa.messages import Message
-
-MoveProgress = Callable[[int, int], None]
-"""Called with (bytes moved, bytes to move)."""
 
 
 def begin_where_large(database: Database, *, begin_at: int = 100_000) -> int:
@@ -89,7 +80,7 @@ def measure_rows(connection: sa.Connection) -> int:
     return sum(int(connection.execute(query).scalar() or 0) for query in sizes)
 
 
-def move_arrays(database: Database, progress: MoveProgress | None = None) -> int:
+def move_arrays(database: Database, progress: Count | None = None) -> int:
     """Move arrays from rows to fragments; return their bytes."""
     report = progress or (lambda done, total: None)
     with database.reading() as connection:
@@ -154,7 +145,7 @@ def _seal(column: sa.Column[Any], row: Any) -> dict[str, Any]:
     return {"block_checksums": known if known is not None else seal_positions(row[0], row.positions)}
 
 
-def rewrite_fragments(database: Database, progress: MoveProgress | None = None, *, small: float = 1 / 8) -> None:
+def rewrite_fragments(database: Database, progress: Count | None = None, *, small: float = 1 / 8) -> None:
     """Rewrite fragments that have unused blocks, and join those below the share ``small`` of a full one."""
     report = progress or (lambda done, total: None)
     with database.reading() as connection:
@@ -257,12 +248,8 @@ def measure_fragments(connection: sa.Connection) -> tuple[int, int]:
     return len(sizes), sum(sizes.values())
 
 
-CompactProgress = Callable[[int, int, Message], None]
-"""Called with (kB done, kB, message about the step)."""
-
-
 @dataclass(frozen=True, slots=True)
-class CompactReport:
+class CompactReport(Answer):
     """The result of ``Library.compact``.
 
     Parameters
@@ -292,30 +279,18 @@ class CompactReport:
         if self.before:
             yield Message("library_compact.done", before=self.before / 1e6, after=self.after / 1e6)
 
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        return {
-            "library": self.library,
-            "before": self.before,
-            "after": self.after,
-            "forgotten": self.forgotten,
-            "moved": self.moved,
-            "n_fragments": self.n_fragments,
-            "swept": self.swept,
-        }
-
 
 def _go_on() -> int:
     return 0
 
 
 def compact_library(
-    database: Database, fragments: str | None = None, progress: CompactProgress | None = None
+    database: Database, fragments: str | None = None, progress: Progress | None = None
 ) -> CompactReport:
     """Delete what is not needed, and move arrays to fragments if asked; as ``Library.compact``."""
     report = progress or (lambda done, total, what: None)
 
-    def tell(what: Message) -> Callable[[int, int], None]:
+    def tell(what: Message) -> Count:
         return lambda done, total: report(done // 1000, total // 1000, what)
 
     in_file = database.engine.dialect.name == "sqlite"

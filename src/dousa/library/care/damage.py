@@ -12,6 +12,7 @@ import sqlalchemy as sa
 
 from dousa.errors import DousaError, LibraryDamagedError, LibraryError
 from dousa.library.care.compact import measure_used
+from dousa.library.results import Answer, Count
 from dousa.library.store import checksums, schema
 from dousa.library.store.checksums import SEALS, STATE, Seal, seal_positions
 from dousa.library.store.engine import Database
@@ -25,7 +26,7 @@ from dousa.messages import Message
 
 
 @dataclass(frozen=True, slots=True)
-class Damage:
+class Damage(Answer):
     """A damaged part of a library.
 
     Parameters
@@ -42,19 +43,9 @@ class Damage:
     remedy: Message
     repaired: bool
 
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values, with messages in the current language."""
-        return {
-            "what": str(self.what),
-            "clip_id": self.clip_id,
-            "path": self.path,
-            "remedy": str(self.remedy),
-            "repaired": self.repaired,
-        }
-
 
 @dataclass(frozen=True, slots=True)
-class CheckReport:
+class CheckReport(Answer):
     """The result of ``Library.check``.
 
     Parameters
@@ -100,20 +91,9 @@ class CheckReport:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values, with messages in the current language."""
-        return {
-            "library": self.library,
-            "sound": self.is_sound,
-            "n_clips": self.n_clips,
-            "n_rows": self.n_rows,
-            "n_sealed": self.n_sealed,
-            "n_unsealed": self.n_unsealed,
-            "damage": [one.to_json() for one in self.damage],
-            "seconds": round(self.seconds, 3),
-        }
+        first = {"library": self.library, "sound": self.is_sound}
+        return {**first, **Answer.to_json(self), "seconds": round(self.seconds, 3)}
 
-
-Tell = Callable[[int, int], None]
-"""Called with (rows done, rows)."""
 
 _POSITIONS = (schema.clip_trajectories, schema.removed_positions)
 REMOVED_POSITIONS = Message("library_damage.removed_positions")
@@ -156,7 +136,7 @@ class Findings:
         self.faults[fault] = None
 
 
-def find_damage(database: Database, tell: Tell | None = None, *, at_once: int = 64) -> Findings:
+def find_damage(database: Database, tell: Count | None = None, *, at_once: int = 64) -> Findings:
     """Check everything in a library, ``at_once`` rows in a transaction; more need more memory."""
     findings = Findings()
     report = tell or (lambda done, total: None)

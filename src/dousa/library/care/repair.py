@@ -31,6 +31,7 @@ from dousa.library.care.damage import (
     are_positions,
     find_damage,
 )
+from dousa.library.results import Progress
 from dousa.library.search.text_store import keep_all_relations
 from dousa.library.store import checksums, schema
 from dousa.library.store.checksums import SEALS, Seal, seal_positions, seal_rows
@@ -144,9 +145,6 @@ def _read_rows(source: sqlite3.Connection, table: sa.Table, keys: range) -> Iter
     yield rows
 
 
-CheckProgress = Callable[[int, int, Message], None]
-"""Called with (rows done, rows, message about the step)."""
-
 _COMPUTED = {
     "library_damage.features": schema.clip_features,
     "library_damage.poses": schema.clip_poses,
@@ -168,9 +166,7 @@ _FORESEEN = {
 }
 
 
-def check_library(
-    database: Database, repair: bool, progress: CheckProgress | None, salvage: bool = True
-) -> CheckReport:
+def check_library(database: Database, repair: bool, progress: Progress | None, salvage: bool = True) -> CheckReport:
     """Check everything, and repair what can be; as ``Library.check``."""
     start = time.perf_counter()
     report = progress or (lambda done, total, what: None)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import TrainingError
 from dousa.library.annotations.marks import CHECKED
+from dousa.library.results import Answer, Progress
 from dousa.library.search.text_store import find_meanings
 from dousa.library.store import schema
 from dousa.library.store.engine import Database, choose_jobs
@@ -116,15 +117,12 @@ def find_pairs(
     return pairs
 
 
-ReviewProgress = Callable[[int, int, Message], None]
-"""Called with (steps done, steps, message about the next step)."""
-
 _SPLITS = 12  # into halves: python -m lab.trials.label_review
 _TREES = 10  # of each half: python -m lab.trials.label_review
 
 
 @dataclass(frozen=True, slots=True)
-class LabelDoubt:
+class LabelDoubt(Answer):
     """A clip whose label is likely wrong.
 
     Parameters
@@ -145,11 +143,6 @@ class LabelDoubt:
     own_votes: float
     alike: tuple[int, ...]
     same: tuple[int, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        names = ("clip_id", "path", "category", "suggested", "votes", "own_votes")
-        return {name: getattr(self, name) for name in names} | {"alike": list(self.alike), "same": list(self.same)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,9 +168,7 @@ class LabelReview:
         return counts | {"doubts": [one.to_json() for one in self.doubts]}
 
 
-def review_labels(
-    database: Database, n_jobs: int | None, progress: ReviewProgress | None, *, least: int = 3
-) -> LabelReview:
+def review_labels(database: Database, n_jobs: int | None, progress: Progress | None, *, least: int = 3) -> LabelReview:
     """Find the labels of a library that are likely wrong; as ``Library.review_labels``.
 
     Categories of fewer than ``least`` clips are not judged, as there are too few others to compare.

@@ -15,6 +15,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy import exc
 
+from dousa.library.results import Answer
 from dousa.library.store import schema
 from dousa.library.store.checksums import JOURNAL, POSITIONS, REMOVED, damaged, seal_rows
 from dousa.library.store.features import lacks, load_features
@@ -24,7 +25,7 @@ from dousa.messages import Message
 
 
 @dataclass(frozen=True, slots=True)
-class JournalEntry:
+class JournalEntry(Answer):
     """A change of a library.
 
     Parameters
@@ -46,18 +47,6 @@ class JournalEntry:
     what: Message
     is_undone: bool
     kept_bytes: int
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        return {
-            "number": self.number,
-            "made_at": self.made_at,
-            "kind": self.kind,
-            "n_clips": self.n_clips,
-            "what": str(self.what),
-            "is_undone": self.is_undone,
-            "kept_bytes": self.kept_bytes,
-        }
 
 
 def read_row(connection: sa.Connection, number: int) -> Any:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, FloatArray, IndexArray, IntArray
 from dousa.errors import LibraryDamagedError
-from dousa.library.search.renewal import LearnedRows, StandingRows, keep_learned, read_standing, teach_rows
+from dousa.library.search.leaf_index import ReadClips
+from dousa.library.search.renewal import LearnedRows, keep_learned, read_standing, teach_rows
 from dousa.library.store import schema
 from dousa.library.store.checksums import EXAMPLES, LEAVES, seal_rows, update_rows
 from dousa.library.store.engine import Database, next_revision
@@ -284,10 +285,10 @@ def _grow(
     return grow_forest(stored.forest, standing, features, labels, keys=keys, feature_set=kind)
 
 
-def _gather_clips(rows: StandingRows) -> _Clips:
+def _gather_clips(rows: ReadClips) -> _Clips:
     from dousa.retrieval.forest.standing_leaves import LeafCodes, StandingLeaves
 
-    parts = list(zip(rows.parts, rows.alive, strict=True))
+    parts = list(zip(rows.parts, rows.list_alive(), strict=True))
     ids = np.concatenate([part.ids[alive] for part, alive in parts])
     order = np.argsort(ids, kind="stable")
     places = np.empty(len(ids), np.int64)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dousa.errors import TrainingError
 from dousa.library.learning.lesson import choose_trained, save_examples
-from dousa.library.results import TrainReport
+from dousa.library.results import Progress, TrainReport
 from dousa.library.search.renewal import make_side_file
 from dousa.library.search.text_store import find_meanings, keep_all_relations, keep_relations_of
 from dousa.library.store import schema
@@ -42,9 +42,6 @@ from dousa.retrieval.features.posed_motion import is_comparable
 from dousa.retrieval.forest.likeness import LikenessLearner
 from dousa.retrieval.takes.label import TakeLabeller
 
-TrainProgress = Callable[[int, int, Message], None]
-"""Called with (steps done, steps, message about the next step)."""
-
 LearnLabeller = Callable[[sa.Connection, StoredForest, int | None], TakeLabeller | None]
 """Called with a connection, the forest, and the number of threads."""
 
@@ -52,21 +49,23 @@ LearnLabeller = Callable[[sa.Connection, StoredForest, int | None], TakeLabeller
 class _Tell:
     """Reports the six steps of a training."""
 
-    def __init__(self, progress: TrainProgress | None) -> None:
-        self._progress = progress
+    def __init__(self, progress: Progress | None) -> None:
+        self._progress = progress or (lambda done, total, what: None)
 
-    def __call__(self, step: int, what: str, *counts: int) -> None:
-        if self._progress is not None:
-            values = dict(zip(("done", "total"), counts, strict=False))
-            self._progress(step, 6, Message(f"library_training.{what}", **values))
+    def __call__(self, done: int, message: Message) -> None:
+        self._progress(done, 6, message)
 
     def of_clips(self, done: int, total: int) -> None:
         """Report described clips."""
-        self(0, "describing_clips_done", done, total)
+        self(0, Message("library_training.describing_clips_done", done=done, total=total))
 
     def of_takes(self, done: int, total: int) -> None:
         """Report described takes."""
-        self(4, "describing_takes_done", done, total)
+        self(4, Message("library_training.describing_takes_done", done=done, total=total))
+
+    def of_files(self, done: int, total: int, what: Message) -> None:
+        """Report takes in files."""
+        self(5, Message("library_training.keeping_takes_done", done=done, total=total))
 
 
 def train_forest(
@@ -75,7 +74,7 @@ def train_forest(
     kind: FeatureSet,
     learn_labeller: LearnLabeller,
     n_jobs: int | None = None,
-    progress: TrainProgress | None = None,
+    progress: Progress | None = None,
 ) -> tuple[StoredForest, TrainReport]:
     """Fit a forest to the clips of a library and store it with its answers, in one transaction.
 
@@ -95,26 +94,26 @@ def train_forest(
     """
     start = time.perf_counter()
     tell = _Tell(progress)
-    tell(0, "describing_clips")
+    tell(0, Message("library_training.describing_clips"))
     database.check_writable()  # before the work
     with database.reading() as connection:
         kind, n_partial = _choose_joints(database.where, connection, kind)  # before the work
     keep_features(database, kind.name, n_jobs, tell.of_clips, partial(keep_relations_of, database))
     stored, answers, counts = _learn(database, forest, kind, n_jobs, tell)
-    tell(3, "labeller")
+    tell(3, Message("library_training.labeller"))
     with database.reading() as connection:
         labeller = learn_labeller(connection, stored, n_jobs)
-    tell(4, "describing_takes")
+    tell(4, Message("library_training.describing_takes"))
     with database.reading() as connection:
         windows = describe_takes(connection, stored, n_jobs=n_jobs, progress=tell.of_takes)
-    tell(5, "writing")
+    tell(5, Message("library_training.writing"))
     keep_all_relations(database)
     stored = _store(database, stored, replace(answers, windows=windows), labeller)
     del windows
     refresh_windows(database, stored, n_jobs, tell.of_takes)
     make_side_file(database, stored)
-    make_window_files(database, stored, n_jobs, lambda done, total, _: tell(5, "keeping_takes_done", done, total))
-    tell(6, "done")
+    make_window_files(database, stored, n_jobs, tell.of_files)
+    tell(6, Message("library_training.done"))
     n_clips, n_labelled = len(answers.clips.ids), sum(counts.values())
     done = TrainReport(
         feature_set=kind.name,
@@ -154,9 +153,9 @@ def _learn(
         grid = fit_grid(connection)
         labelled, counts = _check_categories(database.where, clips.categories)
         disturbed = describe_copies(connection, clips, labelled, kind, n_jobs, most=copies)
-    tell(1, "growing_trees")
+    tell(1, Message("library_training.growing_trees"))
     fit_forest(forest, clips, labelled, kind, disturbed)
-    tell(2, "calibrating")
+    tell(2, Message("library_training.calibrating"))
     held = hold_back(clips, labelled)
     learner = make_likeness_learner(held, kind)
     assessor = learn_unknown(forest, held, kind, disturbed, learner.watch)
@@ -175,12 +174,7 @@ def make_likeness_learner(held: HeldBack, kind: FeatureSet) -> LikenessLearner:
     return LikenessLearner(held.features, held.categories, meanings, performers, kind)
 
 
-def _store(
-    database: Database,
-    stored: StoredForest,
-    answers: _Answers,
-    labeller: TakeLabeller | None,
-) -> StoredForest:
+def _store(database: Database, stored: StoredForest, answers: _Answers, labeller: TakeLabeller | None) -> StoredForest:
     """Write the forest, its answers about clips and takes, and the labeller of takes."""
     seen = answers.revision
     n_clips = sum(category is not None for category in answers.clips.categories)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import sqlalchemy as sa
@@ -47,8 +47,45 @@ class IndexedRows:
         return bool((self.sums[:, 0] == self.sums[:, 1]).all() and (self.sums[:, 3] == self.sums[:, 4]).all())
 
 
+@dataclass(frozen=True, slots=True)
+class Base:
+    """The first file that a later one belongs to.
+
+    Parameters
+    ----------
+    checksum : of its header.
+    categories : of the forest when it was written, in the order of its votes.
+    """
+
+    checksum: int
+    categories: tuple[str, ...]
+
+
 @dataclass(frozen=True, eq=False)
-class LeafIndex:
+class ReadClips:
+    """Clips that were read, in parts.
+
+    Parameters
+    ----------
+    parts, votes : the clips, and the votes for them; later parts may have none yet.
+    alive : for each part (N,) which clips are unchanged; None for all.
+    source : the rows that they were read from; None if the library is too small for a file.
+    base : of the file of the first part, if that has the votes of its unchanged clips.
+    """
+
+    parts: tuple[ClipPart, ...]
+    votes: tuple[SparseVotes, ...]
+    alive: tuple[BoolArray | None, ...]
+    source: IndexedRows | None = None
+    base: Base | None = None
+
+    def list_alive(self) -> list[BoolArray]:
+        """Return for each part (N,) which clips are unchanged."""
+        return [np.ones(len(p), np.bool_) if a is None else a for p, a in zip(self.parts, self.alive, strict=True)]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LeafIndex(ReadClips):
     """The tree answers about the clips of a library, in parts whose rows are numbered through.
 
     Parameters
@@ -57,7 +94,6 @@ class LeafIndex:
     categories : names, in the order of the votes.
     likeness : finds clips of the same meaning; None if not learned.
     meanings : (C,) number of each category's meaning.
-    alive : for each part (N,) which clips are unchanged; None for all.
     partial : by number, absent joints of the clips that are left out because they lack joints of the forest.
     n_kept : number of first parts that were read from all rows or from files; the others hold later changes.
     """
@@ -67,11 +103,7 @@ class LeafIndex:
     categories: tuple[str, ...]
     likeness: Likeness | None
     meanings: IndexArray
-    parts: tuple[ClipPart, ...]
-    votes: tuple[SparseVotes, ...]
-    alive: tuple[BoolArray | None, ...]
     partial: dict[int, str] = field(default_factory=dict)
-    source: IndexedRows | None = None
     n_kept: int = 1
 
     @cached_property
@@ -87,8 +119,7 @@ class LeafIndex:
     @cached_property
     def living(self) -> BoolArray:
         """(N,) whether the clip of each row is unchanged."""
-        own = [np.ones(len(p), np.bool_) if a is None else a for p, a in zip(self.parts, self.alive, strict=True)]
-        return np.concatenate(own) if own else np.zeros(0, np.bool_)
+        return np.concatenate([np.zeros(0, np.bool_), *self.list_alive()])
 
     @cached_property
     def n_clips(self) -> int:
@@ -221,22 +252,6 @@ def number_meanings(categories: Sequence[str]) -> IndexArray:
     return numbers
 
 
-class KnownRows(Protocol):
-    """Clips that were read earlier, such as a ``LeafIndex``."""
-
-    @property
-    def parts(self) -> Sequence[ClipPart]:
-        """The clips."""
-
-    @property
-    def alive(self) -> Sequence[BoolArray | None]:
-        """For each part (N,) which clips are unchanged; None for all."""
-
-    @property
-    def source(self) -> IndexedRows | None:
-        """The rows that they were read from."""
-
-
 BLOCK = 16_384
 """Clip numbers of a block, over which checksums are summed, by definition of the index files."""
 
@@ -268,7 +283,7 @@ def read_lacking(connection: sa.Connection, blocks: Iterable[int] | None = None)
     return found
 
 
-def renew_lacking(connection: sa.Connection, known: KnownRows, changed: Sequence[int]) -> dict[int, str]:
+def renew_lacking(connection: sa.Connection, known: ReadClips, changed: Sequence[int]) -> dict[int, str]:
     """Return the ``partial`` of ``IndexedRows`` as it is now, where some blocks have changed."""
     before = {} if known.source is None else known.source.partial
     blocks = set(changed)
@@ -302,16 +317,16 @@ def make_index(
     """Make the index of clips that are all unchanged, and count the votes if they are not given."""
     meanings = number_meanings(stored.categories)
     return LeafIndex(
-        revision,
-        (stored.revision, stored.learned),
-        stored.categories,
-        stored.likeness,
-        meanings,
         parts,
         tuple(count_part(stored, part, meanings) for part in parts) if votes is None else votes,
         (None,) * len(parts),
-        {number: absent for number, absent in rows.partial.items() if lacks(stored.feature_set, absent)},
         rows,
+        revision=revision,
+        learned=(stored.revision, stored.learned),
+        categories=stored.categories,
+        likeness=stored.likeness,
+        meanings=meanings,
+        partial={number: absent for number, absent in rows.partial.items() if lacks(stored.feature_set, absent)},
     )
 
 
@@ -365,7 +380,7 @@ def refresh_index(
 
 
 def compare_rows(
-    connection: sa.Connection, known: KnownRows
+    connection: sa.Connection, known: ReadClips
 ) -> tuple[IntArray, list[int], IntArray, list[BoolArray]] | None:
     """Find the changes since clips were read; None if rows lack checksums.
 
@@ -388,15 +403,13 @@ def compare_rows(
 
 
 def _compare_blocks(
-    connection: sa.Connection, known: KnownRows, blocks: Sequence[int]
+    connection: sa.Connection, known: ReadClips, blocks: Sequence[int]
 ) -> tuple[IntArray, list[BoolArray]]:
     """Return the numbers of changed and added clips in some blocks, and which clips of each part are unchanged."""
     clips, leaves = schema.clips.c, schema.clip_leaves.c
     query = sa.select(clips.id, clips.label_checksum, leaves.checksum)
     query = query.join(schema.clip_leaves, leaves.clip_id == clips.id).order_by(clips.id)
-    alive = [
-        np.ones(len(p), np.bool_) if a is None else a.copy() for p, a in zip(known.parts, known.alive, strict=True)
-    ]
+    alive = [own.copy() for own in known.list_alive()]
     fresh = [np.zeros(0, np.int64)]
     for block in blocks:
         first, last = block * BLOCK, (block + 1) * BLOCK - 1

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -19,6 +19,7 @@ import sqlalchemy as sa
 from numpy.typing import NDArray
 
 from dousa.errors import DousaError, LibraryDamagedError, LibraryError
+from dousa.library.results import Progress
 from dousa.library.store import schema
 from dousa.library.store.checksums import PART_FORESTS, seal_rows
 from dousa.library.store.engine import Database, choose_jobs
@@ -44,9 +45,6 @@ if TYPE_CHECKING:
     from dousa.arrays import FloatArray
     from dousa.retrieval.features.feature_sets import FeatureSet
     from dousa.retrieval.forest.likeness import Likeness
-
-Progress = Callable[[int, int, Message], None]
-"""Called with (steps done, steps, message about the next step)."""
 
 _LEARNED_BY = "copies"  # the way of learning: a forest learned in another way is learned again
 
@@ -353,11 +351,7 @@ class PartForests:
             self.load(main, most, n_jobs, progress)
 
     def load(
-        self,
-        main: StoredForest,
-        hidden: Sequence[str],
-        n_jobs: int | None = None,
-        progress: Progress | None = None,
+        self, main: StoredForest, hidden: Sequence[str], n_jobs: int | None = None, progress: Progress | None = None
     ) -> PartIndex | None:
         """Load or learn the forest for bodies without some joints; None if its clips have fewer than two categories.
 

@@ -20,6 +20,7 @@ from dousa.library.search.leaf_index import (
     BLOCK,
     IndexedRows,
     LeafIndex,
+    ReadClips,
     change_sums,
     compare_rows,
     number_meanings,
@@ -29,7 +30,6 @@ from dousa.library.search.leaf_index import (
 )
 from dousa.library.search.parts import ClipPart, SparseVotes, count_part, pick_clips, read_part
 from dousa.library.search.side_file import (
-    Base,
     find_place,
     read_side_file,
     read_side_rows,
@@ -103,25 +103,7 @@ def make_side_file(database: Database, stored: StoredForest) -> None:
             load_index(connection, database.where, stored, None, may_write=True)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StandingRows:
-    """All clips that have leaves (``leaf_index.KnownRows``).
-
-    Parameters
-    ----------
-    source : the rows that they were read from; None if the library is too small for a file.
-    votes : of the first parts, those from files; empty if the forest has learned since.
-    base : of the file of the first part, if its votes are known.
-    """
-
-    parts: tuple[ClipPart, ...]
-    alive: tuple[BoolArray, ...]
-    source: IndexedRows | None
-    votes: tuple[SparseVotes, ...] = ()
-    base: Base | None = None
-
-
-def read_standing(connection: sa.Connection, where: str, stored: StoredForest) -> StandingRows:
+def read_standing(connection: sa.Connection, where: str, stored: StoredForest) -> ReadClips:
     """Read all clips that have leaves, from the file if there is one; LibraryDamagedError as in ``read_part``."""
     clips = schema.clips.c
     known = read_side_rows(find_place(connection, where), stored)
@@ -130,36 +112,24 @@ def read_standing(connection: sa.Connection, where: str, stored: StoredForest) -
         sums, changed, fresh, alive = compared
         some = read_part(connection, stored, (clips.id.in_(ids) for ids in portions(fresh.tolist())))
         source = IndexedRows(sums, renew_lacking(connection, known, changed))
-        living = *alive, np.ones(len(some), np.bool_)
-        return StandingRows((*known.parts, some), living, source, known.votes or (), known.base)
+        return ReadClips((*known.parts, some), known.votes, (*alive, None), source, known.base)
     n_clips = connection.execute(sa.select(sa.func.count()).select_from(schema.clip_leaves)).scalar_one()
     if n_clips >= FEWEST_CLIPS:
         index = read_index(connection, read_revision(connection), stored)
-        return StandingRows(index.parts, (np.ones(len(index.parts[0]), np.bool_),), index.source)
+        return ReadClips(index.parts, (), index.alive, index.source)
     blocks = range(0, next_clip_id(connection), FEWEST_CLIPS)
     part = read_part(connection, stored, (clips.id.between(first, first + FEWEST_CLIPS - 1) for first in blocks))
-    return StandingRows((part,), (np.ones(len(part), np.bool_),), None)
+    return ReadClips((part,), (), (None,))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LearnedRows:
-    """All clips after a forest has learned.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LearnedRows(ReadClips):
+    """All clips after a forest has learned: ``changes`` are the changed values in ``clip_leaves``, by number.
 
-    Parameters
-    ----------
-    parts, alive : as in ``StandingRows``, then parts of the clips with other leaves or other votes.
-    votes : of the forest after learning.
-    source : as in ``StandingRows``, before learning.
-    changes : by number, the changed values in ``clip_leaves``.
-    base : of the file of the first part, if that has the votes of its unchanged clips.
+    The last parts are the clips with other leaves or other votes; ``source`` is as before learning.
     """
 
-    parts: tuple[ClipPart, ...]
-    alive: tuple[BoolArray, ...]
-    votes: tuple[SparseVotes, ...]
-    source: IndexedRows | None
     changes: dict[int, dict[str, Any]]
-    base: Base | None = None
 
     def sealed(self, checksums: Mapping[int, int]) -> LearnedRows:
         """Return a copy with the checksums of the written rows, by number."""
@@ -168,7 +138,7 @@ class LearnedRows:
         ids = np.array(sorted(checksums), np.int64)
         new = np.array([checksums[number] for number in ids.tolist()], np.int64)
         parts, differences = [], np.zeros(len(ids), np.int64)
-        for part, own in zip(self.parts, self.alive, strict=True):
+        for part, own in zip(self.parts, self.list_alive(), strict=True):
             rows, which = find_clips(part, own, ids)
             if not len(rows):
                 parts.append(part)
@@ -191,7 +161,7 @@ def find_clips(part: ClipPart, alive: BoolArray, ids: IntArray) -> tuple[IntArra
 
 
 def teach_rows(
-    before: StoredForest, stored: StoredForest, rows: StandingRows, ids: IntArray, leaves: NDArray[np.int32]
+    before: StoredForest, stored: StoredForest, rows: ReadClips, ids: IntArray, leaves: NDArray[np.int32]
 ) -> LearnedRows:
     """Update all clips after a forest has learned.
 
@@ -202,9 +172,9 @@ def teach_rows(
     """
     n_leaves = stored.forest.trees_.n_leaves
     votes_differ = find_changed(before.forest, stored.forest)
-    parts: list[_Told] = []
+    parts: list[tuple[ClipPart, BoolArray, SparseVotes | None, bool]] = []  # last: moved to other leaves
     others: list[tuple[ClipPart, bool]] = []
-    for place, (part, own) in enumerate(zip(rows.parts, rows.alive, strict=True)):
+    for place, (part, own) in enumerate(zip(rows.parts, rows.list_alive(), strict=True)):
         places, which = find_clips(part, own, ids)
         left = own.copy()
         left[places] = False
@@ -221,44 +191,40 @@ def teach_rows(
         if len(again):
             left[again] = False
             others.append((pick_clips(part, again, part.leaves(again), n_leaves), False))
-        parts.append(_Told(part, left, known))
-    parts += [_Told(part, np.ones(len(part), np.bool_), None, moved) for part, moved in others]
-    base = rows.base if parts and parts[0].votes is not None else None
+        parts.append((part, left, known, False))
+    parts += [(part, np.ones(len(part), np.bool_), None, moved) for part, moved in others]
+    base = rows.base if parts and parts[0][2] is not None else None
     changes: dict[int, dict[str, Any]] = {}
-    taught = [_count_again(stored, one, changes) for one in parts]
+    taught = [_count_again(stored, *one, changes) for one in parts]
     return LearnedRows(
-        tuple(one.part for one, _ in taught),
-        tuple(one.alive for one, _ in taught),
+        tuple(part for part, _ in taught),
         tuple(votes for _, votes in taught),
+        tuple(alive for _, alive, _, _ in parts),
         rows.source,
-        changes,
         base,
+        changes=changes,
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Told:
-    """Clips, their votes if these are unchanged, and whether they have moved to other leaves."""
-
-    part: ClipPart
-    alive: BoolArray
-    votes: SparseVotes | None
-    moved: bool = False
-
-
-def _count_again(stored: StoredForest, one: _Told, changes: dict[int, dict[str, Any]]) -> tuple[_Told, SparseVotes]:
+def _count_again(
+    stored: StoredForest,
+    part: ClipPart,
+    alive: BoolArray,
+    votes: SparseVotes | None,
+    moved: bool,
+    changes: dict[int, dict[str, Any]],
+) -> tuple[ClipPart, SparseVotes]:
     """Return clips and their votes after learning, and add the changed values of their rows to ``changes``."""
-    part = one.part
-    if one.votes is not None:
-        return one, one.votes
+    if votes is not None:
+        return part, votes
     votes = count_part(stored, part, number_meanings(stored.categories))
     guessed, others = _guess_again(part, votes, stored.categories)
-    for row in np.flatnonzero(one.alive & (others | one.moved)).tolist():
+    for row in np.flatnonzero(alive & (others | moved)).tolist():
         values: dict[str, Any] = {"predicted_category": guessed.names[guessed.predicted[row]]}
-        if one.moved:
+        if moved:
             values["leaves"] = pack(part.leaves(slice(row, row + 1))[0], "<i4")
         changes[int(part.ids[row])] = values
-    return replace(one, part=guessed), votes
+    return guessed, votes
 
 
 def _find_again(part: ClipPart, alive: BoolArray, changed: BoolArray) -> IndexArray:
@@ -279,11 +245,11 @@ def _guess_again(part: ClipPart, votes: SparseVotes, categories: Sequence[str]) 
 
 def keep_learned(database: Database, stored: StoredForest, learned: LearnedRows) -> None:
     """Write the index file of a large library after a forest has learned."""
-    if learned.source is None or sum(int(own.sum()) for own in learned.alive) < FEWEST_CLIPS:
+    if learned.source is None or sum(int(own.sum()) for own in learned.list_alive()) < FEWEST_CLIPS:
         return
     with database.reading() as connection:
         place = find_place(connection, database.where)
-    n_later = sum(int(own.sum()) for own in learned.alive[1:])
+    n_later = sum(int(own.sum()) for own in learned.list_alive()[1:])
     if learned.base is not None and n_later <= _MOST_AGAIN * len(learned.parts[0]):
         write_later_file(place, stored, learned, learned.base)
     else:

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, LibraryError, OptionError
 from dousa.formats.motion_files import ReadOptions, Skipped, find_motion_files, is_unicode
-from dousa.library.results import Classification, Hit, SearchResult, Verdict
+from dousa.library.results import Classification, Hit, Progress, SearchResult, Verdict
 from dousa.library.search.leaf_index import LeafIndex
-from dousa.library.search.part_forests import DenseIndex, PartForests, Progress
+from dousa.library.search.part_forests import DenseIndex, PartForests
 from dousa.library.search.part_search import group_clips, make_dense, rank_groups
 from dousa.library.search.ranking import Asked, ask_forest, choose_best, search_index
 from dousa.library.search.renewal import load_index
@@ -102,8 +102,8 @@ class Explaining:
     def hit(self, hit: Hit, motion: StoredMotion, other: StoredMotion) -> Hit:
         """Add the reasons why a clip is like the query or its mirror image."""
         own = motion.mirror() if hit.mirrored else motion
-        features = (describe_clip(one, self._feature_set).features for one in (own, other))
-        return replace(hit, likeness=self._explainer.explain_pair(*features, (own.duration, other.duration)))
+        first, second = (describe_clip(one, self._feature_set).features for one in (own, other))
+        return replace(hit, likeness=self._explainer.explain_pair(first, second, (own.duration, other.duration)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,36 +18,20 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Any, Protocol
+from typing import IO, Any
 
 import numpy as np
 import sqlalchemy as sa
 from numpy.typing import NDArray
 
-from dousa.arrays import BoolArray, IndexArray, IntArray
+from dousa.arrays import IndexArray, IntArray
 from dousa.library.search.kernels import copy_runs, recode
-from dousa.library.search.leaf_index import IndexedRows, LeafIndex, make_index
+from dousa.library.search.leaf_index import Base, IndexedRows, LeafIndex, ReadClips, make_index
 from dousa.library.search.parts import ClipPart, SparseVotes, choose_code, order_table
 from dousa.library.store.forests import StoredForest
 
 Portion = list[tuple[int, IndexArray, IndexArray]]
 """For each part its number, rows of it, and their places in the portion."""
-
-
-class IndexedParts(Protocol):
-    """The part of a ``LeafIndex`` that ``MergedParts`` needs."""
-
-    @property
-    def parts(self) -> tuple[ClipPart, ...]:
-        """The clips."""
-
-    @property
-    def votes(self) -> tuple[SparseVotes, ...]:
-        """The votes for the clips."""
-
-    @property
-    def alive(self) -> tuple[BoolArray | None, ...]:
-        """For each part (N,) which clips are unchanged; None for all."""
 
 
 class MergedParts:
@@ -62,12 +46,9 @@ class MergedParts:
     ValueError : a leaf is in two trees, as in damaged rows without checksums.
     """
 
-    def __init__(self, index: IndexedParts, *, at_once: int = 1 << 14) -> None:
+    def __init__(self, index: ReadClips, *, at_once: int = 1 << 14) -> None:
         self._at_once = at_once
-        rows = [
-            np.arange(len(part)) if own is None else np.flatnonzero(own)
-            for part, own in zip(index.parts, index.alive, strict=True)
-        ]
+        rows = [np.flatnonzero(own) for own in index.list_alive()]
         used = [number for number, some in enumerate(rows) if len(some)] or [0]
         self._parts = tuple(index.parts[number] for number in used)
         self._votes = tuple(index.votes[number] for number in used)
@@ -199,29 +180,7 @@ def name_forest(stored: StoredForest) -> list[int]:
     return [stored.revision, stored.learned, *sums]
 
 
-@dataclass(frozen=True, slots=True)
-class Base:
-    """The first file that a later one belongs to.
-
-    Parameters
-    ----------
-    checksum : of its header.
-    categories : of the forest when it was written, in the order of its votes.
-    """
-
-    checksum: int
-    categories: tuple[str, ...]
-
-
-class KeptIndex(IndexedParts, Protocol):
-    """The part of a ``LeafIndex`` that is written."""
-
-    @property
-    def source(self) -> IndexedRows | None:
-        """The rows that it was read from."""
-
-
-def write_side_file(path: Path, stored: StoredForest, index: KeptIndex) -> bool:
+def write_side_file(path: Path, stored: StoredForest, index: ReadClips) -> bool:
     """Write an index of a forest; return False if it cannot be written or another program is writing it."""
     if index.source is None or not index.source.is_sealed:
         return False  # changes of the library would go unnoticed
@@ -239,7 +198,7 @@ def write_side_file(path: Path, stored: StoredForest, index: KeptIndex) -> bool:
         return False
 
 
-def write_later_file(path: Path, stored: StoredForest, index: KeptIndex, base: Base) -> bool:
+def write_later_file(path: Path, stored: StoredForest, index: ReadClips, base: Base) -> bool:
     """Write the changes since a file was written; return False as ``write_side_file`` does.
 
     Parameters
@@ -249,10 +208,10 @@ def write_later_file(path: Path, stored: StoredForest, index: KeptIndex, base: B
     """
     if index.source is None or not index.source.is_sealed:
         return False
-    alive = index.alive[0]
-    dead = np.zeros(0, np.int64) if alive is None else np.flatnonzero(~alive)
+    dead = np.flatnonzero(~index.list_alive()[0])
     try:
-        merged = MergedParts(_Others(index))
+        others = replace(index, parts=index.parts[1:], votes=index.votes[1:], alive=index.alive[1:])
+        merged = MergedParts(others)
         with create_alone(_place_later(path)) as file:
             if file is not None:
                 more = {"base": base.checksum, "categories": base.categories}
@@ -264,13 +223,6 @@ def write_later_file(path: Path, stored: StoredForest, index: KeptIndex, base: B
 
 def _place_later(path: Path) -> Path:
     return path.with_name(f"{path.name}-later")
-
-
-class _Others:
-    """The parts of an index after the first."""
-
-    def __init__(self, index: KeptIndex) -> None:
-        self.parts, self.votes, self.alive = index.parts[1:], index.votes[1:], index.alive[1:]
 
 
 @contextmanager
@@ -352,27 +304,11 @@ def _write_file(
     file.write(_START.pack(_MAGIC, place, len(text), zlib.crc32(text)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class KeptRows:
-    """Clips read from files (``leaf_index.KnownRows``).
+def read_side_rows(path: Path, stored: StoredForest) -> ReadClips | None:
+    """Map the clips of a file and of its later one; None if the file is missing or damaged.
 
-    Parameters
-    ----------
-    parts, alive : of the file, and of the later one if there is one.
-    source : the rows that they were read from.
-    votes : of the parts; None if the forest has learned since.
-    base : of the file; None if its votes are unknown.
+    There are no votes if the forest has learned since.
     """
-
-    parts: tuple[ClipPart, ...]
-    alive: tuple[BoolArray | None, ...]
-    source: IndexedRows
-    votes: tuple[SparseVotes, ...] | None
-    base: Base | None
-
-
-def read_side_rows(path: Path, stored: StoredForest) -> KeptRows | None:
-    """Map the clips of a file and of its later one; None if the file is missing or damaged."""
     forest = name_forest(stored)
     first = _read_file(path, stored, forest)
     if first is None:
@@ -380,13 +316,12 @@ def read_side_rows(path: Path, stored: StoredForest) -> KeptRows | None:
     later = _read_file(_place_later(path), stored, forest, first.checksum)
     if later is None:
         base = None if first.votes is None else Base(first.checksum, stored.categories)
-        own = None if first.votes is None else (first.votes,)
-        return KeptRows((first.part,), (None,), first.rows, own, base)
+        return ReadClips((first.part,), () if first.votes is None else (first.votes,), (None,), first.rows, base)
     try:
         alive = np.ones(len(first.part), np.bool_)
         alive[later.dead] = False
         base = None if later.votes is None else Base(first.checksum, tuple(map(str, later.header["categories"])))
-        votes = None
+        votes: tuple[SparseVotes, ...] = ()
         if base is not None and later.votes is not None:
             kept = _read_file(path, stored, None) if first.votes is None else first
             if kept is None or kept.checksum != first.checksum or kept.votes is None:
@@ -394,7 +329,7 @@ def read_side_rows(path: Path, stored: StoredForest) -> KeptRows | None:
             votes = renumber_votes(kept.votes, base.categories, stored.categories), later.votes
     except (IndexError, KeyError, TypeError, ValueError):
         return None
-    return KeptRows((first.part, later.part), (alive, None), later.rows, votes, base)
+    return ReadClips((first.part, later.part), votes, (alive, None), later.rows, base)
 
 
 def renumber_votes(votes: SparseVotes, before: Sequence[str], now: Sequence[str]) -> SparseVotes:
@@ -411,10 +346,10 @@ def read_side_file(path: Path, stored: StoredForest) -> tuple[LeafIndex, bool] |
     It may be out of date: see ``refresh_index``.
     """
     kept = read_side_rows(path, stored)
-    if kept is None:
+    if kept is None or kept.source is None:
         return None
-    index = make_index(-1, stored, kept.source, kept.parts, kept.votes)
-    return replace(index, alive=kept.alive, n_kept=len(kept.parts)), kept.votes is not None
+    index = make_index(-1, stored, kept.source, kept.parts, kept.votes or None)
+    return replace(index, alive=kept.alive, n_kept=len(kept.parts)), bool(kept.votes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import sqlalchemy as sa
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import OptionError
+from dousa.library.results import Answer
 from dousa.library.search.text_store import load_relations
 from dousa.library.store import schema
 from dousa.library.store.checksums import LABELS, RELATIONS
@@ -92,7 +93,7 @@ class TextMatches:
 
 
 @dataclass(frozen=True, slots=True)
-class TextResult:
+class TextResult(Answer):
     """The answer to a search by words.
 
     Parameters
@@ -116,18 +117,13 @@ class TextResult:
     unknown: tuple[str, ...]
     near: tuple[str, ...]
 
+    _names: ClassVar[dict[str, str]] = {"unknown": "unknown_words", "near": "near_words"}
+
     def to_json(self) -> dict[str, Any]:
-        """Return the answer as plain lists and dictionaries."""
-        return {
-            "text": self.text,
-            "n_found": self.n_found,
-            "n_searched": self.n_searched,
-            "corrections": dict(self.corrections),
-            "replaced": dict(self.replaced),
-            "unknown_words": list(self.unknown),
-            "near_words": list(self.near),
-            "results": [hit.to_json() for hit in self.results],
-        }
+        """Return the answer as plain lists and dictionaries; ``results`` come last."""
+        answer = Answer.to_json(self)
+        results = answer.pop("results")
+        return {**answer, "results": results}
 
 
 _TIME = re.compile(r"#t=[0-9.]+,[0-9.]+(&id=[0-9]+)?$")  # of a segment, after the path of its take

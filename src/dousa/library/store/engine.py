@@ -23,12 +23,7 @@ from urllib.parse import quote
 import sqlalchemy as sa
 from sqlalchemy import event, exc
 
-from dousa.errors import (
-    LibraryDamagedError,
-    LibraryError,
-    LibraryLockedError,
-    OptionError,
-)
+from dousa.errors import LibraryDamagedError, LibraryError, LibraryLockedError, OptionError
 from dousa.library.store.checksums import LIBRARY_NAME, STATE, update_rows
 from dousa.library.store.schema import APPLICATION_ID, library_state
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.errors import LibraryDamagedError, LibraryVersionError, OptionError
+from dousa.library.results import Count
 from dousa.library.store import checksums, schema
 from dousa.library.store.checksums import BLOCK_FRAMES, seal_positions, seal_rows
 from dousa.library.store.engine import Database, choose_jobs
@@ -243,8 +244,6 @@ def _unpack(connection: sa.Connection, row: Any, data: bytes) -> StoredMotion:
 _FEATURES, _POSES = "<f4", "<f4"
 _EARLIER_FEATURES = "<f8"  # of an older dousa; the values have float32 precision too
 
-Progress = Callable[[int, int], None]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClipFeatures:
@@ -274,7 +273,7 @@ def load_features(
     feature_set: str,
     ids: Sequence[int] | None = None,
     n_jobs: int | None = 1,
-    progress: Progress | None = None,
+    progress: Count | None = None,
     spare: int = 0,
 ) -> ClipFeatures:
     """Load features of clips, without takes; missing ones are computed from the stored positions.
@@ -373,7 +372,7 @@ def describe_stored(
     ids: Sequence[int],
     feature_set: str,
     n_jobs: int | None = 1,
-    progress: Progress | None = None,
+    progress: Count | None = None,
 ) -> dict[int, Description]:
     """Describe stored motions, by number."""
     described: dict[int, Description] = {}
@@ -399,7 +398,7 @@ def keep_features(
     database: Database,
     feature_set: str,
     n_jobs: int | None = 1,
-    progress: Progress | None = None,
+    progress: Count | None = None,
     look: Callable[[Mapping[int, StoredMotion]], None] | None = None,
 ) -> None:
     """Compute and write missing features and poses of a set for all clips, one transaction per portion.

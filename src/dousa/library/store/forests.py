@@ -339,11 +339,7 @@ def fit_forest(
 
 
 def learn_unknown(
-    forest: MotionForest,
-    held: HeldBack,
-    kind: FeatureSet,
-    copies: Copies | None = None,
-    watch: Watch | None = None,
+    forest: MotionForest, held: HeldBack, kind: FeatureSet, copies: Copies | None = None, watch: Watch | None = None
 ) -> Assessor | None:
     """Learn to separate known motions from unknown ones; None if there are too few clips or categories.
 

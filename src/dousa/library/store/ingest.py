@@ -27,14 +27,7 @@ from dousa.formats.motion_files import (
     read_canonical,
 )
 from dousa.library.store.engine import check_jobs, choose_jobs
-from dousa.library.store.features import (
-    Description,
-    StoredMotion,
-    describe_clip,
-    is_measurable,
-    lacks,
-    round_positions,
-)
+from dousa.library.store.features import Description, StoredMotion, describe_clip, is_measurable, lacks, round_positions
 from dousa.library.store.schema import CLIP, as_message, pack
 from dousa.library.store.selection import choose_doubts
 from dousa.messages import Message

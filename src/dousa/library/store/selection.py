@@ -260,12 +260,7 @@ def count_by(connection: sa.Connection, label: str) -> dict[str, int]:
 def summarise(connection: sa.Connection) -> LibraryStats:
     """Return the library in numbers."""
     clips, forests = schema.clips.c, schema.forests.c
-    sums = (
-        sa.func.count(),
-        sa.func.sum(clips.n_frames),
-        sa.func.sum(clips.duration),
-        sa.func.count(clips.category),
-    )
+    sums = (sa.func.count(), sa.func.sum(clips.n_frames), sa.func.sum(clips.duration), sa.func.count(clips.category))
     by_kind = {
         kind: connection.execute(sa.select(*sums).select_from(schema.clips).where(clips.kind == kind)).one()
         for kind in (schema.CLIP, schema.TAKE)
@@ -317,10 +312,7 @@ def _any_clip(connection: sa.Connection, ids: Sequence[int]) -> bool:
 
 
 def set_labels(
-    connection: sa.Connection,
-    ids: Sequence[int],
-    category: str | Unchanged | None,
-    performer: str | Unchanged | None,
+    connection: sa.Connection, ids: Sequence[int], category: str | Unchanged | None, performer: str | Unchanged | None
 ) -> None:
     """Change the category or performer of clips and takes, after ``next_revision`` in the same transaction."""
     if category is not UNCHANGED and _any_clip(connection, ids):

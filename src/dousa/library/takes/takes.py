@@ -11,8 +11,8 @@ import sqlalchemy as sa
 
 from dousa.errors import InvalidMotionError, LibraryError, MotionFileError
 from dousa.formats.motion_files import ReadOptions, Skipped, find_motion_files, is_unicode
-from dousa.library.results import FindResult
-from dousa.library.search.part_forests import PartForests, Progress
+from dousa.library.results import FindResult, Progress
+from dousa.library.search.part_forests import PartForests
 from dousa.library.store import schema
 from dousa.library.store.engine import Database
 from dousa.library.store.features import StoredMotion, load_motions
@@ -68,9 +68,7 @@ class Takes:
             stored = self._forests.load(connection)
             name, motion, doubts = self._read_query(connection, query, options)
 
-            def choose(
-                absent: Sequence[str],
-            ) -> tuple[tuple[StoredForest, WindowGrid] | None, Message | None]:
+            def choose(absent: Sequence[str]) -> tuple[tuple[StoredForest, WindowGrid] | None, Message | None]:
                 part, note = self._parts.choose(stored, {*motion.absent, *absent}, progress)
                 return (None if part is None else (part, stored.grid)), note
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import sqlalchemy as sa
 
 from dousa.errors import DousaError, LibraryDamagedError
+from dousa.library.results import Count, Progress
 from dousa.library.search.side_file import find_place, name_forest
 from dousa.library.store import schema
 from dousa.library.store.engine import Database, choose_jobs
@@ -30,8 +31,6 @@ from dousa.retrieval.takes.windows import N_SMALL, TAKE_RATE, TakeWindows, hop_o
 
 if TYPE_CHECKING:
     from dousa.retrieval.takes.windows import WindowGrid
-
-Progress = Callable[[int, int, Message], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,7 +244,7 @@ def describe_takes(
     stored: StoredForest,
     known: Mapping[int, bytes] | None = None,
     n_jobs: int | None = 1,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Count | None = None,
     *,
     room: int = 1 << 29,
 ) -> dict[int, bytes]:
@@ -282,10 +281,7 @@ def save_windows(connection: sa.Connection, stored: StoredForest, windows: Mappi
 
 
 def refresh_windows(
-    database: Database,
-    stored: StoredForest,
-    n_jobs: int | None,
-    progress: Callable[[int, int], None] | None = None,
+    database: Database, stored: StoredForest, n_jobs: int | None, progress: Count | None = None
 ) -> None:
     """Describe and write each take without windows of the present forest.
 
@@ -346,10 +342,7 @@ def read_windows(connection: sa.Connection, where: str, stored: StoredForest, cl
 
 
 def make_window_files(
-    database: Database,
-    stored: StoredForest,
-    n_jobs: int | None = None,
-    progress: Callable[[int, int, Message], None] | None = None,
+    database: Database, stored: StoredForest, n_jobs: int | None = None, progress: Progress | None = None
 ) -> None:
     """Make the files of takes that do not fit in memory, after ``refresh_windows``, so that no search needs to.
 
