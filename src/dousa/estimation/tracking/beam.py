@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,7 @@ class _Track:
     parent: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Settled:
+class Settled(NamedTuple):
     """A frame whose pose will not change any more."""
 
     pose: FloatArray
@@ -107,11 +106,15 @@ class Beam:
     @property
     def line(self) -> list[Settled]:
         """The frames not yet settled, oldest first, each with the ancestor of the present best pose."""
-        chosen, found = 0, []
-        for tracks, frame in reversed(self._pending):
-            found.append(Settled(tracks[chosen].pose, frame))
-            chosen = tracks[chosen].parent
-        return found[::-1]
+        pairs = zip(self._trace(), self._pending, strict=True)
+        return [Settled(tracks[chosen].pose, frame) for chosen, (tracks, frame) in pairs]
+
+    def _trace(self) -> list[int]:
+        """Return the numbers of the ancestors of the present best pose in the frames not yet settled."""
+        line = [0]
+        for tracks, _ in reversed(self._pending):
+            line.append(tracks[line[-1]].parent)
+        return line[-2::-1]
 
     def replace_newest(self, poses: FloatArray) -> None:
         """Replace the poses of the newest frames by others (n, 7 + A), oldest first."""
@@ -130,13 +133,8 @@ class Beam:
     def settle(self, lag: int) -> Iterator[Settled]:
         """Yield the frames older than ``lag``, each with the ancestor of the present best pose."""
         while len(self._pending) > lag:
-            chosen = 0
-            line = [0]
-            for tracks, _ in reversed(self._pending):
-                line.append(chosen)
-                chosen = tracks[chosen].parent
+            settled = self._trace()[0]
             tracks, frame = self._pending.popleft()
-            settled = line[-1]
             self._forget_others(settled)
             yield Settled(tracks[settled].pose, frame)
 
@@ -218,15 +216,8 @@ class Beam:
         self._pending[-1] = (self._tracks, frames[-1])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Replay:
-    """A stretch tracked from its first pose.
-
-    Parameters
-    ----------
-    poses : (n, 7 + A).
-    scores : (n,) log scores of image, ease and floor, each frame for itself.
-    """
+class Replay(NamedTuple):
+    """Poses (n, 7 + A) tracked from the first, and log scores (n,) of image, ease and floor, each frame for itself."""
 
     poses: FloatArray
     scores: FloatArray

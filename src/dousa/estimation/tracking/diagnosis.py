@@ -10,6 +10,7 @@ from __future__ import annotations
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from math import erf
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,15 +81,8 @@ class PatchMeasure:
         return np.asarray(counts / (self.area * seen.sum()))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Doubt:
-    """The expected error of a track.
-
-    Parameters
-    ----------
-    errors : (T, P + K) m, expected error of each joint and tip.
-    lost : (T,) true where the mean error is too likely above `LOST_ERROR`, and if no person is seen.
-    """
+class Doubt(NamedTuple):
+    """The expected errors (T, P + K) m of joints and tips, and the frames (T,) that are probably lost or unseen."""
 
     errors: FloatArray
     lost: BoolArray

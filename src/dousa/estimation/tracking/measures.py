@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,27 +20,7 @@ from dousa.estimation.tracking.start import StartSearch, find_start
 from dousa.messages import Message
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Scale:
-    """The stature of a person.
-
-    Parameters
-    ----------
-    stature : m.
-    measured : whether it follows from the silhouettes; else it is assumed.
-    body : of that stature.
-    pose : (7 + A,) of the body in the frame.
-    iou : overlap of body and silhouettes.
-    """
-
-    stature: float
-    measured: bool
-    body: BodyModel
-    pose: FloatArray
-    iou: float
-
-
-def fit_scale(
+def measure_stature(
     cameras: Sequence[Camera],
     masks: Sequence[Mask | None],
     *,
@@ -50,10 +29,11 @@ def fit_scale(
     usual: float = 1.72,
     statures: Sequence[float] = tuple(np.arange(140, 206, 5) / 100),
     extent: float = 130.0,
-) -> Scale:
-    """Find stature and pose together from one frame, best one in which the person stands.
+    sweeps: Sequence[float] = (0.5, 0.5, 0.25),
+) -> float | None:
+    """Measure a person's stature (m) together with the pose from one frame, best one in which the person stands.
 
-    With one view, or views from about one side, the stature is undetermined: ``measured`` is then false.
+    Returns None with one view, or views from about one side, which leave it open.
 
     Parameters
     ----------
@@ -61,9 +41,10 @@ def fit_scale(
     masks : (V,) of one frame; None where a view has no image.
     make_body : returns the body of a stature (m).
     progress : called with steps done, steps in all and the current step.
-    usual : m, stature that is assumed where it is undetermined.
+    usual : m, stature of the first pose.
     statures : m, evenly spaced, that are tried; between them the top of a parabola is taken.
     extent : px, to which the longest side of the silhouettes is shrunk: more is slower.
+    sweeps : shares of dR in which the pose of each stature is searched.
 
     Raises
     ------
@@ -73,66 +54,39 @@ def fit_scale(
     extents = [found.extent for found in outlines if found is not None]
     if not extents:
         raise SilhouetteError("tracker.nobody")
+    if not lines_meet(cameras, outlines):
+        return None
     tell = progress or (lambda done, total, what: None)
     views, small = shrink_views(cameras, masks, min(1.0, extent / max(extents)))
+    outlines = [measure_outline(mask) for mask in small]
     tell(0, 1 + len(statures), Message("tracker.first_pose"))
-    body = make_body(usual)
-    setup = SearchSetup(body, views, TrackerSettings(), 30.0, 1.0)
-    found = find_start(setup, setup.pack(small), small)[0]
-    if not lines_meet(cameras, outlines):
-        return Scale(usual, False, body, found.pose, found.iou)
+    setup = SearchSetup(make_body(usual), views, TrackerSettings(), 30.0, 1.0)
+    first = find_start(setup, setup.pack(small), small)[0].pose
     scores: dict[float, float] = {}
-    poses: dict[float, FloatArray] = {}
     # Outwards from the usual stature, each pose beginning with that of the stature beside it.
     for way in ([one for one in statures if one >= usual], [one for one in statures if one < usual][::-1]):
-        pose, before = found.pose, usual
+        pose, before = first, usual
         for stature in way:
             tell(1 + len(scores), 1 + len(statures), Message("tracker.stature"))
-            body = make_body(float(stature))
-            scores[stature], pose, _ = _try_stature(body, pose, stature / before, views, small)
-            poses[stature], before = pose, stature
-    return _choose(scores, poses, make_body, views, small)
+            setup = SearchSetup(make_body(float(stature)), views, TrackerSettings(), 30.0, 1.0)
+            begun = pose.copy()
+            begun[1] += 0.5 * (stature / before - 1.0) * setup.body.stature  # feet stay about where they were
+            scores[stature], pose = StartSearch(setup, setup.pack(small), outlines).refine(begun, sweeps)
+            before = stature
+    return _find_top(scores)
 
 
-def _try_stature(
-    body: BodyModel,
-    pose: FloatArray,
-    growth: float,
-    cameras: Sequence[Camera],
-    masks: Sequence[Mask | None],
-    sweeps: Sequence[float] = (0.5, 0.5, 0.25),
-) -> tuple[float, FloatArray, StartSearch]:
-    """Return score, pose and search of a body ``growth`` times as tall as that of the given pose.
-
-    ``sweeps`` are the shares of dR in which the pose is searched.
-    """
-    setup = SearchSetup(body, cameras, TrackerSettings(), 30.0, 1.0)
-    search = StartSearch(setup, setup.pack(masks), [measure_outline(mask) for mask in masks])
-    begun = pose.copy()
-    begun[1] += 0.5 * (growth - 1.0) * body.stature  # feet stay about where they were
-    return (*search.refine(begun, sweeps), search)
-
-
-def _choose(
-    scores: dict[float, float],
-    poses: dict[float, FloatArray],
-    make_body: Callable[[float], BodyModel],
-    cameras: Sequence[Camera],
-    masks: Sequence[Mask | None],
-) -> Scale:
+def _find_top(scores: dict[float, float]) -> float:
     """Return the top of the parabola through the best stature and its neighbours."""
     order = sorted(scores)
     best = max(order, key=lambda stature: scores[stature])
     place = order.index(best)
-    stature = float(best)
     if 0 < place < len(order) - 1:
         low, middle, high = (scores[order[place + k]] for k in (-1, 0, 1))
         bend = low - 2.0 * middle + high
         if bend < 0:
-            stature += 0.5 * (low - high) / bend * float(order[place + 1] - order[place])
-    body = make_body(stature)
-    _, pose, search = _try_stature(body, poses[best], stature / best, cameras, masks)
-    return Scale(stature, True, body, pose, search.measure_overlap(pose))
+            return float(best) + 0.5 * (low - high) / bend * float(order[place + 1] - order[place])
+    return float(best)
 
 
 def fit_girths(
@@ -188,15 +142,11 @@ def _check_masks(masks: Sequence[Mask], cameras: Sequence[Camera], n_frames: int
         raise SilhouetteError("tracker.girths_views", expected=len(cameras), found=len(masks))
     views = []
     for mask, camera in zip(masks, cameras, strict=True):
-        view = np.asarray(mask, np.bool_)
+        view, shape = np.asarray(mask, np.bool_), (n_frames, camera.height, camera.width)
         view = view[None] if view.ndim == 2 else view
-        if view.shape != (n_frames, camera.height, camera.width):
-            raise SilhouetteError(
-                "tracker.girths_shape",
-                view=camera.name,
-                expected=str((n_frames, camera.height, camera.width)),
-                found=str(view.shape),
-            )
+        if view.shape != shape:
+            found = str(view.shape)
+            raise SilhouetteError("tracker.girths_shape", view=camera.name, expected=str(shape), found=found)
         views.append(view)
     return views
 

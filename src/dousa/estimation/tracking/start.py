@@ -466,7 +466,7 @@ def find_first(silhouettes: Silhouettes, most: int = 150) -> tuple[int, tuple[ND
     n_frames = min(silhouettes.n_frames, most)
     for frame in range(n_frames):
         masks = silhouettes.read(frame)
-        good = [mask is not None and mask.any() and not is_nearly_full(mask) for mask in masks]
+        good = [mask is not None and bool(mask.any()) and not is_nearly_full(mask) for mask in masks]
         full += any(mask is not None and is_nearly_full(mask) for mask in masks)
         if sum(good) > best_count:
             kept = tuple(mask if fine else None for mask, fine in zip(masks, good, strict=True))

@@ -12,7 +12,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -151,7 +151,8 @@ def estimate(
         raise OptionError("tracker.choice", option="girths", known=("fit", "keep"), found=str(girths))
     check_cameras(cameras, silhouettes.names, silhouettes.sizes)
     n_threads = n_threads or min(2, os.cpu_count() or 1)
-    job = _Job(silhouettes, cameras, body, settings, restart, n_threads, progress, on_frame)
+    tell = progress or (lambda done, total, what: None)
+    job = _Job(silhouettes, tuple(cameras), body, settings, restart, n_threads, tell, on_frame)
     try:
         if resume is None:
             job.begin(start, girths)
@@ -163,30 +164,25 @@ def estimate(
     return job.finish()
 
 
+@dataclass(eq=False)
 class _Job:
-    def __init__(
-        self,
-        silhouettes: Silhouettes,
-        cameras: Sequence[Camera],
-        body: BodyModel,
-        settings: TrackerSettings,
-        restart: RestartSettings,
-        n_threads: int,
-        progress: Progress | None,
-        on_frame: Callable[[TrackedFrame], None] | None,
-    ) -> None:
-        self.silhouettes, self.body, self.settings, self.n_threads = silhouettes, body, settings, n_threads
-        self.restart = restart
-        self.progress = progress or (lambda done, total, what: None)
-        self.on_frame = on_frame
-        self.cameras = tuple(cameras)
-        self.poses: list[FloatArray] = []
-        self.restarts: list[int] = []
-        self.notes: list[Message] = []
-        self.ahead: deque[Frame] = deque()
-        self.poor = self.unseen = 0
-        self.searched, self.patience = 0, 1
-        self.began = 0
+    silhouettes: Silhouettes
+    cameras: tuple[Camera, ...]
+    body: BodyModel
+    settings: TrackerSettings
+    restart: RestartSettings
+    n_threads: int
+    progress: Progress
+    on_frame: Callable[[TrackedFrame], None] | None
+    poses: list[FloatArray] = field(default_factory=list)
+    restarts: list[int] = field(default_factory=list)
+    notes: list[Message] = field(default_factory=list)
+    ahead: deque[Frame] = field(default_factory=deque)
+    poor: int = 0
+    unseen: int = 0
+    searched: int = 0
+    patience: int = 1
+    began: int = 0
 
     def begin(self, start: ArrayLike | None, girths: Literal["fit", "keep"]) -> None:
         """Find the first frame, shrink the views to the working size, find or take the start, fit the girths."""
@@ -202,9 +198,11 @@ class _Job:
         else:
             pose = checked_start(self.body, start)
         if girths == "fit":
-            self._fit_girths(pose, small)
-        self.beam = Beam(self.setup, pose, self.n_threads)
-        self.diagnosis.pool = self.beam.pool
+            seen = [(mask, camera) for mask, camera in zip(small, self.shrinker.cameras, strict=True)
+                    if mask is not None and mask.any()]  # fmt: skip
+            self.body = fit_girths(self.body, pose, *zip(*seen, strict=True))
+            self._set_up()
+        self._start_beam(pose)
         self.beam.begin(frame)
         self.at = self.first + 1
         covered, patches = self.diagnosis.cover(pose, frame)
@@ -257,24 +255,21 @@ class _Job:
         area = self.area * self.shrinker.area_share
         return SearchSetup(self.body, self.shrinker.cameras, settings, self.silhouettes.frame_rate, area)
 
-    def _fit_girths(self, pose: FloatArray, masks: Sequence[Mask | None]) -> None:
-        views = [number for number, mask in enumerate(masks) if mask is not None and mask.any()]
-        seen = [mask for mask in masks if mask is not None and mask.any()]
-        self.body = fit_girths(self.body, pose, seen, [self.shrinker.cameras[view] for view in views])
-        self._set_up()
+    def _start_beam(self, pose: FloatArray) -> None:
+        self.beam = Beam(self.setup, pose, self.n_threads)
+        self.diagnosis.pool = self.beam.pool
 
     def resume(self, partial: PartialTrack) -> None:
         """Continue from a saved state."""
         self.body = replace(self.body, spheres=partial.spheres)
-        self.first, self.area = int(partial.first), float(partial.area)
-        self.usual, self.usual_patches = float(partial.usual), float(partial.usual_patches)
-        self.poor, self.unseen = int(partial.poor), int(partial.unseen)
+        self.first, self.poor, self.unseen = int(partial.first), int(partial.poor), int(partial.unseen)
+        self.area, self.usual = float(partial.area), float(partial.usual)
+        self.usual_patches = float(partial.usual_patches)
         self._set_up()
         self.diagnosis.load(partial.overlap, partial.widths, partial.occluded, partial.patches)
         self.poses = list(partial.poses)
         self.restarts = [int(frame) for frame in partial.restarts]
-        self.beam = Beam(self.setup, partial.beam_poses[0], self.n_threads)
-        self.diagnosis.pool = self.beam.pool
+        self._start_beam(partial.beam_poses[0])
         self.at = len(self.poses)
         frames = [self._read() for _ in range(len(partial.pending_poses))]
         self.beam.load(partial, frames)
@@ -374,12 +369,7 @@ class _Job:
             patches=patches,
             restarts=np.array(self.restarts, np.int64),
             spheres=self.body.spheres,
-            first=self.first,
-            usual=self.usual,
-            usual_patches=self.usual_patches,
-            area=self.area,
-            poor=self.poor,
-            unseen=self.unseen,
+            **{name: getattr(self, name) for name in ("first", "usual", "usual_patches", "area", "poor", "unseen")},
             **{field.name: getattr(state, field.name) for field in fields(state)},
         )
 

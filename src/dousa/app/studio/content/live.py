@@ -24,7 +24,7 @@ from dousa.extras import require
 from dousa.messages import Message, get_language
 
 if TYPE_CHECKING:
-    from dousa.estimation.keypoints.keypoint_search import LandmarkModel
+    from dousa.estimation.keypoints.pose_models import LandmarkModel
     from dousa.evaluation import FrameState, IncrementalAssessor
     from dousa.library import Library
     from dousa.motion import CanonicalMotion
