@@ -198,7 +198,7 @@ def rate(rig: Rig, points: FloatArray, true: Rig, places: FloatArray) -> str:
     """The errors in words."""
     worst = max(
         turn_between(rig.rotations[a] @ rig.rotations[b].T, true.rotations[a] @ true.rotations[b].T)
-        for a, b in itertools.combinations(range(rig.n_views), 2)
+        for a, b in itertools.combinations(range(len(rig.rotations)), 2)
     )
     scale, rotation, offset = align(points, places)
     off = np.linalg.norm(scale * points @ rotation.T + offset - places, axis=-1)

@@ -20,3 +20,8 @@ def read_only(array: FloatArray) -> FloatArray:
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def spread_evenly(n: int, most: int) -> IndexArray:
+    """Return at most ``most`` of n indices, evenly spread from the first to the last."""
+    return np.unique(np.linspace(0, n - 1, min(n, most)).round()).astype(np.intp)

@@ -33,7 +33,7 @@ from dousa.errors import DousaError
 from dousa.estimation.body.kinematics import compute_points, point_names
 from dousa.estimation.body.posing import fit_poses
 from dousa.estimation.body.skeleton_body import body_from_motion
-from dousa.estimation.raster.rendering import NOISY, render, spoil
+from dousa.estimation.raster.rendering import Spoiling, render, spoil
 from dousa.estimation.silhouettes.mask_npz import read_true_joints, write_silhouettes
 from dousa.evaluation.grade.score import round_grade
 from dousa.evaluation.words import KINDS, describe_segments, format_time
@@ -542,7 +542,7 @@ def write_performance(performed: Path, seen: Path, seed: int = 0) -> float:
     names, points = point_names(body), compute_points(body, poses)
     cameras = ring_around(points, 4, (320, 240))
     # Holes and specks take long to make, and change less than these.
-    amounts = replace(NOISY, holes=0.0, speckle=0.0)
+    amounts = Spoiling(ragged=1.0, shadow=0.4, jitter=0.5)
     masks = [
         spoil(view, np.random.default_rng([seed, number]), amounts)
         for number, view in enumerate(render(body, poses, cameras))

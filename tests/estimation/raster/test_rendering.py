@@ -12,7 +12,7 @@ from dousa.estimation.body.kinematics import compute_points, point_names, to_mot
 from dousa.estimation.body.posing import standing_state
 from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.raster.rasteriser import draw_body
-from dousa.estimation.raster.rendering import NOISY, Spoiling, poses_from_motion, render, render_frames, spoil
+from dousa.estimation.raster.rendering import Spoiling, poses_from_motion, render, spoil
 from dousa.motion import CANONICAL_JOINTS, Trajectories, compute_trajectories
 from dousa.motion.synthetic.performers import Performer, make_motion
 
@@ -50,19 +50,9 @@ def test_every_view_has_its_own_size_and_what_the_rasteriser_draws(body, poses):
         np.testing.assert_array_equal(view, draw_body(body, poses, camera))
 
 
-def test_frame_by_frame_is_the_same_whatever_the_chunk(body, poses, monkeypatch):
-    whole = render(body, poses, CAMERAS)
-    for pixels in (1, 20_000, 10**9):
-        monkeypatch.setattr("dousa.estimation.raster.rendering._PIXELS_AT_ONCE", pixels)
-        frames = list(render_frames(body, poses, CAMERAS))
-        assert len(frames) == 10
-        for view in range(2):
-            np.testing.assert_array_equal(np.stack([frame[view] for frame in frames]), whole[view])
-
-
 def test_no_frames_and_no_views(body, poses):
     assert render(body, poses[:0], CAMERAS)[0].shape == (0, 60, 80)
-    assert list(render_frames(body, poses[:0], CAMERAS)) == [] and render(body, poses, []) == []
+    assert render(body, poses, []) == []
 
 
 @pytest.mark.parametrize("damage", [lambda p: p[:, :-1], lambda p: p[0], lambda p: p * np.nan])
@@ -131,7 +121,7 @@ def test_any_mask_can_be_spoiled(kind, shape, seed):
         masks[:, shape[1] // 2, shape[2] // 2] = True
     if kind == "random":
         masks = rng.random(shape) < 0.5
-    spoiled = spoil(masks, rng, NOISY)
+    spoiled = spoil(masks, rng)
     assert spoiled.shape == masks.shape and spoiled.dtype == bool
 
 

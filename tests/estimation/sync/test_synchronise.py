@@ -52,9 +52,10 @@ def test_the_lag_that_agrees_best_is_found_among_all(performance):
     views = [film(performance, cameras[0], 4.0, 3.0), film(performance, cameras[1], 1.0, 6.0)]
     tracks = make_tracks(views)
     movements = [describe_movement(track, choose_step(tracks)) for track in tracks]
-    best, *others = correlate(*movements).find(5)
-    assert best.lag == pytest.approx(-3.0, abs=2 * choose_step(tracks))
-    assert all(other.score < best.score for other in others)
+    agreement = correlate(*movements)
+    best, *others = agreement.find(5)
+    assert best == pytest.approx(-3.0, abs=2 * choose_step(tracks))
+    assert all(agreement.at(other) < agreement.at(best) for other in others)
 
 
 def test_correlation_at_each_lag_is_that_of_the_overlap(performance):

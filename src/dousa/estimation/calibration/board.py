@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from dousa.arrays import FloatArray, Image, IndexArray
+from dousa.arrays import FloatArray, Image, IndexArray, spread_evenly
 from dousa.errors import CalibrationError, OptionError
 from dousa.estimation.calibration.bundle import Freedom, Limb, Rig, Sightings, adjust
-from dousa.estimation.calibration.person import Calibration, measure_parallax, rate_views
+from dousa.estimation.calibration.person import Calibration, guess_lenses, measure_parallax, rate_views
 from dousa.estimation.calibration.rig_search import triangulate
-from dousa.estimation.calibration.sightings import choose_moments, make_track, read_sightings
-from dousa.estimation.cameras.camera import Camera, make_view
+from dousa.estimation.calibration.sightings import choose_moments, make_track, name_views, read_sightings
+from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.keypoints.keypoints import PersonTrack, ViewKeypoints
 from dousa.extras import cv2
 from dousa.messages import Message
@@ -30,14 +30,7 @@ Progress = Callable[[int, int, Message], None]
 
 _CHESS = re.compile(r"chessboard:(\d{1,3})x(\d{1,3}):([\d.]+)(mm|cm|m)")
 _CHARUCO = re.compile(r"charuco:(\d{1,3})x(\d{1,3}):([\d.]+)(mm|cm|m):([\d.]+)(mm|cm|m)(?::(DICT_\w+))?")
-_METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0}
-_MOST_FRAMES = 900
-_LENS_FRAMES, _LEAST_LENS_FRAMES = 40, 6
-_LEAST_CORNERS = 6
-_SPREAD = 0.5  # px, by which corners are off
-_LIMB_SPREAD = 0.005
-_FLAT = np.radians(25.0)  # a board that is tilted less lies on the floor
-_MOST_OFF = 2.0  # px, middle residual of a lens
+_METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0}  # by definition of the units
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,12 +68,12 @@ class Board:
         """(K,) of the corners, as keypoints."""
         return tuple(f"corner_{number}" for number in range(self.shape[0] * self.shape[1]))
 
-    def limbs(self) -> tuple[Limb, ...]:
-        """Return pairs of neighbouring corners, all equally far apart."""
+    def limbs(self, spread: float = 0.005) -> tuple[Limb, ...]:
+        """Return pairs of neighbouring corners, all equally far apart, within the share ``spread``."""
         columns, rows = self.shape
         across = [(r * columns + c, r * columns + c + 1) for r in range(rows) for c in range(columns - 1)]
         down = [(r * columns + c, (r + 1) * columns + c) for r in range(rows - 1) for c in range(columns)]
-        return tuple(Limb(first, second, 0, _LIMB_SPREAD) for first, second in (*across, *down))
+        return tuple(Limb(first, second, 0, spread) for first, second in (*across, *down))
 
 
 def parse_board(text: str) -> Board:
@@ -95,10 +88,9 @@ def parse_board(text: str) -> Board:
         marker = None if charuco is None else float(charuco[5]) * _METRES[charuco[6]]
     except ValueError:
         raise OptionError("board.unknown", found=text[:80]) from None
-    least = 3
     if marker is None and (columns + rows) % 2 == 0:  # it looks the same upside down
         raise OptionError("board.same", found=text[:80])
-    if min(columns, rows) < least or square <= 0 or (marker is not None and not 0 < marker < square):
+    if min(columns, rows) < 3 or square <= 0 or (marker is not None and not 0 < marker < square):
         raise OptionError("board.size", found=text[:80])
     dictionary = (charuco[7] if charuco else None) or "DICT_4X4_50"
     if not isinstance(getattr(cv2.aruco, dictionary, None), int):
@@ -117,7 +109,9 @@ def _make_detector(board: Board) -> Any:
     return cv2.aruco.CharucoDetector(drawn)
 
 
-def find_corners(image: Image, board: Board, detector: Any = None) -> tuple[IndexArray, FloatArray] | None:
+def find_corners(
+    image: Image, board: Board, detector: Any = None, least_corners: int = 6
+) -> tuple[IndexArray, FloatArray] | None:
     """Return the visible corners of a board in an image: places (N,) and px (N, 2); None if it is not seen.
 
     Parameters
@@ -125,6 +119,7 @@ def find_corners(image: Image, board: Board, detector: Any = None) -> tuple[Inde
     image : (H, W, 3) or (H, W).
     board : the board.
     detector : for many images of one ChArUco board; by default a new one.
+    least_corners : of a ChArUco board; with fewer it is not seen.
     """
     grey = np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
     if board.marker is None:
@@ -133,7 +128,7 @@ def find_corners(image: Image, board: Board, detector: Any = None) -> tuple[Inde
             return None
         return np.arange(len(corners)), _begin_at_dark(grey, np.asarray(corners, np.float64).reshape(-1, 2), board)
     corners, places, _, _ = (detector or _make_detector(board)).detectBoard(grey)
-    if places is None or len(places) < _LEAST_CORNERS:
+    if places is None or len(places) < least_corners:
         return None
     return np.asarray(places, np.intp).ravel(), np.asarray(corners, np.float64).reshape(-1, 2)
 
@@ -146,14 +141,17 @@ def _begin_at_dark(grey: Image, corners: FloatArray, board: Board) -> FloatArray
     return corners if first < second else corners[::-1]
 
 
-def find_board(film: str | os.PathLike[str], board: Board, progress: Progress | None = None) -> ViewKeypoints:
+def find_board(
+    film: str | os.PathLike[str], board: Board, progress: Progress | None = None, most_frames: int = 900
+) -> ViewKeypoints:
     """Find the corners of a board in a film, as the points of one person.
 
     Parameters
     ----------
     film : any format of FFmpeg.
-    board : the board; of long films some 900 frames are used.
+    board : the board.
     progress : called with (frames done, frames in all, what).
+    most_frames : of long films some so many frames are used.
 
     Raises
     ------
@@ -165,7 +163,7 @@ def find_board(film: str | os.PathLike[str], board: Board, progress: Progress | 
     detector = None if board.marker is None else _make_detector(board)
     times, points = [], []
     with FilmFrames(film) as frames:
-        step = max(1, -(-frames.n_stated // _MOST_FRAMES))
+        step = max(1, -(-frames.n_stated // most_frames))
         for number, time, image in frames.read():
             if progress is not None:
                 progress(number, frames.n_stated, Message("board.progress"))
@@ -192,6 +190,8 @@ def calibrate_from_board(
     cameras: Sequence[Camera] | None = None,
     focals: Sequence[float] | None = None,
     offsets: Sequence[float] | None = None,
+    least_corners: int = 6,
+    corner_spread: float = 0.5,
 ) -> Calibration:
     """Calibrate cameras from films of a board.
 
@@ -205,17 +205,18 @@ def calibrate_from_board(
     cameras : (V,) with known lenses; their poses are ignored.
     focals : (V,) px, of lenses without distortion. Without either the lenses are calibrated too.
     offsets : (V,) s, added to the time of each film to get the common time; 0 by default.
+    least_corners : with fewer the board is not seen.
+    corner_spread : px, by which corners are off.
 
     Raises
     ------
     CalibrationError : too few sightings for a lens, or no moment at which two cameras see the board.
     """
-    names = tuple(view.source or f"view{place + 1}" for place, view in enumerate(views))
+    names = name_views(views)
     if cameras is not None:
         lenses = tuple(cameras)
     elif focals is not None:
-        sizes = zip(views, focals, strict=True)
-        lenses = tuple(make_view((0, 1, 3), (0, 1, 0), size=view.size, focal=focal) for view, focal in sizes)
+        lenses = guess_lenses(views, focals)
     else:
         lenses = tuple(calibrate_lens(view, board, name) for view, name in zip(views, names, strict=True))
     tracks = [
@@ -224,24 +225,19 @@ def calibrate_from_board(
     ]
     late = np.zeros(len(views)) if offsets is None else np.array(offsets, np.float64)
     sightings = read_sightings(tracks, late, choose_moments(tracks, late, 2000))
-    common = ((sightings.weights > 0).sum(axis=2) >= _LEAST_CORNERS).sum(axis=0) >= 2
-    kept = np.flatnonzero(common)
+    kept = np.flatnonzero(((sightings.weights > 0).sum(axis=2) >= least_corners).sum(axis=0) >= 2)
     if not len(kept):
         raise CalibrationError("board.no_common", films=names)
-    kept = kept[np.unique(np.linspace(0, len(kept) - 1, min(len(kept), 100)).round().astype(int))]
-    sightings = replace(
-        sightings,
-        points=sightings.points[:, kept],
-        weights=sightings.weights[:, kept],
-        velocities=sightings.velocities[:, kept],
-        spreads=np.full(len(views), _SPREAD),
-    )
+    sightings = sightings.pick(kept[spread_evenly(len(kept), 100)])
+    sightings = replace(sightings, spreads=np.full(len(views), corner_spread))
     focal = np.array([lens.matrix[0, 0] for lens in lenses])
-    rig = _chain(sightings, focal, board, names)
+    rig = _chain(sightings, focal, board, names, least_corners)
     fit = adjust(sightings, rig, triangulate(sightings, rig), board.limbs(), Freedom(), 40)
     scale = board.square / float(fit.lengths[0])
     points = fit.points * scale
-    found, placed, flat = _find_floor(replace(fit.rig, translations=fit.rig.translations * scale), points, board)
+    found, placed, flat = _find_floor(
+        replace(fit.rig, translations=fit.rig.translations * scale), points, least_corners
+    )
     made = tuple(
         replace(lens, name=name, rotation=found.rotations[place], translation=found.translations[place])
         for place, (lens, name) in enumerate(zip(lenses, names, strict=True))
@@ -251,18 +247,30 @@ def calibrate_from_board(
     return Calibration(made, rated, measure_parallax(fit, sightings), placed, (), notes)
 
 
-def calibrate_lens(view: ViewKeypoints, board: Board, name: str) -> Camera:
+def calibrate_lens(
+    view: ViewKeypoints,
+    board: Board,
+    name: str,
+    *,
+    least_corners: int = 6,
+    least_frames: int = 6,
+    most_frames: int = 40,
+    most_off: float = 2.0,
+) -> Camera:
     """Calibrate focal length, principal point and distortion of one camera from its own film of a board.
+
+    At least ``least_frames`` show ``least_corners``, of which at most ``most_frames`` are used, and the root mean
+    square residual is below ``most_off`` px.
 
     Raises
     ------
     CalibrationError : too few frames show the board, or they do not fit any lens.
     """
     points = view.people[0].points
-    seen = np.flatnonzero(np.isfinite(points[..., 0]).sum(axis=1) >= _LEAST_CORNERS)
-    if len(seen) < _LEAST_LENS_FRAMES:
-        raise CalibrationError("board.few_frames", film=name, found=len(seen), least=_LEAST_LENS_FRAMES)
-    some = seen[np.unique(np.linspace(0, len(seen) - 1, min(len(seen), _LENS_FRAMES)).round().astype(int))]
+    seen = np.flatnonzero(np.isfinite(points[..., 0]).sum(axis=1) >= least_corners)
+    if len(seen) < least_frames:
+        raise CalibrationError("board.few_frames", film=name, found=len(seen), least=least_frames)
+    some = seen[spread_evenly(len(seen), most_frames)]
     there = [np.isfinite(points[frame, :, 0]) for frame in some]
     objects = [board.corners[good].astype(np.float32) for good in there]
     images = [points[frame, good].astype(np.float32) for frame, good in zip(some, there, strict=True)]
@@ -273,18 +281,23 @@ def calibrate_lens(view: ViewKeypoints, board: Board, name: str) -> Camera:
         off, matrix, bent, _, _ = cv2.calibrateCamera(objects, images, view.size, guess, np.zeros(5), flags=flags)
     except cv2.error as error:
         raise CalibrationError("board.no_lens", film=name, residual=np.nan) from error
-    if not off < _MOST_OFF or not np.isfinite(matrix).all():
+    if not off < most_off or not np.isfinite(matrix).all():
         raise CalibrationError("board.no_lens", film=name, residual=off)
-    lens = make_view((0.0, 1.0, 3.0), (0.0, 1.0, 0.0), size=view.size, focal=focal, name=name)
-    return replace(lens, matrix=np.asarray(matrix, np.float64), distortion=np.asarray(bent, np.float64).ravel()[:5])
+    lens = guess_lenses([view], [focal])[0]
+    return replace(
+        lens, name=name, matrix=np.asarray(matrix, np.float64), distortion=np.asarray(bent, np.float64).ravel()[:5]
+    )
 
 
-def _chain(sightings: Sightings, focals: FloatArray, board: Board, names: Sequence[str]) -> Rig:
+def _chain(sightings: Sightings, focals: FloatArray, board: Board, names: Sequence[str], least_corners: int) -> Rig:
     """Return the rig in metres in the axes of its first camera, joined by moments that two views share."""
     n_views = len(focals)
     poses = [
-        [_find_pose(sightings, focals, board, view, moment) for moment in range(sightings.points.shape[1])]
-        for view in range(n_views)
+        [
+            _find_pose(board.corners[good], seen[good] / focal) if good.sum() >= least_corners else None
+            for seen, good in zip(points, weights > 0, strict=True)
+        ]
+        for points, weights, focal in zip(sightings.points, sightings.weights, focals, strict=True)
     ]
     rotations, translations = np.tile(np.eye(3), (n_views, 1, 1)), np.zeros((n_views, 3))
     placed = {0}
@@ -310,24 +323,22 @@ def _chain(sightings: Sightings, focals: FloatArray, board: Board, names: Sequen
     return Rig(rotations, translations, focals, sightings.offsets)
 
 
-def _find_pose(
-    sightings: Sightings, focals: FloatArray, board: Board, view: int, moment: int
-) -> tuple[FloatArray, FloatArray] | None:
-    """Return rotation and translation from the board's axes to a camera's; None with too few corners."""
-    good = sightings.weights[view, moment] > 0
-    if good.sum() < _LEAST_CORNERS:
-        return None
-    flat = sightings.points[view, moment, good] / focals[view]
-    found, turn, place = cv2.solvePnP(board.corners[good], flat, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+def _find_pose(corners: FloatArray, flat: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return rotation and translation from the board's axes to a camera's; None without a solution."""
+    found, turn, place = cv2.solvePnP(corners, flat, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     if not found:
         return None
-    rotation = np.asarray(cv2.Rodrigues(turn)[0], np.float64)
-    return rotation, np.asarray(place, np.float64).ravel()
+    return np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(place, np.float64).ravel()
 
 
-def _find_floor(rig: Rig, points: FloatArray, board: Board) -> tuple[Rig, FloatArray, bool]:
-    """Return the rig and the points with Y up and the floor at 0, and whether the board lay on it."""
-    first = next(frame for frame in points if np.isfinite(frame).all(axis=-1).sum() >= _LEAST_CORNERS)
+def _find_floor(
+    rig: Rig, points: FloatArray, least_corners: int, most_tilted: float = 25.0
+) -> tuple[Rig, FloatArray, bool]:
+    """Return the rig and the points with Y up and the floor at 0, and whether the board lay on it.
+
+    A board lies on the floor that is tilted by less than ``most_tilted`` degrees.
+    """
+    first = next(frame for frame in points if np.isfinite(frame).all(axis=-1).sum() >= least_corners)
     known = first[np.isfinite(first).all(axis=-1)]
     centre = known.mean(axis=0)
     normal = np.linalg.svd(known - centre)[2][2]
@@ -336,12 +347,6 @@ def _find_floor(rig: Rig, points: FloatArray, board: Board) -> tuple[Rig, FloatA
         np.eye(3) - np.outer(cameras, cameras) / (cameras @ cameras)))[1][:, 0]  # fmt: skip
     level = level if level @ cameras > 0 else -level
     normal = normal if normal @ level > 0 else -normal
-    flat = bool(normal @ level > np.cos(_FLAT))
-    up = normal if flat else level
-    front = rig.positions[0] - centre
-    front = front - up * (front @ up)
-    front = front / np.linalg.norm(front)
-    axes = np.stack((np.cross(up, front), up, front))
-    turned = rig.rotations @ axes.T
-    moved = replace(rig, rotations=turned, translations=rig.translations + turned @ (axes @ centre))
-    return moved, (points - centre) @ axes.T, flat
+    flat = bool(normal @ level > np.cos(np.radians(most_tilted)))
+    axes = rig.face(centre, normal if flat else level)
+    return rig.move(axes, -axes @ centre), (points - centre) @ axes.T, flat

@@ -16,17 +16,18 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dousa.arrays import BoolArray, FloatArray
+from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.motion.rotations import from_axis_angle, to_matrix
 
 CAMERA_UNKNOWNS = 8
-"""Of each camera: turn (3) rad, place (3), the logarithm of the focal length, time offset (s)."""
+"""Of each camera, by definition: turn (3) rad, place (3), the logarithm of the focal length, time offset (s)."""
+
+LIKENESS = 5.0
+"""Errors of networks last for some frames and are shared by neighbouring points: measured on real films, results are
+off by five times what independent errors would give."""
 
 _TURN, _MOVE, _FOCAL, _TIME = slice(0, 3), slice(3, 6), 6, 7
 _NEAR = 0.05  # of the unit: nothing is seen closer to a camera
-_CAUCHY = 2.0  # spreads: where the robust function begins to give in
-_LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e9
-_SETTLED = 1e-6  # relative change of the cost
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,14 +48,23 @@ class Rig:
     offsets: FloatArray
 
     @property
-    def n_views(self) -> int:
-        """V."""
-        return len(self.rotations)
-
-    @property
     def positions(self) -> FloatArray:
         """(V, 3) the camera positions."""
         return np.asarray(-np.einsum("vij,vi->vj", self.rotations, self.translations))
+
+    def face(self, centre: FloatArray, up: FloatArray) -> FloatArray:
+        """Return axes (3, 3) of the world with Y up, whose Z points from a centre towards the first camera."""
+        front = self.positions[0] - centre
+        front -= up * (front @ up)
+        if np.linalg.norm(front) < 1e-6:
+            front = np.cross(up, (1.0, 0.0, 0.0))
+        front /= np.linalg.norm(front)
+        return np.stack((np.cross(up, front), up, front))
+
+    def move(self, axes: FloatArray, shift: FloatArray) -> Rig:
+        """Return the same rig in another world, whose points are those of this one by ``axes`` (3, 3), and shifted."""
+        turned = self.rotations @ axes.T
+        return replace(self, rotations=turned, translations=self.translations - turned @ shift)
 
     def to_camera(self, points: FloatArray) -> FloatArray:
         """Transform points (T, K, 3) of the world to the axes of each camera, (V, T, K, 3)."""
@@ -85,6 +95,11 @@ class Sightings:
     spreads: FloatArray
     velocities: FloatArray
     offsets: FloatArray
+
+    def pick(self, moments: IndexArray) -> Sightings:
+        """Return the sightings at some of the moments."""
+        seen = (self.points[:, moments], self.weights[:, moments], self.spreads, self.velocities[:, moments])
+        return Sightings(*seen, self.offsets)
 
     @property
     def seen_twice(self) -> BoolArray:
@@ -154,6 +169,11 @@ class Fit:
     cost: float
     covariance: FloatArray = field(repr=False)
 
+    @property
+    def variances(self) -> FloatArray:
+        """(V, 8) of the cameras' unknowns."""
+        return np.maximum(np.diag(self.covariance).reshape(-1, CAMERA_UNKNOWNS), 0.0)
+
 
 def adjust(
     sightings: Sightings,
@@ -162,6 +182,10 @@ def adjust(
     limbs: Sequence[Limb] = (),
     freedom: Freedom = Freedom(),
     steps: int = 50,
+    *,
+    cauchy: float = 2.0,
+    settled: float = 1e-6,
+    damping_range: tuple[float, float] = (1e-9, 1e9),
 ) -> Fit:
     """Improve cameras and points together, by Levenberg's and Marquardt's method on reweighted squares.
 
@@ -173,9 +197,12 @@ def adjust(
     limbs : of constant length.
     freedom : what may change.
     steps : at most.
+    cauchy : spreads, where the robust function begins to give in.
+    settled : relative gain of the last step.
+    damping_range : least, and greatest with which a step is tried.
     """
     known = sightings.seen_twice & np.isfinite(points).all(axis=-1)
-    problem = _Problem(sightings, known, tuple(limbs), freedom, np.log(rig.focals))
+    problem = _Problem(sightings, known, tuple(limbs), freedom, np.log(rig.focals), cauchy)
     state = _State(rig, np.where(known[..., None], points, 0.0), _measure_limbs(points, known, limbs))
     cost, damping = problem.cost(state), 1e-3
     for _ in range(steps):
@@ -183,14 +210,14 @@ def adjust(
         while True:
             trial = problem.move(state, *system.solve(damping))
             new = problem.cost(trial)
-            if new < cost or damping > _MOST_DAMPING:
+            if new < cost or damping > damping_range[1]:
                 break
             damping *= 10.0
         if not new < cost:
             break
         gain, cost, state = cost - new, new, trial
-        damping = max(damping / 10.0, _LEAST_DAMPING)
-        if gain < _SETTLED * cost:
+        damping = max(damping / 10.0, damping_range[0])
+        if gain < settled * cost:
             break
     covariance = problem.linearise(state).covariance()
     return Fit(state.rig, np.where(known[..., None], state.points, np.nan), np.exp(state.lengths), cost, covariance)
@@ -223,15 +250,16 @@ class _Problem:
     limbs: tuple[Limb, ...]
     freedom: Freedom
     log_focals: FloatArray
+    cauchy: float
 
     def cost(self, state: _State) -> float:
         off, counts = self._image_residuals(state)
         squares = (off**2).sum(axis=-1)
-        total = float((counts * np.log1p(squares / _CAUCHY**2)).sum())
+        total = float((counts * np.log1p(squares / self.cauchy**2)).sum())
         for limb in self.limbs:
             rest, both, _, _ = self._limb_residuals(state, limb)
-            total += float(np.log1p(rest[both] ** 2 / _CAUCHY**2).sum())
-        total *= _CAUCHY**2
+            total += float(np.log1p(rest[both] ** 2 / self.cauchy**2).sum())
+        total *= self.cauchy**2
         if self.freedom.focals:
             total += float((((np.log(state.rig.focals) - self.log_focals) / self.freedom.focal_spread) ** 2).sum())
         return 0.5 * total
@@ -280,10 +308,10 @@ class _Problem:
 
     def _add_images(self, state: _State, system: _System) -> None:
         off, counts = self._image_residuals(state)
-        weights = counts / (1.0 + (off**2).sum(axis=-1) / _CAUCHY**2)
+        weights = counts / (1.0 + (off**2).sum(axis=-1) / self.cauchy**2)
         local = state.rig.to_camera(state.points)
         each = np.arange(self.known.shape[1])
-        for view in range(state.rig.n_views):
+        for view in range(len(state.rig.rotations)):
             by_camera, by_point = self._derivatives(state.rig, view, local[view])
             weighted = weights[view, ..., None, None] * by_camera
             here = slice(view * CAMERA_UNKNOWNS, (view + 1) * CAMERA_UNKNOWNS)
@@ -313,7 +341,7 @@ class _Problem:
 
     def _add_limb(self, state: _State, limb: Limb, system: _System, place: int) -> None:
         rest, both, along, length = self._limb_residuals(state, limb)
-        weights = both / (1.0 + rest**2 / _CAUCHY**2)
+        weights = both / (1.0 + rest**2 / self.cauchy**2)
         slope = along / length[:, None] ** 2 / limb.spread
         outer = np.einsum("t,ta,tb->tab", weights, slope, slope)
         i, j = limb.first, limb.second
@@ -333,7 +361,7 @@ class _Problem:
     def move(self, state: _State, step: FloatArray, shifts: FloatArray) -> _State:
         """Return the state after a step of the global unknowns and of the points."""
         rig = state.rig
-        n_cameras = rig.n_views * CAMERA_UNKNOWNS
+        n_cameras = len(rig.rotations) * CAMERA_UNKNOWNS
         cameras = step[:n_cameras].reshape(-1, CAMERA_UNKNOWNS)
         moved = replace(
             rig,

@@ -15,15 +15,15 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.errors import CalibrationError, OptionError
-from dousa.estimation.calibration.bundle import CAMERA_UNKNOWNS, Fit, Freedom, Rig, Sightings, adjust
+from dousa.estimation.calibration.bundle import LIKENESS, Fit, Freedom, Rig, Sightings, adjust
 from dousa.estimation.calibration.rig_search import find_rig, triangulate
 from dousa.estimation.calibration.sightings import (
-    USUAL_FOCAL,
     Track,
     choose_moments,
     choose_points,
     list_limbs,
     make_track,
+    name_views,
     read_sightings,
 )
 from dousa.estimation.cameras.camera import Camera, make_view
@@ -32,46 +32,29 @@ from dousa.messages import Message
 
 _CHAIN, _ARM = 0.775, 0.325  # shares of stature: ankle to knee to hip to shoulder, shoulder to elbow to wrist
 _ROLL, _LEAN = np.radians(4.0), np.radians(3.0)  # how far cameras are tilted sideways, and people off their balance
-_LIFTED = 0.08  # m, by which the foot that does not carry is above the other
 # Shares of the body's mass between two points (Winter), arms and head by the trunk's ends.
 _MASSES = {("hip", "shoulder"): 0.6, ("hip", "knee"): 0.2, ("knee", "ankle"): 0.093, ("shoulder", "elbow"): 0.06,
            ("elbow", "wrist"): 0.047}  # fmt: skip
-_FOOT_SPREAD, _FEET = 0.03, 10.0  # m that feet are off the plane, and how many of them are independent
-_RESTING = 0.25  # m/s
-_NEAR_FLOOR = 0.12  # m
-_LOW = 0.15  # quantile of a foot's heights at which it rests
-# Of the stature, above the floor.
-_HEIGHTS = {"heel": 0.025, "foot_index": 0.005, "big_toe": 0.005, "ankle": 0.06}
+_FOOT_POINTS = ("heel", "foot_index", "big_toe", "ankle")
 
 
 def measure_stature(points: FloatArray, names: Sequence[str]) -> float | None:
     """Measure the stature in the unit of points (T, K, 3), nan where unknown; None without the limbs."""
-    chain = [
-        _length(points, names, "ankle", "knee"),
-        _length(points, names, "knee", "hip"),
-        _middle_length(points, names, "hip", "shoulder"),
-    ]
-    if all(part is not None for part in chain):
-        return sum(part for part in chain if part is not None) / _CHAIN
-    arm = [_length(points, names, "shoulder", "elbow"), _length(points, names, "elbow", "wrist")]
-    if all(part is not None for part in arm):
-        return sum(part for part in arm if part is not None) / _ARM
-    return None
+    trunk = np.linalg.norm(find_middle(points, names, "hip") - find_middle(points, names, "shoulder"), axis=-1)
+    leg = _length(points, names, "ankle", "knee") + _length(points, names, "knee", "hip")
+    arm = _length(points, names, "shoulder", "elbow") + _length(points, names, "elbow", "wrist")
+    if np.isfinite(leg) and np.isfinite(trunk).any():
+        return (leg + float(np.nanmedian(trunk))) / _CHAIN
+    return arm / _ARM if np.isfinite(arm) else None
 
 
-def _length(points: FloatArray, names: Sequence[str], first: str, second: str) -> float | None:
-    """Return the median length of a limb, averaged over both sides."""
+def _length(points: FloatArray, names: Sequence[str], first: str, second: str) -> float:
+    """Return the median length of a limb, averaged over both sides; nan if unknown."""
     sides = [(f"{side}_{first}", f"{side}_{second}") for side in ("left", "right")]
     there = [(names.index(a), names.index(b)) for a, b in sides if a in names and b in names]
     lengths = [np.linalg.norm(points[:, a] - points[:, b], axis=-1) for a, b in there]
     found = [float(np.nanmedian(some)) for some in lengths if np.isfinite(some).any()]
-    return float(np.mean(found)) if found else None
-
-
-def _middle_length(points: FloatArray, names: Sequence[str], first: str, second: str) -> float | None:
-    ends = [find_middle(points, names, name) for name in (first, second)]
-    lengths = np.linalg.norm(ends[0] - ends[1], axis=-1)
-    return float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else None
+    return float(np.mean(found)) if found else np.nan
 
 
 def find_middle(points: FloatArray, names: Sequence[str], name: str) -> FloatArray:
@@ -107,20 +90,25 @@ def find_world(
     middle = find_middle(points, names, "hip")
     middle = points.reshape(-1, 3) if not np.isfinite(middle).any() else middle
     centre = np.nanmedian(middle, axis=0)
-    front = rig.positions[0] - centre
-    front -= up * (front @ up)
-    if np.linalg.norm(front) < 1e-6:
-        front = np.cross(up, (1.0, 0.0, 0.0))
-    front /= np.linalg.norm(front)
-    axes = np.stack((np.cross(up, front), up, front))  # from the old world to the new
-    heights = _find_heights((points - centre) @ axes.T, names, stature)
-    shift = -axes @ centre - np.array([0.0, heights, 0.0])
-    turned = rig.rotations @ axes.T
-    return replace(rig, rotations=turned, translations=rig.translations - turned @ shift), points @ axes.T + shift
+    axes = rig.face(centre, up)  # from the old world to the new
+    floor = _find_floor((points - centre) @ axes.T, names, stature)
+    shift = -axes @ centre - np.array([0.0, floor, 0.0])
+    return rig.move(axes, shift), points @ axes.T + shift
 
 
-def _find_up(rig: Rig, points: FloatArray, names: Sequence[str], moments: FloatArray) -> FloatArray:
-    """Find the up vector from centres of mass above carrying feet, level image rows and resting feet."""
+def _find_up(
+    rig: Rig,
+    points: FloatArray,
+    names: Sequence[str],
+    moments: FloatArray,
+    *,
+    foot_spread: float = 0.03,
+    n_feet: float = 10.0,
+) -> FloatArray:
+    """Find the up vector from centres of mass above carrying feet, level image rows and resting feet.
+
+    Feet are off the floor by ``foot_spread`` m, and ``n_feet`` of them are independent.
+    """
     level, cameras = rig.rotations[:, 0], -rig.rotations[:, 1].mean(axis=0)
     along = find_middle(points, names, "shoulder") - find_middle(points, names, "ankle")
     along = along[np.isfinite(along).all(axis=-1)]
@@ -133,14 +121,26 @@ def _find_up(rig: Rig, points: FloatArray, names: Sequence[str], moments: FloatA
         weights = 1.0 / (1.0 + (level @ up / _ROLL) ** 2)  # a tripod may be tilted
         form += np.einsum("v,vi,vj->ij", weights, level, level) / _ROLL**2
         feet = _find_resting(points, names, moments, up)
-        if len(feet) >= _FEET:
-            form += _FEET * np.cov(feet.T) / _FOOT_SPREAD**2
-        up = _smallest(form, lean)
+        if len(feet) >= n_feet:
+            form += n_feet * np.cov(feet.T) / foot_spread**2
+        up = np.linalg.eigh(form)[1][:, 0]
+        up = up if up @ lean > 0 else -up
     return np.asarray(up, np.float64)
 
 
-def _find_load(points: FloatArray, names: Sequence[str], moments: FloatArray, up: FloatArray) -> FloatArray | None:
-    """Return the unit vector from the carrying feet to the centre of mass, over all moments; None if unknown."""
+def _find_load(
+    points: FloatArray,
+    names: Sequence[str],
+    moments: FloatArray,
+    up: FloatArray,
+    *,
+    slow: float = 0.5,
+    lifted: float = 0.08,
+) -> FloatArray | None:
+    """Return the unit vector from the carrying feet to the centre of mass, over all moments; None if unknown.
+
+    A foot carries that moves by less than ``slow`` m/s and is less than ``lifted`` m above the other.
+    """
     mass, total = np.zeros((len(points), 3)), 0.0
     for (first, second), share in _MASSES.items():
         mass += share * (find_middle(points, names, first) + find_middle(points, names, second)) / 2.0
@@ -151,7 +151,7 @@ def _find_load(points: FloatArray, names: Sequence[str], moments: FloatArray, up
     both = np.stack([foot for foot in feet if foot is not None])
     speeds = np.linalg.norm(np.gradient(both, moments, axis=1), axis=-1)
     heights = both @ up
-    carries = (speeds < 2 * _RESTING) & (heights < np.nanmin(heights, axis=0, initial=np.inf) + _LIFTED)
+    carries = (speeds < slow) & (heights < np.nanmin(heights, axis=0, initial=np.inf) + lifted)
     count = carries.sum(axis=0)
     place = np.where(carries[..., None], both, 0.0).sum(axis=0) / np.maximum(count, 1)[:, None]
     way = (mass / total - place)[count > 0]
@@ -164,55 +164,59 @@ def _find_load(points: FloatArray, names: Sequence[str], moments: FloatArray, up
 
 def _find_foot(points: FloatArray, names: Sequence[str], side: str) -> FloatArray | None:
     """Return (T, 3) the middle of the foot's points."""
-    there = [names.index(f"{side}_{kind}") for kind in _HEIGHTS if f"{side}_{kind}" in names]
+    there = [names.index(f"{side}_{kind}") for kind in _FOOT_POINTS if f"{side}_{kind}" in names]
     return np.asarray(points[:, there].mean(axis=1)) if there else None
 
 
-def _smallest(form: FloatArray, about: FloatArray) -> FloatArray:
-    vector = np.linalg.eigh(form)[1][:, 0]
-    return np.asarray(vector if vector @ about > 0 else -vector)
+def _find_resting(
+    points: FloatArray,
+    names: Sequence[str],
+    moments: FloatArray,
+    up: FloatArray,
+    *,
+    low: float = 0.15,
+    resting: float = 0.25,
+    near_floor: float = 0.12,
+) -> FloatArray:
+    """Return (N, 3) resting feet near the floor, each less the median height of its kind.
 
-
-def _find_resting(points: FloatArray, names: Sequence[str], moments: FloatArray, up: FloatArray) -> FloatArray:
-    """Return (N, 3) resting feet near the floor, each less the median height of its kind."""
+    A foot rests that moves by less than ``resting`` m/s within ``near_floor`` m of the quantile ``low`` of its heights.
+    """
     kept = []
-    for kind in _HEIGHTS:
-        for side in ("left", "right"):
-            if f"{side}_{kind}" not in names:
-                continue
-            track = points[:, names.index(f"{side}_{kind}")]
-            speeds = np.linalg.norm(np.gradient(track, moments, axis=0), axis=-1) if len(track) > 2 else np.zeros(0)
-            heights = track @ up
-            if len(speeds) < 3 or not np.isfinite(heights).any():
-                continue
-            floor = np.nanquantile(heights, _LOW)
-            rest = track[(np.nan_to_num(speeds, nan=np.inf) < _RESTING) & (np.abs(heights - floor) < _NEAR_FLOOR)]
-            if len(rest) >= 3:
-                kept.append(rest - up * np.median(rest @ up))
+    for name in (f"{side}_{kind}" for kind in _FOOT_POINTS for side in ("left", "right")):
+        if name not in names or len(points) < 3:
+            continue
+        track = points[:, names.index(name)]
+        heights = track @ up
+        if not np.isfinite(heights).any():
+            continue
+        speeds = np.linalg.norm(np.gradient(track, moments, axis=0), axis=-1)
+        is_near = np.abs(heights - np.nanquantile(heights, low)) < near_floor
+        rest = track[(np.nan_to_num(speeds, nan=np.inf) < resting) & is_near]
+        if len(rest) >= 3:
+            kept.append(rest - up * np.median(rest @ up))
     return np.concatenate(kept) if kept else np.zeros((0, 3))
 
 
-def _find_heights(points: FloatArray, names: Sequence[str], stature: float) -> float:
-    """Return the height of the floor among points with Y up."""
+def _find_floor(
+    points: FloatArray,
+    names: Sequence[str],
+    stature: float,
+    low: float = 0.075,
+    shares: Sequence[float] = (0.025, 0.005, 0.005, 0.06),
+) -> float:
+    """Return the height of the floor among points with Y up.
+
+    The quantile ``low`` of the heights of a point of the foot is that of one on the floor, which lies ``shares`` of the
+    stature above it.
+    """
     found = []
-    for kind, share in _HEIGHTS.items():
+    for kind, share in zip(_FOOT_POINTS, shares, strict=True):
         both = [names.index(f"{side}_{kind}") for side in ("left", "right") if f"{side}_{kind}" in names]
         heights = points[:, both, 1]
         if np.isfinite(heights).any():
-            found.append(float(np.nanquantile(heights, _LOW / 2)) - share * stature)
+            found.append(float(np.nanquantile(heights, low)) - share * stature)
     return float(np.median(found)) if found else float(np.nanmin(points[..., 1]))
-
-
-_MOST_MOMENTS, _LEAST_MOMENTS = 120, 12
-_STEPS = 60
-_FOCAL_SPREAD = 0.15  # relative, of the cameras that film people
-_LEAST_PARALLAX = np.radians(5.0)
-_FITS = 3.0  # spreads, within which a point agrees
-_LEAST_SHARE, _USUAL_SHARE = 0.75, 0.9  # of the points that agree
-_LIKENESS = 5.0  # errors are shared by neighbouring points and frames, see `sync.timing`
-_DOUBTFUL_TURN, _MOST_TURN = np.radians(8.0), np.radians(15.0)
-_LEAST_MOTION = 0.04  # of the stature
-_STATURES = (0.5, 2.6)  # m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -265,6 +269,8 @@ def calibrate_from_person(
     focals: Sequence[float] | None = None,
     offsets: Sequence[float] | None = None,
     people: Sequence[int] | None = None,
+    most_moments: int = 120,
+    least_moments: int = 12,
 ) -> Calibration:
     """Calibrate cameras from the keypoints of one person who moves before them.
 
@@ -276,6 +282,7 @@ def calibrate_from_person(
     focals : (V,) px, if nothing else is known. Without either, focal lengths are found too, near those of phones.
     offsets : (V,) s, added to the time of each film to get the common time; 0 by default. See `sync`.
     people : (V,) places of the person among those of each view; the first by default.
+    most_moments, least_moments : common moments that are used, and needed.
 
     Raises
     ------
@@ -284,7 +291,7 @@ def calibrate_from_person(
     OptionError : fewer than two views, a stature no person has, another number of cameras, focals, offsets or people.
     """
     _check_numbers(views, stature, cameras=cameras, focals=focals, offsets=offsets, people=people)
-    names = tuple(view.source or f"view{place + 1}" for place, view in enumerate(views))
+    names = name_views(views)
     shared = [name for name in views[0].names if all(name in view.names for view in views)]
     if len(shared) < 8:
         raise CalibrationError("calibration.few_points", found=len(shared))
@@ -296,36 +303,46 @@ def calibrate_from_person(
         for view, person, lens, name in zip(views, chosen, lenses, names, strict=True)
     ]
     late = np.zeros(len(views)) if offsets is None else np.array(offsets, np.float64)
-    moments = choose_moments(tracks, late, _MOST_MOMENTS)
-    if len(moments) < _LEAST_MOMENTS:
+    moments = choose_moments(tracks, late, most_moments)
+    if len(moments) < least_moments:
         raise CalibrationError("calibration.no_overlap", films=names)
     sightings = read_sightings(tracks, late, moments)
     fit = _fit(sightings, tracks, points, cameras is None and focals is None, names)
     return _finish(fit, sightings, lenses, points, names, stature, moments)
 
 
-def _check_numbers(views: Sequence[ViewKeypoints], stature: float, **given: Sequence[object] | None) -> None:
+def _check_numbers(
+    views: Sequence[ViewKeypoints],
+    stature: float,
+    least: float = 0.5,
+    most: float = 2.6,
+    **given: Sequence[object] | None,
+) -> None:
+    """Check for two views, a stature between ``least`` and ``most`` m, and as many of all else as of views."""
     if len(views) < 2:
         raise OptionError("calibration.one_view")
     for what, some in given.items():
         if some is not None and len(some) != len(views):
             raise OptionError("sync.count", what=what, found=len(some), films=len(views))
-    if not _STATURES[0] <= stature <= _STATURES[1]:
-        raise OptionError("calibration.stature", found=stature, least=_STATURES[0], most=_STATURES[1])
+    if not least <= stature <= most:
+        raise OptionError("calibration.stature", found=stature, least=least, most=most)
     for focal in given["focals"] or ():
         if not (isinstance(focal, int | float) and 10.0 < focal < 1e6):
             raise OptionError("calibration.focal", found=str(focal))
 
 
-def guess_lenses(views: Sequence[ViewKeypoints], focals: Sequence[float] | None = None) -> tuple[Camera, ...]:
+def guess_lenses(
+    views: Sequence[ViewKeypoints], focals: Sequence[float] | None = None, usual: float = 0.85
+) -> tuple[Camera, ...]:
     """Return cameras of given or usual focal lengths, with the principal point in the middle and an arbitrary pose.
 
     Parameters
     ----------
     views : for the image sizes.
-    focals : (V,) px; by default 0.85 times the longer side of the image.
+    focals : (V,) px; by default ``usual`` times the longer side of the image.
+    usual : of phones and of most other cameras that film people.
     """
-    known = focals or [USUAL_FOCAL * max(view.size) for view in views]
+    known = focals or [usual * max(view.size) for view in views]
     return tuple(
         make_view((0.0, 1.0, 3.0), (0.0, 1.0, 0.0), size=view.size, focal=focal)
         for view, focal in zip(views, known, strict=True)
@@ -343,15 +360,22 @@ def _make_track(view: ViewKeypoints, person: int, points: Sequence[str], lens: C
 
 
 def _fit(
-    sightings: Sightings, tracks: Sequence[Track], points: Sequence[str], free: bool, names: tuple[str, ...]
+    sightings: Sightings,
+    tracks: Sequence[Track],
+    points: Sequence[str],
+    free: bool,
+    names: tuple[str, ...],
+    *,
+    focal_spread: float = 0.15,
+    steps: int = 60,
 ) -> Fit:
+    """Fit cameras and points in at most ``steps``; focal lengths deviate by ``focal_spread`` (relative)."""
     limbs = list_limbs(points)
-    focals = np.array([track.focal for track in tracks])
-    guess = find_rig(sightings, focals, limbs)
+    guess = find_rig(sightings, np.array([track.focal for track in tracks]), limbs)
     if guess is None:
         raise CalibrationError("calibration.no_agreement", films=names, share=0.0, film=names[0])
-    freedom = Freedom(focals=free, focal_spread=_FOCAL_SPREAD)
-    return adjust(sightings, guess.rig, triangulate(sightings, guess.rig), limbs, freedom, _STEPS)
+    freedom = Freedom(focals=free, focal_spread=focal_spread)
+    return adjust(sightings, guess.rig, triangulate(sightings, guess.rig), limbs, freedom, steps)
 
 
 def _finish(
@@ -362,37 +386,43 @@ def _finish(
     names: tuple[str, ...],
     stature: float,
     moments: FloatArray,
+    *,
+    least_share: float = 0.75,
+    usual_share: float = 0.9,
+    least_parallax: float = 5.0,
+    doubtful_turn: float = 8.0,
+    most_turn: float = 15.0,
+    least_motion: float = 0.04,
 ) -> Calibration:
+    """Place the fitted cameras in the world, and refuse or doubt a fit that the films do not determine.
+
+    Shares are of the points that agree; parallax, and turns by which a camera may be off, are in degrees; a person who
+    moves by less than ``least_motion`` of the stature hardly does.
+    """
     views = rate_views(fit, sightings, names)
     parallax = measure_parallax(fit, sightings)
     share = float(np.mean([view.share for view in views]))
-    if share < _LEAST_SHARE:
-        worst = min(views, key=lambda view: view.share).name
-        raise CalibrationError("calibration.no_agreement", films=names, share=100 * share, film=worst)
-    if parallax < _LEAST_PARALLAX:
+    least = min(views, key=lambda view: view.share)
+    if share < least_share:
+        raise CalibrationError("calibration.no_agreement", films=names, share=100 * share, film=least.name)
+    if parallax < np.radians(least_parallax):
         raise CalibrationError("calibration.no_parallax", degrees=np.degrees(parallax))
     found = find_world(fit.rig, fit.points, points, stature, moments)
     if found is None:
         raise CalibrationError("calibration.no_limbs")
     rig, placed = found
-    motion = float(np.nanmedian(np.linalg.norm(np.nanstd(_fill(placed), axis=0), axis=-1))) / stature
+    known = placed[:, np.isfinite(placed).any(axis=(0, 2))]
+    motion = float(np.nanmedian(np.linalg.norm(np.nanstd(known, axis=0), axis=-1))) / stature
     turn = max(view.turn for view in views)
-    if turn > _MOST_TURN:
+    if turn > np.radians(most_turn):
         raise CalibrationError("calibration.unsure", degrees=np.degrees(turn), motion=100 * motion * stature)
-    notes = [] if motion >= _LEAST_MOTION else [Message("calibration.hardly_moves", motion=100 * motion * stature)]
-    least = min(views, key=lambda view: view.share)
-    if least.share < _USUAL_SHARE:
+    notes = [] if motion >= least_motion else [Message("calibration.hardly_moves", motion=100 * motion * stature)]
+    if least.share < usual_share:
         notes.append(Message("calibration.few_agree", share=100 * least.share, film=least.name))
-    if turn > _DOUBTFUL_TURN:
+    if turn > np.radians(doubtful_turn):
         notes.append(Message("calibration.doubtful", degrees=np.degrees(turn)))
     cameras = tuple(_make_camera(lens, rig, place, names[place]) for place, lens in enumerate(lenses))
     return Calibration(cameras, views, parallax, placed, tuple(points), tuple(notes))
-
-
-def _fill(points: FloatArray) -> FloatArray:
-    """Drop points that are never known."""
-    known = np.isfinite(points).any(axis=(0, 2))
-    return points[:, known]
 
 
 def _make_camera(lens: Camera, rig: Rig, place: int, name: str) -> Camera:
@@ -401,18 +431,18 @@ def _make_camera(lens: Camera, rig: Rig, place: int, name: str) -> Camera:
     return replace(lens, name=name, matrix=matrix, rotation=rig.rotations[place], translation=rig.translations[place])
 
 
-def rate_views(fit: Fit, sightings: Sightings, names: Sequence[str]) -> tuple[CalibratedView, ...]:
+def rate_views(fit: Fit, sightings: Sightings, names: Sequence[str], fits: float = 3.0) -> tuple[CalibratedView, ...]:
+    """Rate the views of a fit; a point agrees that is off by less than ``fits`` spreads."""
     off = np.linalg.norm(fit.rig.project(np.nan_to_num(fit.points)) - sightings.points, axis=-1)
     counted = (sightings.weights > 0) & np.isfinite(fit.points[..., 0]) & np.isfinite(off)
-    variances = np.diag(fit.covariance).reshape(-1, CAMERA_UNKNOWNS)[:, :3].max(axis=1)
+    turns = LIKENESS * np.sqrt(fit.variances[:, :3].max(axis=1))
     rated = []
     for view, name in enumerate(names):
         some = off[view][counted[view]]
         if not len(some):
             raise CalibrationError("calibration.nobody", film=name)
-        share = float((some < _FITS * sightings.spreads[view]).mean())
-        turn = _LIKENESS * float(np.sqrt(max(variances[view], 0.0)))
-        rated.append(CalibratedView(name, float(np.median(some)), share, turn, len(some)))
+        share = float((some < fits * sightings.spreads[view]).mean())
+        rated.append(CalibratedView(name, float(np.median(some)), share, float(turns[view]), len(some)))
     return tuple(rated)
 
 

@@ -70,12 +70,6 @@ def _draw(body: BodyModel, poses: ArrayLike, camera: Camera, layers: NDArray[np.
     return unpack_bits(bits, camera.width)
 
 
-NEAREST = 0.05
-"""m: a sphere whose centre is nearer to the camera's plane than this is behind the camera."""
-
-_FAR = 1e12
-
-
 def _popcount(_context, word):  # type: ignore[no-untyped-def]
     """Count the set bits of a 64-bit word by the processor's own instruction."""
 
@@ -90,13 +84,16 @@ popcount: Any = intrinsic(_popcount)
 
 @inlined
 def project_sphere(camera, x, y, z, radius):  # type: ignore[no-untyped-def]
-    """Return column, row and radius (px) of a sphere, radius -1 behind the camera; ``camera`` as in `CAMERA_ROW`."""
+    """Return column, row and radius (px) of a sphere; ``camera`` as in `CAMERA_ROW`.
+
+    The radius is -1 where the centre is behind the camera, or less than 0.05 m before its plane.
+    """
     cx = camera[6] * x + camera[7] * y + camera[8] * z + camera[15]
     cy = camera[9] * x + camera[10] * y + camera[11] * z + camera[16]
     cz = camera[12] * x + camera[13] * y + camera[14] * z + camera[17]
     scale = np.sqrt(camera[1] * camera[2])
     if camera[0] == 0.0:
-        if cz < NEAREST:
+        if cz < 0.05:
             return 0.0, 0.0, -1.0
         cx /= cz
         cy /= cz
@@ -118,9 +115,9 @@ def outline_discs(discs, count, width, height, pairs, low, high):  # type: ignor
     ``discs`` (count, 3) column, row, radius; ``pairs`` (n, n, 2) with n >= count is scratch. Fills ``low`` and ``high``
     (height,) with whole columns clipped to the image, high < low where a row has none.
     """
-    top, bottom = _FAR, -_FAR
+    top, bottom = np.inf, -np.inf
     for i in range(count):
-        if not abs(discs[i, 0]) + abs(discs[i, 1]) + discs[i, 2] < _FAR:  # beyond all numbers of pixels, or none
+        if not abs(discs[i, 0]) + abs(discs[i, 1]) + discs[i, 2] < 1e12:  # beyond all numbers of pixels, or none
             return 0, 0
         above, below = discs[i, 1] - discs[i, 2], discs[i, 1] + discs[i, 2]
         top = above if above < top else top
@@ -158,16 +155,12 @@ def _measure_pairs(discs, count, pairs):  # type: ignore[no-untyped-def]
             pairs[j, i, 0], pairs[j, i, 1] = root, inverse
 
 
-_AS_HIGH = 1e-9  # px, of coordinates up to 1: what differs by less lies in one row
-_LEVEL = 1e-18  # share of a normal that points sideways: a tangent with less has no slope
-
-
 @inlined
 def _find_start(side, discs, count, pairs, top):  # type: ignore[no-untyped-def]
     """Return the outermost of the highest discs that lie in no other, where the walk begins."""
     here, outmost = 0, -np.inf
-    for i in range(count):
-        high = discs[i, 1] - discs[i, 2] <= top + _AS_HIGH * (abs(top) if abs(top) > 1.0 else 1.0)
+    for i in range(count):  # what differs by less than 1e-9 px, of coordinates up to 1, is as high
+        high = discs[i, 1] - discs[i, 2] <= top + 1e-9 * (abs(top) if abs(top) > 1.0 else 1.0)
         if high and pairs[i, i, 0] >= 0.0 and side * discs[i, 0] > outmost:
             here, outmost = i, side * discs[i, 0]
     return here
@@ -177,7 +170,8 @@ def _find_start(side, discs, count, pairs, top):  # type: ignore[no-untyped-def]
 def _trace_side(side, discs, count, pairs, top, first, last, width, columns):  # type: ignore[no-untyped-def]
     """Walk down one side of the hull (gift wrapping over discs) and store its column in every row.
 
-    The next disc is the one whose outer tangent turns least, that is, whose normal points up most.
+    The next disc is the one whose outer tangent turns least, that is, whose normal points up most; a normal of which
+    less than 1e-18 points sideways has no slope.
     """
     here = _find_start(side, discs, count, pairs, top)
     row, up_here = first, -1.0
@@ -191,9 +185,9 @@ def _trace_side(side, discs, count, pairs, top, first, last, width, columns):  #
             dx, dy, dr = side * discs[j, 0] - x, discs[j, 1] - y, discs[j, 2] - r
             up = (-dr * dy - root * dx) * pairs[here, j, 1]
             out = (-dr * dx + root * dy) * pairs[here, j, 1]
-            if out > _LEVEL and up_here - 1e-9 <= up < best_up:
+            if out > 1e-18 and up_here - 1e-9 <= up < best_up:
                 best, best_up, best_out = j, up, out
-        leave = y + r * best_up if best >= 0 else _FAR
+        leave = y + r * best_up if best >= 0 else np.inf
         end = last if leave >= last else int(np.floor(leave))
         for k in range(row, end + 1):
             off = k - y
@@ -224,7 +218,7 @@ def _to_column(side, x, width):  # type: ignore[no-untyped-def]
     return width + 1 - (int(x if x < width + 1.0 else width + 1.0) if x > 1.0 else 1)
 
 
-_ONES = np.uint64(0xFFFFFFFFFFFFFFFF)
+_ONES = np.uint64(0xFFFFFFFFFFFFFFFF)  # all bits of a word, by definition
 
 
 @inlined

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from statistics import NormalDist
 
@@ -18,13 +18,6 @@ from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.raster.rasteriser import draw_body
 from dousa.extras import cv2
 from dousa.motion import CANONICAL_JOINTS, Motion, Trajectories, canonicalise, compute_trajectories
-
-_EDGE_GRAIN = 2.5  # px, size of the bumps of a ragged edge
-_HOLE_GRAIN = 4.0  # px, size of the holes
-_SPECKLE_GRAIN = 1.0  # px
-_PERSISTENCE = 0.6  # share of an error that the next frame keeps: errors of segmentation last
-_SHADOW_DEPTH = 0.12  # height of a shadow on the floor by its length: cameras look flat over the floor
-_SHADOW_LOSS = 0.25  # share of a shadow that segmentation notices and removes
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,11 +47,16 @@ class Spoiling:
                 raise OptionError("rendering.amount", option=field.name, most=most, found=value)
 
 
-NOISY = Spoiling(ragged=1.0, holes=0.02, speckle=0.002, shadow=0.4, jitter=0.5)
-"""A poor segmentation of 320 x 240 pixels."""
-
-
-def spoil(masks: Mask, rng: np.random.Generator, amounts: Spoiling = NOISY) -> Mask:
+def spoil(
+    masks: Mask,
+    rng: np.random.Generator,
+    amounts: Spoiling = Spoiling(ragged=1.0, holes=0.02, speckle=0.002, shadow=0.4, jitter=0.5),
+    *,
+    grains: tuple[float, float, float] = (2.5, 4.0, 1.0),
+    persistence: float = 0.6,
+    shadow_depth: float = 0.12,
+    shadow_loss: float = 0.25,
+) -> Mask:
     """Add errors of a real segmentation to the clean silhouettes (T, H, W) of one view.
 
     Errors last a few frames; an empty mask gets speckle only.
@@ -67,7 +65,11 @@ def spoil(masks: Mask, rng: np.random.Generator, amounts: Spoiling = NOISY) -> M
     ----------
     masks : (T, H, W) bool.
     rng : source of the errors.
-    amounts : of each error.
+    amounts : of each error; by default those of a poor segmentation of 320 x 240 pixels.
+    grains : px, sizes of the bumps of a ragged edge, of holes and of speckle.
+    persistence : share of an error that the next frame keeps.
+    shadow_depth : height of a shadow on the floor by its length: cameras look flat over the floor.
+    shadow_loss : share of a shadow that segmentation notices and removes.
 
     Raises
     ------
@@ -78,14 +80,15 @@ def spoil(masks: Mask, rng: np.random.Generator, amounts: Spoiling = NOISY) -> M
         raise SilhouetteError("masks.shape", found=str(masks.shape))
     spoiled = np.empty_like(masks)
     size = masks.shape[1:]
-    edge, inside, outside = (_Field(size, grain, rng) for grain in (_EDGE_GRAIN, _HOLE_GRAIN, _SPECKLE_GRAIN))
+    edge, inside, outside = (_Field(size, grain, rng, persistence) for grain in grains)
     to_the_side = float(rng.choice([-1.0, 1.0]))
     shift = np.zeros(2)
     for t, mask in enumerate(masks):
-        shift = _follow(shift, rng.standard_normal(2))
+        shift = _follow(shift, rng.standard_normal(2), persistence)
         changed = mask
         if amounts.shadow:
-            changed = changed | (_cast_shadow(mask, amounts.shadow, to_the_side) & (rng.random(size) > _SHADOW_LOSS))
+            shadow = _cast_shadow(mask, amounts.shadow, to_the_side, shadow_depth)
+            changed = changed | (shadow & (rng.random(size) > shadow_loss))
         if amounts.ragged:
             changed = _depths(changed) > amounts.ragged * edge.advance()
         if amounts.holes:
@@ -98,16 +101,16 @@ def spoil(masks: Mask, rng: np.random.Generator, amounts: Spoiling = NOISY) -> M
     return spoiled
 
 
-def _follow(before: FloatArray, new: FloatArray) -> FloatArray:
+def _follow(before: FloatArray, new: FloatArray, persistence: float) -> FloatArray:
     """Update an error of unit variance that persists in part."""
-    return np.asarray(_PERSISTENCE * before + np.sqrt(1.0 - _PERSISTENCE**2) * new)
+    return np.asarray(persistence * before + np.sqrt(1.0 - persistence**2) * new)
 
 
 class _Field:
     """A smooth random image of unit variance that changes slowly."""
 
-    def __init__(self, size: tuple[int, int], grain: float, rng: np.random.Generator) -> None:
-        self._size, self._grain, self._rng = size, grain, rng
+    def __init__(self, size: tuple[int, int], grain: float, rng: np.random.Generator, persistence: float) -> None:
+        self._size, self._grain, self._rng, self._persistence = size, grain, rng, persistence
         self._values = self._draw()
 
     def _draw(self) -> FloatArray:
@@ -117,7 +120,7 @@ class _Field:
         return np.asarray(smooth / (kernel * kernel).sum())
 
     def advance(self) -> FloatArray:
-        self._values = _follow(self._values, self._draw())
+        self._values = _follow(self._values, self._draw(), self._persistence)
         return self._values
 
 
@@ -135,14 +138,14 @@ def _depths(mask: Mask) -> FloatArray:
     return np.asarray(np.where(mask, inner - 0.5, 0.5 - outer), np.float64)
 
 
-def _cast_shadow(mask: Mask, length: float, side: float) -> Mask:
+def _cast_shadow(mask: Mask, length: float, side: float, depth: float) -> Mask:
     """Lay the silhouette flat on the floor from its lowest row, to one side."""
     rows = np.flatnonzero(mask.any(axis=1))
     if not len(rows):
         return np.zeros_like(mask)
     foot = float(rows[-1])
     # A point h above the feet falls length * h to the side and a little up the image.
-    rise = length * _SHADOW_DEPTH
+    rise = length * depth
     affine = np.array([[1.0, -side * length, side * length * foot], [0.0, rise, foot * (1.0 - rise)]])
     height, width = mask.shape
     flat = cv2.warpAffine(mask.astype(np.float32), affine, (width, height), flags=cv2.INTER_LINEAR)
@@ -154,9 +157,6 @@ def _shift(mask: Mask, shift: FloatArray) -> Mask:
     affine = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
     height, width = mask.shape
     return np.asarray(cv2.warpAffine(mask.astype(np.float32), affine, (width, height)) > 0.5)
-
-
-_PIXELS_AT_ONCE = 8_000_000  # of one view: bounds the memory, long enough that calls cost nothing
 
 
 def render(body: BodyModel, poses: ArrayLike, cameras: Sequence[Camera]) -> list[Mask]:
@@ -172,19 +172,12 @@ def render(body: BodyModel, poses: ArrayLike, cameras: Sequence[Camera]) -> list
     ------
     BodyModelError : poses of another shape.
     """
-    rows = _checked_poses(body, poses)
+    rows = np.asarray(poses, np.float64)
+    if rows.ndim != 2 or rows.shape[1] != 7 + body.n_angles:
+        raise BodyModelError("pose.rows", expected=7 + body.n_angles, found=str(rows.shape))
+    if not np.isfinite(rows).all():
+        raise BodyModelError("pose.finite")
     return [draw_body(body, rows, camera) for camera in cameras]
-
-
-def render_frames(body: BodyModel, poses: ArrayLike, cameras: Sequence[Camera]) -> Iterator[tuple[Mask, ...]]:
-    """Yield silhouettes (V,) of (height, width) frame by frame to save memory; the arguments are those of `render`."""
-    rows = _checked_poses(body, poses)
-    largest = max((camera.width * camera.height for camera in cameras), default=1)
-    step = max(1, _PIXELS_AT_ONCE // largest)
-    for first in range(0, len(rows), step):
-        views = [draw_body(body, rows[first : first + step], camera) for camera in cameras]
-        for frame in range(len(rows[first : first + step])):
-            yield tuple(view[frame] for view in views)
 
 
 def poses_from_motion(body: BodyModel, motion: Motion | Trajectories) -> FloatArray:
@@ -210,12 +203,3 @@ def poses_from_motion(body: BodyModel, motion: Motion | Trajectories) -> FloatAr
     if not set(wanted) & set(names):
         raise BodyModelError("rendering.joints", wanted=wanted, found=names)
     return fit_poses(body, positions, names)[0]
-
-
-def _checked_poses(body: BodyModel, poses: ArrayLike) -> FloatArray:
-    rows = np.asarray(poses, np.float64)
-    if rows.ndim != 2 or rows.shape[1] != 7 + body.n_angles:
-        raise BodyModelError("pose.rows", expected=7 + body.n_angles, found=str(rows.shape))
-    if not np.isfinite(rows).all():
-        raise BodyModelError("pose.finite")
-    return rows

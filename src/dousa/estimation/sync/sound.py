@@ -17,16 +17,7 @@ from dousa.errors import CalibrationError
 from dousa.extras import require
 
 SOUND_RATE = 8000
-"""Hz, at which sound is compared."""
-
-_LONGEST = 1800.0  # s of a film that are listened to
-_LEAST = 0.5  # s
-_BAND = (80.0, 3600.0)  # Hz: below is wind and hum, above phones differ
-_WHITENING = 0.8  # 1 is the phase transform
-_LEAST_HEIGHT = 7.0  # of a peak by the spread of the rest
-_LEAST_CLARITY = 1.4
-_AROUND = 0.1  # s about a peak that belong to it: echoes
-_SILENT = 1e-4  # of full scale
+"""Hz of the samples of a `Sound`, by its definition."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,8 +48,8 @@ class SoundLag:
     clarity: float
 
 
-def read_sound(path: str | os.PathLike[str]) -> Sound | None:
-    """Read the sound of a film, at most half an hour; None if it has none or is silent.
+def read_sound(path: str | os.PathLike[str], longest: float = 1800.0) -> Sound | None:
+    """Read the sound of a film, at most ``longest`` s; None if it has none or is silent.
 
     Raises
     ------
@@ -75,7 +66,7 @@ def read_sound(path: str | os.PathLike[str]) -> Sound | None:
                 return None
             first = _find_first_picture(container)
         with av.open(os.fspath(path)) as container:
-            return _decode(av, container, first)
+            return _decode(av, container, first, longest)
     except (av.error.FFmpegError, OSError, ValueError) as error:
         raise CalibrationError("sync.unreadable", reason=str(error)[:200]).at(path) from error
 
@@ -89,7 +80,10 @@ def _find_first_picture(container: object) -> float:
     return 0.0
 
 
-def _decode(av: object, container: object, first: float) -> Sound | None:
+def _decode(
+    av: object, container: object, first: float, longest: float, shortest: float = 0.5, silent: float = 1e-4
+) -> Sound | None:
+    """Decode the sound; None if it is under ``shortest`` s, or its root mean square under ``silent`` of full scale."""
     resampler = av.AudioResampler(format="flt", layout="mono", rate=SOUND_RATE)  # type: ignore[attr-defined]
     parts: list[FloatArray] = []
     start: float | None = None
@@ -100,39 +94,60 @@ def _decode(av: object, container: object, first: float) -> Sound | None:
             for piece in resampler.resample(frame):
                 parts.append(np.asarray(piece.to_ndarray(), np.float64).ravel())
                 count += len(parts[-1])
-            if count > _LONGEST * SOUND_RATE:
+            if count > longest * SOUND_RATE:
                 break
     except av.error.FFmpegError:  # type: ignore[attr-defined]
         pass  # what was decoded so far counts
     samples = np.concatenate(parts) if parts else np.zeros(0)
-    if len(samples) < _LEAST * SOUND_RATE or np.sqrt(np.mean(samples**2)) < _SILENT:
+    if len(samples) < shortest * SOUND_RATE or np.sqrt(np.mean(samples**2)) < silent:
         return None
     return Sound(samples, (start or 0.0) - first)
 
 
-def find_sound_lag(first: Sound, second: Sound) -> SoundLag | None:
-    """Find the time between two recordings of one sound; None if one is under 0.5 s or without a clear common sound."""
-    if min(len(first.samples), len(second.samples)) < _LEAST * SOUND_RATE:
+def find_sound_lag(
+    first: Sound,
+    second: Sound,
+    *,
+    band: tuple[float, float] = (80.0, 3600.0),
+    whitening: float = 0.8,
+    shortest: float = 0.5,
+    around: float = 0.1,
+    least_height: float = 7.0,
+    least_clarity: float = 1.4,
+) -> SoundLag | None:
+    """Find the time between two recordings of one sound; None if there is no clear common one.
+
+    Parameters
+    ----------
+    first, second : the recordings.
+    band : Hz; below is wind and hum, above phones differ.
+    whitening : 1 is the phase transform.
+    shortest : s of a recording.
+    around : s about a peak that belong to it: echoes.
+    least_height : of a peak, by the spread of the rest.
+    least_clarity : see `SoundLag`.
+    """
+    if min(len(first.samples), len(second.samples)) < shortest * SOUND_RATE:
         return None
     size = 1 << (len(first.samples) + len(second.samples) - 1).bit_length()
     one, two = (np.fft.rfft(sound.samples - sound.samples.mean(), size) for sound in (first, second))
     cross = one * np.conj(two)
     frequencies = np.fft.rfftfreq(size, 1.0 / SOUND_RATE)
-    inside = (frequencies >= _BAND[0]) & (frequencies <= _BAND[1])
+    inside = (frequencies >= band[0]) & (frequencies <= band[1])
     strength = np.abs(cross)
     floor = 1e-3 * float(strength[inside].mean()) + 1e-12
-    cross = np.where(inside, cross / (strength + floor) ** _WHITENING, 0.0)
+    cross = np.where(inside, cross / (strength + floor) ** whitening, 0.0)
     correlation = np.fft.irfft(cross, size)
     # Sample i + s of the first is sample i of the second.
     shifts = np.arange(-(len(second.samples) - 1), len(first.samples))
     found = correlation[shifts]
     peak = int(np.argmax(found))
-    around = int(_AROUND * SOUND_RATE)
-    others = np.delete(found, slice(max(0, peak - around), peak + around + 1))
-    if not len(others) or found[peak] < _LEAST_HEIGHT * others.std() or found[peak] <= 0:
+    reach = int(around * SOUND_RATE)
+    others = np.delete(found, slice(max(0, peak - reach), peak + reach + 1))
+    if not len(others) or found[peak] < least_height * others.std() or found[peak] <= 0:
         return None
     clarity = float(found[peak] / max(1e-12, others.max()))
-    if clarity < _LEAST_CLARITY:
+    if clarity < least_clarity:
         return None
     lag = (shifts[peak] + _refine(found, peak)) / SOUND_RATE + first.start - second.start
     return SoundLag(float(lag), clarity)

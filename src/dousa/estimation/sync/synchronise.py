@@ -10,6 +10,7 @@ import itertools
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from dousa.arrays import FloatArray
 from dousa.errors import CalibrationError, MotionFileError, OptionError
 from dousa.estimation.calibration.bundle import Limb, Rig
 from dousa.estimation.calibration.person import guess_lenses
-from dousa.estimation.calibration.sightings import Track, choose_points, list_limbs, make_track
+from dousa.estimation.calibration.sightings import Track, choose_points, list_limbs, make_track, name_views
 from dousa.estimation.cameras.camera import Camera, find_views
 from dousa.estimation.keypoints.keypoints import ViewKeypoints
 from dousa.estimation.sync.sound import Sound, SoundLag, find_sound_lag
@@ -35,20 +36,6 @@ from dousa.files.markup import parse_toml, quote_toml
 from dousa.messages import Message
 
 Progress = Callable[[int, int, Message], None]
-
-_MOST_PEOPLE = 3  # of a view that are tried
-_MOST_LAGS = 5  # of a pair
-_BEAM = 60
-_MOST_STARTS = 3  # sets of offsets whose geometry is tried
-_FEW_MOMENTS, _FEW_ROUNDS = 60, 3
-_CLEAR = 2.0  # score of a pair of films by which the best start needs no other beside it
-_LEAST_SPEED = 0.12  # heights of the person per second
-_CLEARLY_BETTER = 0.8  # misfit by that at other times
-_OTHER_TIME = 0.5  # s
-_ALIKE = 0.05  # s, offsets that differ by less are one answer
-_SOUND_SPREAD = 0.015  # s: sound takes 3 ms for a metre, and phones record it some ms beside the picture
-_LARGEST_SPREAD = 0.25  # s
-_DIFFERS = 0.06  # s, between sound and movement
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,8 +62,7 @@ class Synchronisation:
     warnings: tuple[Message, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Start:
+class _Start(NamedTuple):
     """A first guess: offsets (V,) s, people (V,), and the score of their movements."""
 
     offsets: FloatArray
@@ -90,6 +76,7 @@ def sync(
     cameras: Sequence[Camera] | None = None,
     sounds: Sequence[Sound | None] | None = None,
     progress: Progress | None = None,
+    largest_spread: float = 0.25,
 ) -> Synchronisation:
     """Find the time offsets of films of one scene.
 
@@ -99,6 +86,7 @@ def sync(
     cameras : (V,) calibrated, in one world, for a more exact result; unknown cameras are found as well.
     sounds : (V,) of the films, None for one without.
     progress : called with (done, total, what).
+    largest_spread : s; offsets that are less sure count as undetermined.
 
     Raises
     ------
@@ -110,7 +98,7 @@ def sync(
             raise OptionError("sync.count", what=what, found=len(given), films=len(views))
     if len(views) < 2:
         raise OptionError("sync.one_film")
-    names = [_name(view, place) for place, view in enumerate(views)]
+    names = name_views(views)
     by_sound, heard = _listen(sounds, len(views))
     tell = progress or (lambda done, total, what: None)
     shared = [name for name in views[0].names if all(name in view.names for view in views)]
@@ -127,39 +115,39 @@ def sync(
     judge = _Judge(tracks, list_limbs(chosen), cameras, tell)
     found = judge.compare(starts)
     if found is None:
-        return _by_sound_only(by_sound, heard, CalibrationError("sync.no_agreement", films=tuple(names)))
+        return _by_sound_only(by_sound, heard, CalibrationError("sync.no_agreement", films=names))
     best, start, other = found
-    moves = judge.is_told_by_movement(best, start)
-    best = judge.refine(best, start)
-    unsure = best.spreads > _LARGEST_SPREAD
-    if not moves or unsure.any():
+    is_sure = judge.excludes_other_times(best, start)
+    best = judge.fit(start, best.offsets, best.rig) or best
+    if not is_sure or (best.spreads > largest_spread).any():
         worst = names[int(np.argmax(best.spreads))]
-        return _by_sound_only(by_sound, heard, CalibrationError("sync.no_time", films=tuple(names), film=worst))
+        return _by_sound_only(by_sound, heard, CalibrationError("sync.no_time", films=names, film=worst))
     return _answer(best, start, other, by_sound, heard, names)
 
 
-def _name(view: ViewKeypoints, place: int) -> str:
-    return view.source or f"view{place + 1}"
-
-
-def _make_tracks(view: ViewKeypoints, shared: Sequence[str], camera: Camera) -> list[Track]:
-    """Return the first people of a view with the distinctive points common to all views."""
+def _make_tracks(view: ViewKeypoints, shared: Sequence[str], camera: Camera, most_people: int = 3) -> list[Track]:
+    """Return the first ``most_people`` of a view with the distinctive points common to all views."""
     places = [view.find([shared[place]])[0] for place in choose_points(shared)]
     return [
         make_track(view.times, person.points[:, places], person.visibility[:, places], camera)
-        for person in view.people[:_MOST_PEOPLE]
+        for person in view.people[:most_people]
     ]
 
 
-def _find_problem(tracks: Sequence[Sequence[Track]], names: Sequence[str], n_shared: int) -> CalibrationError | None:
-    """Return the reason why the movement of people cannot determine the time; None without one."""
+def _find_problem(
+    tracks: Sequence[Sequence[Track]], names: Sequence[str], n_shared: int, least_speed: float = 0.12
+) -> CalibrationError | None:
+    """Return the reason why the movement of people cannot determine the time; None without one.
+
+    Who moves by less than ``least_speed`` of the own height in a second stands still.
+    """
     if n_shared < 4:
         return CalibrationError("sync.few_points", found=n_shared)
     for some, name in zip(tracks, names, strict=True):
         if not any((track.weights > 0).any(axis=1).sum() >= 3 for track in some):
             return CalibrationError("sync.nobody", film=name)
     for some, name in zip(tracks, names, strict=True):
-        if max(describe_movement(track, choose_step([track])).speed for track in some) < _LEAST_SPEED:
+        if max(describe_movement(track, choose_step([track])).speed for track in some) < least_speed:
             return CalibrationError("sync.still", film=name)
     return None
 
@@ -190,19 +178,27 @@ def _listen(sounds: Sequence[Sound | None] | None, n_views: int) -> tuple[FloatA
     return offsets, len(known) == n_views
 
 
-def _by_sound_only(by_sound: FloatArray, heard: bool, problem: CalibrationError) -> Synchronisation:
+def _by_sound_only(
+    by_sound: FloatArray, heard: bool, problem: CalibrationError, spread: float = 0.015
+) -> Synchronisation:
+    """Return the offsets by sound, which takes 3 ms for a metre and is recorded some ms beside the picture."""
     if not heard:
         raise problem
     n_views = len(by_sound)
-    spreads = np.full(n_views, _SOUND_SPREAD)
+    spreads = np.full(n_views, spread)
     spreads[0] = 0.0
     basis = ("reference", *("sound",) * (n_views - 1))
     note = Message("sync.sound_only", reason=problem.message)
     return Synchronisation(by_sound, spreads, basis, (0,) * n_views, by_sound, np.nan, (note,))
 
 
-def _find_starts(tracks: Sequence[Sequence[Track]]) -> list[_Start]:
-    """Return different sets of offsets for which the movements agree, best first."""
+def _find_starts(
+    tracks: Sequence[Sequence[Track]], *, most: int = 3, same: float = 0.1, clear: float = 2.0
+) -> list[_Start]:
+    """Return at most ``most`` sets of offsets for which the movements agree, best first, more than ``same`` s apart.
+
+    The best stands alone if its score is twice the next one's and ``clear`` for each pair of films.
+    """
     step = choose_step([track for some in tracks for track in some])
     movements = [[describe_movement(track, step) for track in some] for some in tracks]
     agreements: dict[tuple[int, int, int, int], Agreement] = {}
@@ -211,50 +207,51 @@ def _find_starts(tracks: Sequence[Sequence[Track]]) -> list[_Start]:
             agreements[one, p, other, q] = correlate(movements[one][p], movements[other][q])
     found: list[_Start] = []
     for root in range(len(tracks)):
-        found += _grow(root, movements, agreements)
+        found += _grow(root, movements, agreements, most)
     different: list[_Start] = []
     for start in sorted(found, key=lambda one: -one.score):
-        same = any(
-            start.people == other.people and np.abs(start.offsets - other.offsets).max() < _ALIKE * 2
-            for other in different
+        is_known = any(
+            start.people == other.people and np.abs(start.offsets - other.offsets).max() < same for other in different
         )
-        if not same:
+        if not is_known:
             different.append(start)
     n_pairs = len(tracks) * (len(tracks) - 1) / 2
-    if len(different) > 1 and different[0].score > max(_CLEAR * n_pairs, 2.0 * different[1].score):
+    if len(different) > 1 and different[0].score > max(clear * n_pairs, 2.0 * different[1].score):
         return different[:1]
-    return different[:_MOST_STARTS]
+    return different[:most]
 
 
 def _grow(
     root: int,
     movements: Sequence[Sequence[Movement]],
     agreements: dict[tuple[int, int, int, int], Agreement],
+    most: int,
+    beam: int = 60,
+    most_lags: int = 5,
 ) -> list[_Start]:
-    """Grow sets of offsets from those of one film, film by film, and keep the best."""
+    """Grow sets of offsets from one film, film by film, by ``most_lags`` of a pair, and keep the ``beam`` best."""
 
     def score(one: int, p: int, other: int, q: int, lag: float) -> float:
         if one < other:
             return agreements[one, p, other, q].at(lag)
         return agreements[other, q, one, p].at(-lag)
 
-    beam = [({root: (0.0, person)}, 0.0) for person in range(len(movements[root]))]
+    sets = [({root: (0.0, person)}, 0.0) for person in range(len(movements[root]))]
     for view in range(len(movements)):
         if view == root:
             continue
         grown = []
-        for placed, total in beam:
+        for placed, total in sets:
             person = placed[root][1]
             for q in range(len(movements[view])):
                 key = (root, person, view, q) if root < view else (view, q, root, person)
                 sign = 1.0 if root < view else -1.0
-                for candidate in agreements[key].find(_MOST_LAGS):
-                    lag = sign * candidate.lag
+                for lag in (sign * found for found in agreements[key].find(most_lags)):
                     gain = sum(score(o, p, view, q, lag - at) for o, (at, p) in placed.items())
                     grown.append(({**placed, view: (lag, q)}, total + gain))
-        beam = sorted(grown, key=lambda item: -item[1])[:_BEAM]
+        sets = sorted(grown, key=lambda item: -item[1])[:beam]
     starts = []
-    for placed, total in beam[:_MOST_STARTS]:
+    for placed, total in sets[:most]:
         offsets = np.array([placed[view][0] for view in range(len(movements))])
         people = tuple(placed[view][1] for view in range(len(movements)))
         starts.append(_Start(offsets - offsets[0], people, total))
@@ -265,53 +262,51 @@ class _Judge:
     """Compare sets of offsets by the geometry."""
 
     def __init__(
-        self,
-        tracks: Sequence[Sequence[Track]],
-        limbs: Sequence[Limb],
-        cameras: Sequence[Camera] | None,
-        tell: Progress,
+        self, tracks: Sequence[Sequence[Track]], limbs: Sequence[Limb], cameras: Sequence[Camera] | None, tell: Progress
     ) -> None:
         self._tracks, self._limbs, self._tell = tracks, limbs, tell
         self._done = 0
         self._rig = None if cameras is None else rig_of(cameras)
 
-    def _fit(self, start: _Start, offsets: FloatArray) -> TimedRig | None:
+    def fit(self, start: _Start, offsets: FloatArray, rig: Rig | None = None) -> TimedRig | None:
+        """Improve offsets, quickly or, with the rig of an answer, by more moments."""
         tracks = [some[person] for some, person in zip(self._tracks, start.people, strict=True)]
-        focals = np.array([track.focal for track in tracks])
+        known = self._rig is not None
+        if rig is not None:
+            return fit_times(tracks, offsets, self._limbs, rig.focals, rig, known)
         self._tell(self._done, self._done + 1, Message("sync.progress"))
         self._done += 1
-        known = self._rig is not None
-        return fit_times(tracks, offsets, self._limbs, focals, self._rig, known, _FEW_MOMENTS, _FEW_ROUNDS)
+        focals = np.array([track.focal for track in tracks])
+        return fit_times(tracks, offsets, self._limbs, focals, self._rig, known, most=60, rounds=3)
 
-    def refine(self, best: TimedRig, start: _Start) -> TimedRig:
-        """Refine an answer with more moments."""
-        tracks = [some[person] for some, person in zip(self._tracks, start.people, strict=True)]
-        known = self._rig is not None
-        return fit_times(tracks, best.offsets, self._limbs, best.rig.focals, best.rig, known) or best
-
-    def compare(self, starts: Sequence[_Start]) -> tuple[TimedRig, _Start, TimedRig | None] | None:
-        """Return the best answer, its start, and another answer hardly worse; None where none fits."""
-        found = [(timed, start) for start in starts for timed in [self._fit(start, start.offsets)] if timed]
+    def compare(self, starts: Sequence[_Start], same: float = 0.05) -> tuple[TimedRig, _Start, TimedRig | None] | None:
+        """Return the best answer, its start, and another by over ``same`` s hardly worse; None where none fits."""
+        found = [(timed, start) for start in starts for timed in [self.fit(start, start.offsets)] if timed]
         if not found:
             return None
         found.sort(key=lambda item: item[0].misfit)
         best, start = found[0]
         for other, _ in found[1:]:
             apart = float(np.abs(other.offsets - best.offsets).max())
-            if apart > _ALIKE and best.misfit > 0.9 * other.misfit:
+            if apart > same and best.misfit > 0.9 * other.misfit:
                 return best, start, other
         return best, start, None
 
-    def is_told_by_movement(self, best: TimedRig, start: _Start) -> bool:
-        """Return whether other times fit clearly worse, or lead back to the same answer."""
-        shifts = np.where(np.arange(len(best.offsets)) % 2 == 1, _OTHER_TIME, 0.0)
+    def excludes_other_times(
+        self, best: TimedRig, start: _Start, shift: float = 0.5, same: float = 0.05, better: float = 0.8
+    ) -> bool:
+        """Return whether other times, ``shift`` s off, lead back to within ``same`` s or fit worse.
+
+        Those fit worse of whose misfit ours is less than the share ``better``.
+        """
+        shifts = np.where(np.arange(len(best.offsets)) % 2 == 1, shift, 0.0)
         for sign in (1.0, -1.0):
-            other = self._fit(start, best.offsets + sign * shifts)
+            other = self.fit(start, best.offsets + sign * shifts)
             if other is None:
                 continue
-            if np.abs(other.offsets - best.offsets).max() < _ALIKE:
+            if np.abs(other.offsets - best.offsets).max() < same:
                 return True
-            return best.misfit < _CLEARLY_BETTER * other.misfit
+            return best.misfit < better * other.misfit
         return True
 
 
@@ -332,22 +327,21 @@ def _answer(
     by_sound: FloatArray,
     heard: bool,
     names: Sequence[str],
+    differs: float = 0.06,
 ) -> Synchronisation:
+    """Put the answer together; sound that is more than ``differs`` s off is a note."""
     notes = []
     if other is not None:
         worst = int(np.argmax(np.abs(other.offsets - best.offsets)))
         values = {"offset": best.offsets[worst], "other": other.offsets[worst]}
         notes.append(Message("sync.ambiguous", film=names[worst], **values))
     apart = np.abs(by_sound - best.offsets)
-    for view in np.flatnonzero(apart > _DIFFERS).tolist():
+    for view in np.flatnonzero(apart > differs).tolist():
         values = {"movement": best.offsets[view], "sound": by_sound[view]}
         notes.append(Message("sync.disagree", film=names[view], **values))
-    both = (apart <= _DIFFERS).tolist()
+    both = (apart <= differs).tolist()
     basis = ("reference", *("both" if agree else "movement" for agree in both[1:]))
     return Synchronisation(best.offsets, best.spreads, basis, start.people, by_sound, best.misfit, tuple(notes))
-
-
-_MOST_SECONDS = 1e6
 
 
 def write_offsets(path: str | os.PathLike[str], names: Sequence[str], found: Synchronisation) -> None:
@@ -399,9 +393,10 @@ def read_offsets(path: str | os.PathLike[str], names: Sequence[str]) -> list[flo
     return [_read_offset(films[place], path) for place in places]
 
 
-def _read_offset(film: Mapping[str, object], path: str | os.PathLike[str]) -> float:
+def _read_offset(film: Mapping[str, object], path: str | os.PathLike[str], most: float = 1e6) -> float:
+    """Return the offset of a film, at most ``most`` s."""
     offset = film.get("offset")
     number = isinstance(offset, int | float) and not isinstance(offset, bool)
-    if not number or not abs(offset) <= _MOST_SECONDS:  # type: ignore[arg-type]  # nan neither
+    if not number or not abs(offset) <= most:  # type: ignore[arg-type]  # nan neither
         raise CalibrationError("sync_file.offset", film=str(film["name"])[:80], found=str(offset)[:40]).at(path)
     return float(offset)  # type: ignore[arg-type]

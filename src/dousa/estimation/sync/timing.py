@@ -18,20 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dousa.arrays import FloatArray
-from dousa.estimation.calibration.bundle import CAMERA_UNKNOWNS, Fit, Freedom, Limb, Rig, Sightings, adjust
+from dousa.estimation.calibration.bundle import LIKENESS, Fit, Freedom, Limb, Rig, Sightings, adjust
 from dousa.estimation.calibration.rig_search import find_rig, triangulate
 from dousa.estimation.calibration.sightings import Track, choose_moments, read_sightings
-
-INDEPENDENT = 8.0
-"""Hz; number of independent moments in a second, as people hardly move faster than 4 Hz."""
-
-_SHORTEST_STEP, _LONGEST_STEP = 1.0 / 60.0, 1.0 / 20.0  # s
-_MOST_SAMPLES = 60_000  # of a film: a quarter of an hour at 60 Hz
-_LEAST_OVERLAP = 0.5  # s
-_APART = 0.1  # s, between two candidates
-_LEAST_SPREAD = 1e-9
-_WINDOW = 0.05  # s, in which points are smoothed: wider than for places, as velocities are noisier
-_QUICK = 1.0  # heights per second: faster is squashed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,29 +51,14 @@ class Movement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidate:
-    """A lag at which two films agree.
-
-    Parameters
-    ----------
-    lag : s, added to the second film's own time to get that of the first.
-    score : Fisher's z by its spread: a chance agreement is about 1.
-    correlation : -1 to 1.
-    """
-
-    lag: float
-    score: float
-    correlation: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Agreement:
     """The agreement of two films at every lag.
 
     Parameters
     ----------
-    lags : (L,) s, rising.
-    scores, correlations : (L,) see `Candidate`; -inf and 0 where the films overlap too little.
+    lags : (L,) s, rising; added to the second film's own time to get that of the first.
+    scores : (L,) Fisher's z by its spread: a chance agreement is about 1; -inf where the films overlap too little.
+    correlations : (L,) -1 to 1; 0 where the films overlap too little.
     """
 
     lags: FloatArray
@@ -98,36 +72,42 @@ class Agreement:
         near = near[np.isfinite(near)]
         return max(-1.0, float(near.max())) if len(near) else 0.0
 
-    def find(self, most: int) -> list[Candidate]:
-        """Return the best lags that are more than 0.1 s apart, best first."""
+    def find(self, most: int, apart: float = 0.1) -> list[float]:
+        """Return the best lags that are more than ``apart`` s apart, best first."""
         scores = self.scores
         inner = np.flatnonzero((scores[1:-1] >= scores[:-2]) & (scores[1:-1] >= scores[2:])) + 1
         ends = [0, len(scores) - 1]
-        found: list[Candidate] = []
+        found: list[float] = []
         for place in sorted({*inner.tolist(), *ends}, key=lambda index: -scores[index]):
             lag = float(self.lags[place])
             if not np.isfinite(scores[place]) or scores[place] <= 0 or len(found) == most:
                 break
-            if all(abs(lag - other.lag) > _APART for other in found):
-                found.append(Candidate(lag, float(scores[place]), float(self.correlations[place])))
+            if all(abs(lag - other) > apart for other in found):
+                found.append(lag)
         return found
 
 
-def choose_step(tracks: Sequence[Track]) -> float:
-    """Choose a step in s, fine enough for films and coarse enough for long ones."""
+def choose_step(
+    tracks: Sequence[Track], shortest: float = 1.0 / 60.0, longest: float = 1.0 / 20.0, most_samples: int = 60_000
+) -> float:
+    """Choose a step from ``shortest`` to ``longest`` s, fine enough for films, with ``most_samples`` of long ones."""
     finest = min(track.interval for track in tracks)
-    longest = max(float(track.times[-1] - track.times[0]) for track in tracks)
-    return max(min(max(finest, _SHORTEST_STEP), _LONGEST_STEP), longest / _MOST_SAMPLES)
+    duration = max(float(track.times[-1] - track.times[0]) for track in tracks)
+    return max(min(max(finest, shortest), longest), duration / most_samples)
 
 
-def describe_movement(track: Track, step: float) -> Movement:
-    """Compute the movement of a person, sampled every ``step`` s."""
+def describe_movement(track: Track, step: float, window: float = 0.05, quick: float = 1.0) -> Movement:
+    """Compute the movement of a person, sampled every ``step`` s.
+
+    ``window`` (s) is wider than for places, as velocities are noisier. Vertical velocities beyond ``quick`` heights of
+    the person per second are squashed: a jump is no evidence.
+    """
     start = float(track.times[0])
     moments = np.arange(start, float(track.times[-1]) + 1e-9, step)
-    _, velocities, weights = track.read(moments, _WINDOW)
+    _, velocities, weights = track.read(moments, window)
     velocities = velocities / max(track.height, 1.0)
     known = (weights > 0).T.astype(np.float64)
-    vertical = (velocities[..., 1] / (1.0 + np.abs(velocities[..., 1]) / _QUICK)).T  # a jump is no evidence
+    vertical = (velocities[..., 1] / (1.0 + np.abs(velocities[..., 1]) / quick)).T
     speeds = np.sqrt(np.linalg.norm(velocities, axis=-1)).T
     count = known.sum(axis=0)
     enough = count >= max(4, known.shape[0] // 3)
@@ -137,8 +117,19 @@ def describe_movement(track: Track, step: float) -> Movement:
     return Movement(start, step, values, np.concatenate((known, known, enough[None].astype(np.float64))), families)
 
 
-def correlate(first: Movement, second: Movement) -> Agreement:
-    """Compute the agreement of two films of the same step at every lag of the second."""
+def correlate(
+    first: Movement,
+    second: Movement,
+    *,
+    independent: float = 8.0,
+    least_overlap: float = 0.5,
+    least_spread: float = 1e-9,
+) -> Agreement:
+    """Compute the agreement of two films of the same step at every lag of the second.
+
+    ``independent`` moments count in a second, as people hardly move faster than 4 Hz. Films that overlap by less than
+    ``least_overlap`` s, or hardly move there (``least_spread``), do not agree.
+    """
     n_first, n_second = first.values.shape[1], second.values.shape[1]
     size = 1 << (n_first + n_second - 1).bit_length()
     # Shift s pairs sample i + s of the first with sample i of the second.
@@ -147,12 +138,12 @@ def correlate(first: Movement, second: Movement) -> Agreement:
     overlap = np.zeros(len(shifts))
     for family in range(3):
         covariance, spread, pairs = _sum_family(first, second, family, size)
-        correlation = np.where(spread > _LEAST_SPREAD, covariance / np.maximum(spread, _LEAST_SPREAD), 0.0)
+        correlation = np.where(spread > least_spread, covariance / np.maximum(spread, least_spread), 0.0)
         means += np.clip(correlation, -1.0, 1.0)[shifts] / 3.0
         if family == 2:
             overlap = pairs[shifts] * first.step
-    counts = overlap * INDEPENDENT
-    enough = overlap >= _LEAST_OVERLAP
+    counts = overlap * independent
+    enough = overlap >= least_overlap
     scores = np.arctanh(np.clip(means, -0.999, 0.999)) * np.sqrt(np.maximum(counts - 3.0, 0.0))
     lags = shifts * first.step + first.start - second.start
     return Agreement(lags, np.where(enough, scores, -np.inf), np.where(enough, means, 0.0))
@@ -180,15 +171,6 @@ def _sum_family(first: Movement, second: Movement, family: int, size: int) -> tu
     return covariance, np.sqrt(squares[0] * squares[1]), pairs
 
 
-_MOST_MOMENTS = 120
-_STEPS = 25
-_SETTLED = 0.0005  # s
-_LEAST_MOMENTS = 12
-_LIKENESS = 5.0
-"""Errors of networks last for some frames and are shared by neighbouring points: measured on real films, offsets are
-off by five times what independent errors would give."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class TimedRig:
     """Time offsets, and the cameras with which they were found.
@@ -214,8 +196,12 @@ def fit_times(
     focals: FloatArray,
     start: Rig | None = None,
     calibrated: bool = False,
-    most: int = _MOST_MOMENTS,
+    most: int = 120,
     rounds: int = 5,
+    *,
+    least: int = 12,
+    steps: int = 25,
+    settled: float = 0.0005,
 ) -> TimedRig | None:
     """Improve time offsets by the geometry; None where the films hardly overlap or no cameras fit them.
 
@@ -228,15 +214,17 @@ def fit_times(
     start : cameras to begin with, calibrated or found.
     calibrated : the focal lengths are known. The cameras' poses are fitted in any case, because a network's hips differ
         a little between sides, which fixed cameras would turn into time.
-    most : moments used.
+    most, least : moments used, and needed.
     rounds : at most; each reads the points again at the last offsets.
+    steps : of the adjustment in a round.
+    settled : s; the round in which the offsets change by less is the last.
     """
     freedom = Freedom(focals=not calibrated, offsets=True, focal_spread=0.2)
     fit: Fit | None = None
     seen: Sightings | None = None
     for round_ in range(rounds):
         moments = choose_moments(tracks, offsets, most)
-        if len(moments) < _LEAST_MOMENTS:
+        if len(moments) < least:
             return None
         seen = read_sightings(tracks, offsets, moments)
         last = start if fit is None else fit.rig
@@ -244,19 +232,18 @@ def fit_times(
         if start is None and round_ <= 1:  # what was found at a wrong time need not be near what is right
             found = find_rig(seen, focals, limbs)
             starts += [] if found is None else [found.rig]
-        fits = [adjust(seen, start, triangulate(seen, start), limbs, freedom, _STEPS) for start in starts]
+        fits = [adjust(seen, start, triangulate(seen, start), limbs, freedom, steps) for start in starts]
         if not fits:
             return None
         fit = min(fits, key=lambda one: one.cost)
         moved = float(np.abs(fit.rig.offsets - offsets).max())
         offsets = fit.rig.offsets
-        if round_ > 0 and moved < _SETTLED:
+        if round_ > 0 and moved < settled:
             break
     assert fit is not None and seen is not None
     counted = float((seen.weights * seen.seen_twice).sum())
-    if counted < _LEAST_MOMENTS:
+    if counted < least:
         return None
     misfit = fit.cost / counted
-    variances = np.diag(fit.covariance).reshape(-1, CAMERA_UNKNOWNS)[:, -1]
-    spreads = _LIKENESS * np.sqrt(np.maximum(variances * 2.0 * misfit, 0.0))
+    spreads = LIKENESS * np.sqrt(fit.variances[:, -1] * 2.0 * misfit)
     return TimedRig(offsets, spreads, misfit, fit.rig)
