@@ -185,9 +185,9 @@ def _choose_sources(
     costs[0] = not_scenic * cv2.erode(costs[0], _AROUND)
     costs[1][where] = 0.1 + wavering * wavers[0]
     costs[2][where] = np.where(shares[1] >= 0.08, 0.3 + wavering * wavers[1], unusable)
-    open_pixels = np.zeros(image.shape[:2], bool)
+    height, width = image.shape[:2]
+    open_pixels = np.zeros((height, width), bool)
     open_pixels[where] = True
-    height, width = open_pixels.shape
     step = max(1, round(max(height, width) / side))
     size = (max(1, width // step), max(1, height // step))
 
