@@ -159,7 +159,7 @@ def look(views: list[ViewKeypoints], cameras: list[Camera]) -> tuple[Sightings, 
     """What calibrated cameras saw, at the moments of `calibrate_from_person`."""
     from dousa.estimation.calibration.sightings import choose_points
 
-    points = tuple(views[0].names[place] for place in choose_points(views[0].names))
+    points = tuple(choose_points(views[0].names))
     tracks = [
         make_track(
             view.times, view.people[0].points[:, view.find(points)], view.people[0].visibility[:, view.find(points)],

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from dousa.messages.message import Message
 from dousa.messages.tables import LANGUAGES, get_language, load_section, render, use_language
 
-__all__ = ["LANGUAGES", "Message", "get_language", "load_section", "render", "use_language"]
+Progress = Callable[[int, int, Message], None]
+"""What long work calls with (steps done, steps in all, what)."""
+
+__all__ = ["LANGUAGES", "Message", "Progress", "get_language", "load_section", "render", "use_language"]

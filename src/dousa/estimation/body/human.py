@@ -138,10 +138,8 @@ def _average(stature: float) -> BodyModel:
 
 def _ease(body: BodyModel) -> BodyModel:
     """Set the neutral angles to those of the standing body."""
-    angles, starts = standing_state(body)[7:], body.angle_starts
     neutral = np.zeros((body.n_parts, 3))
-    for part, count in enumerate(body.n_axes):
-        neutral[part, :count] = angles[starts[part] : starts[part + 1]]
+    neutral[np.arange(3) < body.n_axes[:, None]] = standing_state(body)[7:]
     return replace(body, neutral=neutral + 0.0)  # no -0.0
 
 

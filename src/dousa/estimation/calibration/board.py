@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,9 +24,7 @@ from dousa.estimation.calibration.sightings import choose_moments, make_track, n
 from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.keypoints.keypoints import PersonTrack, ViewKeypoints
 from dousa.extras import cv2
-from dousa.messages import Message
-
-Progress = Callable[[int, int, Message], None]
+from dousa.messages import Message, Progress
 
 _CHESS = re.compile(r"chessboard:(\d{1,3})x(\d{1,3}):([\d.]+)(mm|cm|m)")
 _CHARUCO = re.compile(r"charuco:(\d{1,3})x(\d{1,3}):([\d.]+)(mm|cm|m):([\d.]+)(mm|cm|m)(?::(DICT_\w+))?")

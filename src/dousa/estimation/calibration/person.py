@@ -295,7 +295,7 @@ def calibrate_from_person(
     shared = [name for name in views[0].names if all(name in view.names for view in views)]
     if len(shared) < 8:
         raise CalibrationError("calibration.few_points", found=len(shared))
-    points = [shared[place] for place in choose_points(shared)]
+    points = choose_points(shared)
     lenses = tuple(cameras) if cameras is not None else guess_lenses(views, focals)
     chosen = people or (0,) * len(views)
     tracks = [

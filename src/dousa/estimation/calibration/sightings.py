@@ -102,10 +102,10 @@ def name_views(views: Sequence[ViewKeypoints]) -> tuple[str, ...]:
     return tuple(view.source or f"view{place + 1}" for place, view in enumerate(views))
 
 
-def choose_points(names: Sequence[str]) -> list[int]:
-    """Return the places of distinctive points among names; all places if fewer than eight are known."""
-    found = [names.index(name) for name in _POINTS if name in names]
-    return found if len(found) >= 8 else list(range(len(names)))
+def choose_points(names: Sequence[str]) -> list[str]:
+    """Return the names of distinctive points; all names if fewer than eight are known."""
+    found = [name for name in _POINTS if name in names]
+    return found if len(found) >= 8 else list(names)
 
 
 def list_limbs(

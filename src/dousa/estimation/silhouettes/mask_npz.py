@@ -25,7 +25,7 @@ import os
 import shutil
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import IO
 
@@ -38,9 +38,7 @@ from dousa.estimation.cameras.camera_formats import cameras_to_arrays
 from dousa.estimation.silhouettes.silhouettes import PackedMasks, PackedSilhouettes, Silhouettes, checked_rate
 from dousa.files.disk import atomic_write
 from dousa.files.npz_arrays import Header, NpzFile, open_npz
-from dousa.messages import Message
-
-Progress = Callable[[int, int, Message], None]
+from dousa.messages import Message, Progress
 
 
 def write_silhouettes(

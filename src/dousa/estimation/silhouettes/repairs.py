@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -19,9 +19,7 @@ from dousa.errors import SilhouetteError
 from dousa.estimation.silhouettes.cleaning import label_pieces
 from dousa.estimation.silhouettes.silhouettes import Silhouettes, checked_frame
 from dousa.extras import cv2
-from dousa.messages import Message
-
-Progress = Callable[[int, int, Message], None]
+from dousa.messages import Message, Progress
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Literal
 
 from dousa.arrays import Mask
@@ -13,10 +13,9 @@ from dousa.estimation.silhouettes.images import IMAGE_ENDINGS, MaskFolder, find_
 from dousa.estimation.silhouettes.mask_npz import read_silhouettes
 from dousa.estimation.silhouettes.silhouettes import Silhouettes, View, synchronise
 from dousa.estimation.silhouettes.video import VideoKind, open_video
-from dousa.messages import Message
+from dousa.messages import Progress
 
 Path = str | os.PathLike[str]
-Progress = Callable[[int, int, Message], None]
 
 
 class _ViewOf(View):

@@ -232,32 +232,25 @@ class _ViewsOnOneClock(Silhouettes):
 
     def __init__(
         self,
-        views: Sequence[View],
-        rates: Sequence[float],
+        views: Sequence[tuple[View, float, float]],
         frame_rate: float,
-        starts: Sequence[float],
-        first: int,
-        n_frames: int,
-        warnings: tuple[Message, ...],
+        frames: tuple[int, int],
+        warnings: Sequence[Message],
     ) -> None:
-        self._views = tuple(zip(views, rates, starts, strict=True))
-        self._first = first
-        self._own_warnings = warnings
+        self._views, self._own_warnings = tuple(views), warnings
+        self._first, self.n_frames = frames[0], frames[1] - frames[0]
         self.frame_rate = frame_rate
-        self.n_frames = n_frames
-        self.names = _distinct(view.name for view in views)
-        self.sizes = tuple(view.size for view in views)
+        self.names = _distinct(view.name for view, _, _ in views)
+        self.sizes = tuple(view.size for view, _, _ in views)
 
     @property
     def warnings(self) -> tuple[Message, ...]:  # type: ignore[override]
         return (*self._own_warnings, *(text for view, _, _ in self._views for text in view.warnings))
 
     def read(self, frame: int) -> tuple[Mask | None, ...]:
-        """Return the masks (height, width) of all views in one frame; None where a view has no image."""
         return tuple(view.read(place) for view, place in self._places(frame))
 
     def look(self, frame: int) -> tuple[Image | None, ...]:
-        """Return the images (height, width, 3) behind the masks; None where there is none."""
         return tuple(view.look(place) for view, place in self._places(frame))
 
     def _places(self, frame: int) -> list[tuple[View, int]]:
@@ -269,7 +262,6 @@ class _ViewsOnOneClock(Silhouettes):
         ]
 
     def close(self) -> None:
-        """Close open files; reading opens them again."""
         for view, _, _ in self._views:
             view.close()
 
@@ -334,4 +326,4 @@ def synchronise(
     first, stop = frames or (0, length)
     if not 0 <= first < stop <= length:
         raise SilhouetteError("masks.frames", frames=length, first=first, stop=stop)
-    return _ViewsOnOneClock(views, rates, rate, starts, first, stop - first, tuple(warnings))
+    return _ViewsOnOneClock(list(zip(views, rates, starts, strict=True)), rate, (first, stop), warnings)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import Literal
 
 import numpy as np
@@ -29,10 +30,9 @@ from dousa.estimation.silhouettes.images import (
 )
 from dousa.estimation.silhouettes.silhouettes import View, checked_frame, checked_rate
 from dousa.extras import cv2
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 
 VideoKind = Literal["mask", "video"]
-Progress = Callable[[int, int, Message], None]
 
 
 class VideoFile:
@@ -97,27 +97,25 @@ class VideoFile:
             image = image[..., None].repeat(3, axis=2)
         return np.asarray(image[..., :3], np.uint8)
 
+    def _grab(self) -> bool:
+        """Pass the next frame; False at the end."""
+        with quiet_opencv():
+            return bool(self._open().grab())
+
     def _count_frames(self, stated: int) -> tuple[int, int]:
         """Return the number of frames that can be decoded, and the number in the header (0 if absent)."""
-        stated = max(0, stated)
         if stated > 1:
             self._seek(stated - 1)
-            last = self._decode()
-            with quiet_opencv():
-                more = last is not None and self._open().grab()
-            if last is not None and not more:
+            if self._decode() is not None and not self._grab():
                 self._rewind()
                 return stated, stated
         self._rewind()
         count = 0
-        try:
-            with quiet_opencv():
-                while self._open().grab():
-                    count += 1
-        except cv2.error:  # what was decoded so far counts
-            pass
+        with suppress(cv2.error):  # what was decoded so far counts
+            while self._grab():
+                count += 1
         self._rewind()
-        return max(1, count), stated
+        return max(1, count), max(0, stated)
 
     def _seek(self, frame: int) -> None:
         with quiet_opencv():
@@ -142,9 +140,8 @@ class VideoFile:
         if frame - self._next > seek_beyond:
             self._seek(frame)
         while self._next < frame:
-            with quiet_opencv():
-                if not self._open().grab():
-                    return None
+            if not self._grab():
+                return None
             self._next += 1
         image = self._decode()
         self._latest = None if image is None else (frame, image)

@@ -64,20 +64,12 @@ def read_sound(path: str | os.PathLike[str], longest: float = 1800.0) -> Sound |
         with av.open(os.fspath(path)) as container:
             if not container.streams.audio:
                 return None
-            first = _find_first_picture(container)
+            pictures = container.decode(video=0) if container.streams.video else ()
+            first = next((float(frame.time or 0.0) for frame in pictures), 0.0)
         with av.open(os.fspath(path)) as container:
             return _decode(av, container, first, longest)
     except (av.error.FFmpegError, OSError, ValueError) as error:
         raise CalibrationError("sync.unreadable", reason=str(error)[:200]).at(path) from error
-
-
-def _find_first_picture(container: object) -> float:
-    """Return the time (s) of the first image on the container's clock."""
-    if not container.streams.video:  # type: ignore[attr-defined]
-        return 0.0
-    for frame in container.decode(video=0):  # type: ignore[attr-defined]
-        return float(frame.time or 0.0)
-    return 0.0
 
 
 def _decode(

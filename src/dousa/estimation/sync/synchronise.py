@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -33,9 +33,7 @@ from dousa.estimation.sync.timing import (
 )
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.files.markup import parse_toml, quote_toml
-from dousa.messages import Message
-
-Progress = Callable[[int, int, Message], None]
+from dousa.messages import Message, Progress
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,10 +98,10 @@ def sync(
         raise OptionError("sync.one_film")
     names = name_views(views)
     by_sound, heard = _listen(sounds, len(views))
-    tell = progress or (lambda done, total, what: None)
     shared = [name for name in views[0].names if all(name in view.names for view in views)]
+    points = choose_points(shared)
     tracks = [
-        _make_tracks(view, shared, camera) for view, camera in zip(views, cameras or guess_lenses(views), strict=True)
+        _make_tracks(view, points, camera) for view, camera in zip(views, cameras or guess_lenses(views), strict=True)
     ]
     problem = _find_problem(tracks, names, len(shared))
     if problem is not None:
@@ -111,8 +109,7 @@ def sync(
     starts = _find_starts(tracks)
     if heard:
         starts.insert(0, _Start(by_sound, starts[0].people if starts else (0,) * len(views), 0.0))
-    chosen = [shared[place] for place in choose_points(shared)]
-    judge = _Judge(tracks, list_limbs(chosen), cameras, tell)
+    judge = _Judge(tracks, list_limbs(points), cameras, progress or (lambda done, total, what: None))
     found = judge.compare(starts)
     if found is None:
         return _by_sound_only(by_sound, heard, CalibrationError("sync.no_agreement", films=names))
@@ -125,9 +122,9 @@ def sync(
     return _answer(best, start, other, by_sound, heard, names)
 
 
-def _make_tracks(view: ViewKeypoints, shared: Sequence[str], camera: Camera, most_people: int = 3) -> list[Track]:
-    """Return the first ``most_people`` of a view with the distinctive points common to all views."""
-    places = [view.find([shared[place]])[0] for place in choose_points(shared)]
+def _make_tracks(view: ViewKeypoints, points: Sequence[str], camera: Camera, most_people: int = 3) -> list[Track]:
+    """Return the first ``most_people`` of a view with the points common to all views."""
+    places = view.find(points)
     return [
         make_track(view.times, person.points[:, places], person.visibility[:, places], camera)
         for person in view.people[:most_people]
