@@ -169,12 +169,6 @@ def test_another_section_is_global() -> None:
     assert (found.d_space[165:195] > found.d_space_limit[165:195]).mean() > 0.8
 
 
-def test_events_are_told_in_the_language_asked_for() -> None:
-    wrong = turn_limb(MOTION, LEFT_ARM, 45.0, 6.0, 8.0)
-    says = judge(wrong).events[0].says
-    assert says.render("en").isascii() and not says.render("ja").isascii()
-
-
 def test_limbs_without_weight_are_not_judged() -> None:
     wrong = turn_limb(simulate_performer(MOTION, 1), LEFT_LEG, 50.0, 6.0, 8.0)
     assert "partial" in kinds(judge(wrong))
