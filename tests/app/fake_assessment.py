@@ -1,6 +1,6 @@
 """An assessment made by hand: a synthetic dance, a pupil with one error of each class or several, known times.
 
-For tests of what is shown (report, player, command line); nothing in it was computed by `assess`.
+For tests of what is shown (report, player, command line); none of it comes from `assess`.
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from dousa.evaluation import Assessment, ErrorEvent, FuriAssessment, Lapse, PostureSequence
+from dousa.evaluation import SEGMENTS, Assessment, ErrorEvent, FuriAssessment, Lapse, PostureSequence
+from dousa.evaluation.posture.posture import compute_segments
 from dousa.messages import Message
 from dousa.motion import JOINT_INDEX, canonicalise
 from dousa.motion.canonical.joints import CANONICAL_PARENTS
@@ -21,14 +22,6 @@ __all__ = ["HOSTILE_WORDS", "make_assessment"]
 HOSTILE_WORDS = '</script><img src=x onerror="window.hacked=1"> & \u2028 \' " ${1} `'
 
 _FIGURES = ("raise_hands", "squat", "wave_right", "side_bend", "raise_hands", "kick_left", "arm_circles")
-_SEGMENTS = (
-    "trunk left_upper_arm left_forearm right_upper_arm right_forearm left_thigh left_shank right_thigh right_shank"
-).split()
-_JOINTS = (
-    *("left_shoulder left_elbow", "left_elbow left_wrist"),
-    *("right_shoulder right_elbow", "right_elbow right_wrist"),
-    *("left_hip left_knee", "left_knee left_ankle", "right_hip right_knee", "right_knee right_ankle"),
-)
 _KINDS = ("partial", "incomplete", "shift", "global")
 _LAG_S = 0.2
 
@@ -81,16 +74,6 @@ def _keep_lengths(positions: np.ndarray, model: np.ndarray) -> np.ndarray:
             size = np.maximum(np.linalg.norm(bone, axis=1, keepdims=True), 1e-9)
             out[:, joint] = out[:, parent] + bone / size * length
     return out
-
-
-def _compute_segments(positions: np.ndarray) -> np.ndarray:
-    hips = positions[:, [JOINT_INDEX["left_hip"], JOINT_INDEX["right_hip"]]].mean(axis=1)
-    rows = [positions[:, JOINT_INDEX["neck"]] - hips]
-    for pair in _JOINTS:
-        start, end = pair.split()
-        rows.append(positions[:, JOINT_INDEX[end]] - positions[:, JOINT_INDEX[start]])
-    segments = np.stack(rows, axis=1)
-    return segments / np.linalg.norm(segments, axis=2, keepdims=True)
 
 
 def _event_windows(seconds: float, per_kind: int) -> list[tuple[str, float, float]]:
@@ -147,7 +130,7 @@ def _make_events(windows: Any, furi_of: Any, words: str | None) -> tuple[ErrorEv
     for kind, start, end in windows:
         lag = 1000 * _LAG_S if kind == "shift" else None
         short = kind == "incomplete"
-        segments = _ARMS[kind][1] if kind in _ARMS else tuple(_SEGMENTS)
+        segments = _ARMS[kind][1] if kind in _ARMS else SEGMENTS
         worst = (start + end) / 2
         severity = {"partial": 2.6, "incomplete": 1.8, "shift": 1.4, "global": 3.9}[kind]
         events.append(
@@ -228,7 +211,7 @@ def make_assessment(
 
 def _make_sequence(positions: np.ndarray, frame_rate: float, name: str) -> PostureSequence:
     seen = np.ones((len(positions), 9), dtype=bool)
-    return PostureSequence(_compute_segments(positions), seen, positions, frame_rate, name)
+    return PostureSequence(compute_segments(positions), seen, positions, frame_rate, name)
 
 
 def _make_residual(wrong: dict[str, np.ndarray], ripple: np.ndarray) -> np.ndarray:

@@ -4,13 +4,48 @@ import dataclasses
 import json
 import math
 import re
+from html.parser import HTMLParser
 from typing import Any
 
 import numpy as np
 
 from dousa.evaluation import Assessment
 
-__all__ = ["UNUSUAL", "change", "page_data"]
+__all__ = ["UNUSUAL", "PageReader", "change", "page_data"]
+
+_VOID = {"meta", "img", "br", "link", "input", "col", "hr"}
+
+
+class PageReader(HTMLParser):
+    """Elements, shown text, and whether every element that was opened was closed."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: list[str] = []
+        self.stack: list[str] = []
+        self.feed(page)
+        assert not self.stack
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag not in _VOID:
+            self.stack.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.stack and self.stack[-1] == tag, f"</{tag}> closes {self.stack[-3:]}"
+        self.stack.pop()
+
+    def handle_data(self, data: str) -> None:
+        if self.stack and self.stack[-1] not in ("script", "style"):
+            self.texts.append(data)
+
+    @property
+    def text(self) -> str:
+        return "".join(self.texts)
+
+    def with_class(self, name: str) -> list[dict[str, str | None]]:
+        return [attrs for _, attrs in self.elements if name in (attrs.get("class") or "").split()]
 
 
 def page_data(page: str, name: str = "report-data") -> Any:

@@ -15,12 +15,6 @@ from dousa.motion import CANONICAL_JOINTS
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 
 
-@pytest.fixture
-def run(dousa):
-    """The command line, in this process."""
-    return dousa
-
-
 @pytest.fixture(scope="session")
 def jack(tmp_path_factory) -> Path:
     """A folder with half a second of a synthetic jumping jack, and what four cameras see of it."""
@@ -47,9 +41,9 @@ def failed(answer, *words):
 
 
 class TestRender:
-    def test_the_file_holds_masks_cameras_stature_and_truth(self, run, jack, tmp_path):
+    def test_the_file_holds_masks_cameras_stature_and_truth(self, dousa, jack, tmp_path):
         words = ("--ring", 3, "--size", "96x64", "--frames", "2:9", "--json", "-o", tmp_path / "seen.npz")
-        code, out, err = run("render", jack / "jack.bvh", *words)
+        code, out, err = dousa("render", jack / "jack.bvh", *words)
         assert code == 0, err
         answer = json.loads(out)
         assert (answer["n_frames"], answer["sizes"], len(answer["views"])) == (7, [[96, 64]] * 3, 3)
@@ -77,10 +71,10 @@ class TestRender:
             assert not edge.any()
         assert masks.any(axis=(2, 3)).all()
 
-    def test_another_rate_and_noise(self, run, jack, tmp_path):
+    def test_another_rate_and_noise(self, dousa, jack, tmp_path):
         for name, noise in (("clean", "clean"), ("noisy", "noisy"), ("again", "noisy")):
             words = ("--rate", 10, "--noise", noise, "--size", "96x64", "-o", tmp_path / f"{name}.npz")
-            assert run("render", jack / "jack.bvh", *words)[0] == 0
+            assert dousa("render", jack / "jack.bvh", *words)[0] == 0
         masks = {name: np.load(tmp_path / f"{name}.npz")["mask_packed"] for name in ("clean", "noisy", "again")}
         assert masks["clean"].shape[1] == 6
         assert (masks["clean"] != masks["noisy"]).any() and (masks["noisy"] == masks["again"]).all()
@@ -103,17 +97,17 @@ class TestRender:
             (("-o", "jack.bvh"), "written as .npz"),
         ],
     )
-    def test_mistakes(self, run, jack, tmp_path, monkeypatch, words, said):
+    def test_mistakes(self, dousa, jack, tmp_path, monkeypatch, words, said):
         monkeypatch.chdir(tmp_path)
-        failed(run("render", jack / "jack.bvh", *words), said)
+        failed(dousa("render", jack / "jack.bvh", *words), said)
         assert list(tmp_path.iterdir()) == []
 
-    def test_cameras_that_see_nobody(self, run, jack, tmp_path):
+    def test_cameras_that_see_nobody(self, dousa, jack, tmp_path):
         with np.load(jack / "seen.npz") as file:
             arrays = dict(file)
         arrays["world_to_camera_translation"] = arrays["world_to_camera_translation"] + [0.0, 90.0, 0.0]
         np.savez(tmp_path / "away.npz", **arrays)
-        answer = run("render", jack / "jack.bvh", "--cameras", tmp_path / "away.npz", "-o", tmp_path / "out.npz")
+        answer = dousa("render", jack / "jack.bvh", "--cameras", tmp_path / "away.npz", "-o", tmp_path / "out.npz")
         failed(answer, "no camera sees the body")
 
 
@@ -171,9 +165,11 @@ class Partial:
 class TestEstimateAround:
     """Everything around the tracker, with one that holds its start."""
 
-    def test_json_begins_with_what_was_promised(self, run, jack, tracked, tmp_path):
+    def test_json_begins_with_what_was_promised(self, dousa, jack, tracked, tmp_path):
         out = tmp_path / "out.bvh"
-        code, answer, err = run("estimate", jack / "seen.npz", "--start", f"{jack / 'jack.bvh'}:0", "-o", out, "--json")
+        code, answer, err = dousa(
+            "estimate", jack / "seen.npz", "--start", f"{jack / 'jack.bvh'}:0", "-o", out, "--json"
+        )
         assert code == 0, err
         said = json.loads(answer)
         assert list(said)[:5] == ["n_frames", "frame_rate", "iou", "lost_frames", "frames_per_second"]
@@ -182,10 +178,10 @@ class TestEstimateAround:
         assert said["outputs"] == [str(out)] and read_motion(out).n_frames == 16
         assert "from the file of the silhouettes" in said["body"]
 
-    def test_the_start_is_the_pose_of_the_frame(self, run, jack, tracked):
-        assert run("estimate", jack / "seen.npz", "--start", f"{jack / 'jack.bvh'}:7", "--json")[0] == 0
-        assert run("estimate", jack / "seen.npz", "--start", f"{jack / 'seen.npz'}:7", "--json")[0] == 0
-        assert run("estimate", jack / "seen.npz", "--json")[0] == 0
+    def test_the_start_is_the_pose_of_the_frame(self, dousa, jack, tracked):
+        assert dousa("estimate", jack / "seen.npz", "--start", f"{jack / 'jack.bvh'}:7", "--json")[0] == 0
+        assert dousa("estimate", jack / "seen.npz", "--start", f"{jack / 'seen.npz'}:7", "--json")[0] == 0
+        assert dousa("estimate", jack / "seen.npz", "--json")[0] == 0
         from dousa.estimation.body.kinematics import compute_points, point_names
 
         one, two, three = tracked.asked
@@ -197,11 +193,11 @@ class TestEstimateAround:
             points = compute_points(asked.body, asked.start)[[names.index(name) for name in CANONICAL_JOINTS]]
             assert np.linalg.norm(points - truth, axis=1).mean() < 0.06
 
-    def test_every_output_is_written(self, run, jack, tracked, tmp_path):
+    def test_every_output_is_written(self, dousa, jack, tracked, tmp_path):
         files = [tmp_path / name for name in ("a.npz", "a.trc", "a.csv", "a.png", "a.mp4")]
         options = ("-o", "-o", "--angles", "-o", "-o")
         words = [word for pair in zip(options, files, strict=True) for word in pair]
-        code, out, err = run("estimate", jack / "seen.npz", "--frames", "0:5", *words)
+        code, out, err = dousa("estimate", jack / "seen.npz", "--frames", "0:5", *words)
         assert code == 0, err
         assert sorted(tmp_path.iterdir()) == sorted(files)
         trc = read_motion(files[1])
@@ -214,46 +210,46 @@ class TestEstimateAround:
             assert file.stat().st_size > 1000
         assert "view1" in out and "0.80" in out and "no frame lost" in out
 
-    def test_without_an_output_the_numbers_are_shown(self, run, jack, tracked):
+    def test_without_an_output_the_numbers_are_shown(self, dousa, jack, tracked):
         tracked.lost = [3, 4, 9]
-        code, out, err = run("estimate", jack / "seen.npz", "--frames", "2:14")
+        code, out, err = dousa("estimate", jack / "seen.npz", "--frames", "2:14")
         assert code == 0 and "the motion is not saved" in err
         assert "lost in 3 of 12 frames: 5-6, 11" in out
 
-    def test_settings_reach_the_tracker(self, run, jack, tracked, tmp_path):
+    def test_settings_reach_the_tracker(self, dousa, jack, tracked, tmp_path):
         settings = tmp_path / "tracker.toml"
         words = ("estimate", jack / "seen.npz", "--frames", ":2")
         settings.write_text("reading = 'residual'\nevidence = 'global'\nsmoothing = 0\nbeam = 3\n")
-        assert run(*words, "--stature", 1.5, "--settings", settings)[0] == 0
+        assert dousa(*words, "--stature", 1.5, "--settings", settings)[0] == 0
         settings.write_text("method = 'paper'\nbeam = 2\n")
-        assert run(*words, "--settings", settings)[0] == 0
-        assert run(*words)[0] == 0
+        assert dousa(*words, "--settings", settings)[0] == 0
+        assert dousa(*words)[0] == 0
         asked, paper, usual = tracked.asked
         assert paper.settings == dataclasses.replace(PAPER, beam=2) and usual.settings == TrackerSettings()
         settings = asked.settings
         assert (settings.reading, settings.evidence) == ("residual", "global")
         assert (settings.smoothing, settings.beam, asked.body.stature) == (0.0, 3, 1.5)
 
-    def test_interrupted_work_goes_on(self, run, jack, tracked, tmp_path):
+    def test_interrupted_work_goes_on(self, dousa, jack, tracked, tmp_path):
         words = ("estimate", jack / "seen.npz", "-o", tmp_path / "out.bvh", "--json")
         tracked.stop_at = 9
-        code, out, err = run(*words)
+        code, out, err = dousa(*words)
         assert code == 130 and out == "" and "run the same command again" in err
         assert [path.name for path in tmp_path.iterdir()] == [".out.bvh.partial.npz"]
         tracked.stop_at = None
-        code, out, err = run(*words)
+        code, out, err = dousa(*words)
         assert code == 0 and "resuming at frame 9 of 16" in err
         assert json.loads(out)["resumed_frames"] == 9
         assert tracked.asked[1].resume.poses.shape[0] == 9
         assert [path.name for path in tmp_path.iterdir()] == ["out.bvh"]
 
-    def test_other_settings_start_anew(self, run, jack, tracked, tmp_path):
+    def test_other_settings_start_anew(self, dousa, jack, tracked, tmp_path):
         words = ("estimate", jack / "seen.npz", "-o", tmp_path / "out.bvh")
         tracked.stop_at = 9
-        run(*words)
+        dousa(*words)
         tracked.stop_at = None
         (tmp_path / "tracker.toml").write_text("smoothing = 3")
-        code, _, err = run(*words, "--settings", tmp_path / "tracker.toml")
+        code, _, err = dousa(*words, "--settings", tmp_path / "tracker.toml")
         assert code == 0 and "starting from the beginning" in err and tracked.asked[1].resume is None
 
     @pytest.mark.parametrize(
@@ -278,14 +274,14 @@ class TestEstimateAround:
             (("JACK",), "calibration file required"),
         ],
     )  # fmt: skip
-    def test_mistakes(self, run, jack, tracked, tmp_path, monkeypatch, words, said):
+    def test_mistakes(self, dousa, jack, tracked, tmp_path, monkeypatch, words, said):
         monkeypatch.chdir(tmp_path)
         places = {
             "SEEN": str(jack / "seen.npz"),
             "JACK": str(jack / "jack.bvh"),
             "JACK:999": f"{jack / 'jack.bvh'}:999",
         }
-        failed(run("estimate", *(places.get(word, word) for word in words)), said)
+        failed(dousa("estimate", *(places.get(word, word) for word in words)), said)
         assert list(tmp_path.iterdir()) == [] and tracked.asked == []
 
     @pytest.mark.parametrize(
@@ -300,15 +296,15 @@ class TestEstimateAround:
             ("beam = ", "cannot be read"),
         ],
     )
-    def test_mistakes_in_settings(self, run, jack, tracked, tmp_path, text, expected):
+    def test_mistakes_in_settings(self, dousa, jack, tracked, tmp_path, text, expected):
         (tmp_path / "tracker.toml").write_text(text)
-        failed(run("estimate", jack / "seen.npz", "--settings", tmp_path / "tracker.toml"), expected)
+        failed(dousa("estimate", jack / "seen.npz", "--settings", tmp_path / "tracker.toml"), expected)
         assert tracked.asked == []
 
     @pytest.mark.skipif(hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may write everywhere")
-    def test_no_permission_is_found_before_the_work(self, run, jack, tracked, tmp_path):
+    def test_no_permission_is_found_before_the_work(self, dousa, jack, tracked, tmp_path):
         tmp_path.chmod(0o500)
-        failed(run("estimate", jack / "seen.npz", "-o", tmp_path / "a.bvh"), "no permission")
+        failed(dousa("estimate", jack / "seen.npz", "-o", tmp_path / "a.bvh"), "no permission")
         assert tracked.asked == []
 
     def change(self, jack, path, **arrays):
@@ -318,36 +314,36 @@ class TestEstimateAround:
         np.savez(path, **{key: value for key, value in kept.items() if value is not None})
         return path
 
-    def test_mirror_images_are_turned_round(self, run, jack, tracked, tmp_path):
+    def test_mirror_images_are_turned_round(self, dousa, jack, tracked, tmp_path):
         from dousa.estimation.silhouettes.mask_npz import read_silhouettes
 
         with np.load(jack / "seen.npz") as file:
             turned = np.packbits(np.unpackbits(file["mask_packed"], axis=3, count=160)[..., ::-1], axis=3)
         path = self.change(jack, tmp_path / "turned.npz", mask_packed=turned)
-        assert run("estimate", path, "--mirror-left-right")[0] == 0
+        assert dousa("estimate", path, "--mirror-left-right")[0] == 0
         for mask, expected in zip(
             tracked.asked[0].views.read(4), read_silhouettes(jack / "seen.npz").read(4), strict=True
         ):
             np.testing.assert_array_equal(mask, expected)
 
-    def test_cameras_that_are_lacking_or_too_few(self, run, jack, tracked, tmp_path):
+    def test_cameras_that_are_lacking_or_too_few(self, dousa, jack, tracked, tmp_path):
         bare = self.change(jack, tmp_path / "bare.npz", camera_matrix=None, world_to_camera_rotation=None,
                            world_to_camera_translation=None)  # fmt: skip
-        failed(run("estimate", bare), "add --cameras FILE")
-        assert run("estimate", bare, "--cameras", jack / "seen.npz")[0] == 0
+        failed(dousa("estimate", bare), "add --cameras FILE")
+        assert dousa("estimate", bare, "--cameras", jack / "seen.npz")[0] == 0
         with np.load(jack / "seen.npz") as file:
             keys = ("camera_matrix", "world_to_camera_rotation", "world_to_camera_translation", "view_names")
             fewer = {key: file[key][:3] for key in keys}
         np.savez(tmp_path / "three.npz", mask_packed=np.zeros((3, 2, 8, 1), np.uint8), width=8, height=8, **fewer)
-        failed(run("estimate", bare, "--cameras", tmp_path / "three.npz"), "3 cameras for the views view1, view2,")
+        failed(dousa("estimate", bare, "--cameras", tmp_path / "three.npz"), "3 cameras for the views view1, view2,")
 
-    def test_a_start_elsewhere(self, run, jack, tracked, tmp_path):
+    def test_a_start_elsewhere(self, dousa, jack, tracked, tmp_path):
         motion = read_motion(jack / "jack.bvh")
         for offset, code, words in ((50.0, 2, "outside the image of every view"), (0.35, 0, "hardly covers")):
             moved = motion.translations.copy()
             moved[:, 0, 0] += offset
             write_motion(motion.replace(translations=moved), tmp_path / "far.bvh")
-            answer = run("estimate", jack / "seen.npz", "--start", f"{tmp_path / 'far.bvh'}:0")
+            answer = dousa("estimate", jack / "seen.npz", "--start", f"{tmp_path / 'far.bvh'}:0")
             assert answer[0] == code and words in answer[2]
 
 
@@ -381,22 +377,22 @@ class TestSources:
     """Folders and videos, matched to the cameras of a calibration file by name."""
 
     @pytest.mark.parametrize("ending", ["", ".mp4"])
-    def test_views_find_their_cameras(self, run, jack, tracked, sources, ending):
+    def test_views_find_their_cameras(self, dousa, jack, tracked, sources, ending):
         from dousa.estimation.cameras.camera_files import read_cameras
 
         own = {camera.name: camera for camera in read_cameras(jack / "seen.npz")}
         paths = [sources / f"view{k}{ending}" for k in (2, 1, 4)]
         words = ("--cameras", sources / "cameras.toml", "--rate", 30, "--stature", 1.7, "--json")
-        code, out, err = run("estimate", *paths, *words)
+        code, out, err = dousa("estimate", *paths, *words)
         assert code == 0, err
         assert json.loads(out)["views"] == ["view2", "view1", "view4"] and json.loads(out)["n_frames"] == 6
         (asked,) = tracked.asked
         for camera in asked.cameras:
             np.testing.assert_allclose(camera.position, own[camera.name].position, atol=1e-6)
 
-    def test_videos_are_drawn_below_the_model(self, run, tracked, sources, tmp_path):
+    def test_videos_are_drawn_below_the_model(self, dousa, tracked, sources, tmp_path):
         words = ("--cameras", sources / "cameras.toml", "-o", tmp_path / "a.png", "--frames", "1:4")
-        code, _, err = run("estimate", sources / "view1.mp4", *words)
+        code, _, err = dousa("estimate", sources / "view1.mp4", *words)
         assert code == 0 and (tmp_path / "a.png").stat().st_size > 1000, err
         assert "a body height of 1.72 m is assumed" in err
 
@@ -412,16 +408,16 @@ class TestSources:
         assert ((large[..., 0] > 127) == mask).mean() > 0.98
         pictures.close()
 
-    def test_mistakes(self, run, tracked, sources, tmp_path):
+    def test_mistakes(self, dousa, tracked, sources, tmp_path):
         (tmp_path / "view1.mp4").write_bytes(b"no video at all")
         (tmp_path / "empty").mkdir()
         calibration = ("--cameras", sources / "cameras.toml")
-        failed(run("estimate", tmp_path / "view1.mp4", *calibration), "cannot be opened as a video")
-        failed(run("estimate", tmp_path / "empty", *calibration), "empty", "images")
-        failed(run("estimate", sources / "view1.mp4"), "calibration file required")
+        failed(dousa("estimate", tmp_path / "view1.mp4", *calibration), "cannot be opened as a video")
+        failed(dousa("estimate", tmp_path / "empty", *calibration), "empty", "images")
+        failed(dousa("estimate", sources / "view1.mp4"), "calibration file required")
         plates = ("--background", "x.png", "--background", "y.png")
-        failed(run("estimate", sources / "view1.mp4", *calibration, *plates), "background")
-        failed(run("estimate", sources / "view1", sources / "view1", *calibration), "camera")
+        failed(dousa("estimate", sources / "view1.mp4", *calibration, *plates), "background")
+        failed(dousa("estimate", sources / "view1", sources / "view1", *calibration), "camera")
         assert tracked.asked == []
 
 

@@ -17,12 +17,6 @@ from dousa.motion import compute_trajectories
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 
 
-@pytest.fixture
-def run(dousa):
-    """The command line, in this process."""
-    return dousa
-
-
 @pytest.fixture(scope="session")
 def takes(tmp_path_factory) -> Path:
     """BVH files of one synthetic person: takes/t0.bvh ... t2.bvh, and pupil.bvh beside the folder."""
@@ -56,8 +50,8 @@ def asked(monkeypatch):
     return calls
 
 
-def test_the_table_tells_grade_errors_and_order(run, takes, asked):
-    code, out, err = run("evaluate", takes / "takes/t0.bvh", "--performance", takes / "pupil.bvh")
+def test_the_table_tells_grade_errors_and_order(dousa, takes, asked):
+    code, out, err = dousa("evaluate", takes / "takes/t0.bvh", "--performance", takes / "pupil.bvh")
     assert code == 0
     said = ("95 % of the reference", "(64 to 77)", "grade 71", "100 - 10 x 2.9 = 71", "not calibrated", "24 deg short",
             "global motion error", "order: skip", "partial motion error", "200 ms late", " 1.4 ")  # fmt: skip
@@ -72,9 +66,9 @@ def test_the_table_tells_grade_errors_and_order(run, takes, asked):
     assert asked.report == []
 
 
-def test_json_alone_is_on_standard_output(run, takes, asked, tmp_path):
+def test_json_alone_is_on_standard_output(dousa, takes, asked, tmp_path):
     words = ("--performance", takes / "pupil.bvh", "--json", "-o", tmp_path / "a" / "b")
-    code, out, err = run("evaluate", takes / "takes", takes / "takes/t0.bvh", *words)
+    code, out, err = dousa("evaluate", takes / "takes", takes / "takes/t0.bvh", *words)
     assert code == 0
     answer = json.loads(out, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
     keys = ["score", "calibrated", "furi", "events", "lag_ms", "frame_rate"]
@@ -87,11 +81,11 @@ def test_json_alone_is_on_standard_output(run, takes, asked, tmp_path):
     assert "guessed" in err
 
 
-def test_options_reach_the_assessment(run, takes, asked, tmp_path):
+def test_options_reach_the_assessment(dousa, takes, asked, tmp_path):
     weights = tmp_path / "weights"
     weights.write_text("arms = 2\n")
     words = ("--mirror", "--tempo", "free", "--weights", weights, "-o", tmp_path / "out")
-    code, out, _ = run("--lang", "ja", "evaluate", takes / "takes", "-p", takes / "pupil.bvh", *words)
+    code, out, _ = dousa("--lang", "ja", "evaluate", takes / "takes", "-p", takes / "pupil.bvh", *words)
     assert code == 0
     options = asked.assess[0][2]
     assert (options["side"], options["tempo"]) == ("mirrored", "free")
@@ -101,33 +95,33 @@ def test_options_reach_the_assessment(run, takes, asked, tmp_path):
     assert asked.report[0][1] == "ja" and (tmp_path / "out/report.html").read_text() == "ja"
 
 
-def test_a_furi_file_counts_frames_of_the_first_reference(run, takes, asked, tmp_path):
+def test_a_furi_file_counts_frames_of_the_first_reference(dousa, takes, asked, tmp_path):
     path = tmp_path / "furi.txt"
     path.write_text("1-20 down\n21-40 up\n")
     words = ("evaluate", takes / "takes", "-p", takes / "pupil.bvh", "--furi", path)
-    assert run(*words)[0] == 0
+    assert dousa(*words)[0] == 0
     furi = asked.assess[0][2]["furi"]
     assert [(figure.start, figure.end, figure.label) for figure in furi] == [(0, 20, "down"), (20, 40, "up")]
     for text, says in (("1-20\n15-30\n", "overlap"), ("1-20000\n", "expected frames 1 to"), ("one\n", "expected")):
         path.write_text(text)
-        code, out, err = run(*words)
+        code, out, err = dousa(*words)
         assert code == 2 and out == "" and says in err and str(path) in err and len(err.splitlines()) == 1
     path.unlink()
-    code, _, err = run(*words)
+    code, _, err = dousa(*words)
     assert code == 2 and "cannot be read" in err and len(asked.assess) == 1
 
 
-def test_a_performance_among_several_references_is_noted(run, takes, asked):
-    _, _, err = run("evaluate", takes / "takes", "-p", takes / "takes/t1.bvh")
+def test_a_performance_among_several_references_is_noted(dousa, takes, asked):
+    _, _, err = dousa("evaluate", takes / "takes", "-p", takes / "takes/t1.bvh")
     assert "also one of the references" in err
-    _, _, err = run("evaluate", takes / "takes/t1.bvh", "-p", takes / "takes/t1.bvh")
+    _, _, err = dousa("evaluate", takes / "takes/t1.bvh", "-p", takes / "takes/t1.bvh")
     assert "also one of the references" not in err
 
 
-def test_nothing_found_and_no_grade(run, takes, asked, monkeypatch):
+def test_nothing_found_and_no_grade(dousa, takes, asked, monkeypatch):
     made = dataclasses.replace(make_assessment(), events=(), lapses=(), score=math.nan, gaps=((1, 2, "trunk"),))
     monkeypatch.setitem(dousa.evaluation.__dict__, "assess", lambda *_, **__: made)
-    code, out, _ = run("evaluate", takes / "takes", "-p", takes / "pupil.bvh")
+    code, out, _ = dousa("evaluate", takes / "takes", "-p", takes / "pupil.bvh")
     assert code == 0
     # Why there is none stands for the grade.
     assert out.splitlines()[1].startswith("100 - 10") and "of 100" not in out
@@ -152,61 +146,61 @@ def test_nothing_found_and_no_grade(run, takes, asked, monkeypatch):
         (("{takes}", "-p", "{pupil}", "--read", "unit=furlong"), "furlong"),
     ],
 )
-def test_mistakes_are_one_line_and_exit_code_2(run, takes, asked, tmp_path, words, says):
+def test_mistakes_are_one_line_and_exit_code_2(dousa, takes, asked, tmp_path, words, says):
     places = {"takes": takes / "takes", "dir": tmp_path, "pupil": takes / "pupil.bvh"}
-    code, out, err = run("evaluate", *(word.format(**places) for word in words))
+    code, out, err = dousa("evaluate", *(word.format(**places) for word in words))
     assert code == 2 and out == ""
     assert says in err and len(err.splitlines()) == 1 and "Traceback" not in err
     assert asked.assess == [] and list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(("option", "named"), [(("--tempo", "fast"), "'fast'"), (("--read", "mood=glad"), "'mood'")])
-def test_unknown_choices_are_refused(run, takes, option, named):
-    code, _, err = run("evaluate", takes / "takes", "-p", takes / "pupil.bvh", *option)
+def test_unknown_choices_are_refused(dousa, takes, option, named):
+    code, _, err = dousa("evaluate", takes / "takes", "-p", takes / "pupil.bvh", *option)
     assert code == 2 and named in err and "Traceback" not in err
 
 
-def test_a_file_that_is_damaged_is_named(run, takes, asked, tmp_path):
+def test_a_file_that_is_damaged_is_named(dousa, takes, asked, tmp_path):
     bad = tmp_path / "bad.bvh"
     bad.write_text("HIERARCHY\n")
     for words in ((bad, "-p", takes / "pupil.bvh"), (takes / "takes", bad, "-p", takes / "pupil.bvh"),
                   (takes / "takes", "-p", bad)):  # fmt: skip
-        code, _, err = run("evaluate", *words)
+        code, _, err = dousa("evaluate", *words)
         assert code == 2 and str(bad) in err and len(err.splitlines()) == 1
 
 
-def test_a_motion_that_is_too_short_is_named(run, takes, tmp_path):
+def test_a_motion_that_is_too_short_is_named(dousa, takes, tmp_path):
     one = tmp_path / "one.bvh"
     motion = make_motion("bow", draw_performer(3))
     write_motion(dataclasses.replace(motion, rotations=motion.rotations[:1], translations=motion.translations[:1]), one)
     for words in ((takes / "takes", one, "-p", takes / "pupil.bvh"), (takes / "takes", "-p", one)):
-        code, out, err = run("evaluate", *words, "--json", "-o", tmp_path / "out")
+        code, out, err = dousa("evaluate", *words, "--json", "-o", tmp_path / "out")
         assert code == 2 and out == "" and not (tmp_path / "out").exists()
         assert str(one) in err and "got 1 frame at" in err and len(err.splitlines()) == 1
 
 
-def test_ctrl_c_leaves_nothing(run, takes, asked, monkeypatch, tmp_path):
+def test_ctrl_c_leaves_nothing(dousa, takes, asked, monkeypatch, tmp_path):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setitem(dousa.evaluation.__dict__, "assess", interrupt)
-    code, out, err = run("evaluate", takes / "takes", "-p", takes / "pupil.bvh", "-o", tmp_path / "a/b")
+    code, out, err = dousa("evaluate", takes / "takes", "-p", takes / "pupil.bvh", "-o", tmp_path / "a/b")
     assert code == 130 and out == "" and "interrupted" in err and "Traceback" not in err
     assert list(tmp_path.iterdir()) == []
 
 
-def test_other_formats_and_names_with_brackets(run, takes, asked, tmp_path):
+def test_other_formats_and_names_with_brackets(dousa, takes, asked, tmp_path):
     place = tmp_path / "[bold]\n"
     place.mkdir()
     for suffix in (".trc", ".c3d", ".npz"):
         write_motion(compute_trajectories(make_motion("bow", draw_performer(3))), place / f"a{suffix}")
     shutil.copy(takes / "pupil.bvh", place / "[x] é.BVH")
-    code, out, err = run("evaluate", place, "-p", place / "[x] é.BVH", "-o", place)
+    code, out, err = dousa("evaluate", place, "-p", place / "[x] é.BVH", "-o", place)
     assert code == 0 and "report: " in out
     assert len(asked.assess[0][0]) == 4 and "Traceback" not in err
 
 
-def test_the_real_assessment_and_report(run, takes, tmp_path):
+def test_the_real_assessment_and_report(dousa, takes, tmp_path):
     words = (
         "--lang",
         "ja",
@@ -219,25 +213,25 @@ def test_the_real_assessment_and_report(run, takes, tmp_path):
         "--notes",
         "ひざを <柔らかく>",
     )
-    code, out, err = run(*words)
+    code, out, err = dousa(*words)
     assert code == 0 and "評価" in out and "Traceback" not in err
     page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
     assert "pupil.bvh" in page and "t0.bvh" in page
     assert "ひざを &lt;柔らかく&gt;" in page
-    code, out, _ = run(*words, "--json")
+    code, out, _ = dousa(*words, "--json")
     assert code == 0 and json.loads(out)["report"] == str(tmp_path / "report" / "report.html")
 
 
-def test_a_motion_equals_itself(run, takes):
-    code, out, _ = run("evaluate", takes / "pupil.bvh", "-p", takes / "pupil.bvh", "--json")
+def test_a_motion_equals_itself(dousa, takes):
+    code, out, _ = dousa("evaluate", takes / "pupil.bvh", "-p", takes / "pupil.bvh", "--json")
     answer = json.loads(out)
     assert code == 0 and answer["score"] == 100.0 and answer["events"] == []
 
 
-def test_each_amc_finds_its_own_skeleton(run, asked, shared_data):
+def test_each_amc_finds_its_own_skeleton(dousa, asked, shared_data):
     folder = shared_data("hdm05/squat1Reps")
     files = sorted(folder.glob("*.amc"))
-    code, out, _ = run("evaluate", files[0], files[-1], "-p", files[1], "--json")
+    code, out, _ = dousa("evaluate", files[0], files[-1], "-p", files[1], "--json")
     assert code == 0
     assert len(json.loads(out)["references"]) == 2
     first, last = asked.assess[0][0]
@@ -247,54 +241,54 @@ def test_each_amc_finds_its_own_skeleton(run, asked, shared_data):
 # advice and progress
 
 
-def test_brief_is_the_grade_and_what_to_work_on(run, takes, asked):
+def test_brief_is_the_grade_and_what_to_work_on(dousa, takes, asked):
     words = ("evaluate", takes / "takes/t0.bvh", "--performance", takes / "pupil.bvh")
-    code, out, _ = run(*words, "--detail", "brief")
+    code, out, _ = dousa(*words, "--detail", "brief")
     assert code == 0
     lines = out.splitlines()
     assert lines[0].startswith("95 %") and lines[1].startswith("grade 71")
     assert [line[:3] for line in lines[2:5]] == ["1. ", "2. ", "3. "]
     assert "went well" in lines[5]
     assert lines[6:] == ["2 more things to work on: --detail full"]
-    full = run(*words)[1]
+    full = dousa(*words)[1]
     assert full.startswith("\n".join(lines[:5])) and "partial motion error" in full
-    brief, whole = (json.loads(run(*words, "--json", "--detail", one)[1])["advice"] for one in ("brief", "full"))
+    brief, whole = (json.loads(dousa(*words, "--json", "--detail", one)[1])["advice"] for one in ("brief", "full"))
     assert len(brief) == 3 and sorted(one["event"] for one in whole if one["event"] is not None) == [0, 1, 2, 3]
     assert lines[2] == f"1. {brief[0]['says']}"
 
 
-def test_progress_over_answers(run, takes, asked, tmp_path):
-    answer = run("evaluate", takes / "takes/t0.bvh", "--performance", takes / "pupil.bvh", "--json")[1]
+def test_progress_over_answers(dousa, takes, asked, tmp_path):
+    answer = dousa("evaluate", takes / "takes/t0.bvh", "--performance", takes / "pupil.bvh", "--json")[1]
     (tmp_path / "a.json").write_text(answer, encoding="utf-8")
     later = json.loads(answer)
     later["score"], later["events"] = 80.0, later["events"][:1]
     (tmp_path / "b.json").write_text(json.dumps(later), encoding="utf-8")
     files = (tmp_path / "a.json", tmp_path / "b.json")
-    code, out, err = run("progress", *files, "--picture", tmp_path / "p.png")
+    code, out, err = dousa("progress", *files, "--picture", tmp_path / "p.png")
     assert code == 0 and err == ""
     assert "the grade rose from 71 to 80" in out and "every time" in out and "1 (24 deg)" in out
     assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
-    assert json.loads(run("progress", *files, "--json")[1])["worse"] == []
-    assert "評価点が71点から80点に" in run("--lang", "ja", "progress", *files)[1]
+    assert json.loads(dousa("progress", *files, "--json")[1])["worse"] == []
+    assert "評価点が71点から80点に" in dousa("--lang", "ja", "progress", *files)[1]
     later["references"] = ["another.bvh"]
     files[1].write_text(json.dumps(later), encoding="utf-8")
-    assert "different references" in run("progress", *files)[2]
+    assert "different references" in dousa("progress", *files)[2]
 
 
 @pytest.mark.parametrize(
     ("content", "says"),
     [("[1]", "with score, events and lapses"), ("no", "cannot be read as"), (None, "cannot be read")],
 )
-def test_progress_over_something_else(run, tmp_path, content, says):
+def test_progress_over_something_else(dousa, tmp_path, content, says):
     file = tmp_path / "a.json"
     if content is not None:
         file.write_text(content)
-    code, out, err = run("progress", file, file)
+    code, out, err = dousa("progress", file, file)
     assert code == 2 and out == "" and says in err and len(err.splitlines()) == 1
 
 
-def test_equal_weights_are_no_file(run, takes, asked):
-    code, _, _ = run("evaluate", takes / "takes/t0.bvh", "-p", takes / "pupil.bvh", "--weights", "equal")
+def test_equal_weights_are_no_file(dousa, takes, asked):
+    code, _, _ = dousa("evaluate", takes / "takes/t0.bvh", "-p", takes / "pupil.bvh", "--weights", "equal")
     assert code == 0
     options = asked.assess[0][2]
     assert options["importance"] == "equal" and options["weights"] is None

@@ -13,12 +13,6 @@ from dousa.motion.synthetic.performers import draw_performer, make_motion
 from lab.trials.exercise_sets import join_repetitions
 
 
-@pytest.fixture
-def run(dousa):
-    """The command line, in this process."""
-    return dousa
-
-
 @pytest.fixture(scope="module")
 def files(tmp_path_factory) -> Path:
     """kick.trc, and kicks.trc: four more, of which one is broken off; bow.trc; still.trc."""
@@ -34,9 +28,9 @@ def files(tmp_path_factory) -> Path:
     return folder
 
 
-def test_the_table_csv_and_picture(run, files, tmp_path):
+def test_the_table_csv_and_picture(dousa, files, tmp_path):
     outputs = ("--csv", tmp_path / "kicks.csv", "--picture", tmp_path / "kicks.png")
-    code, out, err = run(
+    code, out, err = dousa(
         "evaluate", files / "kick.trc", "--performance", files / "kicks.trc", "--repetitions", *outputs
     )
     assert code == 0
@@ -50,11 +44,11 @@ def test_the_table_csv_and_picture(run, files, tmp_path):
     assert (tmp_path / "kicks.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_brief_is_the_answer_without_the_table(run, files):
+def test_brief_is_the_answer_without_the_table(dousa, files):
     words = ("evaluate", files / "kick.trc", "--performance", files / "kicks.trc", "--repetitions")
-    code, full, _ = run(*words)
+    code, full, _ = dousa(*words)
     assert code == 0
-    code, brief, _ = run(*words, "--detail", "brief")
+    code, brief, _ = dousa(*words, "--detail", "brief")
     assert code == 0
     lines = brief.splitlines()
     assert lines[0].startswith("3 repetitions, 1 incomplete")
@@ -64,13 +58,13 @@ def test_brief_is_the_answer_without_the_table(run, files):
     assert "no. " in full and "no. " not in brief
 
 
-def test_tempo_weights_and_importance_count(run, files):
+def test_tempo_weights_and_importance_count(dousa, files):
     words = ("evaluate", files / "kick.trc", "--performance", files / "kicks.trc", "--repetitions", "--json")
-    usual = json.loads(run(*words)[1])
+    usual = json.loads(dousa(*words)[1])
     assert usual["tempo"] == "free"
     assert usual["says_codes"][1] == "exercise_summary.broken_off"
     free, same, equal, alike = (
-        json.loads(run(*words, *more)[1])
+        json.loads(dousa(*words, *more)[1])
         for more in (("--tempo", "free"), ("--tempo", "same"), ("--importance", "equal"), ("--weights", "equal"))
     )
     assert free == usual
@@ -81,14 +75,14 @@ def test_tempo_weights_and_importance_count(run, files):
 
 
 @pytest.mark.parametrize(("language", "title"), [("en", "kicks.trc: repetitions"), ("ja", "kicks.trc：手本と")])
-def test_the_report(run, files, tmp_path, language, title):
+def test_the_report(dousa, files, tmp_path, language, title):
     words = ("--lang", language, "evaluate", files / "kick.trc", "--performance", files / "kicks.trc", "--repetitions")
-    code, out, _ = run(*words, "-o", tmp_path / "report")
+    code, out, _ = dousa(*words, "-o", tmp_path / "report")
     assert code == 0 and str(tmp_path / "report" / "report.html") in out
     page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
     assert f"<title>{title}" in page
     assert len((tmp_path / "report" / "repetitions.csv").read_text().splitlines()) == 5
-    code, out, _ = run(*words, "-o", tmp_path / "report", "--json")
+    code, out, _ = dousa(*words, "-o", tmp_path / "report", "--json")
     assert json.loads(out)["report"] == str(tmp_path / "report" / "report.html")
 
 
@@ -104,9 +98,9 @@ def test_the_report(run, files, tmp_path, language, title):
         (("kick.trc", "-p", "kicks.trc", "--repetitions", "--csv", "none/a.csv"), "none"),
     ],
 )
-def test_mistakes_are_one_line(run, files, monkeypatch, words, says):
+def test_mistakes_are_one_line(dousa, files, monkeypatch, words, says):
     monkeypatch.chdir(files)
-    code, out, err = run("evaluate", *words)
+    code, out, err = dousa("evaluate", *words)
     assert code == 2
     assert out == ""
     assert says in err and "Traceback" not in err

@@ -8,7 +8,6 @@ import json
 import math
 import re
 import zlib
-from html.parser import HTMLParser
 from importlib import resources
 from pathlib import Path
 
@@ -16,7 +15,7 @@ import numpy as np
 import pytest
 
 from app.fake_assessment import HOSTILE_WORDS, make_assessment
-from app.report_cases import UNUSUAL, change, page_data
+from app.report_cases import UNUSUAL, PageReader, change, page_data
 from dousa.app.drawing.charts import choose_ticks, encode_map, thin_curve, time_ticks
 from dousa.app.drawing.markup import element, format_number, trace
 from dousa.app.report import page as _fonts
@@ -26,41 +25,7 @@ from dousa.evaluation import advise
 from dousa.evaluation.words import SEGMENT_NAMES, name_all
 from dousa.messages import Message, load_section
 
-_VOID = {"meta", "img", "br", "link", "input", "col", "hr"}
 _SHAPES = {"path", "polygon", "circle", "rect", "line"}
-
-
-class _Reader(HTMLParser):
-    """Elements, shown text, and whether every element that was opened was closed."""
-
-    def __init__(self) -> None:
-        super().__init__(convert_charrefs=True)
-        self.elements: list[tuple[str, dict[str, str | None]]] = []
-        self.texts: list[str] = []
-        self.stack: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.elements.append((tag, dict(attrs)))
-        if tag not in _VOID:
-            self.stack.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.stack and self.stack[-1] == tag, f"</{tag}> closes {self.stack[-3:]}"
-        self.stack.pop()
-
-    def handle_data(self, data: str) -> None:
-        if self.stack and self.stack[-1] not in ("script", "style"):
-            self.texts.append(data)
-
-    def with_class(self, name: str) -> list[dict[str, str | None]]:
-        return [attrs for _, attrs in self.elements if name in (attrs.get("class") or "").split()]
-
-
-def _read(page: str) -> _Reader:
-    reader = _Reader()
-    reader.feed(page)
-    assert not reader.stack
-    return reader
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +79,7 @@ def test_the_page_asks_nothing_of_the_network(english: str, japanese: str) -> No
     for page in (english, japanese):
         asked = page.replace("http://www.w3.org/2000/svg", "")  # the name of a namespace, never loaded
         assert not re.search(r"https?:|//[a-z]+\.[a-z]|url\((?!data:)|@import", asked, re.IGNORECASE)
-        for tag, attrs in _read(page).elements:
+        for tag, attrs in PageReader(page).elements:
             for name in ("src", "href", "poster", "srcset", "data"):
                 value = attrs.get(name)
                 if value is not None:
@@ -126,7 +91,7 @@ def test_advice_comes_first_with_its_picture(english: str, japanese: str) -> Non
     assessment = make_assessment()
     said = advise(assessment, "brief")
     for page, language in ((english, "en"), (japanese, "ja")):
-        text = " ".join(_read(page).texts)
+        text = " ".join(PageReader(page).texts)
         places = [text.index(one.message.render(language)) for one in said]
         assert places == sorted(places)
         words = load_section("report", language)
@@ -178,11 +143,11 @@ def test_hostile_words_stay_words(language: str) -> None:
         score_formula=Message("text.verbatim", text=bad),
     )
     page = build_page(assessment, language)
-    reader = _read(page)
+    reader = PageReader(page)
     assert [tag for tag, _ in reader.elements].count("script") == 4
     assert not any("onerror" in attrs for _, attrs in reader.elements)
-    assert HOSTILE_WORDS in "".join(reader.texts)
-    assert bad in "".join(reader.texts)
+    assert HOSTILE_WORDS in reader.text
+    assert bad in reader.text
 
 
 def test_file_names_that_are_no_text(tmp_path: Path) -> None:
@@ -206,8 +171,8 @@ def test_every_character_has_a_glyph(language: str) -> None:
     assessment = make_assessment()
     named = dataclasses.replace(assessment.performance, name="牛深ハイヤ節\u3000動作１.bvh")
     page = build_page(change(assessment, performance=named), language)
-    reader = _read(page)
-    shown = set("".join(reader.texts)) | set(json.dumps(page_data(page), ensure_ascii=False))
+    reader = PageReader(page)
+    shown = set(reader.text) | set(json.dumps(page_data(page), ensure_ascii=False))
     shown |= set(json.dumps(page_data(page, "player-data"), ensure_ascii=False))
     for _, attrs in reader.elements:
         shown |= set("".join(attrs.get(name) or "" for name in ("title", "aria-label", "alt")))
@@ -228,7 +193,7 @@ def test_a_missing_font_is_said_and_nothing_else_breaks(monkeypatch: pytest.Monk
 
 
 def test_every_picture_has_words_and_a_table(english: str) -> None:
-    reader = _read(english)
+    reader = PageReader(english)
     for tag, attrs in reader.elements:
         if tag == "svg":
             assert attrs.get("aria-label") or attrs.get("aria-hidden") == "true"
@@ -242,7 +207,7 @@ def test_every_picture_has_words_and_a_table(english: str) -> None:
 
 
 def test_no_number_is_nan(english: str) -> None:
-    reader = _read(english)
+    reader = PageReader(english)
     for tag, attrs in reader.elements:
         if tag in _SHAPES or "style" in attrs:
             assert not re.search(r"\bnan|\binf|None", " ".join(v or "" for v in attrs.values())), (tag, attrs)
@@ -262,7 +227,7 @@ def test_unusual_assessments(case: str, language: str, tmp_path: Path) -> None:
     assert (words["no_grade"] in page) == (not math.isfinite(assessment.score))
     if case == "calibrated":
         assert words["calibrated"].format(count=5) in page
-        assert words["uncalibrated"] not in " ".join(_read(page).texts)
+        assert words["uncalibrated"] not in " ".join(PageReader(page).texts)
 
 
 def test_curves_csv_is_whole(tmp_path: Path) -> None:
@@ -315,7 +280,7 @@ def test_another_language_is_refused(tmp_path: Path) -> None:
 
 def test_long_takes_are_thinned() -> None:
     long = build_page(make_assessment(seconds=120.0, frame_rate=60.0), "en")
-    lines = [attrs["d"] or "" for tag, attrs in _read(long).elements if tag == "path" and attrs.get("d")]
+    lines = [attrs["d"] or "" for tag, attrs in PageReader(long).elements if tag == "path" and attrs.get("d")]
     assert max(line.count("L") for line in lines) <= 2000
     assert len(page_data(long)["space"]) <= 2000
 

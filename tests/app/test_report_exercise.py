@@ -2,16 +2,15 @@
 
 import csv
 import dataclasses
-import json
 import math
 import re
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from app.report_cases import PageReader, page_data
 from dousa.app.player.data import encode_repetitions
 from dousa.app.report.exercise import build_exercise_page, write_exercise_report
 from dousa.errors import OptionError
@@ -20,35 +19,6 @@ from dousa.messages import Message
 from dousa.motion import CanonicalMotion, canonicalise, compute_trajectories, mirror_canonical
 from dousa.motion.synthetic import draw_performer, make_motion
 from lab.trials.exercise_sets import join_repetitions
-
-_VOID = {"meta", "img", "br", "link", "input", "hr"}
-
-
-class _Reader(HTMLParser):
-    """The elements and the shown text; fails where one is not closed."""
-
-    def __init__(self, page: str) -> None:
-        super().__init__()
-        self.stack: list[str] = []
-        self.elements: list[tuple[str, dict[str, str | None]]] = []
-        self.text = ""
-        self.feed(page)
-        assert self.stack == []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.elements.append((tag, dict(attrs)))
-        if tag not in _VOID:
-            self.stack.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.stack.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if self.stack and self.stack[-1] not in ("script", "style"):
-            self.text += data
-
-    def with_class(self, name: str) -> list[dict[str, str | None]]:
-        return [attrs for _, attrs in self.elements if name in (attrs.get("class") or "").split()]
 
 
 def make_clips(category: str, n: int) -> list[CanonicalMotion]:
@@ -69,12 +39,6 @@ def done(kicks: tuple[CanonicalMotion, CanonicalMotion]) -> RepetitionsAssessmen
     return assess_repetitions(*kicks)
 
 
-def read_data(page: str, name: str) -> Any:
-    found = re.search(rf'<script type="application/json" id="{name}">(.*?)</script>', page, re.DOTALL)
-    assert found
-    return json.loads(found.group(1))
-
-
 @pytest.mark.parametrize("language", ["en", "ja"])
 def test_page_and_table_are_written(
     done: RepetitionsAssessment, kicks: tuple[CanonicalMotion, CanonicalMotion], tmp_path: Path, language: str
@@ -84,7 +48,7 @@ def test_page_and_table_are_written(
     rows = list(csv.DictReader((path.parent / "repetitions.csv").read_text().splitlines()))
     assert [row["complete"] for row in rows] == ["1", "0", "1", "1"]
     page = path.read_text(encoding="utf-8")
-    reader = _Reader(page)
+    reader = PageReader(page)
     assert "kicks.trc" in reader.text
     assert "nan" not in re.sub(r"<(script|style).*?</\1>", "", page, flags=re.DOTALL)
     assert "{" not in reader.text and "http://" not in reader.text
@@ -103,7 +67,7 @@ def test_what_it_says_is_what_was_measured(
     done: RepetitionsAssessment, kicks: tuple[CanonicalMotion, CanonicalMotion]
 ) -> None:
     page = build_exercise_page(done, kicks[1], "en", "kicks.trc")
-    reader = _Reader(page)
+    reader = PageReader(page)
     scores = [one.score for one in done.complete]
     assert re.findall(r'<span class="number">(.*?)</span>', page)[:2] == ["3", f"{np.median(scores):.0f}"]
     assert f"grade {np.median(scores):.0f} of 100 in the median" in reader.text
@@ -158,19 +122,19 @@ def test_nothing_graded_and_warnings(
     warning = Message("text.verbatim", text="<b>look</b>")
     bare = dataclasses.replace(done, repetitions=repetitions, warnings=(warning,))
     page = build_exercise_page(bare, kicks[1], "en")
-    reader = _Reader(page)
-    assert "no repetition could be graded" in reader.text and "too short to be graded" in reader.text
+    reader = PageReader(page)
+    assert "no repetition could be graded" in reader.text and "too short to be graded" in "".join(reader.texts)
     assert "<b>look</b>" not in page and "&lt;b&gt;look" in page
     assert len(reader.with_class("pose-cell")) == 4  # no reference to show
-    assert read_data(page, "player-data")["reference"] is None
+    assert page_data(page, "player-data")["reference"] is None
 
 
 def test_hostile_names_stay_names(done: RepetitionsAssessment, kicks: tuple[CanonicalMotion, CanonicalMotion]) -> None:
     bad = "</script><script>window.hacked=1</script>{{table}}"
     page = build_exercise_page(done, kicks[1], "en", bad)
-    _Reader(page)
+    PageReader(page)
     assert bad not in page and page.count("<script") == 4
-    assert read_data(page, "player-data")["performance"]["name"] == bad
+    assert page_data(page, "player-data")["performance"]["name"] == bad
 
 
 def test_a_folder_that_cannot_be_written(

@@ -321,9 +321,7 @@ def test_a_damaged_skeleton_is_named_with_its_line(take, damage, line, problem):
     assert str(caught.value).startswith(f"{path}:{line}: " if line else f"{path}: ")
 
 
-def test_missing_files(take, tmp_path):
-    with pytest.raises(MotionFileError, match="no such file"):
-        read_amc(tmp_path / "nothing.amc")
+def test_a_missing_skeleton(take, tmp_path):
     with pytest.raises(MotionFileError, match=r"none\.asf: no such file"):
         read_amc(take(), skeleton=tmp_path / "none.asf")
 

@@ -13,14 +13,9 @@ from dousa.formats.registry import read_motion, write_motion
 from dousa.library.store.ingest import look_at
 from dousa.motion import canonicalise, compute_trajectories
 from formats import made_mmd as made
+from formats.made_files import code_of, save
 
 UNIT = 0.08
-
-
-def save(path, data):
-    path.parent.mkdir(exist_ok=True, parents=True)
-    path.write_bytes(data)
-    return path
 
 
 def places(motion, name):
@@ -30,12 +25,6 @@ def places(motion, name):
 
 def rest(name):
     return next(bone.place for bone in template().bones if bone.name == name) * UNIT
-
-
-def code_of(path, data, **options):
-    with pytest.raises(MotionFileError) as caught:
-        read_motion(save(path, data), **options)
-    return caught.value.code
 
 
 def turn(axis, angle):
@@ -217,13 +206,13 @@ def test_old_header_and_short_file(tmp_path):
 def test_damage(tmp_path):
     good = made.make_vmd([made.make_key("センター", 0), made.make_key("左腕", 3)])
     path = tmp_path / "x.vmd"
-    assert code_of(path, b"hello") == "mmd.no_vmd"
-    assert code_of(path, good[:40]) == "mmd.truncated"
-    assert code_of(path, good[:100]) == "mmd.truncated"
-    assert code_of(path, made.make_vmd([])) == "mmd.no_bones"
-    assert code_of(path, made.make_vmd([made.make_key("センター", 10**9)])) == "mmd.frames"
-    assert code_of(path, made.make_vmd([made.make_key("センター", 0, place=(0, np.nan, 0))])) == "mmd.finite"
-    assert code_of(path, made.make_vmd([made.make_key("ネクタイ", 0)])) == "mmd.other_bones"
+    assert code_of(save(path, b"hello")) == "mmd.no_vmd"
+    assert code_of(save(path, good[:40])) == "mmd.truncated"
+    assert code_of(save(path, good[:100])) == "mmd.truncated"
+    assert code_of(save(path, made.make_vmd([]))) == "mmd.no_bones"
+    assert code_of(save(path, made.make_vmd([made.make_key("センター", 10**9)]))) == "mmd.frames"
+    assert code_of(save(path, made.make_vmd([made.make_key("センター", 0, place=(0, np.nan, 0))]))) == "mmd.finite"
+    assert code_of(save(path, made.make_vmd([made.make_key("ネクタイ", 0)]))) == "mmd.other_bones"
     for model, code in (
         (b"hello", "mmd.no_model"),
         (made.make_pmx()[:500], "mmd.truncated"),
@@ -233,7 +222,7 @@ def test_damage(tmp_path):
         (made.make_pmd(template().bones[:30][::-1]), "mmd.bone_number"),
     ):
         (tmp_path / "m.pmx").write_bytes(model)
-        got = code_of(path, good, skeleton=tmp_path / "m.pmx")
+        got = code_of(save(path, good), skeleton=tmp_path / "m.pmx")
         assert got == code or (code == "mmd.bone_number" and got in ("mmd.tree", "mmd.no_body")), got
     (tmp_path / "m.pmx").unlink()
 
