@@ -5,10 +5,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from app.browser import Page
 from dousa.app.player.data import format_player_data, read_player_script, read_player_style
+from dousa.motion.canonical.tree_shape import compute_forward
 
-__all__ = ["picture", "write_miniatures_page", "write_player_page"]
+__all__ = ["decode", "heading_of", "picture", "positions_of", "write_miniatures_page", "write_player_page"]
 
 _PAGE = """<!doctype html>
 <html lang="{language}"><head><meta charset="utf-8">
@@ -64,6 +67,22 @@ let sum = 0;
 for (let k = 0; k < data.length; k += 4) sum = (sum * 31 + data[k] + 256 * data[k + 1] + 7 * data[k + 2]) % 4294967291;
 return sum;
 """
+
+
+def decode(text: str, kind: str) -> Any:
+    """Numbers of the data of a player."""
+    return np.frombuffer(base64.b64decode(text), kind)
+
+
+def positions_of(figure: Any) -> Any:
+    """(T, joints, 3) m."""
+    return decode(figure["positions"], "<i2").reshape(figure["shape"]) / 1000
+
+
+def heading_of(positions: Any) -> Any:
+    """Where a figure looks on the whole, rad."""
+    forward = compute_forward(positions)
+    return np.angle((forward[:, 2] + 1j * forward[:, 0]).sum())
 
 
 def write_player_page(data: Mapping[str, Any], path: Path) -> Path:

@@ -10,8 +10,8 @@ from types import SimpleNamespace
 
 import pytest
 
-import dousa.evaluation
 from app.fake_assessment import make_assessment
+from dousa import evaluation
 from dousa.formats.registry import write_motion
 from dousa.motion import compute_trajectories
 from dousa.motion.synthetic.performers import draw_performer, make_motion
@@ -45,7 +45,7 @@ def asked(monkeypatch):
             (Path(folder) / name).write_text(language)
         return Path(folder) / "report.html"
 
-    monkeypatch.setitem(dousa.evaluation.__dict__, "assess", assess)
+    monkeypatch.setitem(evaluation.__dict__, "assess", assess)
     monkeypatch.setattr("dousa.app.report.page.write_report", write_report)
     return calls
 
@@ -120,7 +120,7 @@ def test_a_performance_among_several_references_is_noted(dousa, takes, asked):
 
 def test_nothing_found_and_no_grade(dousa, takes, asked, monkeypatch):
     made = dataclasses.replace(make_assessment(), events=(), lapses=(), score=math.nan, gaps=((1, 2, "trunk"),))
-    monkeypatch.setitem(dousa.evaluation.__dict__, "assess", lambda *_, **__: made)
+    monkeypatch.setitem(evaluation.__dict__, "assess", lambda *_, **__: made)
     code, out, _ = dousa("evaluate", takes / "takes", "-p", takes / "pupil.bvh")
     assert code == 0
     # Why there is none stands for the grade.
@@ -183,7 +183,7 @@ def test_ctrl_c_leaves_nothing(dousa, takes, asked, monkeypatch, tmp_path):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setitem(dousa.evaluation.__dict__, "assess", interrupt)
+    monkeypatch.setitem(evaluation.__dict__, "assess", interrupt)
     code, out, err = dousa("evaluate", takes / "takes", "-p", takes / "pupil.bvh", "-o", tmp_path / "a/b")
     assert code == 130 and out == "" and "interrupted" in err and "Traceback" not in err
     assert list(tmp_path.iterdir()) == []

@@ -1,6 +1,5 @@
 """The 3D player: what its data hold, and what it does in a real browser."""
 
-import base64
 import dataclasses
 import json
 import re
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.fake_assessment import HOSTILE_WORDS, make_assessment
-from app.player_pages import picture, write_player_page
+from app.player_pages import decode, heading_of, picture, positions_of, write_player_page
 from dousa.app.player.data import (
     SCRIPT_PARTS,
     encode_player_data,
@@ -20,7 +19,6 @@ from dousa.app.player.data import (
 from dousa.errors import OptionError
 from dousa.messages import load_section
 from dousa.motion import JOINT_INDEX as J
-from dousa.motion.canonical.tree_shape import compute_forward
 
 _HIPS = [J["left_hip"], J["right_hip"]]
 _FEET = [J[f"{side}_{end}"] for side in ("left", "right") for end in ("ankle", "toe")]
@@ -29,19 +27,6 @@ _FEET = [J[f"{side}_{end}"] for side in ("left", "right") for end in ("ankle", "
 @pytest.fixture(scope="module")
 def assessment():
     return make_assessment()
-
-
-def decode(text, kind):
-    return np.frombuffer(base64.b64decode(text), kind)
-
-
-def positions_of(figure):
-    return decode(figure["positions"], "<i2").reshape(figure["shape"]) / 1000
-
-
-def heading_of(positions):
-    forward = compute_forward(positions)
-    return np.angle((forward[:, 2] + 1j * forward[:, 0]).sum())
 
 
 # --- data

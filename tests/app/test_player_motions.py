@@ -1,19 +1,18 @@
 """Data of bare motions: one figure, two in step, and the loops of thumbnails."""
 
-import base64
 import dataclasses
 import struct
 
 import numpy as np
 import pytest
 
+from app.player_pages import decode, heading_of, positions_of
 from dousa.app.player.data import encode_motion, encode_pair, format_player_data
 from dousa.app.player.figures import MINIATURE_BYTES, MINIATURE_FRAMES, encode_miniature
 from dousa.app.player.in_step import _find_steps
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.motion import JOINT_INDEX as J
 from dousa.motion import canonicalise
-from dousa.motion.canonical.tree_shape import compute_forward
 from dousa.motion.synthetic.dance import make_dance
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 
@@ -35,19 +34,6 @@ def dance():
 @pytest.fixture(scope="module")
 def wave():
     return canonicalise(make_motion("wave_right", draw_performer(3)))
-
-
-def decode(text, kind):
-    return np.frombuffer(base64.b64decode(text), kind)
-
-
-def positions_of(figure):
-    return decode(figure["positions"], "<i2").reshape(figure["shape"]) / 1000
-
-
-def heading_of(positions):
-    forward = compute_forward(positions)
-    return np.angle((forward[:, 2] + 1j * forward[:, 0]).sum())
 
 
 def turned(positions, angle):

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -101,15 +102,33 @@ def bvh(trained_library: Path) -> Path:
     return next((trained_library.parent / "motions" / "kick_left").glob("*.bvh"))
 
 
-@pytest.fixture
-def studio(library_copy: Path) -> Iterator[Any]:
+def ask_directly(library: Path) -> Iterator[Any]:
     """A client that asks a studio without a network; its headers hold the token. ``.app.state.studio`` is inside."""
     from starlette.testclient import TestClient
 
-    app = create_app(Settings(library_copy, token=TOKEN))
+    app = create_app(Settings(library, token=TOKEN))
     with TestClient(app, "http://127.0.0.1:8765") as client:
         client.headers["authorization"] = f"Bearer {TOKEN}"
         yield client
+
+
+@pytest.fixture
+def studio(library_copy: Path) -> Iterator[Any]:
+    """Such a client, of the trained library."""
+    yield from ask_directly(library_copy)
+
+
+def send(studio: Any, name: str, content: bytes, batch: str | None = None) -> dict[str, Any]:
+    """The answer to an upload."""
+    answer = studio.post("/api/uploads", params={"name": name} | ({"batch": batch} if batch else {}), content=content)
+    assert answer.status_code == 201, answer.text
+    return answer.json()
+
+
+def list_below(folder: Path) -> set[str]:
+    """All names below a folder; one that goes meanwhile is passed over."""
+    walked = os.walk(folder)
+    return {str(Path(root, name).relative_to(folder)) for root, *names in walked for name in chain(*names)}
 
 
 def wait_for(client: Any, job_id: str, seconds: float = PATIENCE) -> dict[str, Any]:

@@ -10,11 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from starlette.testclient import TestClient
 
-from app.studio.conftest import TOKEN, wait_for
+from app.studio.conftest import ask_directly, wait_for
 from app.studio.estimating_scenes import write_scene
-from dousa.app.studio import Settings, create_app
 from dousa.app.studio.content.footage import Footage, FootageWriter
 from dousa.app.studio.core.answers import name_error, pack, say, say_packed
 from dousa.app.studio.jobs.lanes import Context
@@ -37,11 +35,7 @@ def seen(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def client(tmp_path_factory):
     """A studio for all tests of this module, on an empty library."""
-    folder = tmp_path_factory.mktemp("estimating")
-    app = create_app(Settings(folder / "moves.dousa", token=TOKEN))
-    with TestClient(app, "http://127.0.0.1:8765") as made:
-        made.headers["authorization"] = f"Bearer {TOKEN}"
-        yield made
+    yield from ask_directly(tmp_path_factory.mktemp("estimating") / "moves.dousa")
 
 
 def upload(client: Any, *files: tuple[str, bytes]) -> str:

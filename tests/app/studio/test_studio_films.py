@@ -10,12 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from starlette.testclient import TestClient
 
-from app.studio.conftest import TOKEN, wait_for
+from app.studio.conftest import ask_directly, wait_for
 from app.studio.film_scenes import LATE, N_FRAMES, RATE, write_film_scene
 from app.studio.test_studio_estimate import look, look_here, upload
-from dousa.app.studio import Settings, create_app
 from dousa.app.studio.content.film_record import FilmPictures, choose_stride, name_pictures, write_pictures
 from dousa.app.studio.work.films import choose_person, choose_who_places, leave_out, pair_films
 from dousa.app.studio.work.materials import sort_materials
@@ -39,11 +37,7 @@ def scene(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def client(tmp_path_factory):
     """A studio for all tests of this module, on an empty library."""
-    folder = tmp_path_factory.mktemp("studio-of-films")
-    app = create_app(Settings(folder / "moves.dousa", token=TOKEN))
-    with TestClient(app, "http://127.0.0.1:8765") as made:
-        made.headers["authorization"] = f"Bearer {TOKEN}"
-        yield made
+    yield from ask_directly(tmp_path_factory.mktemp("studio-of-films") / "moves.dousa")
 
 
 @pytest.fixture(scope="module")

@@ -3,35 +3,20 @@
 import asyncio
 import io
 import json
-import os
 import socket
 import threading
 import time
 import zipfile
-from itertools import chain
-from pathlib import Path
 
 import pytest
 
-from app.studio.conftest import TOKEN
+from app.studio.conftest import TOKEN, list_below, send
 from dousa.app.studio import Settings
 from dousa.app.studio.core.answers import Gate, RefusedError, status_of
 from dousa.app.studio.jobs import lanes
 from patience import PATIENCE
 
 GOOD = b"HIERARCHY\nROOT Hips\n"
-
-
-def below(folder):
-    """All names below a folder; one that goes meanwhile is passed over."""
-    walked = os.walk(folder)
-    return {str(Path(root, name).relative_to(folder)) for root, *names in walked for name in chain(*names)}
-
-
-def send(studio, name, content, batch=None):
-    answer = studio.post("/api/uploads", params={"name": name} | ({"batch": batch} if batch else {}), content=content)
-    assert answer.status_code == 201, answer.text
-    return answer.json()
 
 
 # --- requests
@@ -153,7 +138,7 @@ def test_an_upload_that_stands_still_is_given_up(caller, tmp_path, monkeypatch):
         assert read_all(stalled) == b""
         assert read_all(going_on).startswith(b"HTTP/1.1 201")
     end = time.monotonic() + PATIENCE  # the connection is closed first
-    while any(name.endswith(".part") for name in below(tmp_path)):
+    while any(name.endswith(".part") for name in list_below(tmp_path)):
         assert time.monotonic() < end
         time.sleep(0.02)
 
@@ -182,13 +167,13 @@ def test_what_is_no_request_gets_an_answer_and_the_studio_lives(caller, request_
 
 def test_an_upload_that_breaks_off_leaves_nothing(caller, tmp_path):
     call, port = caller
-    before = below(tmp_path)
+    before = list_below(tmp_path)
     with call() as broken:
         head = f"POST /api/uploads?name=a.bvh HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nAuthorization: Bearer {TOKEN}"
         broken.sendall(f"{head}\r\nContent-Length: 100000\r\n\r\n".encode() + GOOD)
         time.sleep(0.3)
     for _ in range(1000):
-        left = {name for name in below(tmp_path) - before if not name.endswith(("-wal", "-shm"))}
+        left = {name for name in list_below(tmp_path) - before if not name.endswith(("-wal", "-shm"))}
         if not left:
             break
         time.sleep(0.05)

@@ -12,7 +12,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from app.studio.conftest import TOKEN
+from app.studio.conftest import TOKEN, list_below, send
 from dousa.app.studio import Settings
 from dousa.app.studio.core import uploads
 from dousa.app.studio.core.answers import status_of
@@ -23,10 +23,6 @@ from dousa.motion import CANONICAL_JOINTS
 from patience import PATIENCE
 
 GOOD = b"HIERARCHY\nROOT Hips\n"
-
-
-def below(folder):
-    return {str(path.relative_to(folder)) for path in folder.rglob("*")}
 
 
 def take(rate: float, n_frames: int = 50) -> bytes:
@@ -44,12 +40,6 @@ def take(rate: float, n_frames: int = 50) -> bytes:
     return buffer.getvalue()
 
 
-def send(studio, name, content, batch=None):
-    answer = studio.post("/api/uploads", params={"name": name} | ({"batch": batch} if batch else {}), content=content)
-    assert answer.status_code == 201, answer.text
-    return answer.json()
-
-
 # --- files
 
 
@@ -59,9 +49,9 @@ def test_an_archive_whose_list_is_endless_is_refused(studio, monkeypatch, tmp_pa
     with zipfile.ZipFile(buffer, "w") as packed:
         for number in range(100):
             packed.writestr(f"{number}.bvh", GOOD)
-    before = below(tmp_path)
+    before = list_below(tmp_path)
     assert studio.post("/api/uploads?name=a.zip", content=buffer.getvalue()).status_code == 413
-    assert below(tmp_path) == before
+    assert list_below(tmp_path) == before
 
 
 @pytest.mark.parametrize("suffix", ["mp4", "avi", "mov", "mkv", "webm", "jpg", "bmp", "tif"])
@@ -205,13 +195,13 @@ def test_a_full_disk_is_one_sentence_and_nothing_stays(studio, monkeypatch, tmp_
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as packed:
         packed.writestr("a.bvh", GOOD)
-    before = below(tmp_path)
+    before = list_below(tmp_path)
     monkeypatch.setattr(uploads, "_temporary", full)
     for name, content in (("a.bvh", GOOD), ("a.zip", buffer.getvalue())):
         answer = studio.post(f"/api/uploads?name={name}", content=content)
         assert answer.status_code == 507
         assert "disk is full" in answer.json()["problem"]
-    assert below(tmp_path) == before
+    assert list_below(tmp_path) == before
 
 
 def test_a_full_disk_of_the_library_is_told_as_such():

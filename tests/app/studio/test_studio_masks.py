@@ -4,11 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from starlette.testclient import TestClient
 
-from app.studio.conftest import TOKEN, wait_for
+from app.studio.conftest import ask_directly, wait_for
 from app.studio.estimating_scenes import write_films, write_scene
-from dousa.app.studio import Settings, create_app
 from dousa.estimation import read_cameras, read_silhouettes
 
 pytestmark = pytest.mark.plain_workers
@@ -20,10 +18,7 @@ ERASE = {"view": 0, "frame": AT, "action": "remove", "points": [[70, 104], [125,
 @pytest.fixture(scope="module")
 def client(tmp_path_factory):
     """A studio for all tests of this module, on an empty library."""
-    app = create_app(Settings(tmp_path_factory.mktemp("masks") / "moves.dousa", token=TOKEN))
-    with TestClient(app, "http://127.0.0.1:8765") as made:
-        made.headers["authorization"] = f"Bearer {TOKEN}"
-        yield made
+    yield from ask_directly(tmp_path_factory.mktemp("masks") / "moves.dousa")
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,6 @@ from oracles.wrong_dances import (
     gather_dances,
     get_dance,
     place,
-    shrink_arm,
-    swap_section,
     turn_limb,
 )
 
@@ -47,18 +45,6 @@ def test_a_shift_has_its_lag(lag_s: float) -> None:
     assert finding.severity == pytest.approx(abs(lag_s) / 0.0667, rel=0.1)
 
 
-@pytest.mark.parametrize("side", ["left", "right"])
-@pytest.mark.parametrize("gain", [0.4, 0.65])
-def test_an_arm_that_is_short_is_incomplete(side: str, gain: float) -> None:
-    (finding,) = find(shrink_arm(MOTION, side, gain, 5.0, 8.0))
-    assert finding.kind == "incomplete"
-    assert set(finding.segments) == set(LIMBS[f"{side}_arm"])
-    assert finding.lag_s is None
-    assert finding.shortfall is not None and finding.shortfall_share is not None
-    assert finding.shortfall_share == pytest.approx(1.0 - gain, abs=0.17)
-    assert finding.start == pytest.approx(155, abs=15) and finding.end == pytest.approx(235, abs=15)
-
-
 @pytest.mark.parametrize("limb", list(CHAINS))
 def test_a_limb_that_does_something_else_is_partial(limb: str) -> None:
     (finding,) = find(turn_limb(MOTION, CHAINS[limb], 45.0, 5.0, 7.0))
@@ -66,13 +52,6 @@ def test_a_limb_that_does_something_else_is_partial(limb: str) -> None:
     assert set(finding.segments) <= set(LIMBS[limb])
     assert finding.start == pytest.approx(153, abs=10) and finding.end == pytest.approx(207, abs=10)
     assert 2.0 < finding.severity < 6.0
-
-
-def test_another_section_is_global() -> None:
-    (finding,) = find(swap_section(MOTION, 5.0, 7.0, 13.0))
-    assert finding.kind == "global"
-    assert finding.segments == tuple(range(9))
-    assert finding.start == pytest.approx(152, abs=10) and finding.end == pytest.approx(208, abs=10)
 
 
 def test_nothing_wrong_has_no_explanation() -> None:

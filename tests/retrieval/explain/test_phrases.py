@@ -45,79 +45,31 @@ def test_every_channel_has_words_of_its_own(channel):
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "parts"),
     [
-        (
-            {},
-            "the right hand is higher than usual from 0.4 s to 1.1 s: on average 0.42 body heights above the pelvis "
-            "(most others: less than 0.31)",
-        ),
-        (
-            {"threshold": -0.1},
-            "the right hand is higher than usual from 0.4 s to 1.1 s: on average 0.42 body heights above the pelvis "
-            "(most others: more than 0.10 below it)",
-        ),
-        (
-            {"above": False, "value": -0.2, "threshold": -0.1, "away": 20},
-            "the right hand is lower than in many others from 0.4 s to 1.1 s: on average 0.20 body heights below the "
-            "pelvis (many others: less than 0.10)",
-        ),
-        (
-            {"above": False, "value": -0.2, "threshold": 0.001, "whole": True, "away": 1},
-            "the right hand is lower than in many others over the whole motion: on average 0.20 body heights below "
-            "the pelvis (some others: above it)",
-        ),
-        (
-            {"kind": "spread", "value": 0.2, "threshold": 0.1},
-            "the height of the right hand varies more than usual from 0.4 s to 1.1 s: by 0.20 body heights "
-            "(most others: less than 0.10)",
-        ),
-        (
-            {"kind": "trend", "above": False, "value": -0.3, "threshold": 0.1},
-            "the right hand sinks more than usual from 0.4 s to 1.1 s: by 0.30 body heights "
-            "(most others: more than 0.10 up)",
-        ),
-        (
-            {"kind": "trend", "above": False, "value": 0.1, "threshold": 0.3},
-            "the right hand rises less than usual from 0.4 s to 1.1 s: by 0.10 body heights "
-            "(most others: more than 0.30)",
-        ),
-        (
-            {"channel": Channel("left elbow left of pelvis", "", "body heights"), "value": -0.1, "threshold": -0.2},
-            "the left elbow is farther to the left than usual from 0.4 s to 1.1 s: on average 0.10 body heights to "
-            "the right of the pelvis (most others: more than 0.20)",
-        ),
-        (
-            {"channel": Channel("distance left hand - head", "", "body heights"), "above": False, "value": 0.2},
-            "the left hand and the head are closer together than usual from 0.4 s to 1.1 s: on average 0.20 body "
-            "heights apart (most others: more than 0.31)",
-        ),
-        (
-            {
-                "channel": Channel("trunk leaning forward", "", "radians"),
-                "value": np.radians(20),
-                "threshold": np.radians(-5),
-            },
-            "the trunk leans more forward than usual from 0.4 s to 1.1 s: on average 20 degrees forward "
-            "(most others: more than 5 back)",
-        ),
-        (
-            {"channel": Channel("right hand heading upwards", "", "share of its speed"), "kind": "spread"},
-            "the right hand goes upwards and downwards more than usual from 0.4 s to 1.1 s: by 42 % of its speed "
-            "(most others: less than 31 %)",
-        ),
-        (
-            {"channel": DURATION, "whole": True, "above": False, "value": 1.24, "threshold": 1.61},
-            "the motion is shorter than usual: 1.2 s (most others: more than 1.6)",
-        ),
-        (
-            {"channel": Channel("something new", "", "")},
-            "something new is larger than usual from 0.4 s to 1.1 s: on average 0.42 (most others: less than 0.31)",
-        ),
+        ({}, "is higher than|from 0.4 s to 1.1 s|0.42 body heights above the pelvis (most others: less than 0.31)"),
+        ({"threshold": -0.1}, "higher than|(most others: more than 0.10 below it)"),
+        ({"above": False, "value": -0.2, "threshold": -0.1, "away": 20}, "lower than|below the pelvis (many others:"),
+        ({"above": False, "value": -0.2, "threshold": 0.001, "whole": True, "away": 1},
+         "lower than|over the whole motion|(some others: above it)"),
+        ({"kind": "spread", "value": 0.2, "threshold": 0.1}, "varies more than|0.20 body heights (most others: less"),
+        ({"kind": "trend", "above": False, "value": -0.3, "threshold": 0.1}, "sinks more than|more than 0.10 up)"),
+        ({"kind": "trend", "above": False, "value": 0.1, "threshold": 0.3}, "rises less than|(most others: more than"),
+        ({"channel": Channel("left elbow left of pelvis", "", "body heights"), "value": -0.1, "threshold": -0.2},
+         "farther to the left than|0.10 body heights to the right of the pelvis (most others: more than 0.20)"),
+        ({"channel": Channel("distance left hand - head", "", "body heights"), "above": False, "value": 0.2},
+         "closer together than|body heights apart (most others: more than"),
+        ({"channel": Channel("trunk leaning forward", "", "radians"), "value": np.radians(20), "threshold": -0.0873},
+         "leans more forward than|20 degrees forward (most others: more than 5 back)"),
+        ({"channel": Channel("right hand heading upwards", "", "share of its speed"), "kind": "spread"},
+         "goes upwards and downwards more than|42 % of its speed (most others: less than 31 %)"),
+        ({"channel": DURATION, "whole": True, "above": False, "value": 1.24, "threshold": 1.61}, "shorter than|1.2 s"),
+        ({"channel": Channel("something new", "", "")}, "something new is larger than|0.42 (most others: less"),
     ],
-)
-def test_sentences(changed, said):
-    assert str(say_fact(fact(**changed))) == said
+)  # fmt: skip
+def test_sentences(changed, parts):
+    said = str(say_fact(fact(**changed)))
+    assert all(part in said for part in parts.split("|")), said
 
 
 def test_numbers_that_would_look_the_same_get_one_more_digit():

@@ -21,7 +21,7 @@ from dousa.retrieval.forest.forest_file import pack_arrays
 from dousa.retrieval.takes.label import Segment, TakeLabeller, Timeline, label_take, make_timeline, write_timeline_csv
 from dousa.retrieval.takes.labeller_training import train_labeller
 from dousa.retrieval.takes.labeller_tuning import Answer, calibrate_places, fit_logistic
-from dousa.retrieval.takes.made_takes import JoinedTake, disturb, join_clips, join_with_rests
+from dousa.retrieval.takes.made_takes import JoinedTake, disturb, join_with_rests
 
 
 def true_segments():
@@ -49,12 +49,6 @@ def test_a_timeline_covers_the_take_without_gaps():
     assert [one.category for one in timeline.segments] == [None]  # nothing is sure enough
 
 
-def test_with_a_threshold_of_nothing_nothing_is_unknown():
-    for take in (shown_take(), replace(shown_take(), positions=np.repeat(shown_take().positions[:1], 300, axis=0))):
-        timeline = label_take(learned_labeller(), take, threshold=0.0)
-        assert None not in [one.category for one in timeline.segments]
-
-
 def test_a_rest_between_actions_is_nothing():
     rest = np.repeat(shown_take().positions[:1], 240, axis=0)
     pieces = [make_clip(action, 7).positions for action in ("wave", "bow")]
@@ -68,18 +62,6 @@ def test_the_same_is_said_of_a_noisy_slow_sensor():
     assert noisy.frame_rate < 30 or np.abs(noisy.positions - shown_take().positions).max() > 0
     timeline = label_take(learned_labeller(), noisy)
     assert compare_timeline(timeline.segments, true_segments(), timeline.duration).scores().frame_accuracy > 0.75
-
-
-def test_an_action_never_trained_is_unknown():
-    clips = [clip for clip in make_library(range(5), 3) if clip.category not in ("bow", "kick")]
-    labeller = train_labeller(clips)
-    pieces = [make_clip(action, 7) for action in ("spread", "bow", "wave", "kick", "raise left")]
-    take = join_clips(pieces, np.random.default_rng(3))
-    timeline = label_take(labeller, take)
-    middles = [0.5 * (p.start + p.stop) / 30 for p in take.pieces]
-    said = [timeline.category_at(middle) for middle in middles]
-    assert said[::2] == ["spread", "wave", "raise left"]
-    assert said[1::2].count(None) >= 1
 
 
 @pytest.mark.parametrize("n_frames", [1, 10])
