@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dousa.arrays import Image, Mask
 from dousa.errors import OptionError
-from dousa.estimation.silhouettes.silhouettes import Silhouettes
+from dousa.estimation.silhouettes.silhouettes import Silhouettes, WrappedSilhouettes
 from dousa.messages import Message
 
 if TYPE_CHECKING:
@@ -123,25 +123,7 @@ def parse_frames(text: str | None, n_frames: int, what: Message) -> tuple[int, i
     return start, stop
 
 
-class _WrappedSilhouettes(Silhouettes):
-    """Silhouettes made from others, which have the same views."""
-
-    def __init__(self, inner: Silhouettes) -> None:
-        self.names, self.sizes, self.frame_rate = inner.names, inner.sizes, inner.frame_rate
-        self.n_frames = inner.n_frames
-        self._inner = inner
-
-    @property
-    def warnings(self) -> tuple[Message, ...]:  # type: ignore[override]
-        """Warnings of the source."""
-        return self._inner.warnings
-
-    def close(self) -> None:
-        """Let go of open files."""
-        self._inner.close()
-
-
-class MirroredSilhouettes(_WrappedSilhouettes):
+class MirroredSilhouettes(WrappedSilhouettes):
     """Silhouettes with left and right of every image exchanged."""
 
     def read(self, frame: int) -> tuple[Mask | None, ...]:
@@ -154,7 +136,7 @@ class MirroredSilhouettes(_WrappedSilhouettes):
         return tuple(None if picture is None else np.ascontiguousarray(picture[:, ::-1]) for picture in pictures)
 
 
-class WatchedSilhouettes(_WrappedSilhouettes):
+class WatchedSilhouettes(WrappedSilhouettes):
     """Some frames of silhouettes; counts while reading what spoils an estimate; see `describe`.
 
     Parameters

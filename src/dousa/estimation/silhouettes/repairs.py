@@ -8,16 +8,16 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from dousa.arrays import Image, Mask
+from dousa.arrays import Mask
 from dousa.errors import SilhouetteError
 from dousa.estimation.silhouettes.cleaning import label_pieces
-from dousa.estimation.silhouettes.silhouettes import Silhouettes, checked_frame
+from dousa.estimation.silhouettes.silhouettes import Silhouettes, WrappedSilhouettes, checked_frame
 from dousa.extras import cv2
 from dousa.messages import Message, Progress
 
@@ -66,14 +66,7 @@ class MaskStroke:
     def to_json(self) -> dict[str, Any]:
         """Return plain values for `repair_from_json`."""
         points = [[round(value, 2) for value in point] for point in self.points]
-        return {
-            "kind": "stroke",
-            "view": self.view,
-            "frame": self.frame,
-            "points": points,
-            "radius": self.radius,
-            "adds": self.adds,
-        }
+        return {"kind": "stroke", **asdict(self), "points": points}
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +119,7 @@ def repair_from_json(given: Mapping[str, Any]) -> MaskRepair:
     raise SilhouetteError("mask_repairs.unreadable", found=str(dict(given))[:80])
 
 
-class RepairedSilhouettes(Silhouettes):
+class RepairedSilhouettes(WrappedSilhouettes):
     """Silhouettes with repairs, applied in order as frames are read.
 
     Raises
@@ -135,28 +128,21 @@ class RepairedSilhouettes(Silhouettes):
     """
 
     def __init__(self, source: Silhouettes, repairs: Sequence[MaskRepair]) -> None:
-        self._source = source
+        super().__init__(source)
         self._repairs: dict[tuple[int, int], list[MaskRepair]] = defaultdict(list)
-        self.names, self.sizes = source.names, source.sizes
-        self.n_frames, self.frame_rate = source.n_frames, source.frame_rate
         for repair in repairs:
             _check_view(source, repair.view)
             for frame in repair.frames:
                 self._repairs[repair.view, checked_frame(frame, self.n_frames)].append(repair)
 
-    @property
-    def warnings(self) -> tuple[Message, ...]:  # type: ignore[override]
-        """The warnings of the source."""
-        return self._source.warnings
-
     def read(self, frame: int) -> tuple[Mask | None, ...]:
         """Return the repaired masks (height, width) of all views in one frame; None where a view has no image."""
-        return tuple(self._repair(view, frame, mask) for view, mask in enumerate(self._source.read(frame)))
+        return tuple(self._repair(view, frame, mask) for view, mask in enumerate(self._inner.read(frame)))
 
     def read_view(self, view: int, frame: int) -> Mask | None:
         """Return the mask of one view."""
-        _check_view(self._source, view)
-        return self._repair(view, frame, self._source.read_view(view, frame))
+        _check_view(self._inner, view)
+        return self._repair(view, frame, self._inner.read_view(view, frame))
 
     def _repair(self, view: int, frame: int, mask: Mask | None) -> Mask | None:
         repairs = self._repairs.get((view, frame), ())
@@ -166,14 +152,6 @@ class RepairedSilhouettes(Silhouettes):
         for repair in repairs:
             repair.apply(mask, frame)
         return mask
-
-    def look(self, frame: int) -> tuple[Image | None, ...]:
-        """Return the images behind the masks."""
-        return self._source.look(frame)
-
-    def close(self) -> None:
-        """Close open files."""
-        self._source.close()
 
 
 def _check_view(silhouettes: Silhouettes, view: int) -> None:

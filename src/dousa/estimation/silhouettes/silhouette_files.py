@@ -51,8 +51,7 @@ def open_silhouettes(
     sources : one npz file with all views (see `mask_npz`); or per view an npz file, a folder of mask images, or a
         video; a folder of such folders stands for them all.
     backgrounds : of videos, an image of the empty scene per view, in the order of the views.
-    method : background of videos: ``"plate"``, ``"median"`` or ``"mog2"``; plate by default with ``backgrounds``, else
-        median.
+    method : background of videos: ``"plate"`` (by default with ``backgrounds``), ``"median"`` (without) or ``"mog2"``.
     kind : ``"mask"`` or ``"video"``, the content of videos; by default recognised from their frames.
     frame_rate : Hz of sources without a (correct) frame rate.
     sizes : (V,) width and height of the masks, such as those of the (scaled) cameras; or one for all. By default
@@ -71,28 +70,23 @@ def open_silhouettes(
     if not paths:
         raise SilhouetteError("mask_files.no_source")
     places = _list_places(paths)
-    if len(places) > 1 and any(what == "npz" for _, what in places):
-        packed = [read_silhouettes(path) for path, what in places if what == "npz"]
-        if any(source.n_views > 1 for source in packed):
-            raise SilhouetteError("mask_files.alone").at(places[0][0])
-    single = places[0][1] == "npz" and len(places) == 1
-    source = read_silhouettes(places[0][0], frame_rate) if single else None
-    n_views = len(places) if source is None else source.n_views
-    wanted = _per_view(sizes, n_views)
-    method, plates = _plates(method, backgrounds, places, n_views)
+    packed = [read_silhouettes(path, frame_rate) if what == "npz" else None for path, what in places]
+    n_views = [1 if source is None else source.n_views for source in packed]
+    if len(places) > 1 and max(n_views) > 1:
+        raise SilhouetteError("mask_files.alone").at(places[0][0])
+    wanted = _per_view(sizes, sum(n_views))
+    method, plates = _plates(method, backgrounds, places, sum(n_views))
     views: list[View] = []
     try:
-        if source is not None:
-            views += [_ViewOf(source, view, wanted[view]) for view in range(n_views)]
-        for view, (path, what) in enumerate(places if source is None else ()):
-            size = wanted[view]
-            if what == "folder":
-                views.append(MaskFolder(path, frame_rate, size))
-            elif what == "npz":
-                views.append(_ViewOf(read_silhouettes(path, frame_rate), 0, size))
-            else:
-                plate = plates[view]
-                views.append(open_video(path, kind, method, plate, frame_rate, size, progress, longest_side))
+        for (path, what), source, count in zip(places, packed, n_views, strict=True):
+            for view in range(count):
+                size, plate = wanted[len(views)], plates[len(views)]
+                if source is not None:
+                    views.append(_ViewOf(source, view, size))
+                elif what == "folder":
+                    views.append(MaskFolder(path, frame_rate, size))
+                else:
+                    views.append(open_video(path, kind, method, plate, frame_rate, size, progress, longest_side))
         return synchronise(views, None, offsets, frames)
     except BaseException:
         for opened in views:

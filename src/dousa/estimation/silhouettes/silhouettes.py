@@ -6,7 +6,6 @@ import math
 import operator
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
-from types import TracebackType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -70,10 +69,30 @@ class Silhouettes(ABC):
     def __enter__(self) -> Silhouettes:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
+
+
+class WrappedSilhouettes(Silhouettes):
+    """Silhouettes made from others, which have the same views."""
+
+    def __init__(self, inner: Silhouettes) -> None:
+        self.names, self.sizes = inner.names, inner.sizes
+        self.n_frames, self.frame_rate = inner.n_frames, inner.frame_rate
+        self._inner = inner
+
+    @property
+    def warnings(self) -> tuple[Message, ...]:  # type: ignore[override]
+        """The warnings of the source."""
+        return self._inner.warnings
+
+    def look(self, frame: int) -> tuple[Image | None, ...]:
+        """Return the images behind the masks."""
+        return self._inner.look(frame)
+
+    def close(self) -> None:
+        """Close open files."""
+        self._inner.close()
 
 
 def checked_frame(frame: int, n_frames: int) -> int:

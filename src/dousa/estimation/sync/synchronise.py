@@ -119,7 +119,7 @@ def sync(
     if not is_sure or (best.spreads > largest_spread).any():
         worst = names[int(np.argmax(best.spreads))]
         return _by_sound_only(by_sound, heard, CalibrationError("sync.no_time", films=names, film=worst))
-    return _answer(best, start, other, by_sound, heard, names)
+    return _answer(best, start, other, by_sound, names)
 
 
 def _make_tracks(view: ViewKeypoints, points: Sequence[str], camera: Camera, most_people: int = 3) -> list[Track]:
@@ -322,7 +322,6 @@ def _answer(
     start: _Start,
     other: TimedRig | None,
     by_sound: FloatArray,
-    heard: bool,
     names: Sequence[str],
     differs: float = 0.06,
 ) -> Synchronisation:
