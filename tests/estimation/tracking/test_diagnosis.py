@@ -130,7 +130,7 @@ def test_notes_are_taken_up_where_they_were_left():
     diagnosis, other = make_diagnosis(setup), make_diagnosis(setup)
     for _ in range(2):
         diagnosis.write(pose, frame)
-    other.load(*diagnosis.arrays())
+    other.load(diagnosis.arrays())
     other.write(pose, frame)
     diagnosis.write(pose, frame)
     for one, same in zip(diagnosis.arrays(), other.arrays(), strict=True):

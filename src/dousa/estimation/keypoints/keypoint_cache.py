@@ -269,7 +269,7 @@ def _write_masks(folder: Path, n_frames: int, sightings: NDArray[np.void], peopl
             seen = sightings[row]
             if masks is not None:
                 masks[person, seen["frame"]] = seen["mask"]
-            crop = PersonCrop(*(float(value) for value in seen["crop"]))
+            crop = PersonCrop(*seen["crop"].tolist())
             crops[person, seen["frame"]] = crop.matrix(shape[2])
     if masks is not None:
         masks.flush()

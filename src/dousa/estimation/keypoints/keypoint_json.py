@@ -11,8 +11,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -62,22 +61,14 @@ _SCORE_KEYS = ("keypoint_scores", "scores")
 _NUMBER_KEYS = ("person_id", "track_id", "idx")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ReadPerson:
-    """One person in one frame.
-
-    Parameters
-    ----------
-    points : (K, 3) x, y, confidence.
-    number : of the person in the file; None if absent.
-    """
+class ReadPerson(NamedTuple):
+    """One person in one frame: points (K, 3), x, y and confidence, and the person's number in the file, if any."""
 
     points: FloatArray
     number: int | None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ReadFrames:
+class ReadFrames(NamedTuple):
     """The people of every frame (T,), and the size of the images in px if the file has it."""
 
     frames: list[list[ReadPerson]]

@@ -125,8 +125,10 @@ class PeopleFollower:
             stretch, middle = int(row["stretch"]), measure_middle(row["points"])
             known = before.pop(stretch, None)
             speed = np.zeros(2) if known is None else middle - known.middle
-            mask = (np.unpackbits(row["mask"], axis=1).astype(bool), _to_crop(row["crop"]))
-            self._followed.append(_Followed(stretch, frame, _to_crop(row["next_crop"]), middle, speed, mask))
+            mask = (np.unpackbits(row["mask"], axis=1).astype(bool), PersonCrop(*row["crop"].tolist()))
+            self._followed.append(
+                _Followed(stretch, frame, PersonCrop(*row["next_crop"].tolist()), middle, speed, mask)
+            )
         self._lost = [one for one in (*self._lost, *before.values()) if frame - one.frame < self._lost_for]
 
     def see(self, frame: int, picture: Image) -> NDArray[np.void]:
@@ -239,18 +241,9 @@ def measure_middle(points: NDArray[np.floating[Any]]) -> FloatArray:
 def _fill(row: np.void | NDArray[np.void], frame: int, stretch: int, landmarks: Landmarks) -> None:
     row["frame"], row["stretch"], row["score"] = frame, stretch, landmarks.score
     row["points"], row["visibility"], row["world"] = landmarks.points, landmarks.visibility, landmarks.world
-    row["crop"] = _to_row(landmarks.crop)
-    row["next_crop"] = np.nan if landmarks.next_crop is None else _to_row(landmarks.next_crop)
+    row["crop"], row["next_crop"] = landmarks.crop, landmarks.next_crop or np.nan
     row["colours"] = count_colours(landmarks.colours, landmarks.mask)
     row["mask"] = np.packbits(landmarks.mask, axis=1)
-
-
-def _to_crop(row: NDArray[np.float64]) -> PersonCrop:
-    return PersonCrop(*(float(value) for value in row))
-
-
-def _to_row(crop: PersonCrop) -> Sequence[float]:
-    return crop.x, crop.y, crop.size, crop.angle
 
 
 def count_colours(colours: Image, mask: NDArray[np.bool_], step: int = 4) -> FloatArray:

@@ -13,7 +13,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +36,7 @@ Part = tuple[int, int, int, int]
 """Left, top, width and height of a part of a picture, in px."""
 
 
-@dataclass(frozen=True, slots=True)
-class PersonCrop:
+class PersonCrop(NamedTuple):
     """A turned square of the image with a person in it.
 
     Parameters

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,8 +16,7 @@ from dousa.estimation.body.kinematics import compute_points, pose_difference, st
 from dousa.estimation.tracking.search_setup import Frame, SearchSetup
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Track:
+class _Track(NamedTuple):
     score: float
     pose: FloatArray
     velocity: FloatArray
@@ -100,7 +99,7 @@ class Beam:
         revisited = self._map(self._revisit, [(*found, frame) for found in kept])
         tracks = sorted(revisited, key=lambda track: -track.score)
         best = tracks[0].score
-        self._tracks = [replace(track, score=track.score - best) for track in tracks]
+        self._tracks = [track._replace(score=track.score - best) for track in tracks]
         self._pending.append((self._tracks, frame))
 
     @property
@@ -143,7 +142,7 @@ class Beam:
         for number, (tracks, frame) in enumerate(self._pending):
             kept = [i for i, track in enumerate(tracks) if track.parent in alive]
             places = {old: new for new, old in enumerate(sorted(alive))}
-            kept_tracks = [replace(tracks[i], parent=places[tracks[i].parent]) for i in kept]
+            kept_tracks = [tracks[i]._replace(parent=places[tracks[i].parent]) for i in kept]
             self._pending[number] = (kept_tracks, frame)
             alive = set(kept)
         if self._pending:

@@ -8,7 +8,6 @@ unnoticed. Pixels within a narrow rim of the outline do not count, as bodies and
 from __future__ import annotations
 
 from concurrent.futures import Executor, Future
-from dataclasses import dataclass
 from math import erf
 from typing import NamedTuple
 
@@ -145,8 +144,7 @@ def _average(values: FloatArray, known: BoolArray, reach: int) -> FloatArray:
     return np.asarray(np.stack(columns, axis=1) / np.maximum(count, 1.0)[:, None])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Note:
+class Note(NamedTuple):
     """The measurements of one pose.
 
     Parameters
@@ -224,8 +222,8 @@ class Diagnosis:
 
     def judge(self) -> Doubt:
         """Compute the doubt of all noted poses."""
-        _, widths, _, patches = self.arrays()
-        return self._model.judge(patches, widths)
+        notes = self.arrays()
+        return self._model.judge(notes.patches, notes.widths)
 
     def _measure_spread(self, pose: FloatArray, frame: Frame) -> FloatArray:
         """Compute how far (P + K,) m each point moves while the image score stays nearly the same.
@@ -250,20 +248,19 @@ class Diagnosis:
         away = np.linalg.norm(points[1:] - points[0], axis=-1)
         return np.asarray(np.sqrt((away * away).sum(axis=0)))
 
-    def arrays(self) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], FloatArray]:
-        """Return overlap (T, V), widths (T, P + K) m, hidden parts (T, P), and patches and overhang (T, 2)."""
+    def arrays(self) -> Note:
+        """Return all notes, with the frames (T,) along the first axis of each array."""
         self.finish()
-        body, n_views, notes = self.setup.body, len(self.setup.cameras), [_await(note) for note in self._notes]
-        return (
-            np.array([note.overlap for note in notes]).reshape(-1, n_views),
-            np.array([note.widths for note in notes]).reshape(-1, body.n_parts + len(body.tips)),
-            np.array([note.occluded for note in notes], np.bool_).reshape(-1, body.n_parts),
-            np.array([note.patches for note in notes]).reshape(-1, 2),
-        )
+        body = self.setup.body
+        sizes = (len(self.setup.cameras), body.n_parts + len(body.tips), body.n_parts, 2)
+        columns = zip(*map(_await, self._notes), strict=True) if self._notes else [()] * 4
+        kinds = (np.float64, np.float64, np.bool_, np.float64)
+        return Note(*(np.array(column, kind).reshape(-1, size)
+                      for column, kind, size in zip(columns, kinds, sizes, strict=True)))  # fmt: skip
 
-    def load(self, overlap: FloatArray, widths: FloatArray, occluded: NDArray[np.bool_], patches: FloatArray) -> None:
-        """Load the notes of an earlier run."""
-        self._notes = [Note(*row) for row in zip(overlap, widths, occluded, patches, strict=True)]
+    def load(self, notes: Note) -> None:
+        """Load the notes of an earlier run, as `arrays` returns them."""
+        self._notes = [Note(*row) for row in zip(*notes, strict=True)]
 
 
 @inlined

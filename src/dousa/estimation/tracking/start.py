@@ -36,6 +36,7 @@ from dousa.estimation.tracking.settings import TrackerSettings
 from dousa.messages import Message
 from dousa.motion import CANONICAL_JOINTS, canonicalise
 from dousa.motion import rotations as rot
+from dousa.motion.canonical.joints import JOINT_INDEX, MIRRORED_JOINTS
 
 
 def is_person(body: BodyModel) -> bool:
@@ -82,12 +83,16 @@ def _person_poses(body: BodyModel) -> FloatArray:
     return np.array(poses)
 
 
+def _canonical_points(body: BodyModel, pose: FloatArray) -> FloatArray:
+    names = point_names(body)
+    return np.asarray(compute_points(body, pose)[[names.index(name) for name in CANONICAL_JOINTS]])
+
+
 def _raise_arms(body: BodyModel, standing: FloatArray, height: float) -> FloatArray:
     """Return canonical points of standing with both arms stretched to the sides or, with ``height``, up."""
-    names = point_names(body)
-    points = compute_points(body, standing)[[names.index(name) for name in CANONICAL_JOINTS]]
+    points = _canonical_points(body, standing)
     for side, sign in (("left", 1.0), ("right", -1.0)):
-        rows = [CANONICAL_JOINTS.index(f"{side}_{joint}") for joint in ("shoulder", "elbow", "wrist", "hand")]
+        rows = [JOINT_INDEX[f"{side}_{joint}"] for joint in ("shoulder", "elbow", "wrist", "hand")]
         way = np.array([sign * np.sqrt(1.0 - height * height), height, 0.0])
         for above, below in pairwise(rows):
             length = np.linalg.norm(points[below] - points[above])
@@ -100,9 +105,7 @@ def _crouch(body: BodyModel, standing: FloatArray, reach: float, height: float =
 
     The hips are ``height`` statures above the ankles.
     """
-    names = point_names(body)
-    points = compute_points(body, standing)[[names.index(name) for name in CANONICAL_JOINTS]]
-    place = {name: row for row, name in enumerate(CANONICAL_JOINTS)}
+    points, place = _canonical_points(body, standing), JOINT_INDEX
     down = points[place["left_hip"], 1] - points[place["left_ankle"], 1] - height * body.stature
     legs = {place[side + joint] for side in ("left_", "right_") for joint in ("knee", "ankle", "toe")}
     above = [row for row in range(len(points)) if row not in legs]
@@ -129,24 +132,12 @@ def _natural_points(count: int = 56, rate: float = 3.0) -> tuple[float, FloatArr
 
     performer = Performer()
     points = np.concatenate([canonicalise(make_motion(name, performer, 0, rate)).positions for name in CATEGORIES])
-    points = np.concatenate((points, _mirror(points)))
-    left, right = (CANONICAL_JOINTS.index(name) for name in ("left_hip", "right_hip"))
-    across = points[:, left] - points[:, right]
+    points = np.concatenate((points, points[:, MIRRORED_JOINTS] * (-1.0, 1.0, 1.0)))
+    across = points[:, JOINT_INDEX["left_hip"]] - points[:, JOINT_INDEX["right_hip"]]
     yaw = np.arctan2(-across[:, 2], across[:, 0])
     turned = rot.rotate(rot.from_axis_angle(np.stack((0 * yaw, -yaw, 0 * yaw), axis=-1))[:, None], points)
     turned -= turned[:, :1] * (1.0, 0.0, 1.0)
     return performer.stature, np.asarray(turned[_spread_out(turned, count)])
-
-
-def _mirror(points: FloatArray) -> FloatArray:
-    swapped = [CANONICAL_JOINTS.index(_other_side(name)) for name in CANONICAL_JOINTS]
-    return points[:, swapped] * (-1.0, 1.0, 1.0)
-
-
-def _other_side(name: str) -> str:
-    if name.startswith("left_"):
-        return "right_" + name[5:]
-    return "left_" + name[6:] if name.startswith("right_") else name
 
 
 def _spread_out(points: FloatArray, count: int) -> IndexArray:
@@ -200,9 +191,8 @@ def mirror_twins(body: BodyModel, pose: FloatArray, towards: FloatArray) -> list
     The first has the joints in place with left and right names exchanged, so that the body faces the other way; the
     second has them mirrored along ``towards``, the unit vector (3,) of the view, the same to one distant camera.
     """
-    names = point_names(body)
-    points = compute_points(body, pose)[[names.index(name) for name in CANONICAL_JOINTS]]
-    swapped = points[[CANONICAL_JOINTS.index(_other_side(name)) for name in CANONICAL_JOINTS]]
+    points = _canonical_points(body, pose)
+    swapped = points[list(MIRRORED_JOINTS)]
     depths = (swapped - points[0]) @ towards
     mirrored = swapped - 2.0 * depths[:, None] * towards
     return [lead_pose(body, _turn_feet(swapped)), lead_pose(body, mirrored)]
@@ -212,7 +202,7 @@ def _turn_feet(points: FloatArray) -> FloatArray:
     """Point the toes of a turned body the new way."""
     turned = points.copy()
     for side in ("left", "right"):
-        ankle, toe = (CANONICAL_JOINTS.index(f"{side}_{joint}") for joint in ("ankle", "toe"))
+        ankle, toe = JOINT_INDEX[f"{side}_ankle"], JOINT_INDEX[f"{side}_toe"]
         turned[toe] = points[ankle] - (points[toe] - points[ankle]) * (1.0, -1.0, 1.0)
     return turned
 

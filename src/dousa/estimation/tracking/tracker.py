@@ -266,7 +266,7 @@ class _Job:
         self.area, self.usual = float(partial.area), float(partial.usual)
         self.usual_patches = float(partial.usual_patches)
         self._set_up()
-        self.diagnosis.load(partial.overlap, partial.widths, partial.occluded, partial.patches)
+        self.diagnosis.load(Note(partial.overlap, partial.widths, partial.occluded, partial.patches))
         self.poses = list(partial.poses)
         self.restarts = [int(frame) for frame in partial.restarts]
         self._start_beam(partial.beam_poses[0])
@@ -360,13 +360,9 @@ class _Job:
 
     def _save(self) -> PartialTrack:
         state = self.beam.save()
-        overlap, widths, occluded, patches = self.diagnosis.arrays()
         return PartialTrack(
             poses=np.array(self.poses).reshape(-1, 7 + self.body.n_angles),
-            overlap=overlap,
-            widths=widths,
-            occluded=occluded,
-            patches=patches,
+            **self.diagnosis.arrays()._asdict(),
             restarts=np.array(self.restarts, np.int64),
             spheres=self.body.spheres,
             **{name: getattr(self, name) for name in ("first", "usual", "usual_patches", "area", "poor", "unseen")},
@@ -380,8 +376,7 @@ class _Job:
     def finish(self) -> Estimate:
         """Smooth the poses and return the estimate."""
         rate = self.silhouettes.frame_rate
-        overlap, _, occluded, _ = self.diagnosis.arrays()
-        doubt = self.diagnosis.judge()
+        notes, doubt = self.diagnosis.arrays(), self.diagnosis.judge()
         poses = np.array(self.poses)
         if self.settings.smoothing > 0:
             poses = smooth_poses(poses, rate, self.settings.smoothing, breaks=self.restarts)
@@ -389,9 +384,9 @@ class _Job:
             body=self.body,
             poses=poses,
             frame_rate=rate,
-            iou=overlap,
+            iou=notes.overlap,
             uncertainty=doubt.errors,
-            occluded=occluded,
+            occluded=notes.occluded,
             lost=doubt.lost,
             warnings=tuple(self._describe(doubt.lost)),
             frames_per_second=(self.at - self.began) / max(self.seconds, 1e-9),
