@@ -63,11 +63,10 @@ class Camera:
             if not 1 <= size <= 100_000:
                 raise CalibrationError("camera.side", camera=self.name, side=field, found=size)
             set_field(self, field, size)
-        distortion = np.zeros(5) if self.distortion is None else self.distortion
-        set_field(self, "matrix", self._checked(self.matrix, (3, 3), "matrix"))
-        set_field(self, "rotation", self._checked(self.rotation, (3, 3), "rotation"))
-        set_field(self, "translation", self._checked(self.translation, (3,), "translation"))
-        set_field(self, "distortion", self._checked(distortion, (5,), "distortion"))
+        if self.distortion is None:
+            set_field(self, "distortion", np.zeros(5))
+        for field, shape in {"matrix": (3, 3), "rotation": (3, 3), "translation": (3,), "distortion": (5,)}.items():
+            set_field(self, field, self._checked(getattr(self, field), shape, field))
         if not (self.matrix[0, 0] > 0 and self.matrix[1, 1] > 0):
             raise CalibrationError("camera.focal", camera=self.name, x=self.matrix[0, 0], y=self.matrix[1, 1])
         off = np.abs(self.rotation @ self.rotation.T - np.eye(3)).max()
@@ -352,9 +351,9 @@ def fit_cameras(
         ratio = (width / camera.width) / (height / camera.height)
         if max(ratio, 1.0 / ratio) > 1.0 + stretch:
             turned = (width > height) != (camera.width > camera.height) and camera.width != camera.height
-            names = {"camera": camera.name, "size": format_size(camera.size)}
-            names["other"] = format_size((width, height))
-            notes.append(Message("camera.turned" if turned else "camera.cropped", **names))
+            own, other = format_size(camera.size), format_size((width, height))
+            code = "camera.turned" if turned else "camera.cropped"
+            notes.append(Message(code, camera=camera.name, size=own, other=other))
     return tuple(fitted), tuple(notes)
 
 
@@ -398,12 +397,10 @@ def find_views(cameras: Sequence[str], names: Sequence[str]) -> list[int]:
     for name in names:
         found = _find(cameras, name)
         if len(found) != 1:
+            if not found:
+                raise CalibrationError("camera.none_for_view", view=name, cameras=cameras)
             several = tuple(cameras[index] for index in found)
-            raise (
-                CalibrationError("camera.several_for_view", view=name, found=several, cameras=cameras)
-                if found
-                else CalibrationError("camera.none_for_view", view=name, cameras=cameras)
-            )
+            raise CalibrationError("camera.several_for_view", view=name, found=several, cameras=cameras)
         picked.append(found[0])
     if len(set(picked)) != len(picked):
         raise CalibrationError("camera.shared", views=names, cameras=cameras)

@@ -9,9 +9,8 @@ import os
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
-from types import TracebackType
-from typing import Any, Self
+from contextlib import ExitStack, contextmanager
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ Frame = tuple[int, float, Image]
 """Number, s since the first frame, picture (H, W, 3)."""
 
 
-class FilmFrames:
+class FilmFrames(ExitStack):
     """A film read once from beginning to end.
 
     ``size`` is width and height in px, upright; ``n_stated`` the number of frames in the header, 0 if absent;
@@ -44,6 +43,7 @@ class FilmFrames:
     def __init__(
         self, path: str | os.PathLike[str], *, usual_rate: float = 30.0, most_pixels: int = 100_000_000
     ) -> None:
+        super().__init__()
         self.path = os.fspath(path)
         self.n_damaged = 0
         if not os.path.exists(path):
@@ -59,6 +59,7 @@ class FilmFrames:
         except (self._av.error.FFmpegError, OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)[:200]  # not the log of FFmpeg
             raise KeypointError("keypoint_film.unreadable", reason=reason).at(path) from error
+        self.callback(self._container.close)
         streams = self._container.streams.video
         if not streams:
             self.close()
@@ -138,18 +139,6 @@ class FilmFrames:
             raise KeypointError("keypoint_film.size_changes", frame=frame).at(self.path)
         picture = np.asarray(decoded.to_ndarray(format="rgb24"), np.uint8)
         return np.ascontiguousarray(np.rot90(picture, self._turns)) if self._turns else picture
-
-    def close(self) -> None:
-        """Close the file."""
-        self._container.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 @contextmanager

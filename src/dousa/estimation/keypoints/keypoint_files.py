@@ -40,15 +40,12 @@ def write_keypoints(path: str | os.PathLike[str], keypoints: ViewKeypoints, *, m
     shape = (len(people), keypoints.n_frames, len(keypoints.names))
     arrays: dict[str, NDArray[np.generic]] = {
         "names": np.array(keypoints.names),
-        "points": np.zeros((*shape, 2), np.float32),
-        "visibility": np.zeros(shape, np.float32),
+        "points": np.array([person.points for person in people], np.float32).reshape(*shape, 2),
+        "visibility": np.array([person.visibility for person in people], np.float32).reshape(shape),
         "times": keypoints.times,
         "size": np.array(keypoints.size, np.int64),
         "source": np.array([keypoints.source]),
     }
-    if people:
-        arrays["points"] = np.stack([person.points for person in people]).astype(np.float32)
-        arrays["visibility"] = np.stack([person.visibility for person in people]).astype(np.float32)
     if any(person.world is not None for person in people):
         unknown = np.full((*shape[1:], 3), np.nan)
         worlds = [unknown if person.world is None else person.world for person in people]

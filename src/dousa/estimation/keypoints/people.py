@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -269,15 +269,8 @@ def count_colours(colours: Image, mask: NDArray[np.bool_], step: int = 4) -> Flo
     return shares
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Piece:
-    """A part of a stretch that is of one person.
-
-    Parameters
-    ----------
-    rows : places among the sightings, rising in time.
-    stretch : the number of the stretch.
-    """
+class Piece(NamedTuple):
+    """A part of a stretch that is of one person: places among the sightings, rising in time, and its stretch."""
 
     rows: IntArray
     stretch: int

@@ -75,25 +75,30 @@ def shrink_views(
     return small, [None if mask is None else shrink_mask(mask, camera.size) for mask, camera in pairs]
 
 
-def _trace(pairs: Sequence[tuple[Camera, Outline]]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return lines of sight through the centres of gravity: origins, directions, projections across them (V, 3, 3)."""
-    rays = [camera.compute_rays(found.centre) for camera, found in pairs]
-    origins, ways = np.array([ray[0] for ray in rays]), np.array([ray[1] for ray in rays])
-    return origins, ways, np.eye(3) - ways[:, :, None] * ways[:, None, :]
+def project_across(ways: FloatArray) -> FloatArray:
+    """Return the projections (N, 3, 3) across directions (N, 3)."""
+    return np.asarray(np.eye(3) - ways[:, :, None] * ways[:, None, :])
 
 
-def do_meet(across: FloatArray, least: float = 0.02) -> bool:
-    """Return whether lines, given by projections (N, 3, 3) across them, are far enough from parallel to meet.
+def _trace(pairs: Sequence[tuple[Camera, Outline]]) -> tuple[FloatArray, FloatArray]:
+    """Return origins and directions (V, 3) of the lines of sight through the centres of gravity."""
+    origins, ways = zip(*(camera.compute_rays(found.centre) for camera, found in pairs), strict=True)
+    return np.array(origins), np.array(ways)
 
-    ``least`` is the least eigenvalue of their mean, 0 for parallel lines: 0.02 is some 16 degrees between two.
+
+def do_meet(ways: FloatArray, least: float = 0.02) -> bool:
+    """Return whether lines of these directions (N, 3) are far enough from parallel to meet.
+
+    ``least`` is the least eigenvalue of the mean projection across them, 0 for parallel lines: 0.02 is some 16 degrees
+    between two.
     """
-    return bool(np.linalg.eigvalsh(across.sum(axis=0))[0] > least * len(across))
+    return bool(np.linalg.eigvalsh(project_across(ways).sum(axis=0))[0] > least * len(ways))
 
 
 def lines_meet(cameras: Sequence[Camera], outlines: Sequence[Outline | None]) -> bool:
     """Return whether the views that see a person look from different enough directions to determine distance."""
     pairs = [(camera, found) for camera, found in zip(cameras, outlines, strict=True) if found is not None]
-    return do_meet(_trace(pairs)[2])
+    return do_meet(_trace(pairs)[1])
 
 
 def guess_place(
@@ -105,9 +110,9 @@ def guess_place(
     from nearly one side, at the depth where the silhouettes are ``tall`` statures high.
     """
     pairs = [(camera, found) for camera, found in zip(cameras, outlines, strict=True) if found is not None]
-    origins, ways, across = _trace(pairs)
-    weights = np.ones(len(pairs))
-    if do_meet(across):
+    origins, ways = _trace(pairs)
+    weights, across = np.ones(len(pairs)), project_across(ways)
+    if do_meet(ways):
         for _ in range(steps):
             normal = (weights[:, None, None] * across).sum(axis=0)
             place = np.linalg.solve(normal, (weights[:, None] * (across @ origins[:, :, None])[..., 0]).sum(axis=0))

@@ -148,13 +148,11 @@ class SearchSetup:
 
 def _list_subtrees(parents: NDArray[np.intp]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the parts below each part, itself first, concatenated, and the start of each list."""
-    lists: list[list[int]] = []
-    for part in range(len(parents)):
-        below = [part]
-        for other in range(part + 1, len(parents)):
+    lists: list[list[int]] = [[part] for part in range(len(parents))]
+    for below in lists:
+        for other in range(below[0] + 1, len(parents)):
             if parents[other] in below:
                 below.append(other)
-        lists.append(below)
     starts = np.concatenate(([0], np.cumsum([len(below) for below in lists])))
     return np.concatenate(lists).astype(np.int64), starts.astype(np.int64)
 

@@ -247,8 +247,7 @@ class _Job:
     def _set_up(self) -> None:
         self.shrinker = Shrinker(self.cameras, self.area, self.settings.height)
         self.setup = self._make_setup(self.settings)
-        ways = np.array([camera.rotation[2] for camera in self.cameras])
-        meet = do_meet(np.eye(3) - ways[:, :, None] * ways[:, None, :])
+        meet = do_meet(np.array([camera.rotation[2] for camera in self.cameras]))
         self.diagnosis = Diagnosis(self.setup, self.area * self.shrinker.area_share, meet)
 
     def _make_setup(self, settings: TrackerSettings) -> SearchSetup:
