@@ -235,7 +235,8 @@ class Adding:
         self._tally["n_segments"].append(changes.n_segments)
         self._tally["n_learned"].append(changes.n_learned)
         self._tally["new_categories"] += changes.new_categories
-        self._leave_out_tables(labels)
+        # Tables that were read are none of the files that no reader accepts.
+        self._leave_out({os.path.abspath(own.file.path) for own in labels.values()})
 
     def _find_clips(self, labels: Mapping[str, FoundLabels], takes: set[str]) -> Iterator[tuple[str, Message]]:
         """Return files with tables that are in the library as clips, so that the labels have no take."""
@@ -245,10 +246,6 @@ class Adding:
             clip = first.get(path, path)
             if clip not in takes and path not in skipped:
                 yield path, Message("annotations.of_clip", table=own.file.path, clip=clip)
-
-    def _leave_out_tables(self, labels: Mapping[str, FoundLabels]) -> None:
-        """Remove tables that were read from the files that no reader accepts."""
-        self._leave_out({os.path.abspath(own.file.path) for own in labels.values()})
 
     def _find_skeletons(self) -> set[str]:
         found: set[str] = set()
@@ -424,16 +421,11 @@ class Adding:
             kind = record.row["kind"] if row is None else row.kind
             fresh.append(replace(record, row={**record.row, **labels, "kind": kind}))
             (tally["added"] if row is None else tally["replaced"]).append(record.path)
-            doubts = (*map(schema.as_message, record.row["warnings"]), *self._missing(labels))
+            missing = [name for name, rule in self._rules.items() if labels[name] is None and rule is not no_label]
+            doubts = (*map(schema.as_message, record.row["warnings"]), *map(_NO_LABEL.__getitem__, missing))
             tally["warnings"] += [(record.path, text) for text in doubts]
         elif isinstance(record, Skipped):
             tally["skipped"].append(record)
-
-    def _missing(self, labels: Labels) -> Iterator[Message]:
-        """Yield a message for each given rule that found no label."""
-        for name, rule in self._rules.items():
-            if labels[name] is None and rule is not no_label:
-                yield _NO_LABEL[name]
 
     def _choose_labels(self, path: str, row: Any) -> Labels:
         """Return labels of a new clip; a clip whose file changed keeps its own."""

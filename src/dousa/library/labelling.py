@@ -69,8 +69,8 @@ class Labellers:
         from dousa.retrieval.takes.label import label_take
 
         check_single(take)
-        stored = self._load()
         with self._database.reading() as connection:
+            stored = self._forests.load(connection)
             path, clip_id, motion, doubts = self._takes.read_single(connection, take, options)
         part, note = self._parts.choose(stored, motion.absent, progress)
         if part is None:
@@ -247,10 +247,8 @@ def _read_clips(
 ) -> list[LabelledClip]:
     """Read clips of the forest's categories that are not segments of takes.
 
-    Parameters
-    ----------
-    most : clips at most, more than a labeller samples moments from; of more every n-th of each category is read.
-    at_once : clips that are in memory at their own frame rate.
+    ``most`` : clips at most, more than a labeller samples moments from; of more every n-th of each category is read.
+    ``at_once`` : clips that are in memory at their own frame rate.
     """
     from dousa.retrieval import LabelledClip, guess_performers
     from dousa.retrieval.features.channels import CHANNEL_RATE, sample_positions

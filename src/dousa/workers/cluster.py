@@ -43,11 +43,7 @@ class Cluster:
     def check_paths(self, paths: Sequence[str | os.PathLike[str]], n_checked: int = 100) -> None:
         """Raise ClusterError where a worker cannot see the files to read; about so many of them are checked."""
         step = max(1, len(paths) // n_checked)
-        sizes = {}
-        for given in paths[::step]:
-            path = os.fspath(given)
-            if os.path.isfile(path):
-                sizes[path] = os.path.getsize(path)
+        sizes = {os.fspath(path): os.path.getsize(path) for path in paths[::step] if os.path.isfile(path)}
         for worker, hidden in self.client.run(find_hidden, sizes).items():
             if hidden is not None:
                 raise ClusterError("cluster.hidden", worker=worker, path=hidden)

@@ -160,16 +160,14 @@ class FoundLabels:
 def find_labels(files: Sequence[FoundFile], rule: str, tier: str | None) -> dict[str, FoundLabels]:
     """Read all tables and return labels by the path of the take.
 
+    OptionError for an invalid rule, no labels of any take, two tables of one take, no such tier. MotionFileError for a
+    table that cannot be read, with its line.
+
     Parameters
     ----------
     files : the takes.
     rule : ``beside`` (a table beside each take), ``folder:DIR`` or ``csv:FILE``.
     tier : name of the tier, None for the first that has labels.
-
-    Raises
-    ------
-    OptionError : an invalid rule, no labels of any take, two tables of one take, no such tier.
-    MotionFileError : a table that cannot be read, with its line.
     """
     kind, _, rest = rule.partition(":")
     if (kind, rest) != ("beside", "") and not (kind in ("folder", "csv") and rest):

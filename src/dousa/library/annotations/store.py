@@ -114,6 +114,8 @@ def annotate_takes(
 ) -> tuple[StoredForest | None, AnnotationChanges]:
     """Replace the labels of takes by those of tables; return the forest after learning, and the changes.
 
+    OptionError or MotionFileError for invalid labels, or labels that do not fit their take; nothing changes.
+
     Parameters
     ----------
     wanted : by number of the take; missing takes are left out. Blank labels remove all labels.
@@ -121,10 +123,6 @@ def annotate_takes(
     change : number in the journal of the change that this belongs to.
     note : called with the number of the change in the journal; None if nothing changed.
     at_once : takes in one transaction; more make other writers wait longer.
-
-    Raises
-    ------
-    OptionError, MotionFileError : invalid labels, or labels that do not fit their take; nothing changes.
     """
     for labels in wanted.values():
         check_annotation(labels)

@@ -20,10 +20,9 @@ from dousa.extras import require
 from dousa.library.results import Progress
 from dousa.library.store import schema
 from dousa.library.store.engine import Database
-from dousa.library.store.features import lacks, load_poses
+from dousa.library.store.features import lacks, load_poses, name_feature_set
 from dousa.library.store.selection import portions
 from dousa.messages import Message
-from dousa.retrieval import DEFAULT_FEATURE_SET
 
 # Principal components to begin with, perplexity and early exaggeration, as scikit-learn advises or chooses:
 # https://scikit-learn.org/stable/modules/generated/sklearn.manifold.TSNE.html
@@ -98,8 +97,7 @@ def _reduce(connection: sa.Connection, ids: Sequence[int], chosen: IndexArray, f
 
 def _list(connection: sa.Connection) -> tuple[list[int], list[int], str]:
     """Return the clips that can be compared, those that cannot, and the feature set of the stored poses."""
-    parameters = connection.execute(sa.select(schema.forests.c.parameters)).scalar()
-    feature_set = str((parameters or {}).get("feature_set", DEFAULT_FEATURE_SET))
+    feature_set = name_feature_set(connection)
     clips = schema.clips.c
     query = sa.select(clips.id, clips.absent).where(clips.kind == schema.CLIP).order_by(clips.content_hash)
     ids: list[int] = []

@@ -21,7 +21,7 @@ from dousa.library.results import Answer, Count, Progress
 from dousa.library.store import schema
 from dousa.library.store.checksums import FEATURES, seal_positions
 from dousa.library.store.engine import Database, lock_for_writing
-from dousa.library.store.fragments import ARRAYS, FragmentStore, begin_store, find_store, make_name, read_blocks
+from dousa.library.store.fragments import ARRAYS, begin_store, find_store, make_name, read_blocks
 from dousa.library.store.schema import PLACE
 from dousa.library.store.selection import portions
 from dousa.library.takes.windows import sweep_files
@@ -88,9 +88,9 @@ def move_arrays(database: Database, progress: Count | None = None) -> int:
     done = 0
     for column in ARRAYS:
         with database.reading() as connection:
-            table = column.table.c
-            query = sa.select(_key_of(column)).where(table.fragment.is_(None), sa.func.length(column) > 0)
-            keys = list(connection.execute(query.order_by(_key_of(column))).scalars())
+            key, table = schema.key_of(column.table), column.table.c
+            query = sa.select(key).where(table.fragment.is_(None), sa.func.length(column) > 0)
+            keys = list(connection.execute(query.order_by(key)).scalars())
         for some in portions(keys):
             left: Sequence[Any] = some
             while left:
@@ -101,15 +101,11 @@ def move_arrays(database: Database, progress: Count | None = None) -> int:
     return done
 
 
-def _key_of(column: sa.Column[Any]) -> sa.Column[Any]:
-    return next(iter(column.table.primary_key))
-
-
 def _move_some(
     database: Database, column: sa.Column[Any], keys: Sequence[Any], *, most: int = 2**25
 ) -> tuple[int, Sequence[Any]]:
     """Move rows of ``most`` bytes in one transaction; return their bytes, and the rows left for the next."""
-    key, table = _key_of(column), column.table
+    key, table = schema.key_of(column.table), column.table
     with database.writing() as connection:
         lock_for_writing(connection)
         store = find_store(connection)
@@ -174,7 +170,7 @@ def _rewrite_some(
     database: Database, column: sa.Column[Any], name: str, into: str, *, most: int = 2**25, most_rows: int = 500
 ) -> int:
     """Move blocks of ``most`` bytes and rows out of a fragment in one transaction; return their bytes, 0 for none."""
-    key, table = _key_of(column), column.table
+    key, table = schema.key_of(column.table), column.table
     with database.writing() as connection:
         lock_for_writing(connection)
         query = sa.select(key, column, *(table.c[one] for one in PLACE)).where(table.c.fragment == name)
@@ -239,13 +235,6 @@ def _has_readers(database: Database) -> bool:
     with database.reading() as connection:
         others = "SELECT count(*) FROM pg_stat_activity WHERE datname = current_database() AND pid <> pg_backend_pid()"
         return bool(connection.execute(sa.text(f"{others} AND backend_xmin IS NOT NULL")).scalar_one())
-
-
-def measure_fragments(connection: sa.Connection) -> tuple[int, int]:
-    """Return the number and bytes of the fragments."""
-    store: FragmentStore | None = find_store(connection)
-    sizes = {} if store is None else store.sizes()
-    return len(sizes), sum(sizes.values())
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,8 +308,11 @@ def compact_library(
 
 
 def _measure(database: Database) -> tuple[int, int]:
+    """Return the bytes of a library file and its fragments, and the number of these."""
     with database.reading() as connection:
-        n_fragments, size = measure_fragments(connection)
+        store = find_store(connection)
+        sizes = {} if store is None else store.sizes()
+    n_fragments, size = len(sizes), sum(sizes.values())
     if database.engine.dialect.name == "sqlite":
         size += os.path.getsize(database.where)
     return size, n_fragments

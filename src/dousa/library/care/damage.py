@@ -18,7 +18,7 @@ from dousa.library.store.checksums import SEALS, STATE, Seal, seal_positions
 from dousa.library.store.engine import Database
 from dousa.library.store.features import load_motions
 from dousa.library.store.forests import load_forest
-from dousa.library.store.fragments import find_store, look_at_blocks, look_at_feature_rows
+from dousa.library.store.fragments import find_store, look_at_blocks, read_feature_rows
 from dousa.library.store.selection import fetch_in
 from dousa.library.takes.portions import check_portion
 from dousa.library.takes.windows import find_files
@@ -147,7 +147,7 @@ def find_damage(database: Database, tell: Count | None = None, *, at_once: int =
     keys: dict[str, list[Any]] = {}
     for table in tables:
         with _noting(findings), database.reading() as connection:
-            keys[table.name] = list(connection.execute(sa.select(_key_of(table))).scalars())
+            keys[table.name] = list(connection.execute(sa.select(schema.key_of(table))).scalars())
     total, done = sum(map(len, keys.values())), 0
     for table in tables:
         own = keys.get(table.name, [])
@@ -180,10 +180,6 @@ def _noting(findings: Findings) -> Iterator[None]:
         findings.add(Fault(Message("library_damage.structure", reason=error)))
 
 
-def _key_of(table: sa.Table) -> sa.Column[Any]:
-    return next(iter(table.primary_key))
-
-
 def _check_structure(connection: sa.Connection, *, most: int = 20) -> Iterator[str]:
     """Check the columns of all tables and, in SQLite, the integrity of the file; yield the faults, ``most`` a kind."""
     inspector = sa.inspect(connection)
@@ -211,7 +207,7 @@ def _check_rows(connection: sa.Connection, table: sa.Table, keys: Sequence[Any],
         if seal.checksum.table is not table:
             continue
         rows: list[Any] = (
-            look_at_feature_rows(connection, keys)
+            read_feature_rows(connection, keys, look_at_blocks)
             if seal is checksums.FEATURES
             else list(fetch_in(connection, sa.select(*seal.columns), seal.covered[0], keys))
         )

@@ -133,7 +133,7 @@ def _read_next(source: sqlite3.Connection) -> int:
 
 def _read_rows(source: sqlite3.Connection, table: sa.Table, keys: range) -> Iterator[list[dict[str, Any]]]:
     names = [column.name for column in table.c]
-    key = next(iter(table.primary_key)).name
+    key = schema.key_of(table).name
     statement = f"SELECT {', '.join(names)} FROM {table.name} WHERE {key} = ?"
     rows: list[dict[str, Any]] = []
     for number in keys:
@@ -263,23 +263,18 @@ def _repair(database: Database, fault: Fault) -> Message | None:
             return Message("library_check.computed")
         if code in _FORGOTTEN:
             seal = fault.seal or checksums.REMOVED
-            _delete_row(database, seal.checksum.table, fault.key)
+            _throw_away(database, seal.checksum.table, fault.key)
             return Message("library_check.forgotten")
         return _REPAIRED[code](database, fault) if code in _REPAIRED else None
     except LibraryError:
         return None
 
 
-def _delete_row(database: Database, table: sa.Table, key: Any) -> None:
-    with database.writing() as connection:
-        connection.execute(sa.delete(table).where(next(iter(table.primary_key)) == key))
-
-
 def _throw_away(database: Database, table: sa.Table, key: Any) -> None:
     with database.writing() as connection:
         if table is schema.clip_leaves:
             load_forest(connection, database.where)  # first make sure that leaves can be computed again
-        connection.execute(sa.delete(table).where(next(iter(table.primary_key)) == key))
+        connection.execute(sa.delete(table).where(schema.key_of(table) == key))
         if table is schema.clip_features:
             connection.execute(sa.delete(schema.clip_poses).where(schema.clip_poses.c.clip_id == key))
 

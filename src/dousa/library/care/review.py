@@ -25,10 +25,17 @@ from dousa.library.results import Answer, Progress
 from dousa.library.search.text_store import find_meanings
 from dousa.library.store import schema
 from dousa.library.store.engine import Database, choose_jobs
-from dousa.library.store.features import ClipFeatures, find_feature_set, lacks, load_features, load_poses
+from dousa.library.store.features import (
+    ClipFeatures,
+    find_feature_set,
+    lacks,
+    load_features,
+    load_poses,
+    name_feature_set,
+)
 from dousa.library.store.selection import list_clips
 from dousa.messages import Message
-from dousa.retrieval import DEFAULT_FEATURE_SET, FeatureSet, MotionForest
+from dousa.retrieval import FeatureSet, MotionForest
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +60,7 @@ class DuplicateGroup:
 def find_near_duplicates(database: Database, near: float) -> list[DuplicateGroup]:
     """Find groups of nearly equal clips, the largest first; as ``Library.find_near_duplicates``."""
     with database.reading() as connection:
-        parameters = connection.execute(sa.select(schema.forests.c.parameters)).scalar()
-        feature_set = str((parameters or {}).get("feature_set", DEFAULT_FEATURE_SET))
+        feature_set = name_feature_set(connection)
         absent = {row.id: row.absent for row in connection.execute(sa.select(schema.clips.c.id, schema.clips.c.absent))}
         clips = [clip for clip in list_clips(connection) if clip.kind == schema.CLIP]
         clips = [clip for clip in clips if not lacks(feature_set, absent[clip.id])]
@@ -176,8 +182,7 @@ def review_labels(database: Database, n_jobs: int | None, progress: Progress | N
     tell = progress or (lambda done, total, what: None)
     tell(0, 2 * _SPLITS + 1, Message("library_training.describing_clips"))
     with database.reading() as connection:
-        name = connection.execute(sa.select(schema.forests.c.parameters)).scalar()
-        feature_set = str((name or {}).get("feature_set", DEFAULT_FEATURE_SET))
+        feature_set = name_feature_set(connection)
         clips = load_features(connection, feature_set, n_jobs=n_jobs)
         paths = {clip.id: (clip.path, CHECKED in clip.tags) for clip in list_clips(connection)}
     counts = Counter(category for category in clips.categories if category is not None)
@@ -190,14 +195,10 @@ def review_labels(database: Database, n_jobs: int | None, progress: Progress | N
         tell(1 + part, 2 * _SPLITS + 1, Message("library_review.comparing"))
 
     found = _judge(clips, np.array(rows, np.intp), labels, feature_set, n_jobs, tell_part)
-    fresh = [one for one in found if not paths[one[0]][1]]
-    doubts = tuple(LabelDoubt(one[0], paths[one[0]][0], *one[1:]) for one in fresh)
+    doubts = tuple(LabelDoubt(one, paths[one][0], *more) for one, *more in found if not paths[one][1])
     n_few = sum(counts.values()) - len(rows)
     n_checked = sum(paths[clips.ids[row]][1] for row in rows)
     return LabelReview(doubts, len(rows), n_few, n_checked)
-
-
-_Found = tuple[int, str, str, float, float, tuple[int, ...], tuple[int, ...]]
 
 
 def _judge(
@@ -207,7 +208,7 @@ def _judge(
     feature_set: str,
     n_jobs: int | None,
     tell: Callable[[int], None],
-) -> list[_Found]:
+) -> list[tuple[Any, ...]]:
     """Return number, label, suggestion, votes and neighbours of each clip in doubt, the likeliest first."""
     kind, named = find_feature_set(feature_set), find_meanings(set(labels.tolist()))
     means = np.array([named[label] for label in labels.tolist()], dtype=np.str_)
@@ -218,7 +219,7 @@ def _judge(
         clips.features[rows], labels, kind, learned, n_trees=_TREES, n_jobs=n_jobs, tell=tell
     )
     meant = np.array([named[name] for name in classes], dtype=np.str_)
-    found: list[tuple[float, _Found]] = []
+    found: list[tuple[float, tuple[Any, ...]]] = []
     for row, meaning in enumerate(means):
         other, votes, own = _compare(shares[row], meant, str(meaning))
         if votes <= own:
@@ -226,8 +227,8 @@ def _judge(
         suggested = max((name for name in classes if named[name] == other), key=lambda n: shares[row][classes.index(n)])
         judges = np.flatnonzero(~learned[:, row])
         shared = sum(learned[judge] * (leaves[judge] == leaves[judge, row]).sum(axis=1) for judge in judges)
-        alike, same = (_nearest(shared, means == name, ids, row) for name in (other, meaning))
-        one = (int(ids[row]), str(labels[row]), suggested, round(votes, 4), round(own, 4), alike, same)
+        near = (_nearest(shared, means == name, ids, row) for name in (other, meaning))
+        one = int(ids[row]), str(labels[row]), suggested, round(votes, 4), round(own, 4), *near
         found.append((votes - own, one))
     return [one for _, one in sorted(found, key=lambda item: (-item[0], item[1][0]))]
 

@@ -206,7 +206,7 @@ def put_away(connection: sa.Connection, ids: Sequence[int], change: int) -> None
 def _read_rows(connection: sa.Connection, ids: Sequence[int]) -> dict[int, dict[str, Any]]:
     kept: dict[int, dict[str, Any]] = {}
     for table in _TABLES:
-        key = next(iter(table.primary_key))
+        key = schema.key_of(table)
         for row in connection.execute(sa.select(table).where(key.in_(ids))):
             values = {name: _to_json(value) for name, value in row._mapping.items()}
             kept.setdefault(row._mapping[key.name], {})[table.name] = values

@@ -46,10 +46,8 @@ class Arrival:
 def describe_arrival(stored: StoredForest | None, fresh: Sequence[ClipRecord], known: Arrival | None = None) -> Arrival:
     """Compute the derived data of new motions.
 
-    Parameters
-    ----------
-    stored : the forest of the library; None before the training.
-    known : earlier data, returned if it is still valid.
+    ``stored`` : the forest of the library; None before the training.
+    ``known`` : earlier data, returned if it is still valid.
     """
     names = tuple((record.path, record.row["content_hash"], record.row["kind"]) for record in fresh)
     if known is not None and known.names == names and known.stored is stored:

@@ -40,10 +40,8 @@ def choose_trained(
 ) -> NDArray[np.int32] | None:
     """Choose the clips (L, E) that are examples of each leaf, -1 for none; None if the forest needs no examples.
 
-    Parameters
-    ----------
-    ids, categories : (N,), in the order of their contents; category -1 for none.
-    answers : tree answers about the clips.
+    ``ids``, ``categories`` : (N,), in the order of their contents; category -1 for none.
+    ``answers`` : tree answers about the clips.
     """
     if not stored.forest.trees_.pooled:
         return None
@@ -195,10 +193,8 @@ def _read_stamp(connection: sa.Connection) -> Stamp:
 class _Clips:
     """N clips that have leaves, sorted by number.
 
-    Parameters
-    ----------
-    given : (N,) places in ``names`` of the given categories, -1 for none.
-    leaves : (N, n_trees), possibly in a file.
+    ``given`` : (N,) places in ``names`` of the given categories, -1 for none.
+    ``leaves`` : (N, n_trees), possibly in a file.
     """
 
     ids: IntArray

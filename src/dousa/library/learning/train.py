@@ -78,7 +78,7 @@ def train_forest(
 ) -> tuple[StoredForest, TrainReport]:
     """Fit a forest to the clips of a library and store it with its answers, in one transaction.
 
-    Windows of very many takes are written afterwards, take by take.
+    Windows of very many takes are written afterwards, take by take. TrainingError for fewer than two categories.
 
     Parameters
     ----------
@@ -87,10 +87,6 @@ def train_forest(
     learn_labeller : learns the labeller of takes.
     n_jobs : clips and takes described at a time.
     progress : called with (steps done, steps, message about the next step).
-
-    Raises
-    ------
-    TrainingError : fewer than two categories.
     """
     start = time.perf_counter()
     tell = _Tell(progress)
@@ -191,7 +187,8 @@ def _store(database: Database, stored: StoredForest, answers: _Answers, labeller
         return _Answers(now, there, ask_trees(stored, there.features), described)
 
     def write(connection: sa.Connection, known: _Answers) -> StoredForest:
-        own = stored.with_revision(next_revision(connection))
+        revision = next_revision(connection)
+        own = replace(stored, revision=revision, learned=revision)
         if known.revision != seen:
             next_revision(connection)
             note_changed_clips(connection)  # the forest has not learned from their changes, so it is not current

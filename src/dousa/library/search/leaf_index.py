@@ -32,10 +32,9 @@ from dousa.retrieval.forest.likeness import Likeness
 class IndexedRows:
     """The rows that an index was read from.
 
-    Parameters
-    ----------
-    sums : (B, 6) int64 for each block: rows of clips, rows with a checksum, sum of these; and the same of their leaves.
-    partial : by number, the joints that clips lack.
+    ``sums`` : (B, 6) int64 for each block: rows of clips, rows with a checksum, sum of these; and the same of their
+    leaves.
+    ``partial`` : by number, the joints that clips lack.
     """
 
     sums: IntArray
@@ -51,10 +50,8 @@ class IndexedRows:
 class Base:
     """The first file that a later one belongs to.
 
-    Parameters
-    ----------
-    checksum : of its header.
-    categories : of the forest when it was written, in the order of its votes.
+    ``checksum`` : of its header.
+    ``categories`` : of the forest when it was written, in the order of its votes.
     """
 
     checksum: int
@@ -341,10 +338,8 @@ def refresh_index(
 ) -> LeafIndex | None:
     """Update an earlier index of the same trees; None if so much has changed that all must be read.
 
-    Parameters
-    ----------
-    most_parts : more are joined to one; each is looked through by every search.
-    most_changed : share of the clips beyond which reading the whole library is faster.
+    ``most_parts`` : more are joined to one; each is looked through by every search.
+    ``most_changed`` : share of the clips beyond which reading the whole library is faster.
     """
     rows = known.source
     if rows is None or known.learned[0] != stored.revision:

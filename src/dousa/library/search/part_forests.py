@@ -139,10 +139,8 @@ class Lesson:
     def learn(self, stored: StoredForest | None, answers: Answers) -> tuple[StoredForest, bool]:
         """Learn from all clips; return the forest, and whether it or its answers have changed.
 
-        Parameters
-        ----------
-        stored : a forest that has learned from some of the clips; None for a new one.
-        answers : its answers about these; those about the other clips are added.
+        ``stored`` : a forest that has learned from some of the clips; None for a new one.
+        ``answers`` : its answers about these; those about the other clips are added.
         """
         missing = [number for number in self.material.ids if number not in answers.leaves]
         if not missing and stored is not None:
@@ -289,10 +287,8 @@ class DenseIndex:
 class PartIndex:
     """A forest for a part of the body, and its answers about the N clips that have this part.
 
-    Parameters
-    ----------
-    learned_from : hash of all that it has learned from.
-    poses : (N, cells, columns) pose sequences.
+    ``learned_from`` : hash of all that it has learned from.
+    ``poses`` : (N, cells, columns) pose sequences.
     """
 
     stored: StoredForest
@@ -355,16 +351,14 @@ class PartForests:
     ) -> PartIndex | None:
         """Load or learn the forest for bodies without some joints; None if its clips have fewer than two categories.
 
+        LibraryDamagedError if the stored forest or the clips are damaged.
+
         Parameters
         ----------
         main : the forest of the library, whose features and parameters are used.
         hidden : canonical joints to ignore.
         n_jobs : clips described at a time.
         progress : called while the forest is learned.
-
-        Raises
-        ------
-        LibraryDamagedError : the stored forest or the clips are damaged.
         """
         kind = find_feature_set(find_feature_set(main.feature_set).base).without(hidden)
         with self._database.reading() as connection:

@@ -150,10 +150,8 @@ def rank_groups(
 ) -> list[Hit]:
     """Return the first k clips of every group, with distances that are comparable between groups.
 
-    Parameters
-    ----------
-    motions : the query, and its mirror image if wanted.
-    by, category, among : as in ``search_index``.
+    ``motions`` : the query, and its mirror image if wanted.
+    ``by``, ``category``, ``among`` : as in ``search_index``.
     """
     found: list[Hit] = []
     for number, motion in enumerate(motions):

@@ -119,9 +119,7 @@ class SparseVotes:
 def read_part(connection: sa.Connection, stored: StoredForest, portions: Iterable[sa.ColumnElement[bool]]) -> ClipPart:
     """Read clips that have leaves, in portions of ascending numbers.
 
-    Raises
-    ------
-    LibraryDamagedError : a wrong checksum, or leaves that do not fit the forest.
+    LibraryDamagedError for a wrong checksum, or leaves that do not fit the forest.
     """
     clips, table = schema.clips.c, schema.clip_leaves.c
     query = sa.select(*LABELS.columns, *LEAVES.columns).join(schema.clip_leaves, table.clip_id == clips.id)

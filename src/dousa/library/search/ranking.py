@@ -74,6 +74,8 @@ def search_index(
 ) -> tuple[tuple[Hit, ...], int | None]:
     """Find the k clips that are most like a motion, or like its mirror image.
 
+    OptionError for an unknown ranking.
+
     Parameters
     ----------
     asked : the motion, and its mirror image if wanted.
@@ -85,10 +87,6 @@ def search_index(
     Returns
     -------
     The clips, and the number of all that are similar; None if likeness was not learned.
-
-    Raises
-    ------
-    OptionError : an unknown ranking.
     """
     chosen = index.choose(category, among)
     found = [rank_index(index, one, k, by, chosen, read_poses) for one in asked]
@@ -157,9 +155,7 @@ def number_hits(hits: Iterable[Hit]) -> tuple[Hit, ...]:
 class _Comparison:
     """Distances of the clips of an index from one motion: lower bounds of all, and those computed so far.
 
-    Parameters
-    ----------
-    slack : added to a bound for the rounding of float32 numbers and cosines; larger compares more clips.
+    ``slack`` : added to a bound for the rounding of float32 numbers and cosines; larger compares more clips.
     """
 
     def __init__(
@@ -246,15 +242,13 @@ def rank_index(
 ) -> tuple[list[Hit], IndexArray | None]:
     """Return the first k clips for a motion, and the rows of all that are similar; None if that was not learned.
 
+    OptionError for an unknown ranking.
+
     Parameters
     ----------
     by : one of ``dousa.retrieval.ranking.ranking.RANKINGS``.
     chosen : (N,) which rows to search.
     read_poses : called at most once.
-
-    Raises
-    ------
-    OptionError : an unknown ranking.
     """
     if by not in RANKINGS:
         raise OptionError("ranking.unknown", known=RANKINGS, found=by)

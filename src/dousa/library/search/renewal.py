@@ -34,7 +34,6 @@ from dousa.library.search.side_file import (
     read_side_file,
     read_side_rows,
     renumber_votes,
-    write_later_file,
     write_side_file,
 )
 from dousa.library.store import schema
@@ -57,15 +56,13 @@ def load_index(
 ) -> LeafIndex:
     """Load the index of a library as it is now.
 
+    LibraryDamagedError for a wrong checksum, or leaves that do not fit the forest.
+
     Parameters
     ----------
     where : name of the library.
     known : the index as it was loaded before, or None.
     may_write : whether a file may be written for a large library.
-
-    Raises
-    ------
-    LibraryDamagedError : a wrong checksum, or leaves that do not fit the forest.
     """
     revision = read_revision(connection)
     if known is not None and (known.revision, known.learned) == (revision, (stored.revision, stored.learned)):
@@ -165,10 +162,8 @@ def teach_rows(
 ) -> LearnedRows:
     """Update all clips after a forest has learned.
 
-    Parameters
-    ----------
-    before, stored : the forest before and after.
-    ids, leaves : (M,) and (M, n_trees) of the clips that have moved to other leaves.
+    ``before``, ``stored`` : the forest before and after.
+    ``ids``, ``leaves`` : (M,) and (M, n_trees) of the clips that have moved to other leaves.
     """
     n_leaves = stored.forest.trees_.n_leaves
     votes_differ = find_changed(before.forest, stored.forest)
@@ -250,7 +245,5 @@ def keep_learned(database: Database, stored: StoredForest, learned: LearnedRows)
     with database.reading() as connection:
         place = find_place(connection, database.where)
     n_later = sum(int(own.sum()) for own in learned.list_alive()[1:])
-    if learned.base is not None and n_later <= _MOST_AGAIN * len(learned.parts[0]):
-        write_later_file(place, stored, learned, learned.base)
-    else:
-        write_side_file(place, stored, learned)
+    few = n_later <= _MOST_AGAIN * len(learned.parts[0])
+    write_side_file(place, stored, learned, learned.base if few else None)

@@ -48,10 +48,9 @@ def check_threshold(threshold: float | None) -> None:
 def judge(stored: StoredForest, answers: TreeAnswers, features: FloatArray, threshold: float | None) -> list[Verdict]:
     """Predict the categories of N motions.
 
-    Parameters
-    ----------
-    answers, features : tree answers, and the features (N, frames, columns) that they are about.
-    threshold : probability of being right below which a motion is unknown; None for the calibrated one, 0 for never.
+    ``answers``, ``features`` : tree answers, and the features (N, frames, columns) that they are about.
+    ``threshold`` : probability of being right below which a motion is unknown; None for the calibrated one, 0 for
+    never.
     """
     guesses = answers.predicted()
     histograms = [_order_histogram(stored.categories, own) for own in answers.shares()]

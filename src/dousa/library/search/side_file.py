@@ -37,13 +37,9 @@ Portion = list[tuple[int, IndexArray, IndexArray]]
 class MergedParts:
     """The unchanged clips of an index of at least one part, sorted by number and merged in portions to save memory.
 
-    Parameters
-    ----------
-    at_once : clips of a portion.
+    ValueError if a leaf is in two trees, as in damaged rows without checksums.
 
-    Raises
-    ------
-    ValueError : a leaf is in two trees, as in damaged rows without checksums.
+    ``at_once`` : clips of a portion.
     """
 
     def __init__(self, index: ReadClips, *, at_once: int = 1 << 14) -> None:
@@ -81,8 +77,8 @@ class MergedParts:
         """Yield the names and arrays of a ``ClipPart`` and, as ``votes.NAME``, of a ``SparseVotes``."""
         yield "ids", self._take([part.ids for part in self._parts])
         yield "sums", self._take([part.sums for part in self._parts])
-        yield "given", self._renumber([part.given for part in self._parts])
-        yield "predicted", self._renumber([part.predicted for part in self._parts])
+        yield "given", self._take([part.given for part in self._parts], self._numbers)
+        yield "predicted", self._take([part.predicted for part in self._parts], self._numbers)
         paths = [(_starts_of(part.path_ends), part.path_bytes) for part in self._parts]
         yield "path_ends", self._ends([starts for starts, _ in paths])
         yield "path_bytes", self._runs([starts for starts, _ in paths], [own for _, own in paths])
@@ -105,18 +101,13 @@ class MergedParts:
             own = ((number, np.flatnonzero(owners == number)) for number in range(len(self._parts)))
             yield len(rows), [(number, rows[places], places) for number, places in own if len(places)]
 
-    def _take(self, arrays: list[Any]) -> Iterator[NDArray[Any]]:
+    def _take(self, arrays: list[Any], numbers: list[NDArray[np.int32]] | None = None) -> Iterator[NDArray[Any]]:
+        """Yield the values of arrays, or what the ``numbers`` of each part have in their places."""
         for count, portion in self._portions():
             out = np.empty((count, *arrays[0].shape[1:]), arrays[0].dtype)
             for number, rows, places in portion:
-                out[places] = arrays[number][rows]
-            yield out
-
-    def _renumber(self, arrays: list[NDArray[np.int32]]) -> Iterator[NDArray[Any]]:
-        for count, portion in self._portions():
-            out = np.empty(count, np.int32)
-            for number, rows, places in portion:
-                out[places] = self._numbers[number][arrays[number][rows]]
+                own = arrays[number][rows]
+                out[places] = own if numbers is None else numbers[number][own]
             yield out
 
     def _codes(self) -> Iterator[NDArray[Any]]:
@@ -180,42 +171,28 @@ def name_forest(stored: StoredForest) -> list[int]:
     return [stored.revision, stored.learned, *sums]
 
 
-def write_side_file(path: Path, stored: StoredForest, index: ReadClips) -> bool:
-    """Write an index of a forest; return False if it cannot be written or another program is writing it."""
-    if index.source is None or not index.source.is_sealed:
-        return False  # changes of the library would go unnoticed
-    try:
-        merged = MergedParts(index)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with create_alone(path) as file:
-            if file is not None:
-                _write_file(file, stored, merged, index.source)
-        if file is not None:
-            with suppress(OSError):  # it belongs to the previous file
-                _place_later(path).unlink()
-        return file is not None
-    except (OSError, ValueError):
-        return False
+def write_side_file(path: Path, stored: StoredForest, index: ReadClips, base: Base | None = None) -> bool:
+    """Write an index of a forest; return False if it cannot be written or another program is writing it.
 
-
-def write_later_file(path: Path, stored: StoredForest, index: ReadClips, base: Base) -> bool:
-    """Write the changes since a file was written; return False as ``write_side_file`` does.
-
-    Parameters
-    ----------
-    index : its first part is that of the file at ``path``; unchanged clips of it have the same votes.
-    base : of that file.
+    ``base`` : of the file at ``path``, if only the changes since are written, into a later one: then the first part of
+    the index is that of the file, and its unchanged clips have the same votes.
     """
     if index.source is None or not index.source.is_sealed:
-        return False
-    dead = np.flatnonzero(~index.list_alive()[0])
+        return False  # changes of the library would go unnoticed
+    place, written, more, dead = path, index, None, None
+    if base is not None:
+        place, dead = _place_later(path), np.flatnonzero(~index.list_alive()[0])
+        written = replace(index, parts=index.parts[1:], votes=index.votes[1:], alive=index.alive[1:])
+        more = {"base": base.checksum, "categories": base.categories}
     try:
-        others = replace(index, parts=index.parts[1:], votes=index.votes[1:], alive=index.alive[1:])
-        merged = MergedParts(others)
-        with create_alone(_place_later(path)) as file:
+        merged = MergedParts(written)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with create_alone(place) as file:
             if file is not None:
-                more = {"base": base.checksum, "categories": base.categories}
                 _write_file(file, stored, merged, index.source, more, dead)
+        if file is not None and base is None:
+            with suppress(OSError):  # it belongs to the previous file
+                _place_later(path).unlink()
         return file is not None
     except (OSError, ValueError):
         return False
@@ -367,10 +344,8 @@ class _File:
 def _read_file(path: Path, stored: StoredForest, forest: list[int] | None, base: int | None = None) -> _File | None:
     """Map a file; None if it is missing, damaged, or of other trees or another ``base``.
 
-    Parameters
-    ----------
-    forest : votes are read if they are of this forest; None for any.
-    base : checksum of the first file that a later one must belong to.
+    ``forest`` : votes are read if they are of this forest; None for any.
+    ``base`` : checksum of the first file that a later one must belong to.
     """
     try:
         with open(path, "rb") as file:

@@ -267,7 +267,8 @@ def _load_index(
     stamps = _read_stamps(connection)
     kept: list[_Entry] = []
     if known is not None:
-        kept = [one for one in known.entries if _is_same(known.stamps.get(one.row.id), stamps.get(one.row.id))]
+        same = {number for number, own in known.stamps.items() if None not in own and own == stamps.get(number)}
+        kept = [one for one in known.entries if one.row.id in same]
     there = {one.row.id for one in kept}
     some = None if not kept else [number for number in stamps if number not in there]
     vocabulary = load_vocabulary()
@@ -318,11 +319,6 @@ def _read_stamps(connection: sa.Connection) -> dict[int, tuple[Any, ...]]:
     relations: dict[int, Any] = {row.clip_id: row.checksum for row in connection.execute(own)}
     labels = connection.execute(sa.select(clips.id, clips.label_checksum))
     return {row.id: (row.label_checksum, relations.get(row.id)) for row in labels}
-
-
-def _is_same(before: tuple[Any, ...] | None, now: tuple[Any, ...] | None) -> bool:
-    """Whether the checksums of a motion are unchanged; False if one is missing."""
-    return before is not None and before == now and None not in before
 
 
 def _name_of(path: str) -> str:

@@ -217,12 +217,8 @@ def use_write_ahead_log(database: Database) -> None:
     """
     if database.engine.dialect.name != "sqlite":
         return
-    with suppress(LibraryError), _plain_errors(database.where):
-        raw = database.engine.raw_connection()
-        try:
-            raw.cursor().execute("PRAGMA journal_mode = WAL")
-        finally:
-            raw.close()
+    with suppress(LibraryError), database.alone() as connection:
+        connection.execute("PRAGMA journal_mode = WAL")
 
 
 @dataclass(frozen=True, slots=True)

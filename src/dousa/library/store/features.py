@@ -98,6 +98,14 @@ def find_feature_set(name: str) -> FeatureSet:
         raise LibraryVersionError("library_forest.unknown_features", name=name, known=known) from error
 
 
+def name_feature_set(connection: sa.Connection) -> str:
+    """Return the name of the features of the forest, the default ones before the training."""
+    from dousa.retrieval import DEFAULT_FEATURE_SET
+
+    parameters = connection.execute(sa.select(schema.forests.c.parameters)).scalar()
+    return str((parameters or {}).get("feature_set", DEFAULT_FEATURE_SET))
+
+
 def describe_clip(motion: StoredMotion, feature_set: str) -> Description:
     """Compute features and poses of a motion with rounded positions; joints that the features leave out are hidden."""
     return _describe_clips([motion], feature_set)[0]
@@ -278,6 +286,8 @@ def load_features(
 ) -> ClipFeatures:
     """Load features of clips, without takes; missing ones are computed from the stored positions.
 
+    LibraryDamagedError for arrays that are missing, of another length, or not finite.
+
     Parameters
     ----------
     ids : of these clips, in this order; by default of all that have the joints, ordered by content, so that the order
@@ -285,10 +295,6 @@ def load_features(
     n_jobs : clips described at a time.
     progress : called with (clips described, clips to describe).
     spare : number of clips to leave room for; the features are then in the order of ``order_for_trees``.
-
-    Raises
-    ------
-    LibraryDamagedError : arrays that are missing, of another length, or not finite.
     """
     kind = find_feature_set(feature_set)
     rows = _read_rows(connection, ids, feature_set)
@@ -323,7 +329,7 @@ def load_features(
 
 
 def _stack_features(
-    rows: Sequence[Any], shape: tuple[int, ...], *, most: float = 1e37
+    rows: Sequence[tuple[Any, ...]], shape: tuple[int, ...], *, most: float = 1e37
 ) -> Iterator[tuple[list[int], NDArray[Any]]]:
     """Yield numbers and features of rows, those of an older dousa apart from the others.
 
@@ -331,12 +337,12 @@ def _stack_features(
     """
     earlier = int(np.prod(shape)) * np.dtype(_EARLIER_FEATURES).itemsize
     for kind in (_EARLIER_FEATURES, _FEATURES):
-        some = [row for row in rows if (len(row.pose_features) == earlier) == (kind == _EARLIER_FEATURES)]
+        some = [row for row in rows if (len(row[2]) == earlier) == (kind == _EARLIER_FEATURES)]
         if some:
-            values = stack([row.pose_features for row in some], kind, shape, "features")
+            values = stack([row[2] for row in some], kind, shape, "features")
             if not np.abs(values).max() < most:
                 raise LibraryDamagedError("library_clips.features_beyond_measure")
-            yield [row.clip_id for row in some], values
+            yield [row[0] for row in some], values
 
 
 def _allocate(shape: tuple[int, int, int], *, in_memory: int = 2**32) -> NDArray[Any]:
@@ -415,8 +421,9 @@ def keep_features(
     table = schema.forests.c
     with database.reading() as connection:
         known = connection.execute(sa.select(table.parameters)).scalar_one_or_none()
-        set_of_forest = known.get("feature_set") if isinstance(known, dict) else None
-        if known is not None and not _has_same_poses(set_of_forest, feature_set):
+        own = known.get("feature_set") if isinstance(known, dict) else None
+        same = isinstance(own, str) and find_feature_set(own).hidden == find_feature_set(feature_set).hidden
+        if known is not None and not same:
             return
         rows = _read_rows(connection, None, feature_set)
         lacking = sorted(row.id for row in rows if row.feature_set != feature_set)
@@ -435,10 +442,6 @@ def keep_features(
         done += len(some)
         if progress is not None:
             progress(done, len(lacking))
-
-
-def _has_same_poses(one: Any, other: str) -> bool:
-    return isinstance(one, str) and find_feature_set(one).hidden == find_feature_set(other).hidden
 
 
 def load_poses(connection: sa.Connection, ids: Sequence[int], feature_set: str) -> NDArray[np.float32]:

@@ -72,10 +72,6 @@ class StoredForest:
         """Joints it does not use."""
         return find_feature_set(self.feature_set).hidden
 
-    def with_revision(self, revision: int) -> StoredForest:
-        """Return the same forest, trained in this write."""
-        return replace(self, revision=revision, learned=revision)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TreeAnswers:
@@ -158,10 +154,8 @@ def count_votes(stored: StoredForest, leaves: NDArray[np.int32]) -> TreeAnswers:
 def load_forest(connection: sa.Connection, where: str, known: StoredForest | None = None) -> StoredForest | None:
     """Load the forest of the library, None before the training; ``known`` is returned if it is still current.
 
-    Raises
-    ------
-    LibraryDamagedError : bytes that are not a forest.
-    LibraryVersionError : a forest with features that this dousa does not have.
+    LibraryDamagedError for bytes that are not a forest. LibraryVersionError for a forest with features that this dousa
+    does not have.
     """
     table = schema.forests.c
     query = sa.select(table.revision, table.learned).where(table.id == _FOREST_ID)
@@ -172,6 +166,8 @@ def load_forest(connection: sa.Connection, where: str, known: StoredForest | Non
     row = connection.execute(sa.select(*columns).where(table.id == _FOREST_ID)).one()
     FOREST.check(connection, row)
     from dousa.retrieval import MotionForest
+    from dousa.retrieval.forest.calibration import Assessor, Calibration
+    from dousa.retrieval.forest.likeness import Likeness
 
     try:
         forest = MotionForest.from_bytes(row.data)
@@ -185,17 +181,14 @@ def load_forest(connection: sa.Connection, where: str, known: StoredForest | Non
     feature_set = row.parameters["feature_set"]
     if forest.feature_names_ != find_feature_set(feature_set).column_names:
         raise LibraryVersionError("library_forest.other_features", library=where)
-    return StoredForest(
-        forest,
-        categories,
-        feature_set,
-        _read_grid(connection, row.window_lengths),
-        _read_assessor(forest, row.calibration, where),
-        int(state.revision),
-        int(state.learned),
-        _read_likeness(row.likeness, where),
-        int(row.first_later or 1),
-    )
+    try:
+        likeness = None if row.likeness is None else Likeness.from_bytes(row.likeness)
+        assessor = None if row.calibration is None else Assessor(forest, Calibration.from_bytes(row.calibration))
+    except DousaError as error:
+        raise LibraryDamagedError("library_forest.part_damaged", library=where, problem=error) from error
+    grid, first_later = _read_grid(connection, row.window_lengths), int(row.first_later or 1)
+    revisions = int(state.revision), int(state.learned)
+    return StoredForest(forest, categories, feature_set, grid, assessor, *revisions, likeness, first_later)
 
 
 class ForestCache:
@@ -212,26 +205,6 @@ class ForestCache:
             raise NotTrainedError("library_forest.not_trained", library=self._where)
         self.last = stored
         return stored
-
-
-def _read_likeness(likeness: bytes | None, where: str) -> Likeness | None:
-    from dousa.retrieval.forest.likeness import Likeness
-
-    try:
-        return None if likeness is None else Likeness.from_bytes(likeness)
-    except DousaError as error:
-        raise LibraryDamagedError("library_forest.part_damaged", library=where, problem=error) from error
-
-
-def _read_assessor(forest: MotionForest, calibration: bytes | None, where: str) -> Assessor | None:
-    from dousa.retrieval.forest.calibration import Assessor, Calibration
-
-    if calibration is None:
-        return None
-    try:
-        return Assessor(forest, Calibration.from_bytes(calibration))
-    except DousaError as error:
-        raise LibraryDamagedError("library_forest.part_damaged", library=where, problem=error) from error
 
 
 def _read_grid(connection: sa.Connection, lengths: Any) -> WindowGrid:

@@ -13,7 +13,7 @@ import re
 import secrets
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -54,10 +54,8 @@ def make_name(known: Sequence[str]) -> str:
 class FolderFragments:
     """Fragments as files of a folder, made when the first block is written.
 
-    Parameters
-    ----------
-    library : its name in messages; ``where`` is that of the store.
-    full : bytes at which a fragment is closed and another begun; larger ones take longer to rewrite.
+    ``library`` : its name in messages; ``where`` is that of the store.
+    ``full`` : bytes at which a fragment is closed and another begun; larger ones take longer to rewrite.
     """
 
     def __init__(self, folder: Path, library: str, *, full: int = 2**28) -> None:
@@ -285,10 +283,8 @@ def place_of(row: Any) -> Place | None:
 def read_blocks(connection: sa.Connection, rows: Sequence[Any], column: str) -> list[bytes]:
     """Read the bytes of rows, in their order; LibraryDamagedError if a fragment is missing or too short.
 
-    Parameters
-    ----------
-    rows : with the columns ``PLACE`` and the one with the bytes.
-    column : its name.
+    ``rows`` : with the columns ``PLACE`` and the one with the bytes.
+    ``column`` : its name.
     """
     return read_places(connection, [(row._mapping[column], place_of(row)) for row in rows])
 
@@ -334,33 +330,21 @@ def in_portions(rows: Iterable[Any], *, n_bytes: int = 2**24) -> Iterator[list[A
         yield some
 
 
-class FeatureRow(NamedTuple):
-    """The columns of ``FEATURES``, with features from row or fragment."""
-
-    clip_id: int
-    feature_set: str
-    pose_features: bytes
-    checksum: int | None
-
-
 _FEATURES = sa.select(*FEATURES.columns, *(schema.clip_features.c[name] for name in PLACE))
 
 
-def read_feature_rows(connection: sa.Connection, ids: Sequence[int]) -> list[FeatureRow]:
-    """Yield existing rows of features, in any order; LibraryDamagedError as in ``read_blocks``."""
+def read_feature_rows(
+    connection: sa.Connection,
+    ids: Sequence[int],
+    read: Callable[[sa.Connection, Sequence[Any], str], list[bytes]] = read_blocks,
+) -> list[tuple[Any, ...]]:
+    """Read existing rows of features, with the columns of ``FEATURES``, in any order.
+
+    ``read`` reads the features in rows and fragments: ``read_blocks``, or ``look_at_blocks`` to find damage.
+    """
     rows = list(fetch_in(connection, _FEATURES, schema.clip_features.c.clip_id, ids))
-    return _with_features(rows, read_blocks(connection, rows, "pose_features"))
-
-
-def look_at_feature_rows(connection: sa.Connection, ids: Sequence[int]) -> list[FeatureRow]:
-    """Yield rows as ``read_feature_rows``, to find damage."""
-    rows = list(fetch_in(connection, _FEATURES, schema.clip_features.c.clip_id, ids))
-    return _with_features(rows, look_at_blocks(connection, rows, "pose_features"))
-
-
-def _with_features(rows: Sequence[Any], blocks: Sequence[bytes]) -> list[FeatureRow]:
-    found = zip(rows, blocks, strict=True)
-    return [FeatureRow(row.clip_id, row.feature_set, data, row.checksum) for row, data in found]
+    found = zip(rows, read(connection, rows, "pose_features"), strict=True)
+    return [(row.clip_id, row.feature_set, data, row.checksum) for row, data in found]
 
 
 def begin_store(connection: sa.Connection, place: str) -> None:

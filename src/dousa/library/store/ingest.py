@@ -44,10 +44,8 @@ if TYPE_CHECKING:
 class SourceState:
     """The present state of the files of a clip.
 
-    Parameters
-    ----------
-    files : the motion file, or those of its frames, then its skeleton file if it has one.
-    size, fingerprint : bytes of all; sizes and times, equal if nothing changed.
+    ``files`` : the motion file, or those of its frames, then its skeleton file if it has one.
+    ``size``, ``fingerprint`` : bytes of all; sizes and times, equal if nothing changed.
     """
 
     files: tuple[str, ...]
@@ -111,10 +109,7 @@ class ClipRecord(FileRecord):
 def look_at(path: str, options: ReadOptions) -> SourceState:
     """Return size and times of a motion file (or the files of its frames) and of its skeleton file.
 
-    Raises
-    ------
-    OSError : a file that is not there.
-    MotionFileError : an ``.amc`` without a skeleton file.
+    OSError for a file that is not there. MotionFileError for an ``.amc`` without a skeleton file.
     """
     files = [path]
     if os.path.isdir(path):  # a file for each frame
@@ -279,22 +274,21 @@ def _read_elsewhere(
         yield read_clip(task) if isinstance(answer, Skipped) else answer
 
 
-Query: TypeAlias = "int | str | os.PathLike[str] | CanonicalMotion | Motion | Trajectories"
+Given: TypeAlias = "str | os.PathLike[str] | CanonicalMotion | Motion | Trajectories"
+"""A file or a motion."""
+
+Query: TypeAlias = "int | Given"
 """A query: the number of a clip, a file, or a motion."""
 
 
-def read_query(
-    query: str | os.PathLike[str] | CanonicalMotion | Motion | Trajectories, options: ReadOptions
-) -> CanonicalMotion:
+def read_query(query: Given, options: ReadOptions) -> CanonicalMotion:
     """Read a file or a motion onto canonical joints."""
     if isinstance(query, str | os.PathLike):
         return read_canonical(query, options, whole=False)[0]
     return query if isinstance(query, CanonicalMotion) else canonicalise(query, options.joint_map)
 
 
-def read_rounded(
-    query: str | os.PathLike[str] | CanonicalMotion | Motion | Trajectories, options: ReadOptions
-) -> tuple[StoredMotion, tuple[Message, ...]]:
+def read_rounded(query: Given, options: ReadOptions) -> tuple[StoredMotion, tuple[Message, ...]]:
     """Return a file or a motion as it would be stored, and the warnings from reading it."""
     motion = read_query(query, options)
     try:

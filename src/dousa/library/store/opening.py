@@ -12,6 +12,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import product
 from typing import Any
 
 import sqlalchemy as sa
@@ -49,8 +50,19 @@ class Migration:
     apply: Callable[[sa.Connection], None]
 
 
-def _first_tables(connection: sa.Connection) -> None:
-    """Do nothing: every library has the first tables."""
+def _add(*parts: sa.Table | tuple[sa.Table, str]) -> Callable[[sa.Connection], None]:
+    """Return a step that adds tables, or a column or index of one by its name, unless an earlier step has made them."""
+
+    def apply(connection: sa.Connection) -> None:
+        for part in parts:
+            if isinstance(part, sa.Table):
+                part.create(connection, checkfirst=True)
+            elif part[1] in part[0].c:
+                _add_missing_column(connection, *part)
+            else:
+                next(index for index in part[0].indexes if index.name == part[1]).create(connection, checkfirst=True)
+
+    return apply
 
 
 def _takes_and_feature_sets(connection: sa.Connection) -> None:
@@ -82,25 +94,6 @@ def _takes_and_feature_sets(connection: sa.Connection) -> None:
     connection.execute(sa.DDL("DROP TABLE clip_histograms"))  # type: ignore[no-untyped-call]
 
 
-def _annotated_takes(connection: sa.Connection) -> None:
-    schema.segments.create(connection)
-    schema.take_annotations.create(connection)
-
-
-def _words(connection: sa.Connection) -> None:
-    schema.clip_relations.create(connection)
-
-
-def _parts_of_bodies(connection: sa.Connection) -> None:
-    _add_column(connection, schema.clips, "absent")
-    schema.part_forests.create(connection)
-
-
-def _likeness(connection: sa.Connection) -> None:
-    for table, column in ((schema.forests, "likeness"), (schema.clip_leaves, "direction")):
-        _add_missing_column(connection, table, column)
-
-
 def _labellers_of_moments(connection: sa.Connection) -> None:
     """Drop labellers of an earlier version; another is learned when a take is labelled."""
     connection.execute(sa.update(schema.forests).values(labeller=None))
@@ -123,46 +116,12 @@ def _sensor_noise(connection: sa.Connection) -> None:
     connection.execute(sa.update(table).where(old).values(feature_set="", checksum=None))
 
 
-def _journal(connection: sa.Connection) -> None:
-    for table in (schema.clip_tags, schema.saved_searches, *schema.JOURNAL_TABLES):
-        table.create(connection, checkfirst=True)
-
-
 def _clips_to_learn(connection: sa.Connection) -> None:
     """Add clips still to be learned; all present ones have been learned, or are not known to the forest."""
     schema.unlearned.create(connection, checkfirst=True)
     _add_missing_column(connection, schema.forests, "first_later")
     following = connection.execute(sa.select(library_state.c.next_clip_id)).scalar()
     connection.execute(sa.update(schema.forests).values(first_later=following))
-
-
-def _indices_of_checksums(connection: sa.Connection) -> None:
-    for table in (schema.clips, schema.clip_leaves):
-        for index in table.indexes:
-            if "checksum" in str(index.name):
-                index.create(connection, checkfirst=True)
-
-
-def _fragments(connection: sa.Connection) -> None:
-    """Allow positions and features in fragments; present ones stay in their rows."""
-    schema.array_store.create(connection, checkfirst=True)
-    for table in (schema.clip_trajectories, schema.clip_features, schema.removed_positions):
-        for name in schema.PLACE:
-            _add_missing_column(connection, table, name)
-
-
-def _labellers_of_parts(connection: sa.Connection) -> None:
-    """Add labellers for takes of bodies that lack joints, learned when one is labelled."""
-    _add_missing_column(connection, schema.part_forests, "labeller")
-
-
-def _examples_of_leaves(connection: sa.Connection) -> None:
-    """Add examples of leaves for large forests, chosen in the next add, and two indices for adding."""
-    schema.leaf_examples.create(connection, checkfirst=True)
-    for table, name in ((schema.clips, "ix_clips_size"), (schema.clip_relations, "ix_clip_relations_version")):
-        for index in table.indexes:
-            if index.name == name:
-                index.create(connection, checkfirst=True)
 
 
 def _add_missing_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
@@ -176,24 +135,42 @@ def _add_column(connection: sa.Connection, table: sa.Table, name: str) -> None:
     connection.execute(sa.DDL(f"ALTER TABLE {table.name} ADD COLUMN {column}"))  # type: ignore[no-untyped-call]
 
 
+_WITH_BLOCKS = (schema.clip_trajectories, schema.clip_features, schema.removed_positions)
+
 # The versions of the tables, by definition: each library records the numbers of its steps.
 MIGRATIONS: tuple[Migration, ...] = (
-    Migration(1, "first tables", _first_tables),
+    Migration(1, "first tables", _add()),  # every library has them
     Migration(2, "takes and feature sets", _takes_and_feature_sets),
-    Migration(3, "annotated takes", _annotated_takes),
-    Migration(4, "words", _words),
-    Migration(5, "parts of bodies", _parts_of_bodies),
-    Migration(6, "likeness", _likeness),
+    Migration(3, "annotated takes", _add(schema.segments, schema.take_annotations)),
+    Migration(4, "words", _add(schema.clip_relations)),
+    Migration(5, "parts of bodies", _add((schema.clips, "absent"), schema.part_forests)),
+    Migration(6, "likeness", _add((schema.forests, "likeness"), (schema.clip_leaves, "direction"))),
     Migration(7, "labellers of moments", _labellers_of_moments),
     Migration(8, "checksums", _checksums),
     Migration(9, "sensor noise", _sensor_noise),
     Migration(10, "labellers of discriminants", _labellers_of_moments),
-    Migration(11, "journal, tags and saved searches", _journal),
+    Migration(
+        11, "journal, tags and saved searches", _add(schema.clip_tags, schema.saved_searches, *schema.JOURNAL_TABLES)
+    ),
     Migration(12, "clips to be learned", _clips_to_learn),
-    Migration(13, "indices of checksums", _indices_of_checksums),
-    Migration(14, "fragments", _fragments),
-    Migration(15, "labellers of parts", _labellers_of_parts),
-    Migration(16, "examples of leaves", _examples_of_leaves),
+    Migration(
+        13,
+        "indices of checksums",
+        _add((schema.clips, "ix_clips_label_checksum"), (schema.clip_leaves, "ix_clip_leaves_checksum")),
+    ),
+    # Positions and features may be in fragments; present ones stay in their rows.
+    Migration(14, "fragments", _add(schema.array_store, *product(_WITH_BLOCKS, schema.PLACE))),
+    Migration(15, "labellers of parts", _add((schema.part_forests, "labeller"))),  # learned when a take is labelled
+    # Examples of leaves of large forests are chosen in the next add; the indices are for adding.
+    Migration(
+        16,
+        "examples of leaves",
+        _add(
+            schema.leaf_examples,
+            (schema.clips, "ix_clips_size"),
+            (schema.clip_relations, "ix_clip_relations_version"),
+        ),
+    ),
 )
 
 
@@ -250,11 +227,8 @@ def _migrate(database: Database) -> None:
 def open_database(path_or_url: str | os.PathLike[str], *, create: bool, read_only: bool, timeout: float) -> Database:
     """Open a database with the tables of this version.
 
-    Raises
-    ------
-    LibraryError : there is no library, or no permission.
-    LibraryDamagedError, LibraryVersionError, LibraryLockedError : as their names say.
-    OptionError : create and read_only together.
+    LibraryError, of the kind that its name says, for no library, no permission, damage, another version or a lock;
+    OptionError for create and read_only together.
     """
     if create and read_only:
         raise OptionError("library_file.create_read_only")

@@ -91,9 +91,13 @@ clips = sa.Table(
 )
 
 
+def _key(name: str, owner: str) -> sa.Column[int]:
+    """Return a key that is also the key of another table, whose rows take these with them."""
+    return sa.Column(name, sa.Integer, sa.ForeignKey(owner, ondelete="CASCADE"), primary_key=True, autoincrement=False)
+
+
 def _clip_id() -> sa.Column[int]:
-    owner = sa.ForeignKey("clips.id", ondelete="CASCADE")
-    return sa.Column("clip_id", sa.Integer, owner, primary_key=True, autoincrement=False)
+    return _key("clip_id", "clips.id")
 
 
 def _place() -> tuple[sa.Column[Any], ...]:
@@ -194,9 +198,7 @@ take_annotations = sa.Table(
     "take_annotations",
     metadata,
     # Takes labelled from beginning to end: the rest shows nothing that has a name.
-    sa.Column(
-        "take_id", sa.Integer, sa.ForeignKey("clips.id", ondelete="CASCADE"), primary_key=True, autoincrement=False
-    ),
+    _key("take_id", "clips.id"),
     # Its table of labels, the tier, and a hash of the content.
     sa.Column("source", sa.Text, nullable=False),
     sa.Column("tier", sa.Text, nullable=False),
@@ -323,14 +325,11 @@ removed_clips = sa.Table(
 removed_positions = sa.Table(
     "removed_positions",
     metadata,
-    sa.Column(
-        "number", sa.Integer, sa.ForeignKey("removed_clips.number", ondelete="CASCADE"), primary_key=True,
-        autoincrement=False,
-    ),
+    _key("number", "removed_clips.number"),
     sa.Column("positions", sa.LargeBinary, nullable=False),
     sa.Column("block_checksums", sa.LargeBinary),
     *_place(),
-)  # fmt: skip
+)
 
 array_store = sa.Table(
     "array_store",
@@ -348,6 +347,11 @@ JOURNAL_TABLES = (journal, removed_clips, removed_positions)
 
 PLACE = ("fragment", "first_byte", "n_bytes")
 """Columns with the place of bytes outside the row."""
+
+
+def key_of(table: sa.Table) -> sa.Column[Any]:
+    """Return the column of the primary key."""
+    return next(iter(table.primary_key))
 
 
 def is_id(number: int) -> bool:

@@ -44,15 +44,10 @@ def select_ids(
 ) -> list[int]:
     """Return the numbers of the chosen clips, ascending.
 
-    Parameters
-    ----------
-    selection : clips; if empty, all clips of the given labels.
-    category, performer, tag : only clips of this label, with this tag.
+    OptionError if nothing is chosen at all; LibraryError for a number or path that fits no clip.
 
-    Raises
-    ------
-    OptionError : nothing is chosen at all.
-    LibraryError : a number or path that fits no clip.
+    ``selection`` : clips; if empty, all clips of the given labels.
+    ``category``, ``performer``, ``tag`` : only clips of this label, with this tag.
     """
     items = [selection] if isinstance(selection, int | str | os.PathLike) else list(selection)
     if not items and category is None and performer is None and tag is None:

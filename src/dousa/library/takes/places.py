@@ -12,12 +12,10 @@ import sqlalchemy as sa
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IndexArray
-from dousa.formats.motion_files import ReadOptions, Skipped
 from dousa.library.results import MIRROR_SCORE, Place
 from dousa.library.search.text_store import find_meanings
 from dousa.library.store.features import StoredMotion, describe_clip, find_feature_set, load_motions
 from dousa.library.store.forests import StoredForest, ask_trees
-from dousa.library.takes.windows import describe_windows
 from dousa.messages import Message
 from dousa.retrieval.features.posed_motion import count_placed, hide_joints
 from dousa.retrieval.forest.likeness import merge_votes
@@ -25,7 +23,7 @@ from dousa.retrieval.forest.likeness import merge_votes
 if TYPE_CHECKING:
     from dousa.library.takes.scanning import TakesOnDisk
     from dousa.retrieval.takes.find import CutStretch, Found
-    from dousa.retrieval.takes.windows import TakeWindows, WindowGrid
+    from dousa.retrieval.takes.windows import TakeWindows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,37 +45,6 @@ class ReadTake:
     stored: StoredForest
     motion: StoredMotion | None = None
     notes: tuple[Message, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Describing:
-    """Describes takes whose windows are not stored.
-
-    Parameters
-    ----------
-    stored : the forest of the library.
-    choose : returns forest and grid for a body that lacks some joints, with a note; or None, with the reason.
-    options : of reading files.
-    n_jobs : parts described at a time.
-    """
-
-    stored: StoredForest
-    choose: Callable[[Sequence[str]], tuple[tuple[StoredForest, WindowGrid] | None, Message | None]]
-    options: ReadOptions
-    n_jobs: int | None
-
-    def describe(
-        self, path: str, clip_id: int | None, motion: StoredMotion, notes: tuple[Message, ...] = ()
-    ) -> ReadTake | Skipped:
-        """Describe the windows of a recording, or return why it is skipped."""
-        chosen, why = self.choose(motion.absent)
-        if chosen is None:
-            assert why is not None
-            return Skipped(path, why)
-        stored, grid = chosen
-        kept = motion if clip_id is None else None
-        windows = describe_windows(stored, motion, self.n_jobs, grid)
-        return ReadTake(path, clip_id, lambda: windows, stored, kept, notes)
 
 
 def find_places(

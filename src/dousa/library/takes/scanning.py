@@ -130,9 +130,7 @@ class _Room:
 class TakesOnDisk:
     """Takes whose windows are in files.
 
-    Parameters
-    ----------
-    places : by take number, its file and its place in it.
+    ``places`` : by take number, its file and its place in it.
 
     Attributes
     ----------
@@ -155,13 +153,9 @@ class TakesOnDisk:
     def search(self, searches: Sequence[TakeSearch], wanted: Mapping[int, int]) -> None:
         """Pass candidate windows to searches for motions of one length.
 
-        Parameters
-        ----------
-        wanted : by take number, its number in each search.
+        PortionGoneError if a file is missing or damaged.
 
-        Raises
-        ------
-        PortionGoneError : a file is missing or damaged.
+        ``wanted`` : by take number, its number in each search.
         """
         chosen: dict[int, BoolArray] = {}
         for number in wanted:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -28,13 +29,42 @@ from dousa.library.store.ingest import (
     read_rounded,
 )
 from dousa.library.store.selection import fetch_in, find_row, read_doubts
-from dousa.library.takes.places import Describing, ReadTake, count_alike, find_places, judge_places, rank_places
+from dousa.library.takes.places import ReadTake, count_alike, find_places, judge_places, rank_places
 from dousa.library.takes.windows import WindowKeeper, describe_windows, read_windows, replace_windows
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.retrieval.takes.find import Found
-    from dousa.retrieval.takes.windows import TakeWindows, WindowGrid
+    from dousa.retrieval.takes.windows import TakeWindows
+
+
+@dataclass(frozen=True, slots=True)
+class _Reading:
+    """Reads takes for one search, and describes those whose windows are not stored.
+
+    Parameters
+    ----------
+    stored : the forest of the library.
+    choose : returns the forest for a body that lacks some joints, with a note; or None, with the reason.
+    options, n_jobs : of reading files, and parts described at a time.
+    """
+
+    connection: sa.Connection
+    stored: StoredForest
+    choose: Callable[[Sequence[str]], tuple[StoredForest | None, Message | None]]
+    options: ReadOptions
+    n_jobs: int | None
+
+    def describe(
+        self, path: str, clip_id: int | None, motion: StoredMotion, notes: tuple[Message, ...] = ()
+    ) -> ReadTake | Skipped:
+        """Describe the windows of a recording, or return why it is skipped."""
+        chosen, why = self.choose(motion.absent)
+        if chosen is None:
+            assert why is not None
+            return Skipped(path, why)
+        windows = describe_windows(chosen, motion, self.n_jobs, self.stored.grid)
+        return ReadTake(path, clip_id, partial(_give, windows), chosen, motion if clip_id is None else None, notes)
 
 
 class Takes:
@@ -68,19 +98,15 @@ class Takes:
             stored = self._forests.load(connection)
             name, motion, doubts = self._read_query(connection, query, options)
 
-            def choose(absent: Sequence[str]) -> tuple[tuple[StoredForest, WindowGrid] | None, Message | None]:
-                part, note = self._parts.choose(stored, {*motion.absent, *absent}, progress)
-                return (None if part is None else (part, stored.grid)), note
+            def choose(absent: Sequence[str]) -> tuple[StoredForest | None, Message | None]:
+                return self._parts.choose(stored, {*motion.absent, *absent}, progress)
 
-            part, note = self._parts.choose(stored, motion.absent, progress)
+            part, note = choose(())
             if part is None:
                 assert note is not None
                 raise InvalidMotionError(note)
-            describing = Describing(stored, choose, options, n_jobs)
-            if takes is None:
-                chosen, skipped = self.all_takes(connection, describing)
-            else:
-                chosen, skipped = self.chosen(connection, describing, takes)
+            reading = _Reading(connection, stored, choose, options, n_jobs)
+            chosen, skipped = self._list_all(reading) if takes is None else self._list_chosen(reading, takes)
             asked = [motion, motion.mirror()] if mirror else [motion], chosen, k
             numbers = None if takes is None else {take.clip_id for take in chosen if take.clip_id is not None}
             far = None if exact else (connection, stored, numbers)
@@ -146,52 +172,42 @@ class Takes:
         (motion,) = load_motions(connection, [query])
         return path, motion, read_doubts(connection, query)
 
-    def all_takes(self, connection: sa.Connection, describing: Describing) -> tuple[list[ReadTake], list[Skipped]]:
+    def _list_all(self, reading: _Reading) -> tuple[list[ReadTake], list[Skipped]]:
         """Return all takes, sorted by path, and those that share too few joints; LibraryError if there are none."""
         table = schema.clips.c
         query = sa.select(table.id, table.path, table.absent).where(table.kind == schema.TAKE)
-        rows = sorted(connection.execute(query).all(), key=lambda row: row.path)
+        rows = sorted(reading.connection.execute(query).all(), key=lambda row: row.path)
         if not rows:
             raise LibraryError("library_takes.none", library=self._database.where)
-        answers = self._read_rows(connection, describing, rows)
-        return _part_skipped(answers)
+        return _part_skipped(self._read_rows(reading, rows))
 
-    def _read_rows(
-        self, connection: sa.Connection, describing: Describing, rows: Sequence[Any]
-    ) -> list[ReadTake | Skipped]:
+    def _read_rows(self, reading: _Reading, rows: Sequence[Any]) -> list[ReadTake | Skipped]:
         """Return takes of the library, with stored windows where these are of its forest."""
-        answers: dict[int, ReadTake | Skipped] = {}
-        kept = []
+        answers: list[ReadTake | Skipped] = []
         for row in rows:
-            chosen, why = describing.choose(row.absent.split())
+            chosen, why = reading.choose(row.absent.split())
             if chosen is None:
                 assert why is not None
-                answers[row.id] = Skipped(row.path, why)
-            elif chosen[0] is describing.stored:
-                kept.append(row)
+                answers.append(Skipped(row.path, why))
+                continue
+            if chosen is reading.stored:
+                read = partial(self._read, reading.connection, chosen, row.id)
             else:
-                part = self._describe_part(connection, row.id, *chosen)
-                answers[row.id] = ReadTake(row.path, row.id, partial(_give, part), chosen[0])
-        for row in kept:
-            read = partial(self._read, connection, describing.stored, row.id)
-            answers[row.id] = ReadTake(row.path, row.id, read, describing.stored)
-        return [answers[row.id] for row in rows]
+                read = partial(_give, self._describe_part(reading, row.id, chosen))
+            answers.append(ReadTake(row.path, row.id, read, chosen))
+        return answers
 
-    def _describe_part(
-        self, connection: sa.Connection, number: int, stored: StoredForest, grid: WindowGrid
-    ) -> TakeWindows:
+    def _describe_part(self, reading: _Reading, number: int, stored: StoredForest) -> TakeWindows:
         """Describe a take by a forest for a part of the body; the last windows stay in memory."""
-        known = self._part_windows.get(number)
+        known, grid = self._part_windows.get(number), reading.stored.grid
         if known is not None and known[0] is stored and known[1].grid == grid:
             return known[1]
-        (motion,) = load_motions(connection, [number])
+        (motion,) = load_motions(reading.connection, [number])
         windows = describe_windows(stored, motion, None, grid)
         self._part_windows[number] = stored, windows
         return windows
 
-    def chosen(
-        self, connection: sa.Connection, describing: Describing, wanted: Sequence[Query]
-    ) -> tuple[list[ReadTake], list[Skipped]]:
+    def _list_chosen(self, reading: _Reading, wanted: Sequence[Query]) -> tuple[list[ReadTake], list[Skipped]]:
         """Return takes given by number, path or as motions, each path once, and the skipped files.
 
         A file that is unchanged in the library is not read.
@@ -200,21 +216,18 @@ class Takes:
         skipped: list[Skipped] = []
         seen: set[str] = set()
         for item in wanted:
-            some: Sequence[ReadTake]
             if isinstance(item, int):
-                some, missing = _part_skipped([self._by_number(connection, describing, item)])
-                skipped += missing
+                some, missing = _part_skipped([self._by_number(reading, item)])
             elif isinstance(item, str | os.PathLike):
-                some, missing = self._by_path(connection, describing, item)
-                skipped += missing
+                some, missing = self._by_path(reading, item)
             else:
-                motion, doubts = read_rounded(item, describing.options)
-                some, missing = _part_skipped([describing.describe(name_query(item), None, motion, doubts)])
-                takes += some
-                skipped += missing
-                continue  # motions may have one name
-            takes += [take for take in some if take.path not in seen]
-            seen.update(take.path for take in some)
+                motion, doubts = read_rounded(item, reading.options)
+                some, missing = _part_skipped([reading.describe(name_query(item), None, motion, doubts)])
+            skipped += missing
+            if isinstance(item, int | str | os.PathLike):  # motions may have one name
+                some = [take for take in some if take.path not in seen]
+                seen.update(take.path for take in some)
+            takes += some
         return takes, skipped
 
     def read_single(
@@ -245,31 +258,29 @@ class Takes:
             return path, None, answer.motion, list_doubts(answer)
         raise MotionFileError(str(take), answer.reason if isinstance(answer, Skipped) else skipped[0].reason)
 
-    def _by_number(self, connection: sa.Connection, describing: Describing, number: int) -> ReadTake | Skipped:
-        row = find_row(connection, self._database.where, number)
+    def _by_number(self, reading: _Reading, number: int) -> ReadTake | Skipped:
+        row = find_row(reading.connection, self._database.where, number)
         if row.kind == schema.TAKE:
-            return self._read_rows(connection, describing, [row])[0]
-        (motion,) = load_motions(connection, [number])
-        return describing.describe(row.path, number, motion)
+            return self._read_rows(reading, [row])[0]
+        (motion,) = load_motions(reading.connection, [number])
+        return reading.describe(row.path, number, motion)
 
-    def _by_path(
-        self, connection: sa.Connection, describing: Describing, path: str | os.PathLike[str]
-    ) -> tuple[list[ReadTake], list[Skipped]]:
+    def _by_path(self, reading: _Reading, path: str | os.PathLike[str]) -> tuple[list[ReadTake], list[Skipped]]:
         files, skipped = find_motion_files([path])
         paths = [str(file.path) for file in files]
-        rows = self._rows(connection, paths or [os.path.abspath(path)])
+        rows = self._rows(reading.connection, paths or [os.path.abspath(path)])
         if not paths and rows:  # its file is gone, but it is in the library
             paths, skipped = list(rows), []
         else:
-            rows = {name: row for name, row in rows.items() if is_as_stored(row, describing.options)}
-        kept = dict(zip(rows, self._read_rows(connection, describing, list(rows.values())), strict=True))
-        tasks = [ReadTask(name, describing.options, kind=schema.TAKE) for name in paths if name not in rows]
-        read = {answer.path: answer for answer in read_clips(tasks, describing.n_jobs)}
+            rows = {name: row for name, row in rows.items() if is_as_stored(row, reading.options)}
+        kept = dict(zip(rows, self._read_rows(reading, list(rows.values())), strict=True))
+        tasks = [ReadTask(name, reading.options, kind=schema.TAKE) for name in paths if name not in rows]
+        read = {answer.path: answer for answer in read_clips(tasks, reading.n_jobs)}
         takes: list[ReadTake | Skipped] = []
         for name in paths:
             answer = read.get(name)
             if isinstance(answer, ClipRecord):
-                takes.append(describing.describe(name, None, answer.motion, list_doubts(answer)))
+                takes.append(reading.describe(name, None, answer.motion, list_doubts(answer)))
             elif name in rows:
                 takes.append(kept[name])
         there, lacking = _part_skipped(takes)

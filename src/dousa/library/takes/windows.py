@@ -319,9 +319,7 @@ def replace_windows(database: Database, stored: StoredForest, clip_id: int, wind
 def read_windows(connection: sa.Connection, where: str, stored: StoredForest, clip_id: int) -> TakeWindows | None:
     """Read the windows of a take that this forest has described; None if there are none.
 
-    Raises
-    ------
-    LibraryDamagedError : the bytes are no windows, or of another forest.
+    LibraryDamagedError if the bytes are no windows, or of another forest.
     """
     from dousa.retrieval.takes.windows import TakeWindows
 
