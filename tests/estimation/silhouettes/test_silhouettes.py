@@ -287,7 +287,7 @@ def _grey(masks):
 def test_a_folder_of_images(tmp_path, ending):
     masks = np.kron(_masks(1, 3)[0], np.ones((1, 8, 8))).astype(bool)  # blocks, so that JPEG keeps them
     view = MaskFolder(_write_images(tmp_path / "left", _grey(masks), f"{{}}.{ending}"), 30)
-    assert view.name == "left" and view.n_frames == 3 and view.warnings == ()
+    assert view.name == "left" and view.n_frames == 3 and not view.warnings
     for frame in range(3):
         assert (view.read(frame) == masks[frame]).mean() > 0.99
 

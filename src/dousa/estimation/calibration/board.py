@@ -18,7 +18,7 @@ import numpy as np
 from dousa.arrays import FloatArray, Image, IndexArray, spread_evenly
 from dousa.errors import CalibrationError, OptionError
 from dousa.estimation.calibration.bundle import Freedom, Limb, Rig, Sightings, adjust
-from dousa.estimation.calibration.person import Calibration, guess_lenses, measure_parallax, rate_views
+from dousa.estimation.calibration.person import Calibration, guess_lenses, measure_parallax, place_lenses, rate_views
 from dousa.estimation.calibration.rig_search import triangulate
 from dousa.estimation.calibration.sightings import choose_moments, make_track, name_views, read_sightings
 from dousa.estimation.cameras.camera import Camera
@@ -232,16 +232,11 @@ def calibrate_from_board(
     rig = _chain(sightings, focal, board, names, least_corners)
     fit = adjust(sightings, rig, triangulate(sightings, rig), board.limbs(), Freedom(), 40)
     scale = board.square / float(fit.lengths[0])
-    points = fit.points * scale
-    found, placed, flat = _find_floor(
-        replace(fit.rig, translations=fit.rig.translations * scale), points, least_corners
-    )
-    made = tuple(
-        replace(lens, name=name, rotation=found.rotations[place], translation=found.translations[place])
-        for place, (lens, name) in enumerate(zip(lenses, names, strict=True))
-    )
+    rig = replace(fit.rig, translations=fit.rig.translations * scale)
+    found, placed, flat = _find_floor(rig, fit.points * scale, least_corners)
     rated = rate_views(fit, sightings, names)
     notes = () if flat else (Message("board.not_flat"),)
+    made = place_lenses(lenses, found, names)
     return Calibration(made, rated, measure_parallax(fit, sightings), placed, (), notes)
 
 

@@ -421,14 +421,19 @@ def _finish(
         notes.append(Message("calibration.few_agree", share=100 * least.share, film=least.name))
     if turn > np.radians(doubtful_turn):
         notes.append(Message("calibration.doubtful", degrees=np.degrees(turn)))
-    cameras = tuple(_make_camera(lens, rig, place, names[place]) for place, lens in enumerate(lenses))
-    return Calibration(cameras, views, parallax, placed, tuple(points), tuple(notes))
+    return Calibration(place_lenses(lenses, rig, names), views, parallax, placed, tuple(points), tuple(notes))
 
 
-def _make_camera(lens: Camera, rig: Rig, place: int, name: str) -> Camera:
-    matrix = np.array(lens.matrix)
-    matrix[:2, :2] *= rig.focals[place] / lens.matrix[0, 0]
-    return replace(lens, name=name, matrix=matrix, rotation=rig.rotations[place], translation=rig.translations[place])
+def place_lenses(lenses: Sequence[Camera], rig: Rig, names: Sequence[str]) -> tuple[Camera, ...]:
+    """Return the cameras (V,) of these lenses with the focal lengths and poses of a rig."""
+    placed = []
+    for lens, name, focal, rotation, translation in zip(
+        lenses, names, rig.focals, rig.rotations, rig.translations, strict=True
+    ):
+        matrix = np.array(lens.matrix)
+        matrix[:2, :2] *= focal / lens.matrix[0, 0]
+        placed.append(replace(lens, name=name, matrix=matrix, rotation=rotation, translation=translation))
+    return tuple(placed)
 
 
 def rate_views(fit: Fit, sightings: Sightings, names: Sequence[str], fits: float = 3.0) -> tuple[CalibratedView, ...]:

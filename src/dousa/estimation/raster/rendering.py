@@ -94,7 +94,8 @@ def spoil(
         if amounts.holes:
             changed = changed & (inside.advance() > _quantile(amounts.holes))
         if amounts.jitter:
-            changed = _shift(changed, amounts.jitter * shift)
+            across, down = amounts.jitter * shift
+            changed = _warp(changed, [[1.0, 0.0, across], [0.0, 1.0, down]])
         if amounts.speckle:
             changed = changed | (outside.advance() > _quantile(1.0 - amounts.speckle))
         spoiled[t] = changed
@@ -146,17 +147,12 @@ def _cast_shadow(mask: Mask, length: float, side: float, depth: float) -> Mask:
     foot = float(rows[-1])
     # A point h above the feet falls length * h to the side and a little up the image.
     rise = length * depth
-    affine = np.array([[1.0, -side * length, side * length * foot], [0.0, rise, foot * (1.0 - rise)]])
-    height, width = mask.shape
-    flat = cv2.warpAffine(mask.astype(np.float32), affine, (width, height), flags=cv2.INTER_LINEAR)
-    return np.asarray(flat > 0.5)
+    return _warp(mask, [[1.0, -side * length, side * length * foot], [0.0, rise, foot * (1.0 - rise)]])
 
 
-def _shift(mask: Mask, shift: FloatArray) -> Mask:
-    """Shift the image by (columns, rows) px; the rest is background."""
-    affine = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
-    height, width = mask.shape
-    return np.asarray(cv2.warpAffine(mask.astype(np.float32), affine, (width, height)) > 0.5)
+def _warp(mask: Mask, affine: Sequence[Sequence[float]]) -> Mask:
+    """Move the image by an affine matrix (2, 3); the rest is background."""
+    return np.asarray(cv2.warpAffine(mask.astype(np.float32), np.array(affine), mask.shape[::-1]) > 0.5)
 
 
 def render(body: BodyModel, poses: ArrayLike, cameras: Sequence[Camera]) -> list[Mask]:

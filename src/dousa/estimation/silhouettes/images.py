@@ -201,15 +201,16 @@ class MaskFolder(View):
         first = read_image(os.path.join(self._folder, names[0]))
         self._stored_size = (first.shape[1], first.shape[0])
         self.size = size or self._stored_size
-        notes: list[Message] = []
+        self.warnings: list[Message] = []
         if frame_rate is None:
-            notes.append(Message("mask_files.images_rate", view=self.name, rate=self.frame_rate))
+            self.warnings.append(Message("mask_files.images_rate", view=self.name, rate=self.frame_rate))
         if len(self._frames) < self.n_frames:
             missing = self.n_frames - len(self._frames)
-            notes.append(Message("mask_files.missing_frames", view=self.name, missing=missing, frames=self.n_frames))
+            self.warnings.append(
+                Message("mask_files.missing_frames", view=self.name, missing=missing, frames=self.n_frames)
+            )
         if float(np.mean(mask_from_image(first, not names[0].lower().endswith(_LOSSY)))) > 0.6:
-            notes.append(Message("mask_files.inverted", view=self.name))
-        self.warnings = tuple(notes)
+            self.warnings.append(Message("mask_files.inverted", view=self.name))
 
     def read(self, frame: int) -> Mask | None:
         """Return the mask (height, width) of a frame; None where there is no image."""

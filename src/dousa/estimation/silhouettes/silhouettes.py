@@ -232,7 +232,7 @@ class View(ABC):
     size: tuple[int, int]
     n_frames: int
     frame_rate: float
-    warnings: tuple[Message, ...] = ()
+    warnings: Sequence[Message] = ()
 
     @abstractmethod
     def read(self, frame: int) -> Mask | None:

@@ -10,11 +10,10 @@ from typing import Literal
 
 import numpy as np
 
-from dousa.arrays import Image, Mask
+from dousa.arrays import Image, Mask, spread_evenly
 from dousa.errors import OptionError, SilhouetteError
 from dousa.estimation.cameras.camera import format_size
 from dousa.estimation.silhouettes.background import (
-    Background,
     BackgroundMethod,
     fill_camouflage,
     learn_background,
@@ -179,10 +178,6 @@ def reduce_size(size: tuple[int, int], longest: int = 640) -> tuple[int, int]:
     return (side, other) if size[0] >= size[1] else (other, side)
 
 
-def _spread(count: int, n_frames: int) -> list[int]:
-    return sorted({round(place) for place in np.linspace(0, n_frames - 1, min(count, n_frames))})
-
-
 class _VideoBased(View):
     """Common base of videos of masks and of scenes."""
 
@@ -191,14 +186,9 @@ class _VideoBased(View):
         self.name = os.path.splitext(os.path.basename(file.path))[0]
         self.size = size or file.size
         self.n_frames, self.frame_rate = file.n_frames, file.frame_rate
-        self._notes: list[Message] = []
-        self._part = (slice(0, file.size[1]), slice(0, file.size[0]))
+        self.warnings: list[Message] = []
         if file.n_stated and file.n_frames < file.n_stated:
-            self._notes.append(Message("film.truncated", view=self.name, frames=file.n_frames, stated=file.n_stated))
-
-    @property
-    def warnings(self) -> tuple[Message, ...]:  # type: ignore[override]
-        return tuple(self._notes)
+            self.warnings.append(Message("film.truncated", view=self.name, frames=file.n_frames, stated=file.n_stated))
 
     def close(self) -> None:
         """Close the file; reading opens it again."""
@@ -253,18 +243,14 @@ class VideoView(_VideoBased):
         samples = self._sample(progress)
         image = None if scene is None else self._resize(scene)
         if scene is not None and is_stretched((scene.shape[1], scene.shape[0]), self.size):
-            self._notes.append(Message("film.plate_stretched", view=self.name))
+            self.warnings.append(Message("film.plate_stretched", view=self.name))
         self._background = learn_background(samples, method, image)
-        self._notes += [Message("film.of_view", view=self.name, note=note) for note in self._background.warnings]
-
-    @property
-    def background(self) -> Background:
-        """The learnt background."""
-        return self._background
+        self.warnings += [Message("film.of_view", view=self.name, note=note) for note in self._background.warnings]
 
     def _find_part(self) -> None:
         """Crop black bars of a format conversion, where the rest has the proportions of the masks."""
         file = self._file
+        self._part = (slice(0, file.size[1]), slice(0, file.size[0]))
         if file.size == self.size:
             return
         sample = file.read(0)
@@ -274,10 +260,10 @@ class VideoView(_VideoBased):
         height, width = sample[self._part].shape[:2]
         if (width, height) != file.size:
             sizes = {"size": format_size(file.size), "other": format_size((width, height))}
-            self._notes.append(Message("film.bars", view=self.name, **sizes))
+            self.warnings.append(Message("film.bars", view=self.name, **sizes))
         if is_stretched((width, height), self.size):
             sizes = {"size": format_size((width, height)), "other": format_size(self.size)}
-            self._notes.append(Message("film.stretched", view=self.name, **sizes))
+            self.warnings.append(Message("film.stretched", view=self.name, **sizes))
 
     def look(self, frame: int) -> Image | None:
         """Return the image (height, width, 3) behind the mask of a frame; None where the data are damaged."""
@@ -291,7 +277,7 @@ class VideoView(_VideoBased):
 
     def _sample(self, progress: Progress | None, count: int = 32) -> Image:
         """Return frames (count, height, width, 3) spread over the video, from which the background is learnt."""
-        frames = _spread(count, self.n_frames)
+        frames = spread_evenly(self.n_frames, count).tolist()
         samples = []
         for done, frame in enumerate(frames):
             image = self._file.read(frame)
@@ -314,7 +300,7 @@ class VideoView(_VideoBased):
         found = subtract_background(image, self._background)
         if not self._several and count_people(found) > 1:
             self._several = True
-            self._notes.append(Message("film.several", view=self.name, frame=frame))
+            self.warnings.append(Message("film.several", view=self.name, frame=frame))
         previous = None
         if self._previous is not None and 0 < frame - self._previous[0] <= last_known:
             previous = self._previous[1]
@@ -341,11 +327,11 @@ def open_video(
     file = VideoFile(path, frame_rate)
     shown = kind
     if shown is None:
-        images = [file.read(frame) for frame in _spread(5, file.n_frames)]
+        images = [file.read(frame) for frame in spread_evenly(file.n_frames, 5).tolist()]
         shown = guess_video_kind([image for image in images if image is not None])
     if shown == "video":
         return VideoView(file, size, method, plate, progress, longest_side)
     view = MaskVideo(file, size)
     if kind is None:
-        view._notes.append(Message("film.taken_for_masks", view=view.name))
+        view.warnings.append(Message("film.taken_for_masks", view=view.name))
     return view
