@@ -154,21 +154,15 @@ def turn_part(part, pose, tree, local):  # type: ignore[no-untyped-def]
                 x, y, z = x + turn * axes[part, 1, 0], y + turn * axes[part, 1, 1], z + turn * axes[part, 1, 2]
                 k = 2
             a, b, c, d = _turn(a, b, c, d, x, y, z)
-    local[part, 0, 0], local[part, 0, 1], local[part, 0, 2] = (
-        1.0 - 2.0 * (c * c + d * d),
-        2.0 * (b * c - a * d),
-        2.0 * (b * d + a * c),
-    )
-    local[part, 1, 0], local[part, 1, 1], local[part, 1, 2] = (
-        2.0 * (b * c + a * d),
-        1.0 - 2.0 * (b * b + d * d),
-        2.0 * (c * d - a * b),
-    )
-    local[part, 2, 0], local[part, 2, 1], local[part, 2, 2] = (
-        2.0 * (b * d - a * c),
-        2.0 * (c * d + a * b),
-        1.0 - 2.0 * (b * b + c * c),
-    )
+    local[part, 0, 0] = 1.0 - 2.0 * (c * c + d * d)
+    local[part, 0, 1] = 2.0 * (b * c - a * d)
+    local[part, 0, 2] = 2.0 * (b * d + a * c)
+    local[part, 1, 0] = 2.0 * (b * c + a * d)
+    local[part, 1, 1] = 1.0 - 2.0 * (b * b + d * d)
+    local[part, 1, 2] = 2.0 * (c * d - a * b)
+    local[part, 2, 0] = 2.0 * (b * d - a * c)
+    local[part, 2, 1] = 2.0 * (c * d + a * b)
+    local[part, 2, 2] = 1.0 - 2.0 * (b * b + c * c)
 
 
 @inlined

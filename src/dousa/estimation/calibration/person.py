@@ -145,10 +145,11 @@ def _find_load(
     for (first, second), share in _MASSES.items():
         mass += share * (find_middle(points, names, first) + find_middle(points, names, second)) / 2.0
         total += share
-    feet = [_find_foot(points, names, side) for side in ("left", "right")]
-    if len(points) < 3 or any(foot is None for foot in feet):
+    of_sides = [[f"{side}_{kind}" for kind in _FOOT_POINTS] for side in ("left", "right")]
+    feet = [[names.index(name) for name in some if name in names] for some in of_sides]
+    if len(points) < 3 or not all(feet):
         return None
-    both = np.stack([foot for foot in feet if foot is not None])
+    both = np.stack([points[:, foot].mean(axis=1) for foot in feet])
     speeds = np.linalg.norm(np.gradient(both, moments, axis=1), axis=-1)
     heights = both @ up
     carries = (speeds < slow) & (heights < np.nanmin(heights, axis=0, initial=np.inf) + lifted)
@@ -160,12 +161,6 @@ def _find_load(
         return None
     mean = np.median(way, axis=0)
     return np.asarray(mean / np.linalg.norm(mean))
-
-
-def _find_foot(points: FloatArray, names: Sequence[str], side: str) -> FloatArray | None:
-    """Return (T, 3) the middle of the foot's points."""
-    there = [names.index(f"{side}_{kind}") for kind in _FOOT_POINTS if f"{side}_{kind}" in names]
-    return np.asarray(points[:, there].mean(axis=1)) if there else None
 
 
 def _find_resting(

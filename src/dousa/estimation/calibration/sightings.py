@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dousa.arrays import BoolArray, FloatArray, IndexArray, spread_evenly
+from dousa.arrays import BoolArray, FloatArray, spread_evenly
 from dousa.estimation.calibration.bundle import Limb, Sightings
 from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.keypoints.keypoints import ViewKeypoints
@@ -72,7 +72,10 @@ class Track:
         ``least_visibility``.
         """
         window = max(window, 0.7 * self.interval)
-        frames, inside = self._find_frames(moments, reach * window)
+        first = np.searchsorted(self.times, moments - reach * window)
+        last = np.searchsorted(self.times, moments + reach * window, side="right")
+        frames = first[:, None] + np.arange(max(1, int((last - first).max(initial=1))))
+        inside, frames = frames < last[:, None], np.minimum(frames, len(self.times) - 1)
         late = (self.times[frames] - moments[:, None]) / window
         kernel = np.where(inside, np.exp(-0.5 * late**2), 0.0)
         weights = kernel[..., None] * self.weights[frames]
@@ -88,13 +91,6 @@ class Track:
         found = np.linalg.solve(normal + 1e-9 * np.eye(3), right)
         sure = sums[..., 0] / np.maximum(kernel.sum(axis=1), 1e-9)[:, None]
         return found[..., 0, :], found[..., 1, :] / window, np.where(good & (sure >= least_visibility), sure, 0.0)
-
-    def _find_frames(self, moments: FloatArray, reach: float) -> tuple[IndexArray, BoolArray]:
-        """Return frames (M, W) about each moment, and whether each is within reach."""
-        first = np.searchsorted(self.times, moments - reach)
-        last = np.searchsorted(self.times, moments + reach, side="right")
-        frames = first[:, None] + np.arange(max(1, int((last - first).max(initial=1))))
-        return np.minimum(frames, len(self.times) - 1), frames < last[:, None]
 
 
 def name_views(views: Sequence[ViewKeypoints]) -> tuple[str, ...]:

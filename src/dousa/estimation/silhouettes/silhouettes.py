@@ -217,16 +217,7 @@ class PackedSilhouettes(Silhouettes):
 
 
 class View(ABC):
-    """The silhouettes of one camera, from any source.
-
-    Attributes
-    ----------
-    name : of the view.
-    size : width and height in pixels.
-    n_frames : number of frames.
-    frame_rate : Hz.
-    warnings : notes for the user; may grow while frames are read.
-    """
+    """The silhouettes of one camera, from any source: as `Silhouettes`, with one name and one size."""
 
     name: str
     size: tuple[int, int]
