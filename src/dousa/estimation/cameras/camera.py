@@ -434,8 +434,6 @@ def _find(cameras: Sequence[str], name: str) -> list[int]:
 
 def check_names(names: Sequence[str]) -> None:
     """Raise CalibrationError if two cameras have one name."""
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
+    for number, name in enumerate(names):
+        if name in names[:number]:
             raise CalibrationError("camera.same_name", camera=name)
-        seen.add(name)

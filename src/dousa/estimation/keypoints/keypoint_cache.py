@@ -158,10 +158,10 @@ class KeypointCache:
             _write_masks(self._work, keypoints.n_frames, sightings, people)
             self._close()
             del sightings
-            kept = self._final is not None and self._move()
-            if kept and self._final is not None:
-                clear_kept(self._final.parent, self._most_bytes, but=self._final)
-            return _load(self._final if kept and self._final else self._work, keypoints.source, in_memory=not kept)
+            place = self._move(self._work)
+            if place == self._final:
+                clear_kept(place.parent, self._most_bytes, but=place)
+            return _load(place, keypoints.source, in_memory=place != self._final)
         except OSError as error:
             raise KeypointError("keypoints.cache_disk", folder=self._work, reason=error) from error
         finally:
@@ -169,19 +169,18 @@ class KeypointCache:
                 shutil.rmtree(self._work, ignore_errors=True)
             self._work = None
 
-    def _move(self) -> bool:
-        """Move the finished folder to its final place and return whether that was possible."""
-        assert self._work is not None and self._final is not None
+    def _move(self, work: Path) -> Path:
+        """Move the finished folder to its final place, if possible, and return where it is."""
+        if self._final is None:
+            return work
         for name in (_SIGHTINGS, _TIMES):
             with suppress(OSError):  # on some systems a mapped file cannot be removed
-                (self._work / name).unlink()
-        if self._final.exists():  # another process was quicker
-            return True
-        try:
-            os.rename(self._work, self._final)
-        except OSError:
-            return False
-        return True
+                (work / name).unlink()
+        with suppress(OSError):
+            if not self._final.exists():  # else another process was quicker
+                os.rename(work, self._final)
+            return self._final
+        return work
 
     def _close(self) -> None:
         for file in self._files:

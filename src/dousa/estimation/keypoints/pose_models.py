@@ -19,9 +19,11 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import Literal, NamedTuple
+from typing import IO, Any, Literal, NamedTuple
 
 from dousa.errors import KeypointError, OptionError
 from dousa.files.disk import atomic_write
@@ -280,17 +282,26 @@ def _write(model: PoseModel, data: bytes) -> Path:
 def _list_candidates(source: Path) -> Iterator[bytes]:
     """Yield the members of an archive that have the size of a model; or the file itself."""
     with open(source, "rb") as file:
-        head = file.read(8)
-    if head[:2] == b"\x1f\x8b":
-        with gzip.open(source, "rb") as stream:
-            yield from _list_tar(_Limited(stream))
-    elif zipfile.is_zipfile(source):
-        with zipfile.ZipFile(source) as archive:
-            yield from _list_zip(archive)
-    elif source.stat().st_size in _SIZES:
+        is_tar = file.read(2) == b"\x1f\x8b"
+    if not is_tar and not zipfile.is_zipfile(source):
+        if source.stat().st_size not in _SIZES:
+            raise KeypointError("models.unknown_archive")
         yield source.read_bytes()
-    else:
-        raise KeypointError("models.unknown_archive")
+        return
+    with ExitStack() as opened:
+        members: Iterator[tuple[str, int, Callable[[], IO[bytes] | None]]]
+        if is_tar:
+            limited: Any = _Limited(opened.enter_context(gzip.open(source, "rb")))
+            tar = opened.enter_context(tarfile.open(fileobj=limited, mode="r|"))
+            members = ((one.name, one.size if one.isfile() else -1, partial(tar.extractfile, one)) for one in tar)
+        else:
+            archive = opened.enter_context(zipfile.ZipFile(source))
+            members = ((one.filename, one.file_size, partial(archive.open, one)) for one in archive.infolist())
+        for count, (name, size, open_member) in enumerate(members):
+            _check_member(count, name)
+            if size in _SIZES and (inside := open_member()) is not None:
+                with inside:
+                    yield inside.read(_LARGEST)
 
 
 class _Limited:
@@ -305,24 +316,6 @@ class _Limited:
         if self._left < 0:
             raise KeypointError("models.bomb", most=_MOST_UNPACKED // 1_000_000)
         return data
-
-
-def _list_tar(stream: _Limited) -> Iterator[bytes]:
-    with tarfile.open(fileobj=stream, mode="r|") as archive:  # type: ignore[call-overload]
-        for count, member in enumerate(archive):
-            _check_member(count, member.name)
-            if member.isfile() and member.size in _SIZES:
-                inside = archive.extractfile(member)
-                if inside is not None:
-                    yield inside.read(_LARGEST)
-
-
-def _list_zip(archive: zipfile.ZipFile) -> Iterator[bytes]:
-    for count, member in enumerate(archive.infolist()):
-        _check_member(count, member.filename)
-        if member.file_size in _SIZES:
-            with archive.open(member) as inside:
-                yield inside.read(_LARGEST)
 
 
 def _check_member(count: int, name: str) -> None:

@@ -28,8 +28,8 @@ DETECTOR_SIDE, LANDMARK_SIDE = 224, 256
 
 # Of MediaPipe's graphs pose_detection, pose_detection_to_roi and pose_landmark_by_roi (BlazePose, 2020): the share of
 # the circle's square that a crop is, the strides of the detector's layers, the least score, the overlap from which
-# detections are one, the largest logit, and of landmarks the heatmap's reach (cells) and least confidence.
-_ENLARGED, _STRIDES, _LEAST_SCORE, _OVERLAP, _LARGEST_LOGIT = 1.25, (8, 16, 32, 32, 32), 0.5, 0.3, 100.0
+# detections are one, and of landmarks the heatmap's reach (cells) and least confidence.
+_ENLARGED, _STRIDES, _LEAST_SCORE, _OVERLAP = 1.25, (8, 16, 32, 32, 32), 0.5, 0.3
 _HEATMAP_REACH, _LEAST_CONFIDENT = 3, 0.5
 
 Part = tuple[int, int, int, int]
@@ -190,7 +190,7 @@ def decode_detections(
     anchors : (N, 2) see `make_anchors`.
     matrix : (2, 3) from the square's pixels to the image's.
     """
-    scores = 1 / (1 + np.exp(-np.clip(logits.astype(np.float64), -_LARGEST_LOGIT, _LARGEST_LOGIT)))
+    scores = sigmoid(logits)
     kept = np.flatnonzero(scores >= _LEAST_SCORE)
     kept = kept[np.argsort(-scores[kept], kind="stable")]
     values = raw[kept].astype(np.float64)

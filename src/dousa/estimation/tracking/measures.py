@@ -131,10 +131,12 @@ def fit_girths(
         drawn = (draw_body(tried, rows, camera) for camera in cameras)
         return sum(int((mask ^ view).sum()) for mask, view in zip(drawn, views, strict=True))
 
-    shares = np.ones(body.n_parts)
-    shares = _search(mismatch, shares, [np.arange(body.n_parts)], limits, worth * area)
+    shares, every = np.ones(body.n_parts), np.arange(body.n_parts)
+    shares = _search(mismatch, shares, [every], limits, worth * area)
     bounds = max(limits[0], shares[0] / apart), min(limits[1], shares[0] * apart)
-    return widen(body, _search(mismatch, shares, _groups(body), bounds, worth * area))
+    plain = np.array([name.removeprefix("left_").removeprefix("right_") for name in body.names])
+    groups = [np.flatnonzero(plain == name) for name in dict.fromkeys(plain)]
+    return widen(body, _search(mismatch, shares, groups, bounds, worth * area))
 
 
 def _check_masks(masks: Sequence[Mask], cameras: Sequence[Camera], n_frames: int) -> list[Mask]:
@@ -149,12 +151,6 @@ def _check_masks(masks: Sequence[Mask], cameras: Sequence[Camera], n_frames: int
             raise SilhouetteError("tracker.girths_shape", view=camera.name, expected=str(shape), found=found)
         views.append(view)
     return views
-
-
-def _groups(body: BodyModel) -> list[IndexArray]:
-    """Group left and right parts, which share a girth."""
-    plain = [name.removeprefix("left_").removeprefix("right_") for name in body.names]
-    return [np.flatnonzero([name == one for name in plain]) for one in dict.fromkeys(plain)]
 
 
 def _search(

@@ -217,7 +217,7 @@ class StartSearch:
 
     Parameters
     ----------
-    setup : body, cameras and settings.
+    setup : body and cameras; of the settings, floor and stiffness count.
     frame : the silhouettes as the setup packs them.
     outlines : (V,) box and centre of each silhouette; None if no person is seen.
     n_headings : in which templates are laid onto the silhouettes.
@@ -233,7 +233,10 @@ class StartSearch:
         self.body, self.cameras = setup.body, setup.cameras
         self.frame, self.outlines = frame, outlines
         area = float(np.bitwise_count(frame.bits).sum()) / max(int(frame.seen.sum()), 1)
-        self.setup = SearchSetup(self.body, self.cameras, _own_settings(setup.settings), 30.0, area)
+        usual, given = TrackerSettings(), setup.settings
+        stiffness = max(given.stiffness, usual.stiffness)
+        own = dataclasses.replace(usual, inertia=0.0, floor=given.floor, stiffness=stiffness)
+        self.setup = SearchSetup(self.body, self.cameras, own, 30.0, area)
         self.scratch = self.setup.make_scratch()
         self.still = np.zeros(self.setup.n_axes)
         self.limbs = find_limbs(self.body)
@@ -347,14 +350,6 @@ def _pick_limbs(limbs: FloatArray, scores: FloatArray, count: int = 5, apart: fl
         if not (np.abs(limbs[chosen] - limbs[number]).max(axis=1) < apart).any():
             chosen.append(int(number))
     return chosen
-
-
-def _own_settings(settings: TrackerSettings) -> TrackerSettings:
-    """Return the default settings without inertia, with the given floor and stiffness."""
-    usual = TrackerSettings()
-    return dataclasses.replace(
-        usual, inertia=0.0, floor=settings.floor, stiffness=max(settings.stiffness, usual.stiffness)
-    )
 
 
 class Start(NamedTuple):
