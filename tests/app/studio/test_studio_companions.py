@@ -143,8 +143,7 @@ def test_without_the_beat_tracker_the_pip_line_is_told(studio, job, monkeypatch)
     assert studio.get(f"/api/evaluations/{job}/report.html").status_code == 200
 
 
-@pytest.mark.parametrize(("width", "height", "language"), [(390, 844, "en"), (1440, 900, "ja"), (2560, 1440, "en")])
-def test_film_and_music_go_in_step(show, running, dances, film, beats, tmp_path, width, height, language):
+def test_film_and_music_go_in_step(show, running, dances, film, beats, tmp_path):
     client = Client(running)
     takes, pupil = dances
     request = {
@@ -155,7 +154,7 @@ def test_film_and_music_go_in_step(show, running, dances, film, beats, tmp_path,
     assert client.wait(job)["state"] == "done"
     music = tmp_path / "dance.wav"
     music.write_bytes(make_music())
-    page = show(f"/evaluate?job={job}", width, height, "light", language)
+    page = show(f"/evaluate?job={job}")
     page.wait("return document.querySelector('#add-film')")
     page.find("#film-file").send_keys(str(film))
     page.wait("return document.querySelector('.beside-film')?.readyState >= 2")
@@ -198,18 +197,6 @@ def test_film_and_music_go_in_step(show, running, dances, film, beats, tmp_path,
         "const film = document.querySelector('.beside-film'), now = Number(document.querySelector('.dp-scrub').value);"
         "return Math.abs(film.currentTime - Math.min(now - 0.8, film.duration)) < 0.06"
     )
-
-    assert page.run("return document.documentElement.scrollWidth") <= width
-    # The figures use the height of a large screen.
-    least = {390: 200, 1440: 400, 2560: 800}[width]
-    assert page.run("return document.querySelector('.dp-stage').clientHeight") >= least
-    rail, strip = page.run(
-        "return ['.dp-rail', '.waveform'].map((one) => document.querySelector(one).getBoundingClientRect())"
-        ".map(({left, right}) => [left, right])"
-    )
-    assert rail == pytest.approx(strip, abs=2)
-    page.settle()
-    page.screenshot(tmp_path / "page.png")
     # They are there again after a reload, and gone when they are taken away.
     page.driver.refresh()
     page.wait("return document.querySelector('.beside-film') && document.querySelector('.waveform')")

@@ -62,6 +62,7 @@ def test_items_say_what_the_library_says_and_a_name_without_the_folders_of_this_
         ({"kind": "take"}, 0),
         ({"text": "SQUAT performer03"}, 1),
         ({"text": "ｓｑｕａｔ"}, 6),
+        ({"text": "kick performer"}, 6),
         ({"text": "nothing of the kind"}, 0),
         ({"min_s": 0, "max_s": 10000}, N),
         ({"min_s": 10000}, 0),
@@ -138,11 +139,6 @@ def test_a_change_of_few_clips_leaves_the_others_as_they_were_read(studio):
     assert len(others) == N - 1 and all(one is other for one, other in others)
     for text, count in (("calm", 1), ("stroll", 1), ("squat", 6)):
         assert studio.get("/api/clips", params={"text": text}).json()["total"] == count
-
-
-@pytest.mark.parametrize(("text", "count"), [("KICK", 6), ("kick left", 6), ("kick performer", 6)])
-def test_words_of_a_text_must_all_be_there(studio, text, count):
-    assert studio.get("/api/clips", params={"text": text}).json()["total"] == count
 
 
 def test_the_empty_library(studio):
@@ -421,22 +417,19 @@ def test_arrays_are_moved_to_fragments(studio, wait_job, library_copy):
         assert studio.post(f"/api/jobs/{kind}", json=request).status_code == 422
 
 
-@pytest.mark.parametrize("language", ["en", "ja"])
-def test_the_tray_says_what_was_found_and_repairs(show, running, library_copy, language):
+def test_the_tray_says_what_was_found_and_repairs(show, running, library_copy):
     damage(library_copy, "UPDATE clip_poses SET poses = zeroblob(length(poses)) WHERE clip_id = 2")
-    page = show("/library", language=language)
+    page = show("/library")
     page.find("#jobs-button").click()
     page.wait("return document.querySelector('#space-check')")
     assert not page.run("return document.querySelector('#space-fragments')")  # it is small
     page.run("document.querySelector('#space-check').click()")
     job = "document.querySelector('.job[data-state=done]')"
     page.wait(f"return {job}")
-    said = {"en": ("poses: ", "1 thing is damaged"), "ja": ("姿勢", "1か所が壊れています")}[language]
-    assert all(part in page.run(f"return {job}.textContent") for part in said)
+    assert all(part in page.run(f"return {job}.textContent") for part in ("poses: ", "1 thing is damaged"))
     page.run(f"{job}.querySelector('.actions button').click()")
     page.wait("return document.querySelectorAll('.job[data-state=done]').length === 2")
-    sound = {"en": "the library is sound", "ja": "異常はありません"}[language]
-    assert sound in page.run(f"return {job}.textContent")
+    assert "the library is sound" in page.run(f"return {job}.textContent")
     assert page.messages() == []
 
 

@@ -265,6 +265,13 @@ def test_corrections_are_laid_over_labels():
 
 # --- the page
 
+SEEK = """
+const inner = document.querySelector('.tl-inner').getBoundingClientRect();
+const place = {clientX: inner.left + inner.width * arguments[0], clientY: inner.top + 50};
+const event = {...place, bubbles: true, pointerId: 1, pointerType: 'mouse', button: 0};
+document.querySelector('.tl-track').dispatchEvent(new PointerEvent('pointerdown', event));
+window.dispatchEvent(new PointerEvent('pointerup', event));
+"""
 LABELLED = "return document.querySelectorAll('#segments tbody tr').length > 2"
 
 
@@ -275,17 +282,7 @@ def test_a_take_is_labelled_corrected_learned_and_taken_back(show, running, reco
     page.wait(LABELLED, seconds=60)
     assert page.run("return document.querySelector('.tl-segment') !== null")
     inside = 0.5 * sum(strange[0])
-    page.run(
-        """
-        const inner = document.querySelector('.tl-inner').getBoundingClientRect();
-        const x = inner.left + inner.width * arguments[0];
-        const place = {clientX: x, clientY: inner.top + 50};
-        const event = {...place, bubbles: true, pointerId: 1, pointerType: 'mouse', button: 0};
-        document.querySelector('.tl-track').dispatchEvent(new PointerEvent('pointerdown', event));
-        window.dispatchEvent(new PointerEvent('pointerup', event));
-        """,
-        inside / sum(end - start for start, end in recording[1]),
-    )
+    page.run(SEEK, inside / sum(end - start for start, end in recording[1]))
     time = float(page.run("return document.querySelector('.tl-cursor').getAttribute('aria-valuenow')"))
     assert time == pytest.approx(inside, abs=0.2)
     page.run("document.querySelector('#choose-stretch').click()")
@@ -325,13 +322,6 @@ return [...document.querySelectorAll('button, a[href], input, select')].filter((
 
 
 CORRECTED = "return document.querySelectorAll('.tl-segment.tl-corrected').length"
-SEEK = """
-const inner = document.querySelector('.tl-inner').getBoundingClientRect();
-const place = {clientX: inner.left + inner.width * arguments[0], clientY: inner.top + 50};
-const event = {...place, bubbles: true, pointerId: 1, pointerType: 'mouse', button: 0};
-document.querySelector('.tl-track').dispatchEvent(new PointerEvent('pointerdown', event));
-window.dispatchEvent(new PointerEvent('pointerup', event));
-"""
 
 
 def check_steps_back(page, running, motion, known, place):
@@ -622,10 +612,7 @@ def test_tables_of_labels_are_dropped_onto_a_take(studio, recording, table, wait
     assert {row["perhaps"] for row in rows if 2.5 <= float(row["start_s"]) < 4 and not row["category"]} == {"?"}
 
 
-@pytest.mark.parametrize(
-    ("width", "scheme", "language"), [(1280, "light", "en"), (640, "dark", "ja"), (640, "light", "en")]
-)
-def test_both_labels_at_one_time_are_seen_and_chosen(show, running, recording, tmp_path, width, scheme, language):
+def test_both_labels_at_one_time_are_seen_and_chosen(show, running, recording, tmp_path):
     library = running.app.state.studio.library
     labels = tmp_path / "labels"
     labels.mkdir()
@@ -633,20 +620,16 @@ def test_both_labels_at_one_time_are_seen_and_chosen(show, running, recording, t
     (labels / f"{recording[0].stem}.labels.csv").write_text(f"start_s,end_s,category\n{rows}")
     library.add(recording[0], kind="take", labels_from=f"folder:{labels}")
     take = next(clip for clip in library.clips() if clip.kind == "take")
-    page = show(f"/takes?motion=clip:{take.id}&at_s=1", width, 720, scheme, language)
+    page = show(f"/takes?motion=clip:{take.id}&at_s=1")
     page.wait("return document.querySelectorAll('.tl-segment').length === 4", seconds=60)
     page.wait("return document.querySelectorAll('.now-one').length === 2", seconds=60)
     assert page.run("return document.querySelectorAll('#segments tr[aria-current]').length") == 2
-    heights = page.run("return [...document.querySelectorAll('.tl-segment')].map((one) => one.offsetHeight)")
-    assert len(set(heights)) == 1 and heights[0] >= 25
     names = page.run("return [...document.querySelectorAll('.choices button')].map((one) => one.textContent)")
     assert ["hop" in names[0], "clap" in names[1], len(names)] == [True, True, 2]
     for number, name in enumerate(("hop", "clap")):
         button = page.run("return document.querySelectorAll('.choices button')[arguments[0]]", number)
         button.send_keys(KEYS.ENTER)
         assert page.run("return document.querySelector('#category').value") == name
-    page.screenshot(tmp_path / "both.png")
-    assert page.run("return document.documentElement.scrollWidth") <= width
     page.run("document.querySelector('.tl-cursor').focus()")
     page.find(".tl-cursor").send_keys(*[KEYS.ARROW_RIGHT] * 21)  # walk with nod in it
     page.wait("return document.querySelector('.now-what').textContent.includes('nod')")
