@@ -147,7 +147,7 @@ def tracked(monkeypatch):
 
     module = SimpleNamespace(estimate=estimate, PartialTrack=Partial)
     monkeypatch.setitem(sys.modules, "dousa.estimation.tracking.tracker", module)
-    monkeypatch.setattr("dousa.app.pipelines.track_log._EVERY_S", 0.0)
+    monkeypatch.setattr("dousa.app.pipelines.track_log.PartialFile.every_s", 0.0)
     return calls
 
 

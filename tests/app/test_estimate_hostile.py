@@ -275,7 +275,7 @@ class TestInterrupted:
     def test_going_on_gives_the_same_motion(self, scene, masks, change, tmp_path, monkeypatch):
         from dousa.estimation.tracking import tracker
 
-        monkeypatch.setattr("dousa.app.pipelines.track_log._EVERY_S", 0.0)
+        monkeypatch.setattr("dousa.app.pipelines.track_log.PartialFile.every_s", 0.0)
         monkeypatch.setitem(tracker.estimate.__kwdefaults__, "checkpoint_every", 3)
         path = change(masks)
 

@@ -211,7 +211,7 @@ def test_a_damaged_clip_does_not_take_the_others_with_it(studio, library_copy):
 
 
 def test_figures_of_clips_that_are_gone_do_not_pile_up(studio, monkeypatch):
-    monkeypatch.setattr("dousa.app.studio.content.clips._SPARE", 2)
+    monkeypatch.setattr(studio.app.state.studio.thumbnails, "spare", 2)
     studio.post("/api/clips/thumbnails", json={"clips": list(range(1, 21))})
     studio.post("/api/clips/remove", json={"clips": list(range(1, 21))})
     studio.post("/api/clips/thumbnails", json={"clips": [21, 22]})

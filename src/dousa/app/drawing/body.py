@@ -28,8 +28,6 @@ LIMB_JOINTS = (
     ("right_hip", "right_knee", "right_ankle", "right_toe"),
 )
 _TRUNK = ("left_shoulder", "right_shoulder", "right_hip", "left_hip")
-HEAD_RADIUS = 0.055  # statures, of a stick figure
-_BOLD_HEAD = 0.075  # of trunk, thigh and shank together, of a figure on a page
 
 # Shares of the stature: segment lengths and half widths of a grown person (after Winter 2009, table 4.1).
 _LENGTHS = {"trunk": 0.288, "upper_arm": 0.186, "forearm": 0.146, "thigh": 0.245, "shank": 0.246}
@@ -100,7 +98,9 @@ def _path(svg: Svg, places: FloatArray, names: Sequence[str], css_class: str) ->
     svg.line([(float(x), float(y)) for x, y in places[[J[name] for name in names]]], css_class)
 
 
-def draw_body(svg: Svg, pose: FloatArray, placement: Placement, css_class: str, sides: str = "") -> None:
+def draw_body(
+    svg: Svg, pose: FloatArray, placement: Placement, css_class: str, sides: str = "", *, head: float = 0.075
+) -> None:
     """Draw one pose.
 
     Parameters
@@ -110,6 +110,7 @@ def draw_body(svg: Svg, pose: FloatArray, placement: Placement, css_class: str, 
     placement : from `place`.
     css_class : ``"reference"``, ``"performance"`` ...: colour and width of the lines.
     sides : two letters, for left and right, that are written at the hands; empty for none.
+    head : radius of the head, a share of 2.6 times the trunk's length; a larger one stands out in small drawings.
     """
     places = placement.to_drawing(pose)
     if not np.isfinite(places).all():
@@ -121,12 +122,9 @@ def draw_body(svg: Svg, pose: FloatArray, placement: Placement, css_class: str, 
         _path(svg, places, names, f"limb {css_class}")
     _path(svg, places, ("neck", "head"), f"limb {css_class}")
     stature = float(np.linalg.norm(pose[J["neck"]] - pose[J["pelvis"]])) * 2.6
-    radius = max(_BOLD_HEAD * stature * placement.scale, 2.0)
-    head = places[J["head"]]
-    svg.add(
-        "circle",
-        {"cx": float(head[0]), "cy": float(head[1]), "r": float(radius), "class": f"head {css_class}"},
-    )
+    radius = max(head * stature * placement.scale, 2.0)
+    x, y = map(float, places[J["head"]])
+    svg.add("circle", {"cx": x, "cy": y, "r": radius, "class": f"head {css_class}"})
     if sides:
         middle = float(places[J["neck"], 0])
         for letter, name in zip(sides, ("left_hand", "right_hand"), strict=True):
@@ -254,13 +252,18 @@ def place_poses(figurine: Figurine, frames: Sequence[int], view: float) -> Float
     return poses
 
 
+def head_radius(height: float, share: float = 0.055) -> float:
+    """The radius (m) of a stick figure's head: ``share`` of its stature, more for one that hides more behind it."""
+    return share * height
+
+
 def extent(figurine: Figurine, frames: Sequence[int], view: float) -> tuple[float, float]:
     """Spacing (m) at which neighbouring poses do not touch, and the highest point (m) above the floor."""
     poses = place_poses(figurine, frames, view)
     known = np.isfinite(poses).all(axis=2)
     if not known.any():
         return 1.0, 1.0
-    girth = HEAD_RADIUS * figurine.height if figurine.canonical else 0.0
+    girth = head_radius(figurine.height) if figurine.canonical else 0.0
     left = np.where(known, -poses[..., 0], 0.0).max(axis=1) + girth
     right = np.where(known, poses[..., 0], 0.0).max(axis=1) + girth
     between = right[:-1] + left[1:]

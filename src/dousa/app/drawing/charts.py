@@ -16,7 +16,8 @@ from dousa.app.drawing.markup import Svg, element, format_number, trace
 from dousa.arrays import FloatArray
 from dousa.evaluation.words import format_time
 
-_CLOCK_STEPS = (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 21600, 86400)  # s, round
+# s: whole parts of the minute, the hour and the day, by definition of these units.
+_CLOCK_STEPS = (0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 21600, 86400)
 
 
 def percent(value: float, low: float, high: float) -> str:
@@ -73,7 +74,7 @@ _ANCHORS = (
     "440154 48186a 472d7b 424086 3b528b 33638d 2c728e 26828e 21918c 1fa088 28ae80 3fbc73 5ec962 84d44b addc30 d8e219 "
     "fde725"
 ).split()
-_UNKNOWN = 255  # the colour index of what is not known: transparent
+_UNKNOWN = 255  # the last index of a palette of 8 bits (W3C, PNG specification): of what is not known, transparent
 
 
 @lru_cache(maxsize=1)

@@ -15,12 +15,12 @@ import numpy as np
 
 from dousa.app.drawing.body import (
     FRONT,
-    HEAD_RADIUS,
     LIMB_JOINTS,
     SIDE,
     THREE_QUARTER,
     Figurine,
     extent,
+    head_radius,
     place_poses,
     to_figurine,
 )
@@ -348,7 +348,7 @@ def _draw_people(axes: Any, poses: FloatArray, height: float, view: float) -> No
         _lines(axes, poses, [arm, leg], color=colour, ls=line, lw=1.7, zorder=depth)
         tips = poses[:, [arm[-1], leg[-1]]].reshape(-1, 2)
         axes.plot(*tips.T, ls="", marker=marker, ms=3.0, color=colour, zorder=depth + 0.5)
-    size = np.full(len(poses), 2 * HEAD_RADIUS * height)
+    size = np.full(len(poses), 2 * head_radius(height))
     heads = EllipseCollection(
         size, size, np.zeros(len(poses)), units="xy", offsets=poses[:, JOINT_INDEX["head"]],
         offset_transform=axes.transData, facecolor="white", edgecolor=INK, lw=1.4, zorder=3.5,

@@ -163,9 +163,6 @@ def read_focal_length(path: Path, size: tuple[int, int]) -> float | None:
     return None
 
 
-_SAME_START = 0.75  # frames by which films may start apart and be taken as they are
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class FilmScene:
     """Films on one clock.
@@ -277,9 +274,23 @@ def _place_cameras(
     report(0, 1, Message("film_estimate.calibrating"))
     made = calibrate_from_person(chosen, request.stature, focals=focals, offsets=offsets.tolist(), people=people)
     notes += [*made.warnings, Message("film_estimate.calibrated", views=len(found))]
-    frame = 1.0 / min(view.frame_rate for view in found)
-    clocks = np.zeros(len(found)) if (np.abs(offsets) < _SAME_START * frame).all() else offsets.max() - offsets
+    clocks = np.zeros(len(found)) if start_together(found, offsets) else offsets.max() - offsets
     return _put_together(request, names, found, made.cameras, clocks, notes)
+
+
+def start_together(
+    found: Sequence[ViewKeypoints], offsets: FloatArray, spreads: FloatArray | float = 0.0, *, frames: float = 0.75
+) -> bool:
+    """Whether films start so nearly together that they are taken as they are.
+
+    Parameters
+    ----------
+    found, offsets : the films, and when they begin, (V,) s.
+    spreads : standard errors of the offsets, (V,) s; three of them are no difference.
+    frames : of the slowest film, by which starts may differ; more leaves films unsynchronised, less shifts by noise.
+    """
+    frame = 1.0 / min(view.frame_rate for view in found)
+    return bool((np.abs(offsets) < np.maximum(frames * frame, 3.0 * np.asarray(spreads))).all())
 
 
 def _find_focals(request: EstimationRequest, found: Sequence[ViewKeypoints]) -> list[float] | None:
@@ -334,8 +345,7 @@ def find_offsets(
         answer = sync(found, cameras=cameras, progress=report)
     except CalibrationError:  # without movement it does not matter much either
         return together, [Message("film_estimate.not_synchronised")]
-    frame = 1.0 / min(view.frame_rate for view in found)
-    if (np.abs(answer.offsets) < np.maximum(_SAME_START * frame, 3.0 * answer.spreads)).all():
+    if start_together(found, answer.offsets, answer.spreads):
         return together, []
     clocks = -answer.offsets
     pairs = tuple(f"{name} {offset:+.3f} s" for name, offset in zip(names, answer.offsets, strict=True))

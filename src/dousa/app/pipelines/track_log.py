@@ -27,7 +27,6 @@ from dousa.messages import Message
 
 _Track = TypeVar("_Track")
 
-_EVERY_S = 3.0  # between two writes
 _KEY = "fingerprint"
 
 # What numpy and zipfile raise on files that are no npz, or damaged ones.
@@ -94,14 +93,16 @@ class PartialFile:
     ----------
     output : the file that is being made; the hidden one lies beside it. None keeps nothing.
     key : `fingerprint` of inputs, settings and version.
-    every : s between two writes; 3 by default.
+    every : s between two writes; `every_s`, 3, by default: with more, more is lost where the work is killed.
     """
+
+    every_s = 3.0
 
     def __init__(self, output: Path | None, key: str, every: float | None = None) -> None:
         self.path = None if output is None else output.with_name(f".{output.name}.partial.npz")
         self.problem: Message | None = None
         self._key = key
-        self._every = _EVERY_S if every is None else every
+        self._every = self.every_s if every is None else every
         self._last = time.monotonic()
 
     def load(self, kind: type[_Track]) -> tuple[_Track | None, Message | None]:

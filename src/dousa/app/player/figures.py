@@ -231,7 +231,7 @@ def _finite_or(value: float, otherwise: float) -> float:
 
 
 MINIATURE_FRAMES = 24
-"""Poses of a loop."""
+"""Poses of a loop, by definition of `encode_miniature`, whose bytes miniature_figure.js reads."""
 
 MINIATURE_BYTES = 16 + MINIATURE_FRAMES * len(CANONICAL_JOINTS) * 3
 """Length of every loop, 1,456, by definition of `encode_miniature`: a header and the positions."""

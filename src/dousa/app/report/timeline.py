@@ -113,7 +113,6 @@ def _show_map(values: FloatArray, low: float, high: float, attributes: Mapping[s
 
 _WIDTH = 2000.0  # units of the drawings across the whole time
 _LANE, _CURVE, _HEAT = 26, 92, 15  # px: one lane of bars, one curve, one segment
-_NARROWEST = 0.022  # share of the time that a bar takes at least, so that its letter can be read
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,13 +212,13 @@ def _furi_row(assessment: Assessment, duration: float, words: Mapping[str, str])
     return _Row(_LANE + 4, words["furi"], "", "", "".join(bands), "bands")
 
 
-def _assign_lanes(spans: Sequence[tuple[float, float]], duration: float) -> tuple[int, ...]:
+def _assign_lanes(spans: Sequence[tuple[float, float]], narrowest: float) -> tuple[int, ...]:
     """The lowest lane in which each span, as wide as it is drawn, meets no earlier one."""
     free: list[float] = []
     lanes = [0] * len(spans)
     for k in sorted(range(len(spans)), key=lambda k: spans[k][0]):
         start, end = spans[k]
-        until = max(end, start + _NARROWEST * duration)
+        until = max(end, start + narrowest)
         lane = next((n for n, at in enumerate(free) if at <= start), len(free))
         if lane == len(free):
             free.append(until)
@@ -228,13 +227,18 @@ def _assign_lanes(spans: Sequence[tuple[float, float]], duration: float) -> tupl
     return tuple(lanes)
 
 
-def _bars(items: Sequence[tuple[float, float, str, Mapping[str, object], str]], duration: float) -> tuple[str, int]:
-    """Bars (start, end, title, attributes, markup) packed into lanes; and how many lanes they take."""
-    lanes = _assign_lanes([(start, end) for start, end, *_ in items], duration)
+def _bars(
+    items: Sequence[tuple[float, float, str, Mapping[str, object], str]], duration: float, narrowest: float = 0.022
+) -> tuple[str, int]:
+    """Bars (start, end, title, attributes, markup) packed into lanes; and how many lanes they take.
+
+    Each takes ``narrowest``, a share of the duration, at least; of less its letter could not be read.
+    """
+    lanes = _assign_lanes([(start, end) for start, end, *_ in items], narrowest * duration)
     out = []
     for (start, end, title, attributes, mark), lane in zip(items, lanes, strict=True):
         style = f"{_span(start, end, duration)};top:{lane * _LANE + 3}px"
-        if start > (1.0 - _NARROWEST) * duration:  # the least width would reach beyond the edge
+        if start > (1.0 - narrowest) * duration:  # the least width would reach beyond the edge
             style = f"right:0;width:{percent(duration - start, 0, duration)};top:{lane * _LANE + 3}px"
         tag = {"type": "button", "style": style, "title": title, "aria-label": title, **attributes}
         out.append(element("button", tag, inner=mark))

@@ -311,19 +311,11 @@ def _call(
     return " ".join(words)
 
 
-_EXAMPLES = {
-    "name": "kick/walk.bvh",
-    "clips": [1, 2],
-    "batch": "BATCH",
-    "category": "kick",
-    "start_s": 1.5,
-    "end_s": 2.5,
-}
-
-
 def _example(schema: Mapping[str, Any], schemas: Mapping[str, Any], name: str = "") -> Any:
+    named: dict[str, Any] = {"name": "kick/walk.bvh", "clips": [1, 2], "batch": "BATCH", "category": "kick"}
+    named |= {"start_s": 1.5, "end_s": 2.5}
     schema = _follow(schema, schemas)
-    known = [*schema.get("examples", ()), *([_EXAMPLES[name]] if name in _EXAMPLES else ())]
+    known = [*schema.get("examples", ()), *([named[name]] if name in named else ())]
     known += [*([schema["default"]] if "default" in schema else ()), *schema.get("enum", ())]
     if known:
         return known[0]

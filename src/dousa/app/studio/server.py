@@ -336,12 +336,17 @@ _FORM_CODES = {
     FRAMES_FORM: "studio.form_frames",
 }
 
-_PATIENCE = 10.0  # s for the first line and the headers of a request; uvicorn itself waits for ever
-
 
 class PatientProtocol(H11Protocol):
-    """HTTP of uvicorn that closes a connection whose next request is late, or whose body comes too slowly."""
+    """HTTP of uvicorn that closes a connection whose next request is late, or whose body comes too slowly.
 
+    Attributes
+    ----------
+    patience_s : for the first line and the headers of a request; uvicorn itself waits for ever. With more, connections
+        that say nothing keep others out for longer.
+    """
+
+    patience_s = 10.0
     _deadline: asyncio.TimerHandle | None = None
     _n_bytes = 0  # of a body since it was looked at
 
@@ -366,7 +371,7 @@ class PatientProtocol(H11Protocol):
             self._rest()
         elif self._deadline is None:
             self._n_bytes = 0
-            self._deadline = self.loop.call_later(_PATIENCE, self._give_up, self.conn.their_state)
+            self._deadline = self.loop.call_later(self.patience_s, self._give_up, self.conn.their_state)
 
     def _rest(self) -> None:
         if self._deadline is not None:

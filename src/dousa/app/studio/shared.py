@@ -94,7 +94,6 @@ class SharedGuard(RequestGuard):
 
 FIRST_PORT, _TRIES = 8865, 20
 _MOST_CONNECTIONS, _MOST_OF_ONE = 100, 24  # of all, and of one address; a browser opens about six
-_HANDSHAKE_S = 10.0
 
 # --- what there is to see
 
@@ -301,7 +300,10 @@ def listen(address: str) -> LimitedListener:
     raise OptionError("studio_share.cannot_listen", address=address, reason=problem)
 
 
-def _serve(app: Any, listener: LimitedListener, certificate: str, http: Any) -> Callable[[], None]:
+def _serve(
+    app: Any, listener: LimitedListener, certificate: str, http: Any, *, handshake_s: float = 10.0
+) -> Callable[[], None]:
+    """Serve in a thread; strangers have ``handshake_s`` to say who they are: with more, silent ones stay longer."""
     uvicorn = require("uvicorn", "studio")
     config = uvicorn.Config(
         app, http=http, ws="none", lifespan="off", loop="asyncio", proxy_headers=False, server_header=False,
@@ -315,7 +317,7 @@ def _serve(app: Any, listener: LimitedListener, certificate: str, http: Any) -> 
     def make_loop() -> asyncio.AbstractEventLoop:
         loop = asyncio.new_event_loop()
         # uvicorn has no option for this, and waits a minute for silent connections.
-        hasty = partial(loop.create_server, ssl_handshake_timeout=_HANDSHAKE_S, ssl_shutdown_timeout=1.0)
+        hasty = partial(loop.create_server, ssl_handshake_timeout=handshake_s, ssl_shutdown_timeout=1.0)
         loop.create_server = hasty  # type: ignore[method-assign]
         loop.set_exception_handler(lambda *_: None)  # strangers who are no browsers are nothing for the terminal
         return loop

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 
 from dousa.app.output import warn
-from dousa.app.tables.lines import SHOWN, print_line, print_some, say_line, to_cell
+from dousa.app.tables.lines import print_line, print_some, say_line, to_cell
 from dousa.messages import Message
 
 if TYPE_CHECKING:
@@ -86,8 +86,8 @@ def _say_passed_over(out: Console, passed_over: Sequence[tuple[str, int]]) -> No
             say_line(out, code, suffixes=found)
 
 
-def print_add(out: Console, report: AddReport) -> None:
-    """What was added to a library, and what was not and why."""
+def print_add(out: Console, report: AddReport, *, shown: int = 10) -> None:
+    """What was added to a library, and what was not and why; ``shown`` notes, so that they fit on a screen."""
     rate = report.bytes / 1e6 / report.seconds if report.seconds > 0 else 0.0
     done = {"megabytes": report.bytes / 1e6, "seconds": report.seconds, "rate": rate}
     say_line(out, "adding.added", n=len(report.added), **done)
@@ -110,7 +110,7 @@ def print_add(out: Console, report: AddReport) -> None:
         say_line(out, code, n=report.n_learned, new=len(report.new_categories))
     if report.other_kind:
         warn(Message("answers.other_kind", n=len(report.other_kind)))
-    for text, count in Counter(text for _, text in report.warnings).most_common(SHOWN):
+    for text, count in Counter(text for _, text in report.warnings).most_common(shown):
         warn(Message("answers.note_of_files", note=text, n=count))
     listed = (report.added, report.replaced, report.moved, report.unchanged, report.duplicates, report.skipped)
     if not any(listed):
@@ -122,18 +122,21 @@ def print_add(out: Console, report: AddReport) -> None:
 _NAMED = ("text.in_file", "text.in_line")
 
 
-def warn_of_files(notes: Iterable[tuple[str, Message]]) -> None:
-    """What came up when files were read, on standard error: each once, with the file where it is the only one."""
+def warn_of_files(notes: Iterable[tuple[str, Message]], *, shown: int = 10) -> None:
+    """What came up when files were read, on standard error: each once, with the file where it is the only one.
+
+    The first ``shown`` of them, so that they fit on a screen.
+    """
     files: dict[Message, list[str]] = {}
     for path, message in notes:
         files.setdefault(message, []).append(path)
-    for message, paths in sorted(files.items(), key=lambda item: -len(item[1]))[:SHOWN]:
+    for message, paths in sorted(files.items(), key=lambda item: -len(item[1]))[:shown]:
         if len(paths) > 1:
             warn(Message("answers.note_of_files", note=message, n=len(paths)))
         else:
             warn(message if message.code in _NAMED else Message("text.in_file", path=paths[0], problem=message))
-    if len(files) > SHOWN:
-        warn(Message("answers.more_notes", n=len(files) - SHOWN))
+    if len(files) > shown:
+        warn(Message("answers.more_notes", n=len(files) - shown))
 
 
 _CLIP_COLUMNS = (

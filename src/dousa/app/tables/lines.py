@@ -17,10 +17,6 @@ if TYPE_CHECKING:
     from dousa.experiments.table import ResultTable
 
 
-SHOWN = 10
-"""Lines of a list that are printed."""
-
-
 def to_cell(text: Message | str) -> str:
     """The text as Rich shows it: square brackets are square brackets, and it is one line."""
     return escape(one_line(str(text)))
@@ -51,13 +47,13 @@ def name_side(mirrored: bool) -> str:
     return str(Message("columns.mirrored")) if mirrored else ""
 
 
-def print_some(out: Console, heading: Message, lines: list[str]) -> None:
-    """A heading and the first lines of a list."""
+def print_some(out: Console, heading: Message, lines: list[str], *, shown: int = 10) -> None:
+    """A heading and the first lines of a list: ``shown``, so that the answer fits on a screen."""
     out.print(str(heading), markup=False)
-    for line in lines[:SHOWN]:
+    for line in lines[:shown]:
         out.print(f"  {one_line(line)}", markup=False, soft_wrap=True)
-    if len(lines) > SHOWN:
-        say_line(out, "adding.more", n=len(lines) - SHOWN)
+    if len(lines) > shown:
+        say_line(out, "adding.more", n=len(lines) - shown)
 
 
 _OF_ANSWERS = ("partial.", "library_takes.")

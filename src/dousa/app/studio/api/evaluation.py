@@ -20,17 +20,14 @@ from dousa.app.studio.content.evaluations import (
     format_weights,
 )
 from dousa.app.studio.content.studio import Studio, StudioNow
-from dousa.app.studio.core.answers import FILE, Answer, RefusedError, StrictModel, say
+from dousa.app.studio.core.answers import FILE, Answer, RefusedError, StrictModel, give_files, say
 from dousa.app.studio.jobs.board import Job
 from dousa.errors import DousaError, InvalidMotionError, OptionError
 from dousa.messages import use_language
 
 router = APIRouter(tags=["evaluation"])
 
-_SVG: dict[str, Any] = {
-    "response_class": Response,
-    "responses": {200: {"content": {"image/svg+xml": {"schema": {"type": "string"}}}}},
-}
+_SVG = give_files("image/svg+xml", form=None)
 
 
 class AdjustRequest(Adjustment):
@@ -273,8 +270,7 @@ for _name, (_kind, _what) in _FILES.items():
         f"/evaluations/{{job_id}}/{_name}",
         _make_download(_name),
         methods=["GET"],
-        response_class=Response,
-        responses={200: {"content": {_kind: {"schema": {"type": "string"}}}}},
+        **give_files(_kind, form=None),
         summary=f"Download {_what}",
         operation_id=f"download_{_name.replace('.', '_')}",
     )

@@ -155,10 +155,11 @@ _Character = Annotated[
 _Format = Annotated[str, Field(max_length=20, description="of GET /api/export/formats")]
 
 
-_Reach = derive_model(library.Character, ("keep_reach",))
+class _Reach(derive_model(library.Character, ("keep_reach",))):  # type: ignore[misc]
+    pass
 
 
-class ExportRequest(_Reach):  # type: ignore[misc]
+class ExportRequest(_Reach):
     """Which clips, and what they are written as."""
 
     clips: Annotated[list[_Number], Field(min_length=1, max_length=20_000)]
@@ -225,7 +226,7 @@ def get_export(studio: StudioNow, job_id: str) -> Response:
     return FileResponse(path, media_type="application/zip", filename=f"{stem}_{job.id[:6]}.zip")
 
 
-class _FormatDownload(MotionPart, _Reach):  # type: ignore[misc]
+class _FormatDownload(MotionPart, _Reach):
     to: _Format = "bvh"
     onto: _Character | None = None
 

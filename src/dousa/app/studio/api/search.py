@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 router = APIRouter(tags=["search"])
 
-_PATIENCE = 20.0  # s that a search waits for its turn
-
 
 class SearchRequest(derive_model(library.SearchRequest)):  # type: ignore[misc]
     """What is searched for, and how."""
@@ -54,7 +52,7 @@ def search(studio: StudioNow, wanted: SearchRequest) -> Answer:
     ``category`` is null where the motion is of no category that the library knows, or too doubtful; ``guess`` is the
     nearest one, and ``perhaps`` says whether it may be that.
     """
-    with studio.searching.enter(_PATIENCE), studio.learning.follow() as progress:
+    with studio.searching.enter(), studio.learning.follow() as progress:
         found = studio.library.search(
             studio.motions.query(wanted.query),
             **pick_fields(wanted, library.SearchRequest),
@@ -81,7 +79,7 @@ def search_text(studio: StudioNow, wanted: TextRequest) -> Answer:
 
     ``near_words`` are words of the library that are near, if nothing fits.
     """
-    with studio.searching.enter(_PATIENCE):
+    with studio.searching.enter():
         found = studio.library.search_text(
             wanted.text, wanted.k, category=wanted.category, performer=wanted.performer, kind=wanted.kind
         )
@@ -110,7 +108,7 @@ def _find_places(studio: Studio, wanted: SearchRequest) -> list[dict[str, Any]]:
 @router.post("/classify", summary="What motions are")
 def classify(studio: StudioNow, wanted: ClassifyRequest) -> Answer:
     """One answer for each motion; one that cannot be used has a ``problem``."""
-    with studio.searching.enter(_PATIENCE):
+    with studio.searching.enter():
         answers = [_classify(studio, ref, wanted) for ref in wanted.motions]
     return Answer({"answers": answers})
 

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from dousa.library import Library
 
 _WORD = re.compile(r"[^\W_]+")
-_MOST_EDITS = {4: 1, 8: 2}  # letters from which a word may be misspelt, and how often
 
 
 def plain(text: str) -> str:
@@ -87,12 +86,15 @@ class ClipWords:
             fits |= np.array([word in known for known in self._texts], bool)
         return fits
 
-    def _correct(self, word: str) -> list[str]:
-        """Find the known words nearest to a word that differ from it by few letters."""
+    def _correct(self, word: str, *, letters: Sequence[int] = (4, 8)) -> list[str]:
+        """Find the known words nearest to a word that differ from it by few letters.
+
+        A word may be misspelt once, twice ... from so many ``letters`` on; with fewer, short words find anything.
+        """
         from rapidfuzz import process
         from rapidfuzz.distance import OSA
 
-        edits = max((most for letters, most in _MOST_EDITS.items() if len(word) >= letters), default=0)
+        edits = sum(len(word) >= least for least in letters)
         if not edits or any(letter.isdigit() for letter in word):
             return []
         if self._known is None:

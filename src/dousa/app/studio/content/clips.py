@@ -50,7 +50,7 @@ LENGTHS: dict[str, tuple[float, float]] = {
     "15-60": (15.0, 60.0),
     "60-": (60.0, np.inf),
 }
-"""The facet of lengths: name, from so many seconds on, and below so many."""
+"""The facet of lengths by definition, as facets.js has it: name, from so many seconds on, and below so many."""
 
 Sort = Literal["path", "-path", "duration", "-duration", "category", "-id"]
 """What a list may be ordered by; a minus turns it round."""
@@ -312,16 +312,21 @@ def _shared_folder(folders: Sequence[str]) -> str:
         return ""
 
 
-_FORM = 1  # another one empties the file; count it up when encode_miniature draws otherwise
-_AT_ONCE = 250  # figures made between two writes
-_SPARE = 2_000  # figures of clips that are gone may stay so many
+_FORM = 1  # of the file by definition: another one empties it; count it up when encode_miniature draws otherwise
 
 
 class Thumbnails:
-    """The figures of one library, in a file that is made with the first figure."""
+    """The figures of one library, in a file that is made with the first figure.
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    Parameters
+    ----------
+    path : of the file.
+    at_once : figures made between two writes; of more, more are lost where the program is killed.
+    spare : figures of clips that are gone may stay so many; with fewer the file is cleared more often.
+    """
+
+    def __init__(self, path: Path, at_once: int = 250, spare: int = 2_000) -> None:
+        self._path, self._at_once, self.spare = path, at_once, spare
 
     @classmethod
     def of(cls, home: Path) -> Thumbnails:
@@ -334,8 +339,8 @@ class Thumbnails:
         contents = library.contents(clip_ids)
         records = self._read(contents)
         lacking = [clip_id for clip_id in contents if clip_id not in records]
-        for start in range(0, len(lacking), _AT_ONCE):
-            made = _make(library, lacking[start : start + _AT_ONCE])
+        for start in range(0, len(lacking), self._at_once):
+            made = _make(library, lacking[start : start + self._at_once])
             self._write({clip_id: (contents[clip_id], record) for clip_id, record in made.items()}, library)
             records |= made
         nothing = bytes(MINIATURE_BYTES)
@@ -343,8 +348,8 @@ class Thumbnails:
 
     def make_ahead(self, library: Library, clip_ids: Sequence[int]) -> None:
         """Make the missing figures, so that no page waits for them."""
-        for start in range(0, len(clip_ids), _AT_ONCE):
-            self.get(library, clip_ids[start : start + _AT_ONCE])
+        for start in range(0, len(clip_ids), self._at_once):
+            self.get(library, clip_ids[start : start + self._at_once])
 
     def _read(self, contents: Mapping[int, str]) -> dict[int, bytes]:
         found: dict[int, bytes] = {}
@@ -374,12 +379,12 @@ class Thumbnails:
         with self._open() as connection, connection:
             connection.executemany("INSERT OR REPLACE INTO figures VALUES (?, ?, ?)", rows)
             (count,) = connection.execute("SELECT count(*) FROM figures").fetchone()
-            if count > _SPARE:
+            if count > self.spare:
                 self._forget_gone(connection, int(count), library)
 
     def _forget_gone(self, connection: sqlite3.Connection, count: int, library: Library) -> None:
         stats = library.stats()
-        if count <= stats.n_clips + stats.n_takes + _SPARE:
+        if count <= stats.n_clips + stats.n_takes + self.spare:
             return
         kept = {clip.id for clip in library.clips()}
         known = [row[0] for row in connection.execute("SELECT clip_id FROM figures")]

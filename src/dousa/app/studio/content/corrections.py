@@ -138,7 +138,6 @@ def _around(stretch: dict[str, Any], start: float, end: float) -> list[dict[str,
     return [one for one in (left, right) if one["end_s"] - one["start_s"] > 0.02]
 
 
-_SHORTEST = 0.3  # s
 _LABELS = "labels.csv"
 
 
@@ -217,6 +216,8 @@ def learn_correction(
     split_s: float | None = None,
     replaces: Sequence[str] = (),
     instead_of: str | None = None,
+    *,
+    least_s: float = 0.3,
 ) -> dict[str, Any]:
     """Make a part of a take a clip of the library, in place of its earlier labels; one step of undo.
 
@@ -230,13 +231,14 @@ def learn_correction(
     split_s : time of the take at which the part is split into two of the same name; None for one part.
     replaces : numbers of corrections to remove besides those of mostly the same part.
     instead_of : of several labels of mostly the same part, the category of the one to remove.
+    least_s : of a part, s; shorter ones show too little of a motion to be learned.
     """
     name = _check_category(category)
     parts = _part_at(ref, split_s)
     named = [studio.motions.get(part) for part in parts]
     shortest = min(one.motion.duration for one in named)
-    if shortest < _SHORTEST:
-        raise RefusedError(422, "studio_takes.too_short", least=_SHORTEST, seconds=shortest)
+    if shortest < least_s:
+        raise RefusedError(422, "studio_takes.too_short", least=least_s, seconds=shortest)
     known = list_corrections(studio, ref)
     if missing := set(replaces) - {one.id for one in known}:
         raise RefusedError(404, "studio_takes.no_correction", number=min(missing)[:40])
@@ -253,7 +255,8 @@ def learn_correction(
             if ids := [one.clip_id for one in gone]:
                 studio.library.remove(ids)
             if take is not None:
-                made = [_name_segment(studio, take, *one, name, meant) for one in zip(named, parts, strict=True)]
+                pairs = zip(named, parts, strict=True)
+                made = [_name_segment(studio, take, *pair, name, meant, least_s) for pair in pairs]
             else:
                 made = [_add_clip(studio, *one, name) for one in zip(named, parts, strict=True)]
     except Exception:
@@ -304,7 +307,7 @@ def _add_clip(studio: Studio, named: Named, ref: MotionRef, name: str) -> dict[s
 
 
 def _name_segment(
-    studio: Studio, take: int, named: Named, ref: MotionRef, category: str, instead_of: str | None
+    studio: Studio, take: int, named: Named, ref: MotionRef, category: str, instead_of: str | None, least_s: float
 ) -> dict[str, Any]:
     start = ref.start_s or 0.0
     end = ref.end_s if ref.end_s is not None else start + named.motion.duration
@@ -313,7 +316,7 @@ def _name_segment(
     number = studio.library.annotations.name(take, start, end, category, instead_of=instead_of, n_jobs=1)
     made = [one for one in _list_segments(studio, [take]) if one.clip_id == number]
     if not made:
-        raise RefusedError(422, "studio_takes.too_short", least=_SHORTEST, seconds=named.motion.duration)
+        raise RefusedError(422, "studio_takes.too_short", least=least_s, seconds=named.motion.duration)
     return {
         "correction": made[0].to_json(),
         "clip": str(Address(clip=made[0].clip_id)),

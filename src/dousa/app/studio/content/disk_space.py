@@ -18,23 +18,21 @@ if TYPE_CHECKING:
     from dousa.app.studio.content.studio import Studio
 
 
-OLD_DAYS = 30
-"""After which uploads that nothing names any more are offered to be taken away."""
-
 _DAY = 86_400.0  # s, by definition
 
 
-def describe_space(studio: Studio) -> dict[str, Any]:
+def describe_space(studio: Studio, *, old_days: int = 30) -> dict[str, Any]:
     """Measure library, uploads and jobs, what `free_space` would free, and what is left of the disk, in bytes.
 
     ``removed_bytes`` are those of removed clips that the library keeps for an undo until `Library.compact`.
-    ``old_bytes`` are those of uploads of deleted jobs that were not used for `OLD_DAYS`.
+    ``old_bytes`` are those of uploads of deleted jobs that were not used for ``old_days``, which are offered to be
+    taken away; with fewer what somebody comes back for after a holiday would be.
     """
     root = studio.workspace.root
     library = studio.settings.library
     mentioned = _list_mentioned(studio)
     unused = studio.workspace.list_unused(mentioned)
-    outlived = _list_old(studio, mentioned, OLD_DAYS)
+    outlived = _list_old(studio, mentioned, old_days)
     return {
         "library_bytes": sum(
             measure(path)

@@ -191,7 +191,8 @@ class Evaluations:
         """Return the stored adjustment of an evaluation; by default that of its request."""
         job = self._done(job_id)
         with suppress(OSError, ValueError):
-            return Adjustment.model_validate_json((self._board.folder(job) / _ADJUSTED).read_bytes())
+            kept: Adjustment = Adjustment.model_validate_json((self._board.folder(job) / _ADJUSTED).read_bytes())
+            return kept
         asked = EvaluationRequest.model_validate(job.request)
         return Adjustment(weights=asked.weights, furi=asked.furi, importance=asked.importance)
 

@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.app.pipelines.estimation_views import Scene
-from dousa.app.studio.content.film_record import LONGEST as LONGEST_FILM
 from dousa.app.studio.content.film_record import (
+    SIZES,
     FilmRecord,
     encode_base64,
     encode_jpeg,
@@ -50,7 +50,6 @@ STAGES = ("found", "settled", "smoothed")
 
 MASK, PICTURE = 0, 1
 SEEN = np.dtype([("frame", "<i4"), ("view", "<i2"), ("kind", "<i2"), ("offset", "<i8"), ("size", "<i4")])
-_LONGEST = 480  # px, of what is kept
 
 
 def pose_record(n_numbers: int, n_views: int, n_parts: int) -> np.dtype[Any]:
@@ -160,15 +159,16 @@ class FootageWriter:
         """Write small masks and pictures."""
         # most_bytes: of all pictures of one estimation
         assert self._seen is not None
+        longest = SIZES.silhouettes
         if self._seen.n_bytes > most_bytes:
             return
         for view, (mask, picture) in enumerate(zip(masks, pictures, strict=True)):
             if mask is not None:
                 self._seen.write(
-                    frame, view, MASK, encode_mask(shrink(mask.view(np.uint8) * np.uint8(255), _LONGEST) > 127)
+                    frame, view, MASK, encode_mask(shrink(mask.view(np.uint8) * np.uint8(255), longest) > 127)
                 )
             if picture is not None:
-                self._seen.write(frame, view, PICTURE, encode_jpeg(shrink(picture, _LONGEST), 80))
+                self._seen.write(frame, view, PICTURE, encode_jpeg(shrink(picture, longest), 80))
 
     def follow(self, tracked: TrackedFrame) -> None:
         """Write a pose."""
@@ -419,7 +419,7 @@ class Footage:
 
         if view not in self._painters:
             width, height = self.sizes[view]
-            factor = (LONGEST_FILM if self.film.version else _LONGEST) / max(width, height)
+            factor = (SIZES.film if self.film.version else SIZES.silhouettes) / max(width, height)
             size = max(8, round(width * factor)), max(8, round(height * factor))
             self._painters[view] = ViewPainter(self._body, self._cameras[view], *size)
         return self._painters[view]

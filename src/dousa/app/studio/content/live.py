@@ -30,10 +30,6 @@ if TYPE_CHECKING:
     from dousa.motion import CanonicalMotion
     from dousa.retrieval import LiveLabeller
 
-RATE = 15.0
-"""Hz, at which a performance is compared with its reference, whatever the rate of the pictures."""
-
-_GRADE_EVERY = 3.0  # s
 _MODELS: tuple[LandmarkModel, ...] = ("full", "lite", "heavy")  # those that keep up first
 
 
@@ -97,8 +93,9 @@ def open_finder() -> Finder:
     return find
 
 
-def to_canonical(world: FloatArray) -> FloatArray:
-    """Convert the landmarks (33, 3) of a picture to canonical joints (20, 3) on the floor, m.
+def to_canonical(world: FloatArray, rate: float = 15.0) -> FloatArray:
+    """Convert the landmarks (33, 3) of a picture to canonical joints (20, 3) on the floor, m; a rate (Hz) is as good
+    as another.
 
     Raises InvalidMotionError for landmarks that are not a person.
     """
@@ -106,7 +103,7 @@ def to_canonical(world: FloatArray) -> FloatArray:
     from dousa.motion import Trajectories, canonicalise
 
     upright = world[None] * (1.0, -1.0, -1.0)
-    found = canonicalise(Trajectories(MEDIAPIPE_NAMES, upright, RATE))
+    found = canonicalise(Trajectories(MEDIAPIPE_NAMES, upright, rate))
     points = np.array(found.positions[0])
     if any(one.code == "canonical.mirrored" for one in found.warnings):  # one frame cannot tell
         points[:, 2] *= -1.0
@@ -116,8 +113,9 @@ def to_canonical(world: FloatArray) -> FloatArray:
 
 @dataclass(slots=True)
 class _Graded:
-    """The performance so far at `RATE`, and its grade."""
+    """The performance so far at ``rate`` (Hz), and its grade."""
 
+    rate: float
     assessor: IncrementalAssessor
     references: Sequence[CanonicalMotion]
     rows: list[FloatArray] = field(default_factory=list)
@@ -135,9 +133,20 @@ class LiveSession:
     finder : see `open_finder`.
     library : labels the motion if it is trained.
     references : takes with which the performance is compared; without any nothing is graded.
+    rate : Hz, at which the performance is compared, whatever the rate of the pictures; a higher one takes longer.
+    grade_every : s between two grades; of less pictures would wait for the processor.
     """
 
-    def __init__(self, finder: Finder, library: Library, references: Sequence[CanonicalMotion]) -> None:
+    def __init__(
+        self,
+        finder: Finder,
+        library: Library,
+        references: Sequence[CanonicalMotion],
+        *,
+        rate: float = 15.0,
+        grade_every: float = 3.0,
+    ) -> None:
+        self._rate, self._grade_every = rate, grade_every
         self.id = secrets.token_hex(8)
         self.used = time.monotonic()
         self._finder, self._library, self._references = finder, library, tuple(references)
@@ -162,7 +171,7 @@ class LiveSession:
 
         if not self._references:
             return None
-        return _Graded(IncrementalAssessor(list(self._references), RATE), self._references)
+        return _Graded(self._rate, IncrementalAssessor(list(self._references), self._rate), self._references)
 
     def see(self, picture: Image, seconds: float) -> dict[str, Any]:
         """Process the next picture.
@@ -198,7 +207,7 @@ class LiveSession:
         if not np.isfinite(seen.world).all() or float(np.median(seen.visibility)) < 0.3:
             return
         try:
-            points = to_canonical(seen.world)
+            points = to_canonical(seen.world, self._rate)
         except DousaError:  # such as a person half outside of the picture
             return
         # s without a person, after which label and grade start again
@@ -247,13 +256,13 @@ class LiveSession:
             self._begun = seconds
             return
         before, last = self._last
-        while (at := self._begun + len(graded.rows) / RATE) <= seconds:
+        while (at := self._begun + len(graded.rows) / graded.rate) <= seconds:
             row = last + (points - last) * ((at - before) / (seconds - before))
             graded.state = graded.assessor.push(row)
             graded.rows.append(row)
         now = time.monotonic()
         idle = graded.working is None or not graded.working.is_alive()
-        if idle and now - graded.asked > _GRADE_EVERY and len(graded.rows) >= 2 * RATE:
+        if idle and now - graded.asked > self._grade_every and len(graded.rows) >= 2 * graded.rate:
             graded.asked = now
             graded.working = threading.Thread(target=_grade, args=(graded, list(graded.rows)), daemon=True)
             graded.working.start()
@@ -267,7 +276,7 @@ class LiveSession:
         state = graded.state
         return {
             "score": None if graded.score is None else round(graded.score, 1),
-            "seconds": round(len(graded.rows) / RATE, 2),
+            "seconds": round(len(graded.rows) / graded.rate, 2),
             "wrong": [] if state is None else list(state.wrong),
             "wrong_names": "" if state is None or not state.wrong else describe_segments(state.wrong, get_language()),
             "lag_ms": None if state is None or not np.isfinite(state.lag_ms) else round(state.lag_ms),
@@ -282,9 +291,9 @@ def _grade(graded: _Graded, rows: list[FloatArray]) -> None:
     from dousa.evaluation import assess
     from dousa.motion import CANONICAL_JOINTS, Trajectories, canonicalise
 
-    latest = np.stack(rows[-round(600.0 * RATE) :])  # s; older frames are not graded any more
+    latest = np.stack(rows[-round(600.0 * graded.rate) :])  # s; older frames are not graded any more
     try:
-        performance = canonicalise(Trajectories(CANONICAL_JOINTS, latest, RATE))
+        performance = canonicalise(Trajectories(CANONICAL_JOINTS, latest, graded.rate))
         graded.score = float(assess(list(graded.references), performance).score)
     except DousaError:
         graded.score = None

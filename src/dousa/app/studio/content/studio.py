@@ -92,7 +92,7 @@ class Studio:
         self.masks = MaskDesks(self.jobs)
         self.live = Live()
         self.learning = Learning()
-        self.searching = Gate(4, 12, Message("studio_motions.busy_searching"))
+        self.searching = Gate(4, 12, Message("studio_motions.busy_searching"), patience_s=20.0)
         self.mentioned = MentionedBatches(self.workspace.root)
         self.thumbnails = Thumbnails.of(self.workspace.root)
         self.sharing: Sharing | None = None  # set by `serve` if the studio is shared

@@ -165,14 +165,15 @@ def to_answer(problem: Message) -> dict[str, Any]:
     return {"problem": say(problem), **problem.to_json()}
 
 
-def describe_bytes(*kinds: str) -> dict[int | str, dict[str, Any]]:
-    """Return the responses in OpenAPI of an address that answers with files of these media types."""
-    return {200: {"content": {kind: {"schema": {"type": "string", "format": "binary"}} for kind in kinds}}}
+def describe_bytes(*kinds: str, form: str | None = "binary") -> dict[int | str, dict[str, Any]]:
+    """Return the responses in OpenAPI of an address that answers with files of these types; form None: texts."""
+    schema = {"type": "string"} if form is None else {"type": "string", "format": form}
+    return {200: {"content": {kind: {"schema": schema} for kind in kinds}}}
 
 
-def give_files(*kinds: str) -> dict[str, Any]:
-    """Return the arguments of a route that answers with files of these media types."""
-    return {"response_class": Response, "responses": describe_bytes(*kinds)}
+def give_files(*kinds: str, form: str | None = "binary") -> dict[str, Any]:
+    """Return the arguments of a route that answers with files of these types; form None: texts."""
+    return {"response_class": Response, "responses": describe_bytes(*kinds, form=form)}
 
 
 FILE = give_files("application/octet-stream")
@@ -221,20 +222,21 @@ class Gate:
     at_once : how many run.
     waiting : how many may wait; each occupies one of the studio's forty threads.
     problem : message for those refused.
+    patience_s : how long one waits for its turn; a browser gives up after minutes.
     """
 
-    def __init__(self, at_once: int, waiting: int, problem: Message) -> None:
+    def __init__(self, at_once: int, waiting: int, problem: Message, patience_s: float = 60.0) -> None:
         self._inside = threading.BoundedSemaphore(at_once)
         self._known = threading.BoundedSemaphore(at_once + waiting)
-        self._problem = problem
+        self._problem, self._patience_s = problem, patience_s
 
     @contextmanager
-    def enter(self, seconds: float = 60.0) -> Iterator[None]:
-        """Wait at most so many s for others; RefusedError if too many wait already, or it takes longer."""
+    def enter(self, patience_s: float | None = None) -> Iterator[None]:
+        """Wait for others; RefusedError if too many wait already, or it takes too long."""
         if not self._known.acquire(blocking=False):
             raise RefusedError(429, self._problem)
         try:
-            if not self._inside.acquire(timeout=seconds):
+            if not self._inside.acquire(timeout=self._patience_s if patience_s is None else patience_s):
                 raise RefusedError(429, self._problem)
             try:
                 yield

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 _WORKER = "dousa.app.studio.work.worker"  # the module that a process runs
 READY = '{"ready": true}\n'
 """The first line of a process: it hears Ctrl-C and waits for its task."""
-_PATIENCE = 10.0  # s between asking a process to stop and ending it
 
 Progress = Callable[[int, int, Message | str], None]
 """Called with (done, total, what is being done); raises when the job was stopped."""
@@ -161,14 +160,17 @@ def _read_lines(stdout: IO[bytes], job: Job, board: JobBoard) -> dict[str, Any]:
     return last
 
 
-def _end_when(stop: threading.Event, process: subprocess.Popen[bytes]) -> None:
-    """Send Ctrl-C, and kill a process that does not react: decoders and large products of matrices react late."""
+def _end_when(stop: threading.Event, process: subprocess.Popen[bytes], *, patience_s: float = 10.0) -> None:
+    """Send Ctrl-C, and kill a process that does not react: decoders and large products of matrices react late.
+
+    It has ``patience_s`` to end by itself; killed sooner, more would lose what they have done.
+    """
     stop.wait()
     if process.poll() is None:
         with suppress(OSError):
             process.send_signal(signal.SIGINT if os.name == "posix" else signal.SIGTERM)
         with suppress(subprocess.TimeoutExpired):
-            process.wait(timeout=_PATIENCE)
+            process.wait(timeout=patience_s)
         if process.poll() is None:
             kill(process)
 
@@ -184,13 +186,14 @@ def kill(process: subprocess.Popen[bytes]) -> None:
             process.kill()
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+def _end(process: subprocess.Popen[bytes], *, patience_s: float = 10.0) -> None:
+    """Wait ``patience_s`` for a process that has answered, as `_end_when`, then kill it."""
     for pipe in (process.stdin, process.stdout):
         if pipe is not None:
             with suppress(OSError):
                 pipe.close()
     try:
-        process.wait(timeout=_PATIENCE)
+        process.wait(timeout=patience_s)
     except subprocess.TimeoutExpired:
         kill(process)
         process.wait()

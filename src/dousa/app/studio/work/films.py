@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from dousa.estimation.tracking.settings import Estimate, TrackedFrame
 
 CAMERAS = "cameras.toml"
-MOST_FILMS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +44,9 @@ class FilmSource:
     film: Path | None
 
 
-def pair_films(sources: Sequence[Path]) -> tuple[FilmSource, ...]:
-    """Pair the films of a batch with files of keypoints found in them; OptionError for too many, or two of one name."""
+def pair_films(sources: Sequence[Path], *, most: int = 8) -> tuple[FilmSource, ...]:
+    """Pair the films of a batch with files of keypoints found in them; OptionError for two of one name, or more than
+    ``most``: more would take hours of one processor."""
     from dousa.app.pipelines.film_scene import name_films
 
     films = [path for path in sources if not holds_keypoints(path)]
@@ -57,8 +57,8 @@ def pair_films(sources: Sequence[Path]) -> tuple[FilmSource, ...]:
             pairs.append((path, next((film for film in films if _is_of(path, film)), None)))
         elif not any(_is_of(other, path) for other in found):
             pairs.append((path, path))
-    if len(pairs) > MOST_FILMS:
-        raise OptionError("studio_films.many", most=MOST_FILMS, found=len(pairs))
+    if len(pairs) > most:
+        raise OptionError("studio_films.many", most=most, found=len(pairs))
     names = name_films([film or path for path, film in pairs])
     return tuple(FilmSource(name, path, film) for name, (path, film) in zip(names, pairs, strict=True))
 

@@ -76,7 +76,6 @@ def make_lanes(studio: Studio) -> Mapping[str, Lane]:
 
 
 _LOCK = "work.lock"  # in the folder of a job
-_PATIENCE = 15.0  # s to end after the studio has ended
 
 
 def main() -> None:
@@ -100,10 +99,13 @@ def main() -> None:
     _say(out, answer)
 
 
-def _wait_for_predecessor(path: Path) -> IO[bytes]:
-    """Lock the folder of a job; a process of a killed studio may still be ending in it."""
+def _wait_for_predecessor(path: Path, *, patience_s: float = 30.0) -> IO[bytes]:
+    """Lock the folder of a job; a process of a killed studio may still be ending in it.
+
+    ``patience_s`` is twice that of `_end_with_studio`: with less, both would write into the folder.
+    """
     file = open_private(path)
-    end = time.monotonic() + 2 * _PATIENCE
+    end = time.monotonic() + patience_s
     while time.monotonic() < end:
         try:
             lock_file(file)
@@ -163,11 +165,11 @@ def _say(out: Any, message: dict[str, Any]) -> None:
     out.flush()
 
 
-def _end_with_studio() -> None:
-    """End when the studio ends, which holds our standard input open."""
+def _end_with_studio(patience_s: float = 15.0) -> None:
+    """End when the studio ends, which holds our standard input open; ``patience_s`` later whatever is under way."""
     sys.stdin.read()
     os.kill(os.getpid(), signal.SIGINT if os.name == "posix" else signal.SIGTERM)
-    time.sleep(_PATIENCE)
+    time.sleep(patience_s)
     os._exit(1)  # what does not look up ends without a word
 
 
