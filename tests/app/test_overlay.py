@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dousa.app.pictures.overlay import _Page, lay_out, write_overlay
 from dousa.app.pictures.overlay_sheet import Timeline, choose_frames, draw_overlay_sheet, mean_overlap
-from dousa.app.pictures.overlay_view import ALARM, LEFT, ViewPainter, draw_dashed, draw_line
+from dousa.app.pictures.overlay_view import ALARM, LEFT, ViewPainter, draw_lines
 from dousa.errors import MotionWriteError, OptionError
 from dousa.estimation.body.human import make_human
 from dousa.estimation.body.posing import standing_state
@@ -192,8 +192,8 @@ def test_a_view_without_an_image_is_hatched_and_said(made, body):
 @pytest.mark.parametrize("far", [30.0, 1e6, 1e300])
 def test_lines_that_leave_the_picture_can_be_drawn(far):
     canvas = np.full((20, 100, 3), 255, np.uint8)
-    for draw in (draw_line, draw_dashed):
-        draw(canvas, np.array([[5.0, 10.0], [far, -far]]), LEFT)
+    for dashed in (False, True):
+        draw_lines(canvas, [np.array([[5.0, 10.0], [far, -far]])], LEFT, dashed=dashed)
     assert (canvas < 255).any()
 
 

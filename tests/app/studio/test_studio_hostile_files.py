@@ -17,7 +17,7 @@ from dousa.app.studio import Settings
 from dousa.app.studio.core import uploads
 from dousa.app.studio.core.answers import status_of
 from dousa.app.studio.jobs import lanes
-from dousa.app.studio.work.worker import IN_PROCESS, load_work
+from dousa.app.studio.work.worker import JOBS, QUESTIONS, load_work
 from dousa.errors import DousaError, LibraryError, MotionWriteError
 from dousa.motion import CANONICAL_JOINTS
 from patience import PATIENCE
@@ -244,7 +244,7 @@ def test_a_motion_whose_file_is_gone_is_told(studio):
 
 
 def test_every_kind_of_work_is_there():
-    assert all(callable(load_work(kind)) for kind in IN_PROCESS)
+    assert all(callable(load_work(kind)) for kind in (*JOBS, *QUESTIONS))
 
 
 def test_markup_in_names_stays_text(studio, wait_job):

@@ -82,7 +82,7 @@ def test_who_repeats_the_reference_is_graded_better_than_who_does_something_else
     scores = {}
     for name, landmarks in (("kick_left", kick), ("squat", record_landmarks("squat", 3, RATE))):
         monkeypatch.setattr(live, "open_finder", replay(landmarks))
-        monkeypatch.setattr(live, "_GRADE_EVERY", 0.0)
+        monkeypatch.setitem(live.LiveSession.__init__.__kwdefaults__, "grade_every", 0.0)
         clip = watched.get("/api/clips?category=kick_left").json()["items"][0]["id"]
         session = begin(watched, references=[{"motion": f"clip:{clip}"}])
         for frame in range(60):

@@ -17,7 +17,7 @@ return values.some((value, at) => at % 4 === 3 && value > 0);
 def camera(monkeypatch):
     monkeypatch.setattr(live, "choose_model", lambda: "full")
     monkeypatch.setattr(live, "open_finder", replay(record_landmarks("kick_left", 3, 15.0)))
-    monkeypatch.setattr(live, "_GRADE_EVERY", 0.5)
+    monkeypatch.setitem(live.LiveSession.__init__.__kwdefaults__, "grade_every", 0.5)
 
 
 @pytest.mark.parametrize("language", ["en", "ja"])

@@ -40,12 +40,7 @@ def draw_clip_map(found: ClipMap, categories: Sequence[str | None], path: str | 
     ----------
     found : the map.
     categories : of its clips, None where there is none.
-    path : .png, .svg or .pdf.
-
-    Raises
-    ------
-    OptionError : another suffix.
-    MotionWriteError : the picture cannot be written.
+    path : .png, .svg or .pdf; errors as of `save_figure`.
     """
     figure = new_figure(_MAP_WIDTH, _MAP_HEIGHT)
     from matplotlib.lines import Line2D
@@ -92,13 +87,8 @@ def draw_repetitions(
     ----------
     assessment : what is shown.
     performance : the motion that was assessed.
-    path : .png, .svg or .pdf.
+    path : .png, .svg or .pdf; errors as of `save_figure`.
     angles : joint angles of `dousa.evaluation.ANGLES`, four at most.
-
-    Raises
-    ------
-    OptionError : another suffix.
-    MotionWriteError : the picture cannot be written.
     """
     if assessment.side == "mirrored":
         performance = mirror_canonical(performance)  # as it was measured: left and right are the reference's
@@ -136,8 +126,7 @@ def _draw_angles(
         axes.axvspan(found.start_s, found.end_s, facecolor=FAINT, alpha=0.45, hatch=hatch, edgecolor=GREY, linewidth=0)
         label = str(number) if found.complete else f"({number})"
         write(axes, 0.5 * (found.start_s + found.end_s), high, label, 9, ha="center")
-    axes.set_ylim(low, high)
-    axes.set_xlim(0.0, max(performance.duration, 1e-3))
+    axes.set(ylim=(low, high), xlim=(0.0, max(performance.duration, 1e-3)))
     for place, (name, (colour, style)) in enumerate(zip(angles, _STYLES, strict=False)):
         ends = [0.005 + 0.24 * place, 0.035 + 0.24 * place]
         axes.plot(ends, [-0.14] * 2, style, color=colour, transform=axes.transAxes, clip_on=False)
@@ -159,14 +148,12 @@ def _draw_bars(
     if math.isfinite(reference):
         axes.axhline(reference, color=INK, linewidth=1.0, linestyle="--")
         write(axes, 1.0, 1.03, f"- - {Message('exercise_table.reference')}", 8, transform=axes.transAxes, ha="right")
-    axes.set_xlim(0.4, len(values) + 0.6)
-    axes.set_xticks(numbers[:: max(1, len(values) // 12)])
+    axes.set(xlim=(0.4, len(values) + 0.6), xticks=numbers[:: max(1, len(values) // 12)])
     write(axes, 0.0, 1.03, heading, 9, transform=axes.transAxes)
 
 
 def _clean(axes: Any) -> None:
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=8, colors=INK)
 
 
@@ -182,12 +169,7 @@ def draw_progress(progress: Progress, path: str | os.PathLike[str]) -> None:
     Parameters
     ----------
     progress : of `dousa.evaluation.compare_attempts`.
-    path : .png, .svg or .pdf.
-
-    Raises
-    ------
-    OptionError : another suffix.
-    MotionWriteError : the picture cannot be written.
+    path : .png, .svg or .pdf; errors as of `save_figure`.
     """
     attempts = progress.attempts
     inner = max(_ATTEMPT * (len(attempts) - 1), _LEAST)
@@ -236,14 +218,10 @@ def _draw_kind(axes: Axes, attempts: tuple[Attempt, ...], kind: str) -> None:
 
 
 def _dress(axes: Axes, count: int, top: float, title: str, colour: str) -> None:
-    axes.set_xlim(-0.4, count - 0.6)
-    axes.set_ylim(0.0, top)
-    axes.set_xticks([])
-    axes.set_yticks([])
+    axes.set(xlim=(-0.4, count - 0.6), ylim=(0.0, top), xticks=[], yticks=[])
     write(axes, 0.0, 1.06, title, 10.0, color=colour, transform=axes.transAxes)
     axes.spines["bottom"].set_color(FAINT)
-    for side in ("top", "right", "left"):
-        axes.spines[side].set_visible(False)
+    axes.spines[["top", "right", "left"]].set_visible(False)
 
 
 _SYSTEMS = (
@@ -291,8 +269,7 @@ def draw_experiment_figure(
             plate = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
             write(axes, position, value + error + 0.014, f"{value:.3f}", 8, ha="center", bbox=plate)
     axes.set_xticks(range(len(_MEASURES)), [label for _, label in _MEASURES], fontsize=10)
-    axes.set_ylim(0.0, 1.09)
-    axes.set_yticks(np.linspace(0, 1, 6))
+    axes.set(ylim=(0.0, 1.09), yticks=np.linspace(0, 1, 6))
     axes.grid(axis="y", color=FAINT, lw=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right", "left"]].set_visible(False)
@@ -319,12 +296,7 @@ def draw_cameras(found: Calibration, path: str | os.PathLike[str]) -> None:
     Parameters
     ----------
     found : of `calibrate_from_person` or `calibrate_from_board`.
-    path : .png, .svg or .pdf.
-
-    Raises
-    ------
-    OptionError : another suffix.
-    MotionWriteError : the picture cannot be written.
+    path : .png, .svg or .pdf; errors as of `save_figure`.
     """
     figure = new_figure(10.0, 5.2)  # inches
     n_moments = min(24, len(found.points))

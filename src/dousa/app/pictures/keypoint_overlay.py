@@ -17,9 +17,7 @@ from dousa.app.pictures.overlay import write_video
 from dousa.app.pictures.overlay_view import (
     DARK,
     WHITE,
-    draw_dashed,
-    draw_line,
-    draw_outlines,
+    draw_lines,
     find_outlines,
     to_bgr,
     write_text,
@@ -72,12 +70,12 @@ def _draw_person(
     if person.masks is not None:
         mask = person.masks.read(frame, (canvas.shape[1], canvas.shape[0]), keypoints.size)
         if mask is not None:
-            draw_outlines(canvas, find_outlines(mask), colour, 1)
+            draw_lines(canvas, find_outlines(mask), colour, closed=True)
     places = {name: point for name, point in zip(keypoints.names, points, strict=True) if np.isfinite(point).all()}
     for first, last in BONES:
         if first in places and last in places:
-            draw = draw_dashed if first.startswith("right") and last.startswith("right") else draw_line
-            draw(canvas, np.stack([places[first], places[last]]), colour, 2)
+            dashed = first.startswith("right") and last.startswith("right")
+            draw_lines(canvas, [np.stack([places[first], places[last]])], colour, 2, dashed=dashed)
     for name, visibility in zip(keypoints.names, person.visibility[frame], strict=True):
         if name in places:
             at = tuple(int(value) for value in np.rint(places[name]))

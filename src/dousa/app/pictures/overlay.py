@@ -24,8 +24,7 @@ from dousa.app.pictures.overlay_view import (
     ReadImages,
     ViewPainter,
     check_views,
-    draw_dashed,
-    draw_line,
+    draw_lines,
     measure_text,
     write_text,
 )
@@ -260,10 +259,10 @@ def _write_caption(canvas: Image, cell: _Cell, name: str, overlap: float | None,
 def _make_legend(width: int, hidden: bool) -> Image:
     """What the lines mean, in as many rows as it takes; the last leaves room for the time."""
     entries = [
-        (draw_line, DARK, 2, "silhouette"),
-        (draw_line, SIDE_COLOURS["left"], 3, "left (L)"),
-        (draw_dashed, SIDE_COLOURS["right"], 3, "right (R), dashed"),
-        (draw_line, SIDE_COLOURS[""], 3, "middle"),
+        (DARK, 2, "silhouette"),
+        (SIDE_COLOURS["left"], 3, "left (L)"),
+        (SIDE_COLOURS["right"], 3, "right (R), dashed"),
+        (SIDE_COLOURS[""], 3, "middle"),
     ]
     texts = [text for *_, text in entries] + (["no fill: hidden, placed by inertia"] if hidden else [])
     places, row, left = [], 0, 12
@@ -279,8 +278,9 @@ def _make_legend(width: int, hidden: bool) -> Image:
     for k, (line, left) in enumerate(places):
         base = line * _FOOT + 21
         if k < len(entries):
-            draw, colour, thick, _ = entries[k]
-            draw(canvas, np.array([[left, base - 5.0], [left + 34.0, base - 5.0]]), colour, thick)
+            colour, thick, text = entries[k]
+            sample = np.array([[left, base - 5.0], [left + 34.0, base - 5.0]])
+            draw_lines(canvas, [sample], colour, thick, dashed=text.endswith("dashed"))
             write_text(canvas, texts[k], (left + 42, base), DARK, 14)
         else:
             write_text(canvas, texts[k], (left, base), HALF_DARK, 14)

@@ -32,7 +32,7 @@ from dousa.app.pictures.overlay_view import (
     ReadImages,
     ViewPainter,
     check_views,
-    draw_line,
+    draw_lines,
     find_box,
     hatch,
     measure_text,
@@ -80,8 +80,9 @@ class Timeline:
         """The strip with one frame marked."""
         canvas = self._base.copy()
         column = self._column(frame)
-        draw_line(canvas, np.array([[column, 2.0], [column, self._height - 3.0]]), WHITE, 5)
-        draw_line(canvas, np.array([[column, 2.0], [column, self._height - 3.0]]), DARK, 2)
+        line = np.array([[column, 2.0], [column, self._height - 3.0]])
+        draw_lines(canvas, [line], WHITE, 5)
+        draw_lines(canvas, [line], DARK, 2)
         return canvas
 
     def _column(self, frame: float) -> float:
@@ -110,7 +111,7 @@ class Timeline:
         ends = np.array([_LEFT_MARGIN, self._width - _RIGHT_MARGIN], np.float64)
         for overlap in (0.0, 0.5, 1.0):
             row = float(self._row(np.array(overlap)))
-            draw_line(self._base, np.array([[ends[0], row], [ends[1], row]]), PALE)
+            draw_lines(self._base, [np.array([[ends[0], row], [ends[1], row]])], PALE)
             write_text(self._base, f"{overlap:g}", (_LEFT_MARGIN - 26, int(row) + 5), HALF_DARK, 12)
         write_text(self._base, "IoU", (6, self._height // 2 + 5), DARK, 14)
 
@@ -129,7 +130,7 @@ class Timeline:
         gaps = np.flatnonzero([broken[a + 1 : b].any() for a, b in pairwise(drawn)]) + 1
         for piece in np.split(drawn, gaps):
             points = np.stack((piece.astype(np.float64), self._row(least[piece])), axis=1)
-            draw_line(self._base, points if len(points) > 1 else np.repeat(points, 2, axis=0), DARK, 2)
+            draw_lines(self._base, [points if len(points) > 1 else np.repeat(points, 2, axis=0)], DARK, 2)
 
 
 Box = tuple[int, int, int, int]
@@ -367,8 +368,7 @@ class _Sheet:
         axes = self._axes(left, top, width, height)
         axes.imshow(to_rgb(picture), interpolation="antialiased", aspect="auto")
         axes.set(xticks=[], yticks=[])
-        for spine in axes.spines.values():
-            spine.set(color=_ALARM if lost else FAINT, linewidth=3.0 if lost else 0.8)
+        axes.spines[:].set(color=_ALARM if lost else FAINT, linewidth=3.0 if lost else 0.8)
 
     def _draw_curves(self, top: float) -> None:
         estimate = self._estimate
@@ -396,8 +396,7 @@ class _Sheet:
         axes.set(ylim=(0, 1), xlim=(-0.005 * end, 1.005 * end), yticks=[0, 0.5, 1], ylabel="IoU")
         axes.set_xlabel("seconds", loc="right", fontsize=9)
         axes.tick_params(labelsize=8)
-        for side in ("top", "right"):
-            axes.spines[side].set_visible(False)
+        axes.spines[["top", "right"]].set_visible(False)
 
     def _mark_lost(self, axes: Any, overlap: FloatArray) -> None:
         estimate = self._estimate

@@ -60,37 +60,25 @@ def to_rgb(image: Image) -> Image:
     return np.ascontiguousarray(image[..., ::-1])
 
 
-def draw_line(canvas: Image, points: Points, colour: Colour, width: int = 1) -> None:
-    """Draw a line through points (N, 2) column, row px that need not be whole."""
+def draw_lines(
+    canvas: Image,
+    lines: Sequence[Points],
+    colour: Colour,
+    width: int = 1,
+    *,
+    closed: bool = False,
+    dashed: bool = False,
+) -> None:
+    """Draw lines through points (N, 2) column, row px that need not be whole; ``closed`` ones end where they begin."""
     from dousa.extras import cv2
 
-    cv2.polylines(canvas, [_fixed(points)], False, colour, width, cv2.LINE_AA, _FRACTION_BITS)
-
-
-def draw_dashed(canvas: Image, points: Points, colour: Colour, width: int = 1) -> None:
-    """Draw a broken line through points (N, 2)."""
-    from dousa.extras import cv2
-
-    if len(dashes := _break_up(points)):
-        cv2.polylines(canvas, dashes, False, colour, width, cv2.LINE_AA, _FRACTION_BITS)
-
-
-def draw_outlines(canvas: Image, outlines: Sequence[Points], colour: Colour, width: int = 1) -> None:
-    """Draw closed lines through points (N, 2) each."""
-    from dousa.extras import cv2
-
-    if outlines:
-        lines = [_fixed(outline) for outline in outlines]
-        cv2.polylines(canvas, lines, True, colour, width, cv2.LINE_AA, _FRACTION_BITS)
-
-
-def draw_dashed_outlines(canvas: Image, outlines: Sequence[Points], colour: Colour, width: int = 1) -> None:
-    """Draw closed broken lines through points (N, 2) each."""
-    from dousa.extras import cv2
-
-    dashes = [dash for outline in outlines for dash in _break_up(np.concatenate((outline, outline[:1])))]
-    if dashes:
-        cv2.polylines(canvas, dashes, False, colour, width, cv2.LINE_AA, _FRACTION_BITS)
+    if dashed:
+        whole = [np.concatenate((line, line[:1])) for line in lines] if closed else lines
+        drawn, closed = [dash for line in whole for dash in _break_up(line)], False
+    else:
+        drawn = [_fixed(line) for line in lines]
+    if drawn:
+        cv2.polylines(canvas, drawn, closed, colour, width, cv2.LINE_AA, _FRACTION_BITS)
 
 
 def _break_up(points: Points, longest: float = 10_000.0) -> list[NDArray[np.int32]]:
@@ -115,20 +103,20 @@ def find_outlines(mask: NDArray[np.bool_]) -> list[Points]:
     """The borders (N, 2) of every piece and hole of a mask."""
     from dousa.extras import cv2
 
-    left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
-    if width == 0:
+    box = find_box(mask)
+    if box is None:
         return []
-    cut = np.ascontiguousarray(mask[top : top + height, left : left + width]).view(np.uint8)
+    cut = np.ascontiguousarray(mask[box]).view(np.uint8)
     found, _ = cv2.findContours(cut, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    corner = np.array([left, top], np.float64)
+    corner = np.array([box[1].start, box[0].start], np.float64)
     return [outline[:, 0] + corner for outline in found]
 
 
 def hatch(canvas: Image, colour: Colour, spacing: int = 14) -> None:
     """Strike a picture through with slanted lines, in place."""
     height, width = canvas.shape[:2]
-    for start in range(-height, width, spacing):
-        draw_line(canvas, np.array([[start, height], [start + height, 0]], np.float64), colour)
+    starts = range(-height, width, spacing)
+    draw_lines(canvas, [np.array([[start, height], [start + height, 0]], np.float64) for start in starts], colour)
 
 
 @lru_cache(maxsize=1)
@@ -209,8 +197,8 @@ class ViewPainter:
             self._fill_parts(canvas[box], labels[box], hidden)
         if mask is not None:
             outlines = find_outlines(self._fit(mask))
-            draw_outlines(canvas, outlines, WHITE, 4)
-            draw_outlines(canvas, outlines, DARK, 2)
+            draw_lines(canvas, outlines, WHITE, 4, closed=True)
+            draw_lines(canvas, outlines, DARK, 2, closed=True)
         if box is not None:
             self._outline_parts(canvas, labels[box], order, np.array([box[1].start, box[0].start], np.float64))
         self._draw_skeleton(canvas, pose)
@@ -271,8 +259,7 @@ class ViewPainter:
         for part in order:
             side = side_of(self._body.names[part])
             outlines = [outline + corner for outline in find_outlines(labels == part)]
-            draw = draw_dashed_outlines if side == "right" else draw_outlines
-            draw(canvas, outlines, SIDE_COLOURS[side])
+            draw_lines(canvas, outlines, SIDE_COLOURS[side], closed=True, dashed=side == "right")
 
     def _draw_skeleton(self, canvas: Image, pose: FloatArray) -> None:
         from dousa.estimation.body.kinematics import compute_points
@@ -286,8 +273,8 @@ class ViewPainter:
             if not np.isfinite(bone).all():
                 continue
             side = side_of(self._body.names[start])
-            draw_line(canvas, bone, WHITE, 3)
-            (draw_dashed if side == "right" else draw_line)(canvas, bone, SIDE_COLOURS[side], 2)
+            draw_lines(canvas, [bone], WHITE, 3)
+            draw_lines(canvas, [bone], SIDE_COLOURS[side], 2, dashed=side == "right")
         for name, point in zip(self._names, points, strict=True):
             if np.isfinite(point).all():
                 _mark_joint(canvas, point, side_of(name))
@@ -298,18 +285,18 @@ class ViewPainter:
 
 def find_box(mask: Mask) -> tuple[slice, slice] | None:
     """Rows and columns of what a mask (height, width) shows; None if it is empty."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if not len(rows):
-        return None
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+    from dousa.extras import cv2
+
+    left, top, width, height = cv2.boundingRect(np.ascontiguousarray(mask).view(np.uint8))
+    return (slice(top, top + height), slice(left, left + width)) if width else None
 
 
 def _mark_joint(canvas: Image, point: FloatArray, side: str) -> None:
     square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float64)
     turns = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     shape = square if side == "right" else np.stack((np.cos(turns), np.sin(turns)), axis=1) * 1.2
-    draw_outlines(canvas, [point + 2.6 * shape], WHITE, 3)
-    draw_outlines(canvas, [point + 1.6 * shape], SIDE_COLOURS[side], 2)
+    draw_lines(canvas, [point + 2.6 * shape], WHITE, 3, closed=True)
+    draw_lines(canvas, [point + 1.6 * shape], SIDE_COLOURS[side], 2, closed=True)
 
 
 def _write_side(canvas: Image, point: FloatArray, side: str) -> None:

@@ -92,8 +92,8 @@ def draw_contact_sheet(
     frames = _spread(len(figurine.positions), n_poses)
     lines = [frames[k : k + 10] for k in range(0, len(frames), 10)]
     spacing, top = np.max([extent(figurine, line, view) for line in lines for view in (FRONT, SIDE)], axis=0)
-    scale = _fit(spacing, top, columns=max(len(lines[0]), 4), label=_VIEW_LABEL, tallest=2.6)
-    row = top * scale.per_metre + 0.12
+    apart, per_metre = _fit(spacing, top, columns=max(len(lines[0]), 4), label=_VIEW_LABEL, tallest=2.6)
+    row = top * per_metre + 0.12
     height = _HEAD + len(lines) * (2 * row + _TIMES) + _MARGIN
     figure = new_figure(_WIDTH, height)
     for number, line in enumerate(lines):
@@ -101,30 +101,23 @@ def draw_contact_sheet(
         for view, name in ((FRONT, "front"), (SIDE, "right side")):
             bottom -= row
             corner = (_MARGIN + _VIEW_LABEL, bottom)
-            _strip(figure, figurine, line, view=view, scale=scale, corner=corner)
+            _strip(figure, figurine, line, view, (apart, per_metre), corner)
             write(figure, _MARGIN / _WIDTH, (bottom + 0.4 * row) / height, name, 9, color=GREY)
         for column, frame in enumerate(line):
-            x = _MARGIN + _VIEW_LABEL + (column + 0.5) * scale.spacing * scale.per_metre
+            x = _MARGIN + _VIEW_LABEL + (column + 0.5) * apart * per_metre
             seconds = f"{frame / figurine.frame_rate:.2f} s"
             write(figure, x / _WIDTH, (bottom - 0.17) / height, seconds, 8, ha="center", color=GREY)
     _head(figure, height, title or "motion", _facts(figurine), figurine.canonical)
     save_figure(figure, path)
 
 
-@dataclass(frozen=True, slots=True)
-class _Scale:
-    """Distance of neighbouring poses in metres, and inches on paper per metre."""
-
-    spacing: float
-    per_metre: float
-
-
-def _fit(spacing: float, top: float, *, columns: int, label: float, tallest: float) -> _Scale:
-    """The largest scale at which the columns fit the page beside a label, and rows are not taller (inches)."""
+def _fit(spacing: float, top: float, *, columns: int, label: float, tallest: float) -> tuple[float, float]:
+    """Distance of neighbouring poses in m, and inches on paper per m: the largest scale at which the columns fit the
+    page beside a label, and rows are not taller (inches)."""
     room = (_WIDTH - 2 * _MARGIN - label) / columns
     wide = max(spacing, 0.35 * top) * 1.04
     per_metre = min(room / wide, tallest / top)
-    return _Scale(min(room / per_metre, 1.5 * wide), per_metre)
+    return min(room / per_metre, 1.5 * wide), per_metre
 
 
 def _spread(n_frames: int, n_poses: int) -> list[int]:
@@ -146,25 +139,14 @@ def _strip(
     figure: Any,
     figurine: Figurine,
     frames: Sequence[int],
-    *,
     view: float,
-    scale: _Scale,
+    scale: tuple[float, float],
     corner: tuple[float, float],
 ) -> None:
-    """Axes with metres of equal length in both directions, lower left corner in inches."""
-    width, height = figure.get_size_inches()
-    spacing, per_metre = scale.spacing, scale.per_metre
+    """Axes of a scale as of `_fit`, with a little room below and above; lower left corner in inches."""
+    _, per_metre = scale
     _, top = extent(figurine, frames, view)
-    across, up = len(frames) * spacing, top + 0.06 / per_metre
-    x, y = corner
-    box = (x / width, y / height, across * per_metre / width, (up + 0.03 / per_metre) * per_metre / height)
-    axes = figure.add_axes(box, frameon=False)
-    axes.set_xlim(-0.5 * spacing, (len(frames) - 0.5) * spacing)
-    axes.set_ylim(-0.03 / per_metre, up)
-    axes.set_axis_off()
-    draw_poses(axes, figurine, frames, view, spacing)
-    for artist in axes.get_children():
-        artist.set_clip_on(False)
+    draw_row(figure, figurine, frames, view, scale, corner, (-0.03 / per_metre, top + 0.06 / per_metre))
 
 
 def _head(figure: Any, height: float, title: str, facts: str, legend: bool) -> None:
@@ -213,15 +195,10 @@ def draw_search_result(
     library : the one that was searched.
     query : what it was asked for: a motion file or the number of a clip.
     result : its answer.
-    path : .png, .svg or .pdf.
+    path : .png, .svg or .pdf; errors as of `save_figure`.
     options : what the query file does not say.
     truth : category of the query, if it is known; a result of another category "differs". By default the
         category that the forest takes the query for.
-
-    Raises
-    ------
-    OptionError : another suffix.
-    MotionWriteError : the picture cannot be written.
     """
     from dousa.formats.motion_files import read_canonical
 
@@ -278,13 +255,13 @@ def draw_search_sheet(
     pairs = list(zip(figurines, chosen, strict=True))
     spacing, top = np.max([extent(figurine, frames, THREE_QUARTER) for figurine, frames in pairs], axis=0)
     scale = _fit(spacing, top, columns=n_poses, label=_CAPTION, tallest=1.2)
-    row = max(top * scale.per_metre + 0.16, 0.9)
+    row = max(top * scale[1] + 0.16, 0.9)
     height = _HEAD + len(strips) * row + 2 * _MARGIN
     figure = new_figure(_WIDTH, height)
     for number, (figurine, frames) in enumerate(pairs):
         bottom = height - _HEAD - (number + 1) * row - (_MARGIN if number else 0.0)
         corner = (_MARGIN + _CAPTION, bottom)
-        _strip(figure, figurine, frames, view=THREE_QUARTER, scale=scale, corner=corner)
+        _strip(figure, figurine, frames, THREE_QUARTER, scale, corner)
         _caption(figure, strips[number], bottom + 0.5 * row, is_query=number == 0)
     rule, edge = (height - _HEAD - row - 0.6 * _MARGIN) / height, _MARGIN / _WIDTH
     figure.add_artist(Line2D([edge, 1 - edge], [rule] * 2, color=FAINT, lw=0.8))
@@ -313,8 +290,32 @@ _LIMBS = {
 """Colour, line (in units of its width) and marker of the limbs of a side; each of them suffices to tell the side."""
 
 
-def draw_poses(axes: Any, figurine: Figurine, frames: Sequence[int], view: float, spacing: float) -> None:
-    """Draw poses side by side, `spacing` m apart, on axes whose unit is the metre, over a floor line."""
+def draw_row(
+    figure: Any,
+    figurine: Figurine,
+    frames: Sequence[int],
+    view: float,
+    scale: tuple[float, float],
+    corner: tuple[float, float],
+    heights: tuple[float, float],
+) -> None:
+    """Draw poses side by side over a floor line, on axes whose unit is the metre in both directions.
+
+    Parameters
+    ----------
+    figurine, frames, view : which poses, seen from where.
+    scale : m between the poses, and inches per m.
+    corner : lower left, inches.
+    heights : m, the lowest and the highest that is shown.
+    """
+    width, height = figure.get_size_inches()
+    (spacing, per_metre), (low, high) = scale, heights
+    across = len(frames) * spacing * per_metre
+    box = (corner[0] / width, corner[1] / height, across / width, (high - low) * per_metre / height)
+    axes = figure.add_axes(box, frameon=False)
+    axes.set_xlim(-0.5 * spacing, (len(frames) - 0.5) * spacing)
+    axes.set_ylim(low, high)
+    axes.set_axis_off()
     poses = place_poses(figurine, frames, view)
     poses[..., 0] += spacing * np.arange(len(frames))[:, None]
     axes.plot([-0.5 * spacing, (len(frames) - 0.5) * spacing], [0, 0], color=FAINT, lw=1.0, zorder=0)
@@ -322,6 +323,8 @@ def draw_poses(axes: Any, figurine: Figurine, frames: Sequence[int], view: float
         _draw_people(axes, poses, figurine.height, view)
     else:
         _draw_points(axes, poses, figurine.parents)
+    for artist in axes.get_children():
+        artist.set_clip_on(False)
 
 
 def _lines(axes: Any, poses: FloatArray, chains: Sequence[Sequence[int]], **style: Any) -> None:

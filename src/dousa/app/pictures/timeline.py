@@ -28,7 +28,7 @@ from dousa.app.pictures.canvas import (
     shorten,
     write,
 )
-from dousa.app.pictures.sheets import draw_key, draw_poses
+from dousa.app.pictures.sheets import draw_key, draw_row
 from dousa.errors import OptionError
 
 if TYPE_CHECKING:
@@ -140,7 +140,6 @@ def _list_rows(segments: Sequence[_Segment]) -> list[str]:
 
 
 def _draw_thumbnails(figure: Any, figurine: Figurine, bottom: float) -> None:
-    width, height = figure.get_size_inches()
     room = _WIDTH - 2 * _MARGIN - _NAMES - _TOTALS
     n_frames = len(figurine.positions)
     samples = [int(frame) for frame in np.unique(np.linspace(0, n_frames - 1, 4 * _MOST_POSES).round())]
@@ -149,17 +148,10 @@ def _draw_thumbnails(figure: Any, figurine: Figurine, bottom: float) -> None:
     count = int(np.clip(room / (max(apart, 0.35 * top) * per_metre), 1, min(_MOST_POSES, n_frames)))
     per_metre = min(per_metre, room / (count * max(apart, 0.35 * top)))
     frames = [int((number + 0.5) * n_frames / count) for number in range(count)]
-    spacing = room / per_metre / count
-    box = ((_MARGIN + _NAMES) / width, bottom / height, room / width, _TALLEST_POSE / height)
-    axes = figure.add_axes(box, frameon=False)
-    axes.set_xlim(-0.5 * spacing, (count - 0.5) * spacing)
-    axes.set_ylim(0.0, _TALLEST_POSE / per_metre)
-    axes.set_axis_off()
+    scale, heights = (room / per_metre / count, per_metre), (0.0, _TALLEST_POSE / per_metre)
     if figurine.canonical:
         draw_key(figure, 10)
-    draw_poses(axes, figurine, frames, THREE_QUARTER, spacing)
-    for artist in axes.get_children():
-        artist.set_clip_on(False)
+    draw_row(figure, figurine, frames, THREE_QUARTER, scale, (_MARGIN + _NAMES, bottom), heights)
 
 
 def _draw_rows(figure: Any, segments: Sequence[_Segment], rows: Sequence[str], seconds: float) -> None:

@@ -233,14 +233,13 @@ def estimate_sources(
     request: EstimationRequest,
     progress: ProgressCallback | None = None,
     tell: Callable[[Message], None] | None = None,
-    watcher: Watcher | None = None,
 ) -> tuple[Estimation, ...]:
     """Estimate from keypoints of films where that can be done, else from silhouettes.
 
     Parameters
     ----------
     request : from what, how, and where to; its ``cues`` choose, None takes keypoints for films.
-    progress, tell, watcher : see `estimate_files`.
+    progress, tell : see `estimate_files`.
 
     Returns
     -------
@@ -251,11 +250,11 @@ def estimate_sources(
     DousaError : what can be put right by the person who reads it.
     """
     if _takes_keypoints(request, tell):
-        return estimate_films(request, progress, watcher)
+        return estimate_films(request, progress)
     for option, given in (("--person", request.person != 1), ("--everybody", request.everybody)):
         if given:
             raise OptionError("film_estimate.needs_keypoints", option=option)
-    return (estimate_files(request, progress, tell, watcher),)
+    return (estimate_files(request, progress, tell),)
 
 
 def _takes_keypoints(request: EstimationRequest, tell: Callable[[Message], None] | None) -> bool:
@@ -276,9 +275,7 @@ def _takes_keypoints(request: EstimationRequest, tell: Callable[[Message], None]
     return False
 
 
-def estimate_films(
-    request: EstimationRequest, progress: ProgressCallback | None = None, watcher: Watcher | None = None
-) -> tuple[Estimation, ...]:
+def estimate_films(request: EstimationRequest, progress: ProgressCallback | None = None) -> tuple[Estimation, ...]:
     """Estimate the motions of people in films from their keypoints.
 
     Raises
@@ -311,7 +308,7 @@ def estimate_films(
         if numbered is not request:
             check_outputs(numbered.outputs, numbered.inputs)
         try:
-            answers.append(estimate_person(numbered, films, person, report, watcher))
+            answers.append(estimate_person(numbered, films, person, report))
         except KeypointError:
             if not answers:
                 raise
@@ -363,7 +360,7 @@ def estimate_person(
     films: FilmScene,
     person: MatchedPerson,
     report: ProgressCallback,
-    watcher: Watcher | None,
+    watcher: Watcher | None = None,
 ) -> Estimation:
     """Estimate the motion of one person of films, and write its files.
 

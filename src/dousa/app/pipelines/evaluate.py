@@ -16,7 +16,7 @@ from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
-    from dousa.evaluation import Assessment, Beats, BeatTiming, Furi, Progress, RepetitionsAssessment
+    from dousa.evaluation import Assessment, Beats, BeatTiming, Progress, RepetitionsAssessment
     from dousa.motion import CanonicalMotion
 
 
@@ -71,11 +71,8 @@ def evaluate_files(
     *,
     options: ReadOptions,
     furi_file: Path | None = None,
-    side: str = "same",
-    tempo: str = "same",
-    weights: Mapping[str, float] | None = None,
-    importance: str = "learned",
     progress: ProgressCallback | None = None,
+    **judging: Any,
 ) -> Evaluation[Assessment]:
     """Read the takes of the reference and the performance, and assess.
 
@@ -85,28 +82,20 @@ def evaluate_files(
     performance : file.
     options : how they are read.
     furi_file : cuts of the figures, in frames of the first reference; by default they are found.
-    side, tempo, weights, importance : as in `dousa.evaluation.assess`.
     progress : called with (steps done, steps, what is being done).
+    judging : ``side``, ``tempo``, ``weights`` and ``importance`` of `dousa.evaluation.assess`.
 
     Raises
     ------
     DousaError : a file, furi file or motion that cannot be used; the message says which.
     """
     takes, notes = _read_takes((*references, performance), options, progress)
-    furi = None if furi_file is None else _read_furi(furi_file, takes[0])
-    from dousa.evaluation import assess
+    from dousa.evaluation import assess, read_furi
 
+    furi = None if furi_file is None else read_furi(furi_file, takes[0].frame_rate, takes[0].n_frames)
+    names = [path.name for path in (*references, performance)]
     with _compare(references, performance, takes, progress):
-        assessment = assess(
-            takes[:-1],
-            takes[-1],
-            furi=furi,
-            side=side,
-            tempo=tempo,
-            weights=weights,
-            importance=importance,
-            names=[path.name for path in (*references, performance)],
-        )
+        assessment = assess(takes[:-1], takes[-1], furi=furi, names=names, **judging)
     return Evaluation(assessment, tuple(references), performance, notes, takes[-1])
 
 
@@ -115,32 +104,18 @@ def evaluate_repetitions(
     performance: Path,
     *,
     options: ReadOptions,
-    side: str = "same",
-    tempo: str = "free",
-    weights: Mapping[str, float] | None = None,
-    importance: str = "learned",
     progress: ProgressCallback | None = None,
+    **judging: Any,
 ) -> Evaluation[RepetitionsAssessment]:
-    """Read the files, split the performance into repetitions, and assess each.
+    """Read the files, split the performance into repetitions, and assess each by `dousa.evaluation.assess_repetitions`.
 
-    Parameters
-    ----------
-    references, performance : files, see `find_references`.
-    options : how they are read.
-    side, tempo, weights, importance : as in `dousa.evaluation.assess_repetitions`.
-    progress : called with (steps done, steps, what is being done).
-
-    Raises
-    ------
-    DousaError : a file or motion that cannot be used; the message says which.
+    Parameters and errors are those of `evaluate_files`.
     """
     takes, notes = _read_takes((*references, performance), options, progress)
     from dousa.evaluation import assess_repetitions
 
     with _compare(references, performance, takes, progress):
-        assessment = assess_repetitions(
-            takes[:-1], takes[-1], side=side, tempo=tempo, weights=weights, importance=importance
-        )
+        assessment = assess_repetitions(takes[:-1], takes[-1], **judging)
     return Evaluation(assessment, tuple(references), performance, notes, takes[-1])
 
 
@@ -168,24 +143,22 @@ def _compare(
     takes: Sequence[CanonicalMotion],
     progress: ProgressCallback | None,
 ) -> Iterator[None]:
-    from dousa.evaluation import ABOUT_REFERENCES
-
     if progress is not None:
         progress(len(takes), len(takes) + 1, Message("progress.comparing"))
     try:
         yield
     except InvalidMotionError as error:
-        shortest = min(range(len(references)), key=lambda number: takes[number].duration)
-        about_references = error.code in (*ABOUT_REFERENCES, "exercises.still_reference")
-        where = references[shortest] if about_references else performance
+        where = (*references, performance)[find_blamed(error, takes[:-1])]
         raise InvalidMotionError("cli.file_problem", path=where, reason=error.located) from error
 
 
-def _read_furi(path: Path, take: CanonicalMotion) -> Sequence[Furi]:
-    from dousa.evaluation import read_furi
+def find_blamed(error: InvalidMotionError, references: Sequence[CanonicalMotion]) -> int:
+    """The place of the motion that an error is about: the shortest of the references, or -1, the performance."""
+    from dousa.evaluation import ABOUT_REFERENCES
 
-    furi: Sequence[Furi] = read_furi(path, take.frame_rate, take.n_frames)
-    return furi
+    if error.code not in (*ABOUT_REFERENCES, "exercises.still_reference"):
+        return -1
+    return min(range(len(references)), key=lambda number: references[number].duration)
 
 
 def check_folder(folder: Path) -> None:

@@ -72,11 +72,15 @@ def read_labelled_clips(
             clip, doubts = answer
             clips.append(clip)
             _note(note, clip.name, doubts)
-    if not clips and not skipped:
-        raise TrainingError("experiments_cli.nothing_found", paths=paths)
-    if not clips:
-        raise TrainingError("experiments_cli.nothing_readable", paths=paths, **show_first(skipped))
+    _check_any(clips, skipped, paths)
     return clips, skipped
+
+
+def _check_any(found: Sequence[object], skipped: Sequence[Skipped], paths: Sequence[str | os.PathLike[str]]) -> None:
+    if not found and not skipped:
+        raise TrainingError("experiments_cli.nothing_found", paths=paths)
+    if not found:
+        raise TrainingError("experiments_cli.nothing_readable", paths=paths, **show_first(skipped))
 
 
 def read_annotated_takes(
@@ -90,22 +94,12 @@ def read_annotated_takes(
     progress: ProgressCallback | None = None,
     note: FileNote | None = None,
 ) -> tuple[list[AnnotatedTake], list[Skipped]]:
-    """Read all takes below some paths that have labels.
+    """Read all takes below some paths that have labels, in the order of the files, and as `read_labelled_clips`.
 
     Parameters
     ----------
-    paths : files and folders.
     labels_from, tier : where their labels are, as in `dousa.library.annotations.matching`.
-    performer_from : rule as in `dousa.library.labels`.
-    options : how the files are read.
-    n_jobs : files at a time; None for every core.
-    progress : called with (done, total, "reading").
     note : called with doubts about the files that are used, and about their labels.
-
-    Returns
-    -------
-    takes : those that could be read and have labels, in the order of the files.
-    skipped : the other files, and why.
 
     Raises
     ------
@@ -143,10 +137,7 @@ def read_annotated_takes(
         performer = performer_of(file.root, file.path)
         known = str(file.path), performer, motion.positions, motion.frame_rate, motion.height
         takes.append(AnnotatedTake(*known, stretches))
-    if not takes and not skipped:
-        raise TrainingError("experiments_cli.nothing_found", paths=paths)
-    if not takes:
-        raise TrainingError("experiments_cli.nothing_readable", paths=paths, **show_first(skipped))
+    _check_any(takes, skipped, paths)
     return takes, skipped
 
 

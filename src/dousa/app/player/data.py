@@ -13,7 +13,6 @@ import numpy as np
 
 from dousa.app.player.figures import (
     MILLIMETRES,
-    Figure,
     Placed,
     Posed,
     check_max_rate,
@@ -27,6 +26,7 @@ from dousa.app.player.figures import (
     read_figure,
 )
 from dousa.app.player.in_step import find_turn, put_in_step
+from dousa.arrays import FloatArray
 from dousa.evaluation.exercises.repetitions import RepetitionsAssessment
 from dousa.evaluation.grade.result import Assessment
 from dousa.evaluation.posture.posture import SEGMENT_JOINTS, SEGMENTS
@@ -216,6 +216,7 @@ def encode_pair(
     theirs, ours = read_figure(reference, names[0]), read_figure(performance, names[1])
     rate = choose_rate(ours.frame_rate, ours.duration + theirs.duration, max_rate)
     times, relative = put_in_step(theirs, ours, rate)
+    frames = np.arange(float(len(times)))
     turn = -mean_heading(ours.positions)
     words = load_section("player_pair", language)
     if labels is not None:
@@ -224,8 +225,8 @@ def encode_pair(
         **_describe(language, rate, words),
         "reference": encode_figure(theirs, theirs.name, rate, Placed(turn + relative)),
         "performance": encode_figure(ours, ours.name, rate, Placed(turn)),
-        "step": _encode_times(times, theirs),
-        "time": _encode_times(np.arange(len(times)) / rate, theirs),
+        "step": _encode_times(times, theirs, frames),
+        "time": _encode_times(frames / rate, theirs, frames),
     }
 
 
@@ -264,14 +265,14 @@ def encode_repetitions(
             matched[start : start + len(times)] = times
             own = np.arange(len(times)) / ours.frame_rate
             same[start : start + len(times)] = np.where(own < model.duration, own, np.nan)
-    frames, end = frames_at(ours, rate), (model.n_frames - 1) / model.frame_rate
+    frames = frames_at(ours, rate)
     turn = -mean_heading(first.performance.positions)
     return {
         **_describe(language, rate, load_section("player_pair", language)),
         "reference": encode_figure(model, model.name, rate, Placed(turn + _relative_heading(first))),
         "performance": encode_figure(ours, ours.name, rate, Placed(turn)),
-        "step": encode_array(encode_match(matched, frames, end), "<i4"),
-        "time": encode_array(encode_match(same, frames, end), "<i4"),
+        "step": _encode_times(matched, model, frames),
+        "time": _encode_times(same, model, frames),
         "furi": furi,
     }
 
@@ -295,9 +296,9 @@ def _describe(language: str, rate: float, words: Mapping[str, str]) -> dict[str,
     }
 
 
-def _encode_times(times: np.ndarray, reference: Figure) -> str:
-    end = (reference.n_frames - 1) / reference.frame_rate
-    return encode_array(encode_match(times, np.arange(len(times), dtype=float), end), "<i4")
+def _encode_times(times: FloatArray, reference: Posed, frames: FloatArray) -> str:
+    end = (len(reference.positions) - 1) / reference.frame_rate
+    return encode_array(encode_match(times, frames, end), "<i4")
 
 
 SCRIPT_PARTS: tuple[str, ...] = (

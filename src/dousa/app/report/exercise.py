@@ -98,13 +98,11 @@ def build_exercise_page(
     -------
     HTML that needs no other file.
     """
-    from dousa.app.player.data import encode_repetitions, format_player_data
+    from dousa.app.player.data import format_player_data
 
     words = load_section("report_exercise", language)
-    title = words["title"].format(name=name or words["unnamed"])
-    played = _mirror(done, performance)
-    slots = _fill(done, played, title, language)
-    player_data = format_player_data(encode_repetitions(done, played, name, language=language))
+    title, slots, player = _fill(done, performance, language, name)
+    player_data = format_player_data(player)
     font = embed_font(collect_text(*slots.values(), player_data))
     if font.problem:
         problem = load_section("report", language)["font_missing"].format(reason=font.problem)
@@ -133,27 +131,21 @@ def build_exercise(
     -------
     ``markup`` of the report; ``data`` for ``dousa.bindExercise``; ``player`` for ``dousa.createPlayer``.
     """
+    _, slots, player = _fill(done, performance, language, name)
+    return {"markup": fill_slots(read_file("exercise.html"), slots), "data": _collect(done), "player": player}
+
+
+def _fill(
+    done: RepetitionsAssessment, performance: CanonicalMotion, language: str, name: str
+) -> tuple[str, dict[str, str], dict[str, Any]]:
+    """The title, the slots of exercise.html, and what the player needs."""
     from dousa.app.player.data import encode_repetitions
 
     words = load_section("report_exercise", language)
-    played = _mirror(done, performance)
-    slots = _fill(done, played, words["title"].format(name=name or words["unnamed"]), language)
-    return {
-        "markup": fill_slots(read_file("exercise.html"), slots),
-        "data": _collect(done),
-        "player": encode_repetitions(done, played, name, language=language),
-    }
-
-
-def _mirror(done: RepetitionsAssessment, performance: CanonicalMotion) -> CanonicalMotion:
-    """The performance as it was measured."""
-    return mirror_canonical(performance) if done.side == "mirrored" else performance
-
-
-def _fill(done: RepetitionsAssessment, played: CanonicalMotion, title: str, language: str) -> dict[str, str]:
-    words = load_section("report_exercise", language)
+    title = words["title"].format(name=name or words["unnamed"])
+    played = mirror_canonical(performance) if done.side == "mirrored" else performance  # as it was measured
     slots = {f"text_{key}": escape(text) for key, text in words.items()}
-    return slots | {
+    slots |= {
         "summary": _list_sentences(done, language),
         "list": _list_repetitions(done, words, language),
         "angles": draw_angles(done, played, words, language),
@@ -165,6 +157,7 @@ def _fill(done: RepetitionsAssessment, played: CanonicalMotion, title: str, lang
         "files": escape(words["files"]).format(csv=element("a", {"href": REPETITIONS_NAME}, REPETITIONS_NAME)),
         "header": _build_header(done, title, (), words, language),
     }
+    return title, slots, encode_repetitions(done, played, name, language=language)
 
 
 def _collect(done: RepetitionsAssessment) -> dict[str, Any]:

@@ -44,6 +44,11 @@ class AxisSwing:
     segments: tuple[str, ...]
     degrees: tuple[float, ...]
 
+    def describe(self, language: str) -> str:
+        """Say how far each segment swings."""
+        swings = zip(self.segments, self.degrees, strict=True)
+        return ", ".join(f"{describe_segments([name], language)} {degrees:.0f}°" for name, degrees in swings)
+
 
 def count_axes(furi: FuriAssessment, most: int = 3) -> int:
     """How many axes are drawn, from 0."""
@@ -136,11 +141,7 @@ def _label(furi: FuriAssessment, column: int, side: str, words: Mapping[str, str
     view = words[f"view_{side}"]
     if column == 0:
         return f"{words['mean_posture']}, {view}"
-    swing = compute_swings(furi)[column - 1]
-    parts = ", ".join(
-        f"{describe_segments([name], language)} {degrees:.0f}°"
-        for name, degrees in zip(swing.segments, swing.degrees, strict=True)
-    )
+    parts = compute_swings(furi)[column - 1].describe(language)
     return f"{words['axis'].format(number=column)}, {view}: {parts}"
 
 

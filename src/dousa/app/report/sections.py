@@ -248,15 +248,8 @@ def _shape(
     table = ""
     if count_axes(furi):
         rows = [
-            (
-                words["axis"].format(number=k + 1),
-                f"{format_number(100.0 * swing.share, 1)} %",
-                ", ".join(
-                    f"{describe_segments([name], language)} {degrees:.0f}°"
-                    for name, degrees in zip(swing.segments, swing.degrees, strict=True)
-                ),
-            )
-            for k, swing in enumerate(swings)
+            (words["axis"].format(number=k), f"{format_number(100.0 * swing.share, 1)} %", swing.describe(language))
+            for k, swing in enumerate(swings, start=1)
         ]
         head = [words["axis"].format(number=""), words["furi_share"], words["axes_segments"]]
         table = build_details(words["axes_table"], build_table(head, rows, words["axes_table"]))

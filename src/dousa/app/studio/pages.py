@@ -95,6 +95,7 @@ def _make_page(page: str) -> Any:
         language = get_language()
         words = read_words(page)[language]
         theme = request.cookies.get("dousa_theme")
+        sharing = request.app.state.studio.sharing
         text = (
             _environment()
             .get_template(f"{page}.html")
@@ -107,8 +108,8 @@ def _make_page(page: str) -> Any:
                 version=_version(),
                 dousa_version=dousa.__version__,
                 library=request.app.state.studio.settings.library.name,
-                shares=request.app.state.studio.sharing is not None,
-                shares_now=_is_shared(request),
+                shares=sharing is not None,
+                shares_now=sharing is not None and sharing.server is not None,
                 words_json=Markup(format_player_data(words)),
                 **_more(page, request),
             )
@@ -116,11 +117,6 @@ def _make_page(page: str) -> Any:
         return HTMLResponse(text, headers={"vary": "cookie, accept-language"})
 
     return show
-
-
-def _is_shared(request: Request) -> bool:
-    sharing = request.app.state.studio.sharing
-    return sharing is not None and sharing.server is not None
 
 
 def _more(page: str, request: Request) -> dict[str, Any]:

@@ -26,20 +26,11 @@ def print_estimation(out: Console, done: Estimation, good: float = 0.75, fair: f
     good, fair : overlap of model and silhouette from which it is green or yellow.
     """
     answer = done.estimate
-    length = answer.n_frames / answer.frame_rate
-    say_line(
-        out,
-        "estimated.frames",
-        n=answer.n_frames,
-        rate=answer.frame_rate,
-        seconds=length,
-        speed=answer.frames_per_second,
-        body=done.body,
-        start=done.start,
-    )
-    table = make_table((), ("columns.view",))
-    for code in ("columns.overlap", "columns.worst", "columns.in_frame"):
-        table.add_column(str(Message(code)), justify="right")
+    length = {"n": answer.n_frames, "rate": answer.frame_rate, "seconds": answer.n_frames / answer.frame_rate}
+    found = {"speed": answer.frames_per_second, "body": done.body, "start": done.start}
+    say_line(out, "estimated.frames", **length, **found)
+    numbers = ("columns.overlap", "columns.worst", "columns.in_frame")
+    table = make_table("columns.view", *numbers, right=numbers)
     for name, column in zip(done.views, answer.iou.T, strict=True):
         if not np.isfinite(column).any():
             table.add_row(to_cell(name), str(Message("estimated.no_image")), "", "")

@@ -5,11 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from rich.markup import escape
-from rich.table import Table
-
-from dousa.app.output import one_line
-from dousa.app.tables.lines import make_table, print_line
+from dousa.app.tables.lines import make_table, print_line, to_cell
 from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES
 from dousa.evaluation.exercises.repetitions import choose_angles, choose_pair, describe_exercise, describe_trends
 from dousa.evaluation.grade.score import round_grade
@@ -18,6 +14,7 @@ from dousa.messages import Message
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
     from dousa.evaluation import AssessedRepetition, Assessment, Progress, RepetitionsAssessment
 
@@ -65,12 +62,10 @@ def print_assessment(out: Console, assessment: Assessment, detail: str = "full")
 def _print_errors(out: Console, assessment: Assessment) -> None:
     rows = _list_rows(assessment)
     if rows:
-        table = Table(box=None)
-        for name in ("graded.time", "graded.furi", "graded.error", "graded.severity", "graded.difference"):
-            right = name in ("graded.furi", "graded.severity")
-            table.add_column(str(Message(name)), justify="right" if right else "left", overflow="fold")
+        headings = ("graded.time", "graded.furi", "graded.error", "graded.severity", "graded.difference")
+        table = make_table(*headings, right=("graded.furi", "graded.severity"))
         for _, cells in sorted(rows, key=lambda row: row[0]):
-            table.add_row(*(escape(one_line(cell)) for cell in cells))
+            table.add_row(*map(to_cell, cells))
         out.print(table)
     if rows and not assessment.events:
         print_line(out, Message("graded.no_errors"))
@@ -111,12 +106,6 @@ def _covered(spans: list[tuple[float, float]]) -> float:
     return total
 
 
-_HEADINGS = (
-    *("exercise_table.number", "exercise_table.time", "exercise_table.duration"),
-    *("exercise_table.tempo", "exercise_table.grade"),
-)
-
-
 def print_repetitions(out: Console, assessment: RepetitionsAssessment, detail: str = "full") -> None:
     """The count, what to know first, a row for each repetition, and the trends, in the language in use.
 
@@ -139,21 +128,21 @@ def print_repetitions(out: Console, assessment: RepetitionsAssessment, detail: s
 def _make_table(assessment: RepetitionsAssessment) -> Table:
     angles = choose_angles(assessment)
     sides = choose_pair(assessment)
-    table = make_table(_HEADINGS)
+    headings = [Message(f"exercise_table.{name}") for name in ("number", "time", "duration", "tempo", "grade")]
     for name in angles:
         degrees = assessment.reference_ranges[name]
-        heading = Message("exercise_table.range", angle=ANGLE_NAMES[name], degrees=degrees)
-        table.add_column(escape(str(heading)), justify="right", overflow="fold")
+        headings.append(Message("exercise_table.range", angle=ANGLE_NAMES[name], degrees=degrees))
     if sides is not None:
-        table.add_column(str(Message("exercise_table.symmetry")), justify="right", overflow="fold")
+        headings.append(Message("exercise_table.symmetry"))
+    table = make_table(*headings, right=headings)
     for number, one in enumerate(assessment.repetitions, 1):
-        table.add_row(*(escape(one_line(cell)) for cell in _row(number, one, angles, sides)))
+        table.add_row(*map(to_cell, _row(number, one, angles, sides)))
     return table
 
 
 def _row(number: int, one: AssessedRepetition, angles: tuple[str, ...], sides: str | None) -> list[str]:
     found = one.repetition
-    cells = [str(number), f"{format_time(found.start_s)}-{format_time(found.end_s)}", f"{found.duration_s:.2f}"]
+    cells = [str(number), _span(found.start_s, found.end_s), f"{found.duration_s:.2f}"]
     if found.complete:
         cells += [_number(one.tempo, 2), _number(round_grade(one.score), 0)]
     else:
@@ -176,12 +165,10 @@ def print_progress(out: Console, progress: Progress) -> None:
     from dousa.evaluation.advice.progress import describe_errors
 
     print_line(out, progress.summary)
-    table = Table(box=None)
-    table.add_column(str(Message("progress.attempt")), overflow="fold")
-    for heading in (Message("progress.grade"), *KINDS.values(), Message("progress.lapses")):
-        table.add_column(str(heading), justify="right")
+    numbers: list[Message | str] = ["progress.grade", *KINDS.values(), "progress.lapses"]
+    table = make_table("progress.attempt", *numbers, right=numbers)
     for one in progress.attempts:
         score = "-" if one.score is None else f"{round_grade(one.score):.0f}"
         cells = [str(describe_errors(kind, one)) for kind in KINDS]
-        table.add_row(escape(one_line(one.name)), score, *cells, str(one.lapses))
+        table.add_row(to_cell(one.name), score, *cells, str(one.lapses))
     out.print(table)

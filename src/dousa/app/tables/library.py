@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 
 from dousa.app.output import warn
-from dousa.app.tables.lines import print_line, print_some, say_line, to_cell
+from dousa.app.tables.lines import make_table, print_line, print_some, say_line, to_cell
 from dousa.messages import Message
 
 if TYPE_CHECKING:
@@ -147,10 +147,7 @@ _CLIP_COLUMNS = (
 
 def print_clips(out: Console, rows: list[dict[str, Any]]) -> None:
     """Clips of a library, one in a row."""
-    table = Table(box=None)
-    for code in _CLIP_COLUMNS:
-        right = code in ("columns.clip", "columns.seconds", "columns.rate")
-        table.add_column(str(Message(code)), justify="right" if right else "left", overflow="fold")
+    table = make_table(*_CLIP_COLUMNS, right=("columns.clip", "columns.seconds", "columns.rate"))
     for row in rows:
         labels = [to_cell(row[name] or "-") for name in ("category", "predicted_category", "performer")]
         length = f"{row['duration']:.1f}", f"{row['frame_rate']:g}"
@@ -173,9 +170,7 @@ def print_stats(out: Console, library: str, stats: dict[str, Any]) -> None:
         parts.append(Message("stats.takes", n=stats["n_takes"], minutes=stats["take_seconds"] / 60))
     parts.append(Message("stats.performers", n=len(stats["performers"])))
     say_line(out, "stats.library", library=library, parts=parts, forest=forest)
-    table = Table(box=None)
-    table.add_column(str(Message("columns.category")))
-    table.add_column(str(Message("columns.clips")), justify="right")
+    table = make_table("columns.category", "columns.clips", right=("columns.clips",))
     for name, count in stats["categories"].items():
         table.add_row(to_cell(name), str(count))
     if stats["n_unlabelled"]:

@@ -32,13 +32,12 @@ def say_line(out: Console, code: str, /, **values: Any) -> None:
     print_line(out, Message(code, **values))
 
 
-def make_table(right: Sequence[str] = (), left: Sequence[str] = (), folded: str | None = None) -> Table:
-    """A table without lines: codes of its columns of numbers, of words, and of a last one that may be broken."""
+def make_table(*headings: Message | str, right: Sequence[Message | str] = ()) -> Table:
+    """A table without lines, from headings or their codes; ``right`` are those of its columns of numbers."""
     table = Table(box=None)
-    for code in (*right, *left):
-        table.add_column(str(Message(code)), justify="right" if code in right else "left", overflow="fold")
-    if folded is not None:
-        table.add_column(str(Message(folded)), overflow="fold")
+    for heading in headings:
+        words = heading if isinstance(heading, Message) else Message(heading)
+        table.add_column(to_cell(words), justify="right" if heading in right else "left", overflow="fold")
     return table
 
 

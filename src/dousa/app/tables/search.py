@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from rich.markup import escape
-
 from dousa.app.output import one_line, warn
 from dousa.app.tables.lines import make_table, name_side, print_line, print_notes, say_line, to_cell
 from dousa.evaluation.words import format_time
@@ -80,11 +78,9 @@ def print_search(out: Console, answer: SearchResult) -> None:
     from dousa.retrieval.features.posed_motion import name_parts
 
     differ = len({hit.hidden for hit in answer.results}) > 1
-    table = make_table(
-        ("columns.rank", "columns.distance", "columns.same_leaf", "columns.poses"),
-        ("columns.category", *side, *(("columns.without",) if differ else ())),
-        "columns.file",
-    )
+    numbers = ("columns.rank", "columns.distance", "columns.same_leaf", "columns.poses")
+    without = ("columns.without",) if differ else ()
+    table = make_table(*numbers, "columns.category", *side, *without, "columns.file", right=numbers)
     likely = [place for place, hit in enumerate(answer.results) if hit.alike is not False]
     if not likely:
         say_line(out, "answers.none_alike")
@@ -122,9 +118,8 @@ def print_text_search(out: Console, answer: TextResult) -> None:
             say_line(out, "text_search.near", words=answer.near)
         return
     say_line(out, "text_search.found", text=answer.text, n=answer.n_found, all=answer.n_searched)
-    table = make_table(
-        ("columns.rank", "columns.clip", "columns.fits"), ("columns.category", "columns.does"), "columns.file"
-    )
+    numbers = ("columns.rank", "columns.clip", "columns.fits")
+    table = make_table(*numbers, "columns.category", "columns.does", "columns.file", right=numbers)
     for hit in answer.results:
         does = str(Message("text_search.does", relations=tuple(map(describe_relation, hit.relations)))) or "-"
         numbers = (str(hit.rank), str(hit.clip_id), f"{hit.score:.0%}")
@@ -151,7 +146,7 @@ def print_places(out: Console, answer: FindResult, *, mirrored: bool) -> None:
     # What the order goes by, where that was learned; else it is the score.
     sure = ("columns.sure",) if any(place.probability is not None for place in answer.results) else ()
     numbers = ("columns.rank", *sure, "columns.score", "columns.start", "columns.end", "columns.tempo")
-    table = make_table(numbers, ("columns.side",) if mirrored else (), "columns.take")
+    table = make_table(*numbers, *(("columns.side",) if mirrored else ()), "columns.take", right=numbers)
     likely = answer.alike_count if answer.alike_count is not None else len(answer.results)
     if not likely:
         say_line(out, "answers.no_place_alike")
@@ -167,7 +162,7 @@ def print_places(out: Console, answer: FindResult, *, mirrored: bool) -> None:
             f"{place.score:.2f}",
             *times,
             *side,
-            escape(one_line(place.take)),
+            to_cell(place.take),
             style="dim" if place.alike is False else None,
         )
     out.print(table)
@@ -181,15 +176,15 @@ def _name_segment(segment: Segment) -> str:
     often = f" × {segment.repetitions}" if segment.repetitions > 1 else ""
     side = f" ({name_side(segment.mirrored)})" if segment.mirrored else ""
     named = one_line(name) + often + side
-    return escape(str(Message("columns.perhaps", name=named)) if segment.perhaps else named)
+    return to_cell(Message("columns.perhaps", name=named) if segment.perhaps else named)
 
 
 def print_timeline(out: Console, answer: LabelledTake) -> None:
     """What happens in a take, one stretch in a row."""
     print_line(out, f"{answer.take}: {answer.timeline.duration:.1f} s")
     print_notes(out, answer.notes, answer.take)
-    table = make_table(("columns.start", "columns.end"), (), "columns.category")
-    table.add_column(str(Message("columns.sure")), justify="right")
+    numbers = ("columns.start", "columns.end", "columns.sure")
+    table = make_table("columns.start", "columns.end", "columns.category", "columns.sure", right=numbers)
     for segment in answer.timeline.segments:
         known = segment.category is not None
         table.add_row(
@@ -205,7 +200,8 @@ def print_timeline(out: Console, answer: LabelledTake) -> None:
 def print_given(out: Console, given: TakeAnnotation) -> None:
     """The labels that a take was given, one in a row."""
     print_line(out, f"{given.path}: {given.duration:.1f} s")
-    table = make_table(("columns.start", "columns.end"), (), "columns.category")
+    times = ("columns.start", "columns.end")
+    table = make_table(*times, "columns.category", right=times)
     for one in given.rows:
         name = to_cell(one.category) if one.category is not None else "-" if one.counted else "?"
         table.add_row(format_time(one.start), format_time(one.stop), name, style="dim" if one.category is None else "")

@@ -6,14 +6,14 @@ import shutil
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Path, Query
-from pydantic import Field, field_validator
+from pydantic import AfterValidator, Field, field_validator
 from starlette.responses import FileResponse, Response
 
 from dousa.app.requests.estimation import EstimationRequest, Preset, Sex
 from dousa.app.requests.http import derive_model
 from dousa.app.studio.content.masks import EXPORTED, MaskDesk
 from dousa.app.studio.content.motions import Address, MotionName, MotionRef
-from dousa.app.studio.content.studio import StudioNow
+from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import FILE, Answer, Gate, RefusedError, StrictModel, give_files
 from dousa.app.studio.core.workspace import safe_parts
 from dousa.app.studio.jobs.lanes import ask_process
@@ -34,6 +34,15 @@ FILES = {
 
 FRAMES_FORM = r"^-?\d{0,9}:-?\d{0,9}$"
 """The form of a range of frames."""
+
+
+def _check_name(name: str) -> str:
+    try:
+        safe_parts(name)
+    except RefusedError as error:
+        raise ValueError(error) from error
+    return name
+
 
 _Name = Annotated[str, Field(min_length=1, max_length=1000, description="name in the batch")]
 JobId = Annotated[str, Path(pattern="^[0-9a-f]{16}$")]
@@ -73,7 +82,9 @@ class EstimateRequest(derive_model(EstimationRequest, _SHARED)):  # type: ignore
     sources: list[_Name] | None = Field(
         None, max_length=100, description="one npz; or per view a folder of masks or a video"
     )
-    cameras: _Name | None = Field(None, description="calibration; an npz of silhouettes may have its own")
+    cameras: Annotated[_Name, AfterValidator(_check_name)] | None = Field(
+        None, description="calibration; an npz of silhouettes may have its own"
+    )
     backgrounds: list[_Name] | None = Field(None, max_length=100, description="pictures of the empty scene")
     rate: Annotated[float, Field(gt=0, le=10_000, allow_inf_nan=False)] | None = None
     frames: Annotated[str, Field(pattern=FRAMES_FORM)] | None = None
@@ -111,13 +122,6 @@ class EstimateRequest(derive_model(EstimationRequest, _SHARED)):  # type: ignore
             _check_name(body.file)
         return body
 
-    @field_validator("cameras")
-    @classmethod
-    def _calibration(cls, name: str | None) -> str | None:
-        if name is not None:
-            _check_name(name)
-        return name
-
 
 class AddEstimate(StrictModel):
     """How an estimated motion is put into the library."""
@@ -126,25 +130,23 @@ class AddEstimate(StrictModel):
     category: Annotated[str, Field(min_length=1, max_length=80)] | None = None
 
 
-def _check_name(name: str) -> None:
-    try:
-        safe_parts(name)
-    except RefusedError as error:
-        raise ValueError(error) from error
-
-
 @router.post("/jobs/estimate", status_code=202, summary="Estimate a motion from films or silhouettes")
 def estimate(studio: StudioNow, wanted: EstimateRequest) -> Answer:
     """A job. Watch it by ``/estimations/{job}``; its motion is ``job:ID`` when it is done."""
-    files = studio.workspace.files(wanted.batch)
-    if not files:
-        raise RefusedError(422, "studio_estimation.empty_batch")
+    names = _name_sources(studio, wanted)
     if wanted.masks is not None:
         studio.masks.get(wanted.masks)
     studio.workspace.keep(wanted.batch)
-    names = wanted.sources or [path.name for path in files]
-    title = names[0].rsplit("/", 1)[-1] + (f" + {len(names) - 1}" if len(names) > 1 else "")
+    title = names[0] + (f" + {len(names) - 1}" if len(names) > 1 else "")
     return Answer(studio.jobs.submit("estimate", wanted.model_dump(), title).to_json(), 202)
+
+
+def _name_sources(studio: Studio, wanted: EstimateRequest) -> list[str]:
+    """Names without folders of the sources, else of all files of the batch; RefusedError where there is none."""
+    files = studio.workspace.files(wanted.batch)
+    if not files:
+        raise RefusedError(422, "studio_estimation.empty_batch")
+    return [name.rsplit("/", 1)[-1] for name in wanted.sources or [path.name for path in files]]
 
 
 @router.post("/estimations/preview", summary="Look at what would be estimated")
@@ -157,14 +159,8 @@ def preview(studio: StudioNow, wanted: EstimateRequest) -> Answer:
 @router.post("/estimations/example", status_code=201, summary="Make a short example to estimate")
 def make_example(studio: StudioNow) -> Answer:
     """A batch with the silhouettes of a synthetic person who kicks, as four cameras see it."""
-    batch = studio.workspace.new_batch()
-    folder = studio.workspace.root / "files"
-    try:
-        made = ask_process(studio.settings, "example", {"batch": batch}, folder)
-    except BaseException:
-        studio.workspace.discard(batch)
-        raise
-    return Answer(made, 201)
+    with studio.workspace.fill_batch() as batch:
+        return Answer(ask_process(studio.settings, "example", {"batch": batch}, studio.workspace.root / "files"), 201)
 
 
 @router.get("/estimations/{job_id}/frames", summary="Frames that are new since the last time")
@@ -248,20 +244,12 @@ def get_file(studio: StudioNow, job_id: JobId, name: str) -> Response:
 def add_to_library(studio: StudioNow, job_id: JobId, wanted: AddEstimate) -> Answer:
     """A job, as ``POST /jobs/add``."""
     motion = studio.motions.path(MotionRef(motion=str(Address(job=job_id))))
-    batch = studio.workspace.new_batch()
-    try:
+    with studio.workspace.fill_batch() as batch:
         place = studio.workspace.place(batch, f"{wanted.category or 'estimated'}/{wanted.name}.bvh")
         shutil.copyfile(motion, place)
         studio.workspace.keep(batch)
-    except BaseException:
-        studio.workspace.discard(batch)
-        raise
-    request = {
-        "batch": batch,
-        "kind": "clip",
-        "category_from": "folder" if wanted.category else None,
-        "performer_from": None,
-    }
+    category = "folder" if wanted.category else None
+    request = {"batch": batch, "kind": "clip", "category_from": category, "performer_from": None}
     return Answer(studio.jobs.submit("add", request, f"{wanted.name}.bvh").to_json(), 202)
 
 
@@ -290,11 +278,9 @@ class RepairRequest(StrictModel):
 @masks_router.post("/jobs/masks", status_code=202, summary="Write down silhouettes to look through and repair them")
 def prepare_masks(studio: StudioNow, wanted: EstimateRequest) -> Answer:
     """A job; when it is done, its silhouettes are below ``/masks/{job}``."""
-    if not studio.workspace.files(wanted.batch):
-        raise RefusedError(422, "studio_estimation.empty_batch")
+    name = _name_sources(studio, wanted)[0]
     studio.workspace.keep(wanted.batch)
-    names = wanted.sources or [path.name for path in studio.workspace.files(wanted.batch)]
-    return Answer(studio.jobs.submit("masks", wanted.model_dump(), names[0].rsplit("/", 1)[-1]).to_json(), 202)
+    return Answer(studio.jobs.submit("masks", wanted.model_dump(), name).to_json(), 202)
 
 
 @masks_router.get("/masks/{job_id}", summary="What silhouettes there are, which were repaired, and which look doubtful")

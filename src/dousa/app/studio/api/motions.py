@@ -182,9 +182,7 @@ def get_character(studio: StudioNow, motion: Annotated[_Character, Query()]) -> 
     path = _find_character(studio, motion)
     character = read_character(path)
     body = canonicalise(character, any_skeleton=True, whole=True)
-    address = Address.parse(motion)
-    if address.batch:
-        studio.workspace.keep(address.batch)
+    _keep_upload(studio, motion)
     return Answer(
         {
             "motion": motion,
@@ -204,9 +202,7 @@ def export(studio: StudioNow, wanted: ExportRequest) -> Answer:
     character = None
     if wanted.onto is not None:
         character = _find_character(studio, wanted.onto)
-        address = Address.parse(wanted.onto)
-        if address.batch:
-            studio.workspace.keep(address.batch)
+        _keep_upload(studio, wanted.onto)
     ExportFormat(wanted.to, character, wanted.keep_reach, wanted.frame_rate)  # refuses mistakes at once
     count, to = len(wanted.clips), wanted.to.upper()
     title = Message("studio_export.clips", count=count, to=to)
@@ -245,3 +241,8 @@ def get_motion_file(studio: StudioNow, asked: Annotated[_FormatDownload, Query()
 
 def _find_character(studio: Studio, motion: str) -> Path:
     return studio.motions.path(MotionRef(motion=motion))
+
+
+def _keep_upload(studio: Studio, motion: str) -> None:
+    if batch := Address.parse(motion).batch:
+        studio.workspace.keep(batch)

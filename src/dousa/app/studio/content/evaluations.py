@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
 
+from dousa.app.pipelines.evaluate import find_blamed
 from dousa.app.requests import evaluation
 from dousa.app.requests.http import derive_model
 from dousa.app.studio.content.motions import MotionRef, Motions, Named, Seconds
@@ -366,13 +367,10 @@ def read_motions(
 @contextmanager
 def _naming(names: Sequence[str], takes: Sequence[CanonicalMotion]) -> Iterator[None]:
     """Add the name of the motion to errors about it."""
-    from dousa.evaluation import ABOUT_REFERENCES
-
     try:
         yield
     except InvalidMotionError as error:
-        shortest = min(range(len(takes)), key=lambda number: takes[number].duration)
-        name = names[shortest] if error.code in (*ABOUT_REFERENCES, "exercises.still_reference") else names[-1]
+        name = names[find_blamed(error, takes)]
         raise RefusedError(422, Message("text.in_file", path=name, problem=error.message)) from error
 
 

@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dousa.app.player.figures import encode_array
 from dousa.app.studio.core.answers import Answer, RefusedError
 from dousa.app.studio.core.workspace import write_file
 from dousa.arrays import FloatArray, Image, Mask
@@ -173,7 +174,7 @@ class FilmPictures:
 
 def to_picture_address(canvas: Image, longest: int) -> str:
     """Encode a picture (H, W, 3) blue, green, red as a data URL, of at most so many px."""
-    return "data:image/jpeg;base64," + encode_base64(np.frombuffer(encode_jpeg(shrink(canvas, longest), 85), np.uint8))
+    return "data:image/jpeg;base64," + base64.b64encode(encode_jpeg(shrink(canvas, longest), 85)).decode("ascii")
 
 
 UNSEEN = int(np.iinfo(np.int16).min)
@@ -415,8 +416,8 @@ class FilmRecord:
             "first": first,
             "people": points.shape[0],
             "frames": points[:, part].shape[1],
-            "points": encode_base64(points[:, part]),
-            "sure": encode_base64(sure[:, part]),
+            "points": encode_array(points[:, part], "<i2"),
+            "sure": encode_array(sure[:, part], "u1"),
         }
 
     def picture(self, view: int, frame: int) -> bytes:
@@ -442,8 +443,3 @@ class FilmRecord:
         n_views = len(self.describe()["views"])
         if not 0 <= view < n_views:
             raise RefusedError(404, "studio_estimation.no_view", view=view, count=n_views)
-
-
-def encode_base64(values: NDArray[Any]) -> str:
-    """Encode the bytes of an array in C order."""
-    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")

@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.app.pipelines.estimation_views import Scene
+from dousa.app.player.figures import encode_array
 from dousa.app.studio.content.film_record import (
     SIZES,
     FilmRecord,
-    encode_base64,
     encode_jpeg,
     encode_mask,
     read_records,
@@ -363,7 +363,7 @@ class Footage:
                 "lost": rows["lost"].tolist(),
                 "overlap": np.round(rows["overlap"].astype(float), 3).tolist(),
             }
-            return answer | {"joints": encode_base64(rows["joints"].astype("<f4"))} if joints else answer
+            return answer | {"joints": encode_array(rows["joints"], "<f4")} if joints else answer
 
     def player(self, language: str) -> dict[str, Any]:
         """Return the figure as far as it is, for the player; RefusedError if there is none."""
@@ -401,9 +401,9 @@ class Footage:
 
     def _paint(self, view: int, frame: int, *, quality: int = 88) -> bytes:
         row = self._rows[frame]
-        mask, picture = (_decode(self._seen.read(frame, view, kind)) for kind in (MASK, PICTURE))
+        mask, picture = (decode_image(self._seen.read(frame, view, kind)) for kind in (MASK, PICTURE))
         if self.film.version and picture is None:
-            picture = _decode(self.film.find_picture(view, frame))
+            picture = decode_image(self.film.find_picture(view, frame))
             # grey behind keypoints without a film
             picture = np.full((4, 4, 3), 246, np.uint8) if picture is None else picture
         drawn = self._painter(view).paint(
@@ -425,7 +425,8 @@ class Footage:
         return self._painters[view]
 
 
-def _decode(content: bytes | None) -> NDArray[np.uint8] | None:
+def decode_image(content: bytes | None) -> NDArray[np.uint8] | None:
+    """Decode a PNG or JPEG to (H, W, 3) blue, green, red; None if there is none, or it is damaged."""
     from dousa.extras import cv2
 
     image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR) if content else None

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from dousa.app.studio.content.film_record import encode_mask
-from dousa.app.studio.content.footage import MASK, PICTURE, SeenReader
+from dousa.app.studio.content.footage import MASK, PICTURE, SeenReader, decode_image
 from dousa.app.studio.core.answers import RefusedError
 from dousa.app.studio.core.workspace import write_file
 from dousa.app.studio.jobs.board import JobBoard, OpenedJobs
@@ -57,23 +57,12 @@ class StoredMasks(Silhouettes):
 
     def read_view(self, view: int, frame: int) -> Mask | None:
         """Read the mask of one view."""
-        from dousa.extras import cv2
-
-        content = self._seen.read(checked_frame(frame, self.n_frames), view, MASK)
-        if content is None:
-            return None
-        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
-        return None if image is None else np.asarray(image) > 127
+        image = decode_image(self._seen.read(checked_frame(frame, self.n_frames), view, MASK))
+        return None if image is None else np.ascontiguousarray(image[..., 0] > 127)
 
     def look(self, frame: int) -> tuple[Image | None, ...]:
         """Read the small pictures behind the masks; None where there is none."""
-        from dousa.extras import cv2
-
-        found = [self.picture(view, frame) for view in range(self.n_views)]
-        return tuple(
-            None if one is None else np.asarray(cv2.imdecode(np.frombuffer(one, np.uint8), cv2.IMREAD_COLOR))
-            for one in found
-        )
+        return tuple(decode_image(self.picture(view, frame)) for view in range(self.n_views))
 
     def picture(self, view: int, frame: int) -> bytes | None:
         """Read the small picture of a view as JPEG."""

@@ -305,12 +305,13 @@ def make_file(
     keep_reach : keep the places that hands reach, instead of arm directions.
     """
     from dousa.formats.registry import write_motion
+    from dousa.motion import fit_motion
     from dousa.motion.retargeting import retarget
 
     with _gate.enter(), tempfile.TemporaryDirectory(prefix="dousa-") as folder:
         path = Path(folder) / f"motion{suffix}"
         original = _read_original(named, source, ref)
-        motion = _fit(named) if original is None else original
+        motion = fit_motion(named.motion) if original is None else original
         if character is not None:
             motion = retarget(motion, character, keep_reach=keep_reach).motion
         write_motion(motion, path)
@@ -345,9 +346,3 @@ def _is_same(motion: Motion, named: Named, ref: MotionRef) -> bool:
         return False
     positions = canonicalise(motion, ref.joint_map, whole=True).positions
     return bool(np.abs(positions - named.motion.positions).max() <= 1e-3)  # m: joints of the library are rounded
-
-
-def _fit(named: Named) -> Motion:
-    from dousa.motion import fit_motion
-
-    return fit_motion(named.motion)

@@ -118,14 +118,11 @@ class Guard(RequestGuard):
                 return self._welcome(scope["path"], asked, headers)
         if (scope["method"], scope["path"]) == ("POST", _ENTER):
             return await self._enter(receive, _wanted_place(scope))
-        self._check_token(headers)
+        if not self._knows_token(headers):
+            raise RefusedError(401, "studio.no_token")
         most = self._limit(scope["path"])
         _check_length(headers, most)
         return _Counting(receive, most)
-
-    def _check_token(self, headers: Headers) -> None:
-        if not self._knows_token(headers):
-            raise RefusedError(401, "studio.no_token")
 
     def _knows_token(self, headers: Headers) -> bool:
         kind, _, bearer = headers.get("authorization", "").partition(" ")

@@ -17,7 +17,8 @@ import threading
 import time
 import unicodedata
 from collections import OrderedDict
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
@@ -280,6 +281,16 @@ class Workspace:
         (self.root / "files" / batch).mkdir()
         return batch
 
+    @contextmanager
+    def fill_batch(self) -> Iterator[str]:
+        """Make a new batch, which is deleted again where it cannot be filled."""
+        batch = self.new_batch()
+        try:
+            yield batch
+        except BaseException:
+            self.discard(batch)
+            raise
+
     def batch_folder(self, batch: str) -> Path:
         """Return the folder of a batch; RefusedError if there is none."""
         folder = self.root / "files" / batch
@@ -392,11 +403,9 @@ class Workspace:
         for part in self.root.rglob(".*.part"):  # of what ended with its studio
             with suppress(OSError):
                 part.unlink()
-        for folder in (self.root / "files").iterdir():
-            with suppress(OSError):
-                old = time.time() - folder.stat().st_mtime > stale_s
-                if old and _BATCH.fullmatch(folder.name) and not (folder / _KEPT).exists():
-                    shutil.rmtree(folder, ignore_errors=True)
+        for folder, age, used in self._list_batches(""):
+            if used is None and age > stale_s:
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 _NAMED_BATCH = re.compile(rb"(?=([0-9a-f]{16}))")  # also within a longer number

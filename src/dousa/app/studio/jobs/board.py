@@ -161,7 +161,8 @@ class JobBoard:
             job = Job(secrets.token_hex(8), kind, title, dict(request), get_language(), resumable=resumable)
             self._workspace.job_folder(job.id).mkdir(parents=True)
             self._jobs[job.id] = job
-            self._forget_old()
+            for old in [job for job in self.all() if job.state not in ACTIVE][_MOST_KEPT:]:
+                self.remove(old.id)
             self._enqueue(job)
             return job
 
@@ -301,11 +302,6 @@ class JobBoard:
                     job.state, job.finished_s = "stopped", time.time()
                 self._jobs[job.id] = job
                 self._stops[job.id] = threading.Event()
-
-    def _forget_old(self) -> None:
-        finished = [job for job in self.all() if job.state not in ACTIVE]
-        for job in finished[_MOST_KEPT:]:
-            self.remove(job.id)
 
 
 Opened = TypeVar("Opened")

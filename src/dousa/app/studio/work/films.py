@@ -10,20 +10,18 @@ from typing import TYPE_CHECKING, Any
 from dousa.app.studio.core.answers import shorten, to_message
 from dousa.app.studio.jobs.lanes import Context
 from dousa.app.studio.work.materials import holds_keypoints
-from dousa.arrays import Image, Mask
 from dousa.errors import KeypointError, OptionError
 from dousa.extras import require
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.pipelines.estimate import Estimation
-    from dousa.app.pipelines.estimation_views import Scene
     from dousa.app.requests.estimation import EstimationRequest
     from dousa.app.studio.content.film_record import FilmRecordWriter, Track
     from dousa.app.studio.content.footage import FootageWriter
     from dousa.estimation import ViewKeypoints
     from dousa.estimation.multiview.people import MatchedPerson
-    from dousa.estimation.tracking.settings import Estimate, TrackedFrame
+    from dousa.estimation.tracking.settings import Estimate
 
 CAMERAS = "cameras.toml"
 
@@ -240,15 +238,7 @@ class _Watcher:
 
     def __init__(self, footage: FootageWriter, record: FilmRecordWriter) -> None:
         self._footage, self._record = footage, record
-
-    def begin(self, scene: Scene) -> None:
-        self._footage.begin(scene)
-
-    def see(self, frame: int, masks: Sequence[Mask | None], pictures: Sequence[Image | None]) -> None:
-        self._footage.see(frame, masks, pictures)
-
-    def follow(self, tracked: TrackedFrame) -> None:
-        self._footage.follow(tracked)
+        self.begin, self.see, self.follow = footage.begin, footage.see, footage.follow
 
     def end(self, estimate: Estimate) -> None:
         self._footage.end(estimate)

@@ -64,31 +64,27 @@ def _look_at(folder: Path, name: str, suffix: str) -> Material:
         return _look_into_npz(folder / name, name)
     if suffix in _MOTIONS or suffix == ".asf":
         return Material(name, "unused" if suffix == ".asf" else "start", "motion")
-    if suffix == ".json" and _holds_keypoints_json(folder / name):
+    if suffix == ".json" and holds_keypoints(folder / name):
         return Material(name, "source", "keypoints")
     if suffix in _CALIBRATIONS:
-        is_body = suffix == ".toml" and _describes_person(folder / name)
+        is_body = suffix == ".toml" and _shows(_PERSON, folder / name, 200_000)
         return Material(name, "body" if is_body else "cameras", "table")
     return Material(name, "unused", "other")
 
 
-def _describes_person(path: Path) -> bool:
+def _shows(pattern: re.Pattern[bytes], path: Path, n_bytes: int) -> bool:
+    """Whether the first bytes of a file have a pattern."""
     with open(path, "rb") as file:
-        return _PERSON.search(file.read(200_000)) is not None
-
-
-def _holds_keypoints_json(path: Path) -> bool:
-    with open(path, "rb") as file:
-        return _KEYPOINTS.search(file.read(20_000)) is not None  # of a JSON file, looked at
+        return pattern.search(file.read(n_bytes)) is not None
 
 
 def holds_keypoints(path: Path) -> bool:
     """Whether a source holds keypoints of people: an npz of dousa, JSON of another program, or a folder of such."""
     if path.is_dir():
         first = next((file for file in sorted(path.iterdir()) if not file.name.startswith(".")), None)
-        return first is not None and first.suffix.lower() == ".json" and _holds_keypoints_json(first)
+        return first is not None and first.suffix.lower() == ".json" and _shows(_KEYPOINTS, first, 20_000)
     if path.suffix.lower() == ".json":
-        return _holds_keypoints_json(path)
+        return _shows(_KEYPOINTS, path, 20_000)
     return path.suffix.lower() == ".npz" and _look_into_npz(path, path.name).kind == "keypoints"
 
 

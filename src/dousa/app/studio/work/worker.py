@@ -28,27 +28,26 @@ if TYPE_CHECKING:
 
 Work = Callable[[dict[str, Any], Context], dict[str, Any]]
 
-IN_PROCESS = {
-    "add": ("library", "add"),
-    "watch": ("library", "watch"),
-    "train": ("library", "train"),
-    "demo": ("library", "demo"),
-    "review": ("library", "review"),
-    "map": ("library", "map_clips"),
-    "export": ("library", "export"),
-    "check": ("library", "check"),
-    "compact": ("library", "compact"),
-    "estimate": ("estimation", "estimate"),
-    "masks": ("estimation", "prepare_masks"),
-    "preview": ("preview", "preview"),
-    "example": ("estimation", "write_example"),
+QUESTIONS = {"preview": "preview.preview", "example": "estimation.write_example"}
+JOBS = {
+    "add": ("library.add", "library", True),
+    "watch": ("library.watch", "library", True),
+    "train": ("library.train", "library", True),
+    "demo": ("library.demo", "library", False),
+    "review": ("library.review", "review", False),
+    "map": ("library.map_clips", "review", False),
+    "export": ("library.export", "export", True),
+    "check": ("library.check", "library", False),
+    "compact": ("library.compact", "library", True),
+    "estimate": ("estimation.estimate", "estimation", True),
+    "masks": ("estimation.prepare_masks", "masks", False),
 }
-"""Kind of work in a process -> module of this room and function; loaded when it is used."""
+"""Kind of a job in a process -> module of this room and function, loaded when it is used; lane; whether it resumes."""
 
 
 def load_work(kind: str) -> Work:
-    """Import the function for a kind of work of `IN_PROCESS`."""
-    module, name = IN_PROCESS[kind]
+    """Import the function for a kind of work in a process."""
+    module, _, name = (QUESTIONS.get(kind) or JOBS[kind][0]).partition(".")
     work: Work = getattr(import_module(f"dousa.app.studio.work.{module}"), name)
     return work
 
@@ -59,17 +58,7 @@ def make_lanes(studio: Studio) -> Mapping[str, Lane]:
 
     process = run_in_process(studio.settings)
     return {
-        "add": Lane("library", process, resumable=True),
-        "watch": Lane("library", process, resumable=True),
-        "train": Lane("library", process, resumable=True),
-        "demo": Lane("library", process),
-        "review": Lane("review", process),
-        "map": Lane("review", process),
-        "export": Lane("export", process, resumable=True),
-        "check": Lane("library", process),
-        "compact": Lane("library", process, resumable=True),
-        "estimate": Lane("estimation", process, resumable=True),
-        "masks": Lane("masks", process),
+        **{kind: Lane(lane, process, resumable=resumable) for kind, (_, lane, resumable) in JOBS.items()},
         "label": Lane("questions", run_in_thread(studio.settings, partial(label, studio))),
         "evaluate": Lane("questions", run_in_thread(studio.settings, partial(evaluate, studio))),
     }
