@@ -39,7 +39,7 @@ from dousa.app.studio.core.answers import Answer, describe_disk, name_error, sta
 from dousa.app.studio.core.guard import Codes, Guard
 from dousa.app.studio.core.workspace import HomeTakenError, Settings, ask_running, other_library
 from dousa.app.studio.jobs.board import ACTIVE, FolderWatch
-from dousa.app.studio.shared import make_sharing
+from dousa.app.studio.shared import bind_free_port, make_sharing
 from dousa.app.studio.work.worker import make_lanes
 from dousa.errors import DousaError, OptionError
 from dousa.extras import require
@@ -160,18 +160,12 @@ def _tame_memory() -> None:
 
 def _listen(settings: Settings, *, tries: int = 20) -> tuple[socket.socket, int]:
     # tries: ports after the one asked for
-    for port in range(settings.port, min(settings.port + tries, 65536)):
-        # The protocol is named, else asyncio does not switch Nagle off, and small answers wait 40 ms.
-        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            listener.bind((settings.host, port))
-        except OSError:
-            listener.close()
-            continue
-        listener.listen(128)
-        return listener, listener.getsockname()[1]
-    raise OptionError("studio.no_port", first=settings.port, last=settings.port + tries - 1)
+    try:
+        listener = bind_free_port(socket.socket, settings.host, settings.port, tries)
+    except OSError:
+        raise OptionError("studio.no_port", first=settings.port, last=settings.port + tries - 1) from None
+    listener.listen(128)
+    return listener, listener.getsockname()[1]
 
 
 _DESCRIPTION = """Motion retrieval, evaluation and estimation over HTTP, on this machine only. Every request carries

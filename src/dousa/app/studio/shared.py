@@ -15,7 +15,7 @@ import weakref
 from collections.abc import Callable, Coroutine
 from functools import partial
 from ipaddress import IPv4Address
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 from urllib.parse import parse_qsl, quote
 
 from fastapi import APIRouter, Depends, FastAPI, Query, Request
@@ -92,7 +92,6 @@ class SharedGuard(RequestGuard):
         return answer
 
 
-FIRST_PORT, _TRIES = 8865, 20
 _MOST_CONNECTIONS, _MOST_OF_ONE = 100, 24  # of all, and of one address; a browser opens about six
 
 # --- what there is to see
@@ -282,22 +281,34 @@ def _peer_of(connection: socket.socket) -> str | None:
         return None
 
 
-def listen(address: str) -> LimitedListener:
-    """Listen at an address on the first free port; OptionError if this is not possible."""
-    problem: OSError | None = None
-    for port in range(FIRST_PORT, FIRST_PORT + _TRIES):
-        listener = LimitedListener(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+Listener = TypeVar("Listener", bound=socket.socket)
+
+
+def bind_free_port(make: Callable[..., Listener], host: str, first: int, tries: int = 20) -> Listener:
+    """Bind a socket to the first free port of several; OSError, of the last one, if none is free."""
+    problem = OSError()
+    for port in range(first, min(first + tries, 65536)):
+        # The protocol is named, else asyncio does not switch Nagle off, and small answers wait 40 ms.
+        listener = make(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            listener.bind((address, port))
+            listener.bind((host, port))
+            return listener
         except OSError as error:
             listener.close()
             problem = error
-            continue
-        listener.hold_back()
-        listener.listen(64)
-        return listener
-    raise OptionError("studio_share.cannot_listen", address=address, reason=problem)
+    raise problem
+
+
+def listen(address: str) -> LimitedListener:
+    """Listen at an address on the first free port; OptionError if this is not possible."""
+    try:
+        listener = bind_free_port(LimitedListener, address, 8865)
+    except OSError as error:
+        raise OptionError("studio_share.cannot_listen", address=address, reason=error) from error
+    listener.hold_back()
+    listener.listen(64)
+    return listener
 
 
 def _serve(

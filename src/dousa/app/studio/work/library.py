@@ -93,13 +93,7 @@ def _without_folder(value: Any, folder: str) -> Any:
 def train(request: dict[str, Any], context: Context) -> dict[str, Any]:
     """Train the forest; ``request``: feature_set, n_trees, random_state."""
     with context.open_library() as library:
-        report = library.train(
-            feature_set=request.get("feature_set"),
-            n_trees=request.get("n_trees", 100),
-            random_state=request.get("random_state", 0),
-            progress=context.progress,
-        )
-        return report.to_json()
+        return library.train(**request, progress=context.progress).to_json()
 
 
 def review(request: dict[str, Any], context: Context) -> dict[str, Any]:
