@@ -111,7 +111,7 @@ def read_all(connection) -> bytes:
 def test_a_request_that_is_not_ended_is_given_up(caller, monkeypatch):
     from dousa.app.studio import server as connections
 
-    monkeypatch.setattr(connections, "_PATIENCE", 2.0)
+    monkeypatch.setattr(connections.PatientProtocol, "patience_s", 2.0)
     call, port = caller
     with call() as silent, call() as slow, call() as good:
         slow.sendall(b"GET /api/info HTTP/1.1\r\nX: ")
@@ -125,7 +125,7 @@ def test_a_request_that_is_not_ended_is_given_up(caller, monkeypatch):
 def test_an_upload_that_stands_still_is_given_up(caller, tmp_path, monkeypatch):
     from dousa.app.studio import server as connections
 
-    monkeypatch.setattr(connections, "_PATIENCE", 3.0)
+    monkeypatch.setattr(connections.PatientProtocol, "patience_s", 3.0)
     call, port = caller
     head = f"POST /api/uploads?name=a.bvh HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nAuthorization: Bearer {TOKEN}"
     with call() as stalled, call() as going_on:

@@ -345,7 +345,7 @@ def test_who_speaks_without_encryption_hears_nothing(open_studio):
 def test_who_says_nothing_is_not_waited_for_and_takes_no_room(open_studio, monkeypatch):
     """More connections than one address may have: the others are closed at once, and the studio goes on."""
     monkeypatch.setattr(sharing_server, "_MOST_OF_ONE", 5)
-    monkeypatch.setattr(sharing_server, "_HANDSHAKE_S", 5.0)
+    monkeypatch.setitem(sharing_server._serve.__kwdefaults__, "handshake_s", 5.0)
     open_studio.post("/api/share/end")
     host, port = open_studio.post("/api/share/begin").json()["address"].removeprefix("https://").split(":")
     silent = [socket.create_connection((host, int(port)), timeout=PATIENCE) for _ in range(12)]

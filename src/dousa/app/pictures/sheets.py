@@ -316,6 +316,13 @@ def draw_row(
     axes.set_xlim(-0.5 * spacing, (len(frames) - 0.5) * spacing)
     axes.set_ylim(low, high)
     axes.set_axis_off()
+    draw_poses(axes, figurine, frames, view, spacing)
+    for artist in axes.get_children():
+        artist.set_clip_on(False)
+
+
+def draw_poses(axes: Any, figurine: Figurine, frames: Sequence[int], view: float, spacing: float) -> None:
+    """Draw poses side by side, `spacing` m apart, on axes whose unit is the metre, over a floor line."""
     poses = place_poses(figurine, frames, view)
     poses[..., 0] += spacing * np.arange(len(frames))[:, None]
     axes.plot([-0.5 * spacing, (len(frames) - 0.5) * spacing], [0, 0], color=FAINT, lw=1.0, zorder=0)
@@ -323,8 +330,6 @@ def draw_row(
         _draw_people(axes, poses, figurine.height, view)
     else:
         _draw_points(axes, poses, figurine.parents)
-    for artist in axes.get_children():
-        artist.set_clip_on(False)
 
 
 def _lines(axes: Any, poses: FloatArray, chains: Sequence[Sequence[int]], **style: Any) -> None:
