@@ -129,12 +129,6 @@ class ZipDestination(Destination):
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
-def choose_destination(path: str | os.PathLike[str]) -> Destination:
-    """Return a folder, or a ZIP file by its suffix."""
-    target = Path(path)
-    return ZipDestination(target) if target.suffix.lower() == ".zip" and not target.is_dir() else Destination(target)
-
-
 def _holds_text(path: Path) -> bool:
     """Return whether a file has more than our heading."""
     heading = ",".join(COLUMNS).encode()
@@ -240,7 +234,9 @@ def export_clips(
 
     ``path`` is a folder or the name of a ZIP file; ``options`` replace those of adding.
     """
-    destination = choose_destination(path)
+    target = Path(path)
+    is_zip = target.suffix.lower() == ".zip" and not target.is_dir()
+    destination = ZipDestination(target) if is_zip else Destination(target)
     job = _Export(library, destination, form, options or ReadOptions())
     try:
         for number, clip in enumerate(clips):

@@ -273,7 +273,8 @@ def choose_labels(
     source = None if labels is None or labels.is_blank else labels.source
     if source is None and stored.is_complete and stored.segments and (own or _may_be_there(stored.source)):
         source = stored.source  # not replaced by a copy
-    kept = _list_places(row, labels) if labels is not None and not labels.is_blank else _list_stored(stored)
+    there = {(one.start, one.end, one.category) for one in stored.segments}
+    kept = there if labels is None or labels.is_blank else _list_places(row, labels)
     for copy in copies:
         other, said = to_annotation(copy.file, copy.tiers, tier, row.frame_rate)
         if other.is_blank or (source is not None and _list_places(row, other) == kept):
@@ -312,7 +313,3 @@ _Places = set[tuple[float, float, str | None]]
 
 def _list_places(row: Any, labels: Annotation) -> _Places:
     return {(one.start, one.stop, one.category) for one in fit(TakeLength.of(row), labels.segments)[0]}
-
-
-def _list_stored(stored: TakeAnnotation) -> _Places:
-    return {(one.start, one.end, one.category) for one in stored.segments}

@@ -209,12 +209,6 @@ def _read_takes(connection: sa.Connection, ids: Sequence[int]) -> list[Any]:
     return sorted(fetch_in(connection, query, table.id, ids), key=lambda row: int(row.id))
 
 
-def _read_hashes(connection: sa.Connection, ids: Sequence[int]) -> dict[int, str]:
-    table = schema.take_annotations.c
-    rows = fetch_in(connection, sa.select(table.take_id, table.labels_hash), table.take_id, ids)
-    return {row.take_id: row.labels_hash for row in rows}
-
-
 def _hash_labels(labels: Annotation) -> str:
     plain = [[(one.start, one.stop, one.category) for one in labels.segments], labels.unclear, labels.tier]
     return hashlib.sha256(json.dumps(plain).encode()).hexdigest()
@@ -248,7 +242,9 @@ def _plan_tables(
     known: _Exchange | None,
 ) -> _Exchange:
     rows = _read_takes(connection, list(wanted))
-    hashes = _read_hashes(connection, [row.id for row in rows])
+    table, ids = schema.take_annotations.c, [row.id for row in rows]
+    stored = fetch_in(connection, sa.select(table.take_id, table.labels_hash), table.take_id, ids)
+    hashes = {row.take_id: row.labels_hash for row in stored}
     before = _read_segments(connection, [row.id for row in rows])
     changes, tables, places = AnnotationChanges(), [], []
     for row in rows:

@@ -53,8 +53,10 @@ def judge(stored: StoredForest, answers: TreeAnswers, features: FloatArray, thre
     never.
     """
     guesses = answers.predicted()
-    histograms = [_order_histogram(stored.categories, own) for own in answers.shares()]
-    pairs = list(zip(guesses, histograms, strict=True))
+    pairs = []
+    for guess, shares in zip(guesses, answers.shares(), strict=True):
+        order = np.argsort(-shares, kind="stable")  # equals keep their order
+        pairs.append((guess, {stored.categories[index]: float(shares[index]) for index in order}))
     if stored.assessor is None or not guesses:
         return [Verdict(guess, guess, None, None, histogram) for guess, histogram in pairs]
     seen = stored.assessor.assess(answers.leaves, features)
@@ -72,12 +74,6 @@ def judge(stored: StoredForest, answers: TreeAnswers, features: FloatArray, thre
             pairs, seen.known, seen.confidence, unknown, seen.possible, strict=True
         )
     ]
-
-
-def _order_histogram(categories: Sequence[str], shares: FloatArray) -> dict[str, float]:
-    """Return the share of each category, the largest first; equals keep their order."""
-    order = np.argsort(-shares, kind="stable")
-    return {categories[index]: float(shares[index]) for index in order}
 
 
 class Explaining:

@@ -79,7 +79,7 @@ class MergedParts:
         yield "sums", self._take([part.sums for part in self._parts])
         yield "given", self._take([part.given for part in self._parts], self._numbers)
         yield "predicted", self._take([part.predicted for part in self._parts], self._numbers)
-        paths = [(_starts_of(part.path_ends), part.path_bytes) for part in self._parts]
+        paths = [(np.append(np.int64(0), part.path_ends), part.path_bytes) for part in self._parts]
         yield "path_ends", self._ends([starts for starts, _ in paths])
         yield "path_bytes", self._runs([starts for starts, _ in paths], [own for _, own in paths])
         yield "codes", self._codes()
@@ -144,10 +144,6 @@ class MergedParts:
             for number, rows, places in portion:
                 copy_runs(values[number], starts[number], rows, ends[places], out)
             yield out
-
-
-def _starts_of(ends: IntArray) -> IntArray:
-    return np.concatenate([np.zeros(1, np.int64), ends])
 
 
 _MAGIC = b"dousa index 2\n\0\0"

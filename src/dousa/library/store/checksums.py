@@ -28,24 +28,16 @@ LIBRARY_NAME = "dousa_library"
 """Execution option of a connection: the name of its library in messages."""
 
 
-def _encode_json(value: Any) -> bytes:
-    return json.dumps(value).encode()
-
-
 # C functions where possible: a search compares one or two checksums of every clip.
 _ENCODERS: tuple[tuple[type[Any], Callable[[Any], bytes]], ...] = (
     (sa.LargeBinary, bytes),
     (sa.Double, struct.Struct("<d").pack),
     (sa.Integer, b"%d".__mod__),
     (sa.Boolean, b"%d".__mod__),
-    (sa.JSON, _encode_json),
+    (sa.JSON, lambda value: json.dumps(value).encode()),
     (sa.Text, str.encode),
     (sa.String, str.encode),
 )
-
-
-def _choose_encoder(column: sa.Column[Any]) -> Callable[[Any], bytes]:
-    return next(encode for kind, encode in _ENCODERS if isinstance(column.type, kind))
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +127,8 @@ _OWN_KEYS = ("library_state", "forests", "part_forests", "array_store", "leaf_ex
 def _seal(table: sa.Table, what: Message, names: Sequence[str] | None = None, checksum: str = "checksum") -> Seal:
     chosen = [column.name for column in table.c if "checksum" not in column.name] if names is None else names
     covered = tuple(table.c[name] for name in chosen)
-    return Seal(table.c[checksum], covered, tuple(map(_choose_encoder, covered)), what)
+    encoders = (next(own for kind, own in _ENCODERS if isinstance(column.type, kind)) for column in covered)
+    return Seal(table.c[checksum], covered, tuple(encoders), what)
 
 
 _LABELS = ("id", "path", "category", "performer", "kind", "absent")

@@ -223,15 +223,12 @@ def _unpack_positions(connection: sa.Connection, row: Any, data: bytes) -> Float
     stored = unpack(data, "<f4", (row.n_frames, len(CANONICAL_JOINTS), 3), row.path)
     positions: FloatArray = stored.astype(np.float64)
     if row.absent:
-        positions[:, [JOINT_INDEX[joint] for joint in _read_joints(row)]] = np.nan
+        try:
+            absent = order_joints(row.absent.split())
+        except OptionError as error:
+            raise LibraryDamagedError("library_clips.joints", path=row.path, problem=error) from error
+        positions[:, [JOINT_INDEX[joint] for joint in absent]] = np.nan
     return positions
-
-
-def _read_joints(row: Any) -> tuple[str, ...]:
-    try:
-        return order_joints(row.absent.split())
-    except OptionError as error:
-        raise LibraryDamagedError("library_clips.joints", path=row.path, problem=error) from error
 
 
 def pack_positions(motion: StoredMotion) -> bytes:

@@ -147,9 +147,9 @@ class ObjectFragments:
         data = {span: b"" if isinstance(one, Exception) else one for span, one in zip(spans, got, strict=True)}
         found = []
         for place in places:
-            own = [span for span in data if span[0] == place.fragment and _is_within(place, span)]
-            start = place.first_byte - own[0].first_byte if own else 0
-            found.append(data[own[0]][start : start + place.n_bytes] if own else b"")
+            offsets = {span: place.first_byte - span.first_byte for span in data if span.fragment == place.fragment}
+            own = [span for span, offset in offsets.items() if 0 <= offset <= span.n_bytes - place.n_bytes]
+            found.append(data[own[0]][offsets[own[0]] :][: place.n_bytes] if own else b"")
         return found
 
     def sizes(self) -> dict[str, int]:
@@ -183,11 +183,6 @@ def _join(places: Sequence[Place], most: int, *, gap: int = 2**16) -> list[Place
                 continue
         spans.append(place)
     return spans
-
-
-def _is_within(place: Place, span: Place) -> bool:
-    end = span.first_byte + span.n_bytes
-    return span.first_byte <= place.first_byte and place.first_byte + place.n_bytes <= end
 
 
 def _lay_out(name: str, start: int, blocks: Sequence[bytes]) -> Iterator[Place]:
@@ -226,16 +221,6 @@ def _plain_errors(library: str, where: str) -> Iterator[None]:
         raise LibraryError("library_fragments.unusable", library=library, where=where, reason=error) from error
 
 
-def open_fragments(place: str, beside: Path | None, library: str) -> FragmentStore:
-    """Open the fragment store of a library at a folder or URL; empty for the folder ``beside`` a library file."""
-    # Do not trust places named in a file: it may come from an unknown source.
-    if beside is not None:
-        return FolderFragments(beside, library)
-    if "://" in place and not place.startswith("file://"):
-        return ObjectFragments(place, library)
-    return FolderFragments(Path(place.removeprefix("file://")), library)
-
-
 ARRAYS = (
     schema.clip_trajectories.c.positions,
     schema.clip_features.c.pose_features,
@@ -254,8 +239,15 @@ def find_store(connection: sa.Connection) -> FragmentStore | None:
 
 
 def _open(connection: sa.Connection, place: str) -> FragmentStore:
+    """Open the fragments of a library at a folder or URL; those of a library file are in the folder beside it."""
     options = connection.get_execution_options()
-    return open_fragments(place, options.get(BESIDE), str(options.get(LIBRARY_NAME, "")))
+    beside, library = options.get(BESIDE), str(options.get(LIBRARY_NAME, ""))
+    # Do not trust places named in a file: it may come from an unknown source.
+    if beside is not None:
+        return FolderFragments(beside, library)
+    if "://" in place and not place.startswith("file://"):
+        return ObjectFragments(place, library)
+    return FolderFragments(Path(place.removeprefix("file://")), library)
 
 
 def open_store(connection: sa.Connection) -> FragmentStore:

@@ -195,11 +195,6 @@ class Portion:
         object.__setattr__(self, "ends", _count_ends(self.lengths.tolist(), self.n_frames.tolist()))
         object.__setattr__(self, "blocks", np.concatenate([[0], np.cumsum(-(-self.n_frames // BLOCK))]))
 
-    @property
-    def row_bytes(self) -> int:
-        """The bytes of the row of one window."""
-        return self.n_trees * self.code_type.itemsize + 4
-
     def encode(self, leaves: IntArray) -> NDArray[Any]:
         """Return (n_trees,) codes of leaves, with an unused code for leaves without windows."""
         rows = np.minimum(np.searchsorted(self.table, leaves), len(self.table) - 1)
@@ -226,7 +221,7 @@ class Portion:
     def read_rows(self, file: IO[bytes], places: IntArray, windows: IntArray) -> NDArray[Any]:
         """Read (M, n_trees) codes of windows, by the places of their lengths and their numbers within these."""
         first = np.concatenate([[0], np.cumsum(self.ends[:, -1])])
-        begin, size = int(self.places[-2]), self.row_bytes
+        begin, size = int(self.places[-2]), self.n_trees * self.code_type.itemsize + 4
         data = np.empty((len(windows), size), np.uint8)
         for row, number in enumerate((first[places] + windows).tolist()):
             file.seek(begin + number * size)
