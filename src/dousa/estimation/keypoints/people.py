@@ -80,7 +80,7 @@ class PeopleFollower:
     ----------
     detector, landmarks : the networks.
     most_people : that are followed at a time.
-    detect_every : frames from one look of the detector to the next, if nobody is lost.
+    detect_every : frames from one look of the detector to the next, while no person is lost.
     small_every : such looks from one at parts of half the image's shorter side to the next, if that has
     small_side : px at least.
     lost_for, try_every : frames for which a lost person is searched at the last place, and from one try to the next.

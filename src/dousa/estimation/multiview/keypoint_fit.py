@@ -134,11 +134,9 @@ def fit_keypoints(
     fit = _answer(own, landmarks, (poses, covariance), terms, exchanged, n_frames / max(seconds, 1e-9))
     if len(cameras) > 1:
         return fit
-    # In one view the distance is as uncertain as the stature.
-    sigma = _STATURE_SIGMA if body is None and stature is None else _GIVEN_SIGMA
+    sigma = _STATURE_SIGMA if body is None and stature is None else _GIVEN_SIGMA  # the distance is no better known
     away = np.linalg.norm(compute_points(own, fit.estimate.poses) - cameras[0].position, axis=-1)
-    uncertainty = np.hypot(fit.estimate.uncertainty, sigma * away)
-    return replace(fit, estimate=replace(fit.estimate, uncertainty=uncertainty))
+    return replace(fit, estimate=replace(fit.estimate, uncertainty=np.hypot(fit.estimate.uncertainty, sigma * away)))
 
 
 def _first_places(cameras: Sequence[Camera], seen: SeenLandmarks, shown: Sequence[int]) -> FloatArray:
