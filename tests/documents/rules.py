@@ -35,6 +35,7 @@ class _Rule:
 # From above; the first row that fits the whole command counts.
 _RULES = (
     _Rule(r"(?:.*\s)?--write(?:[\s=].*)?", How.WRITES),  # before all others: on little data it would ship a bad judge
+    _Rule(r"python -m lab\.\S+ \.\.\. .*", How.WRITES),  # what is left out cannot be run: its options are asked for
     _Rule(
         r"make (?:demo|studio|test|test-slow|test-postgres|submission|nightly|types|coverage|wheel|lint|fuzz|bench"
         r"|peers|blender|figures|docs|lock|clean)",

@@ -47,6 +47,7 @@ def run_line(text: str, folder: Path) -> Outcome:
         return _call(main, [program, *words], folder)
     assert (program, words[0]) == ("python", "-m"), f"no way to run {text}"
     module = words[1]
+    sys.modules.pop(module, None)  # what another test has imported would be run a second time, with a warning
     return _call(lambda: runpy.run_module(module, run_name="__main__", alter_sys=True), words[1:], folder)
 
 

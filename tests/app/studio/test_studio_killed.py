@@ -21,9 +21,9 @@ ROOT = Path(__file__).resolve().parents[3]
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks for processes in /proc")
 def test_killed_at_some_moments_nothing_is_lost_and_nothing_stays_behind():
     """A share of what `lab/reliability/studio_kill.py` does a hundred times."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT / "src"), str(ROOT)))}
     words = [str(count_tries(12)), "--port", "0", "--seed", "4"]
-    command = [sys.executable, str(ROOT / "lab" / "reliability" / "studio_kill.py"), *words]
+    command = [sys.executable, "-m", "lab.reliability.studio_kill", *words]
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=3 * PATIENCE, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "0  faults" in done.stdout

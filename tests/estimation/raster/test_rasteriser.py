@@ -77,6 +77,7 @@ def test_hull_of_discs_is_the_oracles(discs, width, height):
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.tuples(places, places), min_size=1, max_size=6), radii)
+@example([(0.0, -1.2e-7), (12.0, 0.0), (14.0, 0.0)], 0.0)  # edges whose cosines differ by less than rounding
 def test_discs_in_a_row_and_of_one_size(points, radius):
     """Several discs touch one tangent: no edge may get lost."""
     discs = [(x, y, radius) for x, y in points] + [(x, 7.0, radius) for x, _ in points]

@@ -185,7 +185,9 @@ def _trace_side(side, discs, count, pairs, top, first, last, width, columns):  #
             dx, dy, dr = side * discs[j, 0] - x, discs[j, 1] - y, discs[j, 2] - r
             up = (-dr * dy - root * dx) * pairs[here, j, 1]
             out = (-dr * dx + root * dy) * pairs[here, j, 1]
-            if out > 1e-18 and up_here - 1e-9 <= up < best_up:
+            # Of small angles from the vertical the sine tells more than the cosine.
+            less = out < best_out if up < -0.7 and best_up < -0.7 else up < best_up
+            if out > 1e-18 and up_here - 1e-9 <= up and less:
                 best, best_up, best_out = j, up, out
         leave = y + r * best_up if best >= 0 else np.inf
         end = last if leave >= last else int(np.floor(leave))
