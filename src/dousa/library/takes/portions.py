@@ -310,13 +310,18 @@ def write_portion(
             "n_leaves": len(table),
         }
         arrays = sketcher.centre, sketcher.axes, table.astype("<i4"), ranks[table].astype("<u2")
-        text = json.dumps(header).encode()
-        whole = b"".join([len(text).to_bytes(8, "little"), text, *(np.ascontiguousarray(a).tobytes() for a in arrays)])
-        place = file.tell()
-        file.write(whole)
-        file.seek(0)
-        file.write(_START.pack(_MAGIC, place, len(whole), zlib.crc32(whole)))
+        _write_header(file, header, arrays)
     return True
+
+
+def _write_header(file: IO[bytes], header: dict[str, Any], arrays: Sequence[NDArray[Any]]) -> None:
+    """Write the header at the end, and its place at the start."""
+    text = json.dumps(header).encode()
+    whole = b"".join([len(text).to_bytes(8, "little"), text, *(np.ascontiguousarray(a).tobytes() for a in arrays)])
+    place = file.tell()
+    file.write(whole)
+    file.seek(0)
+    file.write(_START.pack(_MAGIC, place, len(whole), zlib.crc32(whole)))
 
 
 def _rank_leaves(windows: Sequence[TakeWindows], n_leaves: int) -> IntArray | None:
