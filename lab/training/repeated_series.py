@@ -18,13 +18,14 @@ from dousa.arrays import FloatArray
 from dousa.formats import ReadOptions
 from dousa.formats.motion_files import read_canonical
 from dousa.motion import canonicalise, compute_trajectories
+from dousa.motion.canonical.canonicalise import mirror_positions
 from dousa.motion.synthetic import draw_performer, make_skeleton
 from dousa.motion.synthetic.body import compose_motion
 from dousa.motion.synthetic.performers import Plan, play_score
 from dousa.motion.synthetic.scores import SCORES
 from dousa.retrieval.features.channels import sample_positions
 from dousa.retrieval.features.posed_motion import LabelledClip
-from dousa.retrieval.takes.made_takes import go_on, mirror_positions
+from dousa.retrieval.takes.made_takes import go_on
 from dousa.retrieval.takes.windows import TAKE_RATE
 from lab.training.series import Series, read_sets
 

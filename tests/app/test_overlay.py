@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dousa.app.pictures.overlay import _Page, lay_out, write_overlay
 from dousa.app.pictures.overlay_sheet import Timeline, choose_frames, draw_overlay_sheet, mean_overlap
-from dousa.app.pictures.overlay_view import ALARM, LEFT, ViewPainter, draw_lines
+from dousa.app.pictures.overlay_view import ALARM, DARK, ViewPainter, draw_lines
 from dousa.errors import MotionWriteError, OptionError
 from dousa.estimation.body.human import make_human
 from dousa.estimation.body.posing import standing_state
@@ -193,7 +193,7 @@ def test_a_view_without_an_image_is_hatched_and_said(made, body):
 def test_lines_that_leave_the_picture_can_be_drawn(far):
     canvas = np.full((20, 100, 3), 255, np.uint8)
     for dashed in (False, True):
-        draw_lines(canvas, [np.array([[5.0, 10.0], [far, -far]])], LEFT, dashed=dashed)
+        draw_lines(canvas, [np.array([[5.0, 10.0], [far, -far]])], DARK, dashed=dashed)
     assert (canvas < 255).any()
 
 

@@ -28,7 +28,7 @@ from .silhouettes.silhouette_files import open_silhouettes
 from .silhouettes.silhouettes import PackedSilhouettes, Silhouettes
 from .sync.sound import Sound, read_sound
 from .sync.synchronise import Synchronisation, read_offsets, sync, write_offsets
-from .tracking.measures import fit_girths
+from .tracking.person_size import fit_girths
 from .tracking.settings import EVIDENCES, PAPER, READINGS, Estimate, TrackedFrame, TrackerSettings
 from .tracking.start import find_start
 from .tracking.tracker import PartialTrack, estimate

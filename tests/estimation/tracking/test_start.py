@@ -10,8 +10,8 @@ from dousa.estimation.body.kinematics import compute_points, point_names
 from dousa.estimation.body.posing import standing_state
 from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.raster.rasteriser import draw_body
-from dousa.estimation.tracking.measures import measure_stature
 from dousa.estimation.tracking.outlines import guess_place, lines_meet, measure_outline, move_onto, turn_about
+from dousa.estimation.tracking.person_size import measure_stature
 from dousa.estimation.tracking.search_setup import SearchSetup
 from dousa.estimation.tracking.settings import TrackerSettings
 from dousa.estimation.tracking.start import find_limbs, find_start, is_person, list_templates, mirror_twins

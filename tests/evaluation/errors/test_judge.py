@@ -21,6 +21,7 @@ from oracles.wrong_dances import (
 from dousa.evaluation.errors.descriptors import LIMB_OF, N_LIMBS, Descriptors, describe_moments, mark_findings
 from dousa.evaluation.errors.evidence import Deviations, compute_deviations, gather_evidence
 from dousa.evaluation.errors.explain import Finding
+from dousa.evaluation.errors.findings import measure_suspects
 from dousa.evaluation.errors.judge import (
     BODY_CLASSES,
     LIMB_CLASSES,
@@ -30,7 +31,6 @@ from dousa.evaluation.errors.judge import (
     decode,
     follow_classes,
 )
-from dousa.evaluation.errors.measures import measure_suspects
 from dousa.evaluation.posture.posture import LIMBS
 from dousa.motion import CanonicalMotion
 

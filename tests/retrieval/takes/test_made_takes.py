@@ -7,10 +7,11 @@ import pytest
 from oracles.short_actions import make_clip
 
 from dousa.motion import canonicalise
+from dousa.motion.canonical.canonicalise import mirror_positions
 from dousa.motion.canonical.joints import CANONICAL_PARENTS
 from dousa.motion.synthetic.performers import make_gesture
 from dousa.retrieval.takes import made_takes as disturbances
-from dousa.retrieval.takes.made_takes import Piece, disturb_motion, join_series, mirror_positions, move_differently
+from dousa.retrieval.takes.made_takes import Piece, disturb_motion, join_series, move_differently
 
 
 @pytest.fixture(scope="module")

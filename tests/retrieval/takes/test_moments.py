@@ -7,7 +7,8 @@ import pytest
 from oracles.short_actions import ACTIONS, make_clip
 from oracles.slow_sequence import best_value, value_of
 
-from dousa.retrieval.takes.made_takes import join_clips, mirror_positions
+from dousa.motion.canonical.canonicalise import mirror_positions
+from dousa.retrieval.takes.made_takes import join_clips
 from dousa.retrieval.takes.moment_kernels import find_best_sequence
 from dousa.retrieval.takes.moment_model import (
     MomentModel,

@@ -9,10 +9,11 @@ from oracles.short_actions import ACTIONS, make_clip, make_library
 
 from dousa.errors import InvalidMotionError
 from dousa.experiments.annotated.trial import learn_clip_judge
+from dousa.motion.canonical.canonicalise import mirror_positions
 from dousa.retrieval.counting.counter import TALLIES, find_usual, measure_tallies
 from dousa.retrieval.takes.label import TakeLabeller, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
-from dousa.retrieval.takes.made_takes import join_clips, mirror_positions
+from dousa.retrieval.takes.made_takes import join_clips
 from dousa.retrieval.takes.repetitions import Chosen, count_all, count_clip, lay_mirrored
 
 HEIGHT = 1.7

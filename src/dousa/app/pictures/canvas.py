@@ -24,6 +24,9 @@ INK = "#222222"
 GREY = "#6b6b6b"
 FAINT = "#c9c9c9"
 
+SIDE_COLOURS = {"left": BLUE, "right": VERMILLION, "": GREEN}
+"""Colours of the limbs of a side, and of trunk and head."""
+
 _METADATA: dict[str, dict[str, Any]] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 # Fonts with Chinese, Japanese or Korean characters that systems commonly have.

@@ -17,9 +17,9 @@ import numpy as np
 from dousa.app.pictures.overlay_sheet import Timeline
 from dousa.app.pictures.overlay_view import (
     ALARM,
+    BGR_OF_SIDE,
     DARK,
     HALF_DARK,
-    SIDE_COLOURS,
     WHITE,
     ReadImages,
     ViewPainter,
@@ -260,9 +260,9 @@ def _make_legend(width: int, hidden: bool) -> Image:
     """What the lines mean, in as many rows as it takes; the last leaves room for the time."""
     entries = [
         (DARK, 2, "silhouette"),
-        (SIDE_COLOURS["left"], 3, "left (L)"),
-        (SIDE_COLOURS["right"], 3, "right (R), dashed"),
-        (SIDE_COLOURS[""], 3, "middle"),
+        (BGR_OF_SIDE["left"], 3, "left (L)"),
+        (BGR_OF_SIDE["right"], 3, "right (R), dashed"),
+        (BGR_OF_SIDE[""], 3, "middle"),
     ]
     texts = [text for *_, text in entries] + (["no fill: hidden, placed by inertia"] if hidden else [])
     places, row, left = [], 0, 12

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.app.pictures.canvas import BLUE, FAINT, GREEN, GREY, INK, VERMILLION
+from dousa.app.pictures.canvas import FAINT, GREY, INK, SIDE_COLOURS
 from dousa.arrays import FloatArray, Image, Mask
 from dousa.errors import OptionError
 
@@ -36,7 +36,7 @@ def to_bgr(code: str) -> Colour:
     return blue, green, red
 
 
-LEFT, RIGHT, CENTRE = to_bgr(BLUE), to_bgr(VERMILLION), to_bgr(GREEN)
+BGR_OF_SIDE = {side: to_bgr(code) for side, code in SIDE_COLOURS.items()}
 DARK, HALF_DARK, PALE, WHITE, ALARM = to_bgr(INK), to_bgr(GREY), to_bgr(FAINT), (255, 255, 255), to_bgr("#B22222")
 
 _FRACTION_BITS = 4  # bits after the binary point of coordinates for OpenCV
@@ -153,9 +153,6 @@ def measure_text(text: str, size: int = 15, *, bold: bool = False) -> int:
     return int(cv2.getTextSize(plain, cv2.FONT_HERSHEY_SIMPLEX, size / 30.0, 2 if bold else 1)[0][0])
 
 
-SIDE_COLOURS: dict[str, Colour] = {"left": LEFT, "right": RIGHT, "": CENTRE}
-
-
 def side_of(name: str) -> str:
     """``"left"``, ``"right"`` or nothing, by the beginning of a name."""
     return next((side for side in ("left", "right") if name.startswith(side)), "")
@@ -250,7 +247,7 @@ class ViewPainter:
         """Colour the parts that are not hidden; the colour of the limb has this share over what is below."""
         from dousa.extras import cv2
 
-        colours = np.array([SIDE_COLOURS[side_of(name)] for name in self._body.names], np.uint8)
+        colours = np.array([BGR_OF_SIDE[side_of(name)] for name in self._body.names], np.uint8)
         filled = np.append(~hidden, False)[labels]  # label -1 is the last entry
         blend = cv2.addWeighted(np.ascontiguousarray(canvas), 1.0 - share, colours[labels], share, 0.0)
         np.copyto(canvas, blend, where=filled[..., None])
@@ -259,7 +256,7 @@ class ViewPainter:
         for part in order:
             side = side_of(self._body.names[part])
             outlines = [outline + corner for outline in find_outlines(labels == part)]
-            draw_lines(canvas, outlines, SIDE_COLOURS[side], closed=True, dashed=side == "right")
+            draw_lines(canvas, outlines, BGR_OF_SIDE[side], closed=True, dashed=side == "right")
 
     def _draw_skeleton(self, canvas: Image, pose: FloatArray) -> None:
         from dousa.estimation.body.kinematics import compute_points
@@ -274,7 +271,7 @@ class ViewPainter:
                 continue
             side = side_of(self._body.names[start])
             draw_lines(canvas, [bone], WHITE, 3)
-            draw_lines(canvas, [bone], SIDE_COLOURS[side], 2, dashed=side == "right")
+            draw_lines(canvas, [bone], BGR_OF_SIDE[side], 2, dashed=side == "right")
         for name, point in zip(self._names, points, strict=True):
             if np.isfinite(point).all():
                 _mark_joint(canvas, point, side_of(name))
@@ -296,7 +293,7 @@ def _mark_joint(canvas: Image, point: FloatArray, side: str) -> None:
     turns = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     shape = square if side == "right" else np.stack((np.cos(turns), np.sin(turns)), axis=1) * 1.2
     draw_lines(canvas, [point + 2.6 * shape], WHITE, 3, closed=True)
-    draw_lines(canvas, [point + 1.6 * shape], SIDE_COLOURS[side], 2, closed=True)
+    draw_lines(canvas, [point + 1.6 * shape], BGR_OF_SIDE[side], 2, closed=True)
 
 
 def _write_side(canvas: Image, point: FloatArray, side: str) -> None:
@@ -307,4 +304,4 @@ def _write_side(canvas: Image, point: FloatArray, side: str) -> None:
     letter = side[0].upper()
     for right, down in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         write_text(canvas, letter, (column + right, row + down), WHITE, 13, bold=True)
-    write_text(canvas, letter, (column, row), SIDE_COLOURS[side], 13, bold=True)
+    write_text(canvas, letter, (column, row), BGR_OF_SIDE[side], 13, bold=True)

@@ -30,6 +30,7 @@ from dousa.app.pictures.canvas import (
     GREEN,
     GREY,
     INK,
+    SIDE_COLOURS,
     VERMILLION,
     new_figure,
     save_figure,
@@ -164,9 +165,9 @@ def draw_key(figure: Any, size: float = 9) -> None:
     figure.legend(
         [
             Line2D([], [], color=colour, ls=line, lw=2.0, marker=marker, ms=5)
-            for colour, line, marker in _LIMBS.values()
+            for colour, line, marker in _SIDES.values()
         ],
-        [f"{side} arm and leg" for side in _LIMBS],
+        [f"{side} arm and leg" for side in _SIDES],
         loc="upper right",
         bbox_to_anchor=(1 - _MARGIN / width, 1 - 0.08 / height),
         frameon=False,
@@ -283,9 +284,9 @@ def _caption(figure: Any, strip: Strip, middle: float, *, is_query: bool) -> Non
         write(figure, x, (middle - 0.38) / height, f"{sign} {strip.verdict}", 9, color=colour, weight="bold")
 
 
-_LIMBS = {
-    "left": (BLUE, "-", "o"),
-    "right": (VERMILLION, (0, (2.4, 0.9)), "s"),
+_SIDES = {
+    "left": (SIDE_COLOURS["left"], "-", "o"),
+    "right": (SIDE_COLOURS["right"], (0, (2.4, 0.9)), "s"),
 }
 """Colour, line (in units of its width) and marker of the limbs of a side; each of them suffices to tell the side."""
 
@@ -347,7 +348,7 @@ def _draw_people(axes: Any, poses: FloatArray, height: float, view: float) -> No
         return [JOINT_INDEX[name] for name in names]
 
     _lines(axes, poses, [indices("pelvis", "spine", "neck", "head")], color=INK, lw=2.0, zorder=3)
-    for side, (colour, line, marker) in _LIMBS.items():
+    for side, (colour, line, marker) in _SIDES.items():
         # From the side the right limbs are nearer to the viewer than the left ones.
         depth = 2.0 if view > 0 and side == "left" else 4.0
         arm, leg = (indices(*chain) for chain in LIMB_JOINTS if chain[0].startswith(side))

@@ -433,7 +433,7 @@ def add_overlap(
 ) -> Estimate:
     """Fit the body's girths to the person's masks, and measure the overlap, in so many frames spread over the film."""
     from dousa.estimation.raster.rasteriser import draw_body
-    from dousa.estimation.tracking.measures import fit_girths
+    from dousa.estimation.tracking.person_size import fit_girths
 
     if not silhouettes.has_masks:
         return estimate

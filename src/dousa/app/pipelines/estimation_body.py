@@ -82,7 +82,7 @@ def measure_body(
     As `choose_body`.
     """
     from dousa.estimation.body.human import make_human
-    from dousa.estimation.tracking.measures import measure_stature
+    from dousa.estimation.tracking.person_size import measure_stature
 
     try:
         stature = measure_stature(cameras, masks, make_body=lambda tried: make_human(tried, sex), progress=progress)

@@ -34,8 +34,8 @@ from dousa.estimation.tracking.beam import (
     score_frames,
 )
 from dousa.estimation.tracking.diagnosis import LOST_ERROR, Diagnosis, Note
-from dousa.estimation.tracking.measures import fit_girths
 from dousa.estimation.tracking.outlines import do_meet
+from dousa.estimation.tracking.person_size import fit_girths
 from dousa.estimation.tracking.search_setup import Frame, SearchSetup, Shrinker
 from dousa.estimation.tracking.settings import PAPER, Estimate, TrackedFrame, TrackerSettings
 from dousa.estimation.tracking.start import checked_start, find_first, find_start

@@ -131,13 +131,13 @@ def _measure_windows(
     *,
     reach_s: float = 0.8,
     sharp_s: float = 0.1,
-    lag_price: float = 2e-3,
+    lateness_price: float = 2e-3,
     farthest: float = 4.0,
     windows_s: tuple[float, float, float] = (0.5, 1.0, 2.0),
 ) -> tuple[FloatArray, FloatArray]:
     """(N, 5, W, 21) and (N, W, 15), see `_describe`."""
-    # reach_s: lags that are looked at; lag_price: rad^2 a second: of lags as good as each other the nearest; farthest:
-    # squared chord of opposite directions
+    # reach_s: lags that are looked at; lateness_price: rad^2 a second: of lags as good as each other the nearest;
+    # farthest: squared chord of opposite directions
     deviations, rate = evidence.deviations, evidence.rate
     reach = min(round(reach_s * rate), deviations.center)
     part = slice(deviations.center - reach, deviations.center + reach + 1)
@@ -161,7 +161,9 @@ def _measure_windows(
     halves = np.array([max(1, round(0.5 * seconds * rate)) for seconds in windows_s])
     sharp = max(1, round(sharp_s * rate))
     totals, together, sums = _accumulate(squared), _accumulate(common), _accumulate(rows)
-    return _describe(totals, together, ours, theirs, rows, sums, LIMB_OF, frames, halves, sharp, lag_price / rate, rate)
+    return _describe(
+        totals, together, ours, theirs, rows, sums, LIMB_OF, frames, halves, sharp, lateness_price / rate, rate
+    )
 
 
 def _compare_lags(limb_table: FloatArray, body_table: FloatArray) -> FloatArray:

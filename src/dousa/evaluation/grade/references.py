@@ -20,8 +20,8 @@ from dousa.evaluation.errors.evidence import (
     merge_takes,
 )
 from dousa.evaluation.errors.explain import Finding, explain_all
+from dousa.evaluation.errors.findings import measure_suspects
 from dousa.evaluation.errors.judge import load_judge
-from dousa.evaluation.errors.measures import measure_suspects
 from dousa.evaluation.grade.parts import PARTS, Measured, learn_importance, measure_parts
 from dousa.evaluation.posture.posture import PostureSequence, Working, interpolate_segments, thin_postures
 from dousa.evaluation.posture.yaw import Offset, estimate_offset, find_missing, learn_between, take_out

@@ -42,8 +42,8 @@ from dousa.evaluation.errors.evidence import (
     merge_takes,
 )
 from dousa.evaluation.errors.explain import Finding
+from dousa.evaluation.errors.findings import measure_suspects
 from dousa.evaluation.errors.judge import decode, load_judge
-from dousa.evaluation.errors.measures import measure_suspects
 from dousa.evaluation.grade.references import ReferenceTakes, choose_tolerance, describe
 from dousa.evaluation.posture.posture import Working
 

@@ -23,13 +23,13 @@ from dousa.arrays import FloatArray
 from dousa.errors import OptionError
 from dousa.files.disk import atomic_write
 from dousa.messages import Message
+from dousa.motion.canonical.canonicalise import mirror_positions
 from dousa.motion.runs import find_equal_runs
 from dousa.retrieval.counting.counter import TALLIES
 from dousa.retrieval.features.channels import sample_positions
 from dousa.retrieval.features.posed_motion import PlainMotion, PosedMotion, check_motion
 from dousa.retrieval.forest.forest_file import check, check_version, pack_arrays, unpack_arrays
 from dousa.retrieval.forest.stretches import StretchJudge, StretchOpinions
-from dousa.retrieval.takes.made_takes import mirror_positions
 from dousa.retrieval.takes.moment_model import (
     HOP,
     MODEL_ARRAYS,

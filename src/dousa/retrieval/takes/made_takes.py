@@ -186,13 +186,6 @@ def _make_transition(
     return np.concatenate([blend, following + drift])
 
 
-def mirror_positions(points: FloatArray) -> FloatArray:
-    """Mirror (n, 20, 3) canonical joints."""
-    image = np.take(points, MIRRORED_JOINTS, axis=1)
-    np.negative(image[..., 0], out=image[..., 0])
-    return image
-
-
 MOVED_SHARE = 0.75
 """Share of the disturbed clips that are moved differently (docs/confidence.md)."""
 

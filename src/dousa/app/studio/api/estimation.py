@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, field_validator
 from starlette.responses import FileResponse, Response
 
 from dousa.app.requests.estimation import EstimationRequest, Preset, Sex
-from dousa.app.requests.http import derive_model
+from dousa.app.requests.models import derive_model
 from dousa.app.studio.content.masks import EXPORTED, MaskDesk
 from dousa.app.studio.content.motions import Address, MotionName, MotionRef
 from dousa.app.studio.content.studio import Studio, StudioNow

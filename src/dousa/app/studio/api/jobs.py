@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query
 from pydantic import Field
 
 from dousa.app.requests import library
-from dousa.app.requests.http import derive_model
+from dousa.app.requests.models import derive_model
 from dousa.app.studio.content.disk_space import describe_space, free_space
 from dousa.app.studio.content.studio import StudioNow
 from dousa.app.studio.core.answers import Answer, RefusedError, StrictModel

@@ -11,7 +11,7 @@ from starlette.responses import FileResponse, Response
 
 from dousa.app.player.figures import encode_miniature
 from dousa.app.requests import library
-from dousa.app.requests.http import derive_model
+from dousa.app.requests.models import derive_model
 from dousa.app.studio.content.motions import (
     EXPORTED,
     Address,

@@ -8,7 +8,7 @@ from fastapi import APIRouter
 from pydantic import Field
 
 from dousa.app.requests import library
-from dousa.app.requests.http import derive_model, pick_fields
+from dousa.app.requests.models import derive_model, pick_fields
 from dousa.app.studio.content.motions import Address, MotionRef
 from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import Answer, StrictModel, name_error, to_answer

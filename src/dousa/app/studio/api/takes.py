@@ -14,7 +14,7 @@ from pydantic import Field
 from starlette.responses import Response
 
 from dousa.app.requests import library
-from dousa.app.requests.http import derive_model
+from dousa.app.requests.models import derive_model
 from dousa.app.studio.content.corrections import (
     find_take,
     forget_correction,

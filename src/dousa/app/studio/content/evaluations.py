@@ -16,7 +16,7 @@ from pydantic import Field
 
 from dousa.app.pipelines.evaluate import find_blamed
 from dousa.app.requests import evaluation
-from dousa.app.requests.http import derive_model
+from dousa.app.requests.models import derive_model
 from dousa.app.studio.content.motions import MotionRef, Motions, Named, Seconds
 from dousa.app.studio.core.answers import Gate, RefusedError, StrictModel, reword
 from dousa.app.studio.core.workspace import write_file

@@ -126,7 +126,7 @@ def _show_first(views: Silhouettes, first: int, last: int, answer: dict[str, Any
 
 def _draw(mask: Mask, image: NDArray[np.uint8] | None, *, longest_px: int = 320) -> str:
     # longest_px: of a picture
-    from dousa.app.pictures.overlay_view import LEFT, WHITE, draw_lines, find_outlines
+    from dousa.app.pictures.overlay_view import BGR_OF_SIDE, WHITE, draw_lines, find_outlines
     from dousa.extras import cv2
 
     factor = longest_px / max(mask.shape)
@@ -141,7 +141,7 @@ def _draw(mask: Mask, image: NDArray[np.uint8] | None, *, longest_px: int = 320)
     outlines = find_outlines(filled)
     if image is not None:
         draw_lines(canvas, outlines, WHITE, 3, closed=True)
-    draw_lines(canvas, outlines, LEFT, 1 if image is None else 2, closed=True)
+    draw_lines(canvas, outlines, BGR_OF_SIDE["left"], 1 if image is None else 2, closed=True)
     return to_picture_address(canvas, longest_px)
 
 

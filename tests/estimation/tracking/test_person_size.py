@@ -13,7 +13,7 @@ from dousa.estimation.body.posing import fit_pose, standing_state
 from dousa.estimation.body.skeleton_body import fit_body
 from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.raster.rasteriser import draw_body
-from dousa.estimation.tracking.measures import fit_girths, measure_stature
+from dousa.estimation.tracking.person_size import fit_girths, measure_stature
 
 BODY = make_human(1.7)
 
