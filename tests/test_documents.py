@@ -52,3 +52,9 @@ def test_named_files_exist(page):
     for name in re.findall(r"`((?:lab|docs|tests|src)/[\w/.]+\.\w+)`", page.read_text(encoding="utf-8")):
         if "NAME" not in name:
             assert (ROOT / name).exists(), f"{page.name} names {name}"
+    modules = [path.as_posix() for path in (ROOT / "src").rglob("*.py")]
+    for name in re.findall(
+        r"`([a-z_]+/[a-z_/]+\.py)`", page.read_text(encoding="utf-8")
+    ):  # below a room of the package
+        is_there = any(path.endswith(f"/{name}") for path in modules) or (ROOT / name).exists()
+        assert is_there, f"{page.name} names {name}"

@@ -114,7 +114,7 @@ SHORTEST, LONGEST, ALIKE, NEARLY = 9, 0.62, 0.3, 0.8
 correlation that a shorter period needs."""
 
 SHORT = 256
-"""Frames of which products are summed directly; of more, ``counter`` sums them from the spectrum."""
+"""Frames that the scratch of ``measure_parts`` holds, by definition; of more, ``counter`` takes the spectrum."""
 
 ROUNDS, CORE_ALIKE = 2.5, 0.2
 """Least periods of a repetition, as one action there and back may have a top of two parts; and their correlation."""
