@@ -97,6 +97,7 @@ def settle_motion(
         "declared" if up is None and up_in_file is not None else frame.up_source,
         layout,
         values,
+        () if values is None else (settled.skeleton.offsets, settled.rotations, settled.translations),
         (*notes, *frame.notes),
     )
     return dataclasses.replace(settled, provenance=provenance)
@@ -279,6 +280,7 @@ def settle_trajectories(
         frame.up,
         frame.up_source,
         values=raw.positions if keep_values else None,
+        read=(settled.positions,) if keep_values else (),
         notes=(*notes, *frame.notes),
     )
     return dataclasses.replace(settled, provenance=provenance)

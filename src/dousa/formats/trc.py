@@ -220,10 +220,11 @@ def write_trc(motion: Trajectories, path: str | os.PathLike[str]) -> None:
             raise MotionWriteError(path, "trc.marker_name", name=name)
     source = motion.provenance
     values, unit = motion.positions, "m"
-    if source is not None and source.format == "trc" and source.values is not None:
+    kept = source.values_of(motion.positions) if source is not None and source.format == "trc" else None
+    if source is not None and kept is not None:
         known = {1.0: "m", 0.01: "cm", 0.001: "mm", 0.0254: "inches", 0.3048: "ft"}
         if source.unit in known:
-            values, unit = source.values, known[source.unit]
+            values, unit = kept, known[source.unit]
     with atomic_write(path) as file:
         file.write(_header(motion, os.path.basename(os.fspath(path)), unit).encode())
         for frame, row in enumerate(values.reshape(motion.n_frames, -1).tolist()):

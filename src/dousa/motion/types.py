@@ -68,7 +68,9 @@ class Provenance:
     up : axis of the file that points up: ``"x"``, ``"y"``, ``"z"``, or with a minus ``"-y"`` ...
     up_source : as ``unit_source``.
     layout : of this format only (channel order, declared frame time ...); see the format's module.
-    values : the file's own numbers, for writing an unchanged motion to the last digit; None in derived motions.
+    values : the file's own numbers, for writing an unchanged motion to the last digit; None in derived motions. Ask
+        `values_of`, which knows whether they still are the motion's.
+    read : the arrays that were made of them, shared with the motion.
     notes : for the user, on the reading of the file: wrong declarations, assumptions.
     """
 
@@ -80,7 +82,20 @@ class Provenance:
     up_source: str = "declared"
     layout: Any = None
     values: FloatArray | None = None
+    read: tuple[NDArray[Any], ...] = ()
     notes: tuple[Message, ...] = ()
+
+    def values_of(self, *arrays: NDArray[Any]) -> FloatArray | None:
+        """Return the file's own numbers if ``arrays`` are those made of them on reading; None if any was changed."""
+        same = len(arrays) == len(self.read) and all(
+            one is other or np.array_equal(one, other, equal_nan=True)
+            for one, other in zip(arrays, self.read, strict=True)
+        )
+        return self.values if same else None
+
+    def derive(self) -> Provenance:
+        """Return the source of a motion with other arrays, without the file's own numbers."""
+        return dataclasses.replace(self, values=None, read=())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,7 +212,7 @@ class Motion:
     def replace(self, **changes: Any) -> Motion:
         """Return a copy with some fields changed, without the file's own numbers."""
         if "provenance" not in changes and self.provenance is not None:
-            changes["provenance"] = dataclasses.replace(self.provenance, values=None)
+            changes["provenance"] = self.provenance.derive()
         return dataclasses.replace(self, **changes)
 
 
@@ -271,5 +286,5 @@ class Trajectories:
     def replace(self, **changes: Any) -> Trajectories:
         """Return a copy with some fields changed, without the file's own numbers."""
         if "provenance" not in changes and self.provenance is not None:
-            changes["provenance"] = dataclasses.replace(self.provenance, values=None)
+            changes["provenance"] = self.provenance.derive()
         return dataclasses.replace(self, **changes)

@@ -68,11 +68,11 @@ def _layout_of(motion: Motion) -> BvhLayout | None:
 
 
 def _kept_content(motion: Motion) -> _Content | None:
-    layout = _layout_of(motion)
-    if layout is None or motion.provenance is None or motion.provenance.values is None:
+    layout, skeleton = _layout_of(motion), motion.skeleton
+    if layout is None or motion.provenance is None or _depth_first(skeleton) != [*range(skeleton.n_joints)]:
         return None
-    values, skeleton = motion.provenance.values, motion.skeleton
-    if values.shape != (motion.n_frames, layout.n_channels) or _depth_first(skeleton) != [*range(skeleton.n_joints)]:
+    values = motion.provenance.values_of(skeleton.offsets, motion.rotations, motion.translations)
+    if values is None:
         return None
     in_file = Skeleton(skeleton.names, skeleton.parents, np.array(layout.offsets), skeleton.end_sites)
     order = list(range(skeleton.n_joints))

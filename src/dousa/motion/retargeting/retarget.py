@@ -92,7 +92,7 @@ def retarget(
     rotations, translations = _to_local(made, target, character)
     provenance = character.provenance
     if provenance is not None:
-        provenance = dataclasses.replace(provenance, values=None, notes=())
+        provenance = dataclasses.replace(provenance.derive(), notes=())
     result = Motion(character.skeleton, freeze(rotations), freeze(translations), motion.frame_rate, provenance)
     places, _ = forward_kinematics(target.parents, rotations, translations)
     skating = measure_skating(places[:, [target.joints[f"{side}_{joint}"] for side in SIDES]], contacts)
