@@ -1,5 +1,6 @@
 """What is not installed says which extra brings it."""
 
+import copy
 import subprocess
 import sys
 import tomllib
@@ -60,3 +61,32 @@ def test_a_package_that_is_broken_is_not_called_missing(tmp_path, monkeypatch):
     with pytest.raises(ModuleNotFoundError, match="no_such_package_of_dousa") as caught:
         require("broken_package_of_dousa", "film")
     assert not isinstance(caught.value, MissingExtraError)
+
+
+THREADS = """
+import threading, time
+from dousa.extras import cv2
+failed = []
+def use(seconds):
+    time.sleep(seconds)
+    try:
+        cv2.resize
+    except AttributeError as error:
+        failed.append(error)
+threads = [threading.Thread(target=use, args=(0.004 * k,)) for k in range(40)]
+[thread.start() for thread in threads]
+[thread.join() for thread in threads]
+assert not failed, failed[0]
+"""
+
+
+def test_threads_that_use_it_first_wait_for_each_other():
+    pytest.importorskip("cv2")
+    subprocess.run([sys.executable, "-c", THREADS], check=True)
+
+
+def test_it_can_be_copied_and_inspected():
+    from dousa.extras import cv2
+
+    assert not hasattr(cv2, "__wrapped__")
+    assert copy.deepcopy(cv2) is not None

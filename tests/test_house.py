@@ -19,19 +19,19 @@ SOURCE = ROOT / "src" / "dousa"
 # Lines and files of each room, stubs included.
 ROOMS = {
     "app": (24_782, 109),
-    "estimation": (15_247, 62),
+    "estimation": (15_250, 62),
     "evaluation": (12_350, 43),
     "experiments": (1_811, 10),
     "files": (511, 6),
-    "formats": (9_344, 50),
+    "formats": (9_347, 50),
     "library": (15_521, 55),
     "messages": (211, 3),
-    "motion": (5_866, 33),
+    "motion": (5_881, 33),
     "retrieval": (14_567, 50),
     "workers": (415, 6),
 }
 TOTALS = {
-    "lines of tests": 58_760,
+    "lines of tests": 58_782,
     "lines of JavaScript": 12_444,
     "constants": 894,
     "numeric constants without a source": 0,

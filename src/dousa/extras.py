@@ -16,14 +16,13 @@ s3          fragments of a library in object storage                            
 cluster     adding, training and experiments on the workers of a cluster         Dask distributed
 ==========  ===================================================================  =====================================
 
-``from dousa.extras import cv2`` is ``import cv2`` with that message, at the first use of the package: modules import it
-at their top, where it costs nothing.
+``from dousa.extras import cv2`` is ``import cv2`` with that message, at the first use of the package: at the top of a
+module it costs nothing.
 """
 
 from __future__ import annotations
 
 import importlib
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -77,7 +76,10 @@ class _Package:
         self._package, self._extra = package, extra
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(sys.modules.get(self._package) or require(self._package, self._extra), name)
+        if name.startswith("_"):  # what copies, unpickles or inspects any object asks for
+            raise AttributeError(name)
+        # Imported, and not looked up: a thread may ask while another imports it, and then waits.
+        return getattr(require(self._package, self._extra), name)
 
 
 if not TYPE_CHECKING:

@@ -216,7 +216,10 @@ def calibrate_from_board(
     elif focals is not None:
         lenses = guess_lenses(views, focals)
     else:
-        lenses = tuple(calibrate_lens(view, board, name) for view, name in zip(views, names, strict=True))
+        lenses = tuple(
+            calibrate_lens(view, board, name, least_corners=least_corners)
+            for view, name in zip(views, names, strict=True)
+        )
     tracks = [
         make_track(view.times, view.people[0].points, view.people[0].visibility, lens)
         for view, lens in zip(views, lenses, strict=True)

@@ -337,7 +337,7 @@ def guess_lenses(
     focals : (V,) px; by default ``usual`` times the longer side of the image.
     usual : of phones and of most other cameras that film people.
     """
-    known = focals or [usual * max(view.size) for view in views]
+    known = [usual * max(view.size) for view in views] if focals is None else focals
     return tuple(
         make_view((0.0, 1.0, 3.0), (0.0, 1.0, 0.0), size=view.size, focal=focal)
         for view, focal in zip(views, known, strict=True)

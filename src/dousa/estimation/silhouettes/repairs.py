@@ -192,7 +192,7 @@ def follow_part(
     silhouettes : with all earlier repairs.
     view, frame, point : see `find_part`.
     progress : called with (frames done, frames in all, what).
-    patience : frames in a row without the part, after which it is not looked for any more in one direction.
+    patience : frames in a row without the part that are passed over; after one more it is not looked for any further.
 
     Raises
     ------

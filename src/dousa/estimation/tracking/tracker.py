@@ -200,7 +200,7 @@ class _Job:
         if girths == "fit":
             seen = [(mask, camera) for mask, camera in zip(small, self.shrinker.cameras, strict=True)
                     if mask is not None and mask.any()]  # fmt: skip
-            self.body = fit_girths(self.body, pose, *zip(*seen, strict=True))
+            self.body = fit_girths(self.body, pose, [mask for mask, _ in seen], [camera for _, camera in seen])
             self._set_up()
         self._start_beam(pose)
         self.beam.begin(frame)
