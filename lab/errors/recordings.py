@@ -9,7 +9,7 @@ from dousa.app.output import ProgressCallback
 from dousa.app.pipelines.experiment_clips import read_each, read_file, show_first
 from dousa.errors import OptionError
 from dousa.formats.motion_files import FoundFile, ReadOptions, Skipped, find_motion_files
-from dousa.library.labels import LabelRule
+from dousa.library.label_rules import LabelRule
 from lab.errors.experiment import NamedMotion
 
 

@@ -11,7 +11,7 @@ import dousa
 from dousa.errors import DousaError, MotionFileError, OptionError
 from dousa.formats.annotations import is_label_file, read_label_file, write_eaf, write_labels_csv
 from dousa.formats.annotations.label_file import MOST_BYTES, is_unknown, to_annotation
-from dousa.library import labels
+from dousa.library import label_rules
 from dousa.messages import LANGUAGES, Message
 from dousa.motion.annotation import Stretch
 
@@ -328,7 +328,7 @@ def test_damaged_tables_say_where(tmp_path, name, content, line, code):
 
 
 def test_categories_are_as_long_as_a_library_keeps_them():
-    assert MOST_BYTES == labels.MOST_BYTES
+    assert MOST_BYTES == label_rules.MOST_BYTES
 
 
 NAMES = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Zl", "Zp", "Zs", "Cs"]), min_size=1)

@@ -1,11 +1,11 @@
-from .annotations.marks import CHECKED, FAVOURITE, SavedSearch
+from .annotations.tags import CHECKED, FAVOURITE, SavedSearch
 from .care.clip_map import ClipMap
 from .care.compact import CompactReport
 from .care.damage import CheckReport, Damage
 from .care.review import DuplicateGroup, LabelDoubt, LabelReview
 from .export import ExportReport
 from .history.journal import JournalEntry
-from .labels import parse_label_rule
+from .label_rules import parse_label_rule
 from .library import Library
 from .results import (
     AddReport,

@@ -24,7 +24,7 @@ from dousa.library.annotations.matching import FoundLabels, TakeLength, check_fi
 from dousa.library.annotations.store import annotate_takes, read_annotations, rename_segments
 from dousa.library.care.compact import begin_where_large
 from dousa.library.history.recording import recording, step
-from dousa.library.labels import LabelRule, check_text, no_label
+from dousa.library.label_rules import LabelRule, check_text, no_label
 from dousa.library.learning.insert import Arrival, describe_arrival, insert_clips
 from dousa.library.learning.lesson import learn_new
 from dousa.library.results import AddReport, Duplicate

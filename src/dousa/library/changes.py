@@ -10,7 +10,7 @@ from dousa.errors import LibraryError, OptionError
 from dousa.library.annotations.store import find_leaving, leave_open
 from dousa.library.contents import LibraryContents
 from dousa.library.history.recording import Recorded, recording, recording_together
-from dousa.library.labels import check_labels
+from dousa.library.label_rules import check_labels
 from dousa.library.store import selection as _selection
 from dousa.library.store.engine import next_revision
 from dousa.library.store.selection import UNCHANGED, Selection, Unchanged, select_ids
@@ -152,7 +152,7 @@ class LibraryChanges(LibraryContents):
         >>> len(library.tag(where_category="walk", add=["favourite"]))
         4
         """
-        from dousa.library.annotations.marks import change_tags, check_tags
+        from dousa.library.annotations.tags import change_tags, check_tags
 
         more, less = check_tags(add), check_tags(remove)
         if not more and not less:
@@ -172,7 +172,7 @@ class LibraryChanges(LibraryContents):
         >>> library.tags()
         {'favourite': 2}
         """
-        from dousa.library.annotations.marks import count_tags
+        from dousa.library.annotations.tags import count_tags
 
         with self.database.reading() as connection:
             return count_tags(connection)

@@ -10,23 +10,23 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 from dousa.errors import OptionError
 from dousa.formats.motion_files import ReadOptions, is_unicode
 from dousa.library.changes import LibraryChanges
-from dousa.library.labels import LabelRule, check_labels, check_text, no_label, parse_label_rule
+from dousa.library.label_rules import LabelRule, check_labels, check_text, no_label, parse_label_rule
 from dousa.library.results import AddReport, TrainReport
 from dousa.library.store.engine import check_jobs, choose_jobs
 from dousa.library.store.schema import CLIP, TAKE
 
 if TYPE_CHECKING:
     from dousa.library.add import AddProgress
-    from dousa.library.annotations.marks import SavedSearches
     from dousa.library.annotations.store import Annotations
+    from dousa.library.annotations.tags import SavedSearches
     from dousa.library.care.clip_map import ClipMap
     from dousa.library.care.review import DuplicateGroup, LabelReview
-    from dousa.library.labelling import Labellers
     from dousa.library.results import Classification, FindResult, LabelledTake, Progress, SearchResult
     from dousa.library.search.part_forests import PartForests
     from dousa.library.search.search import Searcher
     from dousa.library.search.text import TextMatches, TextResult, TextSearcher
     from dousa.library.store.ingest import Query
+    from dousa.library.take_labellers import Labellers
     from dousa.library.takes.takes import Takes
     from dousa.motion import CanonicalMotion, Motion, Trajectories
     from dousa.retrieval.takes.live import LiveLabeller
@@ -74,7 +74,7 @@ class Library(LibraryChanges):
         paths : files, and folders that are searched at any depth.
         kind : ``"clip"``, files of one action each; ``"take"``, uncut recordings: they have no category, ``find``
             searches them, and only labelled segments are learned from. A file that is there already keeps its kind.
-        category_from, performer_from : rules for the labels, see ``dousa.library.labels``.
+        category_from, performer_from : rules for the labels, see ``dousa.library.label_rules``.
         labels_from : of takes, their tables of labels: ``"beside"``, ``"folder:DIR"`` or ``"csv:FILE"``, see
             ``dousa.library.annotations.matching``; each segment becomes a clip. Takes that are there already get the
             present labels of their table.
@@ -213,8 +213,8 @@ class Library(LibraryChanges):
         >>> report.n_clips, report.categories
         (12, {'squat': 4, 'walk': 4, 'wave_right': 4})
         """
-        from dousa.library.labelling import learn_labeller
         from dousa.library.learning.train import train_forest
+        from dousa.library.take_labellers import learn_labeller
         from dousa.retrieval import DEFAULT_FEATURE_SET, MotionForest, get_feature_set
 
         kind = get_feature_set(DEFAULT_FEATURE_SET if feature_set is None else feature_set)
@@ -595,7 +595,7 @@ class Library(LibraryChanges):
 
     @cached_property
     def _labellers(self) -> Labellers:
-        from dousa.library.labelling import Labellers
+        from dousa.library.take_labellers import Labellers
 
         return Labellers(self.database, self._forests, self._takes, self._parts)
 
@@ -618,7 +618,7 @@ class Library(LibraryChanges):
         >>> [search.name for search in library.searches.all()]
         ['squats']
         """
-        from dousa.library.annotations.marks import SavedSearches
+        from dousa.library.annotations.tags import SavedSearches
 
         return SavedSearches(self.database)
 

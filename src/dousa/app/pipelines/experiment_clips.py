@@ -45,7 +45,7 @@ def read_labelled_clips(
     Parameters
     ----------
     paths : files and folders.
-    category_from, performer_from : rules as in `dousa.library.labels`.
+    category_from, performer_from : rules as in `dousa.library.label_rules`.
     options : how the files are read.
     n_jobs : files at a time; None for every core.
     progress : called with (done, total, file).

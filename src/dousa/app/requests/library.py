@@ -26,7 +26,7 @@ Mirror = Annotated[bool, typer.Option("--mirror", help="Also search for the mirr
 
 @dataclass(frozen=True, slots=True)
 class LabelRules:
-    """Where the labels of files come from; see `dousa.library.labels`."""
+    """Where the labels of files come from; see `dousa.library.label_rules`."""
 
     category_from: Annotated[
         str,

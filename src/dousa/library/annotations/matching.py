@@ -17,7 +17,7 @@ from dousa.formats.annotations import LABEL_SUFFIXES, LabelFile, LabelTier, is_l
 from dousa.formats.annotations.label_file import choose_tier, leave_out_twice, to_annotation
 from dousa.formats.annotations.tables import about_one_take
 from dousa.formats.motion_files import FoundFile
-from dousa.library.labels import check_labels
+from dousa.library.label_rules import check_labels
 from dousa.library.results import TakeAnnotation
 from dousa.messages import Message
 from dousa.motion.annotation import Annotation, Stretch

@@ -20,7 +20,7 @@ import sqlalchemy as sa
 from dousa.errors import LibraryError, OptionError
 from dousa.library.annotations.matching import TakeLength, check_annotation, check_fit, check_times, fit
 from dousa.library.history.recording import recording
-from dousa.library.labels import check_text
+from dousa.library.label_rules import check_text
 from dousa.library.learning.insert import Arrival, describe_arrival, insert_clips
 from dousa.library.learning.lesson import learn_new
 from dousa.library.results import TakeAnnotation, TakeSegment

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import TrainingError
-from dousa.library.annotations.marks import CHECKED
+from dousa.library.annotations.tags import CHECKED
 from dousa.library.results import Answer, Progress
 from dousa.library.search.text_store import find_meanings
 from dousa.library.store import schema

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from dousa.errors import OptionError
 from dousa.library import Library
-from dousa.library.labels import parse_label_rule
+from dousa.library.label_rules import parse_label_rule
 
 ROOT = Path("/data")
 

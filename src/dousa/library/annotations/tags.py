@@ -14,7 +14,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from dousa.errors import LibraryError, OptionError
-from dousa.library.labels import check_text
+from dousa.library.label_rules import check_text
 from dousa.library.results import Answer
 from dousa.library.store import schema
 from dousa.library.store.checksums import SEARCHES, seal_rows
