@@ -23,10 +23,10 @@ ROOMS = {
     "evaluation": (12_350, 43),
     "experiments": (1_811, 10),
     "files": (511, 6),
-    "formats": (9_347, 50),
+    "formats": (9_361, 50),
     "library": (15_521, 55),
     "messages": (211, 3),
-    "motion": (5_881, 33),
+    "motion": (5_890, 33),
     "retrieval": (14_567, 50),
     "workers": (415, 6),
 }

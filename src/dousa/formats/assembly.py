@@ -6,6 +6,7 @@ import dataclasses
 import os
 import re
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,13 @@ from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.errors import InvalidMotionError, MotionFileError, OptionError
 from dousa.messages import Message
 from dousa.motion import Motion, Provenance, Skeleton, Trajectories, thin
-from dousa.motion.canonical.reference_frame import infer_reference_frame, parse_unit, parse_up, to_reference_frame
+from dousa.motion.canonical.reference_frame import (
+    change_arrays,
+    infer_reference_frame,
+    parse_unit,
+    parse_up,
+    to_reference_frame,
+)
 from dousa.motion.rotations import conjugate, identity, multiply, rotate
 from dousa.motion.types import freeze
 
@@ -47,7 +54,7 @@ def settle_motion(
     path, format_name : for the provenance and the messages.
     skeleton : offsets in the file's unit and axes.
     rotations : (T, J, 4) local unit quaternions.
-    translations : (T, J, 3) local positions in the file's unit and axes.
+    translations : (T, J, 3) local positions in the file's unit and axes, changed in place.
     frame_rate : Hz.
     unit, up : given by the caller, or None.
     unit_in_file, up_in_file : of the file or its format, or None.
@@ -63,44 +70,51 @@ def settle_motion(
     ------
     MotionFileError : arrays that make no motion, such as infinite positions.
     """
-    from dousa.motion.kinematics import compute_rest_positions, forward_kinematics  # numba
+    from dousa.motion.kinematics import forward_kinematics  # numba
 
     known_unit = unit_in_file if unit is None else parse_unit(unit)
     known_up = up_in_file if up is None else parse_up(up)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300
-            raw = Motion(skeleton, freeze(rotations), freeze(translations), frame_rate)
-            rest = compute_rest_positions(skeleton) if rest_in_world else None
+            rest = _place_rest(skeleton) if rest_in_world else None
 
             def place(frames: IndexArray | slice) -> Trajectories:
-                positions, _ = forward_kinematics(skeleton.parents, raw.rotations[frames], raw.translations[frames])
+                positions, _ = forward_kinematics(skeleton.parents, rotations[frames], translations[frames])
                 return Trajectories(skeleton.names, freeze(positions), frame_rate, skeleton.parents, rest)
 
-            count = min(raw.n_frames, 16)
+            count = min(len(rotations), 16)
             frame = infer_reference_frame(
-                place(np.arange(count) * (raw.n_frames - 1) // max(count - 1, 1)),
+                place(np.arange(count) * (len(rotations) - 1) // max(count - 1, 1)),
                 unit=known_unit,
                 up=known_up,
                 declared_unit=declared_unit,
                 default_up=default_up,
                 whole=(lambda: place(slice(0, most_frames))) if most_frames else None,
             )
-            settled = to_reference_frame(raw, frame)
+            settled = change_arrays(skeleton, rotations, translations, frame.unit, frame.rotation)
+            provenance = Provenance(
+                os.fspath(path),
+                format_name,
+                frame.unit,
+                "declared" if unit is None and unit_in_file is not None else frame.unit_source,
+                frame.up,
+                "declared" if up is None and up_in_file is not None else frame.up_source,
+                layout,
+                values,
+                () if values is None else (settled[0].offsets, *settled[1:]),
+                (*notes, *frame.notes),
+            )
+            return Motion(*settled, frame_rate, provenance)
     except InvalidMotionError as error:
         raise MotionFileError(path, damaged, reason=error) from error
-    provenance = Provenance(
-        os.fspath(path),
-        format_name,
-        frame.unit,
-        "declared" if unit is None and unit_in_file is not None else frame.unit_source,
-        frame.up,
-        "declared" if up is None and up_in_file is not None else frame.up_source,
-        layout,
-        values,
-        () if values is None else (settled.skeleton.offsets, settled.rotations, settled.translations),
-        (*notes, *frame.notes),
-    )
-    return dataclasses.replace(settled, provenance=provenance)
+
+
+@lru_cache(maxsize=64)
+def _place_rest(skeleton: Skeleton) -> FloatArray:
+    """(J, 3) rest pose, once for all files of a skeleton that a reader has kept."""
+    from dousa.motion.kinematics import compute_rest_positions
+
+    return freeze(compute_rest_positions(skeleton))
 
 
 def settle_world(

@@ -299,10 +299,19 @@ def _turn(points: FloatArray, scale: float, rotation: FloatArray) -> FloatArray:
 
 
 def _change_motion(motion: Motion, scale: float, rotation: FloatArray) -> Motion:
-    skeleton = motion.skeleton
+    changed = change_arrays(motion.skeleton, motion.rotations, motion.translations, scale, rotation)
+    return dataclasses.replace(motion, skeleton=changed[0], rotations=changed[1], translations=changed[2])
+
+
+def change_arrays(
+    skeleton: Skeleton, rotations: FloatArray, translations: FloatArray, scale: float, rotation: FloatArray
+) -> tuple[Skeleton, FloatArray, FloatArray]:
+    """Scale a motion's lengths and turn its roots by a signed permutation of the axes; arrays become read-only.
+
+    ``translations`` are changed in place if they can be written to.
+    """
     offsets = skeleton.offsets * scale
-    translations = motion.translations * scale
-    rotations = motion.rotations
+    translations = np.multiply(translations, scale, out=translations if translations.flags.writeable else None)
     if not np.array_equal(rotation, np.eye(3)):
         from dousa.motion.rotations import from_matrix, multiply
 
@@ -313,4 +322,4 @@ def _change_motion(motion: Motion, scale: float, rotation: FloatArray) -> Motion
         rotations = rotations.copy()
         rotations[:, roots] = multiply(turn, rotations[:, roots])
     turned = Skeleton(skeleton.names, skeleton.parents, offsets, skeleton.end_sites)
-    return dataclasses.replace(motion, skeleton=turned, rotations=freeze(rotations), translations=freeze(translations))
+    return turned, freeze(rotations), freeze(translations)
