@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (415, 6),
 }
 TOTALS = {
-    "lines of tests": 58_782,
+    "lines of tests": 58_783,
     "lines of JavaScript": 12_444,
     "constants": 894,
     "numeric constants without a source": 0,

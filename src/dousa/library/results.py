@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from dousa.formats.motion_files import Skipped
@@ -327,7 +327,7 @@ class TrainReport(Answer):
     n_clips: int
     n_unlabelled: int
     categories: dict[str, int]
-    calibration: Calibration | None
+    calibration: Calibration | None = field(repr=False)
     single: tuple[str, ...]
     seconds: float
     n_partial: int = 0

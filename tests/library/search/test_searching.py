@@ -20,6 +20,7 @@ def test_training_reports_and_gives_histograms(empty_library, moves, write_move,
     empty_library.relabel(tmp_path / "jump", category="jump")
     calls = []
     report = empty_library.train(n_trees=30, progress=lambda *call: calls.append(call))
+    assert len(repr(report)) < 1000, "a person sees it at the prompt"
     assert (report.n_trees, report.n_clips, report.n_unlabelled) == (30, 16, 1)
     assert report.categories == {"bow": 5, "jump": 1, "squat": 5, "wave": 5}
     assert report.single == ("jump",)
