@@ -9,7 +9,7 @@ import pytest
 from dousa.errors import InvalidMotionError, JointMappingError, LibraryDamagedError
 from dousa.formats import write_motion
 from dousa.formats.motion_files import read_canonical
-from dousa.library import Library, labelling
+from dousa.library import Library, take_labellers
 from dousa.motion import CANONICAL_JOINTS, canonicalise
 from dousa.retrieval.forest.calibration import Calibration
 from library.database_server import run_sql
@@ -206,7 +206,7 @@ def test_takes_of_parts_are_searched_and_labelled(library, moves, squat):
 def learned(library, squat, monkeypatch):
     """The labellers of parts that were learned: all are the one of legs, as that takes seconds."""
     known, given = [], []
-    learn = labelling.learn_labeller
+    learn = take_labellers.learn_labeller
 
     def learn_once(*arguments):
         if not known:
@@ -214,7 +214,7 @@ def learned(library, squat, monkeypatch):
         given.append(known[0])
         return known[0]
 
-    monkeypatch.setattr(labelling, "learn_labeller", learn_once)
+    monkeypatch.setattr(take_labellers, "learn_labeller", learn_once)
     return given
 
 
