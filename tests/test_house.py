@@ -18,13 +18,13 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (24_782, 109),
-    "estimation": (15_250, 62),
-    "evaluation": (12_350, 43),
+    "app": (24_786, 109),
+    "estimation": (15_271, 62),
+    "evaluation": (12_345, 43),
     "experiments": (1_811, 10),
     "files": (511, 6),
     "formats": (9_361, 50),
-    "library": (15_521, 55),
+    "library": (15_531, 55),
     "messages": (211, 3),
     "motion": (5_890, 33),
     "retrieval": (14_567, 50),
@@ -33,7 +33,7 @@ ROOMS = {
 TOTALS = {
     "lines of tests": 58_783,
     "lines of JavaScript": 12_444,
-    "constants": 894,
+    "constants": 906,
     "numeric constants without a source": 0,
     "functions over 60 lines": 20,
     "files over 650 lines": 0,

@@ -73,7 +73,7 @@ def dance_again(dance: np.ndarray, rate: float = 120.0) -> np.ndarray:
 
 def search_all(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """The path over the whole matrix, by our kernel."""
-    return module._warp(a, b, np.full(9, 1 / 9), None, 1e30)
+    return module._warp(a, b, np.full(9, 1 / 9), None, 1e30, 4.0)
 
 
 def mean_columns(path: np.ndarray) -> np.ndarray:

@@ -141,7 +141,7 @@ def test_work_that_does_not_hear_ctrl_c_is_ended(studio, wait_job, monkeypatch):
         'print(\'{"ready": true}\', flush=True); print(\'{"progress": [0, 1, "deaf"]}\', flush=True); time.sleep(600)'
     )
     real = lanes.subprocess.Popen
-    monkeypatch.setitem(lanes._end_when.__kwdefaults__, "patience_s", 0.3)
+    monkeypatch.setitem(lanes._await_end.__kwdefaults__, "patience_s", 0.3)
     monkeypatch.setattr(
         lanes.subprocess, "Popen", lambda words, **options: real([sys.executable, "-c", deaf], **options)
     )

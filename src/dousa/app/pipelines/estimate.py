@@ -476,6 +476,8 @@ def describe_fit(
     far : the same of the worst tenth of its points; 0.01 to 0.08 with right cameras (docs/estimation.md).
     depth : m, of a single view.
     """
+    from dousa.estimation.body.human import USUAL_STATURE
+
     warnings = []
     n_views = int(fit.seen.seen.any(axis=(1, 2)).sum())
     exchanged = int(fit.exchanged.any(axis=(0, 2)).sum())
@@ -497,7 +499,7 @@ def describe_fit(
         doubt = float(np.median(fit.depth_doubt))
         warnings.append(Message("film_estimate.one_view", doubt=doubt, frames=unsure, total=fit.estimate.n_frames))
         if not stature_given:
-            warnings.append(Message("body.stature_assumed", stature=1.72))
+            warnings.append(Message("body.stature_assumed", stature=USUAL_STATURE))
     absent = ~fit.seen.seen.any(axis=(0, 2))
     if absent.any():
         warnings.append(Message("film_estimate.absent", frames=int(absent.sum()), total=fit.estimate.n_frames))

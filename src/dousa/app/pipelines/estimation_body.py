@@ -93,11 +93,11 @@ def measure_body(
     return make_human(stature, sex), Message("body.measured", stature=stature), ()
 
 
-def _assume_body(sex: str, stature: float = 1.72) -> GivenBody:
-    from dousa.estimation.body.human import make_human
+def _assume_body(sex: str) -> GivenBody:
+    from dousa.estimation.body.human import USUAL_STATURE, make_human
 
-    notes = (Message("body.stature_assumed", stature=stature),)
-    return make_human(stature, sex), Message("body.assumed", stature=stature), notes
+    notes = (Message("body.stature_assumed", stature=USUAL_STATURE),)
+    return make_human(sex=sex), Message("body.assumed", stature=USUAL_STATURE), notes
 
 
 def load_body(

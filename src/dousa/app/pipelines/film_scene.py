@@ -375,15 +375,14 @@ class PersonSilhouettes(Silhouettes):
     ----------
     films : on one clock.
     members : (V,) numbers of the people of each view who are the person.
-    longest : px, side of the masks.
     """
 
-    def __init__(self, films: FilmScene, members: Sequence[Sequence[int]], longest: int = 640) -> None:
+    def __init__(self, films: FilmScene, members: Sequence[Sequence[int]]) -> None:
         from dousa.estimation.silhouettes.video import reduce_size
 
         self.names, self.frame_rate = films.names, films.frame_rate
         self.n_frames = len(films.moments)
-        self.sizes = tuple(reduce_size(view.size, longest) for view in films.found)
+        self.sizes = tuple(reduce_size(view.size) for view in films.found)
         self._found = films.found
         self.frames = [nearest_frames(view.times, films.moments + offset)
                         for view, offset in zip(films.found, films.offsets, strict=True)]  # fmt: skip

@@ -63,7 +63,13 @@ _SCALED: dict[str, tuple[tuple[str, tuple[int, ...]], ...]] = {
 }
 
 
-def make_human(stature: float = 1.72, sex: str = "average", measures: Mapping[str, float] | None = None) -> BodyModel:
+USUAL_STATURE = 1.72
+"""m, of a person of whom nothing is known (docs/estimation.md)."""
+
+
+def make_human(
+    stature: float = USUAL_STATURE, sex: str = "average", measures: Mapping[str, float] | None = None
+) -> BodyModel:
     """Make a person of fifteen parts with the twenty canonical joints from anthropometric tables.
 
     The pose of zeros is not a standing one: shoulders and hips have their zero in the middle of their reach, see

@@ -17,6 +17,7 @@ from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.keypoints.keypoints import ViewKeypoints
 
 # Distinctive points: of a face with eleven points a nose and two ears.
+_LEAST_VISIBILITY = 0.5  # points that are less sure are not used, see docs/estimation.md
 _POINTS = (
     "nose", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist",
     "right_wrist", "left_index", "right_index", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle",
@@ -63,7 +64,7 @@ class Track:
         *,
         reach: float = 3.0,
         least_frames: int = 3,
-        least_visibility: float = 0.5,
+        least_visibility: float = _LEAST_VISIBILITY,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Read points (M, K, 2) px, velocities (M, K, 2) px/s, and weights (M, K), 0 where undetermined.
 
@@ -135,7 +136,11 @@ def list_limbs(
 
 
 def make_track(
-    times: FloatArray, points: FloatArray, visibility: FloatArray, camera: Camera, least_visibility: float = 0.5
+    times: FloatArray,
+    points: FloatArray,
+    visibility: FloatArray,
+    camera: Camera,
+    least_visibility: float = _LEAST_VISIBILITY,
 ) -> Track:
     """Make a track from keypoints in an image.
 

@@ -17,7 +17,7 @@ import numpy as np
 from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.errors import BodyModelError, KeypointError
 from dousa.estimation.body.body import BodyModel
-from dousa.estimation.body.human import LENGTHS, SEX_FACTORS, make_human
+from dousa.estimation.body.human import LENGTHS, SEX_FACTORS, USUAL_STATURE, make_human
 from dousa.estimation.body.kinematics import compute_points, point_names
 from dousa.estimation.body.posing import fit_poses
 from dousa.estimation.cameras.camera import Camera
@@ -168,7 +168,7 @@ def _place_world(camera: Camera, points: FloatArray, visibility: FloatArray, wor
     return np.asarray((placed - camera.translation) @ camera.rotation)
 
 
-def _guess_stature(places: FloatArray, names: tuple[str, ...], n_views: int, usual: float = 1.72) -> float:
+def _guess_stature(places: FloatArray, names: tuple[str, ...], n_views: int, usual: float = USUAL_STATURE) -> float:
     """Estimate the stature from median limb lengths and the tables; ``usual`` m where that is impossible."""
     if n_views < 2:
         return usual

@@ -25,6 +25,7 @@ from dousa.messages import Message
 BackgroundMethod = Literal["plate", "median", "mog2"]
 FloatImage = NDArray[np.float32]
 
+_DIFFERS = 30.0  # grey levels between video and plate that are another surface, see docs/silhouettes.md
 _AROUND = np.ones((3, 3), np.uint8)  # a pixel and its neighbours, by definition of a square grid
 
 
@@ -120,7 +121,7 @@ def _complete_plate(
 
 
 def _standing_parts(
-    median: FloatImage, plate: FloatImage, moving: Mask, differs: float = 30.0, least: float = 0.0003
+    median: FloatImage, plate: FloatImage, moving: Mask, differs: float = _DIFFERS, least: float = 0.0003
 ) -> Mask:
     """Find parts of the moving person that stay, such as a foot.
 
@@ -271,7 +272,7 @@ def _fit_exposure(
     median: FloatImage,
     moving: Mask,
     warnings: list[Message],
-    differs: float = 30.0,
+    differs: float = _DIFFERS,
     least_alike: float = 0.4,
 ) -> FloatImage:
     """Return the plate with gain and offset of each colour fitted where plate and video agree.

@@ -12,6 +12,8 @@ from dousa.arrays import FloatArray, Mask
 from dousa.errors import OptionError
 from dousa.extras import cv2
 
+_PERSON_SHARE = 0.4  # a far piece with so much of the main one's area is another person, see docs/silhouettes.md
+
 
 @dataclass(frozen=True, slots=True)
 class MaskState:
@@ -70,7 +72,7 @@ def clean_mask(
     limb_reach: float = 0.12,
     limb_share: float = 0.03,
     least_reach: float = 3.0,
-    person_share: float = 0.4,
+    person_share: float = _PERSON_SHARE,
     previous: Mask | None = None,
 ) -> Mask:
     """Return the person (H, W) of a mask, without specks, small holes and other people.
@@ -134,7 +136,7 @@ def _around(boxes: NDArray[np.int32], reach: float, shape: tuple[int, ...], leas
     )
 
 
-def count_people(mask: Mask, person_share: float = 0.4) -> int:
+def count_people(mask: Mask, person_share: float = _PERSON_SHARE) -> int:
     """Count the pieces of a mask with at least this share of the area of the largest."""
     areas = label_pieces(mask)[1][1:, cv2.CC_STAT_AREA]
     return int((areas >= person_share * areas.max()).sum()) if len(areas) else 0

@@ -12,7 +12,7 @@ from dousa.estimation.silhouettes.background import BackgroundMethod
 from dousa.estimation.silhouettes.images import IMAGE_ENDINGS, MaskFolder, find_mask_folders, resize_mask
 from dousa.estimation.silhouettes.mask_npz import read_silhouettes
 from dousa.estimation.silhouettes.silhouettes import Silhouettes, View, synchronise
-from dousa.estimation.silhouettes.video import VideoKind, open_video
+from dousa.estimation.silhouettes.video import LONGEST_SIDE, VideoKind, open_video
 from dousa.messages import Progress
 
 Path = str | os.PathLike[str]
@@ -42,7 +42,7 @@ def open_silhouettes(
     offsets: Sequence[float] | None = None,
     frames: tuple[int, int] | None = None,
     progress: Progress | None = None,
-    longest_side: int = 640,
+    longest_side: int = LONGEST_SIDE,
 ) -> Silhouettes:
     """Open the silhouettes of one or more views; close them, or use ``with``.
 

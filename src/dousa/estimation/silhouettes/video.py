@@ -33,6 +33,9 @@ from dousa.messages import Message, Progress
 
 VideoKind = Literal["mask", "video"]
 
+LONGEST_SIDE = 640
+"""px, to which silhouettes are reduced unless asked for (docs/silhouettes.md)."""
+
 
 class VideoFile:
     """Frames of a video file, decoded one at a time; going back or far ahead seeks.
@@ -165,7 +168,7 @@ def guess_video_kind(images: Sequence[Image], least_binary: float = 0.97) -> Vid
     return "mask" if images and lit else "video"
 
 
-def reduce_size(size: tuple[int, int], longest: int = 640) -> tuple[int, int]:
+def reduce_size(size: tuple[int, int], longest: int = LONGEST_SIDE) -> tuple[int, int]:
     """Return width and height with at most ``longest`` pixels on the longer side, in proportion if possible.
 
     The tracker gains nothing by larger silhouettes than those of the default.
@@ -231,7 +234,7 @@ class VideoView(_VideoBased):
         method: BackgroundMethod = "median",
         plate: str | os.PathLike[str] | None = None,
         progress: Progress | None = None,
-        longest_side: int = 640,
+        longest_side: int = LONGEST_SIDE,
     ) -> None:
         scene = None if plate is None else read_colour_image(plate)
         if size is None:
@@ -319,7 +322,7 @@ def open_video(
     frame_rate: float | None = None,
     size: tuple[int, int] | None = None,
     progress: Progress | None = None,
-    longest_side: int = 640,
+    longest_side: int = LONGEST_SIDE,
 ) -> View:
     """Open a video of masks or of a scene as one view; by default the kind is recognised from a few frames."""
     if kind not in (None, "mask", "video"):

@@ -16,6 +16,7 @@ from dousa.arrays import FloatArray
 from dousa.errors import CalibrationError
 from dousa.extras import require
 
+_SHORTEST = 0.5  # s of sound that can tell a time, see docs/estimation.md
 SOUND_RATE = 8000
 """Hz of the samples of a `Sound`, by its definition."""
 
@@ -73,7 +74,7 @@ def read_sound(path: str | os.PathLike[str], longest: float = 1800.0) -> Sound |
 
 
 def _decode(
-    av: object, container: object, first: float, longest: float, shortest: float = 0.5, silent: float = 1e-4
+    av: object, container: object, first: float, longest: float, shortest: float = _SHORTEST, silent: float = 1e-4
 ) -> Sound | None:
     """Decode the sound; None if it is under ``shortest`` s, or its root mean square under ``silent`` of full scale."""
     resampler = av.AudioResampler(format="flt", layout="mono", rate=SOUND_RATE)  # type: ignore[attr-defined]
@@ -102,7 +103,7 @@ def find_sound_lag(
     *,
     band: tuple[float, float] = (80.0, 3600.0),
     whitening: float = 0.8,
-    shortest: float = 0.5,
+    shortest: float = _SHORTEST,
     around: float = 0.1,
     least_height: float = 7.0,
     least_clarity: float = 1.4,

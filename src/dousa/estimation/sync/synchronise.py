@@ -35,6 +35,8 @@ from dousa.files.disk import atomic_write, read_bytes
 from dousa.files.markup import parse_toml, quote_toml
 from dousa.messages import Message, Progress
 
+_SAME = 0.05  # s; offsets that differ by less are one answer, see docs/estimation.md
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Synchronisation:
@@ -276,7 +278,7 @@ class _Judge:
         focals = np.array([track.focal for track in tracks])
         return fit_times(tracks, offsets, self._limbs, focals, self._rig, known, most=60, rounds=3)
 
-    def compare(self, starts: Sequence[_Start], same: float = 0.05) -> tuple[TimedRig, _Start, TimedRig | None] | None:
+    def compare(self, starts: Sequence[_Start], same: float = _SAME) -> tuple[TimedRig, _Start, TimedRig | None] | None:
         """Return the best answer, its start, and another by over ``same`` s hardly worse; None where none fits."""
         found = [(timed, start) for start in starts for timed in [self.fit(start, start.offsets)] if timed]
         if not found:
@@ -290,7 +292,7 @@ class _Judge:
         return best, start, None
 
     def excludes_other_times(
-        self, best: TimedRig, start: _Start, shift: float = 0.5, same: float = 0.05, better: float = 0.8
+        self, best: TimedRig, start: _Start, shift: float = 0.5, same: float = _SAME, better: float = 0.8
     ) -> bool:
         """Return whether other times, ``shift`` s off, lead back to within ``same`` s or fit worse.
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, FloatArray
+from dousa.estimation.body.human import USUAL_STATURE
 from dousa.estimation.body.kinematics import compiled, compute_points, inlined, step_poses
 from dousa.estimation.raster.rasteriser import interval_mask, outline_part, popcount
 from dousa.estimation.tracking.search_kernels import (
@@ -102,7 +103,7 @@ class ErrorModel:
 
     def __init__(
         self, setup: SearchSetup, meet: bool, *, window: float = 0.13, unlikely: float = 0.2, rigid: float = 0.03,
-        usual: float = 1.72,
+        usual: float = USUAL_STATURE,
     ) -> None:  # fmt: skip
         self.scale, self.reach = setup.body.stature / usual, round(window * setup.frame_rate)
         self.shift, self.spread, self.unlikely, self.rigid = _SHIFT[meet], _SPREAD[meet], unlikely, rigid

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from dousa.arrays import FloatArray, IndexArray, Mask
 from dousa.errors import BodyModelError, SilhouetteError
 from dousa.estimation.body.body import BodyModel, widen
-from dousa.estimation.body.human import make_human
+from dousa.estimation.body.human import USUAL_STATURE, make_human
 from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.raster.rasteriser import draw_body
 from dousa.estimation.tracking.outlines import lines_meet, measure_outline, shrink_views
@@ -26,7 +26,7 @@ def measure_stature(
     *,
     make_body: Callable[[float], BodyModel] = make_human,
     progress: Callable[[int, int, Message], None] | None = None,
-    usual: float = 1.72,
+    usual: float = USUAL_STATURE,
     statures: Sequence[float] = tuple(np.arange(140, 206, 5) / 100),
     extent: float = 130.0,
     sweeps: Sequence[float] = (0.5, 0.5, 0.25),

@@ -239,7 +239,7 @@ def _warp(
     shares: FloatArray,
     band: tuple[IndexArray, IndexArray] | None,
     skip: float,
-    largest_gib: float = 4.0,
+    largest_gib: float,
 ) -> IndexArray:
     """The cheapest path of one level, inside the band."""
     if band is None:

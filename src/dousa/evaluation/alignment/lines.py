@@ -344,24 +344,26 @@ class Lapse:
         return date(self.message, self.start_s)
 
 
-def find_lapses(alignment: Alignment, reference: Working, performance: Working) -> tuple[Lapse, ...]:
+def find_lapses(
+    alignment: Alignment, reference: Working, performance: Working, *, shortest_end_s: float = 0.7
+) -> tuple[Lapse, ...]:
     """Find the places where the performance changes its place in the reference, in order of time.
 
     Motions are at the working rate, and so are the frames of the lines. Motions with nothing in common have no lapses.
+    At the ends a lapse lasts ``shortest_end_s``: recordings are cut half a second earlier or later by chance.
     """
     if alignment.mismatch > NO_LIKENESS or performance.n_frames == 0:
         return ()
     speed = _measure_speed(performance)
     usual = _measure_speed(reference)
-    found = [*_look_before(alignment, performance)]
+    found = [*_look_before(alignment, performance, shortest_end_s)]
     for run in alignment.runs[1:]:
         found += _look_between(alignment, run.start, speed, usual, performance)
-    found += _look_after(alignment, reference, performance)
+    found += _look_after(alignment, reference, performance, shortest_end_s)
     return tuple(found)
 
 
-def _look_before(alignment: Alignment, performance: Working, *, shortest_s: float = 0.7) -> list[Lapse]:
-    # shortest_s: recordings are cut half a second earlier or later by chance
+def _look_before(alignment: Alignment, performance: Working, shortest_s: float) -> list[Lapse]:
     first = float(alignment.frames[0])
     if first > shortest_s * performance.frame_rate:
         return [Lapse("late start", 0.0, 0.0, 0.0, first / performance.frame_rate)]
@@ -372,10 +374,7 @@ def _look_before(alignment: Alignment, performance: Working, *, shortest_s: floa
     return []
 
 
-def _look_after(
-    alignment: Alignment, reference: Working, performance: Working, *, shortest_s: float = 0.7
-) -> list[Lapse]:
-    # shortest_s: as in `_look_before`
+def _look_after(alignment: Alignment, reference: Working, performance: Working, shortest_s: float) -> list[Lapse]:
     rate = performance.frame_rate
     end, last = performance.n_frames / rate, reference.n_frames / rate
     left = reference.n_frames - 1.0 - float(alignment.frames[-1])

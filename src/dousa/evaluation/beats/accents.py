@@ -34,6 +34,7 @@ _HIGH, _LOW = 0.5, 0.1  # of the fall: between these the descent is a line
 _SMOOTH_S = 0.025  # deviation of the Gaussian over positions, see docs/evaluation.md
 _USUAL = 0.35  # of the limb's fast movements, see docs/evaluation.md
 _APART_S = 0.1  # between accents of one limb, see docs/evaluation.md
+_ASIDE_S = 0.08  # before and after a turn, where speed and direction are taken, see docs/evaluation.md
 _MEET, _OPEN = 0.16, 0.08  # body heights between the hands at a clap, and by how much more they were apart before
 
 _LIMBS = ("left_hand", "right_hand", "left_foot", "right_foot")
@@ -230,11 +231,10 @@ def _turns(
     limit: float,
     *,
     sharp: float = np.cos(np.radians(60.0)),
-    aside_s: float = 0.08,
 ) -> bool:
     """Whether a limb leaves in another direction than it came from."""
-    # sharp: cosine of the turn that is an accent; aside_s: before and after, where the directions are taken
-    aside = max(round(aside_s * rate), 1)
+    # sharp: cosine of the turn that is an accent
+    aside = max(round(_ASIDE_S * rate), 1)
     before, after = velocity[max(frame - aside, 0)], velocity[min(frame + aside, len(velocity) - 1)]
     sizes = np.linalg.norm(before), np.linalg.norm(after)
     return bool(min(sizes) > 0.5 * limit and before @ after < sharp * sizes[0] * sizes[1])
@@ -248,18 +248,15 @@ def _find_corners(
     limit: float,
     usual: float,
     known: Sequence[Accent],
-    *,
-    aside_s: float = 0.08,
 ) -> list[Accent]:
     """Sharp turns in full speed, at peaks of the acceleration without a fall of the speed."""
-    # aside_s: before and after the peak, where the limb has to be fast
     acceleration = np.linalg.norm(np.gradient(velocity, axis=0), axis=1) * rate
     if len(acceleration) < 3:
         return []
     inner = acceleration[1:-1]
     peaks = np.flatnonzero((inner >= acceleration[:-2]) & (inner > acceleration[2:])) + 1
     least = max(limit, _USUAL * usual) if np.isfinite(usual) else limit
-    aside = max(round(aside_s * rate), 1)
+    aside = max(round(_ASIDE_S * rate), 1)
     times = [one.time_s for one in known]
     found: list[Accent] = []
     for peak in sorted(peaks.tolist(), key=lambda frame: -acceleration[frame]):

@@ -186,6 +186,7 @@ def fit_furi_eigenspaces(
     return spaces
 
 
+_LONGEST_LABEL = 100  # letters, see docs/evaluation.md
 _VALUE = r"[^\s,;\-–—−~〜～]+"
 _LINE = re.compile(rf"({_VALUE})\s*[\s,;\-–—−~〜～]\s*({_VALUE})(?:[\s,;]+(.*))?", re.DOTALL)
 _HEADING = re.compile(r"(start|begin|from|開始)\w*[\s,;]+(end|stop|to|終了)\w*([\s,;].*)?", re.IGNORECASE)
@@ -230,17 +231,15 @@ def read_furi(path: str | os.PathLike[str], frame_rate: float, n_frames: int) ->
     return _name(found)
 
 
-def _parse_line(
-    content: str, frame_rate: float, n_frames: int, *, slack_s: float = 0.1, longest_label: int = 100
-) -> tuple[int, int, str]:
+def _parse_line(content: str, frame_rate: float, n_frames: int, *, slack_s: float = 0.1) -> tuple[int, int, str]:
     """Start, end (not included) and label; an OptionError says what is wrong."""
-    # slack_s: people round: the last figure may end so much after the dance; longest_label: letters, a line of a page
+    # slack_s: people round: the last figure may end so much after the dance
     match = _LINE.fullmatch(content)
     if match is None:
         raise OptionError("furi_file.form", found=_quote(content))
     first, last, label = match[1], match[2], _clean(match[3] or "")
-    if len(label) > longest_label:
-        raise OptionError("furi_file.long_label", most=longest_label, length=len(label), label=_quote(label))
+    if len(label) > _LONGEST_LABEL:
+        raise OptionError("furi_file.long_label", most=_LONGEST_LABEL, length=len(label), label=_quote(label))
     if _FRAME.fullmatch(first) and _FRAME.fullmatch(last):
         start, end = int(first) - 1, int(last)
         if start < 0 or end > n_frames:
@@ -320,12 +319,12 @@ def format_furi(furi: Sequence[Furi], frame_rate: float) -> str:
     return "\n".join(lines) + "\n"
 
 
-def can_hold(label: str, longest: int = 100) -> bool:
-    """Whether a furi file can hold a label, of at most so many letters."""
+def can_hold(label: str) -> bool:
+    """Whether a furi file can hold a label."""
     match = _LINE.fullmatch(f"1-2 {label}")
     plain = label.isprintable() and "#" not in label
     whole = match is not None and match[3] == label == _clean(label)
-    return plain and whole and 0 < len(label) <= longest
+    return plain and whole and 0 < len(label) <= _LONGEST_LABEL
 
 
 def _clock(seconds: float) -> str:

@@ -27,6 +27,8 @@ from dousa.library.store.selection import portions
 from dousa.library.takes.windows import sweep_files
 from dousa.messages import Message
 
+_BYTES_AT_ONCE = 2**25  # in one transaction; memory alone depends on it, by definition
+
 
 def begin_where_large(database: Database, *, begin_at: int = 100_000) -> int:
     """Let new arrays of a library file of ``begin_at`` clips go to fragments beside it.
@@ -102,7 +104,7 @@ def move_arrays(database: Database, progress: Count | None = None) -> int:
 
 
 def _move_some(
-    database: Database, column: sa.Column[Any], keys: Sequence[Any], *, most: int = 2**25
+    database: Database, column: sa.Column[Any], keys: Sequence[Any], *, most: int = _BYTES_AT_ONCE
 ) -> tuple[int, Sequence[Any]]:
     """Move rows of ``most`` bytes in one transaction; return their bytes, and the rows left for the next."""
     key, table = schema.key_of(column.table), column.table
@@ -167,7 +169,13 @@ def rewrite_fragments(database: Database, progress: Count | None = None, *, smal
 
 
 def _rewrite_some(
-    database: Database, column: sa.Column[Any], name: str, into: str, *, most: int = 2**25, most_rows: int = 500
+    database: Database,
+    column: sa.Column[Any],
+    name: str,
+    into: str,
+    *,
+    most: int = _BYTES_AT_ONCE,
+    most_rows: int = 500,
 ) -> int:
     """Move blocks of ``most`` bytes and rows out of a fragment in one transaction; return their bytes, 0 for none."""
     key, table = schema.key_of(column.table), column.table

@@ -28,6 +28,9 @@ from dousa.library.store.engine import BESIDE
 from dousa.library.store.schema import PLACE, array_store
 from dousa.library.store.selection import fetch_in
 
+MOST_BYTES = 2**28
+"""Size at which a fragment is closed and another begun (docs/libraries.md); larger ones take longer to rewrite."""
+
 _NAME = re.compile(r"\d{6,}-[0-9a-f]{8}\.blocks")
 _EXTRAS = {"s3": ("s3fs", "s3"), "s3a": ("s3fs", "s3")}  # package and extra of dousa, by URL scheme
 
@@ -55,10 +58,9 @@ class FolderFragments:
     """Fragments as files of a folder, made when the first block is written.
 
     ``library`` : its name in messages; ``where`` is that of the store.
-    ``full`` : bytes at which a fragment is closed and another begun; larger ones take longer to rewrite.
     """
 
-    def __init__(self, folder: Path, library: str, *, full: int = 2**28) -> None:
+    def __init__(self, folder: Path, library: str, *, full: int = MOST_BYTES) -> None:
         self.folder, self.library, self.where, self.full = folder, library, os.fspath(folder), full
 
     def append(self, blocks: Sequence[bytes], into: str | None = None) -> list[Place]:
@@ -118,7 +120,7 @@ class FolderFragments:
 class ObjectFragments:
     """Fragments as objects below a URL that fsspec supports, such as ``s3://bucket/moves``; as ``FolderFragments``."""
 
-    def __init__(self, url: str, library: str, *, full: int = 2**28) -> None:
+    def __init__(self, url: str, library: str, *, full: int = MOST_BYTES) -> None:
         self.library, self.where, self.full = library, url, full
         kind = url.partition("://")[0]
         if kind in _EXTRAS:

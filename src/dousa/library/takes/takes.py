@@ -30,7 +30,7 @@ from dousa.library.store.ingest import (
 )
 from dousa.library.store.selection import fetch_in, find_row, read_doubts
 from dousa.library.takes.places import ReadTake, count_alike, find_places, judge_places, rank_places
-from dousa.library.takes.windows import WindowKeeper, describe_windows, read_windows, replace_windows
+from dousa.library.takes.windows import MOST_KEPT, WindowKeeper, describe_windows, read_windows, replace_windows
 from dousa.messages import Message
 
 if TYPE_CHECKING:
@@ -295,12 +295,9 @@ class Takes:
         return {row.path: row for row in fetch_in(connection, query, table.path, names)}
 
     def _read(
-        self, connection: sa.Connection, stored: StoredForest, clip_id: int, *, keep: bool = True, room: int = 1 << 29
+        self, connection: sa.Connection, stored: StoredForest, clip_id: int, *, keep: bool = True, room: int = MOST_KEPT
     ) -> TakeWindows:
-        """Read or describe the windows of a take; with ``keep`` they stay in memory while there is room, in bytes.
-
-        Half a gigabyte has the windows of some 10 hours.
-        """
+        """Read or describe the windows of a take; with ``keep`` they stay in memory while there is room, in bytes."""
         if self._learned != stored.learned:
             self._learned, self._windows, self._kept_bytes = stored.learned, {}, 0
         known = self._windows.get(clip_id)

@@ -112,6 +112,9 @@ class WindowKeeper:
         return [portion for portion in found.values() if portion is not None and portion.forest == forest]
 
 
+MOST_KEPT = 1 << 29
+"""Bytes of windows that stay in memory (docs/takes.md): some 10 hours of takes, 20 in a training."""
+
 SUFFIX = ".windows"
 """Suffix of the files."""
 
@@ -246,7 +249,7 @@ def describe_takes(
     n_jobs: int | None = 1,
     progress: Count | None = None,
     *,
-    room: int = 1 << 29,
+    room: int = MOST_KEPT,
 ) -> dict[int, bytes]:
     """Describe the windows of takes, by number, until memory is full; ``refresh_windows`` describes the others.
 
@@ -254,7 +257,7 @@ def describe_takes(
     ----------
     known : windows that this forest has described already.
     progress : called with (takes described, takes to describe).
-    room : bytes of windows in memory, of some 20 hours.
+    room : bytes of windows in memory.
     """
     table = schema.clips.c
     rows = connection.execute(sa.select(table.id, table.absent).where(table.kind == schema.TAKE))

@@ -160,19 +160,23 @@ def _read_lines(stdout: IO[bytes], job: Job, board: JobBoard) -> dict[str, Any]:
     return last
 
 
-def _end_when(stop: threading.Event, process: subprocess.Popen[bytes], *, patience_s: float = 10.0) -> None:
-    """Send Ctrl-C, and kill a process that does not react: decoders and large products of matrices react late.
-
-    It has ``patience_s`` to end by itself; killed sooner, more would lose what they have done.
-    """
+def _end_when(stop: threading.Event, process: subprocess.Popen[bytes]) -> None:
+    """Send Ctrl-C, and kill a process that does not react."""
     stop.wait()
     if process.poll() is None:
         with suppress(OSError):
             process.send_signal(signal.SIGINT if os.name == "posix" else signal.SIGTERM)
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(timeout=patience_s)
-        if process.poll() is None:
-            kill(process)
+        _await_end(process)
+
+
+def _await_end(process: subprocess.Popen[bytes], *, patience_s: float = 10.0) -> None:
+    """Kill a process that has not ended by itself within ``patience_s``.
+
+    Decoders and large products of matrices react late; killed sooner, more would lose what they have done.
+    """
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(timeout=patience_s)
+    kill(process)
 
 
 def kill(process: subprocess.Popen[bytes]) -> None:
@@ -186,17 +190,14 @@ def kill(process: subprocess.Popen[bytes]) -> None:
             process.kill()
 
 
-def _end(process: subprocess.Popen[bytes], *, patience_s: float = 10.0) -> None:
-    """Wait ``patience_s`` for a process that has answered, as `_end_when`, then kill it."""
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """Close the pipes of a process that has answered, and see it end."""
     for pipe in (process.stdin, process.stdout):
         if pipe is not None:
             with suppress(OSError):
                 pipe.close()
-    try:
-        process.wait(timeout=patience_s)
-    except subprocess.TimeoutExpired:
-        kill(process)
-        process.wait()
+    _await_end(process)
+    process.wait()
 
 
 def run_in_thread(

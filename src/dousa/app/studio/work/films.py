@@ -247,6 +247,8 @@ class _Watcher:
 
 def look_at_films(asked: EstimationRequest, context: Context, answer: dict[str, Any]) -> None:
     """Fill in the preview: the films with a picture of each, and what is missing."""
+    from dousa.estimation.body.human import USUAL_STATURE
+
     views = pair_films(asked.sources)
     for view in views:
         answer["views"].append(_look_at_view(view, answer))
@@ -261,7 +263,7 @@ def look_at_films(asked: EstimationRequest, context: Context, answer: dict[str, 
     elif len(views) > 1:
         answer["body"] = Message("studio_films.body_of_cameras")
     else:
-        answer["body"] = Message("body.assumed", stature=1.72)
+        answer["body"] = Message("body.assumed", stature=USUAL_STATURE)
         answer["notes"].append(Message("studio_films.one_film_stature"))
 
 
