@@ -147,7 +147,8 @@ class Adding:
 
         Parameters
         ----------
-        most_doubtful : doubtful files held in memory until the others of their skeleton are read; more are read twice.
+        most_doubtful : doubtful files held in memory until the others of their skeleton are read; those beyond keep
+            their own guess.
         at_most_s : s between two portions, which is what an interrupted program loses; less makes more transactions.
         """
         files = self._found

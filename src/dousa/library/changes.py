@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from dousa.library.care.compact import CompactReport
     from dousa.library.care.damage import CheckReport
     from dousa.library.history.journal import JournalEntry
-    from dousa.library.results import Progress
+    from dousa.messages import Progress
 
 _FULL = ("library_file.disk_full", "library_file.server_disk_full", "library_file.disk_failed")
 

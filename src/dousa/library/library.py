@@ -21,13 +21,14 @@ if TYPE_CHECKING:
     from dousa.library.annotations.tags import SavedSearches
     from dousa.library.care.clip_map import ClipMap
     from dousa.library.care.review import DuplicateGroup, LabelReview
-    from dousa.library.results import Classification, FindResult, LabelledTake, Progress, SearchResult
+    from dousa.library.results import Classification, FindResult, LabelledTake, SearchResult
     from dousa.library.search.part_forests import PartForests
     from dousa.library.search.search import Searcher
     from dousa.library.search.text import TextMatches, TextResult, TextSearcher
     from dousa.library.store.ingest import Query
     from dousa.library.take_labellers import Labellers
     from dousa.library.takes.takes import Takes
+    from dousa.messages import Progress
     from dousa.motion import CanonicalMotion, Motion, Trajectories
     from dousa.retrieval.takes.live import LiveLabeller
 

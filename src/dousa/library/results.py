@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -37,13 +37,6 @@ __all__ = [
 MIRROR_VOTES, MIRROR_DISTANCE, MIRROR_SCORE = 0.1, 0.95, 0.02
 
 
-Progress = Callable[[int, int, Message], None]
-"""Called with (steps done, steps, message about the next step)."""
-
-Count = Callable[[int, int], None]
-"""Called with (number done, number of all)."""
-
-
 class Answer:
     """A plain value that can be written as JSON; ``_names`` renames keys."""
 
@@ -63,7 +56,7 @@ def _to_plain(value: Any) -> Any:
         return value.to_json()
     if isinstance(value, tuple):
         return [_to_plain(item) for item in value]
-    return dict(value) if isinstance(value, dict) else value
+    return dict(value) if isinstance(value, Mapping) else value
 
 
 def _without(answer: dict[str, Any], name: str) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import sqlalchemy as sa
 from dousa.errors import DousaError, LibraryDamagedError, LibraryError, MotionFileError
 from dousa.formats.motion_files import ReadOptions
 from dousa.library.annotations.store import load_annotated_takes
-from dousa.library.results import Count, LabelledTake, Progress
+from dousa.library.results import LabelledTake
 from dousa.library.search.part_forests import PartForests
 from dousa.library.store import schema
 from dousa.library.store.engine import Database, choose_jobs
@@ -21,7 +21,7 @@ from dousa.library.store.forests import ForestCache, StoredForest
 from dousa.library.store.ingest import Query
 from dousa.library.store.selection import fetch_in
 from dousa.library.takes.takes import Takes, check_single
-from dousa.messages import Message
+from dousa.messages import Count, Message, Progress
 from dousa.motion.canonical.joints import find_absent
 from dousa.retrieval.features.posed_motion import hide_joints
 

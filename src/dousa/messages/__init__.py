@@ -10,4 +10,7 @@ from dousa.messages.tables import LANGUAGES, get_language, load_section, render,
 Progress = Callable[[int, int, Message], None]
 """What long work calls with (steps done, steps in all, what)."""
 
-__all__ = ["LANGUAGES", "Message", "Progress", "get_language", "load_section", "render", "use_language"]
+Count = Callable[[int, int], None]
+"""The same where all steps are of one kind: (number done, number of all)."""
+
+__all__ = ["LANGUAGES", "Count", "Message", "Progress", "get_language", "load_section", "render", "use_language"]

@@ -30,7 +30,7 @@ from dousa.library.store.engine import Database, next_revision
 from dousa.library.store.features import StoredMotion, load_motions
 from dousa.library.store.forests import ForestCache, StoredForest, load_forest
 from dousa.library.store.ingest import ClipRecord
-from dousa.library.store.selection import delete_clips, fetch_in, find_row
+from dousa.library.store.selection import delete_clips, fetch_in, find_row, portions
 from dousa.library.takes.windows import refresh_windows
 from dousa.messages import Message
 from dousa.motion.annotation import Annotation, Stretch
@@ -131,8 +131,8 @@ def annotate_takes(
         for row in _read_takes(connection, ids):
             check_fit(TakeLength.of(row), wanted[row.id])
     changes = AnnotationChanges()
-    for start in range(0, len(ids), at_once):
-        some = {number: wanted[number] for number in ids[start : start + at_once]}
+    for numbers in portions(ids, at_once=at_once):
+        some = {number: wanted[number] for number in numbers}
         plan = partial(_plan_tables, database.where, some, forest)
         done, _, forest, change = database.write_planned(plan, partial(_exchange, change=change))
         changes += done

@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 
 from dousa.arrays import IndexArray
 from dousa.extras import require
-from dousa.library.results import Progress
 from dousa.library.store import schema
 from dousa.library.store.engine import Database
 from dousa.library.store.features import lacks, load_poses, name_feature_set
 from dousa.library.store.selection import portions
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 
 # Principal components to begin with, perplexity and early exaggeration, as scikit-learn advises or chooses:
 # https://scikit-learn.org/stable/modules/generated/sklearn.manifold.TSNE.html

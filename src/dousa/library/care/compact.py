@@ -17,7 +17,7 @@ import sqlalchemy as sa
 
 from dousa.errors import LibraryDamagedError, LibraryError
 from dousa.library.history.journal import forget_kept, measure_kept
-from dousa.library.results import Answer, Count, Progress
+from dousa.library.results import Answer
 from dousa.library.store import schema
 from dousa.library.store.checksums import FEATURES, seal_positions
 from dousa.library.store.engine import Database, lock_for_writing
@@ -25,9 +25,9 @@ from dousa.library.store.fragments import ARRAYS, begin_store, find_store, make_
 from dousa.library.store.schema import PLACE
 from dousa.library.store.selection import portions
 from dousa.library.takes.windows import sweep_files
-from dousa.messages import Message
+from dousa.messages import Count, Message, Progress
 
-_BYTES_AT_ONCE = 2**25  # in one transaction; memory alone depends on it, by definition
+_BYTES_AT_ONCE = 2**25  # in one transaction, for which other writers wait, see docs/libraries.md
 
 
 def begin_where_large(database: Database, *, begin_at: int = 100_000) -> int:

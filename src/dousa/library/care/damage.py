@@ -12,7 +12,7 @@ import sqlalchemy as sa
 
 from dousa.errors import DousaError, LibraryDamagedError, LibraryError
 from dousa.library.care.compact import measure_used
-from dousa.library.results import Answer, Count
+from dousa.library.results import Answer
 from dousa.library.store import checksums, schema
 from dousa.library.store.checksums import SEALS, STATE, Seal, seal_positions
 from dousa.library.store.engine import Database
@@ -22,7 +22,7 @@ from dousa.library.store.fragments import find_store, look_at_blocks, read_featu
 from dousa.library.store.selection import fetch_in
 from dousa.library.takes.portions import check_portion
 from dousa.library.takes.windows import find_files
-from dousa.messages import Message
+from dousa.messages import Count, Message
 
 
 @dataclass(frozen=True, slots=True)

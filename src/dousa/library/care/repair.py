@@ -31,7 +31,6 @@ from dousa.library.care.damage import (
     are_positions,
     find_damage,
 )
-from dousa.library.results import Progress
 from dousa.library.search.text_store import keep_all_relations
 from dousa.library.store import checksums, schema
 from dousa.library.store.checksums import SEALS, Seal, seal_positions, seal_rows
@@ -43,7 +42,7 @@ from dousa.library.store.ingest import ClipRecord, ReadTask, read_clip
 from dousa.library.store.opening import open_database
 from dousa.library.store.selection import portions
 from dousa.library.takes.windows import refresh_windows
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 
 # Forests for parts of bodies, examples of leaves and the state are computed again; the undo journal is lost.
 _LEFT_OUT = (

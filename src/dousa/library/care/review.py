@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import TrainingError
 from dousa.library.annotations.tags import CHECKED
-from dousa.library.results import Answer, Progress
+from dousa.library.results import Answer
 from dousa.library.search.text_store import find_meanings
 from dousa.library.store import schema
 from dousa.library.store.engine import Database, choose_jobs
@@ -34,7 +34,7 @@ from dousa.library.store.features import (
     name_feature_set,
 )
 from dousa.library.store.selection import list_clips
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 from dousa.retrieval import FeatureSet, MotionForest
 
 

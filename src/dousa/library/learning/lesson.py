@@ -59,8 +59,8 @@ def _choose(
 ) -> NDArray[np.int32]:
     """Choose examples among some rows of clips (numbers, categories), whose leaves are read ``at_once``."""
     ids, categories = clips
-    portions = (rows[start : start + at_once] for start in range(0, len(rows), at_once))
-    handed = ((ids[some], categories[some].astype(np.int32), read_leaves(some)) for some in portions)
+    parts = (rows[start : start + at_once] for start in range(0, len(rows), at_once))
+    handed = ((ids[some], categories[some].astype(np.int32), read_leaves(some)) for some in parts)
     return choose_examples(handed, stored.forest.trees_.n_leaves)
 
 

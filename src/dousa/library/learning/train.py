@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 
 from dousa.errors import TrainingError
 from dousa.library.learning.lesson import choose_trained, save_examples
-from dousa.library.results import Progress, TrainReport
+from dousa.library.results import TrainReport
 from dousa.library.search.renewal import make_side_file
 from dousa.library.search.text_store import find_meanings, keep_all_relations, keep_relations_of
 from dousa.library.store import schema
 from dousa.library.store.engine import Database, next_clip_id, next_revision, note_changed_clips, read_revision
 from dousa.library.store.features import ClipFeatures, keep_features, lacks, load_features, save_descriptions
 from dousa.library.store.forests import (
+    MOST_COPIES,
     HeldBack,
     StoredForest,
     TreeAnswers,
@@ -35,7 +36,7 @@ from dousa.library.store.forests import (
     save_answers,
 )
 from dousa.library.takes.windows import describe_takes, make_window_files, refresh_windows, save_windows
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 from dousa.retrieval import MotionForest
 from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.features.posed_motion import is_comparable
@@ -137,18 +138,15 @@ class _Answers:
 
 
 def _learn(
-    database: Database, forest: MotionForest, kind: FeatureSet, n_jobs: int | None, tell: _Tell, *, copies: int = 1000
+    database: Database, forest: MotionForest, kind: FeatureSet, n_jobs: int | None, tell: _Tell
 ) -> tuple[StoredForest, _Answers, dict[str, int]]:
-    """Grow and calibrate the trees; return them, their answers, and the number of clips in each category.
-
-    The trees learn at most so many disturbed ``copies``, as ``describe_copies`` says.
-    """
+    """Grow and calibrate the trees; return them, their answers, and the number of clips in each category."""
     with database.reading() as connection:
         seen, following = read_revision(connection), next_clip_id(connection)
-        clips = load_features(connection, kind.name, n_jobs=n_jobs, progress=tell.of_clips, spare=copies)
+        clips = load_features(connection, kind.name, n_jobs=n_jobs, progress=tell.of_clips, spare=MOST_COPIES)
         grid = fit_grid(connection)
         labelled, counts = _check_categories(database.where, clips.categories)
-        disturbed = describe_copies(connection, clips, labelled, kind, n_jobs, most=copies)
+        disturbed = describe_copies(connection, clips, labelled, kind, n_jobs)
     tell(1, Message("library_training.growing_trees"))
     fit_forest(forest, clips, labelled, kind, disturbed)
     tell(2, Message("library_training.calibrating"))

@@ -19,7 +19,6 @@ import sqlalchemy as sa
 from numpy.typing import NDArray
 
 from dousa.errors import DousaError, LibraryDamagedError, LibraryError
-from dousa.library.results import Progress
 from dousa.library.store import schema
 from dousa.library.store.checksums import PART_FORESTS, seal_rows
 from dousa.library.store.engine import Database, choose_jobs
@@ -36,7 +35,7 @@ from dousa.library.store.forests import (
     make_keys,
 )
 from dousa.library.store.schema import pack, stack
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 from dousa.retrieval.features.posed_motion import is_comparable, name_parts
 from dousa.retrieval.forest.calibration import Assessor
 from dousa.retrieval.forest.likeness import merge_votes

@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.library.results import Hit, Progress
+from dousa.library.results import Hit
 from dousa.library.search.leaf_index import LeafIndex
 from dousa.library.search.part_forests import DenseIndex, PartForests
 from dousa.library.search.ranking import Asked, PoseReader, ask_forest, make_hits
 from dousa.library.store.engine import Database
 from dousa.library.store.features import StoredMotion, find_feature_set, load_poses
 from dousa.library.store.forests import StoredForest, TreeAnswers
+from dousa.messages import Progress
 from dousa.retrieval.features.posed_motion import count_placed, is_comparable
 from dousa.retrieval.forest.likeness import merge_votes
 from dousa.retrieval.ranking.ranking import DEFAULT_RANKING, RankedClips, RankingQuery, rank_clips

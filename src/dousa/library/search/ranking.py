@@ -227,7 +227,8 @@ class _Comparison:
         rows = np.flatnonzero((slopes[0] * self._meant >= least) & self._chosen)
         self.measure(rows)
         chances = self.judge(rows)
-        return rows if chances is None else rows[chances >= likeness.threshold]
+        assert chances is not None, "both ask the same"
+        return rows[chances >= likeness.threshold]
 
     def judge(self, rows: IndexArray) -> FloatArray | None:
         """Compute the probabilities (M,) that compared clips mean the same as the query; None if not learned."""

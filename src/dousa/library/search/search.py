@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, LibraryError, OptionError
 from dousa.formats.motion_files import ReadOptions, Skipped, find_motion_files, is_unicode
-from dousa.library.results import Classification, Hit, Progress, SearchResult, Verdict
+from dousa.library.results import Classification, Hit, SearchResult, Verdict
 from dousa.library.search.leaf_index import LeafIndex
 from dousa.library.search.part_forests import DenseIndex, PartForests
 from dousa.library.search.part_search import group_clips, make_dense, rank_groups
@@ -36,7 +36,7 @@ from dousa.library.store.ingest import (
     read_rounded,
 )
 from dousa.library.store.selection import find_row, read_doubts
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 
 
 def check_threshold(threshold: float | None) -> None:
@@ -139,7 +139,10 @@ class Searcher:
             if clip_id is None:
                 assert not isinstance(query, int)
                 motion, doubts = read_rounded(query, options)
-                name, doubts = name_query(query), (*doubts, *note_long(connection, motion.duration))
+                name, doubts = (
+                    name_query(query),
+                    (*doubts, *note_long(motion.duration, lambda: _read_usual(connection))),
+                )
             else:
                 name, doubts = self._name(connection, index, query), read_doubts(connection, clip_id)
                 if wanted.mirror or wanted.explain or index.partial:
@@ -254,6 +257,12 @@ class Searcher:
         explaining = {stored.feature_set: Explaining(stored)} if explain else None
         choose = lru_cache(maxsize=None)(lambda absent: self._parts.choose(stored, absent, progress))
         answers: list[Classification] = []
+
+        @lru_cache
+        def read_usual() -> float:
+            with self._database.reading() as connection:
+                return _read_usual(connection)
+
         for item in (*missing, *read_clips(tasks, n_jobs)):
             if isinstance(item, ClipRecord):
                 asked, note = choose(item.motion.absent)
@@ -269,8 +278,7 @@ class Searcher:
                 if explaining is not None:
                     own = explaining.setdefault(asked.feature_set, Explaining(asked))
                     verdicts = own.verdicts(verdicts, item.motion)
-                with self._database.reading() as connection:
-                    notes = [*list_doubts(item), *note_long(connection, item.motion.duration)]
+                notes = [*list_doubts(item), *note_long(item.motion.duration, read_usual)]
                 notes += [] if note is None else [note]
                 mirrored = verdicts[1] if mirror else None
                 answers.append(Classification(item.path, verdicts[0], mirrored, None, tuple(notes)))
@@ -320,18 +328,20 @@ class Searcher:
 
 
 def note_long(
-    connection: sa.Connection, seconds: float, *, least: float = 10.0, factor: float = 2.0, usual: float = 0.99
+    seconds: float, read_usual: Callable[[], float], *, least: float = 10.0, factor: float = 2.0
 ) -> tuple[Message, ...]:
     """Return a note for a motion that is much longer than the clips of the library, so probably an uncut recording.
 
-    It lasts ``least`` s at least, and ``factor`` times as long as this quantile (``usual``) of the clips; larger
+    It lasts ``least`` s at least, and ``factor`` times what ``read_usual`` returns, which is asked only then; larger
     numbers give fewer notes.
     """
-    if seconds < least:
-        return ()
-    table = schema.clips.c
-    durations = connection.execute(sa.select(table.duration).where(table.kind == schema.CLIP)).scalars().all()
-    longest = float(np.quantile(durations, usual)) if durations else math.inf
-    if seconds < factor * longest:
+    if seconds < least or seconds < factor * (longest := read_usual()):
         return ()
     return (Message("library_search.like_a_take", seconds=seconds, longest=longest),)
+
+
+def _read_usual(connection: sa.Connection, share: float = 0.99) -> float:
+    """Read the s that this share of the clips last at most; infinity for no clips."""
+    table = schema.clips.c
+    durations = connection.execute(sa.select(table.duration).where(table.kind == schema.CLIP)).scalars().all()
+    return float(np.quantile(durations, share)) if durations else math.inf

@@ -33,6 +33,7 @@ BESIDE = "dousa_beside"
 STATE_ID = 1  # of the only row, by definition
 _WRITES = "dousa_writes"
 _READ_ONLY = "dousa_read_only"
+_BUSY = 5.0  # s that SQLite waits by itself, not interruptible, and a transaction by definition
 _LEAST_BYTES = 512  # the smallest page of SQLite: https://sqlite.org/fileformat.html, 1.3.2
 
 
@@ -55,17 +56,15 @@ def name_of(path_or_url: str | os.PathLike[str]) -> str:
         return re.sub(r"(?<=:)[^:@/]+(?=@)", "***", str(path_or_url))
 
 
-def make_engine(
-    path_or_url: str | os.PathLike[str], *, create: bool, read_only: bool, timeout: float, busy: float = 5.0
-) -> sa.Engine:
-    """Make an engine for a file or a URL, without connecting; SQLite waits ``busy`` s at most, not interruptible."""
+def make_engine(path_or_url: str | os.PathLike[str], *, create: bool, read_only: bool, timeout: float) -> sa.Engine:
+    """Make an engine for a file or a URL, without connecting; SQLite waits `_BUSY` s at most, not interruptible."""
     if is_url(path_or_url):
         return _server_engine(str(path_or_url), read_only, timeout)
     path = Path(path_or_url).absolute()
     _check_place(path, create)
     engine = sa.create_engine(
         "sqlite+pysqlite://",
-        creator=lambda: _connect(path, create, read_only, min(timeout, busy)),
+        creator=lambda: _connect(path, create, read_only, min(timeout, _BUSY)),
         poolclass=sa.pool.QueuePool,
         pool_size=1,
         execution_options={
@@ -227,7 +226,7 @@ class Database:
 
     engine: sa.Engine
     where: str
-    timeout: float = 5.0
+    timeout: float = _BUSY
 
     @property
     def is_read_only(self) -> bool:

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.errors import LibraryDamagedError, LibraryVersionError, OptionError
-from dousa.library.results import Count
 from dousa.library.store import checksums, schema
 from dousa.library.store.checksums import BLOCK_FRAMES, seal_positions, seal_rows
 from dousa.library.store.engine import Database, choose_jobs
 from dousa.library.store.fragments import Place, in_portions, place_of, put_aside, read_feature_rows, read_places
 from dousa.library.store.schema import pack, stack, unpack
 from dousa.library.store.selection import fetch_in, portions
+from dousa.messages import Count
 from dousa.motion import CANONICAL_JOINTS
 from dousa.motion.canonical.joints import JOINT_INDEX, CanonicalPoses, find_absent
 from dousa.retrieval.features.posed_motion import SLOWEST_RATE, hide_joints, order_joints
@@ -73,9 +73,9 @@ class Description:
 
 
 def is_measurable(values: FloatArray, height: float, *, most: float = 1e9) -> bool:
-    """Return whether values and a height can be of a motion: m, body heights or Hz below ``most``, a body above none.
+    """Return whether values and a height can be of a motion: m, body heights or Hz below ``most``.
 
-    Larger numbers come from a wrong unit or a damaged file; NaN is not measurable.
+    A body has at least 1 / ``most`` m. Larger numbers come from a wrong unit or a damaged file; NaN is not measurable.
     """
     return bool((np.abs(values) < most).all()) and height * most > 1
 

@@ -254,6 +254,9 @@ def hold_back(clips: ClipFeatures, labelled: Sequence[int]) -> HeldBack:
     return HeldBack(np.ascontiguousarray(clips.features[rows]), categories, people)
 
 
+MOST_COPIES = 1000  # disturbed clips that a forest learns, see docs/noise.md
+
+
 def describe_copies(
     connection: sa.Connection,
     clips: ClipFeatures,
@@ -261,12 +264,12 @@ def describe_copies(
     kind: FeatureSet,
     n_jobs: int | None = 1,
     *,
-    most: int = 1000,
+    most: int = MOST_COPIES,
 ) -> Copies:
     """Describe disturbed copies of some clips of ``choose_held_back``, to learn the effect of noise.
 
-    There are ``most`` copies: more take longer, and of a tenth of the clips a forest learns most effects. Empty for
-    features without banks: the paper has no copies.
+    There are at most ``most`` copies: more take longer, and of a tenth of the clips a forest learns most effects.
+    Empty for features without banks: the paper has no copies.
     """
     from dousa.retrieval.features.posed_motion import hide_joints
     from dousa.retrieval.features.sensor_noise import reduce_noise_of_all

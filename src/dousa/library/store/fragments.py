@@ -151,7 +151,8 @@ class ObjectFragments:
         for place in places:
             offsets = {span: place.first_byte - span.first_byte for span in data if span.fragment == place.fragment}
             own = [span for span, offset in offsets.items() if 0 <= offset <= span.n_bytes - place.n_bytes]
-            found.append(data[own[0]][offsets[own[0]] :][: place.n_bytes] if own else b"")
+            start = offsets[own[0]] if own else 0
+            found.append(data[own[0]][start : start + place.n_bytes] if own else b"")
         return found
 
     def sizes(self) -> dict[str, int]:

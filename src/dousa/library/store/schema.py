@@ -19,7 +19,7 @@ from dousa.errors import LibraryDamagedError
 from dousa.messages import Message
 
 APPLICATION_ID = 0x444F5553
-"""``DOUS``: marks an SQLite file as a dousa library (https://sqlite.org/fileformat.html, 1.3.12)."""
+"""``DOUS``: marks an SQLite file as a dousa library (https://sqlite.org/fileformat.html, 1.3.15)."""
 
 FRAME_BYTES = 4 * 3 * 20
 """Bytes of one frame of stored positions, by definition of ``clip_trajectories``: float32 of 20 joints."""

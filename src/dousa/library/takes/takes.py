@@ -12,7 +12,7 @@ import sqlalchemy as sa
 
 from dousa.errors import InvalidMotionError, LibraryError, MotionFileError
 from dousa.formats.motion_files import ReadOptions, Skipped, find_motion_files, is_unicode
-from dousa.library.results import FindResult, Progress
+from dousa.library.results import FindResult
 from dousa.library.search.part_forests import PartForests
 from dousa.library.store import schema
 from dousa.library.store.engine import Database
@@ -31,7 +31,7 @@ from dousa.library.store.ingest import (
 from dousa.library.store.selection import fetch_in, find_row, read_doubts
 from dousa.library.takes.places import ReadTake, count_alike, find_places, judge_places, rank_places
 from dousa.library.takes.windows import MOST_KEPT, WindowKeeper, describe_windows, read_windows, replace_windows
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 
 if TYPE_CHECKING:
     from dousa.retrieval.takes.find import Found

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 import sqlalchemy as sa
 
 from dousa.errors import DousaError, LibraryDamagedError
-from dousa.library.results import Count, Progress
 from dousa.library.search.side_file import find_place, name_forest
 from dousa.library.store import schema
 from dousa.library.store.engine import Database, choose_jobs
@@ -25,7 +24,7 @@ from dousa.library.store.features import StoredMotion, find_feature_set, lacks, 
 from dousa.library.store.forests import StoredForest, load_forest
 from dousa.library.takes.portions import Portion, read_portion, write_portion
 from dousa.library.takes.scanning import TakesOnDisk
-from dousa.messages import Message
+from dousa.messages import Count, Message, Progress
 from dousa.retrieval.features.posed_motion import hide_joints
 from dousa.retrieval.takes.windows import N_SMALL, TAKE_RATE, TakeWindows, hop_of
 

@@ -7,7 +7,7 @@ follow from sums over all moments. Penalty, sharpness, sequence weights and cali
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IntArray
 from dousa.errors import TrainingError
+from dousa.messages import Count
 from dousa.motion.runs import find_equal_runs
 from dousa.retrieval.counting.counter import find_usual, measure_tallies
 from dousa.retrieval.features.channels import count_samples, sample_positions
@@ -54,8 +55,6 @@ from dousa.retrieval.takes.sequence import (
 from dousa.retrieval.takes.windows import TAKE_RATE
 from dousa.workers.threads import map_pieces
 
-Progress = Callable[[int, int], None]
-
 
 def train_labeller(
     clips: Sequence[LabelledClip],
@@ -63,7 +62,7 @@ def train_labeller(
     *,
     random_state: int = 0,
     n_jobs: int | None = None,
-    progress: Progress | None = None,
+    progress: Count | None = None,
 ) -> TakeLabeller:
     """Train a labeller of takes.
 

@@ -7,7 +7,7 @@ Source: the integral features of Hamada et al., eq. 4 and 5; long takes are the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import FloatArray, IndexArray, IntArray
 from dousa.errors import InvalidMotionError, OptionError
-from dousa.messages import Message
+from dousa.messages import Count, Message
 from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.retrieval.features.channels import sample_positions
 from dousa.retrieval.features.feature_sets import FeatureSet, compute_track
@@ -38,8 +38,6 @@ TAKE_RATE = 30.0
 
 N_PARTS = 8
 """Parts of a window whose mean poses are compared; divides all window lengths (docs/takes.md)."""
-
-Progress = Callable[[int, int], None]
 
 _SHORTEST, _LONGEST = 16, 4096  # frames: windows of 0.5 s to more than two minutes
 _SMALL_JOINTS = "head left_elbow left_hand right_elbow right_hand left_knee left_ankle right_knee right_ankle".split()
@@ -231,7 +229,7 @@ def describe_take(
     grid: WindowGrid,
     *,
     n_jobs: int | None = None,
-    progress: Progress | None = None,
+    progress: Count | None = None,
     chunk: int = 4096,
 ) -> TakeWindows:
     """Cut a take into windows and find their leaves, some two minutes at a time.
