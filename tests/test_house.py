@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (24_786, 109),
+    "app": (24_805, 109),
     "estimation": (15_271, 62),
     "evaluation": (12_345, 43),
     "experiments": (1_811, 10),
@@ -31,9 +31,9 @@ ROOMS = {
     "workers": (415, 6),
 }
 TOTALS = {
-    "lines of tests": 58_783,
-    "lines of JavaScript": 12_444,
-    "constants": 908,
+    "lines of tests": 58_807,
+    "lines of JavaScript": 12_465,
+    "constants": 911,
     "numeric constants without a source": 0,
     "functions over 60 lines": 20,
     "files over 650 lines": 0,

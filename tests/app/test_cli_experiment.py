@@ -33,6 +33,7 @@ def folder(tmp_path_factory):
     [
         (("--takes", "--split", "half"), "--split cannot be combined with --takes"),
         (("--takes", "--figure", "a.png"), "--figure cannot be combined with --takes"),
+        (("--figure", "a.xyz"), ".png"),
         (("--system", "dtw"), "dtw"),
         (("--takes",), "performer"),
         (("--split", "thirds"), "expected half, leave-performer-out or a share"),

@@ -310,3 +310,10 @@ def test_a_fault_of_ours_is_answered_in_words_and_shown_in_the_terminal(library_
     assert "ZeroDivisionError" in answer.json()["problem"]
     with TestClient(app, "http://127.0.0.1:8765") as client, pytest.raises(ZeroDivisionError):  # the server prints it
         client.get(**request)
+
+
+def test_the_interface_describes_itself_in_its_own_names(studio):
+    """Its models are made of the options of the command line."""
+    schemas = studio.app.openapi()["components"]["schemas"]
+    texts = [one.get("description", "") for schema in schemas.values() for one in schema.get("properties", {}).values()]
+    assert any(texts) and not [text for text in texts if "--" in text and "as dousa " not in text]

@@ -8,6 +8,7 @@ import stat
 from contextlib import suppress
 from dataclasses import dataclass
 from ipaddress import IPv4Address
+from pathlib import Path
 
 import pytest
 
@@ -208,6 +209,21 @@ def test_uploads_and_jobs_are_not_shown(studio, visitor, bvh):
     for part in ("../../etc/passwd", "%2e%2e/%2e%2e/", "report.html/../curves.csv", "..%2f..%2fjob.json"):
         assert visitor.client.get(f"/api/reports/{part}").status_code in (404, 422)
         assert visitor.client.get(f"/static/x/{part}").status_code == 404
+
+
+def test_the_page_of_visitors_loads_nothing_that_asks_for_jobs():
+    """A module that polls jobs does so wherever it is loaded; visitors have no such address."""
+    static = Path(sharing_server.__file__).parent / "static"
+    loaded, waiting = set(), [static / "shared" / "main.js"]
+    while waiting:
+        module = waiting.pop()
+        if module not in loaded:
+            loaded.add(module)
+            found = re.findall(
+                r"""^import [^;]*?["'](\.[^"']+)["'];""", module.read_text(encoding="utf-8"), re.MULTILINE
+            )
+            waiting += [(module.parent / name).resolve() for name in found]
+    assert {"main.js", "dom.js"} <= {module.name for module in loaded} and static / "core" / "jobs.js" not in loaded
 
 
 # --- other pages in the same browser, and names that lead here

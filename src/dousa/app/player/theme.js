@@ -1,4 +1,5 @@
-// When the page's colours change: the system's scheme or contrast, or data-theme on the root element.
+// When the page's colours change: the system's scheme or contrast, or data-theme on the root element. And what hands do:
+// drag, pinch, turn the wheel, press twice.
 
 // This file is also a module of the studio. onTheme returns a function that ends it.
 function onTheme(listener) {

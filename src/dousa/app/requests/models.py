@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Collection
 from typing import Any, get_args, get_type_hints
 
@@ -26,15 +27,26 @@ def derive_model(request: Any, only: Collection[str] | None = None) -> Any:
             continue
         option = next(iter(getattr(hints[field.name], "__metadata__", ())), None)
         kind = hints[field.name] if option is None else get_args(hints[field.name])[0]
-        limits: dict[str, Any] = {"description": getattr(option, "help", None)}
+        limits: dict[str, Any] = {"description": _describe(option)}
         if kind in (str, str | None):
             limits["max_length"] = 1000
         else:
+            limits |= {"allow_inf_nan": False} if float in (kind, *get_args(kind)) else {}
             limits |= {"ge": getattr(option, "min", None), "le": getattr(option, "max", None)}
         fields[field.name] = (kind, Field(default=field.default, **limits))
     base = create_model(request.__name__, __config__=ConfigDict(extra="forbid"), **fields)
     base.__doc__ = request.__doc__
     return base
+
+
+def _describe(option: Any) -> str | None:
+    """Return the help of an option in the names of fields, and its default where the command line says it in words."""
+    text = getattr(option, "help", None)
+    if text is None:
+        return None
+    default = getattr(option, "show_default", None)
+    text += f" Default: {default}." if isinstance(default, str) else ""
+    return re.sub(r"--([a-z][a-z-]*)", lambda name: name[1].replace("-", "_"), text)
 
 
 def pick_fields(model: BaseModel, request: Any) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 
 from dousa.app.output import warn
-from dousa.app.tables.lines import make_table, print_line, print_some, say_line, to_cell
+from dousa.app.tables.lines import SHOWN, make_table, print_line, print_some, say_line, to_cell
 from dousa.messages import Message
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def _say_passed_over(out: Console, passed_over: Sequence[tuple[str, int]]) -> No
             say_line(out, code, suffixes=found)
 
 
-def print_add(out: Console, report: AddReport, *, shown: int = 10) -> None:
+def print_add(out: Console, report: AddReport, *, shown: int = SHOWN) -> None:
     """What was added to a library, and what was not and why; ``shown`` notes, so that they fit on a screen."""
     rate = report.bytes / 1e6 / report.seconds if report.seconds > 0 else 0.0
     done = {"megabytes": report.bytes / 1e6, "seconds": report.seconds, "rate": rate}
@@ -122,7 +122,7 @@ def print_add(out: Console, report: AddReport, *, shown: int = 10) -> None:
 _NAMED = ("text.in_file", "text.in_line")
 
 
-def warn_of_files(notes: Iterable[tuple[str, Message]], *, shown: int = 10) -> None:
+def warn_of_files(notes: Iterable[tuple[str, Message]], *, shown: int = SHOWN) -> None:
     """What came up when files were read, on standard error: each once, with the file where it is the only one.
 
     The first ``shown`` of them, so that they fit on a screen.

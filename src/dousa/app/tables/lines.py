@@ -41,12 +41,15 @@ def make_table(*headings: Message | str, right: Sequence[Message | str] = ()) ->
     return table
 
 
+SHOWN = 10  # lines of a list, so that the answer fits on the 24 lines of a terminal (VT100, 1978)
+
+
 def name_side(mirrored: bool) -> str:
     """What stands in the column of sides."""
     return str(Message("columns.mirrored")) if mirrored else ""
 
 
-def print_some(out: Console, heading: Message, lines: list[str], *, shown: int = 10) -> None:
+def print_some(out: Console, heading: Message, lines: list[str], *, shown: int = SHOWN) -> None:
     """A heading and the first lines of a list: ``shown``, so that the answer fits on a screen."""
     out.print(str(heading), markup=False)
     for line in lines[:shown]:

@@ -151,7 +151,7 @@ class Evaluations:
     def __init__(self, motions: Motions, board: JobBoard) -> None:
         self._motions, self._board = motions, board
         self._lock = threading.Lock()
-        self._gate = Gate(2, 8, Message("studio_evaluation.busy"))
+        self._gate = Gate(2, 8, Message("studio_evaluation.busy"), patience_s=120.0)  # an evaluation is made again
         self._making: dict[str, threading.Lock] = {}
         self._ready: OrderedDict[str, Ready] = OrderedDict()
 
@@ -176,7 +176,7 @@ class Evaluations:
         return ready
 
     def _make_again(self, job: Job) -> Ready:
-        with self._gate.enter(120.0):  # s for others whose evaluation is made again
+        with self._gate.enter():
             with self._lock:
                 making = self._making.setdefault(job.id, threading.Lock())
             with making:

@@ -93,9 +93,8 @@ def open_finder() -> Finder:
     return find
 
 
-def to_canonical(world: FloatArray, rate: float = 15.0) -> FloatArray:
-    """Convert the landmarks (33, 3) of a picture to canonical joints (20, 3) on the floor, m; a rate (Hz) is as good
-    as another.
+def to_canonical(world: FloatArray) -> FloatArray:
+    """Convert the landmarks (33, 3) of a picture to canonical joints (20, 3) on the floor, m.
 
     Raises InvalidMotionError for landmarks that are not a person.
     """
@@ -103,7 +102,7 @@ def to_canonical(world: FloatArray, rate: float = 15.0) -> FloatArray:
     from dousa.motion import Trajectories, canonicalise
 
     upright = world[None] * (1.0, -1.0, -1.0)
-    found = canonicalise(Trajectories(MEDIAPIPE_NAMES, upright, rate))
+    found = canonicalise(Trajectories(MEDIAPIPE_NAMES, upright, 1.0))  # of one picture any rate will do
     points = np.array(found.positions[0])
     if any(one.code == "canonical.mirrored" for one in found.warnings):  # one frame cannot tell
         points[:, 2] *= -1.0
@@ -207,7 +206,7 @@ class LiveSession:
         if not np.isfinite(seen.world).all() or float(np.median(seen.visibility)) < 0.3:
             return
         try:
-            points = to_canonical(seen.world, self._rate)
+            points = to_canonical(seen.world)
         except DousaError:  # such as a person half outside of the picture
             return
         # s without a person, after which label and grade start again

@@ -232,7 +232,7 @@ class Gate:
 
     @contextmanager
     def enter(self, patience_s: float | None = None) -> Iterator[None]:
-        """Wait for others; RefusedError if too many wait already, or it takes too long."""
+        """Wait for others; RefusedError if too many wait already, or it takes longer than ``patience_s``."""
         if not self._known.acquire(blocking=False):
             raise RefusedError(429, self._problem)
         try:

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 Work = Callable[[dict[str, Any], Context], dict[str, Any]]
 
+_PATIENCE = 15.0  # s to end after the studio has ended, see docs/studio.md
+
 QUESTIONS = {"preview": "preview.preview", "example": "estimation.write_example"}
 JOBS = {
     "add": ("library.add", "library", True),
@@ -88,10 +90,10 @@ def main() -> None:
     _say(out, answer)
 
 
-def _wait_for_predecessor(path: Path, *, patience_s: float = 30.0) -> IO[bytes]:
+def _wait_for_predecessor(path: Path, *, patience_s: float = 2 * _PATIENCE) -> IO[bytes]:
     """Lock the folder of a job; a process of a killed studio may still be ending in it.
 
-    ``patience_s`` is twice that of `_end_with_studio`: with less, both would write into the folder.
+    It has longer than `_end_with_studio` gives it: with less, both would write into the folder.
     """
     file = open_private(path)
     end = time.monotonic() + patience_s
@@ -154,7 +156,7 @@ def _say(out: Any, message: dict[str, Any]) -> None:
     out.flush()
 
 
-def _end_with_studio(patience_s: float = 15.0) -> None:
+def _end_with_studio(patience_s: float = _PATIENCE) -> None:
     """End when the studio ends, which holds our standard input open; ``patience_s`` later whatever is under way."""
     sys.stdin.read()
     os.kill(os.getpid(), signal.SIGINT if os.name == "posix" else signal.SIGTERM)

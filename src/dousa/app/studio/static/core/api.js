@@ -52,8 +52,8 @@ export async function getFigures(clips) {
 
 /** The figure of a motion on a canvas of the page; undefined if it cannot be drawn: its name is there all the same. */
 export async function drawFigure(canvas, motion, options) {
-  const bytes = await getBytes("/motions/miniature", motion).catch(() => null);
-  return bytes && canvas.isConnected ? window.dousa.createMiniature(canvas, bytes, options) : undefined;
+  const draw = (bytes) => (canvas.isConnected ? window.dousa.createMiniature(canvas, bytes, options) : undefined);
+  return getBytes("/motions/miniature", motion).then(draw).catch(() => undefined);
 }
 
 const AT_ONCE = 4;

@@ -1,8 +1,6 @@
 // The frame of all dialogs.
 
 import { count, h, icon, t } from "./dom.js";
-import { stopJob } from "./jobs.js";
-import { attempt } from "./notices.js";
 
 /** A dialog with a heading; it is gone when it is closed. -> {dialog, close} */
 export function openDialog(title, content, { wide = false, onClose = () => {} } = {}) {
@@ -31,14 +29,6 @@ function outside(dialog, { clientX: x, clientY: y }) {
 
 /** Row of buttons at the foot of a dialog; pressing Enter in a field presses the last. */
 export const foot = (...buttons) => h("div", { class: "foot" }, ...buttons);
-
-/** A job under way: what is said of it, how far it is, notes, and buttons to stop it and to close the dialog. */
-export const waiting = (job, said, close, ...notes) => [
-  h("p", { role: "status" }, said),
-  h("progress", { max: String(Math.max(job.total, 1)), value: job.total ? String(job.done) : null, "aria-label": t(`kind_${job.kind}`) }),
-  ...notes,
-  foot(h("button", { type: "button", class: "danger", disabled: job.state === "stopping", onclick: () => attempt(() => stopJob(job.id)) }, t("stop")), h("button", { type: "button", onclick: close }, t("close"))),
-];
 
 /** A table that is folded: names, and what is said of each; null if there are none. */
 export function pairTable(title, rows, { kind = "", open = false } = {}) {

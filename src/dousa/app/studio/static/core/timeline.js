@@ -6,9 +6,9 @@
 //     onCuts([s], done), onSpace()}. These are called for what people do, not for the setters; done is false while
 //     something is being dragged.
 //   timeline.setCursor(s) .setSegments(segments) .setSelection(start, end, of) .setSelection(null) .setCuts([s])
-//     .show(start, end): zoom there, .destroy()
+//     .showPart(s): the part with this moment, .destroy()
 //   Segments at one time lie in lanes, one below the other.
-//   to read: .cursor .selection .cuts .duration .element .tones (for makeLegend of timeline_parts.js)
+//   to read, not to change: .cursor .selection .cuts .duration .element .tones (for makeLegend of timeline_parts.js)
 //
 // Keys on the cursor: arrows (with Shift a part is chosen), Page Up/Down, Home/End, [ and ] set the ends of the part,
 // Escape lets it go, + and - zoom, C cuts. On a cut or an end: arrows move, Delete takes a cut away.

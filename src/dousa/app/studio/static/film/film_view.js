@@ -120,7 +120,15 @@ export class FilmView {
     const { key, frame, address } = this.next;
     this.next = null;
     this.busy = true;
-    const image = await decode(address);
+    try {
+      this.showPicture(await decode(address), key, frame);
+    } finally {
+      this.busy = false;
+    }
+    if (this.next) this.load();
+  }
+
+  showPicture(image, key, frame) {
     if (image) {
       this.image.src = image.src;
       this.image.hidden = false;
@@ -129,8 +137,6 @@ export class FilmView {
     }
     this.place(frame); // while the picture is still being read the people show without it
     if (image) this.desk.onPicture();
-    this.busy = false;
-    if (this.next) this.load();
   }
 
   place(frame) {

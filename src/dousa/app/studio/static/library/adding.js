@@ -2,13 +2,14 @@
 // its number in the address.
 
 import { post, remove, uploadAll } from "../core/api.js";
-import { foot, openDialog, pairTable, waiting } from "../core/dialog.js";
+import { foot, openDialog, pairTable } from "../core/dialog.js";
 import { count, h, icon, keep, recall, t } from "../core/dom.js";
 import { dropZone, LABEL_FILES, MOTION_FILES, refusedList } from "../core/drop.js";
 import { followJob, isActive, resumeJob } from "../core/jobs.js";
 import { attempt, notify } from "../core/notices.js";
 import { undo } from "../core/undo.js";
 import { inAddress } from "./places.js";
+import { waiting } from "./waiting.js";
 
 // What became of the files: added, known already, not taken and why.
 const FEW_LINES = 8; // categories that are named in a line

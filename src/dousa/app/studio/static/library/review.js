@@ -1,11 +1,12 @@
 // Clips whose label is likely wrong, one after the other, decided by keys; and groups of clips that are nearly the same.
 
 import { get, getFigures, post } from "../core/api.js";
-import { openDialog, waiting } from "../core/dialog.js";
+import { openDialog } from "../core/dialog.js";
 import { count, h, percent, t } from "../core/dom.js";
 import { followJob, isActive } from "../core/jobs.js";
 import { attempt, notify } from "../core/notices.js";
 import { inAddress } from "./places.js";
+import { waiting } from "./waiting.js";
 
 const CHECKED = "checked"; // tag of clips whose label is right
 const MOST_GROUPS = 60;

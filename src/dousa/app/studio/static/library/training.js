@@ -1,11 +1,12 @@
 // The forest: what state it is in, training it, and what came of it.
 
 import { get, post } from "../core/api.js";
-import { foot, openDialog, waiting } from "../core/dialog.js";
+import { foot, openDialog } from "../core/dialog.js";
 import { $, count, h, language, t } from "../core/dom.js";
 import { followJob, isActive } from "../core/jobs.js";
 import { attempt } from "../core/notices.js";
 import { inAddress } from "./places.js";
+import { waiting } from "./waiting.js";
 
 const percent = new Intl.NumberFormat(language, { style: "percent", maximumFractionDigits: 0 });
 

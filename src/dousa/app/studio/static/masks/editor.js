@@ -28,6 +28,7 @@ export class Editor {
     this.ended = true;
     this.unfollow();
     document.removeEventListener("keydown", this.onKey);
+    this.strip?.destroy();
     $("#masks-desk").replaceChildren();
   }
 

@@ -15,8 +15,14 @@ export class Strip {
     Object.assign(this, { frames: 1, rows: [], view: 0, frame: 0 });
     const inside = (share, count) => Math.min(Math.max(Math.floor(share * count), 0), count - 1);
     onDrag(this.canvas, (x, y) => onSeek(inside(y, this.rows.length), inside(x, this.frames)));
-    new ResizeObserver(() => this.draw()).observe(this.canvas);
-    onTheme(() => this.draw());
+    this.watching = new ResizeObserver(() => this.draw());
+    this.watching.observe(this.canvas);
+    this.endTheme = onTheme(() => this.draw());
+  }
+
+  destroy() {
+    this.watching.disconnect();
+    this.endTheme();
   }
 
   /** rows: by view {doubts: [frame], repaired: [frame]} */
