@@ -1,0 +1,96 @@
+"""Compiled loops: ``kernel`` for what Python calls, ``part`` for what kernels call.
+
+Numba makes each function ready to run by itself: it optimises the function with everything that it calls, and makes
+machine code and a wrapper for Python. A function that only other compiled functions call needs none of this: what calls
+it is optimised with it in any case. Such a part is half as long to compile, and the machine code of the kernels is the
+same.
+
+Both follow NumPy where something is divided by 0, release the interpreter's lock, and count no references: arrays come
+as arguments, as compiling ``np.empty`` takes longer than most kernels. ``kernel(allocates=True)`` may make arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar, overload
+
+from numba import njit
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+from numba.core.registry import CPUDispatcher
+from numba.core.types import unliteral
+
+__all__ = ["kernel", "part"]
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_njit: Any = njit  # whose types leave out some of its options
+
+
+class _PartLibrary(JITCodeLibrary):
+    """The code of a part: what it calls is linked into it; it is neither optimised nor made to run."""
+
+    def add_llvm_module(self, ll_module: Any) -> None:
+        ll_module.data_layout = self._codegen._data_layout
+        self._final_module.link_in(ll_module)
+
+    def finalize(self) -> None:
+        for library in dict.fromkeys(self._linking_libraries):
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
+class _PartCompiler(Compiler):
+    def define_pipelines(self) -> Any:
+        self.state.library = _PartLibrary(self.state.targetctx.codegen(), "part")
+        self.state.flags.no_compile = True
+        return super().define_pipelines()
+
+
+class _Part(CPUDispatcher):
+    """A function that has no machine code of its own."""
+
+    def add_overload(self, cres: Any) -> None:
+        known = cres._replace(entry_point=object())  # by which callers find it
+        self.targetctx.insert_user_function(known.entry_point, known.fndesc, [known.library])
+        self.overloads[tuple(known.signature.args)] = known
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """One code for all numbers: else Numba would compile it for each constant that is passed."""
+        plain = [unliteral(one) for one in args]
+        return super().get_call_template(plain, {name: unliteral(one) for name, one in kws.items()})
+
+    def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
+        raise TypeError(f"{self.py_func.__name__} is a part of kernels: call it from a kernel")
+
+
+@overload
+def kernel(function: _Function) -> _Function: ...
+@overload
+def kernel(*, allocates: bool = False, fastmath: Any = False) -> Callable[[_Function], _Function]: ...
+def kernel(function: Any = None, *, allocates: bool = False, fastmath: Any = False) -> Any:
+    """Compile a function that Python calls; what was compiled is kept for the next process.
+
+    Parameters
+    ----------
+    allocates : the function, or one that it calls, makes arrays.
+    fastmath : as for ``numba.njit``.
+    """
+    compile_it = _njit(cache=True, fastmath=fastmath, _nrt=allocates, **_OPTIONS)
+    return compile_it if function is None else compile_it(function)
+
+
+@overload
+def part(function: _Function) -> _Function: ...
+@overload
+def part(*, allocates: bool = False, fastmath: Any = False) -> Callable[[_Function], _Function]: ...
+def part(function: Any = None, *, allocates: bool = False, fastmath: Any = False) -> Any:
+    """Compile a function that kernels and other parts call, as a piece of them; options as for `kernel`."""
+
+    def make(function: _Function) -> Any:
+        options = {"nopython": True, "no_cpython_wrapper": True, "fastmath": fastmath, "_nrt": allocates, **_OPTIONS}
+        return _Part(function, targetoptions=options, pipeline_class=_PartCompiler)
+
+    return make if function is None else make(function)

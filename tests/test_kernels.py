@@ -1,0 +1,44 @@
+"""Parts are compiled into kernels, for numbers once, and run nowhere else."""
+
+import numpy as np
+import pytest
+
+from dousa.kernels import kernel, part
+
+
+@part
+def greater(a, b):
+    return a if a > b else b
+
+
+@part
+def double_greater(a, b):
+    return greater(a, b) + greater(b, a)
+
+
+@kernel
+def shift(values, out):
+    for t in range(len(values)):
+        out[t] = double_greater(values[greater(t - 2, 0)], 0.5) / values[0]
+
+
+def test_a_kernel_does_what_its_parts_say():
+    values = np.linspace(0.0, 1.0, 9)
+    out = np.empty(9)
+    shift(values, out)
+    assert np.isinf(out).all()  # as NumPy divides
+    shift(values + 1.0, out)
+    np.testing.assert_array_equal(out, 2 * np.maximum((values + 1.0)[np.maximum(np.arange(9) - 2, 0)], 0.5))
+
+
+def test_a_part_is_compiled_once_for_constants_and_for_what_is_computed():
+    shift(np.ones(3), np.empty(3))
+    assert [str(kinds) for kinds in greater.overloads] == ["(int64, int64)", "(float64, float64)"]
+
+
+def test_python_cannot_call_a_part():
+    with pytest.raises(TypeError, match="greater is a part of kernels"):
+        greater(1, 2)
+    shift(np.ones(3), np.empty(3))
+    with pytest.raises(TypeError, match="greater is a part of kernels"):
+        greater(1, 2)
