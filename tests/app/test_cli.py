@@ -77,6 +77,14 @@ def test_help_names_every_command_and_gives_examples(dousa):
         assert re.search(rf"Example:\s+dousa {command}", text)
 
 
+def test_help_says_all_of_it_in_whole_lines(dousa, monkeypatch):
+    """Square brackets are no style, and lines are as long as the terminal, not as those of the source."""
+    monkeypatch.setenv("COLUMNS", "100")
+    text = dousa("label", "--help")[1]
+    assert '{"time": s, "joints": {"left_hand": [x, y, z], ...}} in m with Y' in text
+    assert "more likely right than wrong if" in text
+
+
 def test_info_shows_unit_axis_and_mapping(dousa, motions):
     code, out, _ = dousa("info", motions / "walk/p0.bvh")
     assert code == 0

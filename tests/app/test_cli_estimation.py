@@ -337,6 +337,25 @@ class TestEstimateAround:
         np.savez(tmp_path / "three.npz", mask_packed=np.zeros((3, 2, 8, 1), np.uint8), width=8, height=8, **fewer)
         failed(dousa("estimate", bare, "--cameras", tmp_path / "three.npz"), "3 cameras for the views view1, view2,")
 
+    @pytest.mark.parametrize(
+        ("iou", "said"),
+        [
+            (0.3, ("overlap by only 30%", "calibration")),
+            ([0.8, 0.8, 0.3, 0.8], ("view 'view3' overlaps by only 30%, the others by 80%",)),
+        ],
+    )
+    def test_what_hardly_overlaps_is_said(self, dousa, jack, tracked, iou, said):
+        tracked.iou = iou
+        code, _, err = dousa("estimate", jack / "seen.npz")
+        assert code == 0 and all(words in err for words in said)
+
+    def test_a_camera_inside_the_body(self, dousa, jack, tracked, tmp_path):
+        with np.load(jack / "seen.npz") as file:
+            rotations, shifts = file["world_to_camera_rotation"], file["world_to_camera_translation"].copy()
+        shifts[0] = -rotations[0] @ [0.0, 1.0, 0.0]
+        path = self.change(jack, tmp_path / "inside.npz", world_to_camera_translation=shifts)
+        assert "camera 'view1' is inside the body" in dousa("estimate", path)[2]
+
     def test_a_start_elsewhere(self, dousa, jack, tracked, tmp_path):
         motion = read_motion(jack / "jack.bvh")
         for offset, code, words in ((50.0, 2, "outside the image of every view"), (0.35, 0, "hardly covers")):

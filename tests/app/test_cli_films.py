@@ -183,6 +183,12 @@ def test_keypoints_are_written_with_pictures(dousa, film, tmp_path):
     assert np.ptp(overlay[:60].astype(int), axis=2).max() > 60  # the colour of the person
 
 
+def test_keypoints_in_words(dousa, film, tmp_path):
+    code, out, error = dousa("keypoints", film, "-o", tmp_path / "out")
+    assert (code, error) == (0, "")
+    assert "12 frames at 25 Hz, 1 person" in out and "person 1: in 12 frames, 100% of the points visible" in out
+
+
 def read_image(path):
     import cv2
 

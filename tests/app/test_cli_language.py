@@ -100,3 +100,22 @@ def test_notes_are_in_the_language(dousa, tmp_path):
     write_motion(Trajectories(("foo", "bar"), np.zeros((5, 2, 3)), 30), path)
     assert dousa("plot", path, "-o", tmp_path / "a.png")[2].startswith("dousa: note: ")
     assert dousa("--lang", "ja", "plot", path, "-o", tmp_path / "a.png")[2].startswith("dousa: 注意: ")
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["info empty.bvh", "info head.bvh", "estimate none.npz"]
+    + [f"{command} none.dousa" for command in ("train", "remove 1", "relabel 1", "check", "compact")],
+)
+def test_damage_is_told_in_japanese_and_makes_nothing(dousa, tmp_path, monkeypatch, words):
+    monkeypatch.chdir(tmp_path)
+    files = {"empty.bvh": "", "head.bvh": "HIERARCHY\n"}
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    command, *more, path = words.split()
+    code, out, err = dousa("--lang", "ja", command, path, *more)
+    (err,) = [line for line in err.splitlines() if not line.startswith("dousa: 注意: ")]
+    assert (code, out) == (2, "")
+    # Three words of small letters in a row are no name, option or unit any more.
+    assert JAPANESE.search(err) and not re.search(r"(?<![\w./-])(?!dousa )[a-z]{2,}(?: [a-z]{2,}){2,}(?![\w/-])", err)
+    assert {path.name for path in tmp_path.iterdir()} == set(files)

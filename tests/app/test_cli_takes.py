@@ -431,3 +431,29 @@ def test_places_are_in_the_order_of_what_the_table_shows(dousa, library, recordi
     ends = [number for number, row in enumerate(rows[1:]) if "no longer alike" in row] or [len(places)]
     assert [place["probability"] >= 0.5 for place in places] == [number < ends[0] for number in range(len(places))]
     assert "確信度" in dousa("--lang", "ja", *words)[1].splitlines()[1]
+
+
+def test_places_of_bodies_that_lack_joints_have_no_probability(capsys):
+    from rich.console import Console
+
+    from dousa.app.tables.search import print_places
+    from dousa.library import FindResult, Place
+
+    place = Place("take.bvh", None, 0.0, 1.0, 0.4, 0.1, 0.5, 1.0, False, 1)
+    print_places(Console(width=90), FindResult("a", 1.0, 1, 9.0, (place,), ()), mirrored=False)
+    assert capsys.readouterr().out.splitlines()[1].split() == ["rank", "score", "start", "end", "tempo", "take"]
+
+
+def test_the_table_of_a_take_says_what_is_done_how_often_and_what_is_doubtful(capsys):
+    from rich.console import Console
+
+    from dousa.app.tables.search import print_timeline
+    from dousa.library import LabelledTake
+    from dousa.retrieval import Segment, Timeline
+
+    known = Segment(0.0, 9.0, "squat", 0.9, 5), Segment(9.0, 11.0, "kick", 0.8)
+    unsure = Segment(11.0, 12.0, None, 0.6), Segment(12.0, 14.0, None, 0.31, 2, guess="[kick]")
+    print_timeline(Console(width=90), LabelledTake("take.bvh", None, Timeline(known + unsure, 14.0, 0.5)))
+    squat, kick, nothing, doubtful = capsys.readouterr().out.splitlines()[-4:]
+    assert "squat × 5" in squat and "kick" in kick and "×" not in kick + nothing
+    assert "perhaps [kick] × 2" in doubtful and "31%" in doubtful

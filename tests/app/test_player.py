@@ -282,6 +282,51 @@ def test_the_keyboard_does_it_all(page, assessment):
     assert time_of(page) == pytest.approx(599 / 30)
 
 
+def test_speed_changes_how_fast_time_runs(page):
+    page.run("player.setSpeed(0.25); player.setSpeed(-1); player.setSpeed(NaN)")
+    assert page.run("return player.speed") == 0.25
+    page.press("]", "]")
+    assert page.run("return player.speed") == 1
+    page.press("[")
+    page.settle()
+    assert page.run("return document.querySelector('[aria-label=\"Speed 0.5×\"]').ariaPressed") == "true"
+
+
+def test_space_on_a_button_presses_only_that(page):
+    page.run("document.querySelector('[aria-label=\"Mirror\"]').focus()")
+    page.press(" ")
+    assert page.run("return [player.playing, player.view.mirror]") == [False, True]
+
+
+def test_dragging_turns_and_a_double_click_resets(page):
+    from selenium.webdriver import ActionChains
+
+    canvas, before = page.find("canvas"), picture(page)
+    ActionChains(page.driver).click_and_hold(canvas).move_by_offset(120, 30).release().perform()
+    turned = picture(page)
+    assert turned != before
+    page.run(
+        """document.querySelector("canvas").dispatchEvent(
+            new WheelEvent("wheel", {deltaY: -300, cancelable: true, bubbles: true}))"""
+    )
+    assert picture(page) != turned
+    ActionChains(page.driver).double_click(canvas).perform()
+    assert picture(page) == before
+
+
+def test_two_fingers_zoom(page):
+    before = picture(page)
+    page.run(
+        """const canvas = document.querySelector("canvas");
+        canvas.setPointerCapture = () => {};
+        const touch = (name, pointerId, clientX) => canvas.dispatchEvent(
+            new PointerEvent(name, {pointerId, clientX, clientY: 200, pointerType: "touch", bubbles: true}));
+        touch("pointerdown", 1, 300); touch("pointerdown", 2, 340); touch("pointermove", 2, 420);
+        touch("pointerup", 1, 300); touch("pointerup", 2, 420);"""
+    )
+    assert picture(page) != before
+
+
 def test_keys_are_left_to_fields_and_taken_from_the_bare_page(page):
     page.find("#field").click()
     page.press(" ", "m", "l")

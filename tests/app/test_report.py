@@ -64,6 +64,13 @@ def test_all_alike_is_said() -> None:
     assert words["segments_alike"] in shown and words["segments_text"] not in shown
 
 
+def test_contents_in_english(english: str) -> None:
+    text = " ".join(PageReader(english).texts)
+    said = ("71", "not calibrated", "100 - 10 x 2.9 = 71", "What to work on", "Analysis", "Timeline", "d#", "d*")
+    notes = ("one take of the reference: the limits are guessed", "leaves out 1.0 s of the reference")
+    assert [words for words in said + notes if words not in text] == []
+
+
 def test_three_files_are_written(tmp_path: Path) -> None:
     folder = tmp_path / "new" / "folder"
     path = write_report(make_assessment(), folder)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from dousa.app.pictures.canvas import BLUE
 from dousa.app.pictures.timeline import draw_timeline
 from dousa.errors import MotionWriteError, OptionError
 from dousa.motion.synthetic.performers import draw_performer, make_motion
@@ -45,6 +46,33 @@ def test_bars_lie_at_their_times_and_are_as_high_as_their_confidence(tmp_path):
     assert 3.95 < seconds.max() < 4.05
     heights = [blue[:, int(left + (right - left) * second / 8)].sum() for second in (0.3, 2.3)]
     assert heights[0] == pytest.approx(2 * heights[1], abs=3)
+
+
+def share_of(image, colour):
+    wanted = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+    return float((np.abs(image - wanted).max(axis=2) < 0.03).mean())
+
+
+def test_unknown_is_grey_and_comes_last(tmp_path):
+    known = [segment(1, 2, "bow"), segment(3, 4, "wave")]
+    draw_timeline({"segments": [segment(0, 1, None, 0.9), *known]}, tmp_path / "take.png")
+    draw_timeline({"segments": [segment(0, 1, "unknown", 0.9), *known]}, tmp_path / "same.png")
+    assert (tmp_path / "take.png").read_bytes() == (tmp_path / "same.png").read_bytes()
+    bottom = ink(tmp_path / "take.png")[-120:, 300:420]
+    assert share_of(bottom, BLUE) == 0.0 < share_of(bottom, "#e4e4e4")
+
+
+def test_what_is_perhaps_of_a_category_stands_in_its_row_and_looks_another_way(tmp_path):
+    doubtful = {**segment(1, 2, None, 0.3), "guess": "bow"}
+    known = [segment(0, 1, "bow", 0.3), segment(2, 3, "wave", 0.5)]
+    draw_timeline({"segments": [*known, doubtful]}, tmp_path / "take.png")
+    draw_timeline({"segments": [*known, segment(1, 2, "bow", 0.3)]}, tmp_path / "sure.png")
+    image, sure = ink(tmp_path / "take.png"), ink(tmp_path / "sure.png")
+    assert image.shape == sure.shape  # no row for what is unknown
+    assert 0.0 < share_of(image, "#9cc7e4") < share_of(sure, "#9cc7e4")
+    parts = (Segment(0, 1, "bow", 0.3), Segment(1, 2, None, 0.3, guess="bow"), Segment(2, 3, "wave", 0.5))
+    draw_timeline(Timeline(parts, 3.0, 0.5), tmp_path / "object.png")
+    assert (tmp_path / "object.png").read_bytes() == (tmp_path / "take.png").read_bytes()
 
 
 def test_object_and_json_give_the_same_picture(tmp_path):

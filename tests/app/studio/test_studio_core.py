@@ -96,6 +96,17 @@ def test_a_job_speaks_the_language_of_whoever_asks(studio, wait_job):
     assert "カテゴリー" in japanese["problem"] and japanese["codes"] == job["codes"]
 
 
+def test_what_was_not_added_is_said_in_the_language_of_whoever_asks(studio, bvh, wait_job):
+    whole = bvh.read_text()
+    damaged = whole[: whole.index("\n", whole.index("Frame Time"))].encode()  # no frame follows
+    batch = studio.post("/api/uploads?name=kick/short.bvh", content=damaged).json()["batch"]
+    job = wait_job(studio, studio.post("/api/jobs/add", json={"batch": batch}).json()["id"])
+    for language, said in (("en", "is it truncated or edited?"), ("ja", "フレーム")):
+        answer = studio.get(f"/api/jobs/{job['id']}", headers={"accept-language": language}).json()
+        (skipped,) = answer["result"]["skipped"]
+        assert skipped["path"] == "kick/short.bvh" and said in skipped["reason"]
+
+
 def test_words_of_the_pages_are_pairs_that_name_the_same():
     for file in resources.files("dousa.app.studio").joinpath("words").iterdir():
         for name, (english, japanese) in json.loads(file.read_text(encoding="utf-8")).items():

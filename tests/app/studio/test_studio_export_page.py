@@ -83,3 +83,17 @@ def test_one_hit_onto_the_character_which_is_remembered(show, running, hero, dow
     expected = retarget(source, read_motion(hero), keep_reach=True).motion
     assert made.n_frames == expected.n_frames
     assert page.messages() == []
+
+
+def test_what_is_no_character_is_told(show, tmp_path):
+    points = tmp_path / "points.c3d"
+    write_motion(make_motion("bow", draw_performer(3)), points)
+    page = show("/library")
+    page.wait("return document.querySelector('.cell')")
+    page.find(".cell").click()
+    page.run("document.querySelector('[data-word=export]').click()")
+    page.wait("return document.querySelector('#character-file')")
+    page.find("#character-file").send_keys(str(points))
+    page.wait("return document.querySelector('.notice.problem')")
+    assert page.run("return document.querySelector('.character-name')") is None
+    assert "points.c3d" in page.run("return document.querySelector('.notice.problem p').textContent")

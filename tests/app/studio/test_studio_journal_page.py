@@ -104,3 +104,34 @@ def test_from_the_list_to_a_zip_onto_a_character(library_page, running, bvh, dow
     assert {row["category"] for row in rows} == {"kick_left"}
     assert len(texts) == 1  # everybody has the skeleton of the character
     assert page.messages() == []
+
+
+def test_panes_figures_and_list_are_remembered(library_page):
+    page = library_page(width=1600, height=900)
+    page.wait("return document.querySelector('#look .dousa-player')")
+    assert page.run("return document.querySelector('main').clientWidth") == 1600
+    page.run("document.querySelector('#split-left').focus()")
+    width = "return document.querySelector('#facets').offsetWidth"
+    columns = "return Number(document.querySelector('#grid').getAttribute('aria-colcount'))"
+    before, many = page.run(width), page.run(columns)
+    page.press(*[KEYS.ARROW_RIGHT] * 3)
+    assert page.run(width) == before + 72
+    page.run("const s = document.querySelector('#cell-size'); s.value = '300'; s.dispatchEvent(new Event('input'))")
+    page.settle()
+    assert page.run(columns) < many
+    click(page, "#view-list")
+    assert page.run(columns) == 1
+    page.wait(f"{CELLS}.length > 8")
+    click(page, "#look-button")
+    page.driver.refresh()
+    page.wait(f"{CELLS}.length > 8")
+    assert (page.run(columns), page.run(width)) == (1, before + 72)
+    assert not page.run("return document.querySelector('#look').offsetParent")
+    click(page, "#look-button")
+    page.wait("return document.querySelector('#look .dousa-player')")
+    for at in (390, 1100, 2560):
+        page.resize(at, 900)
+        page.settle()
+        assert page.run("return document.documentElement.scrollWidth <= innerWidth")
+    page.run("localStorage.clear()")
+    assert page.messages() == []

@@ -70,6 +70,25 @@ def test_filters_and_words_narrow_the_list_and_stand_in_the_address(library_page
     assert page.messages() == []
 
 
+def test_the_place_of_the_pointer_over_a_figure_is_a_moment(library_page):
+    page = library_page()
+    stage = page.find(".cell .stage")
+    cell = "document.querySelector('.cell').cell"
+    place = -round(0.25 * stage.rect["width"])
+    page.point(stage, place)
+    page.wait(f"return !{cell}.scrubber.hidden")
+    share, playing = page.run(f"return [{cell}.miniature.share, {cell}.miniature.playing]")
+    assert share == pytest.approx(0.25, abs=0.02) and not playing
+    page.point(page.find("h1"))
+    page.wait(f"return {cell}.miniature.playing")
+    features = [{"name": "prefers-reduced-motion", "value": "reduce"}]
+    page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+    page.point(stage, place)
+    page.settle()
+    assert page.run(f"return {cell}.scrubber.hidden")
+    assert page.messages() == []
+
+
 def test_a_clip_is_shown_large_and_the_focus_comes_back(library_page):
     page = library_page()
     page.find(".cell").click()

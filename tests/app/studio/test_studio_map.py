@@ -129,6 +129,19 @@ def test_a_lasso_chooses_and_shift_adds_to_it(map_page):
     assert page.messages() == []
 
 
+def test_what_is_pointed_at_is_named_and_moves(map_page):
+    page = map_page()
+    x, y = page.run(f"const m = {MAP}; return [m.places[0] - m.view.width / 2, m.places[1] - m.view.height / 2]")
+    page.point(page.find(".mp-over"), round(x), round(y))
+    page.wait("return document.querySelector('.mp-tip:not([hidden]) canvas')")
+    name = page.run(f"return fetch(`/api/clips/${{{MAP}.ids[0]}}`).then((answer) => answer.json())")["name"]
+    assert name in page.run("return document.querySelector('.mp-tip').textContent")
+    page.wait(f"return {MAP}.miniature.share > 0")
+    page.find("h1").click()
+    assert page.run("return document.querySelector('.mp-tip').hidden")
+    assert page.messages() == []
+
+
 def test_filter_and_legend_leave_clips_out_of_the_lasso(map_page):
     page = map_page("/library?view=map&category=squat")
     page.wait(f"return {MAP}.fits !== null")

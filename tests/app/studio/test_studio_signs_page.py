@@ -82,3 +82,53 @@ def test_an_fbx_file_is_a_motion_and_what_reads_it_is_named(show, tmp_path, monk
     page.wait("return document.querySelector('#problem').checkVisibility()")
     said = page.run("return document.querySelector('#problem').textContent")
     assert "hero.fbx" in said and "neither Blender nor assimp" in said
+
+
+DROP_FOLDER = """
+const [text, number] = arguments;
+const named = (k) => [`one${k}.bvh`, new File([text + '\\n'.repeat(k)], `one${k}.bvh`)];
+const file = (k) => ({isFile: true, name: named(k)[0], file: (done) => done(named(k)[1])});
+const parts = [Array.from({length: number}, (_, k) => file(k)), [file(number)], []];
+const gate = new Promise((done) => { window.letGo = done; });
+const reader = {async readEntries(done) {
+  const part = parts.shift(); if (parts.length === 1) await gate; done(part);
+}};
+const folder = {isFile: false, name: 'archive', createReader: () => reader};
+const event = new Event('drop', {bubbles: true, cancelable: true});
+event.dataTransfer = {types: ['Files'], items: [{webkitGetAsEntry: () => folder}], files: []};
+document.querySelector('#grid').dispatchEvent(event);
+"""
+
+
+def test_a_folder_that_takes_long_to_read_says_how_far_it_is(show, bvh):
+    page = show("/library")
+    page.wait("return document.querySelector('.cell')")
+    page.run(DROP_FOLDER, bvh.read_text(), 3)
+    said = "document.querySelector('.reading-folder')?.textContent"
+    page.wait(f"return {said} === 'Reading the folder: 3 files'")
+    assert not page.run("return document.querySelector('dialog[open]')")
+    page.run("window.letGo()")
+    page.wait("return document.querySelector('#came')?.textContent.includes('4')")
+    assert page.run(f"return {said}") is None
+    assert page.messages() == []
+
+
+@pytest.mark.parametrize(
+    ("path", "field"), [("/search", "#query-file"), ("/takes", "#take-file"), ("/evaluate", "#performance-file")]
+)
+def test_where_a_motion_is_wanted_another_file_is_said_to_be_none(show, tmp_path, path, field):
+    (tmp_path / "joints.toml").write_text("hips = 'pelvis'\n")
+    page = show(path)
+    page.wait("return document.querySelector(arguments[0])", field)
+    page.find(field).send_keys(str(tmp_path / "joints.toml"))
+    told = "[...document.querySelectorAll('.notice.problem')].map((one) => one.textContent).join()"
+    page.wait(f"return {told}.includes('There is no motion file among them')")
+
+
+@pytest.mark.parametrize("asked", ["job", "masks"])
+def test_an_estimation_that_is_not_there_leads_back_to_the_start(show, asked):
+    part = {"job": "watch"}.get(asked, asked)
+    page = show(f"/estimate?{asked}=0123456789abcdef")
+    page.wait(f"return document.querySelector('#{part}-problem .problem-box')")
+    page.find(f"#{part}-actions button").click()
+    page.wait("return !document.querySelector('#setup').hidden")

@@ -754,6 +754,19 @@ GIVEN = "return document.querySelector('#show-given')?.getAttribute('aria-presse
 NOTICE = "return [...document.querySelectorAll('.notice')].find((one) => one.textContent.includes(arguments[0]))"
 
 
+def test_labels_that_are_asked_for_again_are_shown(show, running, recording, table, tmp_path, faults):
+    page = open_annotated(show, running, recording, table, tmp_path)
+    assert "4 stretches from session.labels.csv" in page.run("return document.querySelector('#take-facts').textContent")
+    page.run("document.querySelector('#label-again').click()")
+    page.wait(f"{GIVEN} === 'false'", seconds=60)
+    page.wait("return document.querySelector('#segments .sure') !== null")  # how sure each is: recognised ones
+    page.wait(NOTICE, "Labelled again")
+    assert faults(page) == []
+    page.run(f"{NOTICE.removeprefix('return ')}.querySelector('button').click()", "Labelled again")
+    page.wait(f"{GIVEN} === 'true'")
+    assert page.messages() == []
+
+
 def test_what_was_learned_leads_to_the_other_place(show, running, recording, strange, table, tmp_path, faults):
     """Given labels hide what the library recognises; the message of a correction leads there."""
     head, *rows = table.splitlines()

@@ -166,3 +166,47 @@ def test_a_long_take_is_zoomed_and_overlooked(timeline):
     letters = page.run("return new Set([...document.querySelectorAll('.tl-segment b')].map((b) => b.textContent)).size")
     assert letters == 30
     assert page.messages() == []
+
+
+def test_what_is_doubtful_says_so_and_looks_another_way_without_colour(timeline):
+    page = timeline(
+        segments=[
+            {"start": 0, "end": 4, "label": "kick", "kind": "known", "confidence": 0.93},
+            {"start": 4, "end": 10, "label": "kick", "kind": "perhaps", "confidence": 0.31},
+        ]
+    )
+    shown = page.run(
+        "return [...document.querySelectorAll('.tl-segment')].map((one) => { const style = getComputedStyle(one);"
+        " return [one.textContent, style.borderTopStyle, style.backgroundImage === 'none', style.fontStyle]; })"
+    )
+    assert shown == [["Akick", "solid", True, "normal"], ["A?perhaps kick", "dashed", False, "italic"]]
+    assert "perhaps kick, 31 %" in page.run("return document.querySelector('.tl-perhaps').title")
+    assert page.messages() == []
+
+
+def test_labels_at_one_time_lie_one_below_the_other(timeline):
+    rows = (0, 4, "walk"), (4, 8, "sit"), (4, 8, "talk"), (5, 6, "nod"), (8.002, 10, "stand")
+    segments = [{"start": s, "end": e, "label": label, "kind": "known", "confidence": None} for s, e, label in rows]
+    page = timeline(segments=segments, selectable=True)
+    walk, sit, talk, nod, stand = page.run(
+        "return [...document.querySelectorAll('.tl-segment')].map((one) => { const box = one.getBoundingClientRect();"
+        " return [box.top, box.bottom]; })"
+    )
+    assert walk == stand and walk[1] - walk[0] > 60
+    assert sit[0] == walk[0] and nod[1] == walk[1]
+    for above, below in ((sit, talk), (talk, nod)):
+        assert above[1] <= below[0] + 0.5 and below[1] - below[0] >= 25
+    page.run("timeline.setCursor(5.5)")
+    said = page.run("return document.querySelector('.tl-cursor').getAttribute('aria-valuetext')")
+    assert [name for name in ("sit", "talk", "nod", "walk") if f"{name}, " in said] == ["sit", "talk", "nod"]
+    for number, span in ((2, [4, 8]), (3, [5, 6])):
+        page.run(
+            "const one = document.querySelectorAll('.tl-segment')[arguments[0]], box = one.getBoundingClientRect();"
+            "one.dispatchEvent(new MouseEvent('dblclick', {bubbles: true, clientX: box.left + box.width / 2,"
+            " clientY: box.top + 5}))",
+            number,
+        )
+        assert page.run("return [timeline.selection.start, timeline.selection.end]") == span
+    page.run("timeline.setSegments([{start: 0, end: 4, label: 'walk', kind: 'known'}])")
+    assert page.run("return document.querySelector('.tl-inner').offsetHeight") == 76
+    assert page.messages() == []

@@ -344,6 +344,20 @@ def say(*repetitions: AssessedRepetition) -> list[str]:
     return [message.render("en") for message in describe_exercise(make_exercise(repetitions))]
 
 
+def test_as_the_reference() -> None:
+    assert say(make_repetition(1, 91, KNEES), make_repetition(4, 89, KNEES)) == [
+        "grade 90 of 100 in the median (89 to 91)",
+        "the joints go as far as in the reference (85 to 120 % of its range)",
+    ]
+
+
+def test_going_further_and_slower() -> None:
+    more = dict.fromkeys(KNEES, 120.0)
+    said = say(*(make_repetition(start, 80, more, seconds=3.0) for start in (1, 6)))
+    assert said[1] == "left knee flexion: 120 deg in the median, further than the reference's 90 deg (133 %)"
+    assert said[-1] == "slower than the reference: 3.0 s in the median instead of 2.0 s"
+
+
 def test_the_weakest_is_named_where_it_stands_out() -> None:
     said = say(*(make_repetition(3 * k, 70 if k == 1 else 90, KNEES) for k in range(4)))
     assert said[0] == "grade 90 of 100 in the median (70 to 90); the weakest is repetition 2"

@@ -62,12 +62,15 @@ def test_the_keys_that_are_promised(assessment):
     assert lost["reference_start_s"] == 0.8
     assert first["gain"] == {name: 0.62 if name == "left_forearm" else None for name in SEGMENTS}
     short, late = answer["events"]
+    kept = "kind start_s end_s segments lag_ms shortfall_deg shortfall_percent severity says"
+    assert list(short)[:9] == kept.split()
     assert (short["shortfall_deg"], short["shortfall_percent"], short["lag_ms"]) == (24.0, 38.4, None)
     assert late["lag_ms"] == 180.0 and late["shortfall_percent"] is None and late["segments"] == list(SEGMENTS)
     assert short["says"] == "0:00.2, right forearm: 24 deg short, reaches 62 % of the range (furi 1)"
     assert late["says"] == "0:00.6, whole body: 180 ms late"
     assert answer["lapses"][0]["says"] == "0:01.0, ends early: the last 0.1 s of the reference are not danced"
-    assert assessment.to_json("ja")["events"][1]["kind"] == "shift"
+    japanese = assessment.to_json("ja")["events"][1]
+    assert (japanese["kind"], japanese["says"]) == ("shift", "0:00.6 全身：180ミリ秒遅れています")
     assert answer["facing_deg"] == {"median": pytest.approx(7.9, abs=0.5), "max": 20.0}
     assert answer["lapses"][0]["kind"] == "early end" and answer["gaps"][0]["segment"] == "trunk"
     assert answer["warnings"] == ["note"] and answer["warning_codes"] == ["text.verbatim"]
