@@ -11,10 +11,10 @@ as arguments, as compiling ``np.empty`` takes longer than most kernels. ``kernel
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable
 from typing import Any, TypeVar, overload
 
-from numba import njit
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
@@ -23,8 +23,11 @@ from numba.core.types import unliteral
 __all__ = ["kernel", "part"]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-_njit: Any = njit  # whose types leave out some of its options
+
+
+def _options(allocates: bool, fastmath: Any) -> dict[str, Any]:
+    kept = {"nopython": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    return {**kept, "_nrt": allocates, "fastmath": fastmath}
 
 
 class _PartLibrary(JITCodeLibrary):
@@ -66,6 +69,20 @@ class _Part(CPUDispatcher):
         raise TypeError(f"{self.py_func.__name__} is a part of kernels: call it from a kernel")
 
 
+class _Kernel(CPUDispatcher):
+    """A function that Python calls."""
+
+    def compile(self, sig: Any) -> Any:
+        """Compile while nothing is collected: of a tenth of the time Python looks through what the compiler keeps."""
+        collects = gc.isenabled()
+        gc.disable()
+        try:
+            return super().compile(sig)
+        finally:
+            if collects:
+                gc.enable()
+
+
 @overload
 def kernel(function: _Function) -> _Function: ...
 @overload
@@ -78,8 +95,13 @@ def kernel(function: Any = None, *, allocates: bool = False, fastmath: Any = Fal
     allocates : the function, or one that it calls, makes arrays.
     fastmath : as for ``numba.njit``.
     """
-    compile_it = _njit(cache=True, fastmath=fastmath, _nrt=allocates, **_OPTIONS)
-    return compile_it if function is None else compile_it(function)
+
+    def make(function: _Function) -> Any:
+        made = _Kernel(function, targetoptions=_options(allocates, fastmath))
+        made.enable_caching()
+        return made
+
+    return make if function is None else make(function)
 
 
 @overload
@@ -90,7 +112,7 @@ def part(function: Any = None, *, allocates: bool = False, fastmath: Any = False
     """Compile a function that kernels and other parts call, as a piece of them; options as for `kernel`."""
 
     def make(function: _Function) -> Any:
-        options = {"nopython": True, "no_cpython_wrapper": True, "fastmath": fastmath, "_nrt": allocates, **_OPTIONS}
+        options = {"no_cpython_wrapper": True, **_options(allocates, fastmath)}
         return _Part(function, targetoptions=options, pipeline_class=_PartCompiler)
 
     return make if function is None else make(function)
