@@ -1,5 +1,9 @@
 """Parts are compiled into kernels, for numbers once, and run nowhere else."""
 
+import pickle
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from numba import njit
@@ -47,3 +51,12 @@ def test_python_cannot_call_a_part():
     shift(np.ones(3), np.empty(3))
     with pytest.raises(TypeError, match="greater is a part of kernels"):
         greater(1, 2)
+
+
+def test_a_kernel_is_pickled_by_its_name():
+    assert pickle.loads(pickle.dumps(shift)) is shift
+
+
+def test_numba_is_loaded_with_the_first_kernel_that_runs():
+    program = "import sys, dousa.kernels as k; f = k.kernel(abs); assert 'numba' not in sys.modules"
+    subprocess.run([sys.executable, "-c", program], check=True)

@@ -1,86 +1,52 @@
 """Compiled loops: ``kernel`` for what Python calls, ``part`` for what kernels call.
 
-Numba makes each function ready to run by itself: it optimises the function with everything that it calls, and makes
-machine code and a wrapper for Python. A function that only other compiled functions call needs none of this: what calls
-it is optimised with it in any case. Such a part is half as long to compile, and the machine code of the kernels is the
-same.
-
 Both follow NumPy where something is divided by 0, release the interpreter's lock, and count no references: arrays come
 as arguments, as compiling ``np.empty`` takes longer than most kernels. ``kernel(allocates=True)`` may make arrays.
+
+Numba is loaded with the first kernel that runs, which takes half a second: a command without kernels does not wait for
+it. ``is_worth_compiling`` tells what has a second way of doing the same work.
 """
 
 from __future__ import annotations
 
-import gc
+import functools
+import sys
 from collections.abc import Callable
 from typing import Any, TypeVar, overload
 
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler
-from numba.core.registry import CPUDispatcher
-from numba.core.types import unliteral
-
-__all__ = ["kernel", "part"]
+__all__ = ["is_worth_compiling", "kernel", "part"]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-def _options(allocates: bool, fastmath: Any) -> dict[str, Any]:
-    kept = {"nopython": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-    return {**kept, "_nrt": allocates, "fastmath": fastmath}
+class _Compiled:
+    """A function that becomes a dispatcher of Numba, which it stands for, when it is first called or compiled."""
 
+    def __init__(self, function: Callable[..., Any], made_by: str, *options: Any) -> None:
+        functools.update_wrapper(self, function)
+        self.py_func = function
+        self._made_by, self._options = made_by, options
 
-class _PartLibrary(JITCodeLibrary):
-    """The code of a part: what it calls is linked into it; it is neither optimised nor made to run."""
+    @functools.cached_property
+    def _dispatcher(self) -> Any:
+        from dousa import kernel_compiler
 
-    def add_llvm_module(self, ll_module: Any) -> None:
-        ll_module.data_layout = self._codegen._data_layout
-        self._final_module.link_in(ll_module)
+        return getattr(kernel_compiler, self._made_by)(self.py_func, *self._options)
 
-    def finalize(self) -> None:
-        for library in dict.fromkeys(self._linking_libraries):
-            self._reload_init.update(library._reload_init)
-            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
-        self._finalize_dynamic_globals()
-        self._finalized = True
+    def __call__(self, *args: Any, **named: Any) -> Any:
+        return self._dispatcher(*args, **named)
 
+    def __reduce__(self) -> str:
+        return self.py_func.__qualname__
 
-class _PartCompiler(Compiler):
-    def define_pipelines(self) -> Any:
-        self.state.library = _PartLibrary(self.state.targetctx.codegen(), "part")
-        self.state.flags.no_compile = True
-        return super().define_pipelines()
+    @property
+    def _numba_type_(self) -> Any:  # by which Numba knows it in the code of other kernels
+        return self._dispatcher._numba_type_
 
-
-class _Part(CPUDispatcher):
-    """A function that has no machine code of its own."""
-
-    def add_overload(self, cres: Any) -> None:
-        known = cres._replace(entry_point=object())  # by which callers find it
-        self.targetctx.insert_user_function(known.entry_point, known.fndesc, [known.library])
-        self.overloads[tuple(known.signature.args)] = known
-
-    def get_call_template(self, args: Any, kws: Any) -> Any:
-        """One code for all numbers: else Numba would compile it for each constant that is passed."""
-        plain = [unliteral(one) for one in args]
-        return super().get_call_template(plain, {name: unliteral(one) for name, one in kws.items()})
-
-    def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
-        raise TypeError(f"{self.py_func.__name__} is a part of kernels: call it from a kernel")
-
-
-class _Kernel(CPUDispatcher):
-    """A function that Python calls."""
-
-    def compile(self, sig: Any) -> Any:
-        """Compile while nothing is collected: of a tenth of the time Python looks through what the compiler keeps."""
-        collects = gc.isenabled()
-        gc.disable()
-        try:
-            return super().compile(sig)
-        finally:
-            if collects:
-                gc.enable()
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self._dispatcher, name)
 
 
 @overload
@@ -95,13 +61,7 @@ def kernel(function: Any = None, *, allocates: bool = False, fastmath: Any = Fal
     allocates : the function, or one that it calls, makes arrays.
     fastmath : as for ``numba.njit``.
     """
-
-    def make(function: _Function) -> Any:
-        made = _Kernel(function, targetoptions=_options(allocates, fastmath))
-        made.enable_caching()
-        return made
-
-    return make if function is None else make(function)
+    return _make("compile_kernel", function, allocates, fastmath)
 
 
 @overload
@@ -110,9 +70,23 @@ def part(function: _Function) -> _Function: ...
 def part(*, allocates: bool = False, fastmath: Any = False) -> Callable[[_Function], _Function]: ...
 def part(function: Any = None, *, allocates: bool = False, fastmath: Any = False) -> Any:
     """Compile a function that kernels and other parts call, as a piece of them; options as for `kernel`."""
+    return _make("compile_part", function, allocates, fastmath)
 
-    def make(function: _Function) -> Any:
-        options = {"no_cpython_wrapper": True, **_options(allocates, fastmath)}
-        return _Part(function, targetoptions=options, pipeline_class=_PartCompiler)
 
-    return make if function is None else make(function)
+def _make(made_by: str, function: Any, *options: Any) -> Any:
+    return _Compiled(function, made_by, *options) if function else lambda made: _Compiled(made, made_by, *options)
+
+
+_interpreted = [0]
+
+
+def is_worth_compiling(numbers: int, most: int = 2_500_000) -> bool:
+    """Tell whether to call a kernel for work on so many numbers, or to do the same without Numba, more slowly.
+
+    Numba is worth loading as soon as this process has spent as long without it as loading takes: on ``most`` numbers of
+    0.2 us each (``python -m lab.benchmarks.first_run``).
+    """
+    if "numba" in sys.modules or _interpreted[0] + numbers > most:
+        return True
+    _interpreted[0] += numbers
+    return False

@@ -1,0 +1,89 @@
+"""How Numba compiles the kernels and parts of ``dousa.kernels``, which loads this with the first kernel that runs.
+
+Numba makes each function ready to run by itself: it optimises the function with everything that it calls, and makes
+machine code and a wrapper for Python. A function that only other compiled functions call needs none of this: what calls
+it is optimised with it in any case. Such a part is half as long to compile, and the machine code of the kernels is the
+same.
+"""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable
+from typing import Any
+
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+from numba.core.registry import CPUDispatcher
+from numba.core.types import unliteral
+
+
+def _options(allocates: bool, fastmath: Any) -> dict[str, Any]:
+    kept = {"nopython": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    return {**kept, "_nrt": allocates, "fastmath": fastmath}
+
+
+class _PartLibrary(JITCodeLibrary):
+    """The code of a part: what it calls is linked into it; it is neither optimised nor made to run."""
+
+    def add_llvm_module(self, ll_module: Any) -> None:
+        ll_module.data_layout = self._codegen._data_layout
+        self._final_module.link_in(ll_module)
+
+    def finalize(self) -> None:
+        for library in dict.fromkeys(self._linking_libraries):
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
+class _PartCompiler(Compiler):
+    def define_pipelines(self) -> Any:
+        self.state.library = _PartLibrary(self.state.targetctx.codegen(), "part")
+        self.state.flags.no_compile = True
+        return super().define_pipelines()
+
+
+class _Part(CPUDispatcher):
+    """A function that has no machine code of its own."""
+
+    def add_overload(self, cres: Any) -> None:
+        known = cres._replace(entry_point=object())  # by which callers find it
+        self.targetctx.insert_user_function(known.entry_point, known.fndesc, [known.library])
+        self.overloads[tuple(known.signature.args)] = known
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """One code for all numbers: else Numba would compile it for each constant that is passed."""
+        plain = [unliteral(one) for one in args]
+        return super().get_call_template(plain, {name: unliteral(one) for name, one in kws.items()})
+
+    def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
+        raise TypeError(f"{self.py_func.__name__} is a part of kernels: call it from a kernel")
+
+
+class _Kernel(CPUDispatcher):
+    """A function that Python calls."""
+
+    def compile(self, sig: Any) -> Any:
+        """Compile while nothing is collected: of a tenth of the time Python looks through what the compiler keeps."""
+        collects = gc.isenabled()
+        gc.disable()
+        try:
+            return super().compile(sig)
+        finally:
+            if collects:
+                gc.enable()
+
+
+def compile_kernel(function: Callable[..., Any], allocates: bool, fastmath: Any) -> Any:
+    """Make the dispatcher of a kernel."""
+    made = _Kernel(function, targetoptions=_options(allocates, fastmath))
+    made.enable_caching()
+    return made
+
+
+def compile_part(function: Callable[..., Any], allocates: bool, fastmath: Any) -> Any:
+    """Make the dispatcher of a part."""
+    options = {"no_cpython_wrapper": True, **_options(allocates, fastmath)}
+    return _Part(function, targetoptions=options, pipeline_class=_PartCompiler)
