@@ -23,7 +23,9 @@ from dousa.evaluation.alignment.dynamic_programming import (
     find_ends,
     follow_lag,
     follow_lines,
+    join_steps,
     switch_on,
+    trace_lines,
     trace_repeats,
 )
 
@@ -37,6 +39,10 @@ PRICES = st.sampled_from([0.0, 0.1, 0.35, 0.8, 2.5, 1e9])
 def draw_cost(data: st.DataObject, most_frames: int, most_columns: int) -> np.ndarray:
     shape = data.draw(st.tuples(st.integers(1, most_frames), st.integers(1, most_columns)))
     return data.draw(arrays(np.float64, shape, elements=data.draw(st.sampled_from([SHARES, COARSE]))))
+
+
+def follow(cost: np.ndarray, jump: float, pause: float, outside: float) -> np.ndarray:
+    return follow_lines([cost], cost.shape[1], jump, pause, outside)
 
 
 @given(data=st.data(), slope=PRICES)
@@ -62,7 +68,7 @@ def test_the_on_and_off_sequence_is_the_best_of_all(data: st.DataObject, price: 
 @QUICK
 def test_the_lines_are_the_cheapest_of_all(data: st.DataObject, jump: float, pause: float, outside: float) -> None:
     cost = draw_cost(data, 5, 4)
-    path = follow_lines(cost, jump, pause, outside)
+    path = follow(cost, jump, pause, outside)
     assert path.shape == (len(cost),)
     expected = cheapest_lines(cost, jump, pause, outside)
     assert price_of_lines(cost, jump, pause, outside, path) == pytest.approx(expected)
@@ -71,7 +77,7 @@ def test_the_lines_are_the_cheapest_of_all(data: st.DataObject, jump: float, pau
 def test_a_line_has_an_outside_before_and_after() -> None:
     cost = np.ones((20, 8))
     cost[np.arange(5, 13), np.arange(8)] = 0.0
-    path = follow_lines(cost, 25.0, 1e9, 0.75)
+    path = follow(cost, 25.0, 1e9, 0.75)
     assert np.array_equal(path, [-1] * 5 + list(range(8)) + [-1] * 7)
 
 
@@ -79,15 +85,15 @@ def test_a_jump_joins_two_lines_where_it_is_worth_its_price() -> None:
     cost = np.ones((35, 80))
     cost[np.arange(20), np.arange(20)] = 0.0
     cost[np.arange(20, 35), np.arange(50, 65)] = 0.0
-    assert np.array_equal(follow_lines(cost, 5.0, 1e9, 0.75), [*range(20), *range(50, 65)])
+    assert np.array_equal(follow(cost, 5.0, 1e9, 0.75), [*range(20), *range(50, 65)])
     # Dearer than being outside for the rest.
-    assert np.array_equal(follow_lines(cost, 30.0, 1e9, 0.75), [*range(20), *[-1] * 15])
+    assert np.array_equal(follow(cost, 30.0, 1e9, 0.75), [*range(20), *[-1] * 15])
 
 
 def test_a_slower_course_pauses() -> None:
     here = np.arange(30)
     cost = 1.0 - (here[:, None] // 2 == np.arange(15))
-    assert np.array_equal(follow_lines(cost, 25.0, 0.35, 0.9), here // 2)
+    assert np.array_equal(follow(cost, 25.0, 0.35, 0.9), here // 2)
 
 
 def test_a_lag_that_grows_is_followed() -> None:
@@ -114,22 +120,13 @@ def test_lines_that_are_carried_on_are_those_of_the_whole(cuts: tuple[int, ...])
     cost = rng.uniform(0.3, 1.0, (60, 50))
     cost[np.arange(5, 30), np.arange(5, 30)] = 0.02
     cost[np.arange(32, 55), np.arange(20, 43)] = 0.02
+    blocks = np.split(cost, cuts)
+    whole = follow(cost, 5.0, 1e9, 0.75)
+    np.testing.assert_array_equal(follow_lines(blocks, 50, 5.0, 1e9, 0.75), whole)
+    # A course is traced through the frames that are kept; it does not depend on those before.
     best, outside = np.full(50, np.inf), np.zeros(2)
-    origin, ended = np.empty((60, 50), np.int32), np.empty(60, np.int32)
-    first = 0
-    for last in sorted({*cuts, 60}):
-        part = slice(first, last)
-        extend_lines(cost[part], best, outside, 5.0, 1e9, 0.75, origin[part], ended[part])
-        first = last
-    path, row, place = np.full(60, -1), 59, int(best.argmin())
-    if outside[1] < best[place]:
-        while ended[row] == -2:
-            row -= 1
-        place, row = int(ended[row]), row - 1
-    while row >= 0 and place >= 0:
-        path[row] = place
-        place, row = int(origin[row, place]), row - 1
-    np.testing.assert_array_equal(path, follow_lines(cost, 5.0, 1e9, 0.75))
+    steps = join_steps([extend_lines(block, best, outside, 5.0, 1e9, 0.75) for block in blocks], 40)
+    np.testing.assert_array_equal(trace_lines(best, outside, steps), whole[-40:])
 
 
 def similarity_of(seed: int, n: int) -> np.ndarray:
@@ -143,7 +140,7 @@ def similarity_of(seed: int, n: int) -> np.ndarray:
 @given(st.integers(0, 999), st.integers(3, 30), st.integers(1, 6))
 def test_contrast_is_that_of_plain_means(seed: int, n: int, radius: int) -> None:
     similarity = similarity_of(seed, n)
-    gains = compute_gains(similarity, radius, 0.01, 10.0)
+    gains = np.concatenate([*compute_gains(similarity, radius, 0.01, 10.0, at_once=7)])
     away = 1.0 - similarity.astype(float)
     for i in range(n):
         assert not gains[i, : i + 1].any()
@@ -189,10 +186,10 @@ def test_stretches_are_compared_by_warping(seed: int, rows: int, columns: int) -
 @given(st.integers(0, 999), st.integers(4, 24), st.integers(2, 5))
 def test_likeness_is_that_of_the_plain_recurrence(seed: int, n: int, min_lag: int) -> None:
     similarity = similarity_of(seed, n)
-    gains = compute_gains(similarity, 3, 0.01, 10.0)
+    gains = np.concatenate([*compute_gains(similarity, 3, 0.01, 10.0)])
     moving = np.random.default_rng(seed).uniform(0.0, 1.0, n)
     toll, tolerated = 0.2, 0.3
-    score, step = accumulate_likeness(similarity, gains, moving, min_lag, toll, tolerated, np.inf)
+    score, step = accumulate_likeness(similarity, np.array_split(gains, 3), moving, min_lag, toll, tolerated, np.inf)
     wanted = np.zeros((n, n))
     for i in range(n):
         for j in range(i + min_lag, n):
@@ -215,7 +212,6 @@ def test_a_repetition_is_walked_back_from_its_end_once() -> None:
         score[k + 2, k + 2 + lag], step[k + 2, k + 2 + lag] = 1.0 + k, k > 0
     ends = find_ends(score, 3.0)
     assert ends.tolist() == [[13, 33]]
-    pairs, counts = trace_repeats(score, step, np.repeat(ends, 2, axis=0), 3, 4, 2.0)
-    assert counts.tolist() == [12]  # the second walk finds the first one's traces
+    (pairs,) = trace_repeats(score, step, np.repeat(ends, 2, axis=0), 3, 4, 2.0)  # the second walk finds the first's
     assert pairs.tolist() == [[13 - k, 33 - k] for k in range(12)]
     assert find_ends(score, 20.0).shape == (0, 2)

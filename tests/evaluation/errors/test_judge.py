@@ -18,6 +18,7 @@ from oracles.wrong_dances import (
     turn_limb,
 )
 
+from dousa.evaluation.alignment.dynamic_programming import follow_classes
 from dousa.evaluation.errors.descriptors import LIMB_OF, N_LIMBS, Descriptors, describe_moments, mark_findings
 from dousa.evaluation.errors.evidence import Deviations, compute_deviations, gather_evidence
 from dousa.evaluation.errors.explain import Finding
@@ -29,7 +30,6 @@ from dousa.evaluation.errors.judge import (
     Decoding,
     Suspect,
     decode,
-    follow_classes,
 )
 from dousa.evaluation.posture.posture import LIMBS
 from dousa.motion import CanonicalMotion

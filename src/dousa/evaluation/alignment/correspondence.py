@@ -253,9 +253,7 @@ def _warp(
     first = np.cumsum(high - low) - (high - low)
     packed = np.ascontiguousarray(pack(b, np.ones_like(shares)).T)
     row, column = warp(pack(a, shares), packed, low, high, first, skip, origin)
-    steps = np.empty((len(a) + len(b), 2), np.intp)
-    count = trace_back(origin, low, first, row, column, steps)
-    return steps[:count][::-1].copy()
+    return trace_back(origin, low, first, row, column)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,24 +1,28 @@
-"""Dynamic programming over two motions, compiled: every way to find which moment belongs to which.
+"""Dynamic programming over two motions: every way to find which moment belongs to which.
 
-Three families of recurrences; the slow ones to compare with are in tests/oracles:
+Four recurrences, compiled; the slow ones to compare with are in tests/oracles. What prepares them and what traces their
+courses back is NumPy and plain Python:
 
-- one value a frame: `extend_lines` and `follow_lines` (the reference frame: straight lines, jumps, pauses),
-  `follow_lag` (a lag whose changes cost), `switch_on` (on or off). Costs (T, K), the cheapest course traced back.
-- dynamic time warping: `warp` and `trace_back` in a band of two motions, `compare_stretches` between the parts of one.
-- local alignment of a motion with itself: `compute_gains`, `accumulate_likeness`, `find_ends`, `trace_repeats`.
+- `follow_states`: the cheapest course through the states of each frame, where a step to the next state or a leap to any
+  other costs. `follow_lag`, `follow_classes` and `switch_on` are this one, with one of the prices infinite.
+- `extend_lines` and `trace_lines`: reference frames on straight lines, with jumps, pauses and an outside.
+- `warp` and `trace_back`: dynamic time warping in a band of two motions; `compare_stretches` between parts of one.
+- `accumulate_likeness`, `find_ends`, `trace_repeats`: local alignment of a motion with itself.
 
-They share no inner loop: each has other steps, and their order of comparison decides between equal prices.
+Their steps differ, and so does the order of comparison, which decides between equal prices.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IndexArray
+from dousa.kernels import kernel, part
 
 Matrix = NDArray[np.float32]
 _DIAGONAL, _ROW_BEFORE, _COLUMN_BEFORE, _HERE = 0, 1, 2, 3
@@ -34,8 +38,8 @@ def pack(segments: FloatArray, shares: FloatArray) -> np.ndarray:
 
 
 # Contraction to fused multiply-add is the only liberty taken; nan and inf stay what they are.
-@njit(cache=True, nogil=True, fastmath={"contract"})
-def correlate_row(pose: Matrix, b: Matrix, low: int, high: int, out: Matrix) -> None:  # pragma: no cover - compiled
+@part(fastmath={"contract"})
+def _correlate(pose: Matrix, b: Matrix, low: int, high: int, out: Matrix) -> None:  # pragma: no cover - compiled
     """|sum h conj(h')| + sum y y' of a pose (27,) and columns low to high of b (27, U), into out[low:high]."""
     # Unsigned, so that the compiler knows no index counts from the end: else it does not vectorise.
     for u in range(np.uint64(low), np.uint64(high)):
@@ -46,42 +50,101 @@ def correlate_row(pose: Matrix, b: Matrix, low: int, high: int, out: Matrix) -> 
             across += pose[9 + p] * b[p, u]
             across -= pose[p] * b[9 + p, u]
             up += pose[18 + p] * b[18 + p, u]
-        out[u] = min(math.sqrt(along * along + across * across) + up, np.float32(1.0))
+        alike = np.float32(math.sqrt(along * along + across * across) + up)
+        out[u] = alike if alike < np.float32(1.0) else np.float32(1.0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def correlate_rows(a: Matrix, b: Matrix, out: Matrix, start: int, stop: int) -> None:  # pragma: no cover - compiled
     """Rows start to stop of the matrix of a (T, 27) and b (27, U), packed, into out (T, U)."""
     for i in range(start, stop):
-        correlate_row(a[i], b, 0, b.shape[1], out[i])
+        _correlate(a[i], b, 0, b.shape[1], out[i])
 
 
-@njit(cache=True, nogil=True)
-def extend_lines(
+@kernel
+def _follow(
+    cost: FloatArray, slope: float, leap: float, best: FloatArray, origin: NDArray[np.int16]
+) -> None:  # pragma: no cover - compiled
+    """Do `follow_states`: (K,) least sums that end in each state, and (T, K) where each comes from."""
+    n_frames, n_states = cost.shape
+    for k in range(n_states):
+        best[k] = cost[0, k]
+    for t in range(1, n_frames):
+        source = origin[t]
+        top = 0
+        for k in range(n_states):
+            source[k] = k
+            if best[k] < best[top]:
+                top = k
+        leapt = best[top] + leap
+        for k in range(1, n_states):
+            if best[k - 1] + slope < best[k]:
+                best[k] = best[k - 1] + slope
+                source[k] = source[k - 1]
+        for k in range(n_states - 2, -1, -1):
+            if best[k + 1] + slope < best[k]:
+                best[k] = best[k + 1] + slope
+                source[k] = source[k + 1]
+        for k in range(n_states):
+            if leapt < best[k]:
+                best[k] = leapt
+                source[k] = top
+            best[k] += cost[t, k]
+
+
+def follow_states(cost: FloatArray, slope: float, leap: float) -> NDArray[np.int32]:
+    """Find the cheapest course (T,) through the states of (T, K) costs, T at least 1.
+
+    A step to the next state costs ``slope``, as many as one likes from frame to frame; a leap to any state ``leap``.
+    """
+    best, origin = np.empty(cost.shape[1]), np.empty(cost.shape, np.int16)
+    _follow(np.ascontiguousarray(cost), slope, leap, best, origin)
+    course = np.empty(len(cost), np.int32)
+    course[-1] = best.argmin()
+    for t in range(len(cost) - 1, 0, -1):
+        course[t - 1] = origin[t, course[t]]
+    return course
+
+
+def follow_lag(cost: FloatArray, slope: float) -> NDArray[np.int32]:
+    """Find the cheapest course (T,) of lag through (T, K) costs; a change by one column costs ``slope``."""
+    return follow_states(cost, float(slope), math.inf)
+
+
+def follow_classes(scores: FloatArray, change: float) -> NDArray[np.int32]:
+    """Find the classes (N,) with the largest sum of (N, C) scores; every change of class costs."""
+    return follow_states(-scores, math.inf, float(change)) if len(scores) else np.empty(0, np.int32)
+
+
+def switch_on(score: FloatArray, price: float) -> NDArray[np.bool_]:
+    """Find the on/off sequence (T,) with the largest sum of scores while on, less ``price`` for every change.
+
+    Before the first frame and after the last it is off.
+    """
+    scores = np.zeros((len(score) + 2, 2))
+    scores[[0, -1], 1] = -math.inf
+    scores[1:-1, 1] = score
+    on: NDArray[np.bool_] = follow_classes(scores, price)[1:-1] == 1
+    return on
+
+
+_LINE, _PAUSE, _SKIP, _ELSEWHERE = 0, 1, 2, 3
+
+
+@kernel
+def _extend_lines(
     cost: FloatArray,
     best: FloatArray,
     outside_costs: FloatArray,
-    jump: float,
-    pause: float,
-    outside: float,
-    origin: np.ndarray,
-    ended: np.ndarray,
+    prices: FloatArray,
+    now: FloatArray,
+    steps: NDArray[np.uint8],
+    others: NDArray[np.int32],
+    ended: NDArray[np.int32],
 ) -> None:  # pragma: no cover - compiled
-    """Carry the cheapest sequences of lines on by frames that are new; before the first all of ``best`` is infinite.
-
-    Parameters
-    ----------
-    cost : (n, U) of the new performance frames against the reference frames.
-    best : (U,) price of the cheapest sequence of lines that ends at each reference frame; in place.
-    outside_costs : (2,) price of being before the lines so far, and of being after them; in place.
-    jump : price of leaving a line for any other.
-    pause : price of staying at a reference frame, or of leaving one out, for one frame.
-    outside : price a frame of being before the first or after the last line.
-    origin : (n, U) out, reference frame that each is reached from; -1 from before the lines.
-    ended : (n,) out, reference frame after which the lines ended at this frame; -2 if they did before.
-    """
+    """Do `extend_lines`: prices are jump, pause and outside, ``now`` (U,) is room, ``steps`` (n, U) is not packed."""
     n_reference = len(best)
-    now = np.empty(n_reference)
+    jump, pause, outside = prices[0], prices[1], prices[2]
     for t in range(len(cost)):
         cheapest = 0
         for r in range(1, n_reference):
@@ -92,128 +155,98 @@ def extend_lines(
         if best[cheapest] + outside < outside_costs[1]:
             outside_costs[1] = best[cheapest] + outside
             ended[t] = cheapest
+        jumped, before = best[cheapest] + jump, outside_costs[0]
+        others[t] = -1 if before < jumped else cheapest
+        row, step = cost[t], steps[t]
         for r in range(n_reference):
-            value = best[cheapest] + jump
-            source = cheapest
+            value, way = jumped, _ELSEWHERE
             if r >= 1 and best[r - 1] <= value:
-                value = best[r - 1]
-                source = r - 1
+                value, way = best[r - 1], _LINE
             if best[r] + pause < value:
-                value = best[r] + pause
-                source = r
+                value, way = best[r] + pause, _PAUSE
             if r >= 2 and best[r - 2] + pause < value:
-                value = best[r - 2] + pause
-                source = r - 2
-            if outside_costs[0] < value:
-                value = outside_costs[0]
-                source = -1
-            now[r] = value + cost[t, r]
-            origin[t, r] = source
+                value, way = best[r - 2] + pause, _SKIP
+            if before < value:
+                value, way = before, _ELSEWHERE
+            now[r] = value + row[r]
+            step[r] = way
         for r in range(n_reference):
             best[r] = now[r]
         outside_costs[0] += outside
 
 
-@njit(cache=True, nogil=True)
-def follow_lines(
-    cost: FloatArray, jump: float, pause: float, outside: float
-) -> np.ndarray:  # pragma: no cover - compiled
-    """Find the reference frame of every performance frame on the cheapest sequence of lines.
+Steps = tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32]]
+"""How frames were reached on lines: (n, U / 4) the ways, four to a byte; (n,) where jumps came from, -1 from before the
+lines; (n,) the reference frame after which the lines ended at this frame, -2 if they did before."""
 
-    The cost is (T, U) of performance frame against reference frame, 0 to 1; prices are those of `extend_lines`. Returns
-    (T,) reference frames; -1 before the first and after the last line.
+
+def extend_lines(
+    cost: FloatArray, best: FloatArray, outside_costs: FloatArray, jump: float, pause: float, outside: float
+) -> Steps:
+    """Carry the cheapest sequences of lines on by frames that are new; before the first all of ``best`` is infinite.
+
+    Parameters
+    ----------
+    cost : (n, U) of the new performance frames against the reference frames.
+    best : (U,) price of the cheapest sequence of lines that ends at each reference frame; in place.
+    outside_costs : (2,) price of being before the lines so far, and of being after them; in place.
+    jump : price of leaving a line for any other.
+    pause : price of staying at a reference frame, or of leaving one out, for one frame.
+    outside : price a frame of being before the first or after the last line.
     """
     n_frames, n_reference = cost.shape
-    best = np.full(n_reference, np.inf)
-    outside_costs = np.zeros(2)
-    origin = np.empty((n_frames, n_reference), np.int32)
-    ended = np.empty(n_frames, np.int32)
-    extend_lines(cost, best, outside_costs, jump, pause, outside, origin, ended)
-    return trace_lines(best, outside_costs, origin, ended)
+    ways = np.zeros((n_frames, -(-n_reference // 4) * 4), np.uint8)
+    others, ended = np.empty(n_frames, np.int32), np.empty(n_frames, np.int32)
+    prices = np.array([jump, pause, outside], np.float64)
+    _extend_lines(cost, best, outside_costs, prices, np.empty(n_reference), ways, others, ended)
+    packed = ways[:, 0::4] | ways[:, 1::4] << 2 | ways[:, 2::4] << 4 | ways[:, 3::4] << 6
+    return packed, others, ended
 
 
-@njit(cache=True, nogil=True)
-def trace_lines(
-    best: FloatArray, outside_costs: FloatArray, origin: np.ndarray, ended: np.ndarray
-) -> np.ndarray:  # pragma: no cover - compiled
+def join_steps(steps: Sequence[Steps], kept: int = 0) -> Steps:
+    """Join the steps of frames one after the other; 0 keeps all frames, else so many of the last."""
+    ways, others, ended = (np.concatenate(one)[-kept:] for one in zip(*steps, strict=True))
+    return ways, others, ended
+
+
+def trace_lines(best: FloatArray, outside_costs: FloatArray, steps: Steps) -> NDArray[np.int32]:
     """Trace the reference frames (n,) of the last n frames on the cheapest sequence of lines; -1 without a line.
 
     Parameters
     ----------
-    best, outside_costs, origin, ended : what `extend_lines` has made of these frames.
+    best, outside_costs, steps : what `extend_lines` has made of these frames.
     """
-    path = np.full(len(origin), -1, np.int32)
-    r, t = np.argmin(best), len(origin) - 1
-    if outside_costs[1] < best[r]:
-        while t >= 0 and ended[t] == -2:
-            t -= 1
-        if t < 0:
+    ways, others, ended = steps
+    path = np.full(len(others), -1, np.int32)
+    place, t = int(best.argmin()), len(others) - 1
+    if outside_costs[1] < best[place]:
+        left = np.flatnonzero(ended != -2)
+        if not len(left):
             return path
-        r = ended[t]
-        t -= 1
-    while t >= 0 and r >= 0:
-        path[t] = r
-        r = origin[t, r]
+        place, t = int(ended[left[-1]]), int(left[-1]) - 1
+    while t >= 0 and place >= 0:
+        path[t] = place
+        way = int(ways[t, place >> 2]) >> 2 * (place & 3) & 3
+        place = int(others[t]) if way == _ELSEWHERE else place - (1, 0, 2)[way]
         t -= 1
     return path
 
 
-@njit(cache=True, nogil=True)
-def follow_lag(cost: FloatArray, slope: float) -> np.ndarray:  # pragma: no cover - compiled
-    """Find the cheapest course, (T,) columns, through (T, K) costs; a change by one column costs ``slope``."""
-    n_frames, n_lags = cost.shape
-    origin = np.empty((n_frames, n_lags), np.int16)
-    best = cost[0].astype(np.float64)
-    source = np.empty(n_lags, np.int16)
-    for t in range(1, n_frames):
-        for k in range(n_lags):
-            source[k] = k
-        for k in range(1, n_lags):
-            if best[k - 1] + slope < best[k]:
-                best[k] = best[k - 1] + slope
-                source[k] = source[k - 1]
-        for k in range(n_lags - 2, -1, -1):
-            if best[k + 1] + slope < best[k]:
-                best[k] = best[k + 1] + slope
-                source[k] = source[k + 1]
-        for k in range(n_lags):
-            origin[t, k] = source[k]
-            best[k] += cost[t, k]
-    course = np.empty(n_frames, np.int32)
-    k = 0
-    for other in range(1, n_lags):
-        if best[other] < best[k]:
-            k = other
-    for t in range(n_frames - 1, -1, -1):
-        course[t] = k
-        if t > 0:
-            k = origin[t, k]
-    return course
+def follow_lines(
+    costs: Iterable[FloatArray], n_reference: int, jump: float, pause: float, outside: float
+) -> NDArray[np.int32]:
+    """Find the reference frame of every performance frame on the cheapest sequence of lines.
+
+    The costs are blocks of rows (n, U) of performance frames against reference frames, 0 to 1; prices are those of
+    `extend_lines`. Returns (T,) reference frames; -1 before the first and after the last line.
+    """
+    best, outside_costs = np.full(n_reference, np.inf), np.zeros(2)
+    steps = join_steps([extend_lines(cost, best, outside_costs, jump, pause, outside) for cost in costs])
+    return trace_lines(best, outside_costs, steps)
 
 
-@njit(cache=True, nogil=True)
-def switch_on(score: FloatArray, price: float) -> np.ndarray:  # pragma: no cover - compiled
-    """(T,) the on/off sequence with the largest sum of scores while on, less ``price`` for every change."""
-    n_frames = len(score)
-    starts = np.zeros(n_frames, np.bool_)  # on at t comes from off before
-    stops = np.zeros(n_frames, np.bool_)  # off at t comes from on before
-    off, on = 0.0, score[0] - price
-    for t in range(1, n_frames):
-        starts[t] = off - price > on
-        stops[t] = on - price > off
-        was_off = off
-        off = max(on - price, off)
-        on = max(was_off - price, on) + score[t]
-    state = on - price > off
-    result = np.zeros(n_frames, np.bool_)
-    for t in range(n_frames - 1, -1, -1):
-        result[t] = state
-        state = (t > 0 and not starts[t]) if state else stops[t]
-    return result
-
-
-@njit(cache=True, nogil=True)
-def warp(
+@kernel
+def _warp(
     a: Matrix,
     b: Matrix,
     low: IndexArray,
@@ -221,7 +254,48 @@ def warp(
     first: IndexArray,
     skip: float,
     origin: NDArray[np.uint8],
-) -> tuple[int, int]:  # pragma: no cover - compiled
+    similar: Matrix,
+    rows: FloatArray,
+    last: IndexArray,
+) -> None:  # pragma: no cover - compiled
+    """Do `warp`: ``similar`` (U,) and ``rows`` (2, U + 1), all far, are room; the last cell goes into ``last`` (2,)."""
+    n_rows, n_columns = len(a), b.shape[1]
+    price = _FAR
+    for t in range(n_rows):
+        # One to the right: index u + 1, so that u - 1 exists for u = 0.
+        before, now = rows[t % 2], rows[1 - t % 2]
+        start, stop = low[t], high[t]
+        _correlate(a[t], b, start, stop, similar)
+        now[start] = _FAR
+        left = _FAR
+        cells = origin[first[t] :]
+        for u in range(start, stop):
+            best, source = before[u], _DIAGONAL
+            if before[u + 1] < best:
+                best, source = before[u + 1], _ROW_BEFORE
+            if (t == 0 or u == 0) and (t + u) * skip <= best:
+                best, source = (t + u) * skip, _HERE
+            if left < best:
+                best, source = left, _COLUMN_BEFORE
+            left = best + (1.0 - similar[u])
+            now[u + 1] = left
+            cells[u - start] = source
+        if t == n_rows - 1:
+            for u in range(start, stop):
+                if now[u + 1] + (n_columns - 1 - u) * skip <= price:
+                    price = now[u + 1] + (n_columns - 1 - u) * skip
+                    last[0], last[1] = t, u
+        elif stop == n_columns and left + (n_rows - 1 - t) * skip < price:
+            price = left + (n_rows - 1 - t) * skip
+            last[0], last[1] = t, stop - 1
+        if t + 1 < n_rows:  # cells of the next row's band that this row did not reach
+            for u in range(stop, high[t + 1]):
+                now[u + 1] = _FAR
+
+
+def warp(
+    a: Matrix, b: Matrix, low: IndexArray, high: IndexArray, first: IndexArray, skip: float, origin: NDArray[np.uint8]
+) -> tuple[int, int]:
     """Find the cheapest path through a band: fill origin and return the last cell.
 
     Parameters
@@ -233,154 +307,97 @@ def warp(
     skip : price of a frame left out at either end; very large if the path goes from corner to corner.
     origin : (cells,) uint8.
     """
-    n_rows, n_columns = len(a), b.shape[1]
-    similar = np.empty(n_columns, np.float32)
-    before = np.full(n_columns + 1, _FAR)  # one to the right: index u + 1, so that u - 1 exists for u = 0
-    now = np.full(n_columns + 1, _FAR)
-    price, last_row, last_column = _FAR, 0, 0
-    for t in range(n_rows):
-        start, stop = low[t], high[t]
-        correlate_row(a[t], b, start, stop, similar)
-        now[start] = _FAR
-        left = _FAR
-        place = first[t]
-        for u in range(start, stop):
-            best, source = before[u], _DIAGONAL
-            if before[u + 1] < best:
-                best, source = before[u + 1], _ROW_BEFORE
-            if (t == 0 or u == 0) and (t + u) * skip <= best:
-                best, source = (t + u) * skip, _HERE
-            if left < best:
-                best, source = left, _COLUMN_BEFORE
-            left = best + (1.0 - similar[u])
-            now[u + 1] = left
-            origin[place] = source
-            place += 1
-        if t == n_rows - 1:
-            for u in range(start, stop):
-                if now[u + 1] + (n_columns - 1 - u) * skip <= price:
-                    price, last_row, last_column = now[u + 1] + (n_columns - 1 - u) * skip, t, u
-        elif stop == n_columns and left + (n_rows - 1 - t) * skip < price:
-            price, last_row, last_column = left + (n_rows - 1 - t) * skip, t, stop - 1
-        if t + 1 < n_rows:  # cells of the next row's band that this row did not reach
-            for u in range(stop, high[t + 1]):
-                now[u + 1] = _FAR
-        before, now = now, before
-    return last_row, last_column
+    last = np.zeros(2, np.intp)
+    rows = np.full((2, b.shape[1] + 1), _FAR)
+    _warp(a, b, low, high, first, float(skip), origin, np.empty(b.shape[1], np.float32), rows, last)
+    return int(last[0]), int(last[1])
 
 
-@njit(cache=True, nogil=True)
-def trace_back(
-    origin: NDArray[np.uint8], low: IndexArray, first: IndexArray, row: int, column: int, path: IndexArray
-) -> int:  # pragma: no cover - compiled
-    """Write the path that ends in a cell, last cell first, into path (n, 2); returns its length."""
-    n = 0
-    while True:
-        path[n, 0], path[n, 1] = row, column
-        n += 1
-        source = origin[first[row] + column - low[row]]
-        if source == _HERE:
-            return n
+def trace_back(origin: NDArray[np.uint8], low: IndexArray, first: IndexArray, row: int, column: int) -> IndexArray:
+    """Trace the path (K, 2), ascending, that ends in a cell, through what `warp` has filled."""
+    cells, starts = memoryview(origin), (first - low).tolist()
+    path = [(row, column)]
+    while (source := cells[starts[row] + column]) != _HERE:
         if source != _COLUMN_BEFORE:
             row -= 1
         if source != _ROW_BEFORE:
             column -= 1
+        path.append((row, column))
+    return np.array(path[::-1], np.intp)
 
 
-@njit(cache=True, nogil=True)
-def _slide(above: NDArray[np.float64], below: NDArray[np.float64], similarity: Matrix, i: int, radius: int) -> None:
-    """Move the sums of the rows above and below on to row i; right of the diagonal only."""
-    n = len(similarity)
-    if i == 0:
-        for k in range(1, min(n, radius + 1)):
-            for j in range(n):
-                below[j] += similarity[k, j]
-        return
-    gone, come = i - 1 - radius, i + radius
-    for j in range(i + 1, n):
-        above[j] += similarity[i - 1, j] - (similarity[gone, j] if gone >= 0 else 0.0)
-        below[j] += (similarity[come, j] if come < n else 0.0) - similarity[i, j]
-
-
-@njit(cache=True, nogil=True)
-def compute_gains(similarity: Matrix, radius: int, noise: float, hopeless: float) -> Matrix:
+def compute_gains(
+    similarity: Matrix, radius: int, noise: float, hopeless: float, *, at_once: int = 64
+) -> Iterator[Matrix]:
     """Compute the contrast of every pair of frames to the pairs before and after it, in either motion.
 
     The similarity is (n, n) of a motion with itself, 1 = equal; radius is the number of pairs on either side, noise is
-    1 - similarity between takes of the same thing, and beyond hopeless a pair gains nothing. Returns (n, n) above the
-    diagonal: logarithm of the contrast to the more similar side. A ridge stands out from both sides; the edge of a
-    block, which two rests make, only from one.
+    1 - similarity between takes of the same thing, and beyond hopeless a pair gains nothing. Yields some rows at a time
+    of (n, n), 0 on and below the diagonal: logarithm of the contrast to the more similar side. A ridge stands out from
+    both sides; the edge of a block, which two rests make, only from one.
     """
+    # at_once: rows; so many stay in the cache
     n = len(similarity)
-    gains = np.zeros((n, n), np.float32)
-    above, below = np.zeros(n), np.zeros(n)
-    for i in range(n):
-        _slide(above, below, similarity, i, radius)
-        n_above, n_below = min(i, radius), min(n - 1 - i, radius)
-        left, right = 0.0, 0.0
-        for j in range(max(0, i - radius), i):
-            left += similarity[i, j]
-        for j in range(i + 1, min(n, i + 1 + radius)):
-            right += similarity[i, j]
-        for j in range(i + 1, n):
-            left += similarity[i, j - 1]
-            right -= similarity[i, j]
-            if j - 1 - radius >= 0:
-                left -= similarity[i, j - 1 - radius]
-            if j + radius < n:
-                right += similarity[i, j + radius]
-            n_left, n_right = min(j, radius), min(n - 1 - j, radius)
-            here = 1.0 - similarity[i, j]
-            beside = 1.0 - left / n_left
-            if 2 * n_right > radius:
-                beside = min(beside, 1.0 - right / n_right)
-            ahead = 1.0 - below[j] / n_below
-            if 2 * n_above > radius:
-                ahead = min(ahead, 1.0 - above[j] / n_above)
-            if here > hopeless:
-                continue
-            around = 0.5 * (max(beside, 0.0) + max(ahead, 0.0))
-            gains[i, j] = np.log((around + noise) / (max(here, 0.0) + noise))
-    return gains
+    for first in range(0, n, at_once):
+        i, j = np.arange(first, min(first + at_once, n))[:, None], np.arange(first, n)
+        shape = len(i) + 2 * radius, len(j) + 2 * radius
+        near, skipped = max(first - radius, 0), max(radius - first, 0)  # 0 beyond the edges
+        around, known = np.zeros(shape), similarity[near : first + len(i) + radius, near:]
+        around[skipped : skipped + len(known), skipped : skipped + known.shape[1]] = known
+        rows, columns = slice(radius, radius + len(i)), slice(radius, radius + len(j))
+        away = 1.0 - around[rows, columns]
+        sides = _sum_windows(around[rows].T, radius).T
+        left, right = sides[:, : len(j)], sides[:, -len(j) :]
+        sides = _sum_windows(around[:, columns], radius)
+        above, below = sides[: len(i)], sides[-len(i) :]
+        # Too few pairs at the edge of the matrix say nothing.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            beside = 1.0 - left / np.minimum(j, radius)
+            ahead = 1.0 - below / np.minimum(n - 1 - i, radius)
+            beside = np.where(
+                2 * (n - 1 - j) > radius, np.minimum(beside, 1.0 - right / np.minimum(n - 1 - j, radius)), beside
+            )
+            ahead = np.where(2 * i > radius, np.minimum(ahead, 1.0 - above / np.minimum(i, radius)), ahead)
+        contrast = 0.5 * (np.maximum(beside, 0.0) + np.maximum(ahead, 0.0)) + noise
+        some = (j > i) & (away <= hopeless)
+        gains = np.zeros((len(i), n), np.float32)
+        gains[:, first:][some] = np.log(contrast[some] / (np.maximum(away[some], 0.0) + noise))
+        yield gains
 
 
-@njit(cache=True, nogil=True)
-def accumulate_likeness(
+def _sum_windows(values: FloatArray, width: int) -> FloatArray:
+    """Sums of so many rows from each one on."""
+    if width == 1:
+        return values
+    half = _sum_windows(values, width // 2)
+    both: FloatArray = half[: -(width // 2)] + half[width // 2 :]
+    return both if width % 2 == 0 else both[:-1] + values[width - 1 :]
+
+
+@kernel
+def _accumulate(
     similarity: Matrix,
     gains: Matrix,
-    moving: NDArray[np.float64],
+    first: int,
+    moving: FloatArray,
     min_lag: int,
-    toll: float,
-    tolerated: float,
-    drop: float,
-) -> tuple[Matrix, NDArray[np.uint8]]:
-    """Compute the score of the best repetition that ends in each pair of frames.
+    prices: FloatArray,
+    score: Matrix,
+    step: NDArray[np.uint8],
+    summit: Matrix,
+) -> None:  # pragma: no cover - compiled
+    """Do `accumulate_likeness` for rows from first on: prices are toll, tolerated and drop.
 
-    Parameters
-    ----------
-    similarity : (n, n) of a motion with itself, 1 = equal.
-    gains : (n, n) of `compute_gains`.
-    moving : (n,) 0 at rest to 1 in motion: at rest nothing is gained.
-    min_lag : pairs nearer in time than this do not count.
-    toll : taken off the gain of every pair.
-    tolerated : 1 - similarity beyond which a pair costs extra.
-    drop : a repetition ends when its score has fallen this far.
-
-    Returns
-    -------
-    score : (n, n), 0 where nothing ends; only above the diagonal.
-    step : (n, n) 0 start, 1 from (1, 1), 2 from (2, 1), 3 from (1, 2).
+    ``summit`` (3, n) holds the best score along the path so far, of the last three rows.
     """
     n = len(similarity)
-    score = np.zeros((n, n), np.float32)
-    step = np.zeros((n, n), np.uint8)
-    summit = np.zeros((3, n), np.float32)  # best score along the path so far, of the last three rows
-    for i in range(n):
+    toll, tolerated, drop = prices[0], prices[1], prices[2]
+    for i in range(first, first + len(gains)):
         top = summit[i % 3]
         for j in range(n):
             top[j] = 0.0
         for j in range(i + min_lag, n):
-            gain = moving[i] * moving[j] * gains[i, j] - toll
+            gain = moving[i] * moving[j] * gains[i - first, j] - toll
             away = 1.0 - similarity[i, j]
             if away > tolerated:
                 gain -= min((away - tolerated) / tolerated, 2.0)
@@ -398,39 +415,66 @@ def accumulate_likeness(
                 score[i, j] = best
                 step[i, j] = way
                 top[j] = max(peak, best)
+
+
+def accumulate_likeness(
+    similarity: Matrix,
+    gains: Iterable[Matrix],
+    moving: FloatArray,
+    min_lag: int,
+    toll: float,
+    tolerated: float,
+    drop: float,
+) -> tuple[Matrix, NDArray[np.uint8]]:
+    """Compute the score of the best repetition that ends in each pair of frames.
+
+    Parameters
+    ----------
+    similarity : (n, n) of a motion with itself, 1 = equal.
+    gains : (n, n) of `compute_gains`, some rows at a time.
+    moving : (n,) 0 at rest to 1 in motion: at rest nothing is gained.
+    min_lag : pairs nearer in time than this do not count.
+    toll : taken off the gain of every pair.
+    tolerated : 1 - similarity beyond which a pair costs extra.
+    drop : a repetition ends when its score has fallen this far.
+
+    Returns
+    -------
+    score : (n, n), 0 where nothing ends; only above the diagonal.
+    step : (n, n) 0 start, 1 from (1, 1), 2 from (2, 1), 3 from (1, 2).
+    """
+    n, first = len(similarity), 0
+    score, step, summit = np.zeros((n, n), np.float32), np.zeros((n, n), np.uint8), np.zeros((3, n), np.float32)
+    prices = np.array([toll, tolerated, drop])
+    for rows in gains:
+        _accumulate(similarity, rows, first, moving, min_lag, prices, score, step, summit)
+        first += len(rows)
     return score, step
 
 
-@njit(cache=True, nogil=True)
-def find_ends(score: Matrix, least: float) -> NDArray[np.int64]:
+def find_ends(score: Matrix, least: float) -> IndexArray:
     """Find pairs of frames where a repetition may end: no neighbour is higher, and no step goes up from there.
 
-    Takes the score of `accumulate_likeness` and the least height; returns (E, 2) in order of rows.
+    Takes the score of `accumulate_likeness` and the least height, above 0; returns (E, 2) in order of rows.
     """
-    n = len(score)
-    ends = np.empty((0, 2), np.int64)
-    for fills in range(2):
-        found = 0
-        for i in range(n):
-            for j in range(i + 1, n):
-                here = score[i, j]
-                if here < least or score[i, j - 1] > here:
-                    continue
-                # The later frame is the larger one: behind the last column nothing follows.
-                if j + 1 < n and (score[i, j + 1] > here or score[i + 1, j + 1] > here):
-                    continue
-                if fills:
-                    ends[found, 0], ends[found, 1] = i, j
-                found += 1
-        if not fills:
-            ends = np.empty((found, 2), np.int64)
-    return ends
+    ends = []
+    for i, row in enumerate(score):
+        j = np.flatnonzero(row[i + 1 :] >= np.float64(least)) + i + 1
+        if not len(j):
+            continue
+        here = row[j]
+        j = j[row[j - 1] <= here]
+        # The later frame is the larger one: behind the last column nothing follows.
+        after = np.minimum(j + 1, len(score) - 1)
+        beyond = score[np.minimum(i + 1, len(score) - 1), after]
+        j = j[(after == j) | ((row[after] <= row[j]) & (beyond <= row[j]))]
+        ends.append(np.column_stack([np.full(len(j), i), j]))
+    return np.concatenate(ends) if ends else np.empty((0, 2), np.intp)
 
 
-@njit(cache=True, nogil=True)
 def trace_repeats(
-    score: Matrix, step: NDArray[np.uint8], ends: NDArray[np.int64], width: int, shortest: int, least: float
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    score: Matrix, step: NDArray[np.uint8], ends: IndexArray, width: int, shortest: int, least: float
+) -> list[IndexArray]:
     """Walk repetitions back from their ends, one after the other, unless better ones have been along there.
 
     Parameters
@@ -443,48 +487,56 @@ def trace_repeats(
 
     Returns
     -------
-    pairs : (K, 2) frames of all repetitions, each from its end to its start.
-    counts : (R,) pairs of each.
+    (K, 2) pairs of frames of each repetition, from its end to its start.
     """
     n = len(score)
-    taken = np.zeros((n, n), np.bool_)
-    pairs = np.empty((4 * n, 2), np.int32)
-    counts = np.empty(len(ends), np.int32)
-    total, found = 0, 0
-    for end in range(len(ends)):
-        a, b = ends[end, 0], ends[end, 1]
+    taken = np.zeros((n, n + 2 * width), np.bool_)  # columns from -width on
+    found = []
+    for end, its in ends.tolist():
+        a, b, pairs = end, its, []
         last = score[a, b]
-        if taken[a, b]:
-            continue
-        if total + n > len(pairs):
-            more = np.empty((2 * len(pairs), 2), np.int32)
-            for k in range(total):
-                more[k, 0], more[k, 1] = pairs[k, 0], pairs[k, 1]
-            pairs = more
-        count = 0
-        while not taken[a, b]:
-            pairs[total + count, 0], pairs[total + count, 1] = a, b
-            count += 1
+        while not taken[a, b + width]:
+            pairs.append((a, b))
             way = step[a, b]
             if way == 0:
                 break
             a -= 2 if way == 2 else 1
             b -= 2 if way == 3 else 1
-        if taken[a, b] and last - score[a, b] < least:
+        if not pairs or (way != 0 and float(last - score[a, b]) < least):
             continue
-        for k in range(total, total + count):
-            for near in range(max(0, pairs[k, 1] - width), min(n, pairs[k, 1] + width + 1)):
-                taken[pairs[k, 0], near] = True
-        if ends[end, 0] - pairs[total + count - 1, 0] + 1 < shortest:
-            continue
-        counts[found] = count
-        found += 1
-        total += count
-    return pairs[:total], counts[:found]
+        walk = np.array(pairs, np.intp)
+        taken[walk[:, :1], walk[:, 1:] + np.arange(2 * width + 1)] = True
+        if end - walk[-1, 0] + 1 >= shortest:
+            found.append(walk)
+    return found
 
 
-@njit(cache=True, nogil=True)
-def compare_stretches(similarity: Matrix, cuts: NDArray[np.int64], slack: float) -> tuple[Matrix, Matrix]:
+@kernel
+def _compare_with_later(
+    similarity: Matrix, cuts: IndexArray, p: int, slack: float, line: FloatArray, apart: Matrix
+) -> None:  # pragma: no cover - compiled
+    """Do `compare_stretches` for stretch p and those after it; ``line`` (n + 1,) is room."""
+    a, rows = cuts[p], cuts[p + 1] - cuts[p]
+    for q in range(p + 1, len(cuts) - 1):
+        b, columns = cuts[q], cuts[q + 1] - cuts[q]
+        if rows > slack * columns or columns > slack * rows:
+            continue
+        # A diagonal step counts twice, so that every path weighs rows + columns in all.
+        line[0] = 0.0
+        for j in range(1, columns + 1):
+            line[j] = _FAR
+        for i in range(a, a + rows):
+            corner = line[0]
+            line[0] = _FAR
+            for j in range(1, columns + 1):
+                cost = max(0.0, 1.0 - similarity[i, b + j - 1])
+                value = min(corner + 2.0 * cost, min(line[j], line[j - 1]) + cost)
+                corner = line[j]
+                line[j] = value
+        apart[p, q] = apart[q, p] = line[columns] / (rows + columns)
+
+
+def compare_stretches(similarity: Matrix, cuts: IndexArray, slack: float) -> tuple[Matrix, Matrix]:
     """Compute the distance of every stretch of a motion from every other, warped to it, and within each.
 
     The similarity is (n, n) of a motion with itself, cuts are (F + 1,) frames from 0 to n; stretches whose lengths
@@ -493,32 +545,10 @@ def compare_stretches(similarity: Matrix, cuts: NDArray[np.int64], slack: float)
     """
     n_stretches = len(cuts) - 1
     apart = np.full((n_stretches, n_stretches), np.inf, np.float32)
-    within = np.zeros((n_stretches, 1), np.float32)
-    for p in range(n_stretches):
-        a, rows = cuts[p], cuts[p + 1] - cuts[p]
-        apart[p, p] = 0.0
-        inside = 0.0
-        for i in range(rows):
-            for j in range(rows):
-                inside += 1.0 - similarity[a + i, a + j]
-        within[p, 0] = inside / (rows * rows)
-        for q in range(p + 1, n_stretches):
-            b, columns = cuts[q], cuts[q + 1] - cuts[q]
-            if rows > slack * columns or columns > slack * rows:
-                continue
-            # A diagonal step counts twice, so that every path weighs rows + columns in all.
-            before, now = np.zeros(columns), np.zeros(columns)
-            for i in range(rows):
-                for j in range(columns):
-                    cost = max(0.0, 1.0 - similarity[a + i, b + j])
-                    if i == 0 and j == 0:
-                        now[j] = 2.0 * cost
-                    elif i == 0:
-                        now[j] = now[j - 1] + cost
-                    elif j == 0:
-                        now[j] = before[j] + cost
-                    else:
-                        now[j] = min(before[j - 1] + 2.0 * cost, min(before[j], now[j - 1]) + cost)
-                before, now = now, before
-            apart[p, q] = apart[q, p] = before[columns - 1] / (rows + columns)
+    np.fill_diagonal(apart, 0.0)
+    within = np.empty((n_stretches, 1), np.float32)
+    line = np.empty(len(similarity) + 1)
+    for p, (a, b) in enumerate(pairwise(cuts.tolist())):
+        within[p, 0] = (1.0 - similarity[a:b, a:b].astype(np.float64)).mean()
+        _compare_with_later(similarity, cuts, p, slack, line, apart)
     return apart, within

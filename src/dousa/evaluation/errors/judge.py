@@ -16,6 +16,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import FloatArray
+from dousa.evaluation.alignment.dynamic_programming import follow_classes
 from dousa.evaluation.errors.descriptors import N_LIMBS, Descriptors
 from dousa.evaluation.posture.posture import LIMBS
 from dousa.motion.runs import find_equal_runs
@@ -117,39 +118,6 @@ class Suspect:
         return tuple(s for limb in self.limbs for s in _LIMB_SEGMENTS[limb])
 
 
-@njit(cache=True, nogil=True)
-def follow_classes(scores: FloatArray, change: float) -> np.ndarray:  # pragma: no cover - compiled
-    """(N,) the classes with the largest sum of (N, C) scores; every change of class costs."""
-    n, n_classes = scores.shape
-    if n == 0:
-        return np.empty(0, np.int8)
-    came = np.empty((n, n_classes), np.int8)
-    best = scores[0].copy()
-    for t in range(1, n):
-        top = 0
-        for c in range(n_classes):
-            if best[c] > best[top]:
-                top = c
-        leap = best[top] - change
-        for c in range(n_classes):
-            if best[c] >= leap:
-                came[t, c] = c
-            else:
-                came[t, c], best[c] = top, leap
-        for c in range(n_classes):
-            best[c] += scores[t, c]
-    classes = np.empty(n, np.int8)
-    last = 0
-    for c in range(n_classes):
-        if best[c] > best[last]:
-            last = c
-    for t in range(n - 1, -1, -1):
-        classes[t] = last
-        if t:
-            last = came[t, last]
-    return classes
-
-
 def decode(limbs: FloatArray, body: FloatArray, rate: float, how: Decoding) -> list[Suspect]:
     """Decode probabilities of moments to errors, in order of time.
 
@@ -175,7 +143,7 @@ def _find_runs(
 ) -> list[Suspect]:
     scores = logs.copy()
     scores[:, 1:] += [how.shift, how.incomplete, how.partial if "partial" in names else how.whole]
-    classes = follow_classes(np.ascontiguousarray(scores * (15.0 / rate)), how.change)
+    classes = follow_classes(scores * (15.0 / rate), how.change)
     found = []
     for start, end in find_equal_runs(classes).tolist():
         name = names[classes[start]]

@@ -28,8 +28,8 @@ class Coarse:
 class Repeat:
     """A stretch of a motion that is done again."""
 
-    earlier: NDArray[np.int32]  # (K,) coarse frames in order of time
-    later: NDArray[np.int32]  # (K,) coarse frames that resemble them
+    earlier: NDArray[np.intp]  # (K,) coarse frames in order of time
+    later: NDArray[np.intp]  # (K,) coarse frames that resemble them
     score: float  # height that the alignment climbed to
 
 
@@ -97,11 +97,8 @@ def find_repeats(
     least = least_gain * min_s * rate
     ends = find_ends(score, least)
     ends = ends[np.argsort(-score[ends[:, 0], ends[:, 1]], kind="stable")]
-    pairs, counts = trace_repeats(score, step, ends, width, shortest, least)
-    lines = np.split(pairs, np.cumsum(counts)[:-1])
-    return tuple(
-        Repeat(line[::-1, 0], line[::-1, 1], float(score[line[0, 0], line[0, 1]])) for line in lines if len(line)
-    )
+    lines = trace_repeats(score, step, ends, width, shortest, least)
+    return tuple(Repeat(line[::-1, 0], line[::-1, 1], float(score[line[0, 0], line[0, 1]])) for line in lines)
 
 
 _NOVELTY_WORTH, _REST_WORTH = 0.2, 0.25

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.evaluation.alignment.dynamic_programming import extend_lines, trace_lines
+from dousa.evaluation.alignment.dynamic_programming import Steps, extend_lines, join_steps, trace_lines
 from dousa.evaluation.alignment.lines import (
     COARSE_RATE,
     JUMP_S,
@@ -108,8 +108,7 @@ class LineFollower:
         self._best = np.full(len(coarse), np.inf)
         self._coarse = coarse
         self._outside = np.zeros(2)
-        self._origin = np.empty((0, len(coarse)), np.int32)
-        self._ended = np.empty(0, np.int32)
+        self._steps: Steps | None = None  # of the last frames
         self._course = np.empty(0, np.int32)
         self._diagonals: list[_Diagonals] = []
         self._runs: list[Run] = [Run(0, 0, 0.0 if offset is None else offset)]
@@ -162,27 +161,17 @@ class LineFollower:
         if not len(rows):
             return
         cost = to_cost(compute_correlation_matrix(segments[rows], self._coarse, weights=self._weights))
-        origin = np.empty((len(rows), len(self._coarse)), np.int32)
-        ended = np.empty(len(rows), np.int32)
-        extend_lines(
-            cost,
-            self._best,
-            self._outside,
-            JUMP_S * self._rate,
-            PAUSE[self._tempo],
-            OUTSIDE,
-            origin,
-            ended,
-        )
+        prices = JUMP_S * self._rate, PAUSE[self._tempo], OUTSIDE
+        steps = extend_lines(cost, self._best, self._outside, *prices)
         kept = round(_KEPT_S * self._rate)
-        self._origin = np.concatenate([self._origin, origin])[-kept:]
-        self._ended = np.concatenate([self._ended, ended])[-kept:]
+        self._steps = steps if self._steps is None else join_steps((self._steps, steps), kept)
         self._course = np.concatenate([self._course, np.full(len(rows), -1, np.int32)])
 
     def _trace_back(self) -> NDArray[np.int32]:
         """Cheapest course so far; what is older than the kept part stays as it was."""
-        first = len(self._course) - len(self._origin)
-        self._course[first:] = trace_lines(self._best, self._outside, self._origin, self._ended)
+        if self._steps is not None:
+            course = trace_lines(self._best, self._outside, self._steps)
+            self._course[len(self._course) - len(course) :] = course
         return self._course.copy()
 
     def _choose_runs(
