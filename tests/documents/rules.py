@@ -129,7 +129,7 @@ BENCHMARKS = {
     "trials.partial_bodies": "--set HDM05 --only legs --seeds 1",
     "trials.noisy_clips": "--set HDM05 --repeats 1 --calibrated 1",
     "trials.few_clips": "../shared/data/bandai --share 0.5",
-    "benchmarks.first_run": "--only keypoints",
+    "benchmarks.first_run": "--only convert",
     "benchmarks.fragments": "--clips 300",
     "benchmarks.forest": "--clips 60 --classes 3 --repeats 1",
     "benchmarks.forest_query": "--clips 60 --classes 3",
