@@ -18,8 +18,11 @@ COVERED := $(if $(COVERAGE),--cov --cov-append --cov-report=)
 
 .PHONY: demo studio test test-slow test-postgres submission nightly quick lint types coverage wheel fuzz bench peers blender figures docs lock clean
 
+# While the demo's first act runs on one core, the other compiles what the next acts need, then the byte code of the
+# packages, which pip would compile alone before.
 demo: $(VENV)/.demo
-	$(BIN)/dousa demo
+	{ $(BIN)/dousa warm evaluation estimation; $(BIN)/python -m compileall -q $(VENV)/lib; } > /dev/null 2>&1 & \
+	  PYTHONDONTWRITEBYTECODE= $(BIN)/dousa demo
 
 # The demo's library in the browser; makes the demo first if need be.
 studio: $(VENV)/.demo
@@ -100,7 +103,7 @@ docs: $(VENV)/.docs
 # Versions that were tested together; `make lock` writes them anew from the present environment.
 $(VENV)/.demo: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[all]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e '.[all]'
 	touch $@
 
 $(VENV)/.dev: $(VENV)/.demo

@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (24_805, 109),
+    "app": (24_995, 110),
     "estimation": (15_271, 62),
     "evaluation": (12_345, 43),
     "experiments": (1_811, 10),
@@ -31,17 +31,17 @@ ROOMS = {
     "workers": (415, 6),
 }
 TOTALS = {
-    "lines of tests": 58_807,
+    "lines of tests": 58_850,
     "lines of JavaScript": 12_465,
-    "constants": 911,
+    "constants": 912,
     "numeric constants without a source": 0,
     "functions over 60 lines": 20,
     "files over 650 lines": 0,
     "folders with more than 15 files": 0,
     "lines with words that a native reader stumbles over": 48,
     "hand-written runs of a mask": 3,
-    "commands": 28,
-    "options": 194,
+    "commands": 29,
+    "options": 195,
 }
 
 _LONG_FUNCTION, _LONG_FILE, _LARGE_FOLDER = 60, 650, 15

@@ -1,15 +1,15 @@
 """What the first use of twelve commands takes, of it the compiler, and what the second use takes.
 
-    python -m lab.benchmarks.first_run [--only NAME] [--train] [--each]
+    python -m lab.benchmarks.first_run [--only NAME] [--train] [--warm] [--each]
 
 The commands are convert, add, train, search, classify, find, label, export (to glb), evaluate, evaluate --repetitions,
-and estimate of silhouettes and of keypoints, in this order, as a new user may go through them: with one cache of compiled
-functions, empty at first, each in a process of its own. (``info`` reads as ``convert`` does and compiles nothing more.)
-Then once more. Printed are the seconds of each on the clock and of processors, and what numba compiled: in how many
-compilations (its event ``numba:compile``) and processor seconds. The files are made here.
+and estimate of silhouettes and of keypoints, in this order, as a new user may go through them: each in a process of its
+own, with one cache of compiled functions, which is empty at first (with --warm ``dousa warm`` has filled it). ``info``
+reads as ``convert`` does and compiles nothing more. Then once more. Printed are the seconds of each on the clock and of
+processors, and what numba compiled (its event ``numba:compile``): functions, and processor seconds.
 
 With --train: the first training of nine clips, with nothing compiled but what ``dousa add`` needed; the second, and
-the second while two other programs keep two cores busy. With --each: every function that was compiled, the dearest first.
+the second while two programs keep two cores busy. With --each: what was compiled, the dearest first.
 """
 
 from __future__ import annotations
@@ -123,23 +123,26 @@ class Cache:
         return [(f"{module}.{name}", float(seconds)) for seconds, module, name in lines]
 
 
-def measure_commands(chosen: list[str], each: bool) -> Iterator[Row]:
+def measure_commands(chosen: list[str], each: bool, warm: bool) -> Iterator[Row]:
     """All in turn, twice."""
-    cache, spent = Cache("cache"), []
+    cache, spent, compiled = Cache("cache"), [], []
+    if warm:
+        yield Row("dousa warm", cache.call("warm"), note=tell_compiled(cache.compiled()))
     for when in ("first", "second"):
         if when == "second":
             Path("library.dousa").unlink(missing_ok=True)
         for name in chosen:
             before = len(cache.compiled())
             spent.append((when, cache.call(COMMANDS[name])))
-            yield Row(f"{when} {name}", spent[-1][1], note=tell_compiled(cache.compiled()[before:]))
+            compiled += (now := cache.compiled()[before:])
+            yield Row(f"{when} {name}", spent[-1][1], note=tell_compiled(now))
     for when in ("first", "second"):
         walls, cpus = zip(*(one for then, one in spent if then == when), strict=True)
-        note = tell_compiled(cache.compiled()) if when == "first" else ""
+        note = tell_compiled(compiled) if when == "first" else ""
         yield Row(f"{when} use of {len(chosen)} commands", Spent(sum(walls), sum(cpus)), note=note)
     if each:
         sums: Counter[str] = Counter()
-        for name, seconds in cache.compiled():
+        for name, seconds in compiled:
             sums[name] += seconds  # type: ignore[assignment]
         for name, seconds in sums.most_common():
             print(f"{seconds:7.2f} s  {name}")
@@ -171,12 +174,13 @@ def benchmark(options: argparse.Namespace) -> Iterator[Row]:
             yield from measure_training(options.repeats)
             return
         chosen = [name for name in COMMANDS if not options.only or name.startswith(tuple(options.only))]
-        yield from measure_commands(chosen, options.each)
+        yield from measure_commands(chosen, options.each, options.warm)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--only", action="append", default=[], metavar="NAME", help=", ".join(COMMANDS))
     parser.add_argument("--train", action="store_true", help="the training alone, quiet and busy")
+    parser.add_argument("--warm", action="store_true", help="after dousa warm")
     parser.add_argument("--each", action="store_true", help="name every function that was compiled")
 
 

@@ -56,7 +56,8 @@ class Row:
         """Time or rate, on the clock and of processors."""
         if not self.unit:
             return f"{_tell_seconds(spent.wall)} ({_tell_seconds(spent.cpu)} of CPU)"
-        return f"{self.amount / spent.wall:,.4g} {self.unit} ({self.amount / max(spent.cpu, 1e-9):,.4g} {self.unit} of CPU)"
+        rates = (f"{self.amount / max(seconds, 1e-9):,.4g} {self.unit}" for seconds in spent)
+        return "{} ({} of CPU)".format(*rates)
 
     def ratios(self) -> str:
         """How many times as long the peer takes, on the clock and of processors."""

@@ -14,7 +14,8 @@ def _listen() -> None:
     from numba.core import event
 
     class Log(event.Listener):
-        running: list[list[float]] = []
+        def __init__(self) -> None:
+            self.running: list[list[float]] = []
 
         def on_start(self, event):  # type: ignore[no-untyped-def]
             self.running.append([time.thread_time(), 0.0])

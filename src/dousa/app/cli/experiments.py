@@ -1,4 +1,4 @@
-"""Commands for trials: experiment and demo."""
+"""Commands for trials: experiment, demo and warm."""
 
 from __future__ import annotations
 
@@ -205,3 +205,35 @@ def demo(
         run_estimation_demo(console(), output, seed=seed)
     if studio:
         open_demo_studio(console(), output)
+
+
+def warm(
+    context: typer.Context,
+    parts: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[PART...]", help="Of library, estimation and evaluation.", show_default="all"),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Compile now what the commands would compile at their first use.
+
+    Small jobs are done with made motions, on all cores; what they compile is kept. It can be interrupted: the rest is
+    compiled when it is needed, or when this command is run again.
+
+    Example: dousa warm
+
+    Example: dousa warm library
+    """
+    from dousa.app.tables.lines import say_line
+    from dousa.app.warm import warm as run_jobs
+
+    with progress_bar() as progress:
+        found = run_jobs(parts, context.obj, progress)
+    if json:
+        print_json([one.to_json() for one in found])
+    else:
+        for one in found:
+            code = "warm.ready" if one.problem is None else "warm.not_ready"
+            say_line(console(), code, **one.to_json())
+    if any(one.problem for one in found):
+        raise typer.Exit(2)

@@ -63,7 +63,7 @@ PANELS: dict[str, tuple[Callable[..., None], ...]] = {
     ),
     "Evaluation": (evaluation.evaluate, evaluation.progress),
     "Studio": (studio.studio,),
-    "Trials": (experiments.experiment, experiments.demo),
+    "Trials": (experiments.experiment, experiments.demo, experiments.warm),
 }
 """The commands in the order of the help."""
 
