@@ -36,6 +36,22 @@ def test_a_kernel_does_what_its_parts_say():
     np.testing.assert_array_equal(out, 2 * np.maximum((values + 1.0)[np.maximum(np.arange(9) - 2, 0)], 0.5))
 
 
+@kernel(allocates=True)
+def shift_anew(values):
+    out = np.empty(len(values))
+    shift(values, out)
+    for t in range(len(values)):
+        out[t] = greater(out[t], values[t])
+    return out
+
+
+def test_a_kernel_can_call_another_and_make_arrays():
+    values = np.linspace(1.0, 2.0, 9)
+    out = np.empty(9)
+    shift(values, out)
+    np.testing.assert_array_equal(shift_anew(values), np.maximum(out, values))
+
+
 def test_a_part_is_compiled_once_for_constants_and_for_what_is_computed():
     @njit
     def call_it(number):  # not kept: the part is compiled now

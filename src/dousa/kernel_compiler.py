@@ -2,8 +2,8 @@
 
 Numba makes each function ready to run by itself: it optimises the function with everything that it calls, and makes
 machine code and a wrapper for Python. A function that only other compiled functions call needs none of this: what calls
-it is optimised with it in any case. Such a part is half as long to compile, and the machine code of the kernels is the
-same.
+it is optimised with it in any case. Such a part is half as long to compile; and as no other kernel shares its code, what
+the kernel does not use is dropped: arguments that no part reads, as most of an array's, are not passed.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import gc
 from collections.abc import Callable
 from typing import Any
 
+from llvmlite.binding import Linkage
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
@@ -24,24 +25,74 @@ def _options(allocates: bool, fastmath: Any) -> dict[str, Any]:
 
 
 class _PartLibrary(JITCodeLibrary):
-    """The code of a part: what it calls is linked into it; it is neither optimised nor made to run."""
+    """The code of a part: neither optimised nor made to run, and apart from what it calls until a kernel takes both."""
 
     def add_llvm_module(self, ll_module: Any) -> None:
         ll_module.data_layout = self._codegen._data_layout
         self._final_module.link_in(ll_module)
 
     def finalize(self) -> None:
-        for library in dict.fromkeys(self._linking_libraries):
-            self._reload_init.update(library._reload_init)
-            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
         self._finalize_dynamic_globals()
         self._finalized = True
+
+    def list_called(self) -> dict[Any, None]:
+        """Return the libraries that the code needs, each once."""
+        called: dict[Any, None] = {}
+        for library in self._linking_libraries:
+            called[library] = None
+            if type(library) is _PartLibrary:
+                called.update(library.list_called())
+        return called
+
+    def link_called(self) -> None:
+        """Add the code that is called."""
+        for library in self.list_called():
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(JITCodeLibrary._get_module_for_linking(library), preserve=True)
+
+    def _get_module_for_linking(self) -> Any:  # by code that is neither part nor kernel
+        if self._shared_module is None:
+            self.link_called()
+        return super()._get_module_for_linking()
+
+
+class _KernelLibrary(_PartLibrary):
+    """The code of a kernel: its parts become its own, so that LLVM drops what of them and their arguments is not used.
+
+    Numba's first round of optimising prepares the removal of counts of references.
+    """
+
+    counts = False
+
+    def finalize(self) -> None:
+        self.link_called()
+        for function in self._final_module.functions:
+            if function.linkage == Linkage.linkonce_odr and not function.is_declaration:
+                function.linkage = Linkage.internal
+        if self.counts:
+            self._optimize_final_module()
+        else:
+            passes, builder = self._codegen._module_pass_manager()
+            passes.run(self._final_module, builder)
+        self._final_module.verify()
+        self._finalize_final_module()
+
+    def _get_module_for_linking(self) -> Any:
+        return JITCodeLibrary._get_module_for_linking(self)
 
 
 class _PartCompiler(Compiler):
     def define_pipelines(self) -> Any:
         self.state.library = _PartLibrary(self.state.targetctx.codegen(), "part")
         self.state.flags.no_compile = True
+        return super().define_pipelines()
+
+
+class _KernelCompiler(Compiler):
+    def define_pipelines(self) -> Any:
+        self.state.library = _KernelLibrary(self.state.targetctx.codegen(), "kernel")
+        self.state.library.counts = bool(self.state.flags.nrt)
+        self.state.library.enable_object_caching()
         return super().define_pipelines()
 
 
@@ -78,7 +129,7 @@ class _Kernel(CPUDispatcher):
 
 def compile_kernel(function: Callable[..., Any], allocates: bool, fastmath: Any) -> Any:
     """Make the dispatcher of a kernel."""
-    made = _Kernel(function, targetoptions=_options(allocates, fastmath))
+    made = _Kernel(function, targetoptions=_options(allocates, fastmath), pipeline_class=_KernelCompiler)
     made.enable_caching()
     return made
 
