@@ -8,11 +8,11 @@ side should do, how much the reference moves there, and how much takes of the re
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
@@ -20,10 +20,14 @@ from dousa.evaluation.alignment.dynamic_programming import follow_lag
 from dousa.evaluation.errors.evidence import LAG_CHANGE, Evidence
 from dousa.evaluation.errors.explain import Finding
 from dousa.evaluation.posture.posture import LIMBS, MIRRORED_SEGMENTS, SEGMENTS
+from dousa.kernels import kernel
 
 N_LIMBS = len(LIMBS)
 LIMB_OF = np.array([next(i for i, limb in enumerate(LIMBS.values()) if s in limb) for s in range(len(SEGMENTS))])
 """Limb of each segment."""
+
+_LIMB_SEGMENTS = tuple(np.array(limb) for limb in LIMBS.values())
+_MEMBERS = np.array([*(np.arange(N_LIMBS)[:, None] == LIMB_OF), np.ones(len(SEGMENTS), bool)])  # of limbs and the body
 
 
 _PER_WINDOW = (
@@ -135,35 +139,109 @@ def _measure_windows(
     farthest: float = 4.0,
     windows_s: tuple[float, float, float] = (0.5, 1.0, 2.0),
 ) -> tuple[FloatArray, FloatArray]:
-    """(N, 5, W, 21) and (N, W, 15), see `_describe`."""
+    """(N, 5, W, 21) features of limbs, in the order of `_PER_WINDOW`, and (N, W, 15) of the body."""
     # reach_s: lags that are looked at; lateness_price: rad^2 a second: of lags as good as each other the nearest;
     # farthest: squared chord of opposite directions
     deviations, rate = evidence.deviations, evidence.rate
     reach = min(round(reach_s * rate), deviations.center)
-    part = slice(deviations.center - reach, deviations.center + reach + 1)
+    squared = deviations.squared[:, deviations.center - reach : deviations.center + reach + 1]
     # What has no weight, or is never seen, is as it should be.
-    counts: NDArray[np.bool_] = np.any(evidence.ratio > 0.0, axis=(0, 1), keepdims=True)[0, 0]
-    squared, common = _pool_limbs(deviations.squared[:, part] * counts)
+    counts = evidence.ratio.find_weighing()
     theirs = np.ascontiguousarray(deviations.reference)
     ours = np.ascontiguousarray(np.where(counts[:, None], deviations.performance, theirs))
+    halves = [max(1, round(0.5 * seconds * rate)) for seconds in windows_s]
+    windows = [_Window(frames, half, len(ours)) for half in halves]
+    lags = _Lags(max(1, round(sharp_s * rate)), lateness_price / rate)
+    limbs, body = np.zeros((len(frames), N_LIMBS, len(windows), 21)), np.zeros((len(frames), len(windows), 15))
+
+    common = _pool_body(squared, counts)
+    covered = [_cover(common)]
+    total = _accumulate(common)
+    at = np.empty((len(windows), len(frames), N_LIMBS + 1), np.intp)
+    for w, window in enumerate(windows):
+        body[:, w, :4], at[w, :, N_LIMBS] = lags.find(total, window)
+    for number, segments in enumerate(_LIMB_SEGMENTS):
+        limb = _pool_limb(squared, counts, segments)
+        covered.insert(number, _cover(limb))
+        total = _accumulate(limb)
+        for w, window in enumerate(windows):
+            limbs[:, number, w, :4], at[w, :, number] = lags.find(total, window)
+            limbs[:, number, w, 4] = np.sqrt(np.maximum(window.average(total, at[w, :, N_LIMBS]), 0.0))
+    body[..., 2] /= rate
+    limbs[..., 2] /= rate
+    limbs[..., 5] = np.abs(limbs[..., 2] - body[:, None, :, 2])
+
     far = ((ours - theirs[:, MIRRORED_SEGMENTS, :] * _FLIP) ** 2).sum(axis=2)
-    covered = np.array([_cover(np.ascontiguousarray(one)) for one in (*squared, common)])
     blocks = [
-        covered[:, 0].T,
-        covered[:, 1].T,
+        np.array([path for path, _ in covered]).T,
+        np.array([unreached for _, unreached in covered]).T,
         _by_limb(np.minimum(far, farthest) * deviations.judged),
         _by_limb(_measure_speeds(theirs, rate)),
         _by_limb(_measure_speeds(ours, rate)),
         _by_limb(deviations.spread),
         np.repeat(time_spread[:, None], N_LIMBS + 1, axis=1),
     ]
-    rows = np.concatenate(blocks, axis=1)
-    halves = np.array([max(1, round(0.5 * seconds * rate)) for seconds in windows_s])
-    sharp = max(1, round(sharp_s * rate))
-    totals, together, sums = _accumulate(squared), _accumulate(common), _accumulate(rows)
-    return _describe(
-        totals, together, ours, theirs, rows, sums, LIMB_OF, frames, halves, sharp, lateness_price / rate, rate
-    )
+    total = _accumulate(np.concatenate(blocks, axis=1))
+    for w, window in enumerate(windows):
+        means = window.average(total).reshape(len(frames), len(blocks), N_LIMBS + 1)
+        means[:, :3] = np.sqrt(np.maximum(means[:, :3], 0.0))
+        fit, late = (window.fit_gains(ours, theirs, shift) for shift in (np.zeros_like(at[w]), at[w] - reach))
+        body[:, w, 4:6], body[:, w, 6:8] = fit[:, N_LIMBS, :2], late[:, N_LIMBS, :2]
+        body[:, w, 8:] = means[:, (0, 1, 3, 4, 2, 5, 6), N_LIMBS]
+        limbs[:, :, w, 6:11], limbs[:, :, w, 11:13] = fit[:, :N_LIMBS], late[:, :N_LIMBS, :2]
+        limbs[:, :, w, 13:15] = means[:, :2, :N_LIMBS].transpose(0, 2, 1)
+        limbs[:, :, w, 15] = np.sqrt(window.find_largest(blocks[1])[:, :N_LIMBS])
+        limbs[:, :, w, 16:] = means[:, 2:, :N_LIMBS].transpose(0, 2, 1)
+    return limbs, body
+
+
+class _Window:
+    """Frames around moments: (N,) of ``frames``, so many on either side, fewer at the ends."""
+
+    def __init__(self, frames: NDArray[np.intp], half: int, n_frames: int) -> None:
+        self.frames, self.half = frames, half
+        self.first, self.last = np.maximum(frames - half, 0), np.minimum(frames + half + 1, n_frames)
+
+    def average(self, total: FloatArray, columns: NDArray[np.intp] | None = None) -> FloatArray:
+        """(N, K) means of values whose sums (T + 1, K) are given; (N,) where each moment has its column."""
+        count = self.last - self.first
+        if columns is not None:
+            return np.asarray((total[self.last, columns] - total[self.first, columns]) / count)
+        return np.asarray((total[self.last] - total[self.first]) / count[:, None])
+
+    def find_largest(self, values: FloatArray) -> FloatArray:
+        """(N, K) largest of values (T, K) that are 0 or above."""
+        padded = np.pad(values, ((self.half, self.half), (0, 0)))
+        largest = np.zeros((len(self.frames), values.shape[1]))
+        for step in range(2 * self.half + 1):
+            np.maximum(largest, padded[self.frames + step], out=largest)
+        return largest
+
+    def fit_gains(self, ours: FloatArray, theirs: FloatArray, lags: NDArray[np.intp]) -> FloatArray:
+        """(N, 6, 5) of limbs and, last, the body, at lags (N, 6) in frames, see `_fit_gains`."""
+        fits = np.empty((*lags.shape, 5))
+        _fit_gains(ours, theirs, self.first, self.last, np.ascontiguousarray(lags), _MEMBERS, fits)
+        return fits
+
+
+@dataclass(frozen=True, slots=True)
+class _Lags:
+    """How the lag is found that leaves least."""
+
+    sharp: int  # columns
+    price: float  # rad^2 a column
+
+    def find(self, total: FloatArray, window: _Window) -> tuple[FloatArray, NDArray[np.intp]]:
+        """(N, 4) deviation at the same time, at the best lag, that lag in columns, and its clearness; and its column.
+
+        Sums (T + 1, K) are of squared deviations at each lag.
+        """
+        means = window.average(total)
+        center, rows = total.shape[1] // 2, np.arange(len(means))
+        best = (means + self.price * np.abs(np.arange(total.shape[1]) - center)).argmin(axis=1)
+        beside = np.maximum(best - self.sharp, 0), np.minimum(best + self.sharp, total.shape[1] - 1)
+        own, here, left, right = (np.sqrt(np.maximum(means[rows, at], 0.0)) for at in (center, best, *beside))
+        return np.stack([own, here, best - center, 0.5 * (left + right) - here], axis=1), best
 
 
 def _compare_lags(limb_table: FloatArray, body_table: FloatArray) -> FloatArray:
@@ -196,7 +274,7 @@ def _follow_lags(evidence: Evidence, *, beside_s: tuple[float, float] = (1.0, 2.
     together: FloatArray = trend
     for limb in range(N_LIMBS, -1, -1):
         segments = np.flatnonzero(limb == LIMB_OF) if limb < N_LIMBS else np.arange(len(SEGMENTS))
-        cost = evidence.ratio[:, :, segments].sum(axis=2)
+        cost = evidence.ratio.sum_up(segments)
         share = len(segments) / len(SEGMENTS)
         course = follow_lag(cost + share * prices, share * change).astype(np.intp)
         lag: FloatArray = np.asarray((evidence.center - course) * step_s, np.float64)
@@ -251,13 +329,23 @@ def _describe_others(limb_table: FloatArray) -> FloatArray:
     return result
 
 
-def _pool_limbs(squared: FloatArray, *, cap: float = 1.3, cap_in_common: float = 0.19) -> tuple[FloatArray, FloatArray]:
-    """(L, T, K) mean squared chord of each limb, and (T, K) of the body with each limb's say limited."""
-    # cap: squared chord of 70 deg: further away says no more; cap_in_common: of 25 deg: one limb alone does not decide
-    # the body's lag
-    capped = np.minimum(squared, cap)
-    limbs = np.stack([capped[:, :, list(limb)].mean(axis=2) for limb in LIMBS.values()])
-    return limbs, np.minimum(limbs, cap_in_common).mean(axis=0)
+def _pool_limb(
+    squared: FloatArray, counts: NDArray[np.bool_], segments: NDArray[np.intp], *, cap: float = 1.3
+) -> FloatArray:
+    """(T, K) mean squared chord of some segments that count, of (T, K, 9)."""
+    # cap: squared chord of 70 deg: further away says no more
+    part = squared[:, :, segments] * counts[segments]
+    return np.asarray(np.minimum(part, cap, out=part).mean(axis=2))
+
+
+def _pool_body(squared: FloatArray, counts: NDArray[np.bool_], *, most: float = 0.19) -> FloatArray:
+    """(T, K) mean of the limbs, each with a limited say."""
+    # most: of 25 deg: one limb alone does not decide the body's lag
+    total = np.zeros(squared.shape[:2])
+    for segments in _LIMB_SEGMENTS:
+        total += np.minimum(_pool_limb(squared, counts, segments), most)
+    total /= N_LIMBS
+    return total
 
 
 def _accumulate(values: FloatArray) -> FloatArray:
@@ -282,163 +370,61 @@ def _by_limb(values: FloatArray) -> FloatArray:
     return np.concatenate([limbs, limbs.mean(axis=1, keepdims=True)], axis=1)
 
 
-@njit(cache=True, nogil=True)
-def _cover(squared: FloatArray) -> tuple[FloatArray, FloatArray]:  # pragma: no cover - compiled
+def _cover(squared: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Of (T, K) squared deviations: nearest moment of the reference to each of ours, and of ours to each of theirs."""
     n, n_lags = squared.shape
-    center = n_lags // 2
-    path, unreached = np.empty(n), np.empty(n)
-    for t in range(n):
-        least = np.inf
-        for k in range(n_lags):
-            least = min(least, squared[t, k])
-        path[t] = least
-        least = np.inf
-        for k in range(n_lags):
-            other = t + center - k
-            if 0 <= other < n:
-                least = min(least, squared[other, k])
-        unreached[t] = least
-    return path, unreached
-
-
-@njit(cache=True, nogil=True)
-def _fit_gain(
-    ours: FloatArray,
-    theirs: FloatArray,
-    first: int,
-    last: int,
-    lag: int,
-    limb: int,
-    limb_of: np.ndarray,
-    out: FloatArray,
-) -> None:  # pragma: no cover - compiled
-    """Into ``out``: gain, root mean square that a gain leaves, constant difference, spreads of theirs and ours."""
-    n = len(theirs)
-    count = last - first
-    power, product, other, shift, segments = 0.0, 0.0, 0.0, 0.0, 0.0
-    for s in range(len(limb_of)):
-        if limb >= 0 and limb_of[s] != limb:
-            continue
-        segments += 1.0
-        for axis in range(3):
-            x, y, xx, xy, yy = 0.0, 0.0, 0.0, 0.0, 0.0
-            for t in range(first, last):
-                there = min(max(t + lag, 0), n - 1)
-                a, b = theirs[there, s, axis], ours[t, s, axis]
-                x += a
-                y += b
-                xx += a * a
-                xy += a * b
-                yy += b * b
-            power += xx - x * x / count
-            product += xy - x * y / count
-            other += yy - y * y / count
-            shift += (x - y) * (x - y) / (count * count)
-    size = count * segments
-    gain = product / max(power, 1e-4 * size)
-    left = other - 2.0 * gain * product + gain * gain * power
-    out[0] = min(max(gain, -1.0), 2.0)
-    out[1] = np.sqrt(max(left, 0.0) / size)
-    out[2] = np.sqrt(shift / segments)
-    out[3] = np.sqrt(max(power, 0.0) / size)
-    out[4] = np.sqrt(max(other, 0.0) / size)
-
-
-@njit(cache=True, nogil=True)
-def _find_lag(
-    total: FloatArray, first: int, last: int, price: float, sharp: int, out: FloatArray
-) -> int:  # pragma: no cover - compiled
-    """Into ``out``: deviation at the same time, at the best lag, that lag in columns, and its clearness."""
-    n_lags = total.shape[1]
-    center = n_lags // 2
-    count = last - first
-    best, least = center, np.inf
+    unreached = np.full(n, np.inf)
     for k in range(n_lags):
-        mean = (total[last, k] - total[first, k]) / count + price * abs(k - center)
-        if mean < least:
-            best, least = k, mean
-    here = max((total[last, best] - total[first, best]) / count, 0.0)
-    left = max((total[last, max(best - sharp, 0)] - total[first, max(best - sharp, 0)]) / count, 0.0)
-    right_at = min(best + sharp, n_lags - 1)
-    right = max((total[last, right_at] - total[first, right_at]) / count, 0.0)
-    out[0] = np.sqrt(max((total[last, center] - total[first, center]) / count, 0.0))
-    out[1] = np.sqrt(here)
-    out[2] = best - center
-    out[3] = 0.5 * (np.sqrt(left) + np.sqrt(right)) - np.sqrt(here)
-    return int(best)
+        shift = n_lags // 2 - k  # of the frame of ours that meets a moment of theirs in this column
+        theirs, ours = (slice(max(step, 0), max(n + min(step, 0), 0)) for step in (-shift, shift))
+        np.minimum(unreached[theirs], squared[ours, k], out=unreached[theirs])
+    return squared.min(axis=1), unreached
 
 
-@njit(cache=True, nogil=True)
-def _mean(total: FloatArray, first: int, last: int, column: int) -> float:  # pragma: no cover - compiled
-    return float((total[last, column] - total[first, column]) / (last - first))
-
-
-@njit(cache=True, nogil=True)
-def _describe(
-    totals: FloatArray,
-    together: FloatArray,
+@kernel
+def _fit_gains(
     ours: FloatArray,
     theirs: FloatArray,
-    rows: FloatArray,
-    sums: FloatArray,
-    limb_of: np.ndarray,
-    frames: np.ndarray,
-    halves: np.ndarray,
-    sharp: int,
-    price: float,
-    rate: float,
-) -> tuple[FloatArray, FloatArray]:  # pragma: no cover - compiled
-    """(N, L, W, 21) features of limbs and (N, W, 15) of the body, in the order of `_PER_WINDOW`.
+    firsts: NDArray[np.intp],
+    lasts: NDArray[np.intp],
+    lags: NDArray[np.intp],
+    members: NDArray[np.bool_],
+    fits: FloatArray,
+) -> None:  # pragma: no cover - compiled
+    """Into ``fits`` (N, G, 5) gain, root mean square that it leaves, constant difference, spreads of theirs and ours.
 
-    Parameters
-    ----------
-    totals, together : (L, T + 1, K) and (T + 1, K), squared deviations of limbs and body summed up.
-    ours, theirs : (T, 9, 3).
-    rows, sums : (T, 7 * (L + 1)) and summed up: path, unreached, mirrored, their and our speed, spreads.
+    ``lags`` are (N, G) in frames, ``members`` (G, 9) the segments of each group.
     """
-    n_limbs, n = len(totals), len(ours)
-    width, center = n_limbs + 1, together.shape[1] // 2
-    limb_out = np.zeros((len(frames), n_limbs, len(halves), 21))
-    body_out = np.zeros((len(frames), len(halves), 15))
-    lagged, fit, late = np.zeros(4), np.zeros(5), np.zeros(5)
-    now, everywhere = int(np.int64(0)), int(np.int64(-1))  # for plain constants there would be a kernel each
-    for i in range(len(frames)):
-        for w in range(len(halves)):
-            first, last = max(frames[i] - halves[w], 0), min(frames[i] + halves[w] + 1, n)
-            body_at = _find_lag(together, first, last, price, sharp, lagged)
-            out = body_out[i, w]
-            body_lag = lagged[2] / rate
-            out[0], out[1], out[2], out[3] = lagged[0], lagged[1], body_lag, lagged[3]
-            _fit_gain(ours, theirs, first, last, now, everywhere, limb_of, fit)
-            _fit_gain(ours, theirs, first, last, body_at - center, everywhere, limb_of, late)
-            out[4], out[5], out[6], out[7] = fit[0], fit[1], late[0], late[1]
-            out[8] = np.sqrt(max(_mean(sums, first, last, n_limbs), 0.0))
-            out[9] = np.sqrt(max(_mean(sums, first, last, width + n_limbs), 0.0))
-            out[10] = _mean(sums, first, last, 3 * width + n_limbs)
-            out[11] = _mean(sums, first, last, 4 * width + n_limbs)
-            out[12] = np.sqrt(max(_mean(sums, first, last, 2 * width + n_limbs), 0.0))
-            out[13] = _mean(sums, first, last, 5 * width + n_limbs)
-            out[14] = _mean(sums, first, last, 6 * width + n_limbs)
-            for limb in range(n_limbs):
-                out = limb_out[i, limb, w]
-                at = _find_lag(totals[limb], first, last, price, sharp, lagged)
-                out[0], out[1], out[2], out[3] = lagged[0], lagged[1], lagged[2] / rate, lagged[3]
-                out[4] = np.sqrt(max(_mean(totals[limb], first, last, body_at), 0.0))
-                out[5] = abs(lagged[2] / rate - body_lag)
-                _fit_gain(ours, theirs, first, last, now, limb, limb_of, fit)
-                _fit_gain(ours, theirs, first, last, at - center, limb, limb_of, late)
-                for k in range(5):
-                    out[6 + k] = fit[k]
-                out[11], out[12] = late[0], late[1]
-                most = 0.0
-                for t in range(first, last):
-                    most = max(most, rows[t, width + limb])
-                out[15] = np.sqrt(most)
-                for block in range(7):
-                    mean = _mean(sums, first, last, block * width + limb)
-                    if block < 2:
-                        out[13 + block] = np.sqrt(max(mean, 0.0))
-                    else:
-                        out[14 + block] = np.sqrt(max(mean, 0.0)) if block == 2 else mean
-    return limb_out, body_out
+    n = len(theirs)
+    for i in range(len(firsts)):
+        first, last = firsts[i], lasts[i]
+        count = last - first
+        for group in range(len(members)):
+            lag, out = lags[i, group], fits[i, group]
+            power, product, other, shift, segments = 0.0, 0.0, 0.0, 0.0, 0.0
+            for s in range(9):
+                if not members[group, s]:
+                    continue
+                segments += 1.0
+                for axis in range(3):
+                    x, y, xx, xy, yy = 0.0, 0.0, 0.0, 0.0, 0.0
+                    for t in range(first, last):
+                        there = min(max(t + lag, 0), n - 1)
+                        a, b = theirs[there, s, axis], ours[t, s, axis]
+                        x += a
+                        y += b
+                        xx += a * a
+                        xy += a * b
+                        yy += b * b
+                    power += xx - x * x / count
+                    product += xy - x * y / count
+                    other += yy - y * y / count
+                    shift += (x - y) * (x - y) / (count * count)
+            size = count * segments
+            gain = product / max(power, 1e-4 * size)
+            left = other - 2.0 * gain * product + gain * gain * power
+            out[0] = min(max(gain, -1.0), 2.0)
+            out[1] = math.sqrt(max(left, 0.0) / size)
+            out[2] = math.sqrt(shift / segments)
+            out[3] = math.sqrt(max(power, 0.0) / size)
+            out[4] = math.sqrt(max(other, 0.0) / size)

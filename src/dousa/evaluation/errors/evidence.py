@@ -7,17 +7,18 @@ segments of a limb; the distance inside the eigenspace does not show it, since a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.dynamic_programming import follow_lag, switch_on
 from dousa.evaluation.posture.posture import LIMBS, SEGMENTS, Working, interpolate_segments
 from dousa.evaluation.posture.yaw import rotate_yaw
+from dousa.kernels import kernel
 from dousa.motion.runs import find_runs
 
 MAX_LAG_S = 1.2  # see docs/evaluation.md
@@ -32,7 +33,7 @@ class Deviations:
     # (T, K, 9) squared chord between the segments of the performance at t and of the reference at the same time + lag
     # column, turned by the common yaw; 0 where either is not seen, and only there
     squared: FloatArray
-    yaw: FloatArray  # (T, K) rad that turn the reference onto the performance
+    yaw: FloatArray  # (T,) rad that turn the reference of the same time onto the performance
     judged: NDArray[np.bool_]  # (T, 9) both seen, and inside the reference
     # (T, 9, 3) unit vectors at the same time, the reference turned onto the performance, and both turned so that the
     # reference's body always faces the same way: what is left is the motion of the limbs
@@ -59,21 +60,20 @@ def compute_deviations(reference: Working, performance: Working, frames: FloatAr
     # Before its start and after its end the reference stands still; errors are judged inside it only.
     seen = reference.seen[near]
     half = max(1, round(0.5 * YAW_WINDOW_S * performance.frame_rate))
-    squared, turn = measure_deviations(
-        np.ascontiguousarray(performance.segments),
+    squared, yaw = measure_deviations(
+        performance.segments,
         moved,
-        np.ascontiguousarray(performance.seen),
+        performance.seen,
         seen,
-        np.asarray(weights, np.float64),
+        weights,
         half,
         YAW_SCALE**2,
     )
     here = slice(reach, reach + count)
     judged = performance.seen & seen[here] & inside[here, None]
-    yaw = np.angle(turn)
     facing = np.interp(frames, np.arange(reference.n_frames), reference.heading)
     theirs = rotate_yaw(moved[here], -facing)
-    ours = rotate_yaw(performance.segments, -facing - yaw[:, reach])
+    ours = rotate_yaw(performance.segments, -facing - yaw)
     return Deviations(squared, yaw, judged, ours, theirs, reach, 1.0 / performance.frame_rate, np.zeros(judged.shape))
 
 
@@ -117,16 +117,62 @@ def take_nearest(mine: FloatArray, its: FloatArray) -> FloatArray:
 _SMALLEST_SEEN = 1e-30  # by definition 0 means not seen; this is far below rounding
 
 
-@njit(cache=True, nogil=True)
+@kernel
+def _measure_lag_column(
+    ours: FloatArray,
+    theirs: FloatArray,
+    weight: FloatArray,
+    half: int,
+    scale: float,
+    room: FloatArray,
+    total: FloatArray,
+    far: FloatArray,
+    turn: FloatArray,
+) -> None:  # pragma: no cover - compiled
+    """Do `measure_deviations` for one lag: into ``far`` (T, 9) and ``turn`` (T, 2), cosine and sine of the yaw.
+
+    ``ours``, ``theirs`` and ``weight`` are of the same moments; ``room`` is (T, 4, 9), ``total`` (T + 1, 2).
+    """
+    n_frames = len(ours)
+    for t in range(n_frames):
+        here, a, b = room[t], ours[t], theirs[t]
+        for s in range(9):
+            here[0, s] = a[s, 2] * b[s, 2] + a[s, 0] * b[s, 0]  # along
+            here[1, s] = a[s, 0] * b[s, 2] - a[s, 2] * b[s, 0]  # across
+            here[2, s] = 2.0 - 2.0 * a[s, 1] * b[s, 1]  # upright
+            here[3, s] = weight[t, s]  # trust
+    total[0, 0] = total[0, 1] = 0.0
+    for _ in range(4):  # each time what is off loses more of its say
+        for t in range(n_frames):
+            here = room[t]
+            along, across = 0.0, 0.0
+            for s in range(9):
+                along += here[0, s] * here[3, s]
+                across += here[1, s] * here[3, s]
+            total[t + 1, 0] = total[t, 0] + along
+            total[t + 1, 1] = total[t, 1] + across
+        for t in range(n_frames):
+            here, squared = room[t], far[t]
+            low, high = max(t - half, 0), min(t + half + 1, n_frames)
+            along, across = total[high, 0] - total[low, 0], total[high, 1] - total[low, 1]
+            size = max(math.sqrt(along * along + across * across), 1e-12)
+            along, across = along / size, across / size
+            turn[t, 0], turn[t, 1] = along, across
+            for s in range(9):
+                squared[s] = max(here[2, s] - 2.0 * (here[0, s] * along + here[1, s] * across), 0.0)
+                share = 1.0 / (1.0 + squared[s] / scale)
+                here[3, s] = weight[t, s] * share * share
+
+
 def measure_deviations(
     ours: FloatArray,
     theirs: FloatArray,
-    ours_seen: np.ndarray,
-    theirs_seen: np.ndarray,
+    ours_seen: NDArray[np.bool_],
+    theirs_seen: NDArray[np.bool_],
     weights: FloatArray,
     half: int,
     scale: float,
-) -> tuple[FloatArray, np.ndarray]:  # pragma: no cover - compiled
+) -> tuple[FloatArray, FloatArray]:
     """Measure squared chords at every lag after a common yaw that changes slowly and that no wrong limb bends.
 
     Parameters
@@ -141,47 +187,21 @@ def measure_deviations(
     Returns
     -------
     squared : (T, K, 9), 0 where either is not seen, and only there.
-    turn : (T, K) complex of modulus 1, the yaw that turns the reference onto the performance.
+    yaw : (T,) rad, that turns the reference onto the performance at the middle lag.
     """
     n_frames, n_lags = len(ours), len(theirs) - len(ours) + 1
-    squared = np.empty((n_frames, n_lags, 9))
-    turn = np.empty((n_frames, n_lags), np.complex128)
-    along, across = np.empty((n_frames, 9)), np.empty((n_frames, 9))
-    upright, far = np.empty((n_frames, 9)), np.empty((n_frames, 9))
-    weight, trust = np.empty((n_frames, 9)), np.empty((n_frames, 9))
-    total = np.zeros((n_frames + 1, 2))
+    ours, theirs = np.ascontiguousarray(ours), np.ascontiguousarray(theirs)
+    squared, yaw = np.empty((n_frames, n_lags, 9)), np.zeros(n_frames)
+    room, total = np.empty((n_frames, 4, 9)), np.empty((n_frames + 1, 2))
+    far, turn = np.empty((n_frames, 9)), np.empty((n_frames, 2))
     for k in range(n_lags):
-        for t in range(n_frames):
-            for s in range(9):
-                x, y, z = ours[t, s, 0], ours[t, s, 1], ours[t, s, 2]
-                p, q, r = theirs[t + k, s, 0], theirs[t + k, s, 1], theirs[t + k, s, 2]
-                along[t, s] = z * r + x * p
-                across[t, s] = x * r - z * p
-                upright[t, s] = 2.0 - 2.0 * y * q
-                weight[t, s] = weights[s] if ours_seen[t, s] and theirs_seen[t + k, s] else 0.0
-                trust[t, s] = weight[t, s]
-        for _ in range(4):  # each time what is off loses more of its say
-            for t in range(n_frames):
-                a, b = 0.0, 0.0
-                for s in range(9):
-                    a += along[t, s] * trust[t, s]
-                    b += across[t, s] * trust[t, s]
-                total[t + 1, 0] = total[t, 0] + a
-                total[t + 1, 1] = total[t, 1] + b
-            for t in range(n_frames):
-                low, high = max(t - half, 0), min(t + half + 1, n_frames)
-                a, b = total[high, 0] - total[low, 0], total[high, 1] - total[low, 1]
-                size = max(np.sqrt(a * a + b * b), 1e-12)
-                a, b = a / size, b / size
-                for s in range(9):
-                    far[t, s] = max(upright[t, s] - 2.0 * (along[t, s] * a + across[t, s] * b), 0.0)
-                    share = 1.0 / (1.0 + far[t, s] / scale)
-                    trust[t, s] = weight[t, s] * share * share
-                turn[t, k] = complex(a, b)
-        for t in range(n_frames):
-            for s in range(9):
-                squared[t, k, s] = max(far[t, s], _SMALLEST_SEEN) if ours_seen[t, s] and theirs_seen[t + k, s] else 0.0
-    return squared, turn
+        seen = ours_seen & theirs_seen[k : k + n_frames]
+        there = theirs[k : k + n_frames]
+        _measure_lag_column(ours, there, np.where(seen, weights, 0.0), half, float(scale), room, total, far, turn)
+        squared[:, k] = np.where(seen, np.maximum(far, _SMALLEST_SEEN), 0.0)
+        if k == n_lags // 2:
+            yaw = np.arctan2(turn[:, 1], turn[:, 0])
+    return squared, yaw
 
 
 GROUPS: dict[str, NDArray[np.intp]] = {"body": np.arange(len(SEGMENTS))} | {
@@ -395,13 +415,59 @@ LAG_PRICE = 0.15  # and of being late at all, a frame and column, see docs/evalu
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Ratios:
+    """Squared deviation over squared tolerance, at most `CAP`, times the segment's weight; made where it is needed.
+
+    What is not seen speaks for no lag: it is as good as at the same time, or nothing if that is not judged.
+    """
+
+    deviations: Deviations
+    tolerance: FloatArray  # (9,) rad
+    weights: FloatArray  # (9,) of the segments, those above 0 of mean 1
+
+    def of(self, start: int, end: int) -> FloatArray:
+        """(n, K, 9) of some frames."""
+        squared = self.deviations.squared[start:end]
+        return self._weigh(squared, squared[:, self.deviations.center, None])
+
+    def at_lag(self, course: NDArray[np.intp], first: int = 0) -> FloatArray:
+        """(n, 9) at each frame's column, of frames from ``first`` on."""
+        squared = self.deviations.squared[first : first + len(course)]
+        return self._weigh(squared[np.arange(len(course)), course], squared[:, self.deviations.center])
+
+    def sum_up(self, segments: NDArray[np.intp], *, at_once: int = 1024) -> FloatArray:
+        """(T, K) sums over some segments."""
+        # at_once: frames: their memory
+        total = np.empty(self.deviations.squared.shape[:2])
+        for first in range(0, len(total), at_once):
+            part = self.of(first, first + at_once)
+            total[first : first + at_once] = part[:, :, segments].sum(axis=2)
+        return total
+
+    def find_weighing(self) -> NDArray[np.bool_]:
+        """(9,) segments that weigh anything at any moment."""
+        judged: NDArray[np.bool_] = np.any(self.deviations.squared[:, self.deviations.center] > 0.0, axis=0)
+        return judged & (self.weights > 0.0)
+
+    def _weigh(self, squared: FloatArray, same: FloatArray) -> FloatArray:
+        ratio, here = (np.minimum(values / self.tolerance**2, CAP) * self.weights for values in (squared, same))
+        unseen, unjudged = squared == 0.0, same == 0.0
+        if unseen.any():
+            np.copyto(ratio, here, where=unseen)
+        if unjudged.any():
+            np.copyto(ratio, 0.0, where=unjudged)
+        return ratio
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
     """Deviations in multiples of what is tolerated."""
 
     deviations: Deviations  # as measured
     tolerance: FloatArray  # (9,) rad
-    ratio: FloatArray  # (T, K, 9) squared deviation over squared tolerance, at most `CAP`, times the segment's weight
-    ordinary: FloatArray  # (T, 9) the same at the same time, small lags forgiven; 0 where nothing is judged
+    ratio: Ratios  # the deviations in multiples of the tolerance
+    # (T, 9) the ratio at the same time, small lags forgiven; 0 where nothing is judged
+    ordinary: FloatArray
     punctual: FloatArray  # (T, 9) the same without forgiving
     course: NDArray[np.intp]  # (T,) column of the lag that explains most
     near: NDArray[np.intp]  # (T,) the same among the lags that are forgiven
@@ -417,14 +483,9 @@ class Evidence:
     @property
     def lag_prices(self) -> FloatArray:
         """(K,) price a frame of each lag."""
-        columns = np.arange(self.ratio.shape[1])
+        columns = np.arange(self.deviations.squared.shape[1])
         prices: FloatArray = LAG_PRICE * np.abs(columns - self.center) * (30.0 / self.rate)
         return prices
-
-
-def at_lag(ratio: FloatArray, course: NDArray[np.intp]) -> FloatArray:
-    """(T, 9) of (T, K, 9) at each frame's column."""
-    return np.take_along_axis(ratio, course[:, None, None], axis=1)[:, 0]
 
 
 def gather_evidence(
@@ -440,10 +501,8 @@ def gather_evidence(
     weights : (9,) of the segments, those above 0 of mean 1.
     """
     rate = 1.0 / deviations.step_s
-    ratio = np.minimum(deviations.squared / tolerance**2, CAP) * weights
-    center = deviations.center
-    _level_gaps(ratio, deviations)
-    cost = ratio.sum(axis=2)
+    ratio, center = Ratios(deviations, tolerance, weights), deviations.center
+    cost = ratio.sum_up(GROUPS["body"])
     slack = min(max(1, round(slack_s * rate)), center)
     change = LAG_CHANGE * 30.0 / rate
     prices = LAG_PRICE * np.abs(np.arange(cost.shape[1]) - center) * (30.0 / rate)
@@ -452,19 +511,9 @@ def gather_evidence(
     near = follow_lag(cost[:, forgiven] + tie * prices[forgiven], change)
     near = near.astype(np.intp) + center - slack
     course = follow_lag(cost + prices, change).astype(np.intp)
-    ordinary = at_lag(ratio, near) * deviations.judged
-    punctual = ratio[:, center] * deviations.judged
+    ordinary = ratio.at_lag(near) * deviations.judged
+    punctual = ratio.at_lag(np.full(len(near), center)) * deviations.judged
     return Evidence(deviations, tolerance, ratio, ordinary, punctual, course, near, slack_s, slack, rate)
-
-
-def _level_gaps(ratio: FloatArray, deviations: Deviations) -> None:
-    """Let what is not seen speak for no lag: as good as at the same time, or nothing if that is not judged."""
-    unseen = deviations.squared == 0.0
-    if not unseen.any():
-        return
-    center = deviations.center
-    np.copyto(ratio, ratio[:, center : center + 1], where=unseen)
-    np.copyto(ratio, 0.0, where=unseen[:, center : center + 1])
 
 
 def refine_lag(evidence: Evidence, course: NDArray[np.intp], first: int = 0) -> FloatArray:
@@ -473,7 +522,7 @@ def refine_lag(evidence: Evidence, course: NDArray[np.intp], first: int = 0) -> 
     One frame's minimum is noise; nine frames at the same lag have one.
     """
     rows = np.arange(first, first + len(course))
-    inner = np.clip(course, 1, evidence.ratio.shape[1] - 2)
+    inner = np.clip(course, 1, evidence.deviations.squared.shape[1] - 2)
     left, here, right = (evidence.deviations.squared[rows, inner + step].sum(axis=1) for step in (-1, 0, 1))
     kernel = np.ones(9) / 9.0
     left, here, right = (np.convolve(values, kernel, mode="same")[: len(rows)] for values in (left, here, right))
@@ -516,7 +565,7 @@ def find_stretches(
 def _find_lags(evidence: Evidence, *, lag_evidence: float = 40.0, shortest_lag_s: float = 0.2) -> NDArray[np.bool_]:
     """Where the lag is beyond what is forgiven, and is sure: being in time explains much less."""
     # lag_evidence: what a lag must explain
-    explained = evidence.punctual.sum(axis=1) - at_lag(evidence.ratio, evidence.course).sum(axis=1)
+    explained = evidence.punctual.sum(axis=1) - evidence.ratio.at_lag(evidence.course).sum(axis=1)
     explained -= evidence.lag_prices[evidence.course]
     late = np.abs(refine_lag(evidence, evidence.course)) > evidence.slack_s
     late &= evidence.deviations.judged.any(axis=1)

@@ -20,7 +20,6 @@ from dousa.evaluation.errors.evidence import (
     LIMB_SEGMENTS,
     Evidence,
     GainFit,
-    at_lag,
     find_stretches,
     fit_gain,
     measure_missing_range,
@@ -41,11 +40,12 @@ def follow_path(
     cost : (n,) sum over the segments of the capped ratio left on the way.
     """
     # change: price of one column of lag: nearly free, since any time of the reference may be met
-    columns = np.arange(evidence.ratio.shape[1])
+    columns = np.arange(len(evidence.lag_prices))
     there = np.arange(start, end)[:, None] + columns - evidence.center
-    cost = np.where((there >= start) & (there < end), evidence.ratio[start:end].sum(axis=2), outside)
+    ratio = evidence.ratio.of(start, end)
+    cost = np.where((there >= start) & (there < end), ratio.sum(axis=2), outside)
     course = follow_lag(cost, change).astype(np.intp)
-    return course, at_lag(evidence.ratio[start:end], course).sum(axis=1)
+    return course, evidence.ratio.at_lag(course, start).sum(axis=1)
 
 
 def compute_unreached(evidence: Evidence, start: int, end: int, first: int, last: int) -> FloatArray:
@@ -189,7 +189,7 @@ def _explain_by_time(
     scale = _per_frame(evidence)
     ordinary = evidence.ordinary[first:last]
     # Where a segment is off the path it is wrong: that the path's end is not reached says nothing then.
-    wrong = at_lag(evidence.ratio, evidence.course)[start:end] > off_path_segment
+    wrong = evidence.ratio.at_lag(evidence.course[start:end], start) > off_path_segment
     unreached = float(np.where(wrong, 0.0, compute_unreached(evidence, start, end, first, last)).max())
     lag = refine_lag(evidence, evidence.course[start:end], start)
     turned_back = bool((lag > evidence.slack_s).any() and (lag < -evidence.slack_s).any())
@@ -210,7 +210,7 @@ def _explain_by_time(
         if abs(np.median(course[start - first : end - first]) - evidence.center) > farthest:
             continue
         forgiven = np.abs(course - evidence.center) <= evidence.slack
-        shifted = at_lag(evidence.ratio[first:last], course) * evidence.deviations.judged[first:last]
+        shifted = evidence.ratio.at_lag(course, first) * evidence.deviations.judged[first:last]
         left = np.where(forgiven[:, None], ordinary, shifted).sum(axis=1)
         cost = (left + evidence.lag_prices[course] / scale).sum() * scale + _PRICE
         found.append(_Hypothesis("shift", cost, left, course))
@@ -234,7 +234,7 @@ def _keeps_its_lag(evidence: Evidence, start: int, end: int) -> bool:
     course = evidence.course[start:end]
     typical = round(float(np.median(course)))
     steady = np.abs(course - typical) <= _STEADY_S * evidence.rate
-    left = at_lag(evidence.ratio[start:end], course).sum(axis=1)
+    left = evidence.ratio.at_lag(course, start).sum(axis=1)
     leap = abs(typical - evidence.center) > max(evidence.slack, _LEAP_S * evidence.rate - 0.5)
     lasts = end - start >= _LEAP_LASTS_S * evidence.rate
     return bool(leap and lasts and (steady & (left < _IN_STEP)).mean() > _STEADY_SHARE)
@@ -382,7 +382,7 @@ def _report_limbs(
     if not len(wrong):
         wrong = np.array([int(inside.mean(axis=0).argmax())])
     limbs = [limb for limb in LIMB_SEGMENTS if np.isin(limb, wrong).any()]
-    weighing = np.flatnonzero(evidence.ratio.any(axis=(0, 1)))
+    weighing = np.flatnonzero(evidence.ratio.find_weighing())
     most = len(wrong) >= global_share * len(weighing) and len(limbs) >= 2
     whole = most or (len(limbs) >= _GLOBAL_LIMBS and len(wrong) >= _GLOBAL_SEGMENTS)
     kind = "global" if whole else "partial"
@@ -419,7 +419,7 @@ _REPORTS = {
 def _explain_rest(evidence: Evidence, shift: Finding, start: int, end: int, pad: int) -> list[Finding]:
     """What a shift leaves over: limbs that are wrong at its own time too, and what lies before and after it."""
     found: list[Finding] = []
-    late = at_lag(evidence.ratio, evidence.course)[shift.start : shift.end]
+    late = evidence.ratio.at_lag(evidence.course[shift.start : shift.end], shift.start)
     for limb in LIMB_SEGMENTS:
         if len(late) < 2:
             break

@@ -12,13 +12,13 @@ from functools import lru_cache
 from importlib import resources
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.dynamic_programming import follow_classes
 from dousa.evaluation.errors.descriptors import N_LIMBS, Descriptors
 from dousa.evaluation.posture.posture import LIMBS
+from dousa.kernels import kernel
 from dousa.motion.runs import find_equal_runs
 
 
@@ -33,10 +33,11 @@ class BoostedTrees:
     roots: NDArray[np.int32]  # (R, C) int32, first node of each round's tree for each class
     start: FloatArray  # (C,) logits before the first tree
 
-    def predict_log_proba(self, features: ArrayLike) -> FloatArray:
+    def predict_log_proba(self, features: ArrayLike, *, block: int = 128) -> FloatArray:
         """(N, C) logarithms of the probabilities of the classes, of features (N, F)."""
         rows = np.ascontiguousarray(features, np.float32)
-        logits = _add_up(rows, self.feature, self.threshold, self.left, self.right, self.roots, self.start)
+        logits = np.tile(self.start, (len(rows), 1))
+        _add_up(rows, self.feature, self.threshold, self.left, self.right, self.roots, block, logits)
         most = logits.max(axis=1, keepdims=True)
         found: FloatArray = logits - most - np.log(np.exp(logits - most).sum(axis=1, keepdims=True))
         return found
@@ -54,33 +55,28 @@ class BoostedTrees:
 _ARRAYS = ("feature", "threshold", "left", "right", "roots", "start")
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_up(
-    rows: np.ndarray,
-    feature: np.ndarray,
-    threshold: np.ndarray,
-    left: np.ndarray,
-    right: np.ndarray,
-    roots: np.ndarray,
-    start: np.ndarray,
-    block: int = 128,
-) -> FloatArray:  # pragma: no cover - compiled
-    logits = np.empty((len(rows), len(start)))
-    for i in range(len(rows)):  # all at once would have the compiler write the message of an error, for seconds
-        for c in range(len(start)):
-            logits[i, c] = start[c]
-    # A tree for a block of rows: both stay in the nearest cache.
+    rows: NDArray[np.float32],
+    feature: NDArray[np.uint16],
+    threshold: NDArray[np.float32],
+    left: NDArray[np.int32],
+    right: NDArray[np.int32],
+    roots: NDArray[np.int32],
+    block: int,
+    logits: FloatArray,
+) -> None:  # pragma: no cover - compiled
+    """Add the leaf of every tree to logits (N, C): a tree for a block of rows, as both stay in the nearest cache."""
     for first in range(0, len(rows), block):
         last = min(first + block, len(rows))
         for turn in range(len(roots)):
-            for c in range(len(start)):
+            for c in range(roots.shape[1]):
                 root = roots[turn, c]
                 for i in range(first, last):
                     node = root
                     while left[node] >= 0:
                         node = left[node] if rows[i, feature[node]] <= threshold[node] else right[node]
                     logits[i, c] += threshold[node]
-    return logits
 
 
 LIMB_CLASSES = ("ok", "shift", "incomplete", "partial")

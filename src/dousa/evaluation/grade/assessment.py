@@ -19,7 +19,6 @@ from dousa.evaluation.alignment.pairing import Pairing, find_resembled, pair_mot
 from dousa.evaluation.errors.evidence import (
     Evidence,
     Tolerance,
-    at_lag,
     gather_evidence,
     refine_lag,
 )
@@ -329,7 +328,7 @@ def _measure_lag(evidence: Evidence) -> FloatArray:
     """(T,) s, at the working rate; nan where no moment nearby is resembled: there the correspondence has failed."""
     beyond = np.abs(evidence.course - evidence.center) > evidence.slack
     course = np.where(beyond, evidence.course, evidence.near)
-    unlike = at_lag(evidence.ratio, course).mean(axis=1)
+    unlike = evidence.ratio.at_lag(course).mean(axis=1)
     window = np.ones(2 * round(0.5 * _FAILING_S * evidence.rate) + 1)
     unlike = np.convolve(unlike, window / len(window), mode="same")[: len(unlike)]
     unknown = (unlike > _UNLIKE) | ~evidence.deviations.judged.any(axis=1)
