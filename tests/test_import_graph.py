@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import dousa
+from dousa.motion.synthetic.performers import draw_performer, make_motion
 
 SOURCE = Path(dousa.__file__).parent
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "architecture.md"
@@ -161,6 +162,15 @@ def test_start_up_is_light(statement: str):
     code = f"import sys; {statement}; print([m for m in {heavy} if m in sys.modules])"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"
+
+
+def test_info_loads_neither_a_compiler_nor_a_database(tmp_path: Path):
+    heavy = "numba scipy sklearn sqlalchemy matplotlib joblib yaml".split()
+    dousa.write_motion(make_motion("walk", draw_performer(0)), tmp_path / "walk.bvh")
+    code = f"import sys; from dousa.app.cli.main import main; main(); print([m for m in {heavy} if m in sys.modules])"
+    given = [sys.executable, "-c", code, "info", str(tmp_path / "walk.bvh")]
+    out = subprocess.run(given, capture_output=True, text=True, check=True)
+    assert out.stdout.splitlines()[-1] == "[]"
 
 
 def test_every_public_name_can_be_loaded():

@@ -9,7 +9,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dousa.formats.numbers import DONE, FULL, LONG, SHORT, line_number, parse_number, scan_rows, scannable, settle
+from dousa.formats import numbers
+from dousa.formats.numbers import (
+    DONE,
+    FULL,
+    LONG,
+    SHORT,
+    line_number,
+    parse_number,
+    read_plain_rows,
+    scan_rows,
+    scannable,
+    settle,
+)
 
 CHUNK = 40_000
 
@@ -131,3 +143,24 @@ def test_rows():
 def test_line_numbers_of_all_line_ends():
     data = b"a\r\nb\nc\rd\r\r\n\ne"
     assert [line_number(data, data.index(letter)) for letter in (b"a", b"b", b"c", b"d", b"e")] == [1, 2, 3, 4, 7]
+
+
+@pytest.mark.parametrize("between", [b"\n", b"\r\n", b"\n\n \t", b"\r"])
+def test_plain_rows_are_read_the_same_without_a_kernel(monkeypatch, between):
+    monkeypatch.setattr(numbers, "is_worth_compiling", lambda numbers: False)
+    rng = random.Random(10)
+    rows = [
+        [f"{rng.gauss(0, 10.0 ** rng.randrange(-5, 6)):.{rng.randrange(20)}f}" for _ in range(3)] for _ in range(50)
+    ]
+    data = between.join(" ".join(row).encode() for row in rows)
+    got = read_plain_rows(b"MOTION" + between + data, len("MOTION"), 3, 50)
+    np.testing.assert_array_equal(got, np.array(rows, dtype=float))
+    np.testing.assert_array_equal(got.ravel(), scan(data.split())[3])
+
+
+@pytest.mark.parametrize(
+    "text", [b"1 2\n3", b"1 2\n3 4 5", b"1 nan", b"1 1_0", b"1 1e999", b"1 2e", b"1\x002", b"1 2\n" * 9]
+)
+def test_what_is_not_plain_is_left_to_the_kernel(monkeypatch, text):
+    monkeypatch.setattr(numbers, "is_worth_compiling", lambda numbers: False)
+    assert read_plain_rows(text, 0, 2, 8) is None

@@ -2,6 +2,7 @@
 
 import ast
 import string
+import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -49,6 +50,15 @@ FOUND_BY_NAME = (
     "offset_ways.",
 )
 WITHOUT_ENTRY = {"system.error"}
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_sections_are_those_of_the_files(language: str):
+    table = {}
+    for file in (SOURCE / "messages" / language).glob("*.toml"):
+        for section, entries in tomllib.loads(file.read_text(encoding="utf-8")).items():
+            table |= {f"{section}.{key}": text for key, text in entries.items()}
+    assert load_table(language) == table
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles.kinematics import world_positions
 
-from dousa.motion import Motion, Skeleton, compute_trajectories, forward_kinematics
+from dousa.motion import Motion, Skeleton, compute_trajectories, forward_kinematics, kinematics
 from dousa.motion import rotations as r
 
 
@@ -21,6 +21,18 @@ def test_random_trees(seed, joints, frames):
         assert np.allclose(positions[t], world_positions(parents, r.to_matrix(q[t]), v[t]))
     roots = parents < 0
     assert np.allclose(world[:, roots], q[:, roots])
+
+
+def test_a_few_frames_are_the_same_without_the_kernel(monkeypatch):
+    rng = np.random.default_rng(3)
+    parents = [-1, 0, 1, 0, -1]
+    q, v = r.normalise(rng.normal(size=(7, 5, 4))), rng.normal(size=(7, 5, 3))
+    found = []
+    for worth in (True, False):
+        monkeypatch.setattr(kinematics, "is_worth_compiling", lambda numbers, worth=worth: worth)
+        found.append(forward_kinematics(parents, q, v))
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    np.testing.assert_array_equal(found[0][1], found[1][1])
 
 
 def test_batch_dimensions_lead_and_broadcast():

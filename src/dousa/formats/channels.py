@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from dousa.arrays import FloatArray, IntArray
 from dousa.errors import MotionFileError
 from dousa.formats.assembly import settle_motion
+from dousa.kernels import is_worth_compiling, kernel, part
 from dousa.motion.types import Motion, Skeleton, freeze
 
 
@@ -49,62 +48,60 @@ class ChannelProgram:
         return self.kinds[self.starts[joint] : self.starts[joint + 1]]
 
 
-@njit(cache=True, nogil=True)
-def _pose_kernel(
-    values: FloatArray,
-    offsets: FloatArray,
-    starts: IntArray,
-    kinds: IntArray,
-    columns: IntArray,
-    half_angle: float,
-    axes: FloatArray,
-    rotations: FloatArray,
-    translations: FloatArray,
-) -> None:
-    for t in range(values.shape[0]):
-        for j in range(offsets.shape[0]):
-            x, y, z = offsets[j, 0], offsets[j, 1], offsets[j, 2]
-            a, b, c, d = 1.0, 0.0, 0.0, 0.0
-            for step in range(starts[j], starts[j + 1]):
-                kind, value = kinds[step], values[t, columns[step]]
-                if kind == 0:
-                    x = value
-                elif kind == 1:
-                    y = value
-                elif kind == 2:
-                    z = value
+def _pose(t, values, offsets, starts, kinds, columns, half_angle, axes, rotations, translations):  # type: ignore[no-untyped-def]
+    """Fill the poses of frame t, which may be a slice: NumPy then does the same with all its frames at once."""
+    for j in range(offsets.shape[0]):
+        x, y, z = offsets[j, 0], offsets[j, 1], offsets[j, 2]
+        a, b, c, d = 1.0, 0.0, 0.0, 0.0
+        for step in range(starts[j], starts[j + 1]):
+            kind, value = kinds[step], values[t, columns[step]]
+            if kind == 0:
+                x = value
+            elif kind == 1:
+                y = value
+            elif kind == 2:
+                z = value
+            else:
+                cosine, sine = np.cos(value * half_angle), np.sin(value * half_angle)
+                if kind == 3:
+                    a, b, c, d = (
+                        a * cosine - b * sine,
+                        b * cosine + a * sine,
+                        c * cosine + d * sine,
+                        d * cosine - c * sine,
+                    )
+                elif kind == 4:
+                    a, b, c, d = (
+                        a * cosine - c * sine,
+                        b * cosine - d * sine,
+                        c * cosine + a * sine,
+                        d * cosine + b * sine,
+                    )
                 else:
-                    cosine, sine = math.cos(value * half_angle), math.sin(value * half_angle)
-                    if kind == 3:
-                        a, b, c, d = (
-                            a * cosine - b * sine,
-                            b * cosine + a * sine,
-                            c * cosine + d * sine,
-                            d * cosine - c * sine,
-                        )
-                    elif kind == 4:
-                        a, b, c, d = (
-                            a * cosine - c * sine,
-                            b * cosine - d * sine,
-                            c * cosine + a * sine,
-                            d * cosine + b * sine,
-                        )
-                    else:
-                        a, b, c, d = (
-                            a * cosine - d * sine,
-                            b * cosine + c * sine,
-                            c * cosine - b * sine,
-                            d * cosine + a * sine,
-                        )
-            if j < axes.shape[0]:
-                # C (a, v) C^-1 = (a, C v)
-                b, c, d = (
-                    axes[j, 0, 0] * b + axes[j, 0, 1] * c + axes[j, 0, 2] * d,
-                    axes[j, 1, 0] * b + axes[j, 1, 1] * c + axes[j, 1, 2] * d,
-                    axes[j, 2, 0] * b + axes[j, 2, 1] * c + axes[j, 2, 2] * d,
-                )
-            rotations[t, j, 0], rotations[t, j, 1], rotations[t, j, 2], rotations[t, j, 3] = a, b, c, d
-            translations[t, j, 0], translations[t, j, 1], translations[t, j, 2] = x, y, z
+                    a, b, c, d = (
+                        a * cosine - d * sine,
+                        b * cosine + c * sine,
+                        c * cosine - b * sine,
+                        d * cosine + a * sine,
+                    )
+        if j < axes.shape[0]:
+            # C (a, v) C^-1 = (a, C v)
+            b, c, d = (
+                axes[j, 0, 0] * b + axes[j, 0, 1] * c + axes[j, 0, 2] * d,
+                axes[j, 1, 0] * b + axes[j, 1, 1] * c + axes[j, 1, 2] * d,
+                axes[j, 2, 0] * b + axes[j, 2, 1] * c + axes[j, 2, 2] * d,
+            )
+        rotations[t, j, 0], rotations[t, j, 1], rotations[t, j, 2], rotations[t, j, 3] = a, b, c, d
+        translations[t, j, 0], translations[t, j, 1], translations[t, j, 2] = x, y, z
+
+
+_pose_part = part(_pose)
+
+
+@kernel
+def _pose_all(values, offsets, starts, kinds, columns, half_angle, axes, rotations, translations):  # type: ignore[no-untyped-def]
+    for t in range(values.shape[0]):
+        _pose_part(t, values, offsets, starts, kinds, columns, half_angle, axes, rotations, translations)
 
 
 def compute_poses(program: ChannelProgram, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -117,10 +114,14 @@ def compute_poses(program: ChannelProgram, values: FloatArray) -> tuple[FloatArr
     for array in (values, start, program.starts, program.kinds, program.columns, program.axes):
         freeze(array)
     rotations, translations = (np.empty((len(values), len(offsets), width)) for width in (4, 3))
-    _pose_kernel(
+    arrays = (
         values, start, program.starts, program.kinds, program.columns, program.half_angle, program.axes,
         rotations, translations,
     )  # fmt: skip
+    if is_worth_compiling(translations.size):
+        _pose_all(*arrays)
+    else:
+        _pose(slice(None), *arrays)
     for joint in program.added:
         if joint > 0:  # the root moves in the world's axes
             translations[:, joint] = translations[:, joint] @ program.axes[joint].T

@@ -15,10 +15,10 @@ import re
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IntArray
+from dousa.kernels import is_worth_compiling, kernel, part
 from dousa.messages import Message
 
 Bytes = NDArray[np.uint8]
@@ -57,7 +57,7 @@ def power_table() -> NDArray[np.uint64]:
     return table
 
 
-@njit(cache=True, nogil=True)
+@part
 def _multiply(a: Any, b: Any) -> Any:
     """High and low word of the 128-bit product of two uint64."""
     a_high, a_low = a >> _HALF, a & _LOW_HALF
@@ -68,7 +68,7 @@ def _multiply(a: Any, b: Any) -> Any:
     return a_high * b_high + (middle >> _HALF) + (other >> _HALF), (other << _HALF) | (low & _LOW_HALF)
 
 
-@njit(cache=True, nogil=True)
+@part
 def _lemire(digits: Any, exponent: Any, powers: NDArray[np.uint64]) -> Any:  # noqa: PLR0911
     """The float64 nearest to digits * 10^exponent (digits not 0); infinite or -1 where it is not decided."""
     if exponent < _SMALLEST_POWER:
@@ -107,7 +107,7 @@ def _lemire(digits: Any, exponent: Any, powers: NDArray[np.uint64]) -> Any:  # n
     return math.ldexp(np.float64(np.int64(mantissa)), binary - 1075)
 
 
-@njit(cache=True, nogil=True)
+@part
 def _digits_19(buffer: Bytes, position: int, end: int) -> Any:
     """The first 19 significant digits of a decimal: (digits, power of ten, is any lost, is there any, position)."""
     digits: Any = _ZERO
@@ -132,7 +132,7 @@ def _digits_19(buffer: Bytes, position: int, end: int) -> Any:
     return digits, exponent, lost, position - start > fraction, position
 
 
-@njit(cache=True, nogil=True)
+@part
 def _exponent_at(buffer: Bytes, position: int, end: int) -> Any:
     """The exponent after an ``e`` before position: value, position after it (on the ``e`` if there is none)."""
     before = position - 1
@@ -146,7 +146,7 @@ def _exponent_at(buffer: Bytes, position: int, end: int) -> Any:
     return (-exponent if negative else exponent), (position if position > start else before)
 
 
-@njit(cache=True, nogil=True)
+@part
 def _is_nan(buffer: Bytes, start: int, end: int) -> bool:
     """Whether the token, its sign left out, is ``nan`` in any case."""
     return (
@@ -158,7 +158,7 @@ def _is_nan(buffer: Bytes, start: int, end: int) -> bool:
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _settle_long(buffer: Bytes, end: int, notes: IntArray, out: FloatArray, powers: NDArray[np.uint64]) -> int:
     """Give the noted tokens their values; those that are left for Python move to the front of the notes."""
     left = 0
@@ -189,7 +189,7 @@ def _settle_long(buffer: Bytes, end: int, notes: IntArray, out: FloatArray, powe
     return left
 
 
-@njit(cache=True, nogil=True, inline="always")
+@part
 def scan_short(buffer: Bytes, position: int) -> tuple[float, int, bool]:
     """Read a plain decimal of at most 18 digits: (value, position after the token, whether it is one).
 
@@ -219,7 +219,7 @@ def scan_short(buffer: Bytes, position: int) -> tuple[float, int, bool]:
     return (-value if negative else value), position, short
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def scan_rows(
     buffer: Bytes, position: int, end: int, columns: int, out: FloatArray, notes: IntArray
 ) -> tuple[int, int, int, int]:
@@ -254,6 +254,24 @@ def scan_rows(
     if 0 < in_row < columns:
         return SHORT, line, filled, noted
     return DONE, position, filled, noted
+
+
+def read_plain_rows(data: bytes, start: int, columns: int, most: int) -> FloatArray | None:
+    """Read at most so many rows of numbers without a kernel; None where that is not worth it, or the text is not plain.
+
+    Plain are finite decimals, ``columns`` in each line that is not blank, in all lines from ``start`` on.
+    """
+    text = data[start:]
+    if is_worth_compiling(len(text) // 8) or text.translate(None, b"0123456789+-.eE \t\r\n"):
+        return None
+    lines = [words for line in text.splitlines() if (words := line.split())]
+    if len(lines) > most or any(len(line) != columns for line in lines):
+        return None
+    try:
+        values = np.array([list(map(float, line)) for line in lines]).reshape(-1, columns)
+    except ValueError:
+        return None
+    return values if np.isfinite(values).all() else None
 
 
 def scannable(data: bytes) -> bytes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 import string
 import tomllib
 from collections.abc import Mapping
@@ -29,20 +30,39 @@ def get_language() -> str:
 
 
 @cache
-def load_table(language: str) -> dict[str, str]:
-    """Load all sentences of a language by code: ``section.key`` of the TOML files of its folder."""
-    table: dict[str, str] = {}
+def _read_sections(language: str) -> dict[str, str]:
+    """Read the lines of each section of the TOML files of a language, which may be in several, unparsed."""
+    sections: dict[str, str] = {}
     for file in sorted(resources.files(__package__).joinpath(language).iterdir(), key=lambda file: file.name):
         if file.name.endswith(".toml"):
-            for section, entries in tomllib.loads(file.read_text(encoding="utf-8")).items():
-                table |= {f"{section}.{key}": text for key, text in entries.items()}
-    return table
+            _, *parts = re.split(r"^\[(\w+)\]$", file.read_text(encoding="utf-8"), flags=re.MULTILINE)
+            for section, lines in zip(parts[::2], parts[1::2], strict=True):
+                sections[section] = sections.get(section, "") + lines
+    return sections
+
+
+@cache
+def _parse_section(section: str, language: str) -> dict[str, str]:
+    return tomllib.loads(_read_sections(language).get(section, ""))
 
 
 def load_section(section: str, language: str) -> dict[str, str]:
-    """Load the templates of one section by key, not filled in, as for a page."""
-    prefix = f"{section}."
-    return {code.removeprefix(prefix): text for code, text in load_table(language).items() if code.startswith(prefix)}
+    """Load the templates of one section by key, not filled in, as for a page; only what is asked for is parsed."""
+    return dict(_parse_section(section, language))
+
+
+def load_table(language: str) -> dict[str, str]:
+    """Load all sentences of a language by code: ``section.key`` of the TOML files of its folder."""
+    return {
+        f"{section}.{key}": text
+        for section in _read_sections(language)
+        for key, text in _parse_section(section, language).items()
+    }
+
+
+def _find_template(code: str, language: str) -> str | None:
+    section, _, key = code.partition(".")
+    return _parse_section(section, language).get(key)
 
 
 def render(code: str, values: Mapping[str, Any], language: str | None = None) -> str:
@@ -61,7 +81,7 @@ def render(code: str, values: Mapping[str, Any], language: str | None = None) ->
     language = language or get_language()
     if code == "system.error":
         return _say_system_error(language, **values)
-    template = load_table(language).get(code) or load_table(LANGUAGES[0]).get(code)
+    template = _find_template(code, language) or _find_template(code, LANGUAGES[0])
     if template is None:  # a defect that a test finds; the code is better than nothing
         return f"{code} {dict(values)}"
     return _Filler(language).vformat(template, (), values)
@@ -70,7 +90,7 @@ def render(code: str, values: Mapping[str, Any], language: str | None = None) ->
 def _say_system_error(language: str, number: int, text: str) -> str:
     """An error of the operating system: from the table, else in its own words."""
     name = errno.errorcode.get(number, "")
-    return load_table(language).get(f"system.{name}", text)
+    return _parse_section("system", language).get(name, text)
 
 
 class _Filler(string.Formatter):

@@ -3,38 +3,44 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from dousa.arrays import FloatArray
+from dousa.kernels import is_worth_compiling, kernel, part
 from dousa.motion.types import Motion, Skeleton, Trajectories
 
 
-@njit(cache=True, nogil=True)
-def _forward_kinematics(parents, rotations, translations, world, positions):  # type: ignore[no-untyped-def]
-    """World rotations (T, J, 4) and positions (T, J, 3) from local ones; parents stand before children."""
-    frames, joints = translations.shape[:2]
-    for t in range(frames):
-        for j in range(joints):
-            p = parents[j]
-            w, x, y, z = rotations[t, j, 0], rotations[t, j, 1], rotations[t, j, 2], rotations[t, j, 3]
-            vx, vy, vz = translations[t, j, 0], translations[t, j, 1], translations[t, j, 2]
-            if p < 0:
-                world[t, j, 0], world[t, j, 1], world[t, j, 2], world[t, j, 3] = w, x, y, z
-                positions[t, j, 0], positions[t, j, 1], positions[t, j, 2] = vx, vy, vz
-                continue
-            a, b, c, d = world[t, p, 0], world[t, p, 1], world[t, p, 2], world[t, p, 3]
-            world[t, j, 0] = a * w - b * x - c * y - d * z
-            world[t, j, 1] = a * x + b * w + c * z - d * y
-            world[t, j, 2] = a * y - b * z + c * w + d * x
-            world[t, j, 3] = a * z + b * y - c * x + d * w
-            # v + 2 a (u x v) + 2 u x (u x v) with u the vector part of the parent's quaternion
-            tx = 2.0 * (c * vz - d * vy)
-            ty = 2.0 * (d * vx - b * vz)
-            tz = 2.0 * (b * vy - c * vx)
-            positions[t, j, 0] = positions[t, p, 0] + vx + a * tx + c * tz - d * ty
-            positions[t, j, 1] = positions[t, p, 1] + vy + a * ty + d * tx - b * tz
-            positions[t, j, 2] = positions[t, p, 2] + vz + a * tz + b * ty - c * tx
+def _follow(t, parents, rotations, translations, world, positions):  # type: ignore[no-untyped-def]
+    """Fill the world rotations and positions of frame t, or of a slice of frames; parents stand before children."""
+    for j in range(translations.shape[1]):
+        p = parents[j]
+        w, x, y, z = rotations[t, j, 0], rotations[t, j, 1], rotations[t, j, 2], rotations[t, j, 3]
+        vx, vy, vz = translations[t, j, 0], translations[t, j, 1], translations[t, j, 2]
+        if p < 0:
+            world[t, j, 0], world[t, j, 1], world[t, j, 2], world[t, j, 3] = w, x, y, z
+            positions[t, j, 0], positions[t, j, 1], positions[t, j, 2] = vx, vy, vz
+            continue
+        a, b, c, d = world[t, p, 0], world[t, p, 1], world[t, p, 2], world[t, p, 3]
+        world[t, j, 0] = a * w - b * x - c * y - d * z
+        world[t, j, 1] = a * x + b * w + c * z - d * y
+        world[t, j, 2] = a * y - b * z + c * w + d * x
+        world[t, j, 3] = a * z + b * y - c * x + d * w
+        # v + 2 a (u x v) + 2 u x (u x v) with u the vector part of the parent's quaternion
+        tx = 2.0 * (c * vz - d * vy)
+        ty = 2.0 * (d * vx - b * vz)
+        tz = 2.0 * (b * vy - c * vx)
+        positions[t, j, 0] = positions[t, p, 0] + vx + a * tx + c * tz - d * ty
+        positions[t, j, 1] = positions[t, p, 1] + vy + a * ty + d * tx - b * tz
+        positions[t, j, 2] = positions[t, p, 2] + vz + a * tz + b * ty - c * tx
+
+
+_follow_part = part(_follow)
+
+
+@kernel
+def _follow_all(parents, rotations, translations, world, positions):  # type: ignore[no-untyped-def]
+    for t in range(translations.shape[0]):
+        _follow_part(t, parents, rotations, translations, world, positions)
 
 
 def forward_kinematics(
@@ -60,7 +66,12 @@ def forward_kinematics(
     q = np.ascontiguousarray(np.broadcast_to(q, (*batch, joints, 4))).reshape(-1, joints, 4)
     v = np.ascontiguousarray(np.broadcast_to(v, (*batch, joints, 3))).reshape(-1, joints, 3)
     world, positions = np.empty(q.shape), np.empty(v.shape)
-    _forward_kinematics(_read_only(np.asarray(parents, np.intp)), _read_only(q), _read_only(v), world, positions)
+    arrays = _read_only(np.asarray(parents, np.intp)), _read_only(q), _read_only(v), world, positions
+    if is_worth_compiling(v.size):
+        _follow_all(*arrays)
+    else:
+        with np.errstate(over="ignore", invalid="ignore"):
+            _follow(slice(None), *arrays)
     return positions.reshape(*batch, joints, 3), world.reshape(*batch, joints, 4)
 
 

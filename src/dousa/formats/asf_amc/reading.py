@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IntArray
@@ -23,6 +22,7 @@ from dousa.files.disk import read_bytes
 from dousa.formats.asf_amc.skeleton import AsfSkeleton, channel_program, read_asf
 from dousa.formats.channels import build_motion
 from dousa.formats.numbers import Bytes, line_number, scan_short, scannable, settle
+from dousa.kernels import kernel, part
 from dousa.messages import Message
 from dousa.motion.types import Motion
 
@@ -71,7 +71,7 @@ def parse_header(path: str, data: bytes) -> AmcHeader:
     raise MotionFileError(path, "amc.no_frames", line_number(data, len(data)))
 
 
-@njit(cache=True, nogil=True)
+@part
 def _find_bone(buffer: Bytes, start: int, end: int, names: Bytes, name_starts: IntArray) -> int:
     """Index of the bone named ``buffer[start:end]``; -1 if there is none."""
     for bone in range(len(name_starts) - 1):
@@ -84,7 +84,7 @@ def _find_bone(buffer: Bytes, start: int, end: int, names: Bytes, name_starts: I
     return -1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _scan_frames(  # noqa: PLR0911, PLR0912, PLR0915
     buffer: Bytes,
     position: int,

@@ -23,7 +23,17 @@ from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.formats.channels import ChannelProgram, build_motion
-from dousa.formats.numbers import DONE, FULL, LONG, line_number, parse_number, scan_rows, scannable, settle
+from dousa.formats.numbers import (
+    DONE,
+    FULL,
+    LONG,
+    line_number,
+    parse_number,
+    read_plain_rows,
+    scan_rows,
+    scannable,
+    settle,
+)
 from dousa.messages import Message
 from dousa.motion.types import Motion, Skeleton
 
@@ -419,6 +429,9 @@ def _read_values(
 
 def _scan(data: bytes, start: int, columns: int, rows: int) -> tuple[FloatArray, int, int, int]:
     """Scan at most so many rows: values (rows, C), status, place, and number of values read."""
+    plain = read_plain_rows(data, start, columns, rows)
+    if plain is not None:
+        return plain, DONE, len(data), plain.size
     values = np.empty((rows, columns))
     tokens = np.empty((rows * columns, 2), np.int64)
     flat = values.reshape(-1)
