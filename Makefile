@@ -16,7 +16,7 @@ MORE := $(shell expr $(JOBS) + 1 2>/dev/null || echo $(JOBS))
 # `make test COVERAGE=1` adds what it ran to the data that `make coverage` prints.
 COVERED := $(if $(COVERAGE),--cov --cov-append --cov-report=)
 
-.PHONY: demo studio test test-slow test-postgres submission nightly quick lint types coverage wheel fuzz bench peers blender figures docs lock clean
+.PHONY: demo studio test test-slow test-postgres submission nightly quick lint style types coverage wheel fuzz bench peers blender figures docs lock clean
 
 # While the demo's first act runs on one core, the other compiles what the next acts need, then the byte code of the
 # packages, which pip would compile alone before.
@@ -28,10 +28,9 @@ demo: $(VENV)/.demo
 studio: $(VENV)/.demo
 	$(BIN)/dousa demo --studio
 
-test: $(VENV)/.dev
-	$(MAKE) --no-print-directory -j 2 lint quick
+# Style and tests; types, which a third of that time goes into, are for `make lint` and CI.
+test: style quick
 
-# Types are checked by one program, which takes as long as a core is idle otherwise: it runs beside the tests.
 quick: $(VENV)/.dev
 	$(PYTEST) $(JOBS) -m "not ($(SLOW))" $(COVERED)
 
@@ -50,10 +49,11 @@ submission: $(VENV)/.dev
 nightly: $(VENV)/.all
 	NIGHTLY=1 .ci/run
 
-lint: $(VENV)/.dev
+lint: style types
+
+style: $(VENV)/.dev
 	$(BIN)/ruff check src lab tests docs blender .ci conftest.py
 	$(BIN)/ruff format --check src lab tests docs blender .ci conftest.py
-	$(BIN)/mypy
 
 types: $(VENV)/.dev
 	$(BIN)/mypy
@@ -106,18 +106,23 @@ $(VENV)/.demo: pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e '.[all]'
 	touch $@
 
-$(VENV)/.dev: $(VENV)/.demo
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
-	touch $@
+# One call resolves the packages, and builds ours, once. Two processes compile what pip would compile in one, and each
+# worker of the tests for itself; packages hold files that are no Python.
+$(VENV)/.dev: pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e '.[dev]'
+	$(BIN)/python -m compileall -q -j 2 $(VENV)/lib src >/dev/null || true
+	touch $(VENV)/.demo $@
 
 $(VENV)/.docs: $(VENV)/.demo
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	touch $@
 
-# The three in one call, which resolves the packages, and builds ours, once.
+# All of it in one call.
 $(VENV)/.all: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,docs]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e '.[dev,docs]'
+	$(BIN)/python -m compileall -q -j 2 $(VENV)/lib src >/dev/null || true
 	touch $(VENV)/.demo $(VENV)/.dev $(VENV)/.docs $@
 
 $(VENV)/.bench: $(VENV)/.dev

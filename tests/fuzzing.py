@@ -18,7 +18,7 @@ import numpy as np
 from dousa.errors import DousaError
 from patience import PATIENCE
 
-SECONDS = float(os.environ.get("DOUSA_FUZZ_SECONDS", "3"))
+SECONDS = float(os.environ.get("DOUSA_FUZZ_SECONDS", "1"))
 MOST_MEMORY = 1 << 30
 CASE_SECONDS = 5  # processor seconds for one damaged file of a few kB; a reader that needs longer hangs
 

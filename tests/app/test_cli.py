@@ -282,7 +282,9 @@ def test_experiment_prints_the_four_systems(dousa, motions, tmp_path):
     assert (answer["n_train"], answer["n_test"]) == (8, 8)
     assert answer["categories"] == sorted(CATEGORIES)
     assert picture.exists()
-    code, out, _ = dousa("experiment", motions, "--split", "leave-performer-out", "--performer-from", r"name:(p\d)")
+    code, out, _ = dousa(
+        "experiment", motions, "--split", "leave-performer-out", "--performer-from", r"name:(p\d)", "--trees", 5
+    )
     assert code == 0
     assert "single full tree" in out and "motion templates" in out
 
@@ -379,7 +381,7 @@ def test_nothing_found_is_told(dousa, library, tmp_path, motions):
     assert code == 0 and "no clip found" in err
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+@pytest.mark.parametrize("encoding", ["ascii", pytest.param("latin-1", marks=pytest.mark.slow)])
 def test_a_terminal_of_few_characters_shows_codes(motions, tmp_path, encoding):
     path = shutil.copy(motions / "walk/p0.bvh", tmp_path / "歩く é.bvh")
     for words in (("--help",), ("info", path), ("info", path, "--json"), ("info", f"{path}x")):
@@ -391,7 +393,7 @@ def test_a_terminal_of_few_characters_shows_codes(motions, tmp_path, encoding):
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
-@pytest.mark.parametrize("words", [("info", "--json"), ("info",)])
+@pytest.mark.parametrize("words", [("info", "--json"), pytest.param(("info",), marks=pytest.mark.slow)])
 def test_an_output_that_cannot_be_written_is_one_line(motions, words):
     with open("/dev/full", "w") as full:
         done = run_command(*words, motions / "walk/p0.bvh", stdout=full)

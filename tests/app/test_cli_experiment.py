@@ -156,7 +156,9 @@ def test_the_trial_says_what_is_doubtful_in_tables(dousa, session, tmp_path):
     folder = shutil.copytree(session, tmp_path / "own")
     table = folder / "p1.labels.csv"
     table.write_text(table.read_text() + "\n0.5,900,walk")
-    code, _, err = dousa("experiment", folder, "--takes", "--labels", "beside", "--performer-from", r"name:(p\d)")
+    code, _, err = dousa(
+        "experiment", folder, "--takes", "--labels", "beside", "--performer-from", r"name:(p\d)", "--trees", 5
+    )
     said = " ".join(err.split())
     assert code == 0, err
     assert "p1.labels.csv:" in said and "p1.trc: " in said and "beyond" in said, err

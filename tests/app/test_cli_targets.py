@@ -54,7 +54,7 @@ def contents(folder: Path) -> dict[str, bytes]:
         ("clips/walk/p0.bvh", "--csv {}: this file holds motion; choose another name"),
     ],
 )
-@pytest.mark.parametrize("more", [(), ("--overwrite",)])
+@pytest.mark.parametrize("more", [pytest.param((), marks=pytest.mark.slow), ("--overwrite",)])
 def test_a_table_of_labels_is_written_over_no_motion_and_no_library(dousa, folder, name, told, more):
     shutil.copy(folder / "moves.dousa", folder / "other.dousa")
     before = contents(folder)

@@ -35,6 +35,7 @@ def test_a_library_on_the_disk_is_the_same_each_time(tmp_path):
     assert seen[7] == (8, 8)
 
 
+@pytest.mark.slow
 def test_demo_can_be_run_again_and_tells_the_same(tmp_path, console, capsys):
     output = tmp_path / "out"
     for _ in range(2):

@@ -27,6 +27,7 @@ def undrawn(monkeypatch):
     monkeypatch.setattr(dousa.app.pictures.overlay_sheet, "draw_overlay_sheet", write)
 
 
+@pytest.mark.slow
 def test_the_tracker_itself_does_it(undrawn, tmp_path):
     console = Console(file=io.StringIO(), width=300)
     run_estimation_demo(console, tmp_path)

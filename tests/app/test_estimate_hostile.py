@@ -94,6 +94,7 @@ class TestRight:
         trc = read_motion(out)
         assert np.nanmean(compare_with_truth(trc.names, trc.positions, names, truth).errors) < 0.06
 
+    @pytest.mark.slow
     def test_the_start_is_found(self, scene):
         done = track(scene, scene / "seen.npz", start=None, frames=":3")
         assert done.start.code == "estimate.start_found" and float(np.nanmean(done.estimate.iou)) > 0.75
@@ -128,6 +129,7 @@ class TestMasks:
                 track(scene, path, start=start, outputs=outputs)
         assert [file.name for file in tmp_path.iterdir()] == ["changed.npz"]
 
+    @pytest.mark.slow
     def test_two_people(self, scene, masks, change):
         done = track(scene, change(masks | np.roll(masks, 45, axis=3)))
         assert "several people" in said(done)
@@ -194,11 +196,13 @@ class TestMasks:
 
 
 class TestCalibration:
+    @pytest.mark.slow
     def test_cameras_exchanged(self, scene, change, calibration):
         order = [1, 0, 2, 3]
         done = track(scene, change(**{key: array[order] for key, array in calibration.items()}))
         assert "cameras may be exchanged" in said(done) or "check its calibration" in said(done)
 
+    @pytest.mark.slow
     def test_lenses_that_are_wrong(self, scene, change, calibration):
         matrix = calibration["camera_matrix"]
         matrix[:, :2, :2] *= 1.3
@@ -209,14 +213,9 @@ class TestCalibration:
         matrix[1, :2, :2] *= 1.3
         assert "view 'view2' overlaps by" in said(track(scene, change(camera_matrix=matrix)))
 
-    def test_a_camera_inside_the_body(self, scene, change, calibration):
-        shifts = calibration["world_to_camera_translation"]
-        shifts[0] = -calibration["world_to_camera_rotation"][0] @ [0.0, 1.0, 0.0]
-        done = track(scene, change(world_to_camera_translation=shifts))
-        assert "camera 'view1' is inside the body" in said(done)
-
 
 class TestBodyAndStart:
+    @pytest.mark.slow
     def test_a_body_ten_times_too_small(self, scene, tmp_path):
         from dousa.estimation.body.body_file import write_body
         from dousa.estimation.body.human import make_human
@@ -233,11 +232,13 @@ class TestBodyAndStart:
         done = track(scene, scene / "seen.npz", body=tmp_path / "small.toml", frames=":2")
         assert "do not trust this motion" in said(done) and done.estimate.lost.all()
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("stature", [1.15, 2.25])
     def test_a_stature_that_is_wrong(self, scene, stature):
         done = track(scene, scene / "seen.npz", stature=stature, start=None, frames=":2")
         assert "implausible body height" in said(done) or "overlap by" in said(done)
 
+    @pytest.mark.slow
     def test_a_start_turned_by_30_degrees_is_put_right(self, scene, tmp_path):
         turned = self.turn(scene, tmp_path / "turned.bvh", 30.0)
         done = track(scene, scene / "seen.npz", start=f"{turned}:0")
@@ -252,6 +253,7 @@ class TestBodyAndStart:
         write_motion(motion.replace(rotations=rotations), path)
         return path
 
+    @pytest.mark.slow
     def test_bones_are_those_of_the_start_where_it_agrees(self, scene):
         one = {"path": scene / "seen.npz", "frames": ":1"}
         auto, tables = track(scene, **one), track(scene, **one, bones="tables")
@@ -272,6 +274,7 @@ class TestBodyAndStart:
 
 
 class TestInterrupted:
+    @pytest.mark.slow
     def test_going_on_gives_the_same_motion(self, scene, masks, change, tmp_path, monkeypatch):
         from dousa.estimation.tracking import tracker
 

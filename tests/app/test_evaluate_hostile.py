@@ -91,7 +91,7 @@ def test_other_system_errors_are_not_hidden(monkeypatch):
         cli.main()
 
 
-@pytest.mark.parametrize("words", [("--json",), ()])
+@pytest.mark.parametrize("words", [("--json",), pytest.param((), marks=pytest.mark.slow)])
 def test_a_closed_standard_output_is_an_error_in_one_line(motion, words):
     done = _start(motion, *words, closed=1)
     assert done.returncode == 2

@@ -211,7 +211,14 @@ def test_views_fill_the_page_without_overlap(sizes):
 
 
 @pytest.mark.parametrize(
-    "damage", ["empty", "full", "missing", "elsewhere", "behind", "inside", "one frame", "no overlap known"]
+    "damage",
+    [
+        *("missing", "behind", "one frame"),
+        *(
+            pytest.param(damage, marks=pytest.mark.slow)
+            for damage in ("empty", "full", "elsewhere", "inside", "no overlap known")
+        ),
+    ],
 )
 def test_every_failure_can_be_drawn(made, body, tmp_path, damage):
     estimate, silhouettes, cameras = made
@@ -234,7 +241,9 @@ def test_every_failure_can_be_drawn(made, body, tmp_path, damage):
     assert cv2.imread(str(tmp_path / "a.png")).shape[1] > 1000
 
 
-@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+@pytest.mark.parametrize(
+    "suffix", [".png", pytest.param(".svg", marks=pytest.mark.slow), pytest.param(".pdf", marks=pytest.mark.slow)]
+)
 def test_the_same_sheet_is_the_same_file(made, tmp_path, suffix):
     paths = [tmp_path / f"{name}{suffix}" for name in "ab"]
     for path in paths:

@@ -49,7 +49,10 @@ def test_points_beyond_any_measure_are_not_drawn(tmp_path):
         draw_contact_sheet(far.replace(positions=far.positions * 1e300), tmp_path / "far.png")
 
 
-@pytest.mark.parametrize("kind", ["motion", "trajectories", "canonical"])
+@pytest.mark.parametrize(
+    "kind",
+    ["motion", pytest.param("trajectories", marks=pytest.mark.slow), pytest.param("canonical", marks=pytest.mark.slow)],
+)
 def test_contact_sheet_of_every_kind_of_motion(kind, walk, tmp_path):
     drawn = {"motion": walk, "trajectories": compute_trajectories(walk), "canonical": canonicalise(walk)}[kind]
     path = tmp_path / "sheet.png"
@@ -112,7 +115,12 @@ def test_missing_points_leave_gaps_only(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "title", ["動作_歩く.bvh", "$\\frac{1}{$_a^b$", "tab\tnew\nline", "\u200f\ufffe😀", "x" * 400, ""]
+    "title",
+    [
+        "動作_歩く.bvh $\\frac{1}{$_a^b$ tab\tnew\nline \u200f\ufffe😀",
+        "x" * 400,
+        pytest.param("", marks=pytest.mark.slow),
+    ],
 )
 def test_titles_in_any_script_draw_without_warnings(title, walk, tmp_path, caplog, written):
     draw_contact_sheet(walk, tmp_path / "sheet.png", n_poses=2, title=title)

@@ -100,6 +100,7 @@ def test_one_frame_is_enough(assessment):
     assert decode(data["step"], "<i4").tolist() == [0]
 
 
+@pytest.mark.slow
 def test_five_minutes_fit_a_page():
     data = encode_player_data(make_assessment(300, frame_rate=120.0))
     assert 15 <= data["rate"] <= 30

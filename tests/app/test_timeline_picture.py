@@ -85,7 +85,7 @@ def test_object_and_json_give_the_same_picture(tmp_path):
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "c.svg").read_bytes()
 
 
-@pytest.mark.parametrize("seconds", [0.4, 30.0, 700.0, 40_000.0])
+@pytest.mark.parametrize("seconds", [0.4, 40_000.0])
 def test_any_length_and_hundreds_of_segments(seconds, tmp_path):
     draw_timeline(take(400, 20, seconds / 400), tmp_path / "take.png")
     assert (ink(tmp_path / "take.png").min(axis=2) < 0.9).mean() > 0.01

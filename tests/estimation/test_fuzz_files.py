@@ -1,6 +1,6 @@
 """Random damage to cameras, masks, keypoints, bodies and offsets: every outcome is an answer or a DousaError.
 
-In bounded time and memory; ``DOUSA_FUZZ_SECONDS`` seconds over all kinds, 3 by default.
+In bounded time and memory; ``DOUSA_FUZZ_SECONDS`` seconds over all kinds, 1 by default.
 """
 
 from pathlib import Path

@@ -1,6 +1,6 @@
 """Random damage to small files: every outcome is a motion or a DousaError, in bounded time and memory.
 
-``DOUSA_FUZZ_SECONDS`` seconds over all formats, 3 by default. The cases are numbered and come in the same order
+``DOUSA_FUZZ_SECONDS`` seconds over all formats, 1 by default. The cases are numbered and come in the same order
 every time, so that a failure is found again; its file is kept and named in the message.
 """
 

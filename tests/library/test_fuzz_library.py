@@ -1,6 +1,6 @@
 """Random damage to a library file: every outcome is an answer or a DousaError, in bounded time and memory.
 
-``DOUSA_FUZZ_SECONDS`` seconds, 3 by default.
+``DOUSA_FUZZ_SECONDS`` seconds, 1 by default.
 """
 
 import shutil

@@ -167,6 +167,7 @@ def all_texts() -> str:
     return "\n".join(path.read_text(encoding="utf-8") for path in list_sources())
 
 
+@pytest.mark.slow
 def test_no_sentence_stands_in_the_program():
     assert [call.place for call in all_calls() if call.is_sentence] == []
 

@@ -141,6 +141,7 @@ class TestBefore:
         found = look(client, batch=upload(client, ("huge.npz", file.getvalue())))
         assert found["missing"] and found["views"] == []
 
+    @pytest.mark.slow
     @pytest.mark.plain_workers
     def test_the_example_is_ready_to_be_estimated(self, client):
         answer = client.post("/api/estimations/example")
@@ -220,6 +221,7 @@ def _ref(job: dict[str, Any]) -> Any:
 
 
 class TestStopped:
+    @pytest.mark.slow
     @pytest.mark.plain_workers
     def test_stopped_work_goes_on_where_it_was(self, client, tmp_path):
         content = write_scene(tmp_path / "long.npz", 90).read_bytes()

@@ -197,6 +197,7 @@ class TestAfter:
 
 
 class TestAgain:
+    @pytest.mark.slow
     def test_another_person_without_a_wrong_track(self, client, batch, done):
         """The other person, after somebody said that one of their tracks is nobody."""
         two = {"sources": ["view1.mp4", "view1.npz", "view2.npz"], **CAMERAS}

@@ -102,6 +102,7 @@ def test_a_part_is_followed_through_the_film(masks):
     assert not decode(masks("/mask/1/7").content).any()
 
 
+@pytest.mark.slow
 def test_an_estimation_of_repaired_silhouettes_shows_the_films_behind_them(masks, client, batch, prepared):
     masks("/repairs", ERASE)
     wanted = {"batch": batch, "cues": "silhouettes", "masks": prepared, "overlay_video": False, "beam": 2}

@@ -63,6 +63,7 @@ def test_start_answer_and_end(library_copy):
         assert ask(url, token, f"/api/jobs/{job['id']}")["state"] == "stopped"
 
 
+@pytest.mark.slow
 def test_a_second_start_shows_the_studio_that_runs(library_copy):
     with started("studio", library_copy, "--no-browser", "--port", 0) as (first, url, token):
         # One after the other: the last of them is not done before the second start has answered.
@@ -116,6 +117,7 @@ def test_a_studio_that_does_not_answer_is_named(dousa, library_copy):
     assert f"process {os.getpid()}" in err and "--home" in err
 
 
+@pytest.mark.slow
 def test_a_port_that_is_taken_is_passed_over(library_copy):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

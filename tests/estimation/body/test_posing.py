@@ -236,7 +236,15 @@ def test_the_body_of_a_walking_figure():
     np.testing.assert_array_equal(same.offsets, body.offsets)
 
 
-@pytest.mark.parametrize("clip", ["bd_squat", "bk_rotatearms", "cmu86_walk", "dg_kick"])
+@pytest.mark.parametrize(
+    "clip",
+    [
+        pytest.param("bd_squat", marks=pytest.mark.slow),
+        pytest.param("bk_rotatearms", marks=pytest.mark.slow),
+        "cmu86_walk",
+        pytest.param("dg_kick", marks=pytest.mark.slow),
+    ],
+)
 def test_recorded_people_are_posed_within_two_centimetres(shared_data, clip):
     with np.load(shared_data(f"silhouette_bench/{clip}_clean.npz")) as data:
         names = [str(name) for name in data["joint_names"]]

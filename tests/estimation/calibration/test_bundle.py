@@ -74,7 +74,12 @@ def slow_residuals(x, sightings, rig, points, limbs, freedom):
 
 
 @pytest.mark.parametrize(
-    "freedom", [Freedom(), Freedom(offsets=True), Freedom(focals=True, offsets=True, focal_spread=0.2)]
+    "freedom",
+    [
+        pytest.param(Freedom(), marks=pytest.mark.slow),
+        pytest.param(Freedom(offsets=True), marks=pytest.mark.slow),
+        Freedom(focals=True, offsets=True, focal_spread=0.2),
+    ],
 )
 def test_the_cost_has_no_better_place_nearby(freedom):
     """Our cost is that of the plain residuals, and scipy finds no lower one."""

@@ -33,7 +33,7 @@ def place_on(points, truth):
     return scale, rotation, truth.mean(axis=0) - scale * rotation @ points.mean(axis=0)
 
 
-@pytest.mark.parametrize("known", ["lenses", "focals", "nothing"])
+@pytest.mark.parametrize("known", ["lenses", pytest.param("focals", marks=pytest.mark.slow), "nothing"])
 def test_cameras_stand_where_they_stood(performance, known, tmp_path):
     cameras = make_cameras(3)
     views = [film(performance, camera, 0.5, 5.0, seed=2) for camera in cameras]
@@ -72,6 +72,7 @@ def test_offsets_and_the_person_are_taken(performance):
     assert angle_between(found.cameras[1].rotation @ found.cameras[0].rotation.T, expected) < 1.5
 
 
+@pytest.mark.slow
 def test_films_of_other_people_agree_with_no_cameras(performance):
     cameras = make_cameras(3)
     others = [performance, Performance(("squat", "lunge", "sit_down"), seed=8), Performance(("jump", "bow"), seed=9)]
@@ -92,6 +93,7 @@ def test_wrong_times_are_doubted_or_refused(performance):
         assert "calibration.few_agree" in [note.code for note in found.warnings]
 
 
+@pytest.mark.slow
 def test_cameras_side_by_side_tell_no_depth(performance):
     near = [make_view((x, 1.4, 4.5), (x, 0.9, 0.0), size=(1920, 1080), focal=1500.0) for x in (0.0, 0.1)]
     near = [replace(camera, name=f"film{place}") for place, camera in enumerate(near)]

@@ -183,6 +183,7 @@ class TestFit:
         four = fit_keypoints(cameras, tracks, NAMES, RATE, stature=1.80)
         assert fit.depth_doubt.mean() > 1.5 * four.depth_doubt.mean()
 
+    @pytest.mark.slow
     def test_a_long_film_is_fitted_in_stretches(self, body, poses, cameras):
         tracks, _ = film(body, poses, cameras)
         whole = fit_keypoints(cameras, tracks, NAMES, RATE)

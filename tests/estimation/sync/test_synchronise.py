@@ -19,6 +19,7 @@ def performance():
     return Performance(ACTS)
 
 
+@pytest.mark.slow
 def test_films_of_other_rates_and_unsteady_frames_are_within_10_ms(performance):
     cameras = make_cameras(3)
     begins, rates = (1.0, 0.1234, 3.05), (60.0, 25.0, 29.97)

@@ -38,8 +38,7 @@ def _is_same(one, other):
 CUTS = (Furi(0, 100, "A"), Furi(100, 230, "B"), Furi(230, 420, "A"))
 
 
-@pytest.mark.parametrize("furi", [None, CUTS])
-@pytest.mark.parametrize("weights", [None, {"left_arm": 0.0, "trunk": 2.0}])
+@pytest.mark.parametrize(("furi", "weights"), [(None, None), (CUTS, {"left_arm": 0.0, "trunk": 2.0})])
 def test_it_says_what_a_fresh_assessment_says(motions, adjustable, furi, weights):
     takes, performance = motions
     fresh = assess(takes, performance, furi=furi, weights=weights)

@@ -255,7 +255,7 @@ def segments_of(*limbs):
         (LOWER, segments_of("trunk", "left_leg", "right_leg")),
     ],
 )
-@pytest.mark.parametrize("swap", [False, True])
+@pytest.mark.parametrize("swap", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_rest_is_judged(absent, left_out, swap):
     part = hide(absent)
     reference, performance = (part, WHOLE) if swap else (WHOLE, part)

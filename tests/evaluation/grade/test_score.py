@@ -158,7 +158,7 @@ def read_exercise(shared: Shared, number: int, label: str) -> list[CanonicalMoti
 
 
 @pytest.mark.parametrize(("motion", "count"), [("squat1Reps", 6), ("kickLFront1Reps", 5)])
-@pytest.mark.parametrize("person", ["bd", "bk"])
+@pytest.mark.parametrize("person", ["bd", pytest.param("bk", marks=pytest.mark.slow)])
 def test_the_next_take_of_one_person_is_good(shared_data: Shared, motion: str, count: int, person: str) -> None:
     takes = read_takes(shared_data, motion, person)
     assert assess(takes[:count], takes[count]).score >= 80.0

@@ -19,7 +19,7 @@ from lab.injection.injection import inject_many, simulate_performer
 
 KINDS = ("shift", "incomplete", "partial", "global")
 DANCE = "bandai_dance/dataset-1_dance-short_normal_001.bvh"
-SEEDS = range(2)
+SEEDS = range(1)
 LOOK_AHEAD_S, HOP_S = 2.0, 1.0
 
 
@@ -168,7 +168,7 @@ def test_a_wrong_limb_is_named_at_once() -> None:
     assert not any(state.wrong for state in states[:145])
 
 
-@pytest.mark.parametrize("late_s", [4.0, -3.0])
+@pytest.mark.parametrize("late_s", [pytest.param(4.0, marks=pytest.mark.slow), -3.0])
 def test_a_performance_that_starts_elsewhere(late_s: float) -> None:
     reference = make_wandering_motion(25, 3)
     step = round(abs(late_s) * 30)
@@ -186,6 +186,7 @@ def test_a_performance_that_starts_elsewhere(late_s: float) -> None:
     check_equal(assessor.finish(), whole)
 
 
+@pytest.mark.slow
 def test_a_performance_that_goes_on_after_the_end() -> None:
     reference = make_wandering_motion(15, 4)
     played = np.concatenate([reference.positions, make_wandering_motion(8, 99).positions])
@@ -196,7 +197,9 @@ def test_a_performance_that_goes_on_after_the_end() -> None:
     assert assessor.settled == ()
 
 
-@pytest.mark.parametrize("kind", ["skip", "repeat", "stop"])
+@pytest.mark.parametrize(
+    "kind", ["skip", pytest.param("repeat", marks=pytest.mark.slow), pytest.param("stop", marks=pytest.mark.slow)]
+)
 def test_a_lapse_is_found_and_the_line_followed(kind: str) -> None:
     reference = make_wandering_motion(40, 6)
     frames, at = np.arange(reference.n_frames), 450
@@ -290,6 +293,7 @@ def test_a_free_tempo_is_followed() -> None:
     check_equal(assessor.finish(), assess(reference, played, tempo="free"))
 
 
+@pytest.mark.slow
 def test_what_is_not_seen_is_not_judged() -> None:
     reference, performance = make_trial(0)
     positions = np.array(performance.positions)

@@ -286,7 +286,14 @@ def find_root(path, table):
 
 
 @pytest.mark.sqlite
-@pytest.mark.parametrize("table", ["clip_features", "clip_trajectories", "clips", "forests", "ix_clips_category"])
+@pytest.mark.parametrize(
+    "table",
+    [
+        *(pytest.param(one, marks=pytest.mark.slow) for one in ("clip_features", "clips", "ix_clips_category")),
+        "clip_trajectories",
+        "forests",
+    ],
+)
 def test_what_can_be_read_of_a_broken_file_is_saved(library_file, table):
     with Library.open(library_file) as library:
         before = library.clips()

@@ -87,7 +87,17 @@ def tell_all(library):
     ]
 
 
-@pytest.mark.parametrize("how", ["slow", "workers", "stopped", "killed", "in turns", "backwards"])
+@pytest.mark.parametrize(
+    "how",
+    [
+        pytest.param("slow", marks=pytest.mark.slow),
+        pytest.param("workers", marks=pytest.mark.slow),
+        "stopped",
+        "killed",
+        pytest.param("in turns", marks=pytest.mark.slow),
+        "backwards",
+    ],
+)
 def test_the_same_clips_give_the_same_forest(two_categories, write_move, tmp_path, monkeypatch, how):
     """However fast they are read, in whatever order and portions, and where a program was stopped and run again."""
     for seed in range(5):
@@ -128,7 +138,7 @@ def test_the_same_clips_give_the_same_forest(two_categories, write_move, tmp_pat
     assert seen[0] == seen[1]
 
 
-@pytest.mark.parametrize("searched", [True, False])
+@pytest.mark.parametrize("searched", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_library_whose_index_lies_in_a_file_learns_the_same(
     two_categories, nods, write_move, tmp_path, monkeypatch, searched
 ):
@@ -285,7 +295,15 @@ def test_what_the_training_left_is_neither_read_nor_moved(large, files, monkeypa
     assert {number for number in read if number <= 10} <= set(np.frombuffer(kept, "<i4").tolist())
 
 
-@pytest.mark.parametrize("how", ["in turns", "backwards", "examples gone", "trained by an older dousa"])
+@pytest.mark.parametrize(
+    "how",
+    [
+        pytest.param("in turns", marks=pytest.mark.slow),
+        "backwards",
+        "examples gone",
+        pytest.param("trained by an older dousa", marks=pytest.mark.slow),
+    ],
+)
 def test_the_same_clips_give_the_same_large_forest(large, files, tmp_path, how):
     seen = []
     for which in ("at once", how):

@@ -119,7 +119,7 @@ def compare(found, expected, count) -> None:
 @pytest.mark.parametrize("learned", [True, False])
 @pytest.mark.parametrize("pooled", [True, False])
 def test_the_first_clips_are_those_of_all(by, learned, pooled):
-    for seed in range(6):
+    for seed in (0, 5):
         clips = make_clips(seed, 400, 5 + seed, n_leaves=2 + 3 * seed, learned=learned, pooled=pooled)
         index = clips.make_index()
         for row, k in ((0, 1), (7, 10), (50, 64), (123, 150), (7, 399), (9, 1000)):

@@ -146,6 +146,7 @@ def test_the_forest_that_incomplete_clips_need_is_learned_with_the_training(libr
         assert other.search(query).to_json() == answer.to_json()
 
 
+@pytest.mark.slow
 def test_a_library_of_legs_alone(empty_library, moves):
     for path in sorted(moves.rglob("*.bvh")):
         empty_library.add_motion(cut(path, UPPER), path.stem, path.parent.name)

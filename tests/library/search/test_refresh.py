@@ -158,8 +158,7 @@ def change_and_teach(library, library_file, folder, write_move, turn, category):
         assert other.add(folder, n_jobs=1).n_learned == 2
 
 
-@pytest.mark.parametrize("block", [4, refresh.BLOCK])
-@pytest.mark.parametrize("is_later", [False, True])
+@pytest.mark.parametrize(("block", "is_later"), [(refresh.BLOCK, False), (4, True)])
 def test_what_a_forest_has_learned_is_in_a_file(
     library, library_file, tmp_path, read, large, request, monkeypatch, write_move, block, is_later
 ):
@@ -171,7 +170,7 @@ def test_what_a_forest_has_learned_is_in_a_file(
     if is_later:
         request.getfixturevalue("later")
     monkeypatch.setattr(refresh, "BLOCK", block)
-    library.train(n_trees=20)
+    library.train(n_trees=8)
     (place,) = find_side_files(tmp_path)
     whole = place.read_bytes()
     for turn, category in enumerate(("nod", "a nod" if is_later else "wave", "nod", "bow")):
@@ -187,7 +186,7 @@ def test_what_a_forest_has_learned_is_in_a_file(
             check_searches(third, (1, 16 + 2 * turn))
         assert read == []
     assert library.check().is_sound
-    library.train(n_trees=20)
+    library.train(n_trees=8)
     assert not [*tmp_path.rglob("*-search-later")]
 
 
@@ -223,7 +222,7 @@ def test_of_what_stays_no_votes_are_counted_again(library, library_file, tmp_pat
 
 @pytest.mark.parametrize("how", ["damaged", "cut", "gone", "of another file", "of an older state"])
 def test_a_later_file_that_is_not_right_is_not_believed(library, library_file, tmp_path, read, later, write_move, how):
-    library.train(n_trees=20)
+    library.train(n_trees=8)
     write_move(tmp_path / "more" / "nod" / "a.bvh", "bow", 70)
     library.add(tmp_path / "more", n_jobs=1)
     place = find_later(tmp_path)
@@ -233,14 +232,14 @@ def test_a_later_file_that_is_not_right_is_not_believed(library, library_file, t
         library.add(tmp_path / "more", n_jobs=1)
         place.write_bytes(whole)
     elif how == "of another file":
-        library.train(n_trees=20)
+        library.train(n_trees=8)
         place.write_bytes(whole)
     elif how == "gone":
         place.unlink()
     expected = load(library)
     texts = [whole]
     if how == "damaged":
-        texts = [whole[:at] + bytes([whole[at] ^ 4]) + whole[at + 1 :] for at in range(0, len(whole), 97)]
+        texts = [whole[:at] + bytes([whole[at] ^ 4]) + whole[at + 1 :] for at in range(0, len(whole), 397)]
     elif how == "cut":
         texts = [whole[:size] for size in (0, 30, len(whole) // 2, len(whole) - 1)]
     for text in texts:
@@ -298,7 +297,7 @@ def test_a_damaged_file_is_not_believed(library, library_file, tmp_path, read, l
     library.search(1)
     (place,) = find_side_files(tmp_path)
     whole = place.read_bytes()
-    for at in [*range(0, 40, 3), *np.linspace(40, len(whole) - 1, 40).astype(int).tolist()]:
+    for at in [*range(0, 40, 6), *np.linspace(40, len(whole) - 1, 12).astype(int).tolist()]:
         del read[:]
         place.write_bytes(whole[:at] + bytes([whole[at] ^ 4]) + whole[at + 1 :])
         with Library.open(library_file) as other:

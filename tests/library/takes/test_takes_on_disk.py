@@ -233,7 +233,17 @@ def test_a_training_and_an_add_make_the_files(library_path, made, many, write_mo
         assert find_files(tmp_path) == again
 
 
-@pytest.mark.parametrize("part", ["header", "sketches", "marks", "rows", "poses", "cut"])
+@pytest.mark.parametrize(
+    "part",
+    [
+        "header",
+        pytest.param("sketches", marks=pytest.mark.slow),
+        pytest.param("marks", marks=pytest.mark.slow),
+        pytest.param("rows", marks=pytest.mark.slow),
+        "poses",
+        "cut",
+    ],
+)
 def test_a_check_finds_what_a_search_does_not_look_at(library_path, made, many, tmp_path, part):
     """A repair takes the file away, and the next search makes it again."""
     many()

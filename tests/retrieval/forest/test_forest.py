@@ -322,8 +322,7 @@ def test_shapes_that_disagree_are_refused():
             MotionForest().fit(np.zeros((3, 3, 4)), np.array(categories))
 
 
-@pytest.mark.parametrize("thresholds", ["best", "random"])
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize(("thresholds", "dtype"), [("best", np.float32), ("random", np.float64)])
 def test_each_clip_of_the_training_comes_to_the_leaf_that_counts_it(thresholds, dtype):
     """Also where a node has so many clips that some of them choose its test: all of them are parted by it."""
     features = FEATURE_SETS["extended"]
