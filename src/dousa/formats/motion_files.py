@@ -173,7 +173,12 @@ def read_canonical(
     MotionFileError : the file cannot be read.
     JointMappingError : its joints cannot be mapped; the error has the ``path``.
     """
-    motion, canonical = read_both(path, options, whole=whole)
+    from dousa.motion import compute_trajectories
+
+    options = options or ReadOptions()
+    # The rotations of a long recording are not held on to while its joints are mapped.
+    motion = compute_trajectories(_read(path, options))
+    canonical = _canonicalise(path, motion, options, whole)
     return canonical, motion.provenance.format if motion.provenance else ""
 
 
@@ -181,18 +186,27 @@ def read_both(
     path: str | os.PathLike[str], options: ReadOptions | None = None, *, whole: bool = True
 ) -> tuple[Motion | Trajectories, CanonicalMotion]:
     """Read a motion file as it is, and on canonical joints; parameters and errors as of ``read_canonical``."""
-    from dousa.motion import canonicalise
+    options = options or ReadOptions()
+    motion = _read(path, options)
+    return motion, _canonicalise(path, motion, options, whole)
 
-    path, options = os.fspath(path), options or ReadOptions()
+
+def _read(path: str | os.PathLike[str], options: ReadOptions) -> Motion | Trajectories:
     line = find_reader(path)
     # In a folder of all kinds, each kind uses its own options.
     taken: dict[str, Any] = {name: getattr(options, name) for name in (line.options if line else ())}
-    motion = read_motion(path, unit=options.unit, up=options.up, **taken)
+    return read_motion(path, unit=options.unit, up=options.up, **taken)
+
+
+def _canonicalise(
+    path: str | os.PathLike[str], motion: Motion | Trajectories, options: ReadOptions, whole: bool
+) -> CanonicalMotion:
+    from dousa.motion import canonicalise
+
     try:
-        canonical = canonicalise(motion, options.joint_map, any_skeleton=options.any_skeleton, whole=whole)
-        return motion, canonical
+        return canonicalise(motion, options.joint_map, any_skeleton=options.any_skeleton, whole=whole)
     except JointMappingError as error:
-        error.path = path
+        error.path = os.fspath(path)
         raise
 
 

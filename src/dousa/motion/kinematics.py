@@ -104,7 +104,12 @@ def compute_trajectories(motion: Motion | Trajectories) -> Trajectories:
     if isinstance(motion, Trajectories):
         return motion
     skeleton = motion.skeleton
-    positions, _ = forward_kinematics(skeleton.parents, motion.rotations, motion.translations)
+    positions = np.empty(motion.translations.shape)
+    step = 4096  # frames whose rotations in the world, which are not wanted, are held at a time
+    for first in range(0, motion.n_frames, step):
+        part = slice(first, first + step)
+        found, _ = forward_kinematics(skeleton.parents, motion.rotations[part], motion.translations[part])
+        positions[part] = found
     positions.flags.writeable = False
     return Trajectories(
         names=skeleton.names,
@@ -112,5 +117,5 @@ def compute_trajectories(motion: Motion | Trajectories) -> Trajectories:
         frame_rate=motion.frame_rate,
         parents=skeleton.parents,
         rest_positions=compute_rest_positions(skeleton),
-        provenance=motion.provenance,
+        provenance=motion.provenance and motion.provenance.derive(),
     )

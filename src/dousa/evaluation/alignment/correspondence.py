@@ -54,20 +54,63 @@ def compute_correlation_matrix(
     horizontal part as a complex number and y the vertical one: turning b by theta changes only
     Re(exp(-j theta) sum h conj(h')), whose maximum is the modulus.
     """
-    first, second = check_sequence(a, "a"), check_sequence(b, "b")
-    shares = check_segment_weights(weights)
-    if 4 * len(first) * len(second) > largest_gib * 2**30:
-        raise OptionError("correlation.too_large", rows=len(first), columns=len(second))
-    if similarity == "cosine":
-        shares_of_a: FloatArray = shares / shares.sum()
-        shares_of_b: FloatArray = np.ones_like(shares)
-    elif similarity == "planar":
-        shares_of_a, shares_of_b = shares * _planar_share(first, shares), _planar_share(second, shares)
-        first, second = _flatten(first), _flatten(second)
-    else:
-        raise OptionError("correlation.similarity", similarity=similarity)
+    pairs = Correlation.of(a, b, weights, similarity)
+    if 4 * len(pairs.a) * pairs.b.shape[1] > largest_gib * 2**30:
+        raise OptionError("correlation.too_large", rows=len(pairs.a), columns=pairs.b.shape[1])
+    return pairs.compare(0, len(pairs.a), worth_threads=worth_threads)
 
-    return _correlate(pack(first, shares_of_a), np.ascontiguousarray(pack(second, shares_of_b).T), worth_threads)
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correlation:
+    """Two motions packed to be compared: the rows of `compute_correlation_matrix` that are asked for."""
+
+    a: Matrix  # (T, 27)
+    b: Matrix  # (27, U)
+
+    @classmethod
+    def of(
+        cls, a: ArrayLike, b: ArrayLike, weights: ArrayLike | None = None, similarity: str = "cosine"
+    ) -> Correlation:
+        """Pack two motions; parameters and errors as of `compute_correlation_matrix`."""
+        first, second = check_sequence(a, "a"), check_sequence(b, "b")
+        shares = check_segment_weights(weights)
+        if similarity == "cosine":
+            shares_of_a: FloatArray = shares / shares.sum()
+            shares_of_b: FloatArray = np.ones_like(shares)
+        elif similarity == "planar":
+            shares_of_a, shares_of_b = shares * _planar_share(first, shares), _planar_share(second, shares)
+            first, second = _flatten(first), _flatten(second)
+        else:
+            raise OptionError("correlation.similarity", similarity=similarity)
+        return cls(pack(first, shares_of_a), np.ascontiguousarray(pack(second, shares_of_b).T))
+
+    def compare(self, start: int, stop: int, *, worth_threads: int = 1_000_000, tile: int = 64) -> Matrix:
+        """Rows start to stop of the matrix."""
+        # worth_threads: pairs of poses; tile: rows that a thread takes at a time
+        a, b = self.a[start:stop], self.b
+        matrix = np.empty((len(a), b.shape[1]), np.float32)
+        if matrix.size < worth_threads:
+            correlate_rows(a, b, matrix, 0, len(a))
+            return matrix
+        from joblib import cpu_count
+
+        with ThreadPoolExecutor(cpu_count()) as pool:
+            jobs = [
+                pool.submit(correlate_rows, a, b, matrix, first, min(first + tile, len(a)))
+                for first in range(0, len(a), tile)
+            ]
+            for job in jobs:
+                job.result()
+        return matrix
+
+    def compare_pairs(self, rows: IndexArray, columns: IndexArray, *, tile: int = 64) -> Matrix:
+        """(N,) cells of the matrix."""
+        found = []
+        for first in range(0, len(rows), tile):
+            ours, theirs = self.a[rows[first : first + tile]], self.b[:, columns[first : first + tile]]
+            some = Correlation(ours, np.ascontiguousarray(theirs))
+            found.append(np.diagonal(some.compare(0, len(ours))))
+        return np.concatenate(found)
 
 
 def check_sequence(values: ArrayLike, what: str) -> FloatArray:
@@ -120,24 +163,6 @@ def _planar_share(segments: FloatArray, shares: FloatArray) -> FloatArray:
 
 def _flatten(segments: FloatArray) -> FloatArray:
     return np.asarray(segments * np.array([1.0, 0.0, 1.0]))
-
-
-def _correlate(a: Matrix, b: Matrix, worth_threads: int, *, tile: int = 64) -> Matrix:
-    # tile: rows that a thread takes at a time
-    from joblib import cpu_count
-
-    matrix = np.empty((len(a), b.shape[1]), np.float32)
-    if matrix.size < worth_threads:
-        correlate_rows(a, b, matrix, 0, len(a))
-        return matrix
-    with ThreadPoolExecutor(cpu_count()) as pool:
-        jobs = [
-            pool.submit(correlate_rows, a, b, matrix, start, min(start + tile, len(a)))
-            for start in range(0, len(a), tile)
-        ]
-        for job in jobs:
-            job.result()
-    return matrix
 
 
 def find_path(

@@ -6,17 +6,20 @@ if a figure is left out or repeated, or the performer stops. What is left after 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.arrays import FloatArray, IndexArray
+from dousa.arrays import FloatArray
 from dousa.evaluation.posture.posture import Working
 from dousa.evaluation.words import date, describe_lapse
 from dousa.messages import Message
+
+if TYPE_CHECKING:
+    from dousa.evaluation.alignment.correspondence import Correlation
 
 COARSE_RATE = 10.0  # Hz, see docs/evaluation.md
 _SMALL = 1.0 - np.cos(np.radians(8.0))  # dissimilarity of the same pose taken twice, see docs/evaluation.md
@@ -61,12 +64,12 @@ def align(reference: Working, performance: Working, tempo: str, weights: FloatAr
     rate = performance.frame_rate / step
     # Performance frame of each row; its fractions matter only where the tempo is another.
     clock = np.arange(0, performance.n_frames, step, dtype=np.float64)
-    costs, course = _follow(reference, performance, clock, step, tempo, weights)
+    pairs, course = _follow(reference, performance, clock, step, tempo, weights)
     if tempo == "free":
         # A pose that is held tells no tempo: it is crossed at the tempo of the rest.
         slope = _measure_slope(course)
         clock = np.arange(0.0, performance.n_frames, step / slope)
-        costs, course = _follow(reference, performance, clock, step, tempo, weights)
+        pairs, course = _follow(reference, performance, clock, step, tempo, weights)
         course = np.where(find_pauses(course, rate), -1, course)
     runs = find_runs(course, rate)
     starts = [int(np.ceil(clock[run.start])) for run in runs]
@@ -85,7 +88,7 @@ def align(reference: Working, performance: Working, tempo: str, weights: FloatAr
     ends = edges[1:]
     final = tuple(Run(start, end, float(frames[start] - start)) for start, end in zip(starts, ends, strict=True))
     on_clock = np.interp(clock, np.arange(performance.n_frames), frames) / step
-    mismatch = _measure_mismatch(on_clock, costs)
+    mismatch = _measure_mismatch(on_clock, pairs)
     return Alignment(frames, final, mismatch, _measure_tempo(frames, final))
 
 
@@ -109,35 +112,6 @@ def _keep_whole(reference: Working, performance: Working, weights: FloatArray) -
     return np.arange(performance.n_frames, dtype=np.float64) + float(np.median(path[:, 0] - path[:, 1]))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Costs:
-    """Costs of poses of the performance against those of the reference, made where they are needed."""
-
-    performance: FloatArray  # (T, 9, 3)
-    reference: FloatArray  # (U, 9, 3)
-    weights: FloatArray  # (9,)
-
-    def by_rows(self, *, at_once: int = 500_000) -> Iterator[FloatArray]:
-        """All (T, U) costs, some rows at a time."""
-        # at_once: pairs of poses: their memory
-        step = max(1, at_once // len(self.reference))
-        for first in range(0, len(self.performance), step):
-            yield self._compare(self.performance[first : first + step], self.reference)
-
-    def at(self, rows: IndexArray, columns: IndexArray, *, at_once: int = 64) -> FloatArray:
-        """(N,) costs of pairs of poses."""
-        found = [
-            np.diagonal(self._compare(self.performance[rows[part]], self.reference[columns[part]]))
-            for part in (slice(first, first + at_once) for first in range(0, len(rows), at_once))
-        ]
-        return np.concatenate(found)
-
-    def _compare(self, ours: FloatArray, theirs: FloatArray) -> FloatArray:
-        from dousa.evaluation.alignment.correspondence import compute_correlation_matrix
-
-        return to_cost(compute_correlation_matrix(ours, theirs, weights=self.weights))
-
-
 def _follow(
     reference: Working,
     performance: Working,
@@ -145,14 +119,21 @@ def _follow(
     step: int,
     tempo: str,
     weights: FloatArray,
-) -> tuple[_Costs, np.ndarray]:
-    """Costs of the performance at ``clock`` against every ``step``-th reference frame, and the cheapest lines."""
+    *,
+    at_once: int = 500_000,
+) -> tuple[Correlation, np.ndarray]:
+    """The performance at ``clock`` against every ``step``-th reference frame, and the cheapest lines."""
+    from dousa.evaluation.alignment.correspondence import Correlation
     from dousa.evaluation.alignment.dynamic_programming import follow_lines
 
+    # at_once: pairs of poses whose costs are held at a time
     rows = np.minimum(np.rint(clock).astype(np.intp), performance.n_frames - 1)
-    costs = _Costs(performance.segments[rows], reference.segments[::step], weights)
+    pairs = Correlation.of(performance.segments[rows], reference.segments[::step], weights)
+    n_reference = pairs.b.shape[1]
+    size = max(1, at_once // n_reference)
+    costs = (to_cost(pairs.compare(first, first + size)) for first in range(0, len(rows), size))
     jump = JUMP_S * (performance.frame_rate / step)
-    return costs, follow_lines(costs.by_rows(), len(costs.reference), jump, PAUSE[tempo], OUTSIDE)
+    return pairs, follow_lines(costs, n_reference, jump, PAUSE[tempo], OUTSIDE)
 
 
 def _measure_slope(course: np.ndarray, *, fewest_for_tempo: int = 12) -> float:
@@ -200,12 +181,12 @@ def to_cost(similarity: NDArray[np.floating], *, large: float = 25.0 * _SMALL) -
     return cost
 
 
-def _measure_mismatch(frames: FloatArray, costs: _Costs) -> float:
+def _measure_mismatch(frames: FloatArray, pairs: Correlation) -> float:
     """Mean cost where the lines run inside the reference; of everything if that is too little to tell."""
-    n_frames, n_reference = len(frames), len(costs.reference)
+    n_frames, n_reference = len(frames), pairs.b.shape[1]
     inside = (frames >= -0.5) & (frames <= n_reference - 0.5)
     columns = np.clip(np.rint(frames).astype(np.intp), 0, n_reference - 1)
-    along = np.where(inside, costs.at(np.arange(n_frames), columns), OUTSIDE)
+    along = np.where(inside, to_cost(pairs.compare_pairs(np.arange(n_frames), columns)), OUTSIDE)
     enough = inside.sum() >= 0.5 * min(n_frames, n_reference)
     return float(along[inside].mean() if enough else along.mean())
 

@@ -122,10 +122,10 @@ def describe_moments(
     seen = np.broadcast_to(body_flat[:, None], (n, N_LIMBS, body_flat.shape[1]))
     flat, others = limb_table.reshape(n, N_LIMBS, -1), _describe_others(limb_table)
     parts = [flat, clips, others, kind, constants, seen, marks, courses, together]
-    limbs = np.concatenate([part[:, :N_LIMBS] for part in parts], axis=2)
+    limbs = np.concatenate([part[:, :N_LIMBS] for part in parts], axis=2, dtype=np.float32, casting="same_kind")
     parts = [body_flat, *ranked, np.sort(clips, axis=1), constants[:, 0], marks, np.sort(courses[:, :N_LIMBS], axis=1)]
-    body = np.concatenate([part.reshape(n, -1) for part in parts], axis=1)
-    return Descriptors(frames, limbs.astype(np.float32), body.astype(np.float32))
+    body = np.concatenate([part.reshape(n, -1) for part in parts], axis=1, dtype=np.float32, casting="same_kind")
+    return Descriptors(frames, limbs, body)
 
 
 def _measure_windows(

@@ -220,9 +220,10 @@ def _pair_poses(
     *,
     paired_rate: float = 10.0,
     paired_s: float = 1.2,
+    at_once: int = 512,
 ) -> IndexArray:
     """(K, 2) frames of both that resemble each other best near the line ``frames`` (T,), at any lag."""
-    # paired_rate: Hz: a body does not change faster
+    # paired_rate: Hz: a body does not change faster; at_once: rows: their memory
     step = max(1, round(performance.frame_rate / paired_rate))
     rows = np.arange(0, performance.n_frames, step)
     reach = max(1, round(paired_s * performance.frame_rate / step))
@@ -230,9 +231,13 @@ def _pair_poses(
     there = np.rint(frames[rows]).astype(np.intp)[:, None] + lags * step
     inside = (there >= 0) & (there < reference.n_frames)
     near = np.clip(there, 0, reference.n_frames - 1)
-    shares = weights * (performance.seen[rows, None] & reference.seen[near])
-    likeness = pair_similarity(performance.segments[rows, None], reference.segments[near], shares)
-    cost = np.where(inside, to_cost(likeness), OUTSIDE)
+    cost = np.empty(near.shape)
+    for first in range(0, len(rows), at_once):
+        part = slice(first, first + at_once)
+        ours, theirs = rows[part, None], near[part]
+        shares = weights * (performance.seen[ours] & reference.seen[theirs])
+        likeness = pair_similarity(performance.segments[ours], reference.segments[theirs], shares)
+        cost[part] = np.where(inside[part], to_cost(likeness), OUTSIDE)
     course = follow_lag(cost + _LATE * np.abs(lags), _TURN)
     pairs = np.column_stack([there[np.arange(len(rows)), course], rows])
     known: IndexArray = pairs[inside[np.arange(len(rows)), course]]

@@ -201,7 +201,9 @@ def compute_postures(motion: CanonicalMotion, frame_rate: float | None = None, n
 
 def _read(motion: CanonicalMotion) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Positions without gaps, as far as a joint is ever seen, and (T, 9) what is seen of the segments."""
-    positions = np.array(motion.positions, np.float64)
+    positions = np.asarray(motion.positions, np.float64)
+    if positions.flags.writeable:
+        positions = positions.copy()
     if positions.ndim != 3 or positions.shape[1:] != (len(CANONICAL_JOINTS), 3):
         raise InvalidMotionError("postures.motion_shape", shape=positions.shape)
     if len(positions) == 0:

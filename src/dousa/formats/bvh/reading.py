@@ -339,12 +339,18 @@ def read_bvh(path: str | os.PathLike[str], *, unit: float | None = None, up: str
     """
     data = scannable(read_bytes(path))
     try:
-        return _parse(os.fspath(path), data, unit, up)
+        program, layout, values, notes = _parse(data)
     except BvhSyntaxError as error:
         raise MotionFileError(path, error.message, line_number(data, error.position)) from None
+    del data  # the text of a long recording is as large as its numbers
+    return build_motion(
+        os.fspath(path), "bvh", program, values, layout.frame_rate,
+        unit=unit, up=up, layout=layout, values=values, notes=notes,
+    )  # fmt: skip
 
 
-def _parse(path: str, data: bytes, unit: float | None, up: str | None) -> Motion:
+def _parse(data: bytes) -> tuple[ChannelProgram, BvhLayout, FloatArray, tuple[Message, ...]]:
+    """How channels make poses, the layout, the channel values (T, C), and notes."""
     start = _HIERARCHY.match(data)
     if start is None:
         raise BvhSyntaxError(0, "bvh.no_hierarchy")
@@ -359,10 +365,7 @@ def _parse(path: str, data: bytes, unit: float | None, up: str | None) -> Motion
     n_frames, frames_at, frame_time, values_at = _parse_motion_header(data, motion.end())
     values, notes = _read_values(data, values_at, hierarchy.n_channels, n_frames, frames_at)
     layout = BvhLayout(hierarchy.channels, hierarchy.offsets, frame_time, hierarchy.encoding)
-    return build_motion(
-        path, "bvh", hierarchy.program, values, layout.frame_rate,
-        unit=unit, up=up, layout=layout, values=values, notes=notes,
-    )  # fmt: skip
+    return hierarchy.program, layout, values, notes
 
 
 def _find_motion(data: bytes, start: int) -> re.Match[bytes]:

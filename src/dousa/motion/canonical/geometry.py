@@ -158,6 +158,7 @@ def find_leaps(
     least: float = 0.1,
     back: float = -0.5,
     similar: float = 0.4,
+    at_once: int = 4096,
 ) -> BoolArray:
     """Find joints (T, 20) that leap for one frame and come back: glitches of a recording.
 
@@ -170,16 +171,19 @@ def find_leaps(
     fastest, least : m/s and m of a leap, out and back.
     back : largest cosine between the way out and the way back.
     similar : the shorter of both as a share of the longer.
+    at_once : frames looked at at a time: their memory.
     """
     found = np.zeros(points.shape[:2], bool)
-    steps = np.diff(points, axis=0)
-    squared = np.einsum("tjk,tjk->tj", steps, steps)
-    far = np.sqrt(squared) > max(least, fastest / frame_rate)
-    both = far[:-1] & far[1:]
-    if both.any():
-        returned = np.einsum("tjk,tjk->tj", steps[:-1], steps[1:])
-        both &= np.minimum(squared[:-1], squared[1:]) > similar**2 * np.maximum(squared[:-1], squared[1:])
-        found[1:-1] = both & (returned < back * np.sqrt(squared[:-1] * squared[1:]))
+    for first in range(1, len(points) - 1, at_once):
+        last = min(first + at_once, len(points) - 1)
+        steps = np.diff(points[first - 1 : last + 1], axis=0)
+        squared = np.einsum("tjk,tjk->tj", steps, steps)
+        far = np.sqrt(squared) > max(least, fastest / frame_rate)
+        both = far[:-1] & far[1:]
+        if both.any():
+            returned = np.einsum("tjk,tjk->tj", steps[:-1], steps[1:])
+            both &= np.minimum(squared[:-1], squared[1:]) > similar**2 * np.maximum(squared[:-1], squared[1:])
+            found[first:last] = both & (returned < back * np.sqrt(squared[:-1] * squared[1:]))
     return found
 
 
