@@ -9,26 +9,14 @@ for any order of clips and numbering of categories.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IntArray
+from dousa.kernels import kernel, part
 from dousa.retrieval.features.feature_sets import MEAN, SPREAD
-
-# No allocations: reference counting took a fifth of the run time and half of the compile time. Constants
-# are passed as np.int64, else numba compiles a function once for each of them.
-_njit: Any = njit  # whose types leave out some of its options
-_OPTIONS: dict[str, Any] = {
-    "cache": True,
-    "nogil": True,
-    "error_model": "numpy",
-    "no_cfunc_wrapper": True,
-    "_nrt": False,
-}
-_compiled = _njit(**_OPTIONS)
 
 FIXED_POINT = 2**32
 """One bit of entropy of one clip, in the units of the ``n log2 n`` table."""
@@ -132,7 +120,7 @@ class Workspace(NamedTuple):
         )
 
 
-@_compiled
+@part
 def _draw_below(state, bound):
     """Return the next number of splitmix64, scaled to 0 <= number < bound (bound < 2**31)."""
     state[0] += GOLDEN
@@ -143,7 +131,7 @@ def _draw_below(state, bound):
     return np.int64(((z >> _SHIFT_32) * np.uint64(bound)) >> _SHIFT_32)
 
 
-@_compiled
+@part
 def _sort_digits(keys, spare, counts, n):
     """Sort ascending in place by four 8-bit digits of the value; an even number, so the result is in ``keys``."""
     for digit in range(4):
@@ -168,20 +156,20 @@ def _sort_digits(keys, spare, counts, n):
         keys, spare = spare, keys
 
 
-@_compiled
+@part
 def _measure_spread(difference, square_difference, length):
     """Compute the standard deviation over an interval from the sums of values and of squares."""
     mean = difference / length
     return np.sqrt(max(square_difference / length - mean * mean, 0.0))
 
 
-@_compiled
+@part
 def _measure_trend(difference, moment_difference, length, middle):
     """Compute the change along the line of least squares from the sums of values and of value times time."""
     return 12.0 * (moment_difference - middle * difference) / (length * length)
 
 
-@_compiled
+@part
 def _add_cells(cells, size, start, length, samples, sums):
     """Sum ``length`` cells of some clips, from the place ``start`` of each clip on (eq. 5); memory reads overlap."""
     for k in range(len(samples)):
@@ -191,7 +179,7 @@ def _add_cells(cells, size, start, length, samples, sums):
             sums[k] += cells[np.uint64(samples[k]) * size + place]
 
 
-@_compiled
+@part
 def _evaluate(cells, size, width, test, samples, others, values):
     """Compute the value of one test for some clips of a node, into ``values``, block by block.
 
@@ -217,7 +205,7 @@ def _evaluate(cells, size, width, test, samples, others, values):
                 sums[k] = _measure_trend(sums[k], others[k], length, middle)
 
 
-@_compiled
+@part
 def _evaluate_all(cells, size, width, tests, chosen, samples, others, values):
     """Compute the values of some tests for the clips of a node, into ``values`` (tests, clips)."""
     n, block = len(samples), len(others)
@@ -227,7 +215,7 @@ def _evaluate_all(cells, size, width, tests, chosen, samples, others, values):
             _evaluate(cells, size, width, tests[chosen[q]], samples[start:stop], others, values[q, start:stop])
 
 
-@_compiled
+@part
 def _evaluate_many(cells, size, width, tests, chosen, samples, work, values):
     """Compute the same for many tests: the rows of a block are first copied, which is faster than single cells."""
     rows, block = work.rows, len(work.others)
@@ -241,7 +229,7 @@ def _evaluate_many(cells, size, width, tests, chosen, samples, work, values):
             _evaluate(rows, size, width, tests[chosen[q]], work.places[:count], work.others, values[q, start:])
 
 
-@_njit(fastmath={"nnan", "nsz"}, **_OPTIONS)
+@part(fastmath={"nnan", "nsz"})
 def _find_range(values, n):
     """Return the lowest and the highest of the first n values."""
     low, high = np.inf, -np.inf
@@ -251,7 +239,7 @@ def _find_range(values, n):
     return low, high
 
 
-@_compiled
+@part
 def _order_clips(values, low, high, n, keys, spare, digits):
     """Sort the node's clips by their values: keys whose low half is the clip's place in the node."""
     scale = (2.0**31 - 1.0) / (high - low)  # a key is 31 bits of value above 32 bits of place: positive as int64
@@ -269,7 +257,7 @@ def _order_clips(values, low, high, n, keys, spare, digits):
         keys[j + 1] = key
 
 
-@_compiled
+@part
 def _split_best(values, keys, n, labels, counts, left, total, log_table, tolerance, best):
     """Find the threshold of largest gain (eq. 7) of one test, whose clips are in order: step 3.
 
@@ -295,7 +283,7 @@ def _split_best(values, keys, n, labels, counts, left, total, log_table, toleran
     return best, threshold
 
 
-@_compiled
+@part
 def _split_at(values, threshold, n, labels, counts, left, log_table):
     """Return the score of one test at a given threshold."""
     for c in range(len(counts)):
@@ -309,7 +297,7 @@ def _split_at(values, threshold, n, labels, counts, left, log_table):
     return score - log_table[n_left] - log_table[n - n_left]
 
 
-@_compiled
+@part
 def _draw_tests(drawn, count, is_all, random_thresholds, work):
     """Draw the next tests of a node into ``chosen``, and their thresholds as shares of the range of values.
 
@@ -328,14 +316,14 @@ def _draw_tests(drawn, count, is_all, random_thresholds, work):
             work.thresholds[q] = (_draw_below(work.state, np.int64(2**24)) + 0.5) / 2**24
 
 
-@_compiled
+@part
 def _put_back(order, swaps, first, last):
     """Undo the draws of the tests first ... last - 1."""
     for k in range(last - 1, first - 1, -1):
         order[k], order[swaps[k]] = order[swaps[k]], order[k]
 
 
-@_compiled
+@part
 def _score_test(values, n, part, labels, counts, total, log_table, tolerance, best, random_thresholds, work):
     """Return score and threshold of one test; the score is not above ``best`` where the test separates no clips.
 
@@ -351,7 +339,7 @@ def _score_test(values, n, part, labels, counts, total, log_table, tolerance, be
     return _split_best(values, work.keys, n, labels, counts, work.left, total, log_table, tolerance, best)
 
 
-@_compiled
+@part
 def _keep(work, n_kept, test, threshold, score):
     """Insert a test among the best, equal ones in order; return how many these are."""
     place = n_kept
@@ -364,7 +352,7 @@ def _keep(work, n_kept, test, threshold, score):
     return min(n_kept + 1, len(work.kept) - 1)
 
 
-@_compiled
+@part
 def _find_splits(
     cells, size, width, tolerances, tests, samples, labels, counts, total, log_table, n_trials, random_thresholds,
     most, work,
@@ -418,7 +406,7 @@ def _find_splits(
     return n_kept
 
 
-@_compiled
+@part
 def _look_at_some(samples, labels, n_present, count, log_table, work):
     """Sample clips of a large node, one from each of equally long stretches; return the sum of the table over them."""
     counts = work.looked_counts[:n_present]
@@ -434,7 +422,7 @@ def _look_at_some(samples, labels, n_present, count, log_table, work):
     return total
 
 
-@_compiled
+@part
 def _weigh_again(
     cells, size, width, tolerances, tests, samples, labels, counts, total, log_table, n_kept, random_thresholds, work
 ):  # fmt: skip
@@ -455,7 +443,7 @@ def _weigh_again(
     return best_test, best_threshold
 
 
-@_compiled
+@part
 def _partition(values, threshold, samples, spare):
     """Move clips at or below the threshold to the front, order kept (step 5); return how many."""
     n_left = 0
@@ -473,7 +461,7 @@ def _partition(values, threshold, samples, spare):
     return n_left
 
 
-@_compiled
+@part
 def _count_labels(categories, samples, labels, counts, present, number, log_table):
     """Renumber the categories of a node from 0, so that a small node is cheap for any number of categories.
 
@@ -496,7 +484,7 @@ def _count_labels(categories, samples, labels, counts, present, number, log_tabl
     return n_present, total
 
 
-@_compiled
+@part
 def _choose_split(
     cells, size, width, tolerances, tests, samples, n_present, total, log_table, n_trials, random_thresholds, work
 ):  # fmt: skip
@@ -529,7 +517,7 @@ def _choose_split(
     return (work.kept[0], work.kept_thresholds[0]) if n_kept > 0 else (np.int64(-1), 0.0)
 
 
-@_compiled
+@part
 def _write_node(nodes, cuts, node, test, threshold, n_frames, child):
     kind, i, j, width = test[0], test[1], test[2], n_frames + 1
     nodes[node, 0], nodes[node, 1] = i * width + test[4], i * width + test[3]
@@ -538,7 +526,7 @@ def _write_node(nodes, cuts, node, test, threshold, n_frames, child):
     cuts[node, 2] = threshold
 
 
-@_compiled
+@kernel
 def grow_tree(
     features, tolerances, categories, tests, log_table, samples, n_trials, random_thresholds, max_entropy, seed,
     work, nodes, cuts, leaf_starts, leaf_classes, leaf_counts,
