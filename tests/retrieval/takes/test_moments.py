@@ -29,8 +29,9 @@ def test_the_best_sequence_is_that_of_trying_all(seed):
     n, count, most = int(draw.integers(1, 7)), int(draw.integers(1, 4)), 7
     evidence, opening, closing = (draw.normal(size=(n, count)) for _ in range(3))
     lengths, again = draw.normal(size=(most, count)), draw.uniform(-1, 2, count)
-    begins, before = np.empty((n + 1, count), np.int32), np.empty((n + 1, count), np.int32)
-    state = find_best_sequence(evidence, opening, closing, lengths, np.full(count, -9.0), again, begins, before)
+    tables = evidence, opening, closing, lengths, np.full(count, -9.0), again
+    begins, before, numbers = np.empty((3, n + 3, count), np.int32)
+    state = find_best_sequence(*tables, *np.empty((2, n + 1, count)), np.empty((2, count)), numbers, begins, before)
     parts, states, stop = [], [], n
     while stop > 0:
         parts.append((int(begins[stop, state]), stop))

@@ -302,20 +302,15 @@ class MotionForest:
         if clip.shape != (trees.n_frames, trees.n_features) or clip.dtype != np.float64:
             wanted = trees.n_frames, trees.n_features
             raise InvalidMotionError("forest.clip_shape", wanted=wanted, kind=clip.dtype, shape=clip.shape)
-        leaves = np.empty((1, len(trees.roots)), np.int64)
         votes = np.zeros((1, trees.n_classes))
-        _run_down(np.ascontiguousarray(clip)[None], trees, self._cuts, leaves)
-        kernels.count_leaves(leaves, *self._votes, votes)
+        kernels.count_leaves(trees.find_leaves(clip[None]), *self._votes, votes)
         counts: FloatArray = votes[0]
         return counts
 
     def apply(self, features: ArrayLike) -> IntArray:
         """Return (N, n_trees) the leaf that each clip reaches in each tree, numbered through all trees from 0."""
         trees = self._fitted
-        pose = check_features(features, (trees.n_frames, trees.n_features))
-        leaves = np.empty((len(pose), len(trees.roots)), np.int64)
-        _run_down(pose, trees, self._cuts, leaves)
-        return leaves
+        return trees.find_leaves(check_features(features, (trees.n_frames, trees.n_features)))
 
     def apply_windows(self, track: FeatureTrack, starts: ArrayLike, stops: ArrayLike) -> IntArray:
         """Return (N, n_trees) the leaf that each window of a recording reaches in each tree, as ``apply``.
@@ -335,9 +330,10 @@ class MotionForest:
         first, last = np.atleast_1d(starts), np.atleast_1d(stops)
         leaves = np.empty((len(first), len(trees.roots)), np.int64)
         edges, count = track.find_edges(first, last), len(track.feature_set.channels)
+        rows, work = np.empty((2, track.integrals.shape[1])), np.empty((2, len(trees.roots)), np.int64)
         kernels.find_window_leaves(
-            track.integrals, track.times, edges, track.frame_rate, count,
-            trees.nodes, self._cuts, trees.roots, trees.only_means, leaves,
+            track.integrals, track.times, edges, track.frame_rate, count, trees.nodes, trees.cuts, trees.roots,
+            trees.only_means, rows, np.zeros(trees.n_features * (trees.n_frames + 1)), work, leaves,
         )  # fmt: skip
         return leaves
 
@@ -405,7 +401,6 @@ class MotionForest:
 
     def _take(self, trees: Trees, classes: NDArray[Any], feature_names: tuple[str, ...]) -> None:
         self._trees, self._classes, self._feature_names = trees, classes, feature_names
-        self._cuts = trees.cuts
         ones = np.arange(trees.n_leaves + 1)
         self._votes = (ones, trees.leaf_categories(), trees.leaf_votes())
         self._shares = (trees.leaf_starts, trees.leaf_classes, trees.leaf_shares())
@@ -433,9 +428,3 @@ class MotionForest:
         entropy = self.max_entropy
         if not isinstance(entropy, int | float | np.number) or not 0 <= entropy < np.inf:
             raise OptionError("forest.max_entropy", found=repr(entropy))
-
-
-def _run_down(pose: FloatArray, trees: Trees, cuts: FloatArray, leaves: IntArray) -> None:
-    bad = kernels.find_leaves(pose, trees.nodes, cuts, trees.roots, trees.only_means, leaves)
-    if bad >= 0:
-        raise InvalidMotionError("forest.not_finite", clip=bad)

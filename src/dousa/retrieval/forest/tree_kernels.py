@@ -19,12 +19,12 @@ Shared arrays
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from dousa.kernels import kernel, part
 from dousa.retrieval.features.channel_kernels import read_edge
 
 
-@njit(cache=True, nogil=True)
+@part
 def _is_above(integral, later, sooner, partner, cut, width):
     """Return whether a clip is above the threshold of a node of any kind, without division or root."""
     difference = integral[later] - integral[sooner]
@@ -41,8 +41,8 @@ def _is_above(integral, later, sooner, partner, cut, width):
     return 12.0 * other - 6.0 * (later + sooner - 2 * first) * difference > bar
 
 
-@njit(cache=True, nogil=True)
-def run_down_means(integral, nodes, cuts, roots, places, trees, leaves):
+@part
+def _run_down_means(integral, nodes, cuts, roots, places, trees, leaves):
     """Find the leaf of one clip in each tree, from its integrals (F * (T + 1),), where all nodes test means."""
     # One step down all trees at a time: the steps do not wait for each other's memory.
     n_active = len(roots)
@@ -61,9 +61,9 @@ def run_down_means(integral, nodes, cuts, roots, places, trees, leaves):
         n_active = n_kept
 
 
-@njit(cache=True, nogil=True)
-def run_down(integral, width, nodes, cuts, roots, places, trees, leaves):
-    """Do ``run_down_means`` for nodes of all kinds, a tenth slower."""
+@part
+def _run_down(integral, width, nodes, cuts, roots, places, trees, leaves):
+    """Do ``_run_down_means`` for nodes of all kinds, a tenth slower."""
     # One step down all trees at a time: the steps do not wait for each other's memory.
     n_active = len(roots)
     for tree in range(n_active):
@@ -80,15 +80,15 @@ def run_down(integral, width, nodes, cuts, roots, places, trees, leaves):
         n_active = n_kept
 
 
-@njit(cache=True, nogil=True)
-def find_leaves(features, nodes, cuts, roots, only_means, leaves):
+@kernel
+def find_leaves(features, nodes, cuts, roots, only_means, integral, work, leaves):
     """Find the leaf that each clip (N, T, F) reaches in each tree (section 3.4), into ``leaves`` (N, n_trees).
 
-    ``only_means`` if no node tests anything else. Returns the first clip with a value that is not finite, or -1.
+    ``only_means`` if no node tests anything else. ``integral`` (F * (T + 1),), which begins with zeros, and ``work``
+    (2, n_trees) are working memory. Returns the first clip with a value that is not finite, or -1.
     """
     n_clips, n_frames, n_features = features.shape
-    integral = np.zeros(n_features * (n_frames + 1))
-    places, trees = np.empty(len(roots), np.int64), np.empty(len(roots), np.int64)
+    places, trees = work[0], work[1]
     for clip in range(n_clips):
         finite = 0.0
         for i in range(n_features):
@@ -101,13 +101,13 @@ def find_leaves(features, nodes, cuts, roots, only_means, leaves):
         if finite != 0.0:
             return clip
         if only_means:
-            run_down_means(integral, nodes, cuts, roots, places, trees, leaves[clip])
+            _run_down_means(integral, nodes, cuts, roots, places, trees, leaves[clip])
         else:
-            run_down(integral, n_frames + 1, nodes, cuts, roots, places, trees, leaves[clip])
+            _run_down(integral, n_frames + 1, nodes, cuts, roots, places, trees, leaves[clip])
     return -1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_leaves(leaves, starts, classes, weights, out):
     """Add, for each clip, the entries (class, weight) of every leaf that it reached to ``out`` (N, C)."""
     for clip in range(leaves.shape[0]):
@@ -117,19 +117,20 @@ def count_leaves(leaves, starts, classes, weights, out):
                 out[clip, classes[entry]] += weights[entry]
 
 
-@njit(cache=True, nogil=True)
-def find_window_leaves(integrals, times, edges, rate, n_channels, nodes, cuts, roots, only_means, leaves):
+@kernel
+def find_window_leaves(
+    integrals, times, edges, rate, n_channels, nodes, cuts, roots, only_means, rows, integral, work, leaves
+):  # fmt: skip
     """Find the leaf that each window reaches in each tree, into ``leaves`` (W, n_trees).
 
     Equals ``read_cells`` then ``find_leaves`` but for the last bits: the cells of a window are equally long in motion
-    time, so the sums of eq. 4 are integrals of the recording less those at the start.
+    time, so the sums of eq. 4 are integrals of the recording less those at the start. ``rows`` (2, banks * n_channels),
+    and ``integral`` and ``work`` as for ``find_leaves``, are working memory.
     """
     width = integrals.shape[1]
     last = edges.shape[1] - 1
     shift = np.int64(width > n_channels)  # the duration stands between the values and their squares
-    start, row = np.empty(width), np.empty(width)
-    integral = np.zeros((width + shift) * (last + 1))
-    places, trees = np.empty(len(roots), np.int64), np.empty(len(roots), np.int64)
+    start, row, places, trees = rows[0], rows[1], work[0], work[1]
     for w in range(edges.shape[0]):
         begin = read_edge(integrals, times, edges[w, 0], n_channels, start)
         end = read_edge(integrals, times, edges[w, last], n_channels, row)
@@ -146,12 +147,12 @@ def find_window_leaves(integrals, times, edges, rate, n_channels, nodes, cuts, r
                     integral[(2 * n_channels + c + 1) * (last + 1) + t] = moment * per_cell * per_cell
                 integral[n_channels * (last + 1) + t] = t * (edges[w, last] - edges[w, 0]) / rate
         if only_means:
-            run_down_means(integral, nodes, cuts, roots, places, trees, leaves[w])
+            _run_down_means(integral, nodes, cuts, roots, places, trees, leaves[w])
         else:
-            run_down(integral, last + 1, nodes, cuts, roots, places, trees, leaves[w])
+            _run_down(integral, last + 1, nodes, cuts, roots, places, trees, leaves[w])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find_marked(codes, offsets, places, marked, found):
     """Write whether each row of codes (n, n_trees) has a leaf ``marked`` in the table into ``found`` (n,).
 
@@ -167,7 +168,7 @@ def find_marked(codes, offsets, places, marked, found):
         found[row] = hit
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_standing(codes, offsets, places, ranks, categories, counts):
     """Count every clip in a leaf that has a rank, into ``counts`` (ranks, categories), as in ``find_marked``."""
     for row in range(codes.shape[0]):
@@ -179,7 +180,7 @@ def count_standing(codes, offsets, places, ranks, categories, counts):
                     counts[rank, category] += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def list_marked(codes, offsets, places, marked, out):
     """List clips and places of all marked leaves with a clip, into ``out`` (2, M) as far as fits; return the full
     number.
@@ -196,7 +197,7 @@ def list_marked(codes, offsets, places, marked, out):
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def keep_examples(numbers, categories, leaves, kept, own):
     """Put clips into the rows of their leaves in ``kept`` (L, E), and their categories into ``own``; -1 is free.
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IntArray
+from dousa.errors import InvalidMotionError
 from dousa.retrieval.features.feature_sets import MEAN, SPREAD, TREND
 from dousa.retrieval.forest import growing_kernels as kernels
 from dousa.retrieval.forest.tree_kernels import find_leaves
@@ -99,6 +100,24 @@ class Trees:
     def home_leaves(self) -> NDArray[np.int32]:
         """Return (L,) ``homes``, also where nothing has grown."""
         return np.arange(self.n_leaves, dtype=np.int32) if self.homes is None else self.homes
+
+    def find_leaves(self, features: FloatArray, at_once: int = 16) -> IntArray:
+        """Return (N, n_trees) the leaf that each clip reaches in each tree; InvalidMotionError where it is not finite.
+
+        ``features`` (N, T, F) of any kind and order, for which ``at_once`` clips are copied, so that they stay in the
+        cache.
+        """
+        leaves = np.empty((len(features), len(self.roots)), np.int64)
+        integral = np.zeros(self.n_features * (self.n_frames + 1))
+        is_ready = features.dtype == np.float64 and features.flags.carray
+        work, trees = np.empty((2, len(self.roots)), np.int64), (self.nodes, self.cuts, self.roots, self.only_means)
+        for first in range(0, len(features), at_once):
+            some = slice(first, first + at_once)
+            pose = features[some] if is_ready else np.array(features[some], np.float64, order="C")
+            bad = find_leaves(pose, *trees, integral, work, leaves[some])
+            if bad >= 0:
+                raise InvalidMotionError("forest.not_finite", clip=first + bad)
+        return leaves
 
     def leaf_shares(self) -> FloatArray:
         """Return (E,) every entry's share of its leaf's clips: the leaf's histogram."""
@@ -207,8 +226,7 @@ def _count_again(
     parts = [slice(start, start + at_once) for start in range(0, len(features), at_once)]
 
     def find(part: slice) -> None:
-        some = np.ascontiguousarray(features[part])
-        find_leaves(some, trees.nodes, trees.cuts, trees.roots, trees.only_means, leaves[part])
+        leaves[part] = trees.find_leaves(features[part])
 
     map_pieces(find, parts, n_jobs, at_a_time=1)
     keys, counts = [], []

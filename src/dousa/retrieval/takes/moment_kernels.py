@@ -7,10 +7,11 @@ not vectorise.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from dousa.kernels import kernel, part
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def integrate(rows, padding, first_speed, n_speeds, at_rest, sums, times):  # pragma: no cover - compiled
     """Sum the channels and their squares into ``sums`` (n + 2 padding + 1, 2 C), and motion time into ``times``.
 
@@ -35,7 +36,7 @@ def integrate(rows, padding, first_speed, n_speeds, at_rest, sums, times):  # pr
         times[t + 1] = times[t] + effort
 
 
-@njit(cache=True, nogil=True)
+@part
 def _place(times, wanted, low, high):  # pragma: no cover - compiled
     """Return where an ascending function of whole frames reaches a value, as a fraction, within ``low`` to ``high``."""
     if wanted <= times[low]:
@@ -52,16 +53,16 @@ def _place(times, wanted, low, high):  # pragma: no cover - compiled
     return below + (wanted - times[below]) / (times[above] - times[below])
 
 
-@njit(cache=True, nogil=True)
-def describe(sums, times, moments, seconds, efforts, reach, out):  # pragma: no cover - compiled
+@kernel
+def describe(sums, times, moments, seconds, efforts, reach, rows, out):  # pragma: no cover - compiled
     """Fill ``out`` (M, 8 * 3 C) float32: mean and spread in cells of seconds around moments, spread in movement.
 
     ``moments`` (M,) are frames of the padded recording; ``seconds`` (E,) edges of cells in frames from the moment,
-    ``efforts`` (E,) in motion time, at most ``reach`` frames away.
+    ``efforts`` (E,) in motion time, at most ``reach`` frames away. ``rows`` (2, 2 C) are working memory.
     """
     count = sums.shape[1] // 2
     last = sums.shape[0] - 1
-    before, now = np.empty(2 * count), np.empty(2 * count)
+    before, now = rows[0], rows[1]
     for m in range(len(moments)):
         moment, column = moments[m], 0
         low, high = max(int(moment - reach), 0), min(int(moment + reach) + 1, last)
@@ -97,7 +98,7 @@ def describe(sums, times, moments, seconds, efforts, reach, out):  # pragma: no 
                 place = edge
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def place(values, lows, scales, highest, out):  # pragma: no cover - compiled
     """Scale values of moments (M, F) to 0 to ``highest``, not rounded, into ``out``; all float32."""
     nothing = np.float32(0.0)
@@ -106,7 +107,7 @@ def place(values, lows, scales, highest, out):  # pragma: no cover - compiled
             out[m, f] = min(max((values[m, f] - lows[f]) * scales[f], nothing), highest)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def place_mirrored(values, order, signs, lows, scales, highest, out):  # pragma: no cover - compiled
     """Scale values of the mirror image: value ``order`` (F,) times ``signs`` (F,) gives that of the image."""
     nothing = np.float32(0.0)
@@ -118,27 +119,27 @@ def place_mirrored(values, order, signs, lows, scales, highest, out):  # pragma:
             own[f] = min(max((own[f] * signs[f] - lows[f]) * scales[f], nothing), highest)
 
 
-@njit(cache=True, nogil=True)
-def find_best_sequence(evidence, opening, closing, lengths, tails, again, begins, before):  # noqa: PLR0912  # pragma: no cover - compiled
+@kernel
+def find_best_sequence(  # noqa: PLR0912  # pragma: no cover - compiled
+    evidence, opening, closing, lengths, tails, again, sums, entry, rows, numbers, begins, before
+):  # fmt: skip
     """Find the likeliest segments by evidence and lengths (an explicit-duration Viterbi search); return the last state.
 
     ``evidence`` (T, S) is the log likelihood of every state at every step; ``opening`` and ``closing`` (T, S) are added
     at the first and last step of a segment; ``lengths`` (M, S) is the log probability of 1 ... M steps; ``tails`` (S,)
     is added for every step beyond M; ``again`` (S,) is the cost of a state after itself. ``begins`` and ``before``
     (T + 1, S) are filled with the start of the best segment that ends at a step, and the state before it (-1 for none).
+    ``sums``, ``entry`` (T + 1, S), ``rows`` (2, S) and ``numbers`` (T + 3, S), int32, are working memory.
     """
     n, count = evidence.shape
     most = lengths.shape[0]
-    sums = np.zeros((n + 1, count))
-    entry = np.zeros((n + 1, count))  # best value of a segment that begins at a step, less the evidence until then
+    tail, value, tail_begin, begin, came = rows[0], rows[1], numbers[n + 1], numbers[n + 2], numbers
     for c in range(count):  # row to row would have the compiler write the message of an error, for seconds
-        entry[0, c] = opening[0, c]
-    came = np.full((n + 1, count), -1, np.int32)
-    tail, tail_begin = np.full(count, -np.inf), np.zeros(count, np.int32)
-    value, begin = np.empty(count), np.empty(count, np.int32)
+        # ``entry`` is the best value of a segment that begins at a step, less the evidence until then.
+        sums[0, c], entry[0, c], came[0, c], tail[c] = 0.0, opening[0, c], -1, -np.inf
     for t in range(1, n + 1):
-        value[:] = -np.inf
         for c in range(count):
+            value[c] = -np.inf
             sums[t, c] = sums[t - 1, c] + evidence[t - 1, c]
         for length in range(1, min(most, t) + 1):
             row, log = entry[t - length], lengths[length - 1]
@@ -146,16 +147,15 @@ def find_best_sequence(evidence, opening, closing, lengths, tails, again, begins
                 total = row[c] + log[c]
                 if total > value[c]:
                     value[c], begin[c] = total, t - length
-        if t > most:
-            for c in range(count):
+        first, second = -1, -1
+        for c in range(count):
+            if t > most:
                 start = entry[t - most - 1, c] + lengths[most - 1, c]
                 if start > tail[c]:
                     tail[c], tail_begin[c] = start, t - most - 1
                 tail[c] += tails[c]
                 if tail[c] > value[c]:
                     value[c], begin[c] = tail[c], tail_begin[c]
-        first, second = -1, -1
-        for c in range(count):
             value[c] += sums[t, c] + closing[t - 1, c]
             begins[t, c] = begin[c]
             before[t, c] = came[begin[c], c]
@@ -173,7 +173,7 @@ def find_best_sequence(evidence, opening, closing, lengths, tails, again, begins
     return first if n > 0 else -1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def compare_leaves(leaves, query, out):  # pragma: no cover - compiled
     """Compute the shares of trees with the same leaf for windows (rows of ``leaves``) and the query, into ``out``."""
     n_trees = leaves.shape[1]
@@ -184,7 +184,7 @@ def compare_leaves(leaves, query, out):  # pragma: no cover - compiled
         out[w] = same / n_trees
 
 
-@njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def compare_poses(sums, starts, stops, query, most, out):  # pragma: no cover - compiled
     """Compute root mean square distances of windows from a query by parts into ``out``; infinite above ``most``.
 

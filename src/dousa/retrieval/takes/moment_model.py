@@ -93,7 +93,7 @@ def describe_chunk(
     moments = np.minimum(np.arange(first, last, HOP) + 0.5 * HOP, n - 0.5) - low + padding
     values = np.empty((len(moments), N_VALUES), np.float32)
     seconds, efforts = _SECONDS * CHANNEL_RATE, _SECONDS * per_second * CHANNEL_RATE
-    describe(sums, times, moments, seconds, efforts, float(REACH), values)
+    describe(sums, times, moments, seconds, efforts, float(REACH), np.empty_like(sums[:2]), values)
     return slice(first // HOP, first // HOP + len(moments)), values
 
 

@@ -146,8 +146,10 @@ def _search(
     again: FloatArray,
 ) -> list[Run]:
     n, count = evidence.shape
-    begins, before = np.empty((n + 1, count), np.int32), np.empty((n + 1, count), np.int32)
-    state = find_best_sequence(evidence, opening, closing, lengths, tails, again, begins, before)
+    sums, entry = np.empty((2, n + 1, count))
+    begins, before, numbers = np.empty((3, n + 3, count), np.int32)
+    tables, room = (evidence, opening, closing, lengths, tails, again), (sums, entry, np.empty((2, count)), numbers)
+    state = find_best_sequence(*tables, *room, begins, before)
     runs, stop = [], n
     while stop > 0:
         start = int(begins[stop, state])
