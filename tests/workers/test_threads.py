@@ -2,8 +2,9 @@
 
 import joblib
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
-from dousa.workers.threads import map_pieces, map_together
+from dousa.workers.threads import limit_libraries, map_pieces, map_together, yield_answers
 
 
 @pytest.mark.parametrize("n_jobs", [None, 1, 2, 3])
@@ -34,3 +35,32 @@ def test_pieces_of_one_size_come_together(n_jobs):
     assert found == ["A", "BB", "C", "DD", "E", "F"]
     assert sorted(portions) == [["a", "c"], ["bb", "dd"], ["e", "f"]]
     assert map_together(shout, [], [], n_jobs) == []
+
+
+def _count_threads(_=None):
+    return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
+
+
+@pytest.mark.parametrize("n_jobs", [1, 2])
+def test_answers_are_yielded_in_order_and_some_may_stay(n_jobs):
+    answers = yield_answers(lambda number: number**2, range(9), n_jobs)
+    assert [next(answers) for _ in range(3)] == [0, 1, 4]
+    answers.close()
+
+
+def test_blas_has_one_thread_while_ours_work():
+    with threadpool_limits(2, user_api="blas"):
+        assert set().union(*map_pieces(_count_threads, range(4), 2, 1)) == {1}
+        assert set().union(*yield_answers(_count_threads, range(4), 2)) == {1}
+        assert _count_threads() == {2}
+
+
+def test_blocks_that_limit_libraries_may_overlap():
+    with threadpool_limits(2, user_api="blas"):
+        first, second = limit_libraries(), limit_libraries()
+        first.__enter__()
+        second.__enter__()
+        first.__exit__(None, None, None)
+        assert _count_threads() == {1}
+        second.__exit__(None, None, None)
+        assert _count_threads() == {2}

@@ -18,6 +18,7 @@ from dousa.arrays import FloatArray
 from dousa.errors import OptionError, TrainingError
 from dousa.messages import Message
 from dousa.workers.current import current_cluster
+from dousa.workers.threads import yield_answers
 
 if TYPE_CHECKING:
     from dousa.retrieval.features.feature_sets import FeatureSet
@@ -83,11 +84,8 @@ def run_tasks(
     elif n_jobs in (None, 1) or len(tasks) < 2:
         answers = map(work, tasks)
     else:
-        import joblib
-
         how = None if in_processes else "threads"
-        parallel = joblib.Parallel(n_jobs=n_jobs, prefer=how, return_as="generator", batch_size=1)
-        answers = parallel(joblib.delayed(work)(task) for task in tasks)
+        answers = yield_answers(work, tasks, n_jobs, prefer=how, batch_size=1)
     steps = Steps(progress, len(tasks))
     if tasks:
         steps.say(name(tasks[0]))

@@ -16,6 +16,7 @@ from threading import Lock
 from typing import Any
 
 from dousa.errors import ClusterError
+from dousa.workers.threads import limit_libraries
 
 _KEPT: OrderedDict[tuple[int, int], Callable[[Any], Any]] = OrderedDict()
 _LOCK = Lock()
@@ -58,7 +59,8 @@ def run_portion(work: bytes, tasks: bytes, expected: dict[str, str]) -> list[Any
     """
     check_versions(platform.node(), list_versions(), expected)
     function = _unpack(work)
-    return [function(task) for task in pickle.loads(tasks)]
+    with limit_libraries():
+        return [function(task) for task in pickle.loads(tasks)]
 
 
 def _unpack(work: bytes, most_kept: int = 2) -> Callable[[Any], Any]:

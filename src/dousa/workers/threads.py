@@ -1,17 +1,45 @@
 """Small pieces of work in threads, a few pieces at a time, as handing one over costs time too.
 
 Threads are those of the standard library: ``joblib.Parallel`` polls every 10 ms, as long as some of the work takes.
-Their number comes from joblib.
+Their number comes from joblib. While they work, BLAS has one thread (`limit_libraries`): its threads and ours would
+wait for the same cores, and a thread of BLAS waits by computing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import warnings
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from contextlib import contextmanager
+from threading import Lock
+from typing import Any, TypeVar
 
 _One = TypeVar("_One")
 _Answer = TypeVar("_Answer")
+
+_LIMITS: list[Any] = []  # set since no block was open
+_OPEN: list[None] = []  # one for each open block
+_LOCK = Lock()
+
+
+@contextmanager
+def limit_libraries() -> Iterator[None]:
+    """Give BLAS and OpenMP one thread within the block, in the whole process; blocks in several threads may overlap.
+
+    Only libraries that are loaded by then are limited.
+    """
+    from threadpoolctl import threadpool_limits
+
+    with _LOCK:
+        _OPEN.append(None)
+        _LIMITS.append(threadpool_limits(1))
+    try:
+        yield
+    finally:
+        with _LOCK:
+            _OPEN.pop()
+            while _LIMITS and not _OPEN:
+                _LIMITS.pop().restore_original_limits()
 
 
 def map_pieces(
@@ -40,8 +68,29 @@ def map_pieces(
         return [work(piece) for piece in some]
 
     parts = [pieces[first : first + at_a_time] for first in range(0, len(pieces), at_a_time)]
-    with ThreadPoolExecutor(min(n_threads, len(parts))) as threads:
+    with limit_libraries(), ThreadPoolExecutor(min(n_threads, len(parts))) as threads:
         return [answer for some in threads.map(do_some, parts) for answer in some]
+
+
+def yield_answers(
+    work: Callable[[_One], _Answer], tasks: Iterable[_One], n_jobs: int | None, **options: Any
+) -> Generator[_Answer, None, None]:
+    """Compute the answers to tasks by joblib, some ahead of the one that is asked for, and yield them in order.
+
+    Threads are only a preference, so that Dask or Ray can take over; ``options`` are of ``joblib.Parallel``.
+    """
+    import joblib
+
+    options = {"prefer": "threads", "return_as": "generator", **options}
+    with limit_libraries():
+        answers = joblib.Parallel(n_jobs=n_jobs, **options)(joblib.delayed(work)(task) for task in tasks)
+        try:
+            for answer in answers:  # noqa: UP028  (yield from would close them before the block below)
+                yield answer
+        finally:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # interrupted: joblib warns about work in vain
+                answers.close()
 
 
 def map_together(

@@ -18,6 +18,7 @@ from dousa.formats.motion_files import (
 from dousa.library import choose_jobs, parse_label_rule
 from dousa.messages import Message
 from dousa.workers.current import current_cluster
+from dousa.workers.threads import yield_answers
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
@@ -155,16 +156,17 @@ def read_each(
     progress: ProgressCallback | None,
 ) -> Iterator[_Read | Skipped]:
     """Read files in parallel, and yield the answers in their order."""
-    import joblib
+
+    def work(task: tuple[Any, ...]) -> _Read | Skipped:
+        return read(*task)
 
     cluster = current_cluster()
     if cluster is not None:
         cluster.check_paths([task[0].path for task in tasks])
         sizes = [os.path.getsize(task[0].path) if os.path.isfile(task[0].path) else 0 for task in tasks]
-        answers = cluster.map(lambda task: read(*task), tasks, sizes=sizes)
+        answers = cluster.map(work, tasks, sizes=sizes)
     else:
-        parallel = joblib.Parallel(n_jobs=choose_jobs(n_jobs), prefer="threads", return_as="generator")
-        answers = parallel(joblib.delayed(read)(*task) for task in tasks)
+        answers = yield_answers(work, tasks, choose_jobs(n_jobs))
     for done, answer in enumerate(answers, 1):
         if progress is not None:
             progress(done, len(tasks), Message("progress.reading"))

@@ -22,6 +22,7 @@ from dousa.library.store.engine import Database
 from dousa.library.store.features import lacks, load_poses, name_feature_set
 from dousa.library.store.selection import portions
 from dousa.messages import Message, Progress
+from dousa.workers.threads import limit_libraries
 
 # Principal components to begin with, perplexity and early exaggeration, as scikit-learn advises or chooses:
 # https://scikit-learn.org/stable/modules/generated/sklearn.manifold.TSNE.html
@@ -59,12 +60,11 @@ def map_clips(
     """
     for name in ("sklearn", "sklearn.manifold"):  # loaded before the limit, which only affects loaded libraries
         require(name, "map")
-    limits = require("threadpoolctl", "map")
     steps = n_rounds + 2
     tell = progress or (lambda done, total, what: None)
     tell(0, steps, Message("library_map.reading"))
     # One thread: the order of sums over several varies, and the map would vary with it.
-    with limits.threadpool_limits(1):
+    with limit_libraries():
         with database.reading() as connection:
             ids, left_out, feature_set = _list(connection)
             if len(ids) < fewest:

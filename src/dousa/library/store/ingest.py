@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import warnings
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -34,6 +33,7 @@ from dousa.messages import Message
 from dousa.motion import CANONICAL_JOINTS, CanonicalMotion, canonicalise
 from dousa.retrieval.features.posed_motion import check_frame_rate
 from dousa.workers.current import current_cluster
+from dousa.workers.threads import yield_answers
 
 if TYPE_CHECKING:
     from dousa.motion import Motion, Trajectories
@@ -249,19 +249,7 @@ def read_clips(
     if len(tasks) <= 1 or n_jobs == 1:
         yield from map(read_clip, tasks)
         return
-    import joblib
-
-    # No backend is named here: threads are only a preference, so that Dask or Ray can take over.
-    parallel = joblib.Parallel(n_jobs=choose_jobs(n_jobs), prefer="threads", return_as="generator")
-    answers = parallel(joblib.delayed(read_clip)(task) for task in tasks)
-    try:
-        for answer in answers:  # noqa: UP028  (yield from would close them before the block below)
-            yield answer
-    finally:
-        with warnings.catch_warnings():
-            # Interrupted: joblib warns about files read in vain.
-            warnings.simplefilter("ignore", UserWarning)
-            answers.close()
+    yield from yield_answers(read_clip, tasks, choose_jobs(n_jobs))
 
 
 def _read_elsewhere(

@@ -198,14 +198,14 @@ def compare_poses(sums, starts, stops, query, most, out):  # pragma: no cover - 
     for w in range(len(starts)):
         length = stops[w] - starts[w]
         total, first = 0.0, starts[w]
-        for part in range(n_parts):
-            last = starts[w] + ((part + 1) * length * 2 + n_parts) // (2 * n_parts)
+        for piece in range(n_parts):
+            last = starts[w] + ((piece + 1) * length * 2 + n_parts) // (2 * n_parts)
             share = 1.0 / (last - first)
             placed = changed = 0.0
             for k in range(n_values):
-                apart[k] = (sums[last, k] - sums[first, k]) * share - query[part, k]
+                apart[k] = (sums[last, k] - sums[first, k]) * share - query[piece, k]
                 placed += apart[k] * apart[k]
-            if part > 0:
+            if piece > 0:
                 for k in range(n_values):
                     changed += (apart[k] - before[k]) ** 2
             total += placed + changed

@@ -32,6 +32,7 @@ from dousa.retrieval.features.posed_motion import (
 from dousa.retrieval.features.sensor_noise import reduce_noise
 from dousa.retrieval.forest.forest import MotionForest
 from dousa.retrieval.forest.forest_file import check, check_version, damaged, pack_arrays, unpack_arrays
+from dousa.workers.threads import yield_answers
 
 TAKE_RATE = 30.0
 """Hz, of the frames of a described take (docs/takes.md)."""
@@ -248,8 +249,6 @@ def describe_take(
     NotTrainedError : the forest is not trained.
     InvalidMotionError : another shape than (n, 20, 3), positions that are not finite, no body height.
     """
-    import joblib
-
     points = check_shape(motion.positions, motion.height)
     quiet = reduce_noise(motion)
     sampled = sample_positions(quiet.positions, quiet.frame_rate)
@@ -258,12 +257,12 @@ def describe_take(
     dtype = np.uint16 if forest.trees_.n_leaves < 2**16 else np.int32
     leaves = np.empty((len(starts), len(forest.trees_.roots)), dtype)
     portions = list(_portions(starts, len(sampled), chunk))
+
+    def apply(rows: slice) -> NDArray[np.integer[Any]]:
+        return _apply_portion(forest, feature_set, (sampled, quiet.height), starts[rows], stops[rows])
+
     # Threads do not pay for a single portion.
-    parallel = joblib.Parallel(n_jobs=n_jobs if len(portions) > 1 else 1, prefer="threads", return_as="generator")
-    answers = parallel(
-        joblib.delayed(_apply_portion)(forest, feature_set, (sampled, quiet.height), starts[rows], stops[rows])
-        for rows in portions
-    )
+    answers = yield_answers(apply, portions, n_jobs if len(portions) > 1 else 1)
     for done, (rows, answer) in enumerate(zip(portions, answers, strict=True), 1):
         leaves[rows] = answer
         if progress is not None:
