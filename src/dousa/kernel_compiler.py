@@ -1,9 +1,9 @@
 """How Numba compiles the kernels and parts of ``dousa.kernels``, which loads this with the first kernel that runs.
 
 Numba makes each function ready to run by itself: it optimises the function with everything that it calls, and makes
-machine code and a wrapper for Python. A function that only other compiled functions call needs none of this: what calls
-it is optimised with it in any case. Such a part is half as long to compile; and as no other kernel shares its code, what
-the kernel does not use is dropped: arguments that no part reads, as most of an array's, are not passed.
+machine code and a wrapper for Python. A function that only other compiled functions call needs none of this: what
+calls it is optimised with it in any case. Such a part is half as long to compile; and as no other kernel shares its
+code, what the kernel does not use is dropped: arguments that no part reads, as most of an array's, are not passed.
 """
 
 from __future__ import annotations

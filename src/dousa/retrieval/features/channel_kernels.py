@@ -6,17 +6,12 @@ may be negative to the compiler and prevents vectorisation.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numba import njit
 
-# No allocations: without reference counts the code compiles in half the time.
-_njit: Any = njit  # whose types leave out some of its options
-compiled = _njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, _nrt=False)
+from dousa.kernels import kernel, part
 
 
-@compiled
+@part
 def _smooth_narrow(values, count, weights, out):
     """Do ``smooth`` for narrow rows, flat (n * count,), many rows at a time."""
     size = len(values)
@@ -34,7 +29,7 @@ def _smooth_narrow(values, count, weights, out):
             out[k] += weight * (values[k - apart] + values[size - count + k % count])
 
 
-@compiled
+@part
 def smooth(values, weights, out):
     """Compute weighted means over time of ``values`` (n, K), into ``out``; the ends are held.
 
@@ -56,7 +51,7 @@ def smooth(values, weights, out):
                 row[k] += weight * (sooner[k] + later[k])
 
 
-@compiled
+@part
 def _find_horizontal(points, t, tip, base, left):
     """Write unit x and z of base -> tip in frame t into ``left`` (n, 2); return whether it is horizontal enough."""
     x = (points[t, tip, 0] - points[t, 0, 0]) - (points[t, base, 0] - points[t, 0, 0])
@@ -70,7 +65,7 @@ def _find_horizontal(points, t, tip, base, left):
     return certain
 
 
-@compiled
+@part
 def find_lateral(points, hips, shoulders, left):
     """Find unit x and z of the direction to the left, into ``left`` (n, 2): of the hips, else the shoulders, else as
     before.
@@ -91,7 +86,7 @@ def find_lateral(points, hips, shoulders, left):
         left[t, 0], left[t, 1] = (left[first, 0], left[first, 1]) if first >= 0 else (1.0, 0.0)
 
 
-@compiled
+@part
 def turn_to_body(points, left, body):
     """Turn ``points`` (n, J, 3) with Y up, relative to the first joint, into body axes: left, up, forward."""
     for t in range(points.shape[0]):
@@ -104,7 +99,7 @@ def turn_to_body(points, left, body):
             body[t, j, 2] = z * across - x * along
 
 
-@compiled
+@part
 def _wrap(angle):
     if angle > np.pi:
         return angle - 2.0 * np.pi
@@ -113,7 +108,7 @@ def _wrap(angle):
     return angle
 
 
-@compiled
+@part
 def find_angle(y, x):
     """Compute ``np.arctan2`` to the last digit but one, in a form that vectorises.
 
@@ -139,13 +134,13 @@ def find_angle(y, x):
     return -angle if y < 0.0 else angle
 
 
-@compiled
+@part
 def _turned(angles, before, after, t):
     """Return the turn of an angle from frame ``before`` over t to ``after``, each by the shorter way."""
     return _wrap(angles[after] - angles[t]) + _wrap(angles[t] - angles[before])
 
 
-@compiled
+@part
 def find_angles(even, left, fast, headings, angles):
     """Find the heading of the body, into ``headings`` (n,), and of each joint, into ``angles`` (2, n, 3 joints),
     radians.
@@ -167,7 +162,7 @@ def find_angles(even, left, fast, headings, angles):
             turned[k], far[k] = find_angle(y, x), np.sqrt(x * x + y * y)
 
 
-@compiled
+@part
 def _measure(one, other):
     square = 0.0
     for axis in range(3):
@@ -175,7 +170,7 @@ def _measure(one, other):
     return np.sqrt(square)
 
 
-@compiled
+@part
 def _fill_pose(body, placed, apart, feet, row):
     """Write positions, distances and the height of the pelvis; return the next column."""
     column = 0
@@ -190,7 +185,7 @@ def _fill_pose(body, placed, apart, feet, row):
     return column + 1
 
 
-@compiled
+@part
 def _fill_travel(sooner, later, left, per_second, row, column):
     """Write the pelvis's speed to the left, upwards, forwards; return the next column."""
     length = max(np.hypot(left[0], left[1]), 1e-9)
@@ -202,7 +197,7 @@ def _fill_travel(sooner, later, left, per_second, row, column):
     return column + 3
 
 
-@compiled
+@part
 def compute_rows(points, left, body, even, fast, placed, apart, feet, pointing, rate, headings, angles, rows):
     """Compute all channels of every frame, into ``rows`` (n, C).
 
@@ -235,7 +230,7 @@ def compute_rows(points, left, body, even, fast, placed, apart, feet, pointing, 
                 column += 1
 
 
-@compiled
+@kernel
 def describe_frames(
     positions, height, pose_weights, heading_weights, hips, shoulders, fast, placed, apart, feet, pointing, rate, room,
     lefts, headings, angles, rows,
@@ -245,21 +240,22 @@ def describe_frames(
     ``room`` (3, n, J, 3), ``lefts`` (2, n, 2), ``headings`` and ``angles`` are working memory; the rest as above.
     """
     n, width = len(positions), 3 * positions.shape[1]
-    points, body, even = room[0], room[1], room[2]
+    points, body, even = room[0, :n], room[1, :n], room[2, :n]
+    first_left, left = lefts[0, :n], lefts[1, :n]
     for t in range(n):
         for j in range(positions.shape[1]):
             for axis in range(3):
                 body[t, j, axis] = positions[t, j, axis] / height
     smooth(body.reshape(n, width), pose_weights, points.reshape(n, width))
-    find_lateral(points, hips, shoulders, lefts[0])
-    smooth(lefts[0], heading_weights, lefts[1])
-    turn_to_body(points, lefts[1], body)
+    find_lateral(points, hips, shoulders, first_left)
+    smooth(first_left, heading_weights, left)
+    turn_to_body(points, left, body)
     smooth(body.reshape(n, width), pose_weights, even.reshape(n, width))
-    find_angles(even, lefts[1], fast, headings, angles)
-    compute_rows(points, lefts[1], body, even, fast, placed, apart, feet, pointing, rate, headings, angles, rows)
+    find_angles(even, left, fast, headings, angles)
+    compute_rows(points, left, body, even, fast, placed, apart, feet, pointing, rate, headings, angles, rows)
 
 
-@compiled
+@kernel
 def integrate_rows(rows, first_speed, n_speeds, at_rest, step, times, integrals):
     """Compute motion time into ``times`` (n + 1,), and integrals over it into ``integrals`` (n + 1, 3 C).
 
@@ -283,7 +279,7 @@ def integrate_rows(rows, first_speed, n_speeds, at_rest, step, times, integrals)
             now_moments[k] = moments[k] + row[k] * weight * middle
 
 
-@compiled
+@part
 def read_edge(integrals, times, edge, n_channels, row):
     """Read the integrals up to one instant into ``row`` (banks * n_channels,); return the instant in motion time."""
     width = integrals.shape[1]
@@ -303,7 +299,7 @@ def read_edge(integrals, times, edge, n_channels, row):
     return time
 
 
-@compiled
+@kernel
 def read_cells(integrals, times, edges, n_channels, work, out):
     """Compute cell means of windows, into ``out`` (W, T, F).
 
@@ -334,7 +330,7 @@ def read_cells(integrals, times, edges, n_channels, work, out):
             earlier = time
 
 
-@compiled
+@part
 def _read_time(times, frame):
     """Return the instant at a fractional frame, of ``times`` (n + 1,) at whole ones."""
     below = int(frame)
@@ -343,7 +339,7 @@ def _read_time(times, frame):
     return (times[below + 1] - times[below]) * (frame - below) + times[below]
 
 
-@compiled
+@part
 def _find_frame(times, wanted, low, high):
     """Return the fractional frame where ascending ``times`` (n + 1,) reach a value, between two frames."""
     while high - low > 1:
@@ -357,7 +353,7 @@ def _find_frame(times, wanted, low, high):
     return 1.0 / (times[high] - times[low]) * (wanted - times[low]) + low
 
 
-@compiled
+@kernel
 def find_edges(times, starts, stops, parts, edges):
     """Find the edges of the cells of windows, in frames, into ``edges`` (W, E).
 
@@ -374,7 +370,7 @@ def find_edges(times, starts, stops, parts, edges):
             low = int(edges[w, e])
 
 
-@compiled
+@kernel
 def read_means(integrals, times, edges, columns, scale, out):
     """Compute means of some channels over the cells of windows, into ``out`` (W, E - 1, K).
 
@@ -393,41 +389,3 @@ def read_means(integrals, times, edges, columns, scale, out):
                 if e > 0:
                     out[w, e - 1, k] = (now - before) * per_cell * scale[k]
                 before = now
-
-
-@compiled
-def describe_clips(
-    positions, bounds, heights, pose_weights, heading_weights, hips, shoulders, fast, placed, apart, feet, pointing,
-    rate, room, lefts, headings, angles, rows, answered, first_speed, n_speeds, at_rest, times, integrals, parts,
-    edges, work, cells, mean_parts, mean_edges, columns, scale, means, ends,
-):  # fmt: skip
-    """Compute the cells of clips into ``cells`` (N, T, 3 C + 1), and other means into ``means`` (N, E - 1, K).
-
-    ``positions`` (n, J, 3) of all clips, one after another; ``bounds`` (N + 1,) are their first frames; ``heights``
-    (N,); ``answered`` (C,) are the channels that are not 0; ``parts`` (T + 1,) and ``mean_parts`` (E,) as in
-    ``find_edges``; ``columns`` (K,) and ``scale`` (K,) as in ``read_means``; ``ends`` (2, 1) is working memory. The
-    other working memory is for the longest clip; ``room``, ``lefts`` and ``angles`` are flat; ``times`` (n + 1,) and
-    ``integrals`` (n + 1, 3 C) begin with zeros.
-    """
-    n_channels, n_joints, n_angles = rows.shape[1], positions.shape[1], 3 * len(fast)
-    for clip in range(len(heights)):
-        n = bounds[clip + 1] - bounds[clip]
-        own, own_times, own_integrals = rows[:n], times[: n + 1], integrals[: n + 1]
-        describe_frames(
-            positions[bounds[clip] : bounds[clip + 1]], heights[clip], pose_weights, heading_weights, hips, shoulders,
-            fast, placed, apart, feet, pointing, rate, room[: 9 * n * n_joints].reshape(3, n, n_joints, 3),
-            lefts[: 4 * n].reshape(2, n, 2), headings[:n], angles[: 2 * n * n_angles].reshape(2, n, n_angles), own,
-        )  # fmt: skip
-        for c in range(n_channels):
-            if not answered[c]:
-                for t in range(n):
-                    own[t, c] = 0.0
-        integrate_rows(own, first_speed, n_speeds, at_rest, 1.0 / rate, own_times, own_integrals)
-        ends[0, 0], ends[1, 0] = 0.0, n
-        find_edges(own_times, ends[0], ends[1], parts, edges)
-        for cell in range(cells.shape[1]):
-            cells[clip, cell, n_channels] = n / rate
-        read_cells(own_integrals, own_times, edges, n_channels, work, cells[clip : clip + 1])
-        if len(columns):
-            find_edges(own_times, ends[0], ends[1], mean_parts, mean_edges)
-            read_means(own_integrals, own_times, mean_edges, columns, scale, means[clip : clip + 1])

@@ -179,15 +179,25 @@ def compute_channels(positions: FloatArray, height: float) -> FloatArray:
 
     ``positions`` are (n, 20, 3) m, canonical joints at ``CHANNEL_RATE``, Y up, finite; ``height`` is in m.
     """
-    n = len(positions)
-    room, lefts = np.empty((3, *positions.shape)), np.empty((2, n, 2))
-    headings, angles, rows = np.empty(n), np.empty((2, n, 3 * len(_FAST))), np.empty((n, len(CHANNELS)))
+    rows = np.empty((len(positions), len(CHANNELS)))
+    _describe_frames(positions, height, _Room(len(positions)), rows)
+    return rows
+
+
+class _Room:
+    """Working memory for the channels of up to n frames."""
+
+    def __init__(self, n: int) -> None:
+        self.points, self.lefts = np.empty((3, n, len(CANONICAL_JOINTS), 3)), np.empty((2, n, 2))
+        self.headings, self.angles = np.empty(n), np.empty((2, n, 3 * len(_FAST)))
+
+
+def _describe_frames(positions: FloatArray, height: float, room: _Room, rows: FloatArray) -> None:
     kernels.describe_frames(
         read_only(np.ascontiguousarray(positions, np.float64)), float(height), _POSE_WEIGHTS, _HEADING_WEIGHTS,
         HIPS, SHOULDERS, _FAST_INDEX, _PLACED_INDEX, _APART_INDEX, _FEET, _POINTING_INDEX, CHANNEL_RATE,
-        room, lefts, headings, angles, rows,
+        room.points, room.lefts, room.headings, room.angles, rows,
     )  # fmt: skip
-    return rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,21 +227,29 @@ def describe_clips(
     cells : (N, T, 3 C + 1).
     means : (N, cells, K) of ``wanted``.
     """
-    bounds = np.cumsum([0, *map(len, clips)])
-    positions: FloatArray = np.concatenate(clips) if len(clips) > 1 else clips[0]
-    n, n_joints, n_angles = int(np.diff(bounds).max()), positions.shape[1], 3 * len(_FAST)
-    rows, times, integrals = np.empty((n, len(CHANNELS))), np.zeros(n + 1), np.zeros((n + 1, 3 * len(CHANNELS)))
+    n, n_channels = max(map(len, clips)), len(CHANNELS)
+    room, rows, integrals = _Room(n), np.empty((n, n_channels)), np.zeros((n + 1, 3 * n_channels))
+    times, work, edges = np.zeros(n + 1), np.empty((2, integrals.shape[1])), np.empty((1, n_cells + 1))
+    parts, mean_parts = np.linspace(0.0, 1.0, n_cells + 1), np.linspace(0.0, 1.0, wanted.n_cells + 1)
+    mean_edges, start, silent = np.empty((1, wanted.n_cells + 1)), np.zeros(1), ~answered
     cells = np.empty((len(clips), n_cells, integrals.shape[1] + 1))
     means = np.empty((len(clips), wanted.n_cells, len(wanted.columns)))
-    kernels.describe_clips(
-        read_only(np.ascontiguousarray(positions, np.float64)), bounds, heights, _POSE_WEIGHTS, _HEADING_WEIGHTS,
-        HIPS, SHOULDERS, _FAST_INDEX, _PLACED_INDEX, _APART_INDEX, _FEET, _POINTING_INDEX, CHANNEL_RATE,
-        np.empty(9 * n * n_joints), np.empty(4 * n), np.empty(n), np.empty(2 * n * n_angles), rows,
-        answered, _FIRST_SPEED, len(_FAST), AT_REST, times, integrals,
-        np.linspace(0.0, 1.0, n_cells + 1), np.empty((1, n_cells + 1)), np.empty((2, integrals.shape[1])), cells,
-        np.linspace(0.0, 1.0, wanted.n_cells + 1), np.empty((1, wanted.n_cells + 1)), wanted.columns, wanted.scale,
-        means, np.empty((2, 1)),
-    )  # fmt: skip
+    for k, positions in enumerate(clips):
+        own, own_times, own_integrals = (
+            rows[: len(positions)],
+            times[: len(positions) + 1],
+            integrals[: len(positions) + 1],
+        )
+        _describe_frames(positions, heights[k], room, own)
+        own[:, silent] = 0.0
+        kernels.integrate_rows(own, _FIRST_SPEED, len(_FAST), AT_REST, 1.0 / CHANNEL_RATE, own_times, own_integrals)
+        stop = np.array([float(len(positions))])
+        kernels.find_edges(own_times, start, stop, parts, edges)
+        cells[k, :, n_channels] = len(positions) / CHANNEL_RATE
+        kernels.read_cells(own_integrals, own_times, edges, n_channels, work, cells[k : k + 1])
+        if len(wanted.columns):
+            kernels.find_edges(own_times, start, stop, mean_parts, mean_edges)
+            kernels.read_means(own_integrals, own_times, mean_edges, wanted.columns, wanted.scale, means[k : k + 1])
     return cells, means
 
 
@@ -251,12 +269,12 @@ def integrate_channels(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def smooth_positions(positions: FloatArray, deviation: float) -> FloatArray:
     """Smooth positions (n, J, 3) over time with a Gaussian of a standard deviation in frames; ends are held."""
-    return _smooth(np.asarray(positions, np.float64), gaussian_weights(deviation))
-
-
-def _smooth(values: FloatArray, weights: FloatArray) -> FloatArray:
-    even = np.empty(values.shape)
-    kernels.smooth(read_only(values.reshape(len(values), -1)), weights, even.reshape(len(values), -1))
+    values, weights = np.asarray(positions, np.float64), gaussian_weights(deviation)
+    n, reach = len(values), len(weights) - 1
+    held = np.concatenate([np.repeat(values[:1], reach, 0), values, np.repeat(values[-1:], reach, 0)])
+    even: FloatArray = weights[0] * values
+    for step in range(1, reach + 1):
+        even += weights[step] * (held[reach - step : reach - step + n] + held[reach + step : reach + step + n])
     return even
 
 

@@ -5,21 +5,14 @@ The rows are in the order of ``relations``. A missing joint (NaN) fulfils no rel
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numba import njit
+
+from dousa.kernels import kernel, part
 
 _LEFT, _RIGHT = 0, 1
 
-# As in ``dousa.estimation.body.kinematics``: without allocation and reference counts these compile in half the time.
-_njit: Any = njit  # its types lack some options
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
-compiled = _njit(no_cfunc_wrapper=True, **_OPTIONS)
-merged = _njit(no_cfunc_wrapper=True, forceinline=True, **_OPTIONS)
 
-
-@compiled
+@kernel
 def average(values, half, total, out):
     """Average ``values`` (n, K) over the frames within ``half`` of each into ``out``.
 
@@ -35,14 +28,14 @@ def average(values, half, total, out):
             out[t, k] = (total[last, k] - total[first, k]) / (last - first)
 
 
-@merged
+@part
 def slope(values, t, rate):
     """Change per second of ``values`` (n,) at frame t, over a few frames on either side."""
     first, last = max(t - 2, 0), min(t + 2, len(values) - 1)
     return (values[last] - values[first]) * rate / max(last - first, 1)
 
 
-@compiled
+@kernel
 def turn(points, left, rate, body, lowest, speed, turned):
     """Compute the body-fixed system of every frame.
 
@@ -70,7 +63,7 @@ def turn(points, left, rate, body, lowest, speed, turned):
         turned[t], before = around, angle
 
 
-@merged
+@part
 def _wrap(angle):
     """Wrap an angle to -pi ... pi."""
     if angle > np.pi:
@@ -80,17 +73,17 @@ def _wrap(angle):
     return angle
 
 
-@merged
+@part
 def _norm(a):
     return np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 
 
-@merged
+@part
 def _apart(a, b):
     return np.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
 
 
-@compiled
+@kernel
 def ask_arms(body, head, limbs, holds):
     """Arms above the head, level, aside, ahead, elbow bent: into ``holds`` (5, 2, n).
 
@@ -114,7 +107,7 @@ def ask_arms(body, head, limbs, holds):
             holds[4, side, t] = cosine > 0.0
 
 
-@compiled
+@kernel
 def ask_hands(body, heights, head, limbs, rate, reach, holds):
     """Hands together, meeting, crossed, waving, circling, thrust, behind, low, at the head: into ``holds`` (9, 2, n).
 
@@ -147,7 +140,7 @@ def ask_hands(body, heights, head, limbs, rate, reach, holds):
             holds[8, side, t] = _apart(end, body[t, head]) < 0.13
 
 
-@merged
+@part
 def _find_waves(reach, holds):
     """Mark three or more swings from side to side, hand not hanging; ``reach`` (n, 3) from the shoulder."""
     turns, first, last = 0, 0, 0
@@ -172,7 +165,7 @@ def _find_waves(reach, holds):
         holds[t] = reach[t, 1] > -0.12
 
 
-@merged
+@part
 def _find_circles(reach, axis, holds):
     """Mark a whole turn of the arm about the shoulder in the plane of an axis and the next; ``reach`` (n, 3)."""
     n, wide = len(reach), 0
@@ -189,7 +182,7 @@ def _find_circles(reach, axis, holds):
                 holds[t] = True
 
 
-@compiled
+@kernel
 def ask_legs(body, heights, legs, rate, starts, holds):
     """Foot raised, knee raised, kicking forward, stepping aside, legs apart: into ``holds`` (5, 2, n).
 
@@ -213,7 +206,7 @@ def ask_legs(body, heights, legs, rate, starts, holds):
         holds[4, 0, t] = abs(body[t, legs[_LEFT, 1], 0] - body[t, legs[_RIGHT, 1], 0]) > 0.3
 
 
-@compiled
+@kernel
 def ask_body(body, heights, head, neck, rise, rate, holds):
     """Lying, low, bent forward, getting up, getting down: into ``holds`` (5, 2, n); ``rise`` is that of the pelvis."""
     pelvis = heights[:, 0]
@@ -231,7 +224,7 @@ def ask_body(body, heights, head, neck, rise, rate, holds):
         holds[4, 0, t] = moving and rise < -0.1
 
 
-@compiled
+@kernel
 def ask_travel(body, heights, speed, left, turned, hands, rate, holds):
     """Walking, running, walking back, going left and right, turning left and right, standing: into ``holds`` (8, 2, n).
 
@@ -261,7 +254,7 @@ def ask_travel(body, heights, speed, left, turned, hands, rate, holds):
         holds[7, 0, t] = still
 
 
-@compiled
+@kernel
 def find_stretches(holds, found):
     """Find the longest stretches of ``holds`` (Q, 2, n), for both sides at once, the left alone and the right alone.
 
@@ -270,16 +263,16 @@ def find_stretches(holds, found):
     n = holds.shape[2]
     for question in range(len(holds)):
         one, other = holds[question]
-        for part in range(3):
+        for side in range(3):
             count, start, best, end = 0, 0, 0, 0
             for t in range(n + 1):
                 true = False
                 if t < n:
                     both = one[t] and other[t]
-                    true = both if part == 0 else (one[t] if part == 1 else other[t]) and not both
+                    true = both if side == 0 else (one[t] if side == 1 else other[t]) and not both
                 count += true
                 if not true:
                     if t - start > end - best:
                         best, end = start, t
                     start = t + 1
-            found[question, part, 0], found[question, part, 1], found[question, part, 2] = count, best, end
+            found[question, side, 0], found[question, side, 1], found[question, side, 2] = count, best, end
