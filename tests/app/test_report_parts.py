@@ -10,14 +10,7 @@ import pytest
 from rich.console import Console
 
 from app.fake_assessment import make_assessment
-from dousa.app.report.page import (
-    QUICK_PARTS,
-    build_frame,
-    build_page,
-    build_parts,
-    collect_data,
-    write_report,
-)
+from dousa.app.report.page import QUICK_PARTS, build_frame, build_page, build_parts, collect_data, write_report
 from dousa.app.tables.evaluation import print_assessment, print_progress
 from dousa.evaluation import compare_attempts, read_attempt
 from dousa.evaluation.grade.score import round_grade

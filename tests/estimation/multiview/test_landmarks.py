@@ -7,12 +7,7 @@ from dousa.estimation import make_human, make_ring
 from dousa.estimation.body.kinematics import compute_points, place_parts, point_names, step_poses
 from dousa.estimation.body.posing import standing_state
 from dousa.estimation.multiview.landmarks import place_landmarks
-from dousa.estimation.multiview.pose_residuals import (
-    list_bones,
-    place_points,
-    point_slopes,
-    world_terms,
-)
+from dousa.estimation.multiview.pose_residuals import list_bones, place_points, point_slopes, world_terms
 
 POINTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe", "heel", "ear")
 NAMES = ("nose", *(f"{side}_{point}" for point in POINTS for side in ("left", "right")))

@@ -11,15 +11,7 @@ from dousa.estimation.body.kinematics import compute_points, pose_difference, st
 from dousa.estimation.body.posing import standing_state
 from dousa.estimation.cameras.camera import make_ring
 from dousa.estimation.raster.rendering import render
-from dousa.estimation.tracking.beam import (
-    Beam,
-    Replay,
-    _Track,
-    choose_switch,
-    choose_track,
-    replay,
-    score_frames,
-)
+from dousa.estimation.tracking.beam import Beam, Replay, _Track, choose_switch, choose_track, replay, score_frames
 from dousa.estimation.tracking.search_setup import Frame, SearchSetup
 from dousa.estimation.tracking.settings import TrackerSettings
 

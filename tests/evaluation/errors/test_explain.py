@@ -4,15 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from oracles.wrong_dances import (
-    ARM,
-    be_late,
-    choose,
-    gather_dances,
-    get_dance,
-    place,
-    turn_limb,
-)
+from oracles.wrong_dances import ARM, be_late, choose, gather_dances, get_dance, place, turn_limb
 
 from dousa.evaluation.errors.evidence import Evidence, find_stretches
 from dousa.evaluation.errors.explain import Finding, compute_unreached, explain, find_best_span, follow_path

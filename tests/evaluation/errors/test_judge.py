@@ -23,14 +23,7 @@ from dousa.evaluation.errors.descriptors import LIMB_OF, N_LIMBS, Descriptors, d
 from dousa.evaluation.errors.evidence import Deviations, compute_deviations, gather_evidence
 from dousa.evaluation.errors.explain import Finding
 from dousa.evaluation.errors.findings import measure_suspects
-from dousa.evaluation.errors.judge import (
-    BODY_CLASSES,
-    LIMB_CLASSES,
-    BoostedTrees,
-    Decoding,
-    Suspect,
-    decode,
-)
+from dousa.evaluation.errors.judge import BODY_CLASSES, LIMB_CLASSES, BoostedTrees, Decoding, Suspect, decode
 from dousa.evaluation.posture.posture import LIMBS
 from dousa.motion import CanonicalMotion
 
