@@ -4,20 +4,21 @@ import functools
 import hashlib
 import pickle
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from dousa.files.disk import atomic_write
+from dousa.retrieval.takes import labeller_training
 
 try:
     import fcntl
 except ImportError:  # elsewhere each makes its own
     fcntl = None
 
-__all__ = ["make_once", "remember"]
+__all__ = ["learn_labellers_once", "make_once"]
 
 
 def make_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:
@@ -45,7 +46,7 @@ def make_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
     return folder
 
 
-def remember(factory: pytest.TempPathFactory, work: Callable[..., Any]) -> Callable[..., Any]:
+def _remember(factory: pytest.TempPathFactory, work: Callable[..., Any]) -> Callable[..., Any]:
     """The same function, whose answers lie in files: what it has done once in a run is not done again.
 
     Parameters
@@ -78,3 +79,11 @@ def remember(factory: pytest.TempPathFactory, work: Callable[..., Any]) -> Calla
         return answer
 
     return recall
+
+
+def learn_labellers_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A fixture. Most libraries have the same clips: to learn to label their takes is most of what a training costs."""
+    with pytest.MonkeyPatch.context() as patch:
+        learn = _remember(tmp_path_factory, labeller_training.train_labeller)
+        patch.setattr(labeller_training, "train_labeller", learn)
+        yield

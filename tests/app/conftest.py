@@ -7,6 +7,9 @@ import pytest
 from app.browser import Page, open_browser
 from dousa.app.cli.main import main
 from dousa.messages import use_language
+from made_once import learn_labellers_once
+
+labellers_learned_once = pytest.fixture(learn_labellers_once, scope="package", autouse=True)
 
 
 @pytest.fixture(scope="session")

@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from dousa.library import Library
-from dousa.retrieval.takes import labeller_training
 from library import database_server
-from made_once import make_once, remember
+from made_once import learn_labellers_once, make_once
 
 WriteMove = Callable[..., Path]
 
@@ -122,13 +121,7 @@ def _databases_of_a_test(request: pytest.FixtureRequest) -> Iterator[None]:
     database_server.drop_below(folder)
 
 
-@pytest.fixture(scope="package", autouse=True)
-def _labellers_learned_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Most libraries have the same clips: to learn to label their takes was nearly half of what these tests cost."""
-    with pytest.MonkeyPatch.context() as patch:
-        learn = remember(tmp_path_factory, labeller_training.train_labeller)
-        patch.setattr(labeller_training, "train_labeller", learn)
-        yield
+labellers_learned_once = pytest.fixture(learn_labellers_once, scope="package", autouse=True)
 
 
 @pytest.fixture(scope="session")
