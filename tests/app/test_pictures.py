@@ -168,6 +168,7 @@ def _scores(value, spread=None):
     return {**dict.fromkeys(measures, value), **{f"{name}_std": spread for name in measures}}
 
 
+@pytest.mark.slow
 def test_experiment_figure(tmp_path, written):
     systems = {
         "full_tree": _scores(0.71),

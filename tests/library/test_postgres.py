@@ -24,9 +24,8 @@ def run_program(text, *words, **options):
     return subprocess.Popen([sys.executable, "-c", text, *map(str, words)], text=True, **options)
 
 
-@pytest.mark.parametrize(
-    "attempt", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("attempt", range(3))
 def test_four_programs_make_one_library_at_once(url, attempt):
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     programs = [run_program(_CREATE, url, **pipes) for _ in range(4)]

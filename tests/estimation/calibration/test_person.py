@@ -82,6 +82,7 @@ def test_films_of_other_people_agree_with_no_cameras(performance):
     assert caught.value.code == "calibration.no_agreement"
 
 
+@pytest.mark.slow
 def test_wrong_times_are_doubted_or_refused(performance):
     cameras, begins = make_cameras(3), (0.5, 1.3, 0.1)
     views = [film(performance, camera, begin, 4.0) for camera, begin in zip(cameras, begins, strict=True)]

@@ -64,6 +64,7 @@ def test_an_example_is_learned_without_learning_everything_again(library, materi
     assert library.label(take, examples=[clip]).timeline == after
 
 
+@pytest.mark.slow
 def test_an_example_is_learned_by_a_program_that_starts_anew(library, material, tmp_path):
     root, take, middles = material
     clip = add_example(library, root)

@@ -326,6 +326,7 @@ def test_the_same_clips_give_the_same_large_forest(large, files, tmp_path, how):
     assert seen[0] == seen[1]
 
 
+@pytest.mark.slow
 def test_a_training_chooses_them_anew_and_a_small_one_needs_none(large, files, monkeypatch):
     before = read_examples(large)
     with Library.open(large) as library:

@@ -264,6 +264,7 @@ def add_later(library, moves, names):
         library.add_motion(cut(moves / move / f"{name}.bvh", ("left_hand",)), f"{name} later", f"later {move}")
 
 
+@pytest.mark.slow
 def test_the_forest_of_a_part_grows_by_clips_that_are_added(library_file, library, moves, squat, monkeypatch):
     """Nothing is trained again, what it knew it still knows, and in whatever portions it learns the same."""
     query, before = cut(squat, UPPER), read_canonical(moves / "wave" / "wave_p1.bvh")[0]

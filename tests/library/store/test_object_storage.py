@@ -53,6 +53,7 @@ def test_a_bucket_that_is_not_there(bucket):
         ObjectFragments("xyz://somewhere", "moves.dousa")
 
 
+@pytest.mark.slow
 def test_a_library_on_a_server_keeps_its_arrays_there(url, bucket, moves, write_move, tmp_path):
     with Library.open(url, create=True) as library:
         library.add(moves, n_jobs=1)

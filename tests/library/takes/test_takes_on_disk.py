@@ -158,6 +158,7 @@ def test_of_more_windows_more_are_compared_up_to_a_number(library_path, made, ma
         assert note.values["n"] < told[2, 10**9]
 
 
+@pytest.mark.slow
 def test_files_follow_the_library(library_path, made, many, write_move, tmp_path, monkeypatch):
     """Whatever is changed, answers are those of a library whose takes are all in memory."""
 
