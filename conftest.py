@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from dousa.kernels import compile_always
 from one_compiler import compile_in_turns
 from processor_times import ProcessorTimes
 from submission import DOCUMENTS, JOBS
@@ -26,6 +27,7 @@ SHARED_DATA = ROOT.parent / "shared" / "data"
 
 def pytest_configure(config: pytest.Config) -> None:
     """Workers compile in turns, by files in the folder where their temporary ones are; what tests cost can be told."""
+    compile_always()  # what is tried is the compiled code; that small work is interpreted has tests of its own
     if hasattr(config, "workerinput"):
         compile_in_turns(Path(config.option.basetemp).parent / "kernels")
     if count := int(os.environ.get("DOUSA_TEST_TIMES", "0")):

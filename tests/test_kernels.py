@@ -3,12 +3,20 @@
 import pickle
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numba import njit
 
+from dousa import kernels
 from dousa.kernels import kernel, part
+from dousa.motion import canonicalise, compute_trajectories
+from dousa.motion.synthetic.performers import draw_performer, make_motion
+from dousa.retrieval import FEATURE_SETS
+from dousa.retrieval.features.sensor_noise import measure_unsteadiness, reduce_noise
+from dousa.retrieval.ranking.ranking import compute_with_poses
+from dousa.retrieval.words.relations import find_relations
 
 
 @part
@@ -76,3 +84,51 @@ def test_a_kernel_is_pickled_by_its_name():
 def test_numba_is_loaded_with_the_first_kernel_that_runs():
     program = "import sys, dousa.kernels as k; f = k.kernel(abs); assert 'numba' not in sys.modules"
     subprocess.run([sys.executable, "-c", program], check=True)
+
+
+PROGRAM = """
+import sys
+import numpy as np
+from dousa.kernels import kernel
+
+@kernel(linear=True)
+def double(values, out):
+    for t in range(len(values)):
+        out[t] = 2.0 * values[t]
+
+values, out, loaded = np.linspace(0.0, 1.0, 90_000), np.empty(90_000), []
+for _ in range(5):
+    double(values, out)
+    loaded.append("numba" in sys.modules)
+assert (out == 2.0 * values).all() and loaded == [False] * 3 + [True] * 2, loaded
+"""
+
+
+def test_small_work_is_interpreted_until_compiling_would_have_cost_as_much(tmp_path):
+    (tmp_path / "program.py").write_text(PROGRAM)
+    subprocess.run([sys.executable, tmp_path / "program.py"], check=True)
+
+
+@pytest.mark.parametrize("n_frames", [3, 40])
+def test_what_describes_clips_is_the_same_interpreted(monkeypatch, n_frames):
+    errors = np.random.default_rng(n_frames).normal(0.0, 0.01, (n_frames, 20, 3))
+    walk = canonicalise(compute_trajectories(make_motion("walk", draw_performer(0)))).positions[:n_frames]
+    clip = SimpleNamespace(positions=walk + errors, frame_rate=30.0, height=1.7)
+
+    def describe():
+        quiet = reduce_noise(clip)
+        return (
+            compute_with_poses([quiet], FEATURE_SETS["extended"]),
+            quiet,
+            measure_unsteadiness(clip),
+            find_relations(clip),
+        )
+
+    compiled = describe()
+    monkeypatch.setattr(kernels._Compiled, "is_interpreted", lambda kernel, args: True)
+    monkeypatch.setattr(kernels._Effort, "interpreting", 1)
+    found = describe()
+    for one, other in zip(compiled[0], found[0], strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(compiled[1].positions, found[1].positions)
+    assert compiled[2:] == found[2:]

@@ -9,6 +9,7 @@ code, what the kernel does not use is dropped: arguments that no part reads, as 
 from __future__ import annotations
 
 import gc
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -115,6 +116,10 @@ class _Part(CPUDispatcher):
 
 class _Kernel(CPUDispatcher):
     """A function that Python calls."""
+
+    def is_kept(self) -> bool:
+        """Tell whether it need not be compiled, as this or another process has done so."""
+        return bool(self.overloads) or os.path.exists(self._cache._cache_file._index_path)
 
     def compile(self, sig: Any) -> Any:
         """Compile while nothing is collected: of a tenth of the time Python looks through what the compiler keeps."""

@@ -3,8 +3,9 @@
 Both follow NumPy where something is divided by 0, release the interpreter's lock, and count no references: arrays come
 as arguments, as compiling ``np.empty`` takes longer than most kernels. ``kernel(allocates=True)`` may make arrays.
 
-Numba is loaded with the first kernel that runs, which takes half a second: a command without kernels does not wait for
-it. ``is_worth_compiling`` tells what has a second way of doing the same work.
+Numba is loaded with the first kernel that runs, which takes half a second, and compiles it, which takes about as long:
+a small command does not wait for either. Small work of kernels that are ``linear`` is interpreted, with the same result
+bit for bit, and ``is_worth_compiling`` tells the same to what has a second way of doing its work.
 """
 
 from __future__ import annotations
@@ -14,18 +15,45 @@ import sys
 from collections.abc import Callable
 from typing import Any, TypeVar, overload
 
-__all__ = ["is_worth_compiling", "kernel", "part"]
+import numpy as np
+
+__all__ = ["compile_always", "is_worth_compiling", "kernel", "part"]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+class _Effort:
+    """What this process does without compiled code, in numbers of 0.2 us each (``python -m lab.benchmarks.first_run``).
+
+    ``most`` of all before Numba is loaded, and of each kernel that nobody has compiled before: as long as that takes.
+    """
+
+    most = 2_000_000
+    spent = 0
+    interpreting = 0
+
+
+def is_worth_compiling(numbers: int) -> bool:
+    """Tell whether to call a kernel for work on so many numbers, or to do the same without Numba, more slowly."""
+    if "numba" in sys.modules or _Effort.spent + numbers > _Effort.most:
+        return True
+    _Effort.spent += numbers
+    return False
+
+
+def compile_always() -> None:
+    """Interpret nothing from now on: for tests of what is compiled."""
+    _Effort.most = _Effort.spent = 0
 
 
 class _Compiled:
     """A function that becomes a dispatcher of Numba, which it stands for, when it is first called or compiled."""
 
-    def __init__(self, function: Callable[..., Any], made_by: str, *options: Any) -> None:
+    def __init__(self, function: Callable[..., Any], made_by: str, linear: bool, *options: Any) -> None:
         functools.update_wrapper(self, function)
         self.py_func = function
         self._made_by, self._options = made_by, options
+        self._left = _Effort.most if linear else 0
 
     @functools.cached_property
     def _dispatcher(self) -> Any:
@@ -34,7 +62,24 @@ class _Compiled:
         return getattr(kernel_compiler, self._made_by)(self.py_func, *self._options)
 
     def __call__(self, *args: Any, **named: Any) -> Any:
+        if (self._left or _Effort.interpreting) and self.is_interpreted(args):
+            _Effort.interpreting += 1
+            try:
+                with np.errstate(all="ignore"):  # as in compiled code
+                    return self.py_func(*args, **named)
+            finally:
+                _Effort.interpreting -= 1
         return self._dispatcher(*args, **named)
+
+    def is_interpreted(self, args: tuple[Any, ...]) -> bool:
+        """Tell whether a call is better interpreted, as are the parts of what is."""
+        if not self._left:
+            return self._made_by == "compile_part"
+        numbers = 3 * sum(getattr(one, "size", 1) for one in args)
+        if "numba" not in sys.modules:
+            return not is_worth_compiling(numbers)
+        self._left = 0 if self._left < numbers or self._dispatcher.is_kept() else self._left - numbers
+        return self._left > 0
 
     def __reduce__(self) -> str:
         return self.py_func.__qualname__
@@ -52,16 +97,19 @@ class _Compiled:
 @overload
 def kernel(function: _Function) -> _Function: ...
 @overload
-def kernel(*, allocates: bool = False, fastmath: Any = False) -> Callable[[_Function], _Function]: ...
-def kernel(function: Any = None, *, allocates: bool = False, fastmath: Any = False) -> Any:
+def kernel(
+    *, linear: bool = False, allocates: bool = False, fastmath: Any = False
+) -> Callable[[_Function], _Function]: ...
+def kernel(function: Any = None, *, linear: bool = False, allocates: bool = False, fastmath: Any = False) -> Any:
     """Compile a function that Python calls; what was compiled is kept for the next process.
 
     Parameters
     ----------
+    linear : it visits each number of its arrays a few times, and they are float64 or whole: it may be interpreted.
     allocates : the function, or one that it calls, makes arrays.
     fastmath : as for ``numba.njit``.
     """
-    return _make("compile_kernel", function, allocates, fastmath)
+    return _make("compile_kernel", function, linear, allocates, fastmath)
 
 
 @overload
@@ -70,23 +118,8 @@ def part(function: _Function) -> _Function: ...
 def part(*, allocates: bool = False, fastmath: Any = False) -> Callable[[_Function], _Function]: ...
 def part(function: Any = None, *, allocates: bool = False, fastmath: Any = False) -> Any:
     """Compile a function that kernels and other parts call, as a piece of them; options as for `kernel`."""
-    return _make("compile_part", function, allocates, fastmath)
+    return _make("compile_part", function, False, allocates, fastmath)
 
 
 def _make(made_by: str, function: Any, *options: Any) -> Any:
     return _Compiled(function, made_by, *options) if function else lambda made: _Compiled(made, made_by, *options)
-
-
-_interpreted = [0]
-
-
-def is_worth_compiling(numbers: int, most: int = 2_500_000) -> bool:
-    """Tell whether to call a kernel for work on so many numbers, or to do the same without Numba, more slowly.
-
-    Numba is worth loading as soon as this process has spent as long without it as loading takes: on ``most`` numbers of
-    0.2 us each (``python -m lab.benchmarks.first_run``).
-    """
-    if "numba" in sys.modules or _interpreted[0] + numbers > most:
-        return True
-    _interpreted[0] += numbers
-    return False

@@ -7,10 +7,11 @@ The code of a leaf is its number among the occupied leaves of its tree. Votes ar
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from dousa.kernels import kernel, part
 
 
-@njit(cache=True, nogil=True)
+@kernel(linear=True)
 def find_owners(leaves, owners):
     """Write the tree of each leaf of leaves (N, n_trees) into ``owners`` (L,); False if one is in two trees."""
     for clip in range(leaves.shape[0]):
@@ -23,7 +24,7 @@ def find_owners(leaves, owners):
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel(linear=True)
 def encode_leaves(leaves, ranks, codes):
     """Write ``ranks[leaves]`` into ``codes`` (N, n_trees), without a copy in another type."""
     for clip in range(leaves.shape[0]):
@@ -31,7 +32,7 @@ def encode_leaves(leaves, ranks, codes):
             codes[clip, tree] = ranks[leaves[clip, tree]]
 
 
-@njit(cache=True, nogil=True)
+@kernel(linear=True)
 def recode(codes, rows, offsets, ranks, places, out):
     """Write the ``ranks`` of the leaves of some rows of ``codes`` into places of ``out``."""
     for number in range(len(rows)):
@@ -39,7 +40,7 @@ def recode(codes, rows, offsets, ranks, places, out):
             out[places[number], tree] = ranks[offsets[tree] + codes[rows[number], tree]]
 
 
-@njit(cache=True, nogil=True)
+@kernel(linear=True)
 def copy_runs(values, starts, rows, ends, out):
     """Copy the values of some rows, from ``starts`` (N + 1,), into ``out``, where they end at ``ends`` (M,)."""
     for number in range(len(rows)):
@@ -48,7 +49,7 @@ def copy_runs(values, starts, rows, ends, out):
             out[ends[number] - (last - first) + step] = values[first + step]
 
 
-@njit(cache=True, nogil=True)
+@kernel(linear=True)
 def find_most(starts, found, votes, out):
     """Write the category with most votes of each clip, the first of equals, into ``out`` (N,)."""
     for clip in range(len(out)):
@@ -59,20 +60,19 @@ def find_most(starts, found, votes, out):
         out[clip] = best
 
 
-@njit(cache=True, nogil=True)
+@kernel(linear=True)
 def count_sparsely(
-    codes, offsets, begins, stops, classes, weights, parts, meanings, n_meanings, first, shares, ends, found, votes,
+    codes, offsets, begins, stops, classes, weights, parts, meanings, merged, first, shares, ends, found, votes,
     squares, lengths,
 ):  # fmt: skip
     """Count the votes of ``len(ends)`` clips from ``first`` on; return the number of written entries.
 
     Sums run in the order of ``tree_kernels.count_leaves``, so they are equal to the last bit; trees are the outer loop
     over blocks of clips (``shares`` (B, C)), as the leaves of one tree fit the cache. ``begins`` and ``stops`` (K,)
-    bound the entries of each leaf of the table; ``squares`` are the sums of the squared votes, ``lengths`` the
-    Euclidean lengths of the votes for meanings.
+    bound the entries of each leaf of the table; ``merged`` are zeros, one for each meaning; ``squares`` are the sums of
+    the squared votes, ``lengths`` the Euclidean lengths of the votes for meanings.
     """
     n_classes, n_trees = len(meanings), codes.shape[1]
-    merged = np.zeros(n_meanings, np.int64)
     written = 0
     for block in range(0, len(ends), len(shares)):
         count = min(len(shares), len(ends) - block)
@@ -103,7 +103,7 @@ def count_sparsely(
     return written
 
 
-@njit(cache=True, nogil=True)
+@kernel(linear=True)
 def bound_clips(
     starts, found, votes, squares, lengths, query, meant, numbers, weights, n_trees, bounds, cosines
 ):  # fmt: skip
@@ -134,7 +134,7 @@ def bound_clips(
         cosines[clip] = same / max(lengths[clip] * length, 1e-9)
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+@part(fastmath={"reassoc", "contract"})
 def _multiply(one, other):
     """Return the dot product of two float32 vectors, summed in float64."""
     total = 0.0
@@ -143,7 +143,7 @@ def _multiply(one, other):
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def compare_clips(
     rows, starts, found, votes, squares, codes, directions, query, query_codes, direction, total, square, histograms,
     leaves, cosines,
@@ -170,19 +170,12 @@ def compare_clips(
             cosines[place] = _multiply(directions[clip], direction)
 
 
-@njit(cache=True, nogil=True)
 def find_limit(bounds, least, n_buckets=1 << 14, farthest=4.0):
     """Return a limit that at least ``least`` of the bounds (N,) do not exceed; infinity if there are fewer.
 
     Bounds of ``farthest`` and more are left out; the limit is that much too high at most, divided by ``n_buckets``.
     """
-    counts = np.zeros(n_buckets, np.int64)
-    for clip in range(len(bounds)):
-        if bounds[clip] < farthest:
-            counts[max(int(bounds[clip] * (n_buckets / farthest)), 0)] += 1
-    below = 0
-    for bucket in range(n_buckets):
-        below += counts[bucket]
-        if below >= least:
-            return (bucket + 1) * (farthest / n_buckets)
-    return np.inf
+    near = bounds[bounds < farthest]
+    places = np.maximum((near * (n_buckets / farthest)).astype(np.intp), 0)
+    below = np.cumsum(np.bincount(places, minlength=n_buckets))
+    return (np.searchsorted(below, least) + 1) * (farthest / n_buckets) if below[-1] >= least else np.inf

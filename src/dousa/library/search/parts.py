@@ -256,7 +256,7 @@ def count_part(
     starts, classes, weights = stored.forest.vote_entries
     begins, stops = starts[part.table], starts[part.table + 1]
     shares = np.empty((at_once, len(meanings)))
-    n_meanings = int(meanings.max(initial=-1)) + 1
+    merged = np.zeros(int(meanings.max(initial=-1)) + 1, np.int64)
     portion = max(room // max(len(meanings), 1), 1)
     ends = np.zeros(len(part) + 1, np.int64)
     squares, lengths = np.zeros(len(part), np.int64), np.zeros(len(part))
@@ -265,7 +265,7 @@ def count_part(
         own = np.zeros(min(portion, len(part) - first), np.int64)
         space = np.empty(len(own) * len(meanings), np.uint16), np.empty(len(own) * len(meanings), np.int32)
         written = count_sparsely(
-            part.codes, part.offsets, begins, stops, classes, weights, PARTS_OF_A_VOTE, meanings, n_meanings, first,
+            part.codes, part.offsets, begins, stops, classes, weights, PARTS_OF_A_VOTE, meanings, merged, first,
             shares, own, *space, squares, lengths,
         )  # fmt: skip
         found.append((space[0][:written].copy(), space[1][:written].copy()))

@@ -12,17 +12,17 @@ from dataclasses import dataclass, field
 from typing import IO, Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, IndexArray, IntArray
+from dousa.kernels import kernel
 from dousa.library.takes.portions import N_MARKS, Portion, PortionGoneError, cost_marks
 from dousa.motion.runs import find_runs
 from dousa.retrieval.takes.find import POSE_WEIGHT, WINDOW_NUMBERS, CutStretch, Stretch, TakeSearch, cost_windows
 from dousa.retrieval.takes.moment_kernels import compare_leaves
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def scan_sketches(
     sketches, marks, first, last, query, rests, leaves, added, weight, most, rows, costs, tile_size=2048
 ):  # pragma: no cover - compiled

@@ -15,11 +15,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import BoolArray, FloatArray, IntArray
 from dousa.errors import InvalidMotionError, OptionError
+from dousa.kernels import kernel, part
 from dousa.messages import Message
 from dousa.retrieval.explain.phrases import Fact, say_fact, say_shared_fact, share_away
 from dousa.retrieval.features.channels import Channel
@@ -28,7 +28,7 @@ from dousa.retrieval.forest.forest import MotionForest
 from dousa.retrieval.forest.trees import KIND_NAMES, Trees
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sum_upwards(children: IntArray, leaves: FloatArray, sums: FloatArray) -> None:
     """Sum the leaves below every node into ``sums`` (M,)."""
     for node in range(len(children) - 1, -1, -1):
@@ -36,7 +36,7 @@ def sum_upwards(children: IntArray, leaves: FloatArray, sums: FloatArray) -> Non
         sums[node] = leaves[-1 - child] if child < 0 else sums[child] + sums[child + 1]
 
 
-@njit(cache=True, nogil=True)
+@part
 def _expect(
     root: int,
     extra: int,
@@ -83,7 +83,7 @@ def _expect(
     return expected
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def ablate(
     roots: IntArray,
     children: IntArray,

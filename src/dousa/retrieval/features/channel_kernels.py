@@ -230,7 +230,7 @@ def compute_rows(points, left, body, even, fast, placed, apart, feet, pointing, 
                 column += 1
 
 
-@kernel
+@kernel(linear=True)
 def describe_frames(
     positions, height, pose_weights, heading_weights, hips, shoulders, fast, placed, apart, feet, pointing, rate, room,
     lefts, headings, angles, rows,
@@ -255,7 +255,7 @@ def describe_frames(
     compute_rows(points, left, body, even, fast, placed, apart, feet, pointing, rate, headings, angles, rows)
 
 
-@kernel
+@kernel(linear=True)
 def integrate_rows(rows, first_speed, n_speeds, at_rest, step, times, integrals):
     """Compute motion time into ``times`` (n + 1,), and integrals over it into ``integrals`` (n + 1, 3 C).
 
@@ -299,7 +299,7 @@ def read_edge(integrals, times, edge, n_channels, row):
     return time
 
 
-@kernel
+@kernel(linear=True)
 def read_cells(integrals, times, edges, n_channels, work, out):
     """Compute cell means of windows, into ``out`` (W, T, F).
 
@@ -353,7 +353,7 @@ def _find_frame(times, wanted, low, high):
     return 1.0 / (times[high] - times[low]) * (wanted - times[low]) + low
 
 
-@kernel
+@kernel(linear=True)
 def find_edges(times, starts, stops, parts, edges):
     """Find the edges of the cells of windows, in frames, into ``edges`` (W, E).
 
@@ -370,7 +370,7 @@ def find_edges(times, starts, stops, parts, edges):
             low = int(edges[w, e])
 
 
-@kernel
+@kernel(linear=True)
 def read_means(integrals, times, edges, columns, scale, out):
     """Compute means of some channels over the cells of windows, into ``out`` (W, E - 1, K).
 

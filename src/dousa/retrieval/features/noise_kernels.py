@@ -10,7 +10,7 @@ import numpy as np
 from dousa.kernels import kernel, part
 
 
-@kernel
+@kernel(linear=True)
 def level(courses, rows, ends, ramp, lines, folded):
     """Subtract the line from beginning to end from some courses, and fold them: even frames, then odd ones backwards.
 
@@ -34,7 +34,7 @@ def level(courses, rows, ends, ramp, lines, folded):
                 both[n - 1 - t] = course[2 * t + 1] - line[2 * t + 1]
 
 
-@kernel
+@kernel(linear=True)
 def turn_waves(spectrum, rows, turns, waves):
     """Compute the waves (J, 3, n) of some courses reflected at their ends.
 
@@ -52,7 +52,7 @@ def turn_waves(spectrum, rows, turns, waves):
                 wave[k] = 2.0 * (turns[0, k] * real + turns[1, k] * imaginary)
 
 
-@kernel
+@kernel(linear=True)
 def measure(waves, rows, lost, left):
     """Compute the squared residuals of the splines of every weight for some courses, into the rows of ``left`` (J, L).
 
@@ -124,7 +124,7 @@ def choose(left, freedom, n, room, chosen):
     return variance
 
 
-@kernel
+@kernel(linear=True)
 def choose_all(left, freedom, n, recordings, n_joints, room, chosen, variances):
     """Do ``choose`` for ``recordings`` (R,) of those in ``left`` and ``chosen``, with variances into ``variances``
     (R,).
@@ -134,7 +134,7 @@ def choose_all(left, freedom, n, recordings, n_joints, room, chosen, variances):
         variances[r] = choose(left[first:stop], freedom, n, room, chosen[first:stop])
 
 
-@kernel
+@kernel(linear=True)
 def weigh(waves, rows, kept, chosen, turns, spectrum):
     """Compute the ``spectrum`` of the folded courses from the waves (J, 3, n) weighted by the chosen splines.
 
@@ -152,7 +152,7 @@ def weigh(waves, rows, kept, chosen, turns, spectrum):
                 found[k] = complex(real, imaginary)
 
 
-@kernel
+@kernel(linear=True)
 def raise_again(folded, rows, lines, smooth):
     """Unfold some courses (R, 3, n), and add the lines (J, 3, n) back; into ``smooth`` (J, 3, n)."""
     n = lines.shape[2]
@@ -165,7 +165,7 @@ def raise_again(folded, rows, lines, smooth):
                 even[2 * t + 1] = both[n - 1 - t] + line[2 * t + 1]
 
 
-@kernel
+@kernel(linear=True)
 def believe(courses, smooth, limit, rows, room, changed, believed, glitches):
     """Replace glitches by the splines' values, into ``believed`` (J, 3, n), for joints with any.
 
@@ -192,7 +192,7 @@ def believe(courses, smooth, limit, rows, room, changed, believed, glitches):
                     believed[j, axis, t] = smooth[j, axis, t] if squared[t] > beyond else courses[j, axis, t]
 
 
-@kernel
+@kernel(linear=True)
 def measure_chain(points, bones, shares, lengths):
     """Return the median over time of the length of a chain of bones.
 
@@ -210,7 +210,7 @@ def measure_chain(points, bones, shares, lengths):
     return find_middle(lengths)
 
 
-@kernel
+@kernel(linear=True)
 def measure_unsteadiness(points, bones, room):
     """Return the standard deviation of a bone's length as a share of its median, the median over the bones; or 0.
 

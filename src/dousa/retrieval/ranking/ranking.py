@@ -20,11 +20,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import FloatArray, IndexArray, IntArray
 from dousa.errors import InvalidMotionError, OptionError
+from dousa.kernels import kernel, part
 from dousa.retrieval.features.channel_kernels import read_means
 from dousa.retrieval.features.channels import CHANNELS, WantedMeans
 from dousa.retrieval.features.feature_sets import FEATURE_SETS, FeatureSet, FeatureTrack
@@ -290,7 +290,7 @@ def fuse(cheap: FloatArray, pose: FloatArray, refined: IndexArray, scale: float 
     return cheap + scale * np.where(np.isnan(pose), worst, pose)
 
 
-@njit(cache=True, nogil=True)
+@kernel(linear=True)
 def measure_distances(query: FloatArray, stored: FloatArray, distances: FloatArray) -> None:
     """Euclidean distances of query (C,) float64 from the rows of stored (N, C) float64 or int32, into (N,)."""
     for k in range(len(stored)):
@@ -301,7 +301,7 @@ def measure_distances(query: FloatArray, stored: FloatArray, distances: FloatArr
         distances[k] = np.sqrt(square)
 
 
-@njit(cache=True, nogil=True)
+@kernel(linear=True)
 def count_differences(query: NDArray[np.int32], stored: NDArray[np.int32], counts: NDArray[np.int32]) -> None:
     """Count the places in which rows of stored (N, n) int32 differ from query (n,) int32, into (N,) int32."""
     for k in range(len(stored)):
@@ -311,7 +311,7 @@ def count_differences(query: NDArray[np.int32], stored: NDArray[np.int32], count
         counts[k] = count
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+@part(fastmath={"reassoc", "contract"})
 def _measure(query: NDArray[np.float32], i: int, frames: NDArray[np.float32], j: int) -> Any:
     """Euclidean distance of rows i and j; separate, as only this sum may be reordered."""
     square = np.float32(0.0)
@@ -321,7 +321,7 @@ def _measure(query: NDArray[np.float32], i: int, frames: NDArray[np.float32], j:
     return np.sqrt(square)
 
 
-@njit(cache=True, nogil=True)
+@part
 def _warp(
     query: NDArray[np.float32],
     frames: NDArray[np.float32],
@@ -354,7 +354,6 @@ def _warp(
     return before[m]
 
 
-@njit(cache=True, nogil=True)
 def warp_distances(
     query: NDArray[np.float32],
     frames: NDArray[np.float32],
@@ -374,10 +373,12 @@ def warp_distances(
         infinity for no band.
     distances : (N,) float64, filled.
     """
-    longest = 0
-    for k in range(len(starts)):
-        longest = max(longest, stops[k] - starts[k])
-    before, now = np.empty(longest + 1, np.float32), np.empty(longest + 1, np.float32)
+    costs = np.empty((2, (stops - starts).max(initial=0) + 1), np.float32)
+    _warp_all(query, frames, starts, stops, reach, costs, distances)
+
+
+@kernel
+def _warp_all(query, frames, starts, stops, reach, costs, distances):  # type: ignore[no-untyped-def]
     for k in range(len(starts)):
         m = stops[k] - starts[k]
-        distances[k] = _warp(query, frames, starts[k], m, reach, before, now) / (len(query) + m)
+        distances[k] = _warp(query, frames, starts[k], m, reach, costs[0], costs[1]) / (len(query) + m)

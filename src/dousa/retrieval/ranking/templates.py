@@ -31,11 +31,11 @@ from functools import partial
 from typing import Any, Self
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.errors import InvalidMotionError, NotTrainedError, OptionError, TrainingError
+from dousa.kernels import kernel, part
 from dousa.motion import Trajectories, resample
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX
 from dousa.retrieval.features.posed_motion import PosedMotion, check_shape
@@ -456,7 +456,7 @@ def _cost_matrices(templates: Sequence[NDArray[np.int8]]) -> tuple[FloatArray, F
     return weights, offsets, bounds
 
 
-@njit(cache=True, nogil=True)
+@part(allocates=True)
 def _accumulate(reference: FloatArray, motion_by_feature: FloatArray) -> FloatArray:
     """Return the (K, L) cost of the best path to each pair of frames; local costs are Manhattan distances."""
     n_reference, n_features = reference.shape
@@ -480,7 +480,7 @@ def _accumulate(reference: FloatArray, motion_by_feature: FloatArray) -> FloatAr
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def merge_along_path(
     reference: FloatArray, motion_by_feature: FloatArray, values: FloatArray, weights: FloatArray
 ) -> float:
@@ -510,7 +510,7 @@ def merge_along_path(
     return found
 
 
-@njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def warped_costs(costs: FloatArray, bounds: IndexArray) -> FloatArray:
     """Compute the (C,) costs of the best warping of a motion to each of several templates.
 

@@ -12,7 +12,7 @@ from dousa.kernels import kernel, part
 _LEFT, _RIGHT = 0, 1
 
 
-@kernel
+@kernel(linear=True)
 def average(values, half, total, out):
     """Average ``values`` (n, K) over the frames within ``half`` of each into ``out``.
 
@@ -35,7 +35,7 @@ def slope(values, t, rate):
     return (values[last] - values[first]) * rate / max(last - first, 1)
 
 
-@kernel
+@kernel(linear=True)
 def turn(points, left, rate, body, lowest, speed, turned):
     """Compute the body-fixed system of every frame.
 
@@ -83,7 +83,7 @@ def _apart(a, b):
     return np.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
 
 
-@kernel
+@kernel(linear=True)
 def ask_arms(body, head, limbs, holds):
     """Arms above the head, level, aside, ahead, elbow bent: into ``holds`` (5, 2, n).
 
@@ -107,7 +107,7 @@ def ask_arms(body, head, limbs, holds):
             holds[4, side, t] = cosine > 0.0
 
 
-@kernel
+@kernel(linear=True)
 def ask_hands(body, heights, head, limbs, rate, reach, holds):
     """Hands together, meeting, crossed, waving, circling, thrust, behind, low, at the head: into ``holds`` (9, 2, n).
 
@@ -182,7 +182,7 @@ def _find_circles(reach, axis, holds):
                 holds[t] = True
 
 
-@kernel
+@kernel(linear=True)
 def ask_legs(body, heights, legs, rate, starts, holds):
     """Foot raised, knee raised, kicking forward, stepping aside, legs apart: into ``holds`` (5, 2, n).
 
@@ -206,7 +206,7 @@ def ask_legs(body, heights, legs, rate, starts, holds):
         holds[4, 0, t] = abs(body[t, legs[_LEFT, 1], 0] - body[t, legs[_RIGHT, 1], 0]) > 0.3
 
 
-@kernel
+@kernel(linear=True)
 def ask_body(body, heights, head, neck, rise, rate, holds):
     """Lying, low, bent forward, getting up, getting down: into ``holds`` (5, 2, n); ``rise`` is that of the pelvis."""
     pelvis = heights[:, 0]
@@ -224,7 +224,7 @@ def ask_body(body, heights, head, neck, rise, rate, holds):
         holds[4, 0, t] = moving and rise < -0.1
 
 
-@kernel
+@kernel(linear=True)
 def ask_travel(body, heights, speed, left, turned, hands, rate, holds):
     """Walking, running, walking back, going left and right, turning left and right, standing: into ``holds`` (8, 2, n).
 
@@ -254,7 +254,7 @@ def ask_travel(body, heights, speed, left, turned, hands, rate, holds):
         holds[7, 0, t] = still
 
 
-@kernel
+@kernel(linear=True)
 def find_stretches(holds, found):
     """Find the longest stretches of ``holds`` (Q, 2, n), for both sides at once, the left alone and the right alone.
 
