@@ -22,7 +22,7 @@ from dousa.retrieval.takes.find import POSE_WEIGHT, WINDOW_NUMBERS, CutStretch, 
 from dousa.retrieval.takes.moment_kernels import compare_leaves
 
 
-@kernel
+@kernel(allocates=True)
 def scan_sketches(
     sketches, marks, first, last, query, rests, leaves, added, weight, most, rows, costs, tile_size=2048
 ):  # pragma: no cover - compiled
