@@ -71,17 +71,15 @@ wheel: $(VENV)/.dev
 fuzz: $(VENV)/.dev
 	DOUSA_FUZZ_SECONDS=300 $(BIN)/pytest -m fuzz
 
+# The table of docs/performance.md, in some 15 minutes.
 bench: $(VENV)/.bench
-	for claim in $$(grep -l __main__ lab/benchmarks/*.py); do echo "== $$claim"; \
-	  $(BIN)/python -m lab.benchmarks.$$(basename $$claim .py) || exit 1; done
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m lab.benchmarks --write
 
 # aeon needs an older NumPy and numba than our constraints: the comparison with it has an environment of its own.
 peers:
 	test -x $(VENV)-peers/bin/python || $(PYTHON) -m venv $(VENV)-peers
-	$(VENV)-peers/bin/python -m pip install --quiet --disable-pip-version-check -e '.[studio]' 'aeon>=1.6' 'nicegui>=3' \
-	  selenium pytest
-	$(VENV)-peers/bin/python -m lab.benchmarks.recognition
-	$(VENV)-peers/bin/python -m lab.benchmarks.studio_framework
+	$(VENV)-peers/bin/python -m pip install --quiet --disable-pip-version-check -e . 'aeon>=1.6'
+	$(VENV)-peers/bin/python -m lab.trials.recognition
 
 # The extension for Blender: tried in a Blender without windows (its package, 360 MB, wants Python 3.11), then packed.
 # `make blender BLENDER=5.0` tries it with another one.

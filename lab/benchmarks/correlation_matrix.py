@@ -1,27 +1,25 @@
 """The time-series correlation matrix S of two long motions.
 
-    python -m lab.benchmarks.correlation_matrix [--frames N] [--repeats N]
+    python -m lab.benchmarks.correlation_matrix [--frames N]
 
-Postures are made at random. Prints ours, the peers, and the ratios:
+Postures are made at random. Peers:
 
 - BLAS: three single-precision matrix products (real part, imaginary part, height) and numpy for the rest; with all
-  memory held beforehand (whole, and in tiles that stay in the cache), and as anyone would write it;
+  memory held beforehand, in tiles that stay in the cache, and as anyone would write it;
 - numpy einsum (with its optimiser), complex.
 
-Ours gives fresh memory each time, so the time to touch that memory is printed too. The first touch after the
-machine has started may take much longer: best times are compared.
-Goal: 10,000 x 10,000 x 9 segments in 0.2 s on 2 cores, and within 2.5 times of the best BLAS.
+Ours gives fresh memory each time.
 """
 
 from __future__ import annotations
 
 import argparse
-import time
+from collections.abc import Iterator
 
 import numpy as np
 
 from dousa.evaluation import compute_correlation_matrix
-from lab.benchmarks.timing import best_of
+from lab.benchmarks.timing import Row, run, take_turns
 
 
 def make_postures(n_frames: int, seed: int) -> np.ndarray:
@@ -78,32 +76,24 @@ def by_einsum(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return (np.abs(horizontal) + np.einsum("tp,up->tu", *heights, optimize=True)) / 9.0
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--frames", type=int, default=10_000)
-    parser.add_argument("--repeats", type=int, default=5)
-    options = parser.parse_args()
+def benchmark(options: argparse.Namespace) -> Iterator[Row]:
     a, b = make_postures(options.frames, 0), make_postures(options.frames, 1)
-    start = time.perf_counter()
-    compute_correlation_matrix(a[:2], b[:2])
-    print(f"ours, first call (compiles, or loads what was compiled): {time.perf_counter() - start:.2f} s")
-    touch = best_of(lambda: np.empty((len(a), len(b)), np.float32).fill(0.0), options.repeats)
-    print(f"touching fresh memory for the matrix, one thread: {touch:.3f} s")
-    ours = best_of(lambda: compute_correlation_matrix(a, b), options.repeats)
-    print(f"ours: {ours:.3f} s")
     blas = Blas(a, b)
+    worst = float(np.abs(blas.held()[:100] - compute_correlation_matrix(a[:100], b)).max())
     peers = {
-        "BLAS, memory held": blas.held,
         "BLAS, memory held, in tiles": blas.tiled,
         "BLAS, plain": blas.plain,
         "numpy einsum": lambda: by_einsum(a, b),
     }
-    for name, peer in peers.items():
-        seconds = best_of(peer, min(3, options.repeats))
-        print(f"peer, {name}: {seconds:.3f} s; ratio peer / ours: {seconds / ours:.2f}")
-    worst = float(np.abs(blas.held()[:100] - compute_correlation_matrix(a[:100], b)).max())
-    print(f"largest difference to BLAS: {worst:.1e}")
+    found = take_turns({"ours": lambda: compute_correlation_matrix(a, b), **peers}, options.repeats)
+    for name in peers:
+        work = f"correlation matrix, {options.frames:,} x {options.frames:,} frames x 9 segments"
+        yield Row(work, found["ours"], name, found[name], note=f"largest difference to BLAS {worst:.0e}")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--frames", type=int, default=10_000)
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, benchmark, add_options)

@@ -3,30 +3,28 @@
     python -m lab.benchmarks.correspondence [--frames N] [--full N] [--files REFERENCE PERFORMANCE]
 
 A dance is made (figures of a few seconds, some repeated) and danced again with a tempo that wanders by seconds and
-with noise. Prints
+with noise.
 
-- ours at 36,000 frames (five minutes at 120 frames/s): time, and memory beyond the inputs in a process of its own;
-- at 4,000 frames: how far our path is from the full search over the same costs, beside the peers: librosa on the
-  finished cost matrix, dtaidistance on 27 numbers a frame (squared Euclidean: it knows no yaw);
-- lines: ours beside stumpy's matrix profile, which finds the one most similar window of each window.
+- The whole matrix is searched by our kernel and by librosa, over the same costs: the same algorithm; the path of both
+  is the same. dtaidistance searches it on 27 numbers a frame (squared Euclidean: it knows no yaw).
+- What dousa does, coarse to fine, is compared with the full search by our own kernel.
+- At --frames (five minutes at 120 frames/s) the full search would take a matrix of 5 GB: ours alone; and the lines.
 
-With --files, the takes are compared at their own rate, by ours and by the full search.
-Goal: 36,000 frames in 1 s and 500 MB; median difference to the full search of at most 1 frame.
+With --files, two takes are compared at their own rate, coarse to fine and by the full search.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
-import subprocess
 import sys
-import warnings
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
 from dousa.evaluation import compute_correlation_matrix, compute_postures, find_lines, find_path
 from dousa.evaluation.alignment import correspondence as module
-from lab.benchmarks.timing import timed
+from lab.benchmarks.timing import Row, measure_memory, run, take_turns
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
@@ -80,115 +78,71 @@ def mean_columns(path: np.ndarray) -> np.ndarray:
     return np.bincount(path[:, 0], path[:, 1]) / np.bincount(path[:, 0])
 
 
-def say_difference(name: str, path: np.ndarray, other: np.ndarray) -> None:
+def tell_difference(path: np.ndarray, other: np.ndarray) -> str:
     difference = np.abs(mean_columns(path) - mean_columns(other))
-    print(f"{name}: median {np.median(difference):.2f}, largest {difference.max():.1f} frames")
+    return f"paths differ by {np.median(difference):.2f} frames (median), at most {difference.max():.1f}"
 
 
-def read_status(key: str) -> float:
-    """A line of what Linux says of this process, MB."""
-    with open("/proc/self/status") as status:
-        return next(float(line.split()[1]) / 1024 for line in status if line.startswith(key))
+def compare_paths(a: np.ndarray, b: np.ndarray, repeats: int) -> Iterator[Row]:
+    """Coarse to fine against the full search by the same kernel."""
+    found = take_turns({"ours": lambda: find_path(a, b), "full": lambda: search_all(a, b)}, repeats)
+    note = tell_difference(find_path(a, b), search_all(a, b))
+    work = f"path, {len(a):,} x {len(b):,} frames, coarse to fine"
+    yield Row(work, found["ours"], "the full search by the same kernel", found["full"], note=note)
 
 
-def measure_memory(n_frames: int) -> None:
-    """Peak beyond what is held before the search; run in a process of its own."""
-    a = make_dance(n_frames)
-    b = dance_again(a)
-    find_path(a[:20], b[:20])
-    try:
-        with open("/proc/self/clear_refs", "w") as reset:
-            reset.write("5")
-        before = read_status("VmRSS")
-        find_path(a, b)
-        print(f"ours, peak of memory beyond the inputs: {read_status('VmHWM') - before:.0f} MB")
-    except OSError:
-        print("ours, memory: not measured, as this system does not tell the peak")
-
-
-def compare_paths(n_frames: int) -> None:
-    a = make_dance(n_frames)
-    b = dance_again(a)
-    print(f"-- paths at {n_frames} frames")
-    ours, path = timed(lambda: find_path(a, b), 3)
-    seconds, full = timed(lambda: search_all(a, b), 3)
-    print(f"ours: {ours:.3f} s; full search by our kernel: {seconds:.3f} s")
-    say_difference("ours to the full search", path, full)
+def compare_full(a: np.ndarray, b: np.ndarray, repeats: int) -> Iterator[Row]:
+    """The same algorithm by others."""
     try:
         import librosa
         from dtaidistance import dtw, dtw_ndim
     except ImportError:
-        print("peers: librosa or dtaidistance is not installed; run: pip install 'dousa[bench]'")
+        print("librosa or dtaidistance is not installed; run: pip install 'dousa[bench]'", file=sys.stderr)
         return
-    librosa.sequence.dtw(C=np.ones((3, 3)))
-    seconds, (_, peer) = timed(lambda: librosa.sequence.dtw(C=1.0 - compute_correlation_matrix(a, b).astype(float)))
-    print(f"peer, librosa (full, same costs): {seconds:.3f} s; ratio peer / ours: {seconds / ours:.1f}")
-    say_difference("ours to librosa", path, peer[::-1])
-    first, second = (np.ascontiguousarray(s.reshape(n_frames, 27)) for s in (a, b))
-    seconds, peer = timed(lambda: dtw.best_path(dtw_ndim.warping_paths_fast(first, second)[1]))
-    print(f"peer, dtaidistance (full, no yaw): {seconds:.3f} s; ratio peer / ours: {seconds / ours:.1f}")
-    say_difference("ours to dtaidistance", path, np.array(peer))
+
+    def by_librosa() -> np.ndarray:
+        return np.asarray(librosa.sequence.dtw(C=1.0 - compute_correlation_matrix(a, b).astype(float))[1])[::-1]
+
+    first, second = (np.ascontiguousarray(one.reshape(len(one), 27)) for one in (a, b))
+    peers = {
+        "librosa, same costs": by_librosa,
+        "dtaidistance, no yaw": lambda: dtw.best_path(dtw_ndim.warping_paths_fast(first, second)[1]),
+    }
+    found = take_turns({"ours": lambda: search_all(a, b), **peers}, repeats)
+    for name, peer in peers.items():
+        note = tell_difference(search_all(a, b), np.array(peer()))
+        yield Row(f"path, {len(a):,} frames, full search", found["ours"], name, found[name], note=note)
 
 
-def compare_lines(n_frames: int) -> None:
-    a = make_dance(n_frames)
-    b = dance_again(a)
-    print(f"-- lines at {n_frames} frames")
-    find_lines(a[:300], b[:300], 120.0)
-    ours, lines = timed(lambda: find_lines(a, b, 120.0), 3)
-    print(f"ours: {ours:.3f} s; {len(lines)} lines")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            import stumpy
-    except ImportError:
-        print("peer: stumpy is not installed; run: pip install 'dousa[bench]'")
-        return
-    channels = np.ascontiguousarray(a[::12].reshape(-1, 27).T)
-    stumpy.mstump(channels[:2, :60].copy(), m=20)
-    seconds, _ = timed(lambda: stumpy.mstump(channels, m=20))
-    print(f"peer, stumpy.mstump at 10 Hz (the motion with itself): {seconds:.3f} s; ratio: {seconds / ours:.1f}")
-
-
-def compare_files(files: list[str]) -> None:
-    from dousa.formats.registry import read_motion
-    from dousa.motion import canonicalise
-
-    motions = [canonicalise(read_motion(name)) for name in files]
-    a, b = (compute_postures(motion, motions[1].frame_rate).segments for motion in motions)
-    print(f"-- {len(a)} and {len(b)} frames of {files[0]} and {files[1]}")
-    ours, path = timed(lambda: find_path(a, b), 3)
-    seconds, full = timed(lambda: search_all(a, b))
-    print(f"ours: {ours:.3f} s; full search: {seconds:.3f} s")
-    say_difference("ours to the full search", path, full)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--frames", type=int, default=36_000)
-    parser.add_argument("--full", type=int, default=4_000)
-    parser.add_argument("--files", nargs=2, metavar=("REFERENCE", "PERFORMANCE"))
-    parser.add_argument("--memory", action="store_true", help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.memory:
-        measure_memory(options.frames)
-        return
+def benchmark(options: argparse.Namespace) -> Iterator[Row]:
     if options.files:
-        compare_files(options.files)
+        from dousa.formats.registry import read_motion
+        from dousa.motion import canonicalise
+
+        motions = [canonicalise(read_motion(name)) for name in options.files]
+        yield from compare_paths(
+            *(compute_postures(motion, motions[1].frame_rate).segments for motion in motions), options.repeats
+        )
         return
-    a = make_dance(options.frames)
+    long = make_dance(options.frames)
+    again = dance_again(long)
+    find_path(long[:300], again[:300])  # compiles
+    memory = measure_memory(lambda: find_path(long, again))  # first: what was needed once is kept for the next time
+    a = make_dance(options.full)
     b = dance_again(a)
-    seconds, _ = timed(lambda: find_path(a[:20], b[:20]))
-    print(f"ours, first call (compiles, or loads what was compiled): {seconds:.2f} s")
-    seconds, path = timed(lambda: find_path(a, b), 3)
-    print(f"ours at {options.frames} frames: {seconds:.3f} s, {len(path)} steps")
-    sys.stdout.flush()
-    words = [sys.executable, "-m", "lab.benchmarks.correspondence", "--memory", "--frames", str(options.frames)]
-    subprocess.run(words, check=True, env=os.environ)
-    compare_paths(options.full)
-    compare_paths(3 * options.full)
-    compare_lines(options.frames)
+    yield from compare_full(a, b, options.repeats)
+    yield from compare_paths(a, b, options.repeats)
+    calls = {"path": lambda: find_path(long, again), "lines": lambda: find_lines(long, again, 120.0)}
+    found = take_turns(calls, options.repeats)
+    yield Row(f"path, {len(long):,} frames", found["path"], note=memory)
+    yield Row(f"lines, {len(long):,} frames", found["lines"])
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--frames", type=int, default=36_000)
+    parser.add_argument("--full", type=int, default=4_000, help="of the full search: 12,000 take 21 GB in librosa")
+    parser.add_argument("--files", nargs=2, type=Path, metavar=("REFERENCE", "PERFORMANCE"))
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, benchmark, add_options)

@@ -3,25 +3,17 @@
     python -m lab.benchmarks.estimate [--clip FILE.npz] [--threads N]
 
 Takes a sequence of silhouettes of a real motion if there is one (``../shared/data``), else a walk that is made and
-rendered here. Prints
-
-- the first call on a new machine, which compiles (a process of its own with an empty cache), and the second;
-- frames/s for one, two and four views, and on one thread;
-- milliseconds a frame at one and at four times the length, and the peak of memory of each beyond what was held before;
-- where the time of a pass over the body goes, part by part (processor time of one thread).
-
-There is no peer that tracks a rigid-part model in silhouettes. Goal: 30 frames/s with four views on two cores; a cost
-per frame and a peak of memory that do not grow with the length.
+rendered here. Frames/s for four views, on two threads and on one, for two views and one; and at four times the length:
+cost per frame and memory should not grow. On standard error: where the time of a pass over the body goes (processor
+time of one thread). There is no peer that tracks a rigid-part model in silhouettes.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
-import subprocess
 import sys
-import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +29,7 @@ from dousa.estimation import (
 )
 from dousa.estimation.silhouettes.silhouettes import PackedSilhouettes, Silhouettes
 from dousa.estimation.tracking.search_setup import SearchSetup
-from lab.benchmarks.timing import timed
+from lab.benchmarks.timing import Row, measure_memory, run, take_turns
 from lab.estimation.clips import choose_views, first_frame_body, read_clip
 from lab.places import SHARED_DATA
 
@@ -99,39 +91,7 @@ class Material:
         )
 
 
-def read_status(key: str) -> float:
-    """A line of what Linux says of this process, MB."""
-    with open("/proc/self/status") as status:
-        return next(float(line.split()[1]) / 1024 for line in status if line.startswith(key))
-
-
-def run_length(material: Material, n_frames: int, n_threads: int) -> None:
-    """Cost per frame and peak of memory at one length; run in a process of its own."""
-    material.track(4, 4, n_threads)
-    try:
-        with open("/proc/self/clear_refs", "w") as reset:
-            reset.write("5")
-        before = read_status("VmRSS")
-    except OSError:
-        before = float("nan")
-    seconds, _ = timed(lambda: material.track(4, n_frames, n_threads))
-    peak = read_status("VmHWM") - before if np.isfinite(before) else float("nan")
-    print(f"{n_frames} frames: {1000 * seconds / n_frames:.1f} ms a frame, {peak:.1f} MB beyond what was held")
-
-
-def run_first(material: Material, n_threads: int) -> None:
-    first, _ = timed(lambda: material.track(4, 3, n_threads))
-    second, _ = timed(lambda: material.track(4, 3, n_threads))
-    print(f"3 frames: {first:.1f} s at first, {second:.2f} s then")
-
-
-def run_apart(words: list[str], **environment: str) -> None:
-    sys.stdout.flush()
-    command = [sys.executable, "-m", "lab.benchmarks.estimate", *words]
-    subprocess.run(command, check=True, env={**os.environ, **environment})
-
-
-def tell_parts(material: Material) -> None:
+def tell_parts(material: Material) -> str:
     """Processor time of a first pass over the body, and of each part's share of it."""
     masks = material.silhouettes.read(0)
     area = float(np.mean([mask.sum() for mask in masks if mask is not None]))
@@ -150,45 +110,36 @@ def tell_parts(material: Material) -> None:
         return 1000 * min(times)
 
     n_first, n_later = setup.beam * len(settings.damping), setup.beam * (len(settings.passes) - 1)
-    print(f"-- a first pass over the body, {spend(np.arange(material.body.n_parts)):.2f} ms of one thread;")
-    print(f"   a frame takes up to {n_first} of them and {n_later} finer ones")
-    shares = {name: spend(np.array([part])) for part, name in enumerate(material.body.names)}
-    print("   " + ", ".join(f"{name} {ms:.2f}" for name, ms in shares.items()))
+    told = f"a first pass over the body: {spend(np.arange(material.body.n_parts)):.2f} ms of one thread; "
+    told += f"a frame takes up to {n_first} of them and {n_later} finer ones; by parts: "
+    return told + ", ".join(f"{name} {spend(np.array([part])):.2f}" for part, name in enumerate(material.body.names))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def benchmark(options: argparse.Namespace) -> Iterator[Row]:
+    material, n_threads = Material(options.clip), options.threads
+    n_frames = options.frames or material.silhouettes.n_frames
+    material.track(4, 3, n_threads)  # compiles
+    memory = [measure_memory(lambda n=n: material.track(4, n, n_threads)) for n in (n_frames, 4 * n_frames)]
+    calls = {
+        f"{n_views} views, {threads} threads": lambda n_views=n_views, threads=threads: material.track(
+            n_views, n_frames, threads
+        )
+        for n_views, threads in ((4, n_threads), (4, 1), (2, n_threads), (1, n_threads))
+    }
+    longer = f"4 views, {n_threads} threads, four times the length"
+    calls[longer] = lambda: material.track(4, 4 * n_frames, n_threads)
+    for name, spent in take_turns(calls, options.repeats).items():
+        notes = {longer: memory[1], f"4 views, {n_threads} threads": memory[0]}
+        amount = 4 * n_frames if name == longer else n_frames
+        yield Row(f"track, {name}", spent, amount=amount, unit="frames/s", note=notes.get(name, ""))
+    print(tell_parts(material), file=sys.stderr)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--clip", help="an npz file with the truth, see dousa.estimation.silhouettes.mask_npz")
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--length", type=int, help=argparse.SUPPRESS)
-    parser.add_argument("--first", action="store_true", help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    material = Material(options.clip)
-    if options.length or options.first:
-        if options.first:
-            run_first(material, options.threads)
-        else:
-            run_length(material, options.length, options.threads)
-        return
-    n_frames = material.silhouettes.n_frames
-    print(f"{material.name}, {n_frames} frames, {options.threads} threads; {os.cpu_count()} cores")
-    same = [] if options.clip is None else ["--clip", options.clip]
-    same += ["--threads", str(options.threads)]
-    print("-- the first call, compiling:")
-    with tempfile.TemporaryDirectory() as empty:
-        run_apart(["--first", *same], NUMBA_CACHE_DIR=empty)
-    material.track(4, 3, options.threads)
-    print("-- frames/s, tracking alone")
-    for n_views in (1, 2, 4):
-        found = material.track(n_views, n_frames, options.threads)
-        overlap = np.nanmean(found.iou)
-        print(f"{n_views} views: {found.frames_per_second:.1f} frames/s, mean overlap {overlap:.2f}")
-    print(f"4 views, one thread: {material.track(4, n_frames, 1).frames_per_second:.1f} frames/s")
-    print("-- four views, the length")
-    for times in (1, 4):
-        run_apart(["--length", str(times * n_frames), *same])
-    tell_parts(material)
+    parser.add_argument("--frames", type=int, help="instead of all of the clip")
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, benchmark, add_options)

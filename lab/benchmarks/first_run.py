@@ -123,7 +123,7 @@ class Cache:
         return [(f"{module}.{name}", float(seconds)) for seconds, module, name in lines]
 
 
-def measure_commands(chosen: list[str], each: bool, warm: bool) -> Iterator[Row]:
+def measure_commands(chosen: list[str], each: bool, warm: bool, brief: bool) -> Iterator[Row]:
     """All in turn, twice."""
     cache, spent, compiled = Cache("cache"), [], []
     if warm:
@@ -135,7 +135,8 @@ def measure_commands(chosen: list[str], each: bool, warm: bool) -> Iterator[Row]
             before = len(cache.compiled())
             spent.append((when, cache.call(COMMANDS[name])))
             compiled += (now := cache.compiled()[before:])
-            yield Row(f"{when} {name}", spent[-1][1], note=tell_compiled(now))
+            if not brief:
+                yield Row(f"{when} {name}", spent[-1][1], note=tell_compiled(now))
     for when in ("first", "second"):
         walls, cpus = zip(*(one for then, one in spent if then == when), strict=True)
         note = tell_compiled(compiled) if when == "first" else ""
@@ -174,13 +175,14 @@ def benchmark(options: argparse.Namespace) -> Iterator[Row]:
             yield from measure_training(options.repeats)
             return
         chosen = [name for name in COMMANDS if not options.only or name.startswith(tuple(options.only))]
-        yield from measure_commands(chosen, options.each, options.warm)
+        yield from measure_commands(chosen, options.each, options.warm, options.brief)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--only", action="append", default=[], metavar="NAME", help=", ".join(COMMANDS))
     parser.add_argument("--train", action="store_true", help="the training alone, quiet and busy")
     parser.add_argument("--warm", action="store_true", help="after dousa warm")
+    parser.add_argument("--brief", action="store_true", help="the sums alone")
     parser.add_argument("--each", action="store_true", help="name every function that was compiled")
 
 

@@ -28,19 +28,17 @@ from pathlib import Path
 from lab.places import ROOT
 
 COMMANDS = {
-    "read_bvh": "read_bvh DATA",
-    "read_amc": "read_amc DATA",
-    "library_add": "library_add DATA/bandai/run --repeats 1 --peer-files 1",
+    "reading": "reading DATA --repeats 1",
+    "library_add": "library_add DATA/bandai/run --repeats 1",
     "forest": "forest --clips 300 --classes 10 --repeats 2",
-    "forest_query": "forest_query --clips 300 --classes 10",
     "search": "search --clips 300 --categories 10",
-    "ranking": "ranking DATA/utd_mhad/skeleton --performer-from name:_s(.)_ --queries 2",
+    "ranking": "ranking DATA/utd_mhad/skeleton --queries 2",
     "find": "find --minutes 5",
     "label": "label --minutes 2",
     "silhouette_candidates": "silhouette_candidates --candidates 500 --limbs left_forearm",
-    "correlation_matrix": "correlation_matrix --frames 3000 --repeats 5",
+    "correlation_matrix": "correlation_matrix --frames 3000",
     "correspondence": "correspondence --frames 6000 --full 500",
-    "assess": "assess --memory --minutes 0.5 --rate 30",
+    "assess": "assess --minutes 0.5 --rate 30",
 }
 WHOLE = "the whole command, s"
 _FIGURE = re.compile(r"(?<![\w.])(\d[\d,]*(?:\.\d+)?) ?((?:million |thousand )?\w+/s|MB|ns|us|µs|ms|s)(?![\w/])")

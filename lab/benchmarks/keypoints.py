@@ -4,7 +4,7 @@
 
 Needs the models (``dousa keypoints --install``); without them it says so and ends. Prints
 
-- the networks alone on a picture of 1088 x 1920 pixels, with the crop's sampling and masks: the quickest of many runs;
+- the networks alone on a picture of 1088 x 1920 pixels, with the crop's sampling and masks: the median of many runs;
 - decoding, turning and converting a frame of a film;
 - pixels between the keypoints of the man and the projected joints of the reference, which is itself some 3 cm off
   (about 10 px), by camera; the millimetres that these are at his distance; and the share of frames in which left and
@@ -29,7 +29,7 @@ from dousa.estimation.keypoints.films import FilmFrames
 from dousa.estimation.keypoints.pose_networks import LandmarkNetwork, PersonCrop, PersonDetector, Shrinker
 from dousa.formats import read_motion
 from dousa.motion import Trajectories
-from lab.benchmarks.timing import best_of
+from lab.benchmarks.timing import take_turns
 from lab.places import SHARED_DATA
 
 _PARTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
@@ -60,9 +60,8 @@ def main() -> None:
 
 
 def _measure(run: Callable[[], object]) -> float:
-    """The quickest of several runs, in ms: others use the processor too."""
-    run()
-    return 1000 * best_of(run, 30)
+    """The median of several runs, in ms."""
+    return 1000 * take_turns({"": run}, 30)[""].wall
 
 
 def time_networks(threads: int) -> None:
@@ -70,7 +69,7 @@ def time_networks(threads: int) -> None:
     picture = np.random.default_rng(0).integers(0, 255, (1920, 1088, 3), dtype=np.uint8)
     crop = PersonCrop(540.0, 960.0, 1100.0, 0.1)
     detector = PersonDetector(threads)
-    print(f"ms a picture of 1088 x 1920, {threads} threads, quickest of 30")
+    print(f"ms a picture of 1088 x 1920, {threads} threads, median of 30")
     print(f"  detector {_measure(lambda: detector.find(Shrinker(picture))):6.1f}")
     for model in ("lite", "full", "heavy"):
         network = LandmarkNetwork(model, threads)

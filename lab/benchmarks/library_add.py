@@ -1,34 +1,35 @@
 """Adding a folder of BVH files to a library, end to end: read, kinematics, features, store.
 
-    python -m lab.benchmarks.library_add [FOLDER] [--jobs N] [--peer-files N]
+    python -m lab.benchmarks.library_add [FOLDER] [--files N]
 
-Prints MB of BVH per second, ours and of the same library with upc-pymotion as its reader (BVH.load, get_data
-and fk_quat; on fewer files, as it is slow), and the ratio. Goal: 60 MB/s or more on 2 cores.
+The peer is the same library with upc-pymotion as its reader (BVH.load, get_data and fk_quat), on the same files, as it
+is slow on few.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 
 from dousa.formats import ReadOptions
-from dousa.library import AddReport, Library
+from dousa.library import Library
 from dousa.library.store import ingest
 from dousa.motion import CanonicalMotion, Trajectories, canonicalise
+from lab.benchmarks.timing import Row, run, take_turns
 from lab.places import SHARED_DATA
 
-BANDAI = SHARED_DATA / "bandai"
 
-
-def add(files: list[Path], jobs: int | None) -> AddReport:
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        Library.open(Path(folder, "m.dousa"), create=True) as library,
-    ):
-        return library.add(files, n_jobs=jobs)
+def add(files: list[Path], jobs: int | None = None) -> None:
+    with tempfile.TemporaryDirectory() as folder, Library.open(Path(folder, "m.dousa"), create=True) as library:
+        report = library.add(files, n_jobs=jobs)
+    if len(report.added) != len(files):
+        raise SystemExit(f"{len(report.skipped)} of {len(files)} files could not be added")
 
 
 def read_with_pymotion(path: str, options: ReadOptions) -> tuple[CanonicalMotion, str]:
@@ -45,38 +46,35 @@ def read_with_pymotion(path: str, options: ReadOptions) -> tuple[CanonicalMotion
     return canonicalise(trajectories), "bvh"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", nargs="?", type=Path, default=BANDAI)
-    parser.add_argument("--jobs", type=int, default=None)
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--peer-files", type=int, default=40)
-    options = parser.parse_args()
+def add_with_pymotion(files: list[Path]) -> None:
+    with mock.patch.object(ingest, "read_canonical", read_with_pymotion):
+        add(files, 1)
+
+
+def benchmark(options: argparse.Namespace) -> Iterator[Row]:
     files = sorted(options.folder.rglob("*.bvh"))
     if not files:
         raise SystemExit(f"no BVH files in {options.folder}")
-    first = add(files[:2], 1)
-    print(f"first two files, with loading or compiling the kernels: {first.seconds:.2f} s")
-    reports = [add(files, options.jobs) for _ in range(options.repeats)]
-    speeds = [report.bytes / 1e6 / report.seconds for report in reports]
-    report = reports[int(np.argmax(speeds))]
-    print(f"ours: {len(report.added)} files, {report.bytes / 1e6:.1f} MB, {len(report.skipped)} skipped")
-    print(f"ours: {max(speeds):.1f} MB/s ({', '.join(f'{speed:.1f}' for speed in speeds)})")
+    size = sum(path.stat().st_size for path in files) / 1e6
+    whole = take_turns({"ours": lambda: add(files, options.jobs)}, options.repeats)["ours"]
+    yield Row(f"add {len(files)} BVH files, {size:.0f} MB, all cores", whole, amount=size, unit="MB/s")
     try:
         import pymotion  # noqa: F401
     except ImportError:
-        print("peer: upc-pymotion is not installed; run: pip install 'dousa[bench]'")
+        print("upc-pymotion is not installed; run: pip install 'dousa[bench]'", file=sys.stderr)
         return
-    ours, ingest.read_canonical = ingest.read_canonical, read_with_pymotion
-    try:
-        peer_report = add(files[:: max(1, len(files) // options.peer_files)], options.jobs)
-    finally:
-        ingest.read_canonical = ours
-    peer = peer_report.bytes / 1e6 / peer_report.seconds
-    print(f"peer: upc-pymotion as the reader, {len(peer_report.added)} files, {len(peer_report.skipped)} skipped")
-    print(f"peer: {peer:.2f} MB/s")
-    print(f"ratio: {max(speeds) / peer:.1f}")
+    some = [files[k] for k in np.linspace(0, len(files) - 1, min(options.files, len(files))).astype(int)]
+    size = sum(path.stat().st_size for path in some) / 1e6
+    found = take_turns({"ours": lambda: add(some, 1), "theirs": lambda: add_with_pymotion(some)}, options.repeats)
+    peer = "the same with upc-pymotion as the reader"
+    yield Row(f"add {len(some)} BVH files, one core", found["ours"], peer, found["theirs"], size, "MB/s")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("folder", nargs="?", type=Path, default=SHARED_DATA / "bandai")
+    parser.add_argument("--jobs", type=int, default=None)
+    parser.add_argument("--files", type=int, default=20, help="of the comparison")
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, benchmark, add_options)

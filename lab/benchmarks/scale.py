@@ -46,13 +46,14 @@ from dousa.library.results import Place
 from dousa.library.store.features import find_feature_set
 from dousa.library.store.forests import load_forest
 from dousa.library.takes import windows as keeper
+from dousa.messages import Message
 from dousa.motion import canonicalise, compute_trajectories
 from dousa.motion.canonical.canonicalise import mirror_canonical
 from dousa.motion.synthetic.performers import CATEGORIES, draw_performer, make_motion
 from dousa.retrieval.forest import trees
 from dousa.retrieval.takes.find import TakeSearch, describe_query
 from lab.benchmarks.replicas import copy_windows, replicate, replicate_take
-from lab.benchmarks.search import make_library, train
+from lab.benchmarks.search import make_library
 
 N_ADDED = 64
 N_WARM = 20
@@ -114,6 +115,33 @@ def change(path: Path) -> None:
         library.search(1)
         library.relabel(range(1, N_ADDED + 1), category="another")
         measure(f"search after {N_ADDED} clips were relabelled", lambda: library.search(100))
+
+
+def train(path: Path) -> None:
+    """Train a library in this process, and print what it took."""
+    steps: dict[str, list[float]] = {}
+    began = [time.perf_counter(), time.process_time()]
+    last, name = list(began), "start"
+
+    def tell(done: int, total: int, what: Message) -> None:
+        nonlocal name
+        now = [time.perf_counter(), time.process_time()]
+        taken = steps.setdefault(name, [0.0, 0.0])
+        for clock in range(2):
+            taken[clock] += now[clock] - last[clock]
+        last[:], name = now, what.code.rpartition(".")[2].removesuffix("_done")
+
+    with Library.open(path) as library:
+        report = library.train(progress=tell)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    wall, cpu = time.perf_counter() - began[0], time.process_time() - began[1]
+    told = ", ".join(f"{step} {taken[0]:.1f} s ({taken[1]:.1f})" for step, taken in steps.items() if taken[0] > 0.05)
+    own = steps.get("labeller", [0.0, 0.0])
+    print(
+        f"trained: {report.n_clips} clips, {wall - own[0]:.1f} s ({cpu - own[1]:.1f} of processors) without the "
+        f"labeller, {wall:.1f} s with it, at most {peak:.2f} GB, {path.stat().st_size / 1e6:.0f} MB of file; {told}",
+        flush=True,
+    )
 
 
 def train_from(path: Path, n_drawn: int | None) -> None:

@@ -2,23 +2,20 @@
 
     python -m lab.benchmarks.silhouette_candidates [--candidates N]
 
-A limb is turned about one axis to N angles; each candidate is posed, projected, drawn and its pixels compared with the
-silhouette (the mismatch of eq. 2, plain reading). Prints for each limb
-
-- ours: the kernels of the tracker, everything included;
-- the whole search of the limb's axes by the tracker's own pass, with P_fixed drawn and the evidence made anew;
-- OpenCV as it is usually written: discs projected, their hull as a polygon, `fillConvexPoly`, xor and `countNonZero` on
-  the full image;
-- the same with the polygons given, so that nothing but OpenCV's own calls is timed; and once more within the polygon's
-  bounding box only, which nobody writes, but which is fair.
+A limb is turned about one axis to N angles; each candidate is posed, projected, drawn and its pixels compared with
+the silhouette (the mismatch of eq. 2, plain reading). Peers: OpenCV as it is usually written (discs projected, their
+hull as a polygon, `fillConvexPoly`, xor and `countNonZero` on the full image); the same with the polygons given, so
+that only OpenCV's own calls are timed; and that within the polygon's bounding box, which nobody writes.
+The last row of a limb is the search of its axes by the tracker's own pass, with all else drawn and evidence made anew.
 
 OpenCV is told to use one thread. Both count the same pixels but for the outline, which OpenCV draws a pixel wide: the
-program checks that they differ by no more than the outline's length. Goal: 100 times OpenCV as it is usually written.
+program checks that they differ by no more than the outline's length.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 
 import cv2
 import numpy as np
@@ -26,12 +23,12 @@ from numba import njit
 
 from dousa.estimation import TrackerSettings, make_human, make_ring, standing_state
 from dousa.estimation.body.kinematics import place_parts
-from dousa.estimation.raster.rasteriser import draw_body, outline_part
+from dousa.estimation.raster.rasteriser import draw_body
 from dousa.estimation.tracking.search_kernels import count_parts, fill_evidence, move_axis
 from dousa.estimation.tracking.search_kernels import place_parts as hang_parts
 from dousa.estimation.tracking.search_setup import SearchSetup
 from dousa.estimation.tracking.settings import READINGS
-from lab.benchmarks.timing import best_of, timed
+from lab.benchmarks.timing import Row, run, take_turns
 
 SIZE = (320, 240)
 LIMBS = ("left_forearm", "left_upper_arm", "left_thigh", "trunk")
@@ -136,52 +133,37 @@ class Limb:
         return share
 
 
-def count_boxes(limb: Limb) -> float:
-    """Mean number of pixels of the limb."""
-    rotations, positions = place_parts(limb.body, limb.pose)
-    work = limb.setup.make_scratch()[0]
-    first, last = outline_part(limb.part, limb.camera.to_row(), *SIZE, limb.setup.model[1], rotations, positions, work)
-    return float(np.maximum(0, work[3][first:last] - work[2][first:last] + 1).sum())
-
-
-def compare(name: str, n_candidates: int) -> None:
+def compare(name: str, n_candidates: int, repeats: int) -> Iterator[Row]:
     limb = Limb(name, n_candidates)
     polygons = [limb.make_polygon(amount) for amount in limb.amounts]
-    ours, counted = timed(limb.count_ours, 5)
-    usual, theirs = timed(limb.count_opencv, 2)
-    given = best_of(lambda: limb.count_opencv(polygons), 3)
-    boxed, in_box = timed(lambda: limb.count_opencv_in_box(polygons), 3)
-    share = limb.check(counted, theirs, in_box)
-    repeats = max(1, n_candidates // 50)
+    share = limb.check(limb.count_ours(), limb.count_opencv(), limb.count_opencv_in_box(polygons))
+    n_searches = max(1, n_candidates // 50)
+    calls = {
+        "ours": limb.count_ours,
+        "OpenCV: projectPoints, convexHull, fillConvexPoly, xor, countNonZero": limb.count_opencv,
+        "OpenCV, corners given, full image": lambda: limb.count_opencv(polygons),
+        "OpenCV, corners given, bounding box": lambda: limb.count_opencv_in_box(polygons),
+        "searched": lambda: limb.search_axes(n_searches),
+    }
+    found = take_turns(calls, repeats)
+    note = f"counts differ by at most {share:.2f} of the outline's length"
+    for peer in list(calls)[1:-1]:
+        yield Row(f"candidates of {name}", found["ours"], peer, found[peer], n_candidates / 1e3, "thousand/s", note)
     n_axes = int(limb.body.n_axes[limb.part])
-    tried = repeats * n_axes * (limb.setup.half + 3)  # every other one of 2 half + 1, and two neighbours
-    limb.search_axes(1)
-    searched = best_of(lambda: limb.search_axes(repeats), 3)
-    rate = n_candidates / ours
-    print(f"-- {name}, {count_boxes(limb):.0f} px; counts differ by at most {share:.2f} of the outline's length")
-    print(f"ours: {rate / 1e6:.2f} million candidates/s")
-    print(f"ours, the tracker's pass over this limb: {tried / searched / 1e6:.2f} million candidates/s")
-    for what, seconds in (
-        ("peer, OpenCV with projection and hull", usual),
-        ("peer, OpenCV's own calls alone, full image", given),
-        ("peer, OpenCV's own calls alone, bounding box", boxed),
-    ):
-        print(
-            f"{what}: {n_candidates / seconds / 1e3:.1f} thousand candidates/s; "
-            f"ratio ours / peer: {rate * seconds / n_candidates:.0f}"
-        )
+    tried = n_searches * n_axes * (limb.setup.half + 3)  # every other one of 2 half + 1, and two neighbours
+    yield Row(f"the tracker's pass over {name}", found["searched"], amount=tried / 1e3, unit="thousand/s")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--candidates", type=int, default=20_000)
-    parser.add_argument("--limbs", nargs="+", default=LIMBS)
-    options = parser.parse_args()
+def benchmark(options: argparse.Namespace) -> Iterator[Row]:
     cv2.setNumThreads(1)
-    Limb("trunk", 2).count_ours()  # compiles, or loads what was compiled
     for name in options.limbs:
-        compare(name, options.candidates)
+        yield from compare(name, options.candidates, options.repeats)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--candidates", type=int, default=5_000)
+    parser.add_argument("--limbs", nargs="+", default=LIMBS)
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, benchmark, add_options)

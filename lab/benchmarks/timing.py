@@ -56,15 +56,15 @@ class Row:
         """Time or rate, on the clock and of processors."""
         if not self.unit:
             return f"{_tell_seconds(spent.wall)} ({_tell_seconds(spent.cpu)} of CPU)"
-        rates = (f"{self.amount / max(seconds, 1e-9):,.4g} {self.unit}" for seconds in spent)
-        return "{} ({} of CPU)".format(*rates)
+        clock, cpu = (self.amount / max(seconds, 1e-9) for seconds in spent)
+        return f"{_round(clock)} {self.unit} ({_round(cpu)} of CPU)"
 
     def ratios(self) -> str:
         """How many times as long the peer takes, on the clock and of processors."""
         if self.theirs is None:
             return ""
         pairs = zip(self.theirs, self.ours, strict=True)
-        return ", ".join(f"{theirs / max(ours, 1e-9):.3g}" for theirs, ours in pairs)
+        return ", ".join(_round(theirs / max(ours, 1e-9)) for theirs, ours in pairs)
 
     def __str__(self) -> str:
         theirs = f"; {self.peer}: {self.tell(self.theirs)}; ratio {self.ratios()}" if self.theirs else ""
@@ -73,7 +73,11 @@ class Row:
 
 def _tell_seconds(seconds: float) -> str:
     scale, unit = next(((s, u) for s, u in ((1.0, "s"), (1e3, "ms")) if seconds * s >= 1.0), (1e6, "us"))
-    return f"{seconds * scale:.3g} {unit}"
+    return f"{_round(seconds * scale)} {unit}"
+
+
+def _round(number: float) -> str:
+    return f"{number:,.0f}" if number >= 100 else f"{number:.3g}"
 
 
 def _clocks() -> Spent:
@@ -89,18 +93,11 @@ def spend(call: Callable[[], _Result]) -> tuple[Spent, _Result]:
     return Spent(after.wall - before.wall, after.cpu - before.cpu), result
 
 
-def timed(call: Callable[[], _Result], repeats: int = 1) -> tuple[float, _Result]:
-    """Shortest time of a call, s, and its result."""
-    times = []
-    for _ in range(repeats):
-        spent, result = spend(call)
-        times.append(spent.wall)
-    return min(times), result
-
-
-def best_of(call: Callable[[], object], repeats: int) -> float:
-    """Shortest time of a call, s; each result is dropped before the next is made."""
-    return min(timed(call)[0] for _ in range(repeats))
+def timed(call: Callable[[], _Result]) -> tuple[float, _Result]:
+    """Seconds of one call on the clock, and its result."""
+    begin = time.perf_counter()
+    result = call()
+    return time.perf_counter() - begin, result
 
 
 def take_turns(calls: Mapping[str, Callable[[], object]], repeats: int = 5, *, warm: bool = True) -> dict[str, Spent]:

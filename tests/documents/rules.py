@@ -80,9 +80,7 @@ _LESS = {
     "python -m lab.figures.measure_evaluation furi": "--dances 1",
     "python -m lab.figures.measure_chain": "--wrong 1",
     "python -m lab.trials.ranking_weights": "--repeats 1",
-    "python -m lab.benchmarks.label": "--minutes 1",
     "python -m lab.trials.count_repetitions": "--only synthetic --repeats 1",
-    "python -m lab.benchmarks.search --train": "--train 60 --categories 3",
     "python -m lab.trials.label_corrections": "--quick",
     "python -m lab.trials.likeness": "--trees 10 --queries 1 --report hdm05",
     "python -m lab.training.train_counter": "--folds 0 --only Intelli --quick",
@@ -91,9 +89,7 @@ _LESS = {
     "python -m lab.trials.perhaps": "--only hdm05,utkinect --shares 0.98",
     "python -m lab.trials.label_strangers": "--only hdm05,utkinect --takes 1",
     "python -m lab.trials.segment_confidence": "--only hdm05",
-    r"python -m lab\.benchmarks\.find ": "--minutes 1",
-    "python -m lab.benchmarks.find_many": "--minutes 1",
-    "python -m lab.benchmarks.correspondence --full 12000": "--frames 400 --full 200 --memory",
+    "python -m lab.benchmarks.find --on-disk": "--minutes 1",
 }
 
 # Injecting errors takes long: one category stands for a folder.
@@ -112,10 +108,10 @@ PROGRAMS = tuple(
 )
 """Programs of the lab, as ``python -m lab.NAME`` runs them."""
 
-# The least that each program can do, of those that no page runs. Those with --memory, --length or --first do a part
-# of themselves in a process of its own, which is run here; the whole compiles everything anew for half a minute.
+# The least that each program can do, of those that no page runs.
 BENCHMARKS = {
-    "benchmarks.assess": "--memory --minutes 0.2 --rate 30",
+    "benchmarks.__main__": "--only none",  # it runs those below
+    "benchmarks.assess": "--minutes 0.2 --rate 30 --repeats 1",
     "reliability.compare_versions": f"--before '{ROOT}' --only features",
     "reliability.version_probe": "--help",  # compare_versions runs it
     "trials.label_review": "--draws 1",
@@ -124,31 +120,31 @@ BENCHMARKS = {
     "benchmarks.keypoints": "--help",  # it needs the pose models
     "trials.made_people": "--help",  # likewise, and a mesh
     "benchmarks.correlation_matrix": "--frames 200 --repeats 1",
-    "benchmarks.body_offsets": "--pairs 1",
-    "benchmarks.estimate": "--length 4 --threads 1",
+    "training.body_offsets": "--pairs 1",
+    "benchmarks.estimate": "--frames 4 --repeats 1",
     "trials.partial_bodies": "--set HDM05 --only legs --seeds 1",
     "trials.noisy_clips": "--set HDM05 --repeats 1 --calibrated 1",
     "trials.few_clips": "../shared/data/bandai --share 0.5",
     "benchmarks.first_run": "--only convert",
-    "benchmarks.fragments": "--clips 300",
     "benchmarks.forest": "--clips 60 --classes 3 --repeats 1",
-    "benchmarks.forest_query": "--clips 60 --classes 3",
     "benchmarks.in_turns": f"--before '{ROOT}' --rounds 1 --command 'correlation_matrix --frames 200 --repeats 1'",
     "reliability.library_flips": "--flips 4",
     "reliability.library_kill": "--kills 2 --only tag",
-    "benchmarks.library_add": "../shared/data/bandai/run --jobs 1 --repeats 1 --peer-files 1",
-    "benchmarks.ranking": "../shared/data/utd_mhad/skeleton --performer-from name:_s(.)_ --queries 1",
-    "benchmarks.read_amc": "../shared/data",
-    "benchmarks.read_bvh": "../shared/data",
-    "benchmarks.recognition": "",
-    "benchmarks.retargeting": "--pairs 2",  # a page only draws
-    "benchmarks.many_writers": "--clips 60 --files 1 --trees 3",
+    "benchmarks.library_add": "../shared/data/bandai/run --jobs 1 --repeats 1 --files 1",
+    "benchmarks.ranking": "--queries 1 --repeats 1",
+    "benchmarks.reading": "../shared/data --repeats 1",
+    "trials.recognition": "",
+    "trials.retargeting": "--pairs 2",  # a page only draws
+    "reliability.many_writers": "--clips 60 --files 1 --trees 3",
     "trials.subsamples": "--clips 200 --drawn 50 --folds 1",
     "benchmarks.scale": "60 --categories 3",
     # These start a server and ask it, as tests/app/studio does: only their options are read.
     **{name: "--help" for name in PROGRAMS if ".studio_" in name},
-    "benchmarks.search": "--clips 60 --categories 3 --cold 1",  # a page only trains
-    "benchmarks.silhouette_candidates": "--candidates 100 --limbs left_forearm",
+    "benchmarks.search": "--clips 60 --categories 3 --repeats 1",
+    "benchmarks.label": "--minutes 1 --repeats 1",
+    "benchmarks.find": "--minutes 1 --repeats 1",
+    "benchmarks.correspondence": "--frames 400 --full 200 --repeats 1",
+    "benchmarks.silhouette_candidates": "--candidates 100 --limbs left_forearm --repeats 1",
     "benchmarks.weigh_install": "--help",  # it needs the package index
     # These take minutes to an hour; two of them write what the package ships.
     **dict.fromkeys(("training.calibrate_grade", "exams.evaluation", "exams.film", "training.train_judge"), "--help"),

@@ -178,12 +178,12 @@ def rotate_yaw(segments: ArrayLike, theta: ArrayLike) -> FloatArray:
 
 BETWEEN_DEG = np.array([3.5, 9.0, 9.5, 9.0, 9.5, 6.0, 5.5, 6.0, 5.5])
 """(9,) deg, root mean square of the offsets between people who do the same thing, beyond those between takes of one
-person. Chosen by hand, left as right: within 2.5 deg of the medians that lab/benchmarks/body_offsets.py prints for
+person. Chosen by hand, left as right: within 2.5 deg of the medians that lab/training/body_offsets.py prints for
 HDM05 (bd, bk) and UTD-MHAD (s1, s3, s5), between which they lie; five people do not say it more exactly."""
 
 WITHIN_DEG = np.array([2.5, 4.5, 5.0, 4.5, 5.0, 2.5, 3.0, 2.5, 3.0])
 """(9,) deg, the same between two takes of one person that last `WITHIN_S`: what a short clip leaves open. Chosen by
-hand, within 1 deg of the root mean squares that lab/benchmarks/body_offsets.py prints for both sets."""
+hand, within 1 deg of the root mean squares that lab/training/body_offsets.py prints for both sets."""
 
 WITHIN_S = 2.5  # see docs/evaluation.md
 

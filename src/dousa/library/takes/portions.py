@@ -27,7 +27,7 @@ from dousa.library.search.side_file import create_alone
 from dousa.retrieval.takes.find import cost_windows
 from dousa.retrieval.takes.windows import N_PARTS, N_SMALL, TakeWindows, WindowGrid, count_windows, hop_of
 
-# Measured by python -m lab.benchmarks.find_many (lab/notes/takes.md): half as many marks are of no use, and 31
+# Measured by python -m lab.benchmarks.find (lab/notes/takes.md): half as many marks are of no use, and 31
 # coordinates find 0.02 to 0.09 more of the places where few windows are compared.
 N_VALUES = 15
 """Coordinates of a sketch, measured as above."""

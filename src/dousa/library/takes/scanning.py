@@ -65,7 +65,7 @@ def scan_sketches(
     return count
 
 
-# All three are measured by python -m lab.benchmarks.find_many: lab/notes/takes.md has the shares that were found.
+# All three are measured by python -m lab.benchmarks.find: lab/notes/takes.md has the shares that were found.
 MOST_KEPT = 16_384
 """Windows whose leaves are read, or twice as many as are compared if that is more; measured as above."""
 

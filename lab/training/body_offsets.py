@@ -1,6 +1,6 @@
 """By how much people differ throughout: what ``evaluation/posture/yaw.py`` takes for another body.
 
-    python -m lab.benchmarks.body_offsets [--data DIR] [--pairs N]
+    python -m lab.training.body_offsets [--data DIR] [--pairs N]
 
 Takes of the same motion are paired, two of one person or one of each of two people; prints by segment, in degrees, the
 size of the constant offset that is estimated beside the line, after the tilt that all segments have in common: of one

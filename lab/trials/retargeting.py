@@ -8,7 +8,7 @@ and legs of source and character.
 
 The peers: upc-pymotion's ``from_root_positions`` turns each joint to where the source's next joint is (it moves no
 feet); the plain copy gives each joint the turn of the joint of the same meaning since the rest pose. Both move the
-pelvis in proportion to the legs. Run: python -m lab.benchmarks.retargeting [--pairs N] [--picture strip.png]
+pelvis in proportion to the legs. Run: python -m lab.trials.retargeting [--pairs N] [--picture strip.png]
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Four programs that add to one trained library at once, while a fifth searches: does everything come through?
 
-    python -m lab.benchmarks.many_writers [--clips N] [--writers N] [--files N] [--url URL]
+    python -m lab.reliability.many_writers [--clips N] [--writers N] [--files N] [--url URL]
 
 Makes a library of N clips as ``lab/benchmarks/search.py`` does, in a temporary file or at the URL of an empty database,
 trains it, and adds to it from as many processes as there are writers, each with motions of its own of people
