@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.evaluation.errors.descriptors import LIMB_OF, N_LIMBS, Descriptors
+from dousa.evaluation.errors.descriptors import LIMB_OF, N_LIMBS, Descriptors, join_descriptors
 from dousa.evaluation.errors.evidence import gather_evidence
 from dousa.evaluation.errors.judge import BODY_CLASSES, LIMB_CLASSES, BoostedTrees
 from dousa.evaluation.grade.assessment import compute_all_postures
@@ -79,7 +79,7 @@ def describe_trial(trial: Trial) -> tuple[Descriptors, Labels]:
     comparison = compare(references.working, working, "same", weights, references.between)
     tolerance = choose_tolerance(comparison.deviations)
     evidence = gather_evidence(comparison.deviations, tolerance.angle, tolerance.lag_s, weights)
-    descriptors = describe(references, comparison.alignment.frames, evidence)
+    descriptors = join_descriptors(describe(references, comparison.alignment.frames, evidence))
     times = np.asarray((descriptors.frames + 0.5) / working.frame_rate, np.float64)
     return descriptors, label_moments(times, trial.errors)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +22,11 @@ def read_only(array: FloatArray) -> FloatArray:
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def iterate_blocks(count: int, size: int = 4096) -> Iterator[slice]:
+    """Iterate over blocks of so many frames: work on all at once would hold several times their memory."""
+    return (slice(first, min(first + size, count)) for first in range(0, count, size))
 
 
 def spread_evenly(n: int, most: int) -> IndexArray:

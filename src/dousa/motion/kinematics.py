@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dousa.arrays import FloatArray
+from dousa.arrays import FloatArray, iterate_blocks
 from dousa.kernels import is_worth_compiling, kernel, part
 from dousa.motion.types import Motion, Skeleton, Trajectories
 
@@ -105,11 +105,8 @@ def compute_trajectories(motion: Motion | Trajectories) -> Trajectories:
         return motion
     skeleton = motion.skeleton
     positions = np.empty(motion.translations.shape)
-    step = 4096  # frames whose rotations in the world, which are not wanted, are held at a time
-    for first in range(0, motion.n_frames, step):
-        part = slice(first, first + step)
-        found, _ = forward_kinematics(skeleton.parents, motion.rotations[part], motion.translations[part])
-        positions[part] = found
+    for some in iterate_blocks(motion.n_frames):
+        positions[some] = forward_kinematics(skeleton.parents, motion.rotations[some], motion.translations[some])[0]
     positions.flags.writeable = False
     return Trajectories(
         names=skeleton.names,

@@ -19,7 +19,14 @@ from oracles.wrong_dances import (
 )
 
 from dousa.evaluation.alignment.dynamic_programming import follow_classes
-from dousa.evaluation.errors.descriptors import LIMB_OF, N_LIMBS, Descriptors, describe_moments, mark_findings
+from dousa.evaluation.errors.descriptors import (
+    LIMB_OF,
+    N_LIMBS,
+    Descriptors,
+    describe_moments,
+    join_descriptors,
+    mark_findings,
+)
 from dousa.evaluation.errors.evidence import Deviations, compute_deviations, gather_evidence
 from dousa.evaluation.errors.explain import Finding
 from dousa.evaluation.errors.findings import measure_suspects
@@ -180,7 +187,7 @@ def compare(performance: CanonicalMotion) -> Deviations:
 
 def describe(deviations: Deviations) -> Descriptors:
     evidence = gather_evidence(deviations, TOLERANCE, 0.07, EVEN)
-    return describe_moments(evidence, np.zeros(len(deviations.judged)), 1, [])
+    return join_descriptors(describe_moments(evidence, np.zeros(len(deviations.judged)), 1, [], at_once=20))
 
 
 def look(descriptors: Descriptors, limb: int, window: int, name: int, start_s: float, end_s: float) -> np.ndarray:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.arrays import FloatArray
+from dousa.arrays import FloatArray, iterate_blocks
 from dousa.evaluation.posture.posture import PostureSequence, interpolate_segments
 from dousa.evaluation.posture.yaw import WRONG_CHORD, estimate_robust_yaw, get_horizontal, rotate_yaw
 
@@ -86,20 +86,26 @@ def compare_poses(
     yaw = np.full(len(judged), np.nan)
     if not some.any():
         return residual, yaw
-    # Where nothing is seen the weights are 0, so that the yaw is that of the neighbours.
-    trust = estimate_robust_yaw(performance, reference, np.where(some[:, None], judged, 1.0), n_rounds=0)[1]
-    trust = trust * judged
-    products = get_horizontal(performance) * get_horizontal(reference).conj()
     half = max(0, round(0.5 * yaw_window_s * frame_rate))
-    turn = smooth_turn((products * trust).sum(axis=1), half)
-    fixed = 2.0 - 2.0 * performance[..., 1] * reference[..., 1]
-    for _ in range(yaw_rounds):
-        squared = np.maximum(fixed - 2.0 * (products * turn.conj()[:, None]).real, 0.0)
-        trust = judged / (1.0 + squared / WRONG_CHORD**2) ** 2
-        turn = smooth_turn((products * trust).sum(axis=1), half)
+    turn, weighed = np.empty(0, np.complex128), np.empty(len(judged), np.complex128)
+    for number in range(yaw_rounds + 1):
+        for here in iterate_blocks(len(judged)):
+            ours, theirs, known = performance[here], reference[here], judged[here]
+            products = get_horizontal(ours) * get_horizontal(theirs).conj()
+            if number == 0:
+                # Where nothing is seen the weights are 0, so that the yaw is that of the neighbours.
+                shares = np.where(some[here, None], known, 1.0)
+                trust = estimate_robust_yaw(ours, theirs, shares, n_rounds=0)[1] * known
+            else:
+                fixed = 2.0 - 2.0 * ours[..., 1] * theirs[..., 1]
+                squared = np.maximum(fixed - 2.0 * (products * turn[here].conj()[:, None]).real, 0.0)
+                trust = known / (1.0 + squared / WRONG_CHORD**2) ** 2
+            weighed[here] = (products * trust).sum(axis=1)
+        turn = smooth_turn(weighed, half)
     angle = np.angle(turn)
-    chord = np.linalg.norm(performance - rotate_yaw(reference, angle), axis=2)
-    residual[judged] = 2.0 * np.arcsin(np.minimum(0.5 * chord[judged], 1.0))
+    for here in iterate_blocks(len(judged)):
+        chord = np.linalg.norm(performance[here] - rotate_yaw(reference[here], angle[here]), axis=2)
+        residual[here] = np.where(judged[here], 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)), np.nan)
     yaw[some] = angle[some]
     return residual, yaw
 

@@ -9,13 +9,13 @@ side should do, how much the reference moves there, and how much takes of the re
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.arrays import FloatArray
+from dousa.arrays import FloatArray, iterate_blocks
 from dousa.evaluation.alignment.dynamic_programming import follow_lag
 from dousa.evaluation.errors.evidence import LAG_CHANGE, Evidence
 from dousa.evaluation.errors.explain import Finding
@@ -93,9 +93,14 @@ def mark_findings(findings: Sequence[Finding], n_frames: int, *, most_severe: fl
 
 
 def describe_moments(
-    evidence: Evidence, time_spread: FloatArray, n_references: int, findings: Sequence[Finding]
-) -> Descriptors:
-    """Describe a performance.
+    evidence: Evidence,
+    time_spread: FloatArray,
+    n_references: int,
+    findings: Sequence[Finding],
+    *,
+    at_once: int = 1024,
+) -> Iterator[Descriptors]:
+    """Describe a performance, some moments at a time.
 
     Parameters
     ----------
@@ -103,29 +108,52 @@ def describe_moments(
     time_spread : (T,) s, how much the timing of the takes of the reference differs there; 0 of one take.
     n_references : takes.
     findings : of the closed explanations, see `dousa.evaluation.errors.explain`.
+    at_once : moments.
     """
     deviations, rate = evidence.deviations, evidence.rate
     frames = np.arange(0, len(deviations.judged), choose_stride(rate))
     limb_table, body_table = _measure_windows(evidence, time_spread, frames)
-    n = len(frames)
     clip = _summarise(limb_table)
-    clips = np.broadcast_to(clip, (n, *clip.shape))
     length_s = max(len(deviations.judged) / rate, 0.5)
-    constants = np.broadcast_to(np.array([np.log(length_s), min(n_references, 6)]), (n, N_LIMBS, 2))
-    kind = np.broadcast_to(np.array([0.0, 1.0, 1.0, 2.0, 2.0])[None, :, None], (n, N_LIMBS, 1))
+    constants = np.array([np.log(length_s), min(n_references, 6)])
     marks = mark_findings(findings, len(deviations.judged))[frames]
     courses = _follow_lags(evidence)[frames]
+    for some in iterate_blocks(len(frames), at_once):
+        limbs, body = _join_features(limb_table[some], body_table[some], clip, constants, marks[some], courses[some])
+        yield Descriptors(frames[some], limbs, body)
+
+
+def join_descriptors(descriptors: Iterable[Descriptors]) -> Descriptors:
+    """Join the features of moments one after the other."""
+    blocks = [(one.frames, one.limbs, one.body) for one in descriptors]
+    return Descriptors(*(np.concatenate(arrays) for arrays in zip(*blocks, strict=True)))
+
+
+def _join_features(
+    limb_table: FloatArray,
+    body_table: FloatArray,
+    clip: FloatArray,
+    constants: FloatArray,
+    marks: FloatArray,
+    courses: FloatArray,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(N, 5, F) and (N, G) features of some moments; ``clip`` (5, 4) and ``constants`` (2,) are of the performance."""
+    n = len(limb_table)
+    clips = np.broadcast_to(clip, (n, *clip.shape))
+    always = np.broadcast_to(constants, (n, N_LIMBS, len(constants)))
+    kind = np.broadcast_to(np.array([0.0, 1.0, 1.0, 2.0, 2.0])[None, :, None], (n, N_LIMBS, 1))
     together = _compare_lags(limb_table, body_table)
     ranked = [np.sort(limb_table[:, :, :, _PER_WINDOW.index(name)], axis=1).reshape(n, -1) for name in _SORTED]
-    limb_table[..., _LAG], body_table[..., _LAG] = np.abs(limb_table[..., _LAG]), np.abs(body_table[..., _LAG])
+    others = _describe_others(limb_table)
+    for table in (limb_table, body_table):
+        table[..., _LAG] = np.abs(table[..., _LAG])
     body_flat = np.concatenate([body_table.reshape(n, -1), together[:, N_LIMBS], courses[:, N_LIMBS]], axis=1)
     seen = np.broadcast_to(body_flat[:, None], (n, N_LIMBS, body_flat.shape[1]))
-    flat, others = limb_table.reshape(n, N_LIMBS, -1), _describe_others(limb_table)
-    parts = [flat, clips, others, kind, constants, seen, marks, courses, together]
+    parts = [limb_table.reshape(n, N_LIMBS, -1), clips, others, kind, always, seen, marks, courses, together]
     limbs = np.concatenate([part[:, :N_LIMBS] for part in parts], axis=2, dtype=np.float32, casting="same_kind")
-    parts = [body_flat, *ranked, np.sort(clips, axis=1), constants[:, 0], marks, np.sort(courses[:, :N_LIMBS], axis=1)]
+    parts = [body_flat, *ranked, np.sort(clips, axis=1), always[:, 0], marks, np.sort(courses[:, :N_LIMBS], axis=1)]
     body = np.concatenate([part.reshape(n, -1) for part in parts], axis=1, dtype=np.float32, casting="same_kind")
-    return Descriptors(frames, limbs, body)
+    return limbs, body
 
 
 def _measure_windows(
@@ -334,8 +362,11 @@ def _pool_limb(
 ) -> FloatArray:
     """(T, K) mean squared chord of some segments that count, of (T, K, 9)."""
     # cap: squared chord of 70 deg: further away says no more
-    part = squared[:, :, segments] * counts[segments]
-    return np.asarray(np.minimum(part, cap, out=part).mean(axis=2))
+    total = np.zeros(squared.shape[:2])
+    for segment in segments:
+        total += np.minimum(squared[:, :, segment] * counts[segment], cap)
+    total /= len(segments)
+    return total
 
 
 def _pool_body(squared: FloatArray, counts: NDArray[np.bool_], *, most: float = 0.19) -> FloatArray:

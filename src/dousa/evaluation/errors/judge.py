@@ -6,7 +6,7 @@ of many people.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass
 from functools import lru_cache
 from importlib import resources
@@ -198,9 +198,10 @@ class Judge:
         of_limbs = self.limbs.predict_log_proba(limbs.reshape(-1, limbs.shape[2]))
         return of_limbs.reshape(len(limbs), N_LIMBS, -1), self.body.predict_log_proba(body)
 
-    def find(self, descriptors: Descriptors, rate: float) -> list[Suspect]:
-        """Find errors in moments, of which there are ``rate`` a second."""
-        return decode(*self.weigh(descriptors), rate, self.decoding)
+    def find(self, descriptors: Iterable[Descriptors], rate: float) -> list[Suspect]:
+        """Find errors in moments, of which there are ``rate`` a second; they come some at a time."""
+        limbs, body = (np.concatenate(logs) for logs in zip(*map(self.weigh, descriptors), strict=True))
+        return decode(limbs, body, rate, self.decoding)
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Arrays by name, for a file."""

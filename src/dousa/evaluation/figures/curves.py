@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.arrays import FloatArray
+from dousa.arrays import FloatArray, IndexArray
 from dousa.evaluation.alignment.pairing import Pairing, pair_motions, turn_takes
 from dousa.evaluation.figures.eigenspace import (
     Eigenspace,
@@ -235,11 +235,9 @@ def _measure_gains(
 ) -> FloatArray:
     """(n_furi, 9) ranges of the performance over the reference's; nan where the reference hardly moves."""
     # range_rate: Hz, after that smoothing
-    gain = np.full((len(furi), len(SEGMENTS)), np.nan)
     rate = reference.frame_rate
-    half = round(range_window_s * rate) // 2
-    smooth_theirs, smooth_ours = _smooth(reference.segments, half), _smooth(performance.segments, half)
-    step = max(1, int(rate // range_rate))
+    half, step = round(range_window_s * rate) // 2, max(1, int(rate // range_rate))
+    spans: dict[int, tuple[IndexArray, IndexArray]] = {}
     for number, figure in enumerate(furi):
         if not np.isfinite(lag_by_furi[number]):
             continue
@@ -251,12 +249,15 @@ def _measure_gains(
         # Of a figure danced in part that part is compared.
         first = max(figure.start, int(np.rint(shown[ours].min())))
         theirs = np.arange(first, min(figure.end, int(np.rint(shown[ours].max())) + step), step)
-        space = spaces[figure.label]
-        whole = _measure_range(space.align(smooth_theirs[theirs]), reference.seen[theirs])
-        part = _measure_range(space.align(smooth_ours[ours]), performance.seen[ours])
-        moving = whole >= smallest_range
-        gain[number, moving] = part[moving] / whole[moving]
-    return gain
+        spans[number] = theirs, ours
+    ranges = np.full((2, len(furi), len(SEGMENTS)), np.nan)
+    for which, motion in enumerate((reference, performance)):
+        total = _sum_up(motion.segments)
+        for number, span in spans.items():
+            aligned = spaces[furi[number].label].align(_smooth(motion.segments, total, span[which], half))
+            ranges[which, number] = _measure_range(aligned, motion.seen[span[which]])
+    whole, part = ranges
+    return np.divide(part, whole, out=np.full_like(whole, np.nan), where=whole >= smallest_range)
 
 
 def _measure_range(aligned: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
@@ -273,13 +274,18 @@ def _measure_range(aligned: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
     return np.where(seen.any(axis=0), angle, np.nan)
 
 
-def _smooth(segments: FloatArray, half: int) -> FloatArray:
-    """Mean direction of the frames around each, fewer at the ends."""
+def _sum_up(segments: FloatArray) -> FloatArray:
+    """(T + 1, 9, 3) sums of the frames before each."""
+    total = np.zeros((len(segments) + 1, *segments.shape[1:]))
+    np.cumsum(segments, axis=0, out=total[1:])
+    return total
+
+
+def _smooth(segments: FloatArray, total: FloatArray, frames: IndexArray, half: int) -> FloatArray:
+    """(N, 9, 3) mean direction of the frames around some, fewer at the ends, from the sums up to each."""
     if half < 1:
-        return segments
-    count = len(segments)
-    total = np.concatenate([np.zeros((1, *segments.shape[1:])), np.cumsum(segments, axis=0)])
-    low, high = np.maximum(np.arange(count) - half, 0), np.minimum(np.arange(count) + half + 1, count)
+        return segments[frames]
+    low, high = np.maximum(frames - half, 0), np.minimum(frames + half + 1, len(segments))
     mean = total[high] - total[low]
     smooth: FloatArray = mean / np.maximum(np.linalg.norm(mean, axis=2, keepdims=True), 1e-9)
     return smooth

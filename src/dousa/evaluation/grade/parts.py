@@ -109,7 +109,7 @@ def measure_parts(
     rate = performance.frame_rate
     step = max(1, round(rate / _RATE))
     rows = np.arange(0, performance.n_frames, step)
-    squared, judged = deviations.squared[rows], deviations.judged[rows]
+    squared, judged = deviations.squared[::step], deviations.judged[rows]
     columns, best = _follow_limbs(squared, deviations.center, rate)
     same, shape = (
         np.where(judged, np.degrees(2.0 * np.arcsin(np.minimum(0.5 * np.sqrt(x), 1.0))), np.nan)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -263,8 +263,8 @@ def choose_tolerance(deviations: Deviations, *, wider_by_spread: float = 2.0) ->
     return Tolerance(np.maximum(own.angle, wider_by_spread * np.median(deviations.spread, axis=0)), own.lag_s)
 
 
-def describe(references: ReferenceTakes, frames: FloatArray, evidence: Evidence) -> Descriptors:
-    """Describe a performance along reference frames (T,) for the judge."""
+def describe(references: ReferenceTakes, frames: FloatArray, evidence: Evidence) -> Iterator[Descriptors]:
+    """Describe a performance along reference frames (T,) for the judge, some moments at a time."""
     clock = np.arange(len(references.time_spread))
     time_spread = np.interp(frames, clock, references.time_spread)
     return describe_moments(evidence, time_spread, len(references.working), explain_all(evidence))
@@ -272,6 +272,6 @@ def describe(references: ReferenceTakes, frames: FloatArray, evidence: Evidence)
 
 def find_errors(references: ReferenceTakes, frames: FloatArray, evidence: Evidence) -> list[Finding]:
     """Find all errors of a performance along reference frames (T,), in order of time."""
-    descriptors = describe(references, frames, evidence)
-    suspects = load_judge().find(descriptors, evidence.rate / choose_stride(evidence.rate))
-    return measure_suspects(evidence, suspects, descriptors.frames)
+    stride = choose_stride(evidence.rate)
+    suspects = load_judge().find(describe(references, frames, evidence), evidence.rate / stride)
+    return measure_suspects(evidence, suspects, np.arange(0, len(frames), stride))

@@ -31,7 +31,7 @@ from dousa.evaluation.alignment.lines import (
     smooth_course,
     to_cost,
 )
-from dousa.evaluation.errors.descriptors import choose_stride
+from dousa.evaluation.errors.descriptors import choose_stride, join_descriptors
 from dousa.evaluation.errors.evidence import (
     YAW_WINDOW_S,
     Deviations,
@@ -322,7 +322,7 @@ class Window:
     def _judge(self, evidence: Evidence, until: int) -> list[Finding]:
         """As `find_errors`, of the kept frames; what was judged with all that matters around it is not judged again."""
         judge, stride = load_judge(), choose_stride(self._rate)
-        descriptors = describe(self._references, self._frames, evidence)
+        descriptors = join_descriptors(describe(self._references, self._frames, evidence))
         begin, kept = self._first // stride, self._weighed
         # A hop ago the look-ahead was as long as it is now: before that nothing is new.
         old = min(max(kept.end - self._hop // stride - begin, 0), len(descriptors.frames)) if kept else 0

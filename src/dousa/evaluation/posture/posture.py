@@ -21,7 +21,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dousa.arrays import FloatArray
+from dousa.arrays import FloatArray, iterate_blocks
 from dousa.errors import InvalidMotionError, MotionFileError, OptionError
 from dousa.evaluation.words import SEGMENT_NAMES
 from dousa.files.disk import read_small_text
@@ -191,8 +191,10 @@ def compute_postures(motion: CanonicalMotion, frame_rate: float | None = None, n
         positions = positions[before] * (1.0 - share) + positions[after] * share
         seen = seen[before] & (seen[after] | (fraction == 0.0)[:, None])
         rate = float(frame_rate)
-    segments = compute_segments(positions)
-    seen &= ~np.isnan(segments).any(axis=2)
+    segments = np.empty((len(positions), len(SEGMENTS), 3))
+    for some in iterate_blocks(len(positions)):
+        segments[some] = compute_segments(positions[some])
+        seen[some] &= ~np.isnan(segments[some]).any(axis=2)
     _fill(segments, seen)
     for array in (segments, seen, positions):
         array.flags.writeable = False
@@ -307,11 +309,14 @@ def _measure_heading(positions: FloatArray, half: int) -> FloatArray:
 def interpolate_segments(segments: FloatArray, frames: FloatArray) -> FloatArray:
     """Interpolate unit vectors at fractional frames, ends held; (N, 9, 3) for (N,) frames."""
     frames = np.clip(frames, 0.0, len(segments) - 1.0)
-    low = np.minimum(frames.astype(np.intp), max(len(segments) - 2, 0))
-    high = np.minimum(low + 1, len(segments) - 1)
-    share = (frames - low)[:, None, None]
-    mixed = segments[low] * (1.0 - share) + segments[high] * share
-    return np.asarray(mixed / np.maximum(np.linalg.norm(mixed, axis=2, keepdims=True), 1e-9))
+    found = np.empty((len(frames), *segments.shape[1:]))
+    for some in iterate_blocks(len(frames)):
+        low = np.minimum(frames[some].astype(np.intp), max(len(segments) - 2, 0))
+        high = np.minimum(low + 1, len(segments) - 1)
+        share = (frames[some] - low)[:, None, None]
+        mixed = segments[low] * (1.0 - share) + segments[high] * share
+        found[some] = mixed / np.maximum(np.linalg.norm(mixed, axis=2, keepdims=True), 1e-9)
+    return found
 
 
 # From the coarse names to the exact ones, which are laid over them.

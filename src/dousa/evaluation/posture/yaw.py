@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dousa.arrays import FloatArray, IndexArray
+from dousa.arrays import FloatArray, IndexArray, iterate_blocks
 from dousa.errors import OptionError
 from dousa.evaluation.posture.posture import LIMBS, SEGMENTS, PostureSequence, Working, check_segments, check_weights
 from dousa.motion import rotations
@@ -352,7 +352,11 @@ def _take_out(segments: FloatArray, heading: FloatArray, offset: Offset) -> Floa
     if not offset.taken.any():
         return segments.copy()
     # In the performer's own frame, in one go: turn back by the heading, the offset, and the heading again.
-    return rotate_yaw(np.einsum("sij,tsj->tsi", find_turns(offset), rotate_yaw(segments, -heading)), heading)
+    turns, bare = find_turns(offset), np.empty_like(segments)
+    for some in iterate_blocks(len(segments)):
+        own = rotate_yaw(segments[some], -heading[some])
+        bare[some] = rotate_yaw(np.einsum("sij,tsj->tsi", turns, own), heading[some])
+    return bare
 
 
 def measure_offset(
