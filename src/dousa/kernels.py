@@ -75,7 +75,9 @@ class _Compiled:
         """Tell whether a call is better interpreted, as are the parts of what is."""
         if not self._left:
             return self._made_by == "compile_part"
-        numbers = 3 * sum(getattr(one, "size", 1) for one in args)
+        if any(getattr(one, "dtype", None) == np.float32 for one in args):
+            return False  # Numba computes with these in float64, NumPy does not
+        numbers = sum(getattr(one, "size", 1) for one in args)
         if "numba" not in sys.modules:
             return not is_worth_compiling(numbers)
         self._left = 0 if self._left < numbers or self._dispatcher.is_kept() else self._left - numbers
@@ -105,7 +107,7 @@ def kernel(function: Any = None, *, linear: bool = False, allocates: bool = Fals
 
     Parameters
     ----------
-    linear : it visits each number of its arrays a few times, and they are float64 or whole: it may be interpreted.
+    linear : it visits each number of its arrays a few times, so that small work may be interpreted.
     allocates : the function, or one that it calls, makes arrays.
     fastmath : as for ``numba.njit``.
     """

@@ -80,7 +80,7 @@ def _run_down(integral, width, nodes, cuts, roots, places, trees, leaves):
         n_active = n_kept
 
 
-@kernel
+@kernel(linear=True)
 def find_leaves(features, nodes, cuts, roots, only_means, integral, work, leaves):
     """Find the leaf that each clip (N, T, F) reaches in each tree (section 3.4), into ``leaves`` (N, n_trees).
 
@@ -107,7 +107,7 @@ def find_leaves(features, nodes, cuts, roots, only_means, integral, work, leaves
     return -1
 
 
-@kernel
+@kernel(linear=True)
 def count_leaves(leaves, starts, classes, weights, out):
     """Add, for each clip, the entries (class, weight) of every leaf that it reached to ``out`` (N, C)."""
     for clip in range(leaves.shape[0]):
