@@ -127,7 +127,7 @@ def test_what_describes_clips_is_the_same_interpreted(monkeypatch, n_frames):
 
     compiled = describe()
     monkeypatch.setattr(kernels._Compiled, "is_interpreted", lambda kernel, args: True)
-    monkeypatch.setattr(kernels._Effort, "interpreting", 1)
+    monkeypatch.setattr(kernels._depth, "interpreting", 1)
     found = describe()
     for one, other in zip(compiled[0], found[0], strict=True):
         np.testing.assert_array_equal(one, other)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import functools
 import sys
+import threading
 from collections.abc import Callable
 from typing import Any, TypeVar, overload
 
@@ -30,7 +31,16 @@ class _Effort:
 
     most = 2_000_000
     spent = 0
+
+
+class _Depth(threading.local):
+    """How many kernels of a thread are being interpreted."""
+
     interpreting = 0
+
+
+_depth = _Depth()
+_one_at_a_time = threading.Lock()
 
 
 def is_worth_compiling(numbers: int) -> bool:
@@ -59,16 +69,19 @@ class _Compiled:
     def _dispatcher(self) -> Any:
         from dousa import kernel_compiler
 
-        return getattr(kernel_compiler, self._made_by)(self.py_func, *self._options)
+        with _one_at_a_time:  # else two threads would compile it
+            if "_dispatcher" not in vars(self):
+                self._dispatcher = getattr(kernel_compiler, self._made_by)(self.py_func, *self._options)
+        return vars(self)["_dispatcher"]
 
     def __call__(self, *args: Any, **named: Any) -> Any:
-        if (self._left or _Effort.interpreting) and self.is_interpreted(args):
-            _Effort.interpreting += 1
+        if (self._left or _depth.interpreting) and self.is_interpreted(args):
+            _depth.interpreting += 1
             try:
                 with np.errstate(all="ignore"):  # as in compiled code
                     return self.py_func(*args, **named)
             finally:
-                _Effort.interpreting -= 1
+                _depth.interpreting -= 1
         return self._dispatcher(*args, **named)
 
     def is_interpreted(self, args: tuple[Any, ...]) -> bool:
