@@ -12,6 +12,7 @@ from dousa.retrieval.takes.made_takes import join_clips
 from dousa.retrieval.takes.moment_kernels import find_best_sequence
 from dousa.retrieval.takes.moment_model import (
     MomentModel,
+    MomentRows,
     MomentSums,
     choose_scale,
     describe_moments,
@@ -123,6 +124,21 @@ def test_systems_are_solved_as_in_general(size: int):
 def test_what_rounding_left_without_a_factor_is_solved_too():
     squares = np.array([[1.0, 2.0], [2.0, 1.0]], np.float32)  # its values are 3 and -1
     np.testing.assert_allclose(solve_positive(squares, np.eye(2, dtype=np.float32)) @ squares, np.eye(2), atol=1e-6)
+
+
+@pytest.mark.parametrize("ridge", [0.0, 0.4, 6.4])
+def test_moments_fewer_than_values_have_the_discriminants_of_their_sums(ridge):
+    draw = np.random.default_rng(0)
+    values, states = draw.normal(size=(90, 300)).astype(np.float32), draw.integers(0, 4, 90)
+    scale, weigh = choose_scale(values), np.array([1.0, 0.5, 2.0, 0.7])
+    codes, rows = scale.encode(values), np.flatnonzero(draw.random(90) < 0.7)
+    scores, own = scale.standardise(codes[rows]).astype(np.float64), weigh[states[rows]][:, None]
+    squares, shown = scores.T @ (own * scores), scores.T @ (own * np.eye(4)[states[rows]])
+    squares[np.diag_indices(301)] += [max(ridge * own.sum(), 1e-3)] * 300 + [1e-3]
+    wanted = np.linalg.solve(squares, shown)
+    found = MomentRows.create(scale, codes, states, weigh).take(rows)
+    np.testing.assert_allclose(found.solve(ridge), wanted, atol=1e-5 * abs(wanted).max())
+    np.testing.assert_allclose(found.weights, np.bincount(states[rows], own[:, 0]))
 
 
 def test_sums_of_some_are_those_of_all_less_the_others():

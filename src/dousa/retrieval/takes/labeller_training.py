@@ -35,6 +35,7 @@ from dousa.retrieval.takes.moment_model import (
     N_VALUES,
     Codes,
     MomentModel,
+    MomentRows,
     MomentSums,
     Scale,
     choose_scale,
@@ -306,7 +307,7 @@ def _divide(shown: Sequence[_Shown], generator: np.random.Generator, n_folds: in
 class _Fold:
     takes: list[_Shown]
     aside: IntArray
-    sums: MomentSums
+    sums: MomentSums | MomentRows
 
 
 def _learn_model(
@@ -334,19 +335,11 @@ def _learn_model(
         theirs = np.repeat([one.performer in some for one in shown], [len(one.states) for one in shown])
         out |= (theirs | np.isin(states // N_PHASES, aside)).astype(np.int64) << k
     out[states < 0] = -1
-    total = MomentSums.zero(codes.shape[1], n_states)
-    sums = [MomentSums.zero(codes.shape[1], n_states) for _ in people]
-    for pattern in np.unique(out[out >= 0]).tolist():
-        rows = np.flatnonzero(out == pattern)
-        part = sum_moments(scale, codes, rows, states, weigh)
-        total.add(part)
-        for k, own in enumerate(sums):
-            if not pattern >> k & 1:
-                own.add(part)
+    total, *sums = _sum_folds(scale, codes, states, weigh, out, len(people))
     folds = [
         _Fold([one for one in shown if one.performer in people[k]], asides[k], own)
         for k, own in enumerate(sums)
-        if (own.shown[-1, ::N_PHASES] > 0).sum() >= least_states
+        if (own.weights[::N_PHASES] > 0).sum() >= least_states
     ]
     ridge, sharpness, fold_scores = _choose_penalty(scale, folds, weigh)
     trials = [
@@ -355,6 +348,26 @@ def _learn_model(
         for one in _try_fold(fold, scores, sharpness, n_categories)
     ]
     return MomentModel(scale, total.solve(ridge), sharpness), trials
+
+
+def _sum_folds(
+    scale: Scale, codes: Codes, states: IntArray, weigh: FloatArray, out: IntArray, n_folds: int
+) -> list[MomentSums] | list[MomentRows]:
+    """Return the sums over all moments, then those of each fold, which lacks the moments with its bit in ``out``.
+
+    Moments with ``out`` below 0 are in none.
+    """
+    there = np.flatnonzero(out >= 0)
+    if len(there) < codes.shape[1]:
+        every = MomentRows.create(scale, codes[there], states[there], weigh)
+        return [every, *(every.take(np.flatnonzero(out[there] >> k & 1 == 0)) for k in range(n_folds))]
+    sums = [MomentSums.zero(codes.shape[1], len(weigh)) for _ in range(n_folds + 1)]
+    for pattern in np.unique(out[there]).tolist():
+        part = sum_moments(scale, codes, np.flatnonzero(out == pattern), states, weigh)
+        for k, own in enumerate(sums):  # of all moments, then of the folds
+            if k == 0 or not pattern >> (k - 1) & 1:
+                own.add(part)
+    return sums
 
 
 def _choose_penalty(

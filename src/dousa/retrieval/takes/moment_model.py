@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,8 +116,10 @@ MIRRORED_VALUES: tuple[NDArray[np.intp], NDArray[np.float32]] = _list_mirrored()
 
 Codes = NDArray[np.uint8]
 Floats = NDArray[np.float32]
+_Kind = TypeVar("_Kind", np.float32, np.float64)
 
 _STEPS = 255.0  # by definition the largest byte
+_LEAST = 1e-3  # penalty, in moments, on the offset and at least on others: by definition, no sum is singular
 _PIECE, _STRIP = 128, 512  # columns of a factor, and rows computed from them, at a time
 
 
@@ -288,14 +290,60 @@ class MomentSums:
     def solve(self, ridge: float) -> Floats:
         """Return the (F + 1, S) discriminants; ``ridge`` is the penalty as a share of the weight of all moments."""
         penalised = self.squares.copy()
-        weight = float(penalised[-1, -1])
         places = np.arange(len(penalised) - 1)
-        penalised[places, places] += np.float32(max(ridge * weight, 1e-3))
-        penalised[-1, -1] += np.float32(1e-3)
+        penalised[places, places] += np.float32(max(ridge * float(penalised[-1, -1]), _LEAST))
+        penalised[-1, -1] += np.float32(_LEAST)
         return solve_positive(penalised, self.shown)
 
+    @property
+    def weights(self) -> Floats:
+        """Return the (S,) weight of the moments of each state."""
+        return self.shown[-1]
 
-def solve_positive(squares: Floats, shown: Floats) -> Floats:
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MomentRows:
+    """The moments themselves, which give the discriminants of their sums sooner where they are fewer than the values.
+
+    ``scores`` (M, F + 1) times the roots of their weights, ``products`` (M, M) of these without the last column, and
+    ``shown`` (M, S), the roots of the weights in the column of the state.
+    """
+
+    scores: Floats
+    products: FloatArray
+    shown: FloatArray
+
+    @classmethod
+    def create(cls, scale: Scale, codes: Codes, states: IntArray, weights: FloatArray) -> MomentRows:
+        """Weigh moments of bytes (M, F) and states (M,) by the ``weights`` (S,) of the states."""
+        roots = np.sqrt(weights[states])
+        scores = scale.standardise(codes) * roots[:, None].astype(np.float32)
+        shown = np.zeros((len(codes), len(weights)))
+        shown[np.arange(len(codes)), states] = roots
+        return cls(scores, (scores[:, :-1] @ scores[:, :-1].T).astype(np.float64), shown)
+
+    def take(self, rows: IntArray) -> MomentRows:
+        """Return some of the moments."""
+        return MomentRows(self.scores[rows], self.products[np.ix_(rows, rows)], self.shown[rows])
+
+    def solve(self, ridge: float) -> Floats:
+        """Return the discriminants as ``MomentSums``, by the identity of Hastie et al., exercise 18.4."""
+        ones = self.scores[:, -1].astype(np.float64)
+        pull = max(ridge * float(ones @ ones), _LEAST)
+        alike = self.products / pull + np.outer(ones, ones) / _LEAST
+        alike[np.diag_indices(len(alike))] += 1.0
+        shares = solve_positive(alike, self.shown)
+        inside = self.scores[:, :-1].T @ (shares / pull).astype(np.float32)
+        return np.concatenate([inside, (ones @ shares / _LEAST)[None].astype(np.float32)])
+
+    @property
+    def weights(self) -> FloatArray:
+        """Return the (S,) weight of the moments of each state."""
+        weights: FloatArray = (self.shown**2).sum(axis=0)
+        return weights
+
+
+def solve_positive(squares: NDArray[_Kind], shown: NDArray[_Kind]) -> NDArray[_Kind]:
     """Solve ``squares`` (F, F), symmetric and positive definite, for ``shown`` (F, S); returns (F, S).
 
     A blocked Cholesky factor takes a third of the time of a general solution (for few states) and half of that of
@@ -304,7 +352,7 @@ def solve_positive(squares: Floats, shown: Floats) -> Floats:
     try:
         factor, inverses = _factorise(squares)
     except np.linalg.LinAlgError:
-        general: Floats = np.linalg.solve(squares, shown)
+        general: NDArray[_Kind] = np.linalg.solve(squares, shown)
         return general
     found = shown.copy()
     for inverse, one in inverses:
@@ -316,12 +364,12 @@ def solve_positive(squares: Floats, shown: Floats) -> Floats:
     return found
 
 
-def _factorise(squares: Floats) -> tuple[Floats, list[tuple[Floats, slice]]]:
+def _factorise(squares: NDArray[_Kind]) -> tuple[NDArray[_Kind], list[tuple[NDArray[_Kind], slice]]]:
     """Return the lower factor below its diagonal blocks, and the inverse of each block with its rows."""
     factor, inverses, size = squares.copy(), [], len(squares)
     for first in range(0, size, _PIECE):
         stop = min(first + _PIECE, size)
-        inverse: Floats = np.linalg.inv(np.linalg.cholesky(factor[first:stop, first:stop]))
+        inverse: NDArray[_Kind] = np.linalg.inv(np.linalg.cholesky(factor[first:stop, first:stop]))
         inverses.append((inverse, slice(first, stop)))
         column = factor[stop:, first:stop]
         column[:] = column @ inverse.T
