@@ -4,7 +4,7 @@ import joblib
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from dousa.workers.threads import limit_libraries, map_pieces, map_together, yield_answers
+from dousa.workers.threads import limit_blas, map_pieces, map_together, yield_answers
 
 
 @pytest.mark.parametrize("n_jobs", [None, 1, 2, 3])
@@ -50,14 +50,15 @@ def test_answers_are_yielded_in_order_and_some_may_stay(n_jobs):
 
 def test_blas_has_one_thread_while_ours_work():
     with threadpool_limits(2, user_api="blas"):
+        assert map_pieces(_count_threads, range(2)) == [{1}, {1}]
         assert set().union(*map_pieces(_count_threads, range(4), 2, 1)) == {1}
         assert set().union(*yield_answers(_count_threads, range(4), 2)) == {1}
         assert _count_threads() == {2}
 
 
-def test_blocks_that_limit_libraries_may_overlap():
+def test_blocks_that_limit_blas_may_overlap():
     with threadpool_limits(2, user_api="blas"):
-        first, second = limit_libraries(), limit_libraries()
+        first, second = limit_blas(), limit_blas()
         first.__enter__()
         second.__enter__()
         first.__exit__(None, None, None)

@@ -16,7 +16,7 @@ from threading import Lock
 from typing import Any
 
 from dousa.errors import ClusterError
-from dousa.workers.threads import limit_libraries
+from dousa.workers.threads import limit_blas
 
 _KEPT: OrderedDict[tuple[int, int], Callable[[Any], Any]] = OrderedDict()
 _LOCK = Lock()
@@ -59,7 +59,7 @@ def run_portion(work: bytes, tasks: bytes, expected: dict[str, str]) -> list[Any
     """
     check_versions(platform.node(), list_versions(), expected)
     function = _unpack(work)
-    with limit_libraries():
+    with limit_blas():
         return [function(task) for task in pickle.loads(tasks)]
 
 

@@ -1,7 +1,7 @@
 """Small pieces of work in threads, a few pieces at a time, as handing one over costs time too.
 
 Threads are those of the standard library: ``joblib.Parallel`` polls every 10 ms, as long as some of the work takes.
-Their number comes from joblib. While they work, BLAS has one thread (`limit_libraries`): its threads and ours would
+Their number comes from joblib. While they work, BLAS has one thread (`limit_blas`): its threads and ours would
 wait for the same cores, and a thread of BLAS waits by computing.
 """
 
@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import cache
 from threading import Lock
 from typing import Any, TypeVar
 
@@ -22,17 +23,23 @@ _OPEN: list[None] = []  # one for each open block
 _LOCK = Lock()
 
 
+@cache
+def _find_blas() -> Any:
+    """Find the BLAS of NumPy, once, as looking through the loaded libraries takes half a millisecond."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController().select(user_api="blas")
+
+
 @contextmanager
-def limit_libraries() -> Iterator[None]:
-    """Give BLAS and OpenMP one thread within the block, in the whole process; blocks in several threads may overlap.
+def limit_blas() -> Iterator[None]:
+    """Give BLAS one thread within the block, in the whole process; blocks in several threads may overlap.
 
-    Only libraries that are loaded by then are limited.
+    Sums of BLAS differ in their last bits with the number of its threads, so with the number of cores.
     """
-    from threadpoolctl import threadpool_limits
-
     with _LOCK:
         _OPEN.append(None)
-        _LIMITS.append(threadpool_limits(1))
+        _LIMITS.append(_find_blas().limit(limits=1))
     try:
         yield
     finally:
@@ -40,6 +47,13 @@ def limit_libraries() -> Iterator[None]:
             _OPEN.pop()
             while _LIMITS and not _OPEN:
                 _LIMITS.pop().restore_original_limits()
+
+
+def count_threads(n_jobs: int | None) -> int:
+    """Return the number of threads that joblib would use."""
+    from joblib import effective_n_jobs
+
+    return int(effective_n_jobs(n_jobs))
 
 
 def map_pieces(
@@ -58,18 +72,17 @@ def map_pieces(
     ------
     The first error of ``work``.
     """
-    from joblib import effective_n_jobs
-
-    n_threads = 1 if len(pieces) <= at_a_time else effective_n_jobs(n_jobs)
-    if n_threads == 1:
-        return [work(piece) for piece in pieces]
+    n_threads = 1 if len(pieces) <= at_a_time else count_threads(n_jobs)
+    parts = [pieces[first : first + at_a_time] for first in range(0, len(pieces), at_a_time)]
 
     def do_some(some: Sequence[_One]) -> list[_Answer]:
         return [work(piece) for piece in some]
 
-    parts = [pieces[first : first + at_a_time] for first in range(0, len(pieces), at_a_time)]
-    with limit_libraries(), ThreadPoolExecutor(min(n_threads, len(parts))) as threads:
-        return [answer for some in threads.map(do_some, parts) for answer in some]
+    with limit_blas():
+        if n_threads == 1:
+            return do_some(pieces)
+        with ThreadPoolExecutor(min(n_threads, len(parts))) as threads:
+            return [answer for some in threads.map(do_some, parts) for answer in some]
 
 
 def yield_answers(
@@ -82,7 +95,7 @@ def yield_answers(
     import joblib
 
     options = {"prefer": "threads", "return_as": "generator", **options}
-    with limit_libraries():
+    with limit_blas():
         answers = joblib.Parallel(n_jobs=n_jobs, **options)(joblib.delayed(work)(task) for task in tasks)
         try:
             for answer in answers:  # noqa: UP028  (yield from would close them before the block below)

@@ -22,7 +22,6 @@ from dousa.library.store.engine import Database
 from dousa.library.store.features import lacks, load_poses, name_feature_set
 from dousa.library.store.selection import portions
 from dousa.messages import Message, Progress
-from dousa.workers.threads import limit_libraries
 
 # Principal components to begin with, perplexity and early exaggeration, as scikit-learn advises or chooses:
 # https://scikit-learn.org/stable/modules/generated/sklearn.manifold.TSNE.html
@@ -60,11 +59,13 @@ def map_clips(
     """
     for name in ("sklearn", "sklearn.manifold"):  # loaded before the limit, which only affects loaded libraries
         require(name, "map")
+    from threadpoolctl import threadpool_limits
+
     steps = n_rounds + 2
     tell = progress or (lambda done, total, what: None)
     tell(0, steps, Message("library_map.reading"))
     # One thread: the order of sums over several varies, and the map would vary with it.
-    with limit_libraries():
+    with threadpool_limits(1):
         with database.reading() as connection:
             ids, left_out, feature_set = _list(connection)
             if len(ids) < fewest:

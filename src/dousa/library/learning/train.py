@@ -42,7 +42,7 @@ from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.features.posed_motion import is_comparable
 from dousa.retrieval.forest.likeness import LikenessLearner
 from dousa.retrieval.takes.label import TakeLabeller
-from dousa.workers.threads import limit_libraries
+from dousa.workers.threads import limit_blas
 
 LearnLabeller = Callable[[sa.Connection, StoredForest, int | None], TakeLabeller | None]
 """Called with a connection, the forest, and the number of threads."""
@@ -70,7 +70,7 @@ class _Tell:
         self(5, Message("library_training.keeping_takes_done", done=done, total=total))
 
 
-@limit_libraries()
+@limit_blas()
 def train_forest(
     database: Database,
     forest: MotionForest,

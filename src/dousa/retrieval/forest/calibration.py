@@ -48,7 +48,7 @@ from dousa.retrieval.forest.pose_space import (
     fit_pose_space,
     read_curve,
 )
-from dousa.workers.threads import limit_libraries, map_pieces
+from dousa.workers.threads import limit_blas, map_pieces
 
 STRANGERS = 0.1
 """Unknown motions for each known one (docs/confidence.md)."""
@@ -297,7 +297,7 @@ class Assessor:
         return Verdicts(guess, known, confidence, unknown, ~unknown | calibration.is_possible(belongs), evidence)
 
 
-@limit_libraries()
+@limit_blas()
 def learn_calibration(
     forest: MotionForest,
     features: FloatArray,

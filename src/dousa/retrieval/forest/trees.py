@@ -16,7 +16,7 @@ from dousa.retrieval.features.feature_sets import MEAN, SPREAD, TREND
 from dousa.retrieval.forest import growing_kernels as kernels
 from dousa.retrieval.forest.tree_kernels import find_leaves
 from dousa.workers.current import current_cluster
-from dousa.workers.threads import map_pieces
+from dousa.workers.threads import count_threads, map_pieces
 
 KIND_NAMES = ("mean", "spread", "trend")
 """Names of the kinds of tests, by their numbers in the kernels."""
@@ -198,14 +198,12 @@ def grow_trees(
     copied : (K,) clips of which the last K are copies: a tree learns one or the other.
     largest : (F,) of ``measure_columns``.
     """
-    from joblib import effective_n_jobs
-
     frames, count = features.shape[1:]
     clips = len(features) - len(copied)
     material = prepare_material(features, _SAME_VALUE * largest, categories, tests, min(clips, MOST_GROWN))
     # A few trees a task: with few clips a tree takes less time than its dispatch.
     cluster = None if spec.n_jobs == 1 else current_cluster()
-    workers = effective_n_jobs(spec.n_jobs) if cluster is None else cluster.n_threads
+    workers = count_threads(spec.n_jobs) if cluster is None else cluster.n_threads
     tasks = np.array_split(seeds, min(len(seeds), 4 * workers))
     grow = partial(_grow_seeds, material, n_classes, spec, copied)
     if cluster is not None:

@@ -54,10 +54,10 @@ from dousa.retrieval.takes.sequence import (
     join_phases,
 )
 from dousa.retrieval.takes.windows import TAKE_RATE
-from dousa.workers.threads import limit_libraries, map_pieces
+from dousa.workers.threads import limit_blas, map_pieces
 
 
-@limit_libraries()
+@limit_blas()
 def train_labeller(
     clips: Sequence[LabelledClip],
     takes: Sequence[AnnotatedTake] = (),
