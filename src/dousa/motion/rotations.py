@@ -33,17 +33,14 @@ def normalise(quaternions: ArrayLike) -> FloatArray:
 def multiply(first: ArrayLike, second: ArrayLike) -> FloatArray:
     """Compute the Hamilton product (..., 4): first ``second``, then ``first``."""
     a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
-    aw, ax, ay, az = np.moveaxis(a, -1, 0)
-    bw, bx, by, bz = np.moveaxis(b, -1, 0)
-    return np.stack(
-        (
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ),
-        axis=-1,
-    )
+    aw, ax, ay, az = (a[..., k] for k in range(4))
+    bw, bx, by, bz = (b[..., k] for k in range(4))
+    product = np.empty((*np.broadcast_shapes(a.shape[:-1], b.shape[:-1]), 4))
+    product[..., 0] = aw * bw - ax * bx - ay * by - az * bz
+    product[..., 1] = aw * bx + ax * bw + ay * bz - az * by
+    product[..., 2] = aw * by - ax * bz + ay * bw + az * bx
+    product[..., 3] = aw * bz + ax * by - ay * bx + az * bw
+    return product
 
 
 def conjugate(quaternions: ArrayLike) -> FloatArray:
