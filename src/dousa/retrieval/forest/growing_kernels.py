@@ -181,7 +181,7 @@ def _add_cells(cells, size, start, length, samples, sums):
 
 @part
 def _evaluate(cells, size, width, test, samples, others, values):
-    """Compute the value of one test for some clips of a node, into ``values``, block by block.
+    """Compute the value of one test for a block of clips, into ``values``.
 
     ``cells`` holds the features clip by clip, ``size`` values each, in columns of ``width`` cells; ``others`` is
     working memory of one block.
@@ -190,43 +190,36 @@ def _evaluate(cells, size, width, test, samples, others, values):
     first, count = np.uint64(test[3]), np.uint64(test[4] - test[3])
     kind, column, partner = test[0], np.uint64(test[1]), np.uint64(test[2])
     length, middle = float(test[4] - test[3]), 0.5 * (test[3] + test[4])
-    block = len(others)
-    for start in range(0, len(samples), block):
-        some, sums = samples[start : start + block], values[start : start + block]
-        _add_cells(cells, size, column * width + first, count, some, sums)
-        if kind == MEAN:
-            continue
-        _add_cells(cells, size, partner * width + first, count, some, others)
-        if kind == SPREAD:
-            for k in range(len(some)):
-                sums[k] = _measure_spread(sums[k], others[k], length)
-        else:
-            for k in range(len(some)):
-                sums[k] = _measure_trend(sums[k], others[k], length, middle)
+    _add_cells(cells, size, column * width + first, count, samples, values)
+    if kind == MEAN:
+        return
+    _add_cells(cells, size, partner * width + first, count, samples, others)
+    if kind == SPREAD:
+        for k in range(len(samples)):
+            values[k] = _measure_spread(values[k], others[k], length)
+    else:
+        for k in range(len(samples)):
+            values[k] = _measure_trend(values[k], others[k], length, middle)
 
 
 @part
-def _evaluate_all(cells, size, width, tests, chosen, samples, others, values):
-    """Compute the values of some tests for the clips of a node, into ``values`` (tests, clips)."""
-    n, block = len(samples), len(others)
-    for start in range(0, n, block):
-        stop = min(start + block, n)
-        for q in range(len(chosen)):
-            _evaluate(cells, size, width, tests[chosen[q]], samples[start:stop], others, values[q, start:stop])
+def _evaluate_all(cells, size, width, tests, chosen, samples, is_many, work, values):
+    """Compute the values of some tests for the clips of a node, into ``values`` (tests, clips), block by block.
 
-
-@part
-def _evaluate_many(cells, size, width, tests, chosen, samples, work, values):
-    """Compute the same for many tests: the rows of a block are first copied, which is faster than single cells."""
+    For many tests the rows of a block are first copied, which is faster than single cells.
+    """
     rows, block = work.rows, len(work.others)
     for start in range(0, len(samples), block):
         count = min(block, len(samples) - start)
-        for k in range(count):
-            own, copy = np.uint64(samples[start + k]) * size, np.uint64(k) * size
-            for cell in range(size):
-                rows[copy + cell] = cells[own + cell]
+        source, places = cells, samples[start : start + count]
+        if is_many:
+            source, places = rows, work.places[:count]
+            for k in range(count):
+                own, copy = np.uint64(samples[start + k]) * size, np.uint64(k) * size
+                for cell in range(size):
+                    rows[copy + cell] = cells[own + cell]
         for q in range(len(chosen)):
-            _evaluate(rows, size, width, tests[chosen[q]], work.places[:count], work.others, values[q, start:])
+            _evaluate(source, size, width, tests[chosen[q]], places, work.others, values[q, start:])
 
 
 @part(fastmath={"nnan", "nsz"})
@@ -378,10 +371,7 @@ def _find_splits(
         count = min(len(work.asked) if is_many else count, left)
         _draw_tests(drawn, count, is_all, random_thresholds, work)
         values = work.asked if is_many else work.values
-        if is_many:
-            _evaluate_many(cells, size, width, tests, work.chosen[:count], samples, work, values)
-        else:
-            _evaluate_all(cells, size, width, tests, work.chosen[:count], samples, work.others, values)
+        _evaluate_all(cells, size, width, tests, work.chosen[:count], samples, is_many, work, values)
         end = drawn + count
         for q in range(count):
             test = work.chosen[q]
@@ -428,7 +418,7 @@ def _weigh_again(
 ):  # fmt: skip
     """Return the best of the tests in ``kept`` by more clips, and its threshold."""
     best, best_test, best_threshold = np.int64(_NO_SCORE), work.kept[0], work.kept_thresholds[0]
-    _evaluate_all(cells, size, width, tests, work.kept[:n_kept], samples, work.others, work.values)
+    _evaluate_all(cells, size, width, tests, work.kept[:n_kept], samples, False, work, work.values)
     for q in range(n_kept):
         values, test, threshold = work.values[q], work.kept[q], work.kept_thresholds[q]
         if random_thresholds:
@@ -569,7 +559,8 @@ def grow_tree(
             n_leaves += 1
             leaf_starts[n_leaves] = n_entries
             continue
-        _evaluate(cells, size, width, tests[test], inside, work.others, values)
+        work.chosen[0] = test
+        _evaluate_all(cells, size, width, tests, work.chosen[:1], inside, False, work, work.values)
         n_left = _partition(values, threshold, inside, work.keys)
         _write_node(nodes, cuts, node, tests[test], threshold, n_frames, n_nodes)
         stack[depth, 0], stack[depth, 1], stack[depth, 2] = n_nodes + 1, start + n_left, stop
