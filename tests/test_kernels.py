@@ -69,6 +69,16 @@ def test_a_part_is_compiled_once_for_constants_and_for_what_is_computed():
     assert [str(kinds) for kinds in greater.overloads] == ["(int64, int64)", "(float64, float64)"]
 
 
+def test_other_compiled_code_gets_the_parts_of_a_part_that_kernels_have_taken_before():
+    shift(np.ones(3), np.empty(3))
+
+    @njit
+    def call_it(number):
+        return double_greater(number, 0.5)
+
+    assert call_it(2.0) == 4.0
+
+
 def test_python_cannot_call_a_part():
     with pytest.raises(TypeError, match="greater is a part of kernels"):
         greater(1, 2)

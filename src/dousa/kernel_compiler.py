@@ -45,16 +45,16 @@ class _PartLibrary(JITCodeLibrary):
                 called.update(library.list_called())
         return called
 
-    def link_called(self) -> None:
+    def link_called(self, module: Any) -> None:
         """Add the code that is called."""
         for library in self.list_called():
             self._reload_init.update(library._reload_init)
-            self._final_module.link_in(JITCodeLibrary._get_module_for_linking(library), preserve=True)
+            module.link_in(JITCodeLibrary._get_module_for_linking(library), preserve=True)
 
     def _get_module_for_linking(self) -> Any:  # by code that is neither part nor kernel
-        if self._shared_module is None:
-            self.link_called()
-        return super()._get_module_for_linking()
+        module = super()._get_module_for_linking().clone()
+        self.link_called(module)
+        return module
 
 
 class _KernelLibrary(_PartLibrary):
@@ -66,7 +66,7 @@ class _KernelLibrary(_PartLibrary):
     counts = False
 
     def finalize(self) -> None:
-        self.link_called()
+        self.link_called(self._final_module)
         for function in self._final_module.functions:
             if function.linkage == Linkage.linkonce_odr and not function.is_declaration:
                 function.linkage = Linkage.internal
