@@ -53,50 +53,36 @@ def play_score(score: Score, performer: Performer, plan: Plan, rng: np.random.Ge
     own = np.random.default_rng([performer.seed, 1])
     habits: dict[str, float] = {}
     phases, weights = plan.phases, plan.weights
-    kinds = {name: name.partition("_")[2] or name for name in FREEDOMS}
-    gains, waves, pose = {}, {}, {}
-    for name, kind in kinds.items():
+    pose = {}
+    for name in FREEDOMS:
+        kind = name.partition("_")[2] or name
         # The two sides are similar, not equal.
         habit = habits.setdefault(kind, own.normal(1.0, 0.06) * rng.normal(1.0, 0.03))
         gain = performer.amplitude * habit * own.normal(1.0, 0.02)
-        gains[name] = 1.0 + 0.1 * (gain - 1.0) if kind in _UNSCALED else gain
-        if kind not in ("flight", "turn"):
-            waves[name] = _draw_waves(performer.noise * (0.4 if kind == "foot" else 1.0), rng)
-    drifts = dict(zip(waves, _add_waves(plan.times, np.stack(list(waves.values()))), strict=True))
-    for name, kind in kinds.items():
+        gain = 1.0 + 0.1 * (gain - 1.0) if kind in _UNSCALED else gain
         values = np.zeros(len(phases))
         rest = np.full(len(phases), stance.get(name, 0.0))
         if name in score.tracks:
             late = performer.lag if kind.startswith(("arm", "elbow")) and periodic else 0.0
-            values = gains[name] * evaluate_track(score.tracks[name], phases - late, periodic)
+            values = gain * evaluate_track(score.tracks[name], phases - late, periodic)
             # The score moves the arm; of the stance only its slack remains.
             rest = rest * (1.0 - weights) if kind == "arm_side" else rest
-        if name in drifts:
-            rest = rest + drifts[name]
+        if kind not in ("flight", "turn"):
+            rest = rest + _unsteadiness(plan.times, performer.noise * (0.4 if kind == "foot" else 1.0), rng)
         values = weights * values + rest
-        pose[name] = np.clip(values, *hinges[kind]) if kind in hinges else values
+        low, high = hinges.get(kind, (-np.inf, np.inf))
+        pose[name] = np.clip(values, low, high)
     pose["turn"] = pose["turn"] + rng.normal(0.0, 5.0)
     return pose
 
 
-def _draw_waves(degrees: float, rng: np.random.Generator) -> FloatArray:
-    """Frequencies, offsets and sizes (3, 3, 1) of a slow drift of about that many degrees: three of 0.3 to 2.5 Hz."""
+def _unsteadiness(times: FloatArray, degrees: float, rng: np.random.Generator) -> FloatArray:
+    """Slow random drift (T,) of about that many degrees: three sines of 0.3 to 2.5 Hz."""
     frequencies = rng.uniform(0.3, 2.5, (3, 1))
     offsets = rng.uniform(0.0, 2 * np.pi, (3, 1))
-    return np.stack(
-        (frequencies, offsets, rng.normal(0.0, degrees / np.sqrt(1.5), (3, 1)) / np.sqrt(1.0 + frequencies**2))
-    )
-
-
-def _add_waves(times: FloatArray, waves: FloatArray) -> FloatArray:
-    """Drifts (K, T) of waves (K, 3, 3, 1): their sines added."""
-    frequencies, offsets, sizes = waves[:, 0], waves[:, 1], waves[:, 2]
-    angles = 2 * np.pi * frequencies * times
-    angles += offsets
-    np.sin(angles, out=angles)
-    angles *= sizes
-    drifts: FloatArray = angles.sum(axis=1)
-    return drifts
+    sizes = rng.normal(0.0, degrees / np.sqrt(1.5), (3, 1)) / np.sqrt(1.0 + frequencies**2)
+    drift: FloatArray = (sizes * np.sin(2 * np.pi * frequencies * times + offsets)).sum(axis=0)
+    return drift
 
 
 CATEGORIES: tuple[str, ...] = tuple(SCORES)

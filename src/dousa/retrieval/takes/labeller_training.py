@@ -352,7 +352,7 @@ def _learn_model(
 
 def _sum_folds(
     scale: Scale, codes: Codes, states: IntArray, weigh: FloatArray, out: IntArray, n_folds: int
-) -> list[MomentSums] | list[MomentRows]:
+) -> Sequence[MomentSums | MomentRows]:
     """Return the sums over all moments, then those of each fold, which lacks the moments with its bit in ``out``.
 
     Moments with ``out`` below 0 are in none.

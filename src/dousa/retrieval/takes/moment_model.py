@@ -298,7 +298,8 @@ class MomentSums:
     @property
     def weights(self) -> Floats:
         """Return the (S,) weight of the moments of each state."""
-        return self.shown[-1]
+        weights: Floats = self.shown[-1]
+        return weights
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -352,8 +353,7 @@ def solve_positive(squares: NDArray[_Kind], shown: NDArray[_Kind]) -> NDArray[_K
     try:
         factor, inverses = _factorise(squares)
     except np.linalg.LinAlgError:
-        general: NDArray[_Kind] = np.linalg.solve(squares, shown)
-        return general
+        return np.asarray(np.linalg.solve(squares, shown), squares.dtype)
     found = shown.copy()
     for inverse, one in inverses:
         found[one] -= factor[one, : one.start] @ found[: one.start]

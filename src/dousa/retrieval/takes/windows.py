@@ -258,7 +258,7 @@ def describe_take(
     leaves = np.empty((len(starts), len(forest.trees_.roots)), dtype)
     portions = list(_portions(starts, len(sampled), chunk))
 
-    def apply(rows: slice) -> NDArray[np.integer[Any]]:
+    def apply(rows: IndexArray) -> NDArray[np.integer[Any]]:
         return _apply_portion(forest, feature_set, (sampled, quiet.height), starts[rows], stops[rows])
 
     # Threads do not pay for a single portion.
