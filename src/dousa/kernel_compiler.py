@@ -117,6 +117,8 @@ class _Part(CPUDispatcher):
 class _Kernel(CPUDispatcher):
     """A function that Python calls."""
 
+    _cache: Any
+
     def is_kept(self) -> bool:
         """Tell whether it need not be compiled, as this or another process has done so."""
         return bool(self.overloads) or os.path.exists(self._cache._cache_file._index_path)

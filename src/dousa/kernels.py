@@ -14,13 +14,11 @@ import functools
 import sys
 import threading
 from collections.abc import Callable
-from typing import Any, TypeVar, overload
+from typing import Any, overload
 
 import numpy as np
 
 __all__ = ["compile_always", "is_worth_compiling", "kernel", "part"]
-
-_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 class _Effort:
@@ -110,11 +108,11 @@ class _Compiled:
 
 
 @overload
-def kernel(function: _Function) -> _Function: ...
+def kernel(function: Callable[..., Any]) -> Any: ...
 @overload
 def kernel(
     *, linear: bool = False, allocates: bool = False, fastmath: Any = False
-) -> Callable[[_Function], _Function]: ...
+) -> Callable[[Callable[..., Any]], Any]: ...
 def kernel(function: Any = None, *, linear: bool = False, allocates: bool = False, fastmath: Any = False) -> Any:
     """Compile a function that Python calls; what was compiled is kept for the next process.
 
@@ -128,9 +126,9 @@ def kernel(function: Any = None, *, linear: bool = False, allocates: bool = Fals
 
 
 @overload
-def part(function: _Function) -> _Function: ...
+def part(function: Callable[..., Any]) -> Any: ...
 @overload
-def part(*, allocates: bool = False, fastmath: Any = False) -> Callable[[_Function], _Function]: ...
+def part(*, allocates: bool = False, fastmath: Any = False) -> Callable[[Callable[..., Any]], Any]: ...
 def part(function: Any = None, *, allocates: bool = False, fastmath: Any = False) -> Any:
     """Compile a function that kernels and other parts call, as a piece of them; options as for `kernel`."""
     return _make("compile_part", function, False, allocates, fastmath)

@@ -371,7 +371,8 @@ class MotionTemplates:
     def _distances_of_one(self, sequence: BoolArray) -> FloatArray:
         costs = self._weights @ np.asarray(sequence, dtype=np.float64).T
         costs += self._offsets[:, None]
-        return warped_costs(costs, self._bounds)
+        found: FloatArray = warped_costs(costs, self._bounds)
+        return found
 
     def _sequences(self, clips: Sequence[PosedMotion]) -> list[BoolArray]:
         return [compute_relational_sequence(clip, self.sampling_rate) for clip in clips]
