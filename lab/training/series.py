@@ -119,7 +119,7 @@ def _blend(pose: FloatArray, following: FloatArray, seconds: float) -> FloatArra
     return np.asarray(pose * (1.0 - ease) + following * ease)
 
 
-def make_series(source: str, clips: Sequence[LabelledClip], seed: int, *, loose: bool = False) -> Iterator[Series]:
+def make_series(source: str, clips: Sequence[LabelledClip], seed: int) -> Iterator[Series]:
     """For every person and category a series in one go and one with pauses, each clean and Kinect-like.
 
     Parameters
@@ -127,7 +127,6 @@ def make_series(source: str, clips: Sequence[LabelledClip], seed: int, *, loose:
     source : name of the set.
     clips : of which each shows an action once.
     seed : of everything that is drawn.
-    loose : bounds that miss those of the action by up to 0.4 s, as a labeller's do.
     """
     for person in sorted({clip.performer or "" for clip in clips}):
         for category in sorted({clip.category for clip in clips if clip.performer == person}):
@@ -137,8 +136,6 @@ def make_series(source: str, clips: Sequence[LabelledClip], seed: int, *, loose:
                 count = int(generator.choice(_COUNTS, p=_CHANCES))
                 picked = [own[k] for k in _draw(len(own), count, generator)]
                 whole = join_series(picked, generator, pauses=pauses)
-                if loose:
-                    whole = _move_bounds(whole, generator)
                 height = picked[0].height
                 yield Series(source, person, category, "clean", count, whole, height)
                 rough = sample_positions(make_kinect_like(whole, TAKE_RATE, generator), KINECT_RATE)
@@ -149,16 +146,6 @@ def _draw(n: int, count: int, generator: np.random.Generator) -> list[int]:
     """So many of n numbers, all different as long as there are enough."""
     order = generator.permutation(n).tolist() if count <= n else generator.integers(n, size=count).tolist()
     return [int(k) for k in order[:count]]
-
-
-def _move_bounds(whole: FloatArray, generator: np.random.Generator) -> FloatArray:
-    ends = []
-    for pose in (whole[0], whole[-1]):
-        moved = float(generator.uniform(-0.3, 0.4))
-        ends.append((moved, _rest(pose, moved, generator) if moved > 0.0 else pose[None]))
-    first, last = (round(max(-moved, 0.0) * TAKE_RATE) for moved, _ in ends)
-    first, last = (min(cut, len(whole) // 10) for cut in (first, last))
-    return np.concatenate([ends[0][1], whole[first : len(whole) - last], ends[1][1]])
 
 
 def make_take(

@@ -68,7 +68,9 @@ def library(trained, tmp_path) -> Path:
 def test_help_names_every_command_and_gives_examples(dousa):
     code, out, _ = dousa("--help")
     assert code == 0
-    words = "info convert plot add train search classify find label list remove relabel tag undo check compact demo"
+    words = (
+        "info count convert plot add train search classify find label list remove relabel tag undo check compact demo"
+    )
     words += " experiment"
     for command in words.split():
         assert command in out
@@ -102,6 +104,19 @@ def test_info_json_goes_on_after_a_bad_file(dousa, motions, tmp_path):
     assert answer["format"] == "bvh"
     assert answer["unit_m"] == 0.01 and answer["up"] == "y"
     assert answer["mapping"]["sides"] == "agree"
+
+
+def test_repetitions_are_counted_without_a_library_or_a_reference(dousa, tmp_path):
+    from dousa.motion.synthetic import Performer, make_motion
+
+    write_motion(make_motion("squat", Performer(), 0), tmp_path / "squats.bvh")
+    code, out, err = dousa("count", "--json", tmp_path / "squats.bvh", tmp_path / "none.bvh")
+    assert code == 2 and "none.bvh" in err
+    (answer,) = json.loads(out)
+    assert (answer["count"], answer["certainty"], len(answer["repetitions"])) == (2, 1.0, 2)
+    for language, says in (("en", "2 repetitions in 4.5 s"), ("ja", "4.5 秒間に 2 回")):
+        code, out, _ = dousa("--lang", language, "count", tmp_path / "squats.bvh")
+        assert code == 0 and says in out and "0:00.5-0:02.1" in out
 
 
 def test_info_of_joints_nobody_knows_names_them(dousa, tmp_path):

@@ -10,6 +10,7 @@ from .canonical.joints import CANONICAL_JOINTS, CANONICAL_PARENTS, JOINT_INDEX, 
 from .canonical.recipes import read_joint_map
 from .canonical.reference_frame import ReferenceFrame
 from .kinematics import compute_rest_positions, compute_trajectories, forward_kinematics
+from .repetitions import RepetitionCount, count_repetitions
 from .resampling import fill_gaps, resample, thin
 from .retargeting.retarget import Retargeted, retarget
 from .types import Motion, Provenance, Skeleton, Trajectories
@@ -24,12 +25,14 @@ __all__ = [
     "Motion",
     "Provenance",
     "ReferenceFrame",
+    "RepetitionCount",
     "Retargeted",
     "Skeleton",
     "Trajectories",
     "canonicalise",
     "compute_rest_positions",
     "compute_trajectories",
+    "count_repetitions",
     "fill_gaps",
     "fit_motion",
     "forward_kinematics",

@@ -1,5 +1,6 @@
 """What is repeated in a take is one action that says how often, and mirrored actions are told from mirror images."""
 
+import io
 from dataclasses import replace
 from itertools import pairwise
 
@@ -10,13 +11,12 @@ from oracles.short_actions import ACTIONS, make_clip, make_library
 from dousa.errors import InvalidMotionError
 from dousa.experiments.annotated.trial import learn_clip_judge
 from dousa.motion.canonical.canonicalise import mirror_positions
-from dousa.retrieval.counting.counter import TALLIES, find_usual, measure_tallies
+from dousa.retrieval.forest.forest_file import pack_arrays
 from dousa.retrieval.takes.label import TakeLabeller, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
 from dousa.retrieval.takes.made_takes import join_clips
-from dousa.retrieval.takes.repetitions import Chosen, count_all, count_clip, lay_mirrored
+from dousa.retrieval.takes.repetitions import Chosen, count_all, count_clip, divide_cycles, find_phases, lay_mirrored
 
-HEIGHT = 1.7
 EVIDENCE = np.ones(1)
 BOWS = [make_clip("bow", 1, trial) for trial in range(3)]
 
@@ -29,7 +29,7 @@ def list_parts(joined, apart=0):
 def test_three_neighbours_are_one_action_repeated_with_or_without_rests():
     joined = join_clips(BOWS, np.random.default_rng(0))
     for apart in (0, 20):
-        (one,) = count_all(list_parts(joined, apart), joined.positions, HEIGHT)
+        (one,) = count_all(list_parts(joined, apart), joined.positions)
         assert (one.start, one.repetitions) == (0, 3)
         assert one.stop == len(joined.positions) - apart
 
@@ -37,9 +37,9 @@ def test_three_neighbours_are_one_action_repeated_with_or_without_rests():
 def test_two_neighbours_and_others_in_between_stay_apart():
     joined = join_clips(BOWS, np.random.default_rng(0))
     parts = list_parts(joined)
-    assert [one.repetitions for one in count_all(parts[:2], joined.positions, HEIGHT)] == [1, 1]
+    assert [one.repetitions for one in count_all(parts[:2], joined.positions)] == [1, 1]
     parts[1] = replace(parts[1], category=1)
-    found = count_all(parts, joined.positions, HEIGHT)
+    found = count_all(parts, joined.positions)
     assert [(one.start, one.category, one.repetitions) for one in found] == [
         (one.start, one.category, 1) for one in parts
     ]
@@ -49,11 +49,11 @@ def test_one_that_is_twice_as_long_as_usual_and_one_more_are_a_series():
     joined = join_clips(BOWS, np.random.default_rng(0))
     first, second, third = list_parts(joined)
     longer = replace(first, stop=second.stop, parts=((first.start, first.stop), (second.start, second.stop)))
-    (one,) = count_all([longer, third], joined.positions, HEIGHT)
+    (one,) = count_all([longer, third], joined.positions)
     assert (one.start, one.stop, one.repetitions) == (0, third.stop, 3)
     # By itself it is what it was, and two that are no longer than usual are two.
-    assert count_all([longer], joined.positions, HEIGHT)[0].parts == longer.parts
-    assert len(count_all([replace(longer, parts=()), third], joined.positions, HEIGHT)) == 2
+    assert count_all([longer], joined.positions)[0].parts == longer.parts
+    assert len(count_all([replace(longer, parts=()), third], joined.positions)) == 2
 
 
 def test_a_long_rest_parts_what_is_repeated():
@@ -61,20 +61,20 @@ def test_a_long_rest_parts_what_is_repeated():
     pieces = [BOWS[0].positions, still, BOWS[1].positions, still, BOWS[2].positions]
     edges = np.cumsum([0, *map(len, pieces)]).tolist()
     parts = [Chosen(*span, 0, EVIDENCE) for span in list(pairwise(edges))[::2]]
-    assert [one.repetitions for one in count_all(parts, np.concatenate(pieces), HEIGHT)] == [1, 1, 1]
+    assert [one.repetitions for one in count_all(parts, np.concatenate(pieces))] == [1, 1, 1]
 
 
 def test_what_is_unlikely_parts_no_series_unless_it_lasts():
     joined = join_clips(BOWS, np.random.default_rng(0))
     first, second, third = list_parts(joined, apart=24)
     slip = Chosen(first.stop + 2, second.start, 1, EVIDENCE, likely=False)
-    (one,) = count_all([first, slip, second, third], joined.positions, HEIGHT)
+    (one,) = count_all([first, slip, second, third], joined.positions)
     assert (one.start, one.stop, one.category, one.repetitions) == (0, third.stop, 0, 3)
     for between in (replace(slip, likely=True), replace(slip, start=first.stop - 30)):
         shorter = replace(first, stop=min(first.stop, between.start))
-        assert len(count_all([shorter, between, second, third], joined.positions, HEIGHT)) == 4
+        assert len(count_all([shorter, between, second, third], joined.positions)) == 4
     # Two are no series, and what lies between them stays.
-    found = count_all([first, slip, second], joined.positions, HEIGHT)
+    found = count_all([first, slip, second], joined.positions)
     assert [one.category for one in found] == [0, 1, 0]
 
 
@@ -86,14 +86,14 @@ def test_a_series_is_as_sure_as_its_surest_part():
         replace(second, confidence=0.9, mirrored=True),
         replace(third, confidence=0.95, likely=False),
     ]
-    (one,) = count_all(parts, joined.positions, HEIGHT)
+    (one,) = count_all(parts, joined.positions)
     assert (one.start, one.stop, one.repetitions) == (0, third.stop, 3)
     assert (one.likely, one.confidence, one.mirrored) == (True, 0.9, True)
-    (one,) = count_all([replace(part, likely=False) for part in parts], joined.positions, HEIGHT)
+    (one,) = count_all([replace(part, likely=False) for part in parts], joined.positions)
     assert (one.likely, one.confidence, one.possible) == (False, 0.95, False)
     # Which part it is as sure of has no say in whether any is perhaps that.
     doubtful = [replace(part, likely=False, possible=part is parts[0]) for part in parts]
-    (one,) = count_all(doubtful, joined.positions, HEIGHT)
+    (one,) = count_all(doubtful, joined.positions)
     assert (one.likely, one.confidence, one.possible) == (False, 0.95, True)
 
 
@@ -104,10 +104,7 @@ def labeller():
 
 
 def test_a_labeller_knows_what_one_repetition_is(labeller):
-    bow = labeller.classes.index("bow")
-    shown = [measure_tallies(make_clip("bow", person, k).positions, HEIGHT) for person in range(4) for k in range(2)]
-    seconds = TALLIES.index("duration")
-    assert labeller.usual[bow, seconds] == pytest.approx(find_usual(shown)[seconds], rel=0.05)
+    assert labeller.phases[labeller.classes.index("bow")] == 1
     take = join_clips(
         [make_clip(name, 5, k) for name in ("kick", "bow", "spread") for k in range(4)], np.random.default_rng(1)
     )
@@ -115,10 +112,10 @@ def test_a_labeller_knows_what_one_repetition_is(labeller):
     assert [(one.category, one.repetitions) for one in said] == [("kick", 4), ("bow", 4), ("spread", 4)]
 
 
-def test_a_labeller_that_knows_no_usual_repetition_counts_too(labeller):
-    without = replace(labeller, usual=np.empty((0, len(TALLIES))))
+def test_a_labeller_that_knows_no_phases_counts_too(labeller):
+    without = replace(labeller, phases=())
     before = TakeLabeller.from_bytes(without.to_bytes())
-    assert before.usual.shape == (0, len(TALLIES))
+    assert before.phases == ()
     take = join_clips([make_clip("bow", 5, k) for k in range(4)], np.random.default_rng(1))
     assert [one.repetitions for one in label_take(before, take, threshold=0.0).segments] == [4]
 
@@ -130,6 +127,19 @@ def test_a_whole_clip_is_counted_at_any_frame_rate():
     assert [count_clip(often, alike), count_clip(twice, alike), count_clip(alike[0])] == [5, 5, 1]
     with pytest.raises(InvalidMotionError, match="shape"):
         count_clip(replace(often, positions=often.positions[:, :4]))
+
+
+def test_a_labeller_of_an_earlier_version_has_tallies_and_is_read_without_them(labeller):
+    arrays = dict(np.load(io.BytesIO(labeller.to_bytes())))
+    del arrays["phases"]
+    arrays |= {"version": np.array(7, np.int64), "usual": np.ones((len(labeller.classes), 28))}
+    before = TakeLabeller.from_bytes(pack_arrays(arrays))
+    assert (before.phases, before.threshold) == ((), labeller.threshold)
+
+
+def test_left_and_right_are_one_repetition_where_most_clips_show_two_cycles():
+    assert [find_phases(counts) for counts in ([2, 2, 2, 3], [2, 2, 3, 3], [3, 3, 3], [])] == [2, 1, 1, 1]
+    assert [divide_cycles(cycles, 2) for cycles in (1, 2, 3, 4, 9)] == [1, 1, 2, 2, 5]
 
 
 SHOWN = ("bow", "kick", "spread", "wave")

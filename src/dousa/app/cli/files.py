@@ -1,4 +1,4 @@
-"""Commands for single files: info, convert, plot; plot also draws the map of a library."""
+"""Commands for single files: info, count, convert, plot; plot also draws the map of a library."""
 
 from __future__ import annotations
 
@@ -59,6 +59,45 @@ def info(
     else:
         for answer in answers:
             print_info(console(), answer)
+    if failed:
+        raise typer.Exit(2)
+
+
+def count(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help=f"Motion files: {READ_SUFFIXES}.")],
+    *,
+    reading: Reading,
+    json: Json = False,
+) -> None:
+    """Count the repetitions of a movement in recordings: how many, when, and how sure that is.
+
+    Neither a library nor a reference is needed: what a recording repeats is counted, two sides in turn one each.
+
+    Example: dousa count squats.bvh
+
+    Example: dousa count session/*.trc --json
+    """
+    from dousa.app.tables.evaluation import print_count
+    from dousa.formats.motion_files import read_canonical
+    from dousa.motion import count_repetitions
+
+    options = reading.load()
+    answers, failed = [], 0
+    with progress_bar() as progress:
+        for number, path in enumerate(files):
+            progress(number, len(files), Message("text.verbatim", text=path.name))
+            try:
+                found = count_repetitions(read_canonical(path, options)[0])
+            except DousaError as error:
+                failed += 1
+                fail(error)
+                continue
+            answers.append((path, found))
+    if json:
+        print_json([{"path": str(path), **found.to_json()} for path, found in answers])
+    else:
+        for path, found in answers:
+            print_count(console(), path.name, found)
     if failed:
         raise typer.Exit(2)
 

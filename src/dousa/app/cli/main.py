@@ -61,7 +61,7 @@ PANELS: dict[str, tuple[Callable[..., None], ...]] = {
     "Estimation": (
         *(estimation.estimate, estimation.render, estimation.sync, estimation.calibrate, estimation.keypoints),
     ),
-    "Evaluation": (evaluation.evaluate, evaluation.progress),
+    "Evaluation": (evaluation.evaluate, evaluation.progress, files.count),
     "Studio": (studio.studio,),
     "Trials": (experiments.experiment, experiments.demo, experiments.warm),
 }

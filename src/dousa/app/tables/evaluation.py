@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from dousa.evaluation import AssessedRepetition, Assessment, Progress, RepetitionsAssessment
+    from dousa.motion import RepetitionCount
 
 
 def describe_coverage(assessment: Assessment) -> Message:
@@ -104,6 +105,14 @@ def _covered(spans: list[tuple[float, float]]) -> float:
         total += max(end - max(start, reached), 0.0)
         reached = max(reached, end)
     return total
+
+
+def print_count(out: Console, name: str, found: RepetitionCount) -> None:
+    """The repetitions of a recording, in the language in use: how many, how sure, and when."""
+    values = {"name": name, "n": found.count, "seconds": found.duration, "certainty": 100.0 * found.certainty}
+    print_line(out, Message("repetition_count.found" if found.spans else "repetition_count.none", **values))
+    if found.spans:
+        print_line(out, Message("text.verbatim", text="  ".join(_span(start, end) for start, end in found.spans)))
 
 
 def print_repetitions(out: Console, assessment: RepetitionsAssessment, detail: str = "full") -> None:

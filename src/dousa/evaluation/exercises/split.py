@@ -1,8 +1,9 @@
 """Repetitions of an exercise in one recording: found, counted, and bounded to the frame.
 
 The posture is a point in the space of nine segment directions without its heading; a repetition leaves a rest and
-returns to it. A template (one repetition, of the reference or of the recording itself) is searched by subsequence
-dynamic time warping of the displacements from rest: an exercise is recognised in a body that stands differently.
+returns to it. A template, one repetition of the reference, is searched by subsequence dynamic time warping of the
+displacements from rest: an exercise is recognised in a body that stands differently. Without a reference the
+repetitions are those of `dousa.motion.repetitions`.
 
 Source: the one-stage method of connected word recognition: H. Ney, "The use of a one-stage dynamic programming
 algorithm for connected word recognition", IEEE Trans. ASSP 32(2), 263-271, 1984.
@@ -22,6 +23,7 @@ from dousa.arrays import BoolArray, FloatArray, IntArray
 from dousa.evaluation.posture.posture import PostureSequence, Working, compute_postures, thin_postures
 from dousa.evaluation.posture.yaw import rotate_yaw
 from dousa.motion import CanonicalMotion
+from dousa.motion.repetitions import find_spans, fold_poses, trace_movement
 from dousa.motion.resampling import smooth_gaussian
 from dousa.motion.runs import find_runs
 
@@ -33,7 +35,7 @@ Matrix = NDArray[np.float64]
 
 def parse_passes(
     cost: Matrix, outside: NDArray[np.float64], *, entry: float = 0.03
-) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Find the cheapest reading of a recording as passes through a template and the time between them.
 
     Parameters
@@ -46,15 +48,14 @@ def parse_passes(
     -------
     passes : (R, 2) first frame and frame after the last of each pass, in order.
     prices : (R,) of each pass, a frame.
-    price : of the whole reading.
     """
     if len(cost) == 0 or cost.shape[1] == 0:
-        return np.zeros((0, 2), np.int64), np.zeros(0), float(outside.sum())
+        return np.zeros((0, 2), np.int64), np.zeros(0)
     total, origin, from_pass = _accumulate(cost, outside, STAY, SKIP, entry * cost.shape[1])
     bounds = _trace(origin, from_pass, total[-1, -1] < total[-1, 0])
     before = np.array([total[start - 1, [0, -1]].min() if start else 0.0 for start, _ in bounds])
     prices = (total[bounds[:, 1] - 1, -1] - before) / np.maximum(bounds[:, 1] - bounds[:, 0], 1)
-    return bounds, prices, float(min(total[-1, 0], total[-1, -1]))
+    return bounds, prices
 
 
 @njit(cache=True, nogil=True)
@@ -119,7 +120,6 @@ class PostureCurve:
     fine_rate: float  # Hz
     coarse: FloatArray  # (U, 27) the same at about 15 Hz
     stride: int  # frames of ``fine`` in one of ``coarse``
-    place: FloatArray  # (U, 2) m, where on the floor the body is
 
     @property
     def rate(self) -> float:
@@ -135,9 +135,7 @@ def compute_curve(postures: PostureSequence, *, smooth_s: float = 0.06, coarse_r
     turned = rotate_yaw(postures.segments, -heading).reshape(postures.n_frames, -1)
     fine = smooth_gaussian(turned, max(smooth_s * rate, 0.3))
     stride = max(1, round(rate / coarse_rate))
-    return PostureCurve(
-        fine, rate, np.ascontiguousarray(fine[::stride]), stride, postures.positions[::stride, 0][:, [0, 2]]
-    )
+    return PostureCurve(fine, rate, np.ascontiguousarray(fine[::stride]), stride)
 
 
 def _follow_heading(working: Working, n_frames: int, *, heading_s: float = 0.5) -> FloatArray:
@@ -185,7 +183,9 @@ _OTHER = 2.0  # mean squared residual, a share of the template's power, of other
 # motions of equal power differ by twice it
 _ONSET = 0.12  # share of the displacement at which a repetition has begun, see docs/exercises.md
 _SHORTEST_S, _LONGEST_S = 0.4, 20.0
-_ALIKE, _ALIKE_ALONE = 1.0, 2.5  # misfit, a share of the template's power, from which on a pass is another motion
+_ALIKE = 1.0  # misfit, a share of the template's power, from which on a pass is another motion
+COMPLETE = 0.65
+"""Share of the displacement of the template, or of the usual repetition if that is more; see docs/exercises.md."""
 _RETURNS = 0.55  # share of its reach within which a repetition begins and ends at rest, see docs/exercises.md
 
 
@@ -257,14 +257,13 @@ class _Template:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Parse:
-    """Passes (R, 2) through a template in frames of the coarse curve, the rest they start from, each one's mean squared
-    difference from the template as a share of its power (R,), and the price of the reading."""
+    """Passes (R, 2) through a template in frames of the coarse curve, the rest they start from, and each one's mean
+    squared difference from the template as a share of its power (R,)."""
 
     template: _Template
     rest: FloatArray
     passes: IntArray
     misfits: FloatArray
-    price: float
 
 
 def find_repetitions(
@@ -287,15 +286,27 @@ def find_repetitions(
     ------
     InvalidMotionError : no frame, another shape, or infinite positions.
     """
-    curve = compute_curve(_to_postures(motion))
-    templates: list[_Template] = []
-    for reference in references:
-        templates += _templates_of(compute_curve(_to_postures(reference)))
-    if references and not templates:
-        return RepetitionSplit((), curve.fine_rate, len(curve.fine), True)
-    best = _follow(curve, _pick_template(templates)) if references else _discover(curve)
-    found = [] if best is None else _describe(curve, best, relative=not references)
-    return RepetitionSplit(tuple(found), curve.fine_rate, len(curve.fine), bool(references))
+    postures = _to_postures(motion)
+    curve = compute_curve(postures)
+    if not references:
+        return RepetitionSplit(tuple(_find_alone(postures, curve)), curve.fine_rate, len(curve.fine), False)
+    templates = [template for reference in references for template in _templates_of(_to_postures(reference))]
+    found = _describe(curve, _follow(curve, _pick_template(templates))) if templates else []
+    return RepetitionSplit(tuple(found), curve.fine_rate, len(curve.fine), True)
+
+
+def _find_alone(postures: PostureSequence, curve: PostureCurve) -> list[Repetition]:
+    """What `count_repetitions` finds; how far each goes from its first posture is compared with the usual one."""
+    rate = curve.fine_rate
+    spans = find_spans(trace_movement(fold_poses(postures.positions, rate), rate))
+    reaches = [float(np.linalg.norm(curve.fine[start:end] - curve.fine[start], axis=1).max()) for start, end in spans]
+    usual = float(np.median(reaches)) if reaches else 0.0
+    if usual < LEAST_EXCURSION:
+        return []
+    return [
+        Repetition(start, end, start / rate, end / rate, round(reach / usual, 3), reach >= COMPLETE * usual)
+        for (start, end), reach in zip(spans, reaches, strict=True)
+    ]
 
 
 def _to_postures(motion: CanonicalMotion | PostureSequence) -> PostureSequence:
@@ -326,35 +337,31 @@ def find_reference_repetitions(reference: CanonicalMotion | PostureSequence) -> 
 
     A take that begins and ends in about the same pose, and repeats nothing, is one repetition. Empty without movement.
     """
-    curve = compute_curve(_to_postures(reference))
-    return tuple(span for span, _ in _split_reference(curve))
+    return tuple(_split_reference(_to_postures(reference))[1])
 
 
-def _split_reference(curve: PostureCurve) -> list[tuple[tuple[int, int], FloatArray]]:
-    """Spans of repetitions in frames, and the rest of each."""
+def _split_reference(postures: PostureSequence) -> tuple[PostureCurve, list[tuple[int, int]]]:
+    """The curve, and the spans of repetitions in frames."""
+    curve = compute_curve(postures)
     points = curve.coarse
     if len(points) < 2:
-        return []
-    found = _discover(curve)
-    spans = [] if found is None else [one for one in _describe(curve, found, relative=True) if one.complete]
-    if found is not None and len(spans) > 1:
-        return [((one.start, one.end), found.rest) for one in spans]
+        return curve, []
+    spans = [(one.start, one.end) for one in _find_alone(postures, curve) if one.complete]
     away = np.linalg.norm(points - points[0], axis=1)
-    if found is not None and spans and away[-1] >= _RETURNS * away.max():
-        return [((spans[0].start, spans[0].end), found.rest)]
+    if len(spans) > 1 or (spans and away[-1] >= _RETURNS * away.max()):
+        return curve, spans
     if away.max() < LEAST_EXCURSION:
-        return []
+        return curve, []
     first, last = _trim(points)
-    return [((first * curve.stride, min(last * curve.stride, len(curve.fine))), points[0])]
+    return curve, [(first * curve.stride, min(last * curve.stride, len(curve.fine)))]
 
 
-def _templates_of(curve: PostureCurve) -> list[_Template]:
+def _templates_of(postures: PostureSequence) -> list[_Template]:
     """The repetitions of a reference."""
+    curve, spans = _split_reference(postures)
     step = curve.stride
-    return [
-        _make_template(curve.coarse[start // step : -(-end // step) + 1], rest)
-        for (start, end), rest in _split_reference(curve)
-    ]
+    parts = [curve.coarse[start // step : -(-end // step) + 1] for start, end in spans]
+    return [_make_template(part, part[0]) for part in parts]
 
 
 def _pick_template(templates: Sequence[_Template]) -> _Template:
@@ -362,76 +369,7 @@ def _pick_template(templates: Sequence[_Template]) -> _Template:
     return sorted(templates, key=lambda one: one.reach)[len(templates) // 2]
 
 
-# Without a reference
-
-
-def _discover(curve: PostureCurve, *, most_templates: int = 60, template_cost: float = 0.7) -> _Parse | None:
-    """The excursion from rest that explains most of the recording when it is taken for the template.
-
-    The shorter description wins: first the template, then the difference of every frame.
-    """
-    # template_cost: frames that describing a frame of the template costs
-    rests = find_rests(curve)
-    candidates = [span for rest in rests for span in _cut_excursions(curve, rest)]
-    if not candidates:
-        return None
-    scale = _OTHER * _middle_power(candidates)
-    silent = min(float(np.minimum(((curve.coarse - rest) ** 2).sum(axis=1) / scale, 1.0).sum()) for rest in rests)
-    best: _Parse | None = None
-    worth_of_best = -np.inf
-    candidates.sort(key=lambda one: one.template.reach)
-    for one in candidates[:: -(-len(candidates) // most_templates)]:
-        parse = _parse(curve, one.template, one.rest, scale)
-        saved = silent - parse.price - template_cost * len(one.template.path)
-        worth = saved / (1.0 + one.strayed**2) if saved > 0 else saved
-        if worth > worth_of_best:
-            best, worth_of_best = parse, worth
-    return None if best is None else _keep_alike(best, _ALIKE_ALONE)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Candidate:
-    """An excursion from a rest, and how far the body went on the floor meanwhile, as a share of `_ON_THE_SPOT_M`."""
-
-    template: _Template
-    rest: FloatArray
-    strayed: float
-
-
-def _middle_power(candidates: Sequence[_Candidate]) -> float:
-    """The power of the excursions on the spot, median by time."""
-    powers = np.array([one.template.power for one in candidates])
-    shares = np.array([len(one.template.path) / (1.0 + one.strayed**2) for one in candidates])
-    order = np.argsort(powers)
-    total = np.cumsum(shares[order])
-    return float(powers[order][np.searchsorted(total, 0.5 * total[-1])])
-
-
-def _cut_excursions(
-    curve: PostureCurve,
-    rest: FloatArray,
-    *,
-    on_the_spot_m: float = 0.4,
-    moment_s: float = 0.3,
-    levels: tuple[float, float, float] = (0.15, 0.3, 0.5),
-) -> list[_Candidate]:
-    """The spans between two rests, cut at several levels, those with a moment between them taken together as well."""
-    # levels: shares of the largest displacements at which excursions are cut
-    away = np.linalg.norm(curve.coarse - rest, axis=1)
-    top = float(np.quantile(away, 0.95)) if len(away) else 0.0
-    found = set()
-    for share in levels:
-        for gap in (0, round(moment_s * curve.rate)):
-            found |= {_widen(away, start, end) for start, end in _list_spans(away > share * top, gap)}
-    candidates = []
-    for start, end in sorted(found):
-        if away[start:end].max() >= LEAST_EXCURSION and _SHORTEST_S <= (end - start) / curve.rate <= _LONGEST_S:
-            strayed = float(np.linalg.norm(curve.place[end - 1] - curve.place[start])) / on_the_spot_m
-            template = _make_template(curve.coarse[start:end], rest)
-            ends = np.linalg.norm(template.path[[0, -1]], axis=1)
-            if ends.max() <= _RETURNS * template.reach:
-                candidates.append(_Candidate(template, rest, strayed))
-    return candidates
+# With a template
 
 
 def _list_spans(mask: BoolArray, gap: int = 0) -> list[tuple[int, int]]:
@@ -443,18 +381,6 @@ def _list_spans(mask: BoolArray, gap: int = 0) -> list[tuple[int, int]]:
         else:
             spans.append((start, end))
     return spans
-
-
-def _widen(away: FloatArray, start: int, end: int) -> tuple[int, int]:
-    """Down to where an excursion comes from, and where it goes to."""
-    while start > 0 and away[start - 1] < away[start]:
-        start -= 1
-    while end < len(away) and away[end] < away[end - 1]:
-        end += 1
-    return start, end
-
-
-# With a template
 
 
 def _follow(curve: PostureCurve, template: _Template) -> _Parse:
@@ -481,8 +407,8 @@ def _parse(curve: PostureCurve, template: _Template, rest: FloatArray, scale: fl
     moved = curve.coarse - rest
     cost = _squared(moved, template.path) / scale
     outside = np.minimum((moved * moved).sum(axis=1) / scale, 1.0)
-    passes, prices, price = parse_passes(cost, outside)
-    return _Parse(template, rest, passes, prices * scale / template.power, price)
+    passes, prices = parse_passes(cost, outside)
+    return _Parse(template, rest, passes, prices * scale / template.power)
 
 
 def _keep_alike(parse: _Parse, limit: float) -> _Parse:
@@ -499,16 +425,15 @@ def _likeness(parse: _Parse) -> float:
 # From passes to repetitions
 
 
-def _describe(curve: PostureCurve, parse: _Parse, *, relative: bool, complete: float = 0.65) -> list[Repetition]:
+def _describe(curve: PostureCurve, parse: _Parse) -> list[Repetition]:
     """Repetitions with bounds at the full rate, and those that were broken off between them."""
-    # complete: share of the displacement of the template, or of the usual repetition if that is more
     moved = curve.fine - parse.rest
     away = np.linalg.norm(moved, axis=1)
     spans = [(int(a) * curve.stride, min(int(b) * curve.stride, len(moved))) for a, b in parse.passes]
     reaches = [float(away[a:b].max()) for a, b in spans]
     usual = float(np.median(reaches)) if reaches else 0.0
-    measure = usual if relative and reaches else parse.template.reach
-    least = complete * max(1.0, usual / measure) if measure > 0 else complete
+    measure = parse.template.reach
+    least = COMPLETE * max(1.0, usual / measure) if measure > 0 else COMPLETE
     if measure < LEAST_EXCURSION:
         return []
     spans = sorted(spans + _broken_off(moved, parse.template, spans, measure, curve.fine_rate))

@@ -12,7 +12,7 @@ import csv
 import io
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -25,7 +25,6 @@ from dousa.files.disk import atomic_write
 from dousa.messages import Message
 from dousa.motion.canonical.canonicalise import mirror_positions
 from dousa.motion.runs import find_equal_runs
-from dousa.retrieval.counting.counter import TALLIES
 from dousa.retrieval.features.channels import sample_positions
 from dousa.retrieval.features.posed_motion import PlainMotion, PosedMotion, check_motion
 from dousa.retrieval.forest.forest_file import check, check_version, pack_arrays, unpack_arrays
@@ -52,11 +51,11 @@ from dousa.workers.threads import map_pieces
 SHORT_GAP = 15
 """Frames, the longest gap between two actions, or at an end, that is added to them: half a second (docs/takes.md)."""
 
-_VERSION, _EARLIER = 7, (4, 5, 6)
+_VERSION, _EARLIER = 8, (4, 5, 6, 7)
 _WHAT = Message("stored.labeller")
 _NAMES = (
     *("version", "classes", *MODEL_ARRAYS, "log_lengths", "spreads", "weights"),
-    *("calibration", "threshold", "held", "held_states", "usual"),
+    *("calibration", "threshold", "held", "held_states"),
 )
 
 
@@ -154,8 +153,8 @@ class TakeLabeller:
     threshold : least confidence of a category.
     held : (H, F) bytes of some training moments, whose states are kept when examples are taught.
     held_states : (H,) their states: 3 c + phase, 3 C for nothing.
-    usual : (C', 28) one repetition of a category in each tally (`find_usual`), NaN where unknown. C' is C without the
-        categories only taught, or 0 in files of earlier versions, whose tallies differ.
+    phases : (C',) how many cycles one repetition of a category is (`find_phases`). C' is C without the categories only
+        taught, or 0 in files of earlier versions.
     placing : (1 + K,) as ``calibration``, of lying where any action is; empty in earlier versions.
     """
 
@@ -166,7 +165,7 @@ class TakeLabeller:
     threshold: float
     held: Codes
     held_states: NDArray[np.int32]
-    usual: FloatArray = field(default_factory=lambda: np.empty((0, len(TALLIES))))
+    phases: tuple[int, ...] = ()
     placing: tuple[float, ...] = ()
 
     def judge(self, sampled: FloatArray, height: float, n_jobs: int | None = None) -> NDArray[np.float32]:
@@ -246,7 +245,7 @@ class TakeLabeller:
                 "threshold": np.array(self.threshold, np.float64),
                 "held": self.held,
                 "held_states": self.held_states,
-                "usual": self.usual,
+                "phases": np.array(self.phases, np.int64),
                 "placing": np.array(self.placing or self.calibration, np.float64),
             }
         )
@@ -254,7 +253,7 @@ class TakeLabeller:
     @classmethod
     def from_bytes(cls, data: bytes) -> TakeLabeller:
         """Read the bytes of ``to_bytes``; DousaError for damaged, other or newer bytes."""
-        arrays = unpack_arrays(data, _NAMES, _WHAT, ("placing",))
+        arrays = unpack_arrays(data, _NAMES, _WHAT, ("placing", "phases", "usual"))
         check_version(arrays, _WHAT, (*_EARLIER, _VERSION))
         arrays.setdefault("placing", arrays["calibration"])
         classes = arrays["classes"]
@@ -275,11 +274,9 @@ class TakeLabeller:
         held, of = arrays["held"], arrays["held_states"]
         right = held.dtype == np.uint8 and held.ndim == 2 and held.shape[1] == N_VALUES
         check(right and of.dtype == np.int32 and of.shape == (len(held),), _WHAT, "bad held moments")
-        usual = arrays["usual"]
-        if int(arrays["version"]) in _EARLIER:  # other tallies
-            usual = np.empty((0, len(TALLIES)))
-        right = usual.dtype == np.float64 and usual.shape in ((len(classes), len(TALLIES)), (0, len(TALLIES)))
-        check(right and bool((np.isnan(usual) | ((usual > 1e-3) & (usual < 1e6))).all()), _WHAT, "bad repetitions")
+        phases = arrays.get("phases", np.empty(0, np.int64))  # not in earlier versions
+        right = phases.dtype == np.int64 and phases.shape in ((len(classes),), (0,))
+        check(right and bool(((phases > 0) & (phases < 100)).all()), _WHAT, "bad repetitions")
         return cls(
             tuple(map(str, classes)),
             model,
@@ -288,7 +285,7 @@ class TakeLabeller:
             float(numbers["threshold"]),
             held,
             of,
-            usual,
+            tuple(phases.tolist()),
             tuple(map(float, numbers["placing"])),
         )
 
@@ -481,7 +478,7 @@ def label_take(
         ]
         image = PlainMotion(mirror_positions(points), motion.frame_rate, motion.height)
         chosen = lay_mirrored(chosen, weigh_chosen(labeller, possible, image, judge, n_jobs), SHORT_GAP)
-    chosen = count_all(chosen, sampled, motion.height, labeller.usual, n_jobs)
+    chosen = count_all(chosen, sampled, labeller.phases)
     limit = usual_threshold(labeller, judge) if threshold is None else threshold
     said = [one.likely if threshold is None else one.confidence >= threshold for one in chosen]
     return make_timeline(chosen, said, labeller.classes, len(points) / motion.frame_rate, limit)

@@ -17,7 +17,6 @@ from dousa.arrays import FloatArray, IntArray
 from dousa.errors import TrainingError
 from dousa.messages import Count
 from dousa.motion.runs import find_equal_runs
-from dousa.retrieval.counting.counter import find_usual, measure_tallies
 from dousa.retrieval.features.channels import count_samples, sample_positions
 from dousa.retrieval.features.posed_motion import AnnotatedTake, LabelledClip, PosedMotion, check_motion
 from dousa.retrieval.takes.label import SHORT_GAP, TakeLabeller
@@ -44,6 +43,7 @@ from dousa.retrieval.takes.moment_model import (
     sharpen,
     sum_moments,
 )
+from dousa.retrieval.takes.repetitions import count_part, find_phases
 from dousa.retrieval.takes.sequence import (
     FLOOR,
     N_PHASES,
@@ -103,36 +103,33 @@ def train_labeller(
     calibration, threshold = calibrate(answers)
     placing = calibrate_places(answers)
     held, states = _gather(shown, generator)
-    usual = _find_usual(clips, takes, classes)
-    return TakeLabeller(classes, model, sequence, calibration, threshold, held, states, usual, placing)
+    phases = _learn_phases(clips, takes, classes)
+    return TakeLabeller(classes, model, sequence, calibration, threshold, held, states, phases, placing)
 
 
-def _find_usual(
+def _learn_phases(
     clips: Sequence[LabelledClip],
     takes: Sequence[AnnotatedTake],
     classes: Sequence[str],
     least: int = 3,
     most: int = 12,
     of_all: int = 400,
-) -> FloatArray:
-    """Return (C, 28) one repetition of each category in each tally, from some of its clips and segments.
+) -> tuple[int, ...]:
+    """Return how many cycles one repetition of each category is, from some of its clips and segments.
 
     These are ``least`` to ``most`` of a category, and ``of_all`` together.
     """
-    shown: dict[str, list[tuple[FloatArray, float, float]]] = {name: [] for name in classes}
+    shown: dict[str, list[tuple[FloatArray, float]]] = {name: [] for name in classes}
     for clip in clips:
-        shown[clip.category].append((clip.positions, clip.frame_rate, clip.height))
+        shown[clip.category].append((clip.positions, clip.frame_rate))
     for take in takes:
         for one in take.stretches:
             if one.category is not None:
                 start, stop = (round(seconds * take.frame_rate) for seconds in (one.start, one.stop))
-                shown[one.category].append((take.positions[start:stop], take.frame_rate, take.height))
+                shown[one.category].append((take.positions[start:stop], take.frame_rate))
     count = int(np.clip(of_all // max(len(shown), 1), least, most))
-    usual = []
-    for some in shown.values():
-        few = some[:: max(-(-len(some) // count), 1)]
-        usual.append(find_usual([measure_tallies(sample_positions(part, rate), height) for part, rate, height in few]))
-    return np.stack(usual)
+    few = [some[:: max(-(-len(some) // count), 1)] for some in shown.values()]
+    return tuple(find_phases([count_part(sample_positions(part, rate)) for part, rate in some]) for some in few)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

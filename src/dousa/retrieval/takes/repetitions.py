@@ -9,11 +9,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dousa.arrays import FloatArray
-from dousa.retrieval.counting.counter import TALLIES, choose_count, find_usual, measure_parts, measure_tallies
+from dousa.motion.repetitions import count_cycles, fold_poses
 from dousa.retrieval.features.channels import sample_positions
 from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
 from dousa.retrieval.takes.made_takes import SERIES
-from dousa.workers.threads import map_pieces
+from dousa.retrieval.takes.windows import TAKE_RATE
 
 
 def count_clip(motion: PosedMotion, alike: Sequence[PosedMotion] = ()) -> int:
@@ -29,12 +29,39 @@ def count_clip(motion: PosedMotion, alike: Sequence[PosedMotion] = ()) -> int:
     ------
     InvalidMotionError : another shape than (n, 20, 3), positions that are not finite, no body height.
     """
-    usual = find_usual([_measure(one) for one in alike])
-    return choose_count(_measure(motion), usual)
+    return divide_cycles(_count(motion), find_phases([_count(one) for one in alike]))
 
 
-def _measure(motion: PosedMotion) -> FloatArray:
-    return measure_tallies(sample_positions(check_motion(motion), motion.frame_rate), motion.height)
+def _count(motion: PosedMotion) -> int:
+    return count_part(sample_positions(check_motion(motion), motion.frame_rate))
+
+
+def count_part(sampled: FloatArray) -> int:
+    """Count the cycles of a part of a recording (n, 20, 3) m at ``TAKE_RATE``, at least 1."""
+    return count_cycles(fold_poses(sampled, TAKE_RATE), TAKE_RATE)
+
+
+def find_phases(counts: Sequence[int], same: float = 0.75, most: int = 2) -> int:
+    """Find how many cycles one repetition of a category is, from those of some of its clips; 1 without any.
+
+    If most clips show two (a step left, a step right), that is one repetition, else a cycle is.
+
+    Parameters
+    ----------
+    counts : cycles of each clip.
+    same : share of the clips that show the same number.
+    most : cycles of one action, such as left and right; more are repetitions.
+    """
+    if not len(counts):
+        return 1
+    values, often = np.unique(counts, return_counts=True)
+    usual = int(values[often.argmax()])
+    return usual if often.max() >= same * len(counts) and usual <= most else 1
+
+
+def divide_cycles(cycles: int, phases: int) -> int:
+    """Return how many repetitions of ``phases`` cycles each so many cycles are, at least 1."""
+    return max((2 * cycles + phases) // (2 * phases), 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,37 +150,22 @@ def _find_odds(one: Chosen, least: float = 1e-3) -> float:
     return float(np.log(chance / (1.0 - chance)))
 
 
-def count_all(
-    chosen: Sequence[Chosen],
-    sampled: FloatArray,
-    height: float,
-    usual: FloatArray | None = None,
-    n_jobs: int | None = None,
-    at_once: int = 16,
-) -> list[Chosen]:
+def count_all(chosen: Sequence[Chosen], sampled: FloatArray, phases: Sequence[int] = ()) -> list[Chosen]:
     """Count the repetitions of each action, with series of three or more joined into one.
 
     Parameters
     ----------
     chosen : in the order of time.
     sampled : (n, 20, 3) m at ``TAKE_RATE``, of the take.
-    height : m.
-    usual : as for `TakeLabeller`.
-    n_jobs : threads; None for one.
-    at_once : actions that a thread counts at a time.
+    phases : cycles of one repetition of each category (`find_phases`); 1 for those beyond.
     """
-    joined = [one for some in _find_series(chosen) for one in _join(some)]
-    usual = np.empty((0, len(TALLIES))) if usual is None else usual
+    poses = fold_poses(sampled, TAKE_RATE)
 
-    def count(some: Sequence[Chosen]) -> list[Chosen]:
-        tallies = measure_parts(sampled, np.array([(one.start, one.stop) for one in some]), height)
-        return [
-            replace(one, repetitions=choose_count(own, usual[one.category] if one.category < len(usual) else None))
-            for one, own in zip(some, tallies, strict=True)
-        ]
+    def count(one: Chosen) -> int:
+        cycles = count_cycles(poses[one.start : one.stop], TAKE_RATE)
+        return divide_cycles(cycles, phases[one.category] if one.category < len(phases) else 1)
 
-    pieces = [joined[first : first + at_once] for first in range(0, len(joined), at_once)]
-    return [one for some in map_pieces(count, pieces, n_jobs, at_a_time=1) for one in some]
+    return [replace(one, repetitions=count(one)) for some in _find_series(chosen) for one in _join(some)]
 
 
 def _find_series(chosen: Sequence[Chosen], longest_rest: int = 90, longest_slip: int = 45) -> list[list[Chosen]]:

@@ -1,1 +1,0 @@
-"""Counting the repetitions of an action from tallies of its movement."""
