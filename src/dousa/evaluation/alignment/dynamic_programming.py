@@ -50,8 +50,8 @@ def _correlate(pose: Matrix, b: Matrix, low: int, high: int, out: Matrix) -> Non
             across += pose[9 + p] * b[p, u]
             across -= pose[p] * b[9 + p, u]
             up += pose[18 + p] * b[18 + p, u]
-        alike = np.float32(math.sqrt(along * along + across * across) + up)
-        out[u] = alike if alike < np.float32(1.0) else np.float32(1.0)
+        likeness = np.float32(math.sqrt(along * along + across * across) + up)
+        out[u] = likeness if likeness < np.float32(1.0) else np.float32(1.0)
 
 
 @kernel
@@ -128,7 +128,7 @@ def switch_on(score: FloatArray, price: float) -> NDArray[np.bool_]:
     return on
 
 
-_LINE, _PAUSE, _SKIP, _ELSEWHERE = 0, 1, 2, 3
+_LINE, _PAUSE, _SKIP, _ELSEWHERE = 0, 1, 2, 3  # by definition
 
 
 @kernel
@@ -315,7 +315,7 @@ def warp(
 
 def trace_back(origin: NDArray[np.uint8], low: IndexArray, first: IndexArray, row: int, column: int) -> IndexArray:
     """Trace the path (K, 2), ascending, that ends in a cell, through what `warp` has filled."""
-    cells, starts = memoryview(origin), (first - low).tolist()
+    cells, starts = memoryview(origin.data), (first - low).tolist()
     path = [(row, column)]
     while (source := cells[starts[row] + column]) != _HERE:
         if source != _COLUMN_BEFORE:

@@ -508,8 +508,8 @@ def gather_evidence(
     prices = LAG_PRICE * np.abs(np.arange(cost.shape[1]) - center) * (30.0 / rate)
     # Where all lags are as good there is none.
     forgiven = slice(center - slack, center + slack + 1)
-    near = follow_lag(cost[:, forgiven] + tie * prices[forgiven], change)
-    near = near.astype(np.intp) + center - slack
+    forgiven_course = follow_lag(cost[:, forgiven] + tie * prices[forgiven], change)
+    near = forgiven_course.astype(np.intp) + center - slack
     course = follow_lag(cost + prices, change).astype(np.intp)
     ordinary = ratio.at_lag(near) * deviations.judged
     punctual = ratio.at_lag(np.full(len(near), center)) * deviations.judged

@@ -257,7 +257,7 @@ def _measure_gains(
             aligned = spaces[furi[number].label].align(_smooth(motion.segments, total, span[which], half))
             ranges[which, number] = _measure_range(aligned, motion.seen[span[which]])
     whole, part = ranges
-    return np.divide(part, whole, out=np.full_like(whole, np.nan), where=whole >= smallest_range)
+    return np.asarray(np.divide(part, whole, out=np.full_like(whole, np.nan), where=whole >= smallest_range))
 
 
 def _measure_range(aligned: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
