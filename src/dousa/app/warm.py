@@ -136,6 +136,9 @@ def _make_motions() -> None:
 
 def _run_jobs(part: str) -> None:
     """Run the jobs of a part here, with a line on standard output after each: how many functions were compiled."""
+    from dousa.kernels import compile_always
+
+    compile_always()  # also what small work alone would not
     from numba.core import event
 
     from dousa.app.cli.main import app
