@@ -32,8 +32,8 @@ def add(files: list[Path], jobs: int | None = None) -> None:
         raise SystemExit(f"{len(report.skipped)} of {len(files)} files could not be added")
 
 
-def read_with_pymotion(path: str, options: ReadOptions) -> tuple[CanonicalMotion, str]:
-    """What ``ingest.read_canonical`` does, with upc-pymotion: the positions of the joints, in metres."""
+def read_with_pymotion(path: str, options: ReadOptions, whole: bool) -> tuple[Trajectories, CanonicalMotion]:
+    """What ``ingest.read_both`` does, with upc-pymotion: the positions of the joints, in metres."""
     from pymotion.io.bvh import BVH
     from pymotion.ops.skeleton_np import fk_quat
 
@@ -43,11 +43,11 @@ def read_with_pymotion(path: str, options: ReadOptions) -> tuple[CanonicalMotion
     # The position channels of these files stand for the offsets.
     world, _ = fk_quat(rotations, positions[:, 0], positions, parents)
     trajectories = Trajectories(tuple(file.data["names"]), world * 0.01, 1 / file.data["frame_time"])
-    return canonicalise(trajectories), "bvh"
+    return trajectories, canonicalise(trajectories, whole=whole)
 
 
 def add_with_pymotion(files: list[Path]) -> None:
-    with mock.patch.object(ingest, "read_canonical", read_with_pymotion):
+    with mock.patch.object(ingest, "read_both", read_with_pymotion):
         add(files, 1)
 
 
