@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (24_995, 110),
+    "app": (25_060, 110),
     "estimation": (15_271, 62),
     "evaluation": (12_345, 43),
     "experiments": (1_811, 10),
@@ -40,8 +40,8 @@ TOTALS = {
     "folders with more than 15 files": 0,
     "lines with words that a native reader stumbles over": 48,
     "hand-written runs of a mask": 3,
-    "commands": 29,
-    "options": 195,
+    "commands": 30,
+    "options": 197,
 }
 
 _LONG_FUNCTION, _LONG_FILE, _LARGE_FOLDER = 60, 650, 15

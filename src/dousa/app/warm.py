@@ -34,6 +34,7 @@ PARTS = {
     "evaluation": (
         "evaluate motions/walk/0.bvh --performance new/walk.bvh -o report",
         "evaluate motions/squat/0.bvh --performance series.bvh --repetitions",
+        "count series.bvh",
     ),
 }
 
