@@ -18,7 +18,7 @@ from typing import Any, overload
 
 import numpy as np
 
-__all__ = ["compile_always", "is_worth_compiling", "kernel", "part"]
+__all__ = ["compile_always", "is_worth_compiling", "kernel", "load_compiler", "part"]
 
 
 class _Effort:
@@ -47,6 +47,11 @@ def is_worth_compiling(numbers: int) -> bool:
         return True
     _Effort.spent += numbers
     return False
+
+
+def load_compiler() -> None:
+    """Load Numba for work that needs it in any case: what was compiled before is then not interpreted."""
+    import numba  # noqa: F401
 
 
 def compile_always() -> None:

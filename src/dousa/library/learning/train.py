@@ -13,6 +13,7 @@ import sqlalchemy as sa
 from numpy.typing import NDArray
 
 from dousa.errors import TrainingError
+from dousa.kernels import load_compiler
 from dousa.library.learning.lesson import choose_trained, save_examples
 from dousa.library.results import TrainReport
 from dousa.library.search.renewal import make_side_file
@@ -92,6 +93,7 @@ def train_forest(
     progress : called with (steps done, steps, message about the next step).
     """
     start = time.perf_counter()
+    load_compiler()
     tell = _Tell(progress)
     tell(0, Message("library_training.describing_clips"))
     database.check_writable()  # before the work
