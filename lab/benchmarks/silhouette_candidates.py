@@ -37,7 +37,8 @@ CIRCLE = np.stack((np.cos(a := np.linspace(0, 2 * np.pi, 24, endpoint=False)), n
 
 
 @njit(error_model="numpy")
-def count_all(pose, axis, amounts, parts, model, views, scratch, counts):  # type: ignore[no-untyped-def]
+def count_all(pose, axis, amounts, parts, reading, model, views, scratch, counts):  # type: ignore[no-untyped-def]
+    fill_evidence(reading, views[3], scratch[4], scratch[2], scratch[3], scratch[7])
     trial = pose.copy()
     for n in range(len(amounts)):
         trial[:] = pose
@@ -65,8 +66,8 @@ class Limb:
         setup, scratch, counts = self.setup, self.setup.make_scratch(), np.empty(len(self.amounts), np.int64)
         scratch[5][:], scratch[6][:] = place_parts(self.body, self.pose)
         views, parts = setup.views(self.frame), np.array([self.part])
-        fill_evidence(READINGS.index("plain"), self.frame.bits, scratch[4], scratch[2], scratch[3], scratch[7])
-        count_all(self.pose, self.axis, self.amounts, parts, setup.model, views, scratch, counts)
+        plain = READINGS.index("plain")
+        count_all(self.pose, self.axis, self.amounts, parts, plain, setup.model, views, scratch, counts)
         return counts + int(self.mask.sum())
 
     def search_axes(self, repeats: int) -> None:

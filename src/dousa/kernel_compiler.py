@@ -60,7 +60,8 @@ class _PartLibrary(JITCodeLibrary):
 class _KernelLibrary(_PartLibrary):
     """The code of a kernel: its parts become its own, so that LLVM drops what of them and their arguments is not used.
 
-    Numba's first round of optimising prepares the removal of counts of references.
+    They get names of their own, by which no other code takes them for the functions that they were before. Numba's
+    first round of optimising prepares the removal of counts of references.
     """
 
     counts = False
@@ -69,7 +70,7 @@ class _KernelLibrary(_PartLibrary):
         self.link_called(self._final_module)
         for function in self._final_module.functions:
             if function.linkage == Linkage.linkonce_odr and not function.is_declaration:
-                function.linkage = Linkage.internal
+                function.linkage, function.name = Linkage.internal, f"part {function.name}"
         if self.counts:
             self._optimize_final_module()
         else:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from oracles.parts import run_part
 from oracles.slow_rasteriser import depth_in_hull, part_depths, project
 
 from dousa.estimation.body.body import BodyModel
@@ -112,10 +113,10 @@ def test_what_is_beyond_all_numbers_of_pixels_draws_nothing_wrong(far):
     for sign in (-1.0, 1.0):
         discs = np.array([[sign * far, 3.0, 2.0], [sign * 2 * far, 5.0, 1.0], [3.0, sign * far, 0.0]])
         low, high = np.empty(9, np.int64), np.empty(9, np.int64)
-        first, last = outline_discs(discs, 3, 70, 9, np.empty((3, 3, 2)), low, high)
+        first, last = run_part(outline_discs)(discs, 3, 70, 9, np.empty((3, 3, 2)), low, high)
         assert 0 <= first <= max(first, last) <= 9
         bits = np.zeros((9, 2), np.uint64)
-        draw_intervals(bits, low, high, first, last)
+        run_part(draw_intervals)(bits, low, high, first, last)
         assert not (bits[:, 1] >> np.uint64(6)).any()
 
 
@@ -235,11 +236,11 @@ def test_counting_an_interval_is_counting_its_pixels(width, low, high, seed):
     inside = (columns >= low) & (columns <= high)
     interval = np.array([low]), np.array([high]), 0, 1
     expected = int(plus[0, inside].sum()) - int(minus[0, inside].sum())
-    assert count_alone(pack_bits(plus), pack_bits(minus), *interval) == expected
+    assert run_part(count_alone)(pack_bits(plus), pack_bits(minus), *interval) == expected
     new = inside & ~drawn[0]
     bits = pack_bits(drawn)
     expected = int(plus[0, new].sum()) - int(minus[0, new].sum())
-    assert count_unseen(pack_bits(plus), pack_bits(minus), bits, *interval) == expected
+    assert run_part(count_unseen)(pack_bits(plus), pack_bits(minus), bits, *interval) == expected
     np.testing.assert_array_equal(bits, pack_bits(drawn | inside))
 
 
@@ -247,5 +248,5 @@ def test_the_bits_beyond_the_last_column_stay_clear():
     from dousa.estimation.raster.rasteriser import draw_intervals
 
     bits = np.zeros((2, 2), np.uint64)
-    draw_intervals(bits, np.array([0, 5]), np.array([69, 4]), 0, 2)
+    run_part(draw_intervals)(bits, np.array([0, 5]), np.array([69, 4]), 0, 2)
     assert bits.tolist() == [[2**64 - 1, 2**6 - 1], [0, 0]]

@@ -28,7 +28,6 @@ from dousa.estimation.tracking.diagnosis import (
     cover_views,
     erode,
     find_habit,
-    measure_widths,
 )
 from dousa.estimation.tracking.search_setup import SearchSetup
 from dousa.estimation.tracking.settings import TrackerSettings
@@ -51,8 +50,7 @@ def make_scene(seed, unseen=False):
 @given(seeds, st.booleans())
 def test_overlap_and_what_hides_are_those_of_plain_masks(seed, unseen):
     setup, masks, pose = make_scene(seed, unseen)
-    overlap, visible = np.empty(2), np.empty(setup.body.n_parts)
-    cover_views(pose, setup.model, setup.views(setup.pack(masks)), setup.make_scratch(), overlap, visible)
+    overlap, visible, drawn = cover_views(setup, pose, setup.pack(masks))
     expected = np.zeros(setup.body.n_parts)
     for view, (camera, mask) in enumerate(zip(setup.cameras, masks, strict=True)):
         if mask is None:
@@ -60,6 +58,7 @@ def test_overlap_and_what_hides_are_those_of_plain_masks(seed, unseen):
             continue
         parts = draw_parts(setup.body, pose, camera)[0]
         body = parts.any(axis=0)
+        np.testing.assert_array_equal(unpack_bits(drawn[view, : camera.height], camera.width), body)
         assert overlap[view] == pytest.approx((body & mask).sum() / (body | mask).sum(), abs=1e-12)
         own = (parts & (parts.sum(axis=0) == 1)).sum(axis=(1, 2))
         expected = np.maximum(expected, own / np.maximum(parts.sum(axis=(1, 2)), 1))
@@ -91,10 +90,7 @@ def slow_width(setup, masks, pose, part, axis, side):
 @given(seeds, st.booleans())
 def test_widths_are_those_of_plain_masks(seed, unseen):
     setup, masks, pose = make_scene(seed, unseen)
-    low, high = np.zeros(setup.n_axes), np.zeros(setup.n_axes)
-    measure_widths(
-        pose, setup.weights, setup.bounds, setup.model, setup.views(setup.pack(masks)), setup.make_scratch(), low, high
-    )
+    low, high = setup.measure_widths(pose, setup.pack(masks), setup.make_scratch()).T
     for part in range(setup.body.n_parts):
         for axis in axes_of(setup.body, part):
             assert low[axis] == pytest.approx(slow_width(setup, masks, pose, part, axis, -1.0), abs=1e-12)

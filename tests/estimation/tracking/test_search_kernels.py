@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles.parts import run_part
 from oracles.slow_search import (
     SlowSearch,
     axes_of,
@@ -113,9 +114,9 @@ def test_two_images_tell_the_mismatch_of_every_reading(seed, reading, unseen):
     parts = rng.permutation(body.n_parts)[: rng.integers(1, body.n_parts + 1)]
     fixed = [rng.random((camera.height, camera.width)) < 0.3 for camera in setup.cameras]
     images = scratch[2], scratch[3]
-    fill_evidence(READINGS.index(reading), frame.bits, _pack_all(setup, fixed), *images, scratch[7])
+    run_part(fill_evidence)(READINGS.index(reading), frame.bits, _pack_all(setup, fixed), *images, scratch[7])
     scratch[5][:], scratch[6][:] = place_parts(body, pose)
-    counted = count_parts(parts, setup.model, setup.views(frame), *images, scratch, np.inf)
+    counted = run_part(count_parts)(parts, setup.model, setup.views(frame), *images, scratch, np.inf)
     expected = 0
     for camera, mask, f in zip(setup.cameras, masks, fixed, strict=True):
         if mask is not None:
@@ -124,7 +125,7 @@ def test_two_images_tell_the_mismatch_of_every_reading(seed, reading, unseen):
             expected += int(((x ^ p) & counts).sum()) - int((x & counts).sum())
     assert counted == expected
     spare = counted + int(rng.integers(-300, 300))  # what is given up is known to be above it
-    given_up = count_parts(parts, setup.model, setup.views(frame), *images, scratch, spare)
+    given_up = run_part(count_parts)(parts, setup.model, setup.views(frame), *images, scratch, spare)
     assert given_up == counted if counted <= spare else spare < given_up <= counted
     assert not scratch[1].any()  # the next call finds it clean
 
@@ -143,7 +144,7 @@ def test_moving_along_an_axis_is_the_oracles(seed, axis, amount):
     rng = np.random.default_rng(seed)
     pose = np.concatenate((rng.normal(size=3), rot.normalise(rng.normal(size=4)), rng.normal(size=3)))
     expected = moved_along(pose, axis, amount)
-    move_axis(pose, axis, amount)
+    run_part(move_axis)(pose, axis, amount)
     np.testing.assert_allclose(pose, expected, atol=1e-12)
 
 

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import BodyModelError
 from dousa.estimation.body.body import BodyModel
+from dousa.kernels import kernel, part
 from dousa.motion import Motion, Skeleton
 from dousa.motion import rotations as rot
 
@@ -103,16 +101,7 @@ def to_motion(body: BodyModel, poses: ArrayLike, frame_rate: float) -> Motion:
     return Motion(skeleton, quaternions, translations, frame_rate)
 
 
-# None of these allocates: without reference counts they compile in half the time and run faster. Each compiled function
-# is optimised again in every one that calls it, so that what is small, or has one caller, is written into it instead.
-_njit: Any = njit  # whose types leave out some of its options
-_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
-compiled = _njit(cache=True, no_cfunc_wrapper=True, **_OPTIONS)
-merged = _njit(cache=True, no_cfunc_wrapper=True, forceinline=True, **_OPTIONS)
-inlined = _njit(inline="always", **_OPTIONS)
-
-
-@inlined
+@part
 def _turn(a, b, c, d, x, y, z):  # type: ignore[no-untyped-def]
     """Return a quaternion followed by a rotation vector in its own axes."""
     angle = np.sqrt(x * x + y * y + z * z)
@@ -126,13 +115,13 @@ def _turn(a, b, c, d, x, y, z):  # type: ignore[no-untyped-def]
     )
 
 
-@inlined
+@part
 def turn_root(pose, x, y, z):  # type: ignore[no-untyped-def]
     """Turn the root of a pose row by a rotation vector in its own axes, in place."""
     pose[3], pose[4], pose[5], pose[6] = _turn(pose[3], pose[4], pose[5], pose[6], x, y, z)
 
 
-@inlined
+@part
 def turn_part(part, pose, tree, local):  # type: ignore[no-untyped-def]
     """Compute the rotation matrix ``local[part]`` (3, 3) of a part in its parent's axes; of the root in the world's.
 
@@ -165,7 +154,7 @@ def turn_part(part, pose, tree, local):  # type: ignore[no-untyped-def]
     local[part, 2, 2] = 1.0 - 2.0 * (b * b + c * c)
 
 
-@inlined
+@part
 def hang_part(part, pose, tree, local, rotations, positions):  # type: ignore[no-untyped-def]
     """Compute world rotation matrix (3, 3) and place (3,) of a turned part below a placed parent."""
     parent = tree[0][part]
@@ -183,7 +172,7 @@ def hang_part(part, pose, tree, local, rotations, positions):  # type: ignore[no
             rotations[part, i, k] = p * local[part, 0, k] + q * local[part, 1, k] + r * local[part, 2, k]
 
 
-@compiled
+@part
 def hang_parts(parts, n_turned, pose, tree, local, rotations, positions):  # type: ignore[no-untyped-def]
     """Place parts, parents first; only the first ``n_turned`` have new angles."""
     for i in range(len(parts)):
@@ -192,7 +181,7 @@ def hang_parts(parts, n_turned, pose, tree, local, rotations, positions):  # typ
         hang_part(parts[i], pose, tree, local, rotations, positions)
 
 
-@compiled
+@kernel
 def place_all(poses, parts, tree, local, rotations, positions):  # type: ignore[no-untyped-def]
     """Compute rotations (T, P, 3, 3) and places (T, P, 3) of all parts in poses (T, 7 + A); ``local`` is scratch."""
     for t in range(len(poses)):

@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from dousa.arrays import FloatArray, IntArray, Mask
 from dousa.estimation.body.body import BodyModel
-from dousa.estimation.body.kinematics import compiled, inlined, merged, place_parts
+from dousa.estimation.body.kinematics import place_parts
 from dousa.estimation.cameras.camera import Camera
+from dousa.kernels import kernel, part
 
 Bits = NDArray[np.uint64]
 
@@ -61,13 +62,24 @@ def draw_parts(body: BodyModel, poses: ArrayLike, camera: Camera) -> Mask:
 
 
 def _draw(body: BodyModel, poses: ArrayLike, camera: Camera, layers: NDArray[np.intp], n_layers: int) -> Mask:
-    rotations, positions = place_parts(body, np.atleast_2d(np.asarray(poses, np.float64)))
-    n_words = -(-camera.width // 64)
-    bits = np.zeros((len(positions), n_layers, camera.height, n_words), np.uint64)
+    placed = place_parts(body, np.atleast_2d(np.asarray(poses, np.float64)))
+    size = (camera.width, camera.height)
+    return unpack_bits(draw_placed(body, placed, camera.to_row(), size, layers, n_layers), camera.width)
+
+
+def draw_placed(
+    body: BodyModel, placed: tuple[FloatArray, FloatArray], camera: FloatArray, size: tuple[int, int],
+    layers: NDArray[np.intp], n_layers: int,
+) -> Bits:  # fmt: skip
+    """Draw the parts of a body, placed as of `place_parts`, each into its layer (P,): bits (T, layers, height, words).
+
+    ``camera`` is as in `CAMERA_ROW`, ``size`` its width and height.
+    """
+    width, height = size
+    bits = np.zeros((len(placed[1]), n_layers, height, -(-width // 64)), np.uint64)
     solids = (body.spheres, body.sphere_starts)
-    work = outline_scratch(body, camera.height)
-    draw_layers(rotations, positions, solids, camera.to_row(), camera.width, layers, work, bits)
-    return unpack_bits(bits, camera.width)
+    draw_layers(*placed, solids, camera, width, layers, outline_scratch(body, height), bits)
+    return bits
 
 
 def _popcount(_context, word):  # type: ignore[no-untyped-def]
@@ -82,7 +94,7 @@ def _popcount(_context, word):  # type: ignore[no-untyped-def]
 popcount: Any = intrinsic(_popcount)
 
 
-@inlined
+@part
 def project_sphere(camera, x, y, z, radius):  # type: ignore[no-untyped-def]
     """Return column, row and radius (px) of a sphere; ``camera`` as in `CAMERA_ROW`.
 
@@ -108,7 +120,7 @@ def project_sphere(camera, x, y, z, radius):  # type: ignore[no-untyped-def]
     return camera[1] * cx + camera[5] * cy + camera[3], camera[2] * cy + camera[4], scale * radius
 
 
-@inlined
+@part
 def outline_discs(discs, count, width, height, pairs, low, high):  # type: ignore[no-untyped-def]
     """Compute first and last column of the hull of discs in each row and return the half-open range of rows.
 
@@ -134,7 +146,7 @@ def outline_discs(discs, count, width, height, pairs, low, high):  # type: ignor
     return first, last + 1
 
 
-@inlined
+@part
 def _measure_pairs(discs, count, pairs):  # type: ignore[no-untyped-def]
     """Compute for each pair the length of its outer tangents and 1 / squared distance.
 
@@ -155,7 +167,7 @@ def _measure_pairs(discs, count, pairs):  # type: ignore[no-untyped-def]
             pairs[j, i, 0], pairs[j, i, 1] = root, inverse
 
 
-@inlined
+@part
 def _find_start(side, discs, count, pairs, top):  # type: ignore[no-untyped-def]
     """Return the outermost of the highest discs that lie in no other, where the walk begins."""
     here, outmost = 0, -np.inf
@@ -166,7 +178,7 @@ def _find_start(side, discs, count, pairs, top):  # type: ignore[no-untyped-def]
     return here
 
 
-@merged
+@part
 def _trace_side(side, discs, count, pairs, top, first, last, width, columns):  # type: ignore[no-untyped-def]
     """Walk down one side of the hull (gift wrapping over discs) and store its column in every row.
 
@@ -210,7 +222,7 @@ def _trace_side(side, discs, count, pairs, top, first, last, width, columns):  #
         columns[k] = -1 if side > 0.0 else width
 
 
-@inlined
+@part
 def _to_column(side, x, width):  # type: ignore[no-untyped-def]
     """Return the outermost whole column within a boundary at ``side * x``, clipped to the image."""
     if side > 0.0:
@@ -223,7 +235,7 @@ def _to_column(side, x, width):  # type: ignore[no-untyped-def]
 _ONES = np.uint64(0xFFFFFFFFFFFFFFFF)  # all bits of a word, by definition
 
 
-@inlined
+@part
 def interval_mask(word, start, stop):  # type: ignore[no-untyped-def]
     """Return the bits of a word in the columns from start to stop, both inclusive."""
     mask = _ONES
@@ -234,7 +246,7 @@ def interval_mask(word, start, stop):  # type: ignore[no-untyped-def]
     return mask
 
 
-@compiled
+@part
 def draw_intervals(bits, low, high, first, last):  # type: ignore[no-untyped-def]
     """Set the bits (H, words) of the intervals of rows first to last (exclusive)."""
     for row in range(first, last):
@@ -244,7 +256,7 @@ def draw_intervals(bits, low, high, first, last):  # type: ignore[no-untyped-def
                 bits[row, word] |= interval_mask(word, start, stop)
 
 
-@compiled
+@part
 def outline_part(part, camera, width, height, solids, rotations, positions, work):  # type: ignore[no-untyped-def]
     """Compute row intervals of one part, placed by ``rotations`` (P, 3, 3) and ``positions`` (P, 3).
 
@@ -266,11 +278,11 @@ def outline_part(part, camera, width, height, solids, rotations, positions, work
     return outline_discs(discs, count, width, height, work[1], work[2], work[3])
 
 
-@compiled
+@kernel
 def draw_layers(rotations, positions, solids, camera, width, layers, work, bits):  # type: ignore[no-untyped-def]
     """Draw every part of every frame into its layer of ``bits`` (T, layers, H, words)."""
     height = bits.shape[2]
     for t in range(len(positions)):
-        for part in range(len(layers)):
-            first, last = outline_part(part, camera, width, height, solids, rotations[t], positions[t], work)
-            draw_intervals(bits[t, layers[part]], work[2], work[3], first, last)
+        for number in range(len(layers)):
+            first, last = outline_part(number, camera, width, height, solids, rotations[t], positions[t], work)
+            draw_intervals(bits[t, layers[number]], work[2], work[3], first, last)

@@ -16,17 +16,8 @@ from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, FloatArray
 from dousa.estimation.body.human import USUAL_STATURE
-from dousa.estimation.body.kinematics import compiled, compute_points, inlined, step_poses
-from dousa.estimation.raster.rasteriser import interval_mask, outline_part, popcount
-from dousa.estimation.tracking.search_kernels import (
-    clear_bits,
-    count_parts,
-    draw_parts_into,
-    fill_evidence,
-    move_axis,
-    place_parts,
-    select_fixed,
-)
+from dousa.estimation.body.kinematics import compute_points, place_parts, step_poses
+from dousa.estimation.raster.rasteriser import Bits, draw_placed
 from dousa.estimation.tracking.search_setup import Frame, SearchSetup, standing_height
 
 LOST_ERROR = 0.15
@@ -39,7 +30,7 @@ _PATCHES, _OVERHANG, _LEAST, _SCALE = 0.495, 0.128, 0.004, 0.119
 _SHIFT, _SPREAD = {True: 0.0, False: 1.5}, {True: 0.387, False: 0.671}
 
 
-def erode(bits: NDArray[np.uint64], steps: int) -> NDArray[np.uint64]:
+def erode(bits: Bits, steps: int) -> Bits:
     """Erode bit images (..., H, words) by ``steps`` pixels with a diamond."""
     one, last = np.uint64(1), np.uint64(63)
     for _ in range(steps):
@@ -67,7 +58,7 @@ class PatchMeasure:
         self.area = max(area, 1.0)
         self.steps = max(1, round(rim * standing_height(area)))
 
-    def measure(self, drawn: NDArray[np.uint64], frame: Frame) -> FloatArray:
+    def measure(self, drawn: Bits, frame: Frame) -> FloatArray:
         """Compute patches and overhang (2,) of the drawn body (V, H, words) as shares of a usual silhouette.
 
         Patches are silhouette pixels that no part covers, overhang is body outside; NaN if no view sees a person.
@@ -162,6 +153,40 @@ class Note(NamedTuple):
     patches: FloatArray
 
 
+def _count_bits(bits: Bits) -> NDArray[np.int64]:
+    """Count the bits set in images (..., H, words)."""
+    return np.asarray(np.bitwise_count(bits).sum(axis=(-2, -1), dtype=np.int64))
+
+
+def _compare(ours: Bits, theirs: Bits) -> float:
+    """Compute intersection over union of two bit images (H, words); NaN where both are empty."""
+    either = int(_count_bits(ours | theirs))
+    return int(_count_bits(ours & theirs)) / either if either else np.nan
+
+
+def cover_views(setup: SearchSetup, pose: FloatArray, frame: Frame) -> tuple[FloatArray, FloatArray, Bits]:
+    """Compute the overlap of body and silhouettes, and what hides of each part.
+
+    Returns
+    -------
+    overlap : (V,) intersection over union; nan where nothing is seen.
+    visible : (P,) share of a part's pixels that are its own alone, in the view where it is greatest.
+    drawn : (V, H, words) the body in the views that are seen.
+    """
+    body, drawn = setup.body, np.zeros_like(frame.bits)
+    overlap, visible, layers = np.full(len(drawn), np.nan), np.zeros(body.n_parts), np.arange(body.n_parts)
+    placed = place_parts(body, pose[None])
+    for view in np.flatnonzero(frame.seen):
+        (parts,) = draw_placed(body, placed, setup.rows[view], setup.sizes[view], layers, body.n_parts)
+        before = np.bitwise_or.accumulate(parts)  # what each part and those before it cover
+        shared = np.bitwise_or.reduce(before[:-1] & parts[1:])
+        drawn[view, : parts.shape[1], : parts.shape[2]] = before[-1]
+        overlap[view] = _compare(drawn[view], frame.bits[view])
+        whole, own = _count_bits(parts), _count_bits(parts & ~shared)
+        visible = np.maximum(visible, own / np.maximum(whole, 1))
+    return overlap, visible, drawn
+
+
 def _await(note: Note | Future[Note]) -> Note:
     return note.result() if isinstance(note, Future) else note
 
@@ -192,11 +217,8 @@ class Diagnosis:
         return (float(seen.mean()), float(patches[0])) if len(seen) else (0.0, 1.0)
 
     def _cover(self, pose: FloatArray, frame: Frame) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Compute overlap (V,), share of each part (P,) that no other covers, and patches (2,)."""
-        overlap, visible = np.empty(len(self.setup.cameras)), np.empty(self.setup.body.n_parts)
-        scratch = self.setup.own_scratch()
-        cover_views(pose, self.setup.model, self.setup.views(frame), scratch, overlap, visible)
-        return overlap, visible, self._patch_measure.measure(scratch[2], frame)
+        overlap, visible, drawn = cover_views(self.setup, pose, frame)
+        return overlap, visible, self._patch_measure.measure(drawn, frame)
 
     def look(self, pose: FloatArray, frame: Frame) -> Note:
         """Measure a pose."""
@@ -232,10 +254,7 @@ class Diagnosis:
         Each degree of freedom moves by itself, at most dR, until the image score drops by one; effects add in squares.
         """
         setup = self.setup
-        low, high = np.zeros(setup.n_axes), np.zeros(setup.n_axes)
-        scratch = self.setup.own_scratch()
-        measure_widths(pose, setup.weights, setup.bounds, setup.model, setup.views(frame), scratch, low, high)
-        half = 0.5 * (low + high)
+        half = 0.5 * setup.measure_widths(pose, frame, setup.own_scratch()).sum(axis=1)
         axes = np.flatnonzero(half)
         if not len(axes):
             return np.zeros(setup.body.n_parts + len(setup.body.tips))
@@ -262,91 +281,3 @@ class Diagnosis:
     def load(self, notes: Note) -> None:
         """Load the notes of an earlier run, as `arrays` returns them."""
         self._notes = [Note(*row) for row in zip(*notes, strict=True)]
-
-
-@inlined
-def _compare(ours, theirs):  # type: ignore[no-untyped-def]
-    """Compute intersection over union of two bit images (H, words); NaN where both are empty."""
-    both, either = np.int64(0), np.int64(0)
-    for row in range(ours.shape[0]):
-        for word in range(ours.shape[1]):
-            both += np.int64(popcount(ours[row, word] & theirs[row, word]))
-            either += np.int64(popcount(ours[row, word] | theirs[row, word]))
-    return both / either if either > 0 else np.nan
-
-
-@compiled
-def cover_views(pose, model, views, scratch, overlap, visible):  # type: ignore[no-untyped-def]
-    """Compute overlap of body and silhouette in each view, and the share of each part that no other part covers.
-
-    Fills ``overlap`` (V,), intersection over union, NaN where nothing is seen, and ``visible`` (P,), the greatest share
-    over the views of a part's pixels that are its own alone.
-    """
-    cameras, sizes, seen, silhouettes = views
-    work, once, twice = scratch[0], scratch[2], scratch[3]
-    n_parts = len(visible)
-    clear_bits(once)
-    clear_bits(twice)
-    for part in range(n_parts):
-        visible[part] = 0.0
-    place_parts(model[2][:n_parts], n_parts, pose, model[0], scratch)
-    for view in range(len(cameras)):
-        overlap[view] = np.nan
-        if not seen[view]:
-            continue
-        width, height = sizes[view, 0], sizes[view, 1]
-        for number in range(2 * n_parts):  # all parts are drawn, then looked at once more
-            part = number % n_parts
-            if number == n_parts:
-                overlap[view] = _compare(silhouettes[view], once[view])
-            first, last = outline_part(part, cameras[view], width, height, model[1], scratch[5], scratch[6], work)
-            own, whole = np.int64(0), np.int64(0)
-            for row in range(first, last):
-                start, stop = work[2][row], work[3][row]
-                for word in range(start >> 6, (stop >> 6) + 1 if stop >= start else 0):
-                    mask = interval_mask(word, start, stop)
-                    if number < n_parts:
-                        twice[view, row, word] |= once[view, row, word] & mask
-                        once[view, row, word] |= mask
-                    else:
-                        whole += np.int64(popcount(mask))
-                        own += np.int64(popcount(mask & ~twice[view, row, word]))
-            if whole > 0:
-                share = own / whole
-                visible[part] = share if share > visible[part] else visible[part]
-
-
-@compiled
-def measure_widths(pose, weights, bounds, model, views, scratch, low, high):  # type: ignore[no-untyped-def]
-    """Compute how far each degree of freedom moves either way before the image score drops by one.
-
-    Fills ``low`` and ``high`` (D,), amounts of 0 or more, dR / 32, / 8 or / 2.
-    """
-    tree, subtrees, starts = model[0], model[2], model[3]
-    plus, minus, trial = scratch[2], scratch[3], scratch[8]
-    n_parts = len(tree[0])
-    for part in range(n_parts):
-        below = subtrees[starts[part] : starts[part + 1]]
-        place_parts(subtrees[:n_parts], n_parts, pose, tree, scratch)
-        clear_bits(scratch[4])
-        fixed = scratch[9][: select_fixed(part, n_parts, below, scratch[9])]
-        draw_parts_into(scratch[4], fixed, model, views, scratch)
-        fill_evidence(np.int64(0), views[3], scratch[4], plus, minus, scratch[7])
-        allowed = count_parts(below, model, views, plus, minus, scratch, np.inf) + 1.0 / weights[2]
-        first = 0 if part == 0 else 6 + tree[5][part]
-        for axis in range(first, first + (6 if part == 0 else tree[3][part])):
-            for side in (-1.0, 1.0):
-                reached, amount = 0.0, bounds[0][axis] / 32.0
-                while amount <= bounds[0][axis]:
-                    for number in range(len(pose)):
-                        trial[number] = pose[number]
-                    move_axis(trial, axis, side * amount)
-                    place_parts(below, np.int64(1), trial, tree, scratch)
-                    if count_parts(below, model, views, plus, minus, scratch, allowed) > allowed:
-                        break
-                    reached = amount
-                    amount *= 4.0
-                if side < 0.0:
-                    low[axis] = reached
-                else:
-                    high[axis] = reached

@@ -18,14 +18,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from dousa.estimation.body.kinematics import compiled, hang_parts, inlined, turn_root
+from dousa.estimation.body.kinematics import hang_parts, turn_root
 from dousa.estimation.raster.rasteriser import draw_intervals, outline_part, popcount
+from dousa.kernels import kernel, part
 
 _ONES, _ONE, _WORD, _BIT = np.uint64(0xFFFFFFFFFFFFFFFF), np.uint64(1), np.uint64(6), np.uint64(63)
 _ONE_PART, _MASKED = np.int64(1), np.int64(0)  # numbers as such would have the kernels compiled once more for them
 
 
-@compiled
+@part
 def move_axis(pose, axis, amount):  # type: ignore[no-untyped-def]
     """Move a pose row along one degree of freedom, in place."""
     if axis < 3:
@@ -38,13 +39,13 @@ def move_axis(pose, axis, amount):  # type: ignore[no-untyped-def]
         pose[axis + 1] += amount
 
 
-@inlined
+@part
 def place_parts(parts, n_turned, pose, tree, scratch):  # type: ignore[no-untyped-def]
     """Call `hang_parts` with the scratch."""
     hang_parts(parts, n_turned, pose, tree, scratch[12], scratch[5], scratch[6])
 
 
-@inlined
+@part
 def count_alone(plus, minus, low, high, first, last):  # type: ignore[no-untyped-def]
     """Count bits of plus less bits of minus under the intervals of one part."""
     total = np.int64(0)
@@ -64,7 +65,7 @@ def count_alone(plus, minus, low, high, first, last):  # type: ignore[no-untyped
     return total
 
 
-@inlined
+@part
 def count_unseen(plus, minus, drawn, low, high, first, last):  # type: ignore[no-untyped-def]
     """Count as `count_alone`, but only pixels not yet in ``drawn``, which are added to it."""
     total = np.int64(0)
@@ -86,7 +87,7 @@ def count_unseen(plus, minus, drawn, low, high, first, last):  # type: ignore[no
     return total
 
 
-@compiled
+@part
 def count_parts(parts, model, views, plus, minus, scratch, spare):  # type: ignore[no-untyped-def]
     """Compute ``|P & plus| - |P & minus|`` over all views, P the union of placed parts.
 
@@ -122,7 +123,7 @@ def count_parts(parts, model, views, plus, minus, scratch, spare):  # type: igno
     return total
 
 
-@compiled
+@part
 def draw_parts_into(bits, parts, model, views, scratch):  # type: ignore[no-untyped-def]
     """Add placed parts to bits (V, H, words) of the views that are seen."""
     cameras, sizes = views[0], views[1]
@@ -137,7 +138,7 @@ def draw_parts_into(bits, parts, model, views, scratch):  # type: ignore[no-unty
             draw_intervals(bits[view], work[2], work[3], first, last)
 
 
-@inlined
+@part
 def clear_bits(bits):  # type: ignore[no-untyped-def]
     """Unset all bits (V, H, words)."""
     for view in range(bits.shape[0]):
@@ -146,7 +147,7 @@ def clear_bits(bits):  # type: ignore[no-untyped-def]
                 bits[view, row, word] = np.uint64(0)
 
 
-@compiled
+@part
 def fill_evidence(reading, silhouettes, fixed, plus, minus, least):  # type: ignore[no-untyped-def]
     """Fill ``plus``, ``minus`` and ``least`` (-|minus| of each view) for a reading of eq. 2.
 
@@ -173,7 +174,7 @@ def fill_evidence(reading, silhouettes, fixed, plus, minus, least):  # type: ign
         least[view] = -total
 
 
-@inlined
+@part
 def _count_bits(bits, mask, masked):  # type: ignore[no-untyped-def]
     total = np.int64(0)
     for view in range(bits.shape[0]):
@@ -184,7 +185,7 @@ def _count_bits(bits, mask, masked):  # type: ignore[no-untyped-def]
     return total
 
 
-@inlined
+@part
 def _find_lowest(parts, solids, scratch):  # type: ignore[no-untyped-def]
     """Return the height m of the lowest point of placed parts."""
     spheres, starts = solids
@@ -200,7 +201,7 @@ def _find_lowest(parts, solids, scratch):  # type: ignore[no-untyped-def]
     return lowest
 
 
-@inlined
+@part
 def _price_floor(lowest, floor):  # type: ignore[no-untyped-def]
     """Compute the cost of a lowest point off the floor; capped, so that people may jump."""
     off = lowest - floor[0]
@@ -208,13 +209,16 @@ def _price_floor(lowest, floor):  # type: ignore[no-untyped-def]
     return price if price < floor[2] else floor[2]
 
 
-@compiled
-def sweep(pose, shift, order, whole, reach, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
+@kernel
+def sweep(pose, shift, order, whole, reach, weights, bounds, model, views, scratch, widths):  # type: ignore[no-untyped-def]
     """Run one pass over the parts in ``order``, axis by axis, and return the log score of the whole pose.
 
     Moves ``pose`` and ``shift``, its way from the prediction. Each axis takes the best of 2 ``half`` + 1 candidates
     within ``factor`` dR. With ``whole`` false a part is judged alone, before those already placed (the paper; the root
     with the whole body as predicted); else it carries all parts below it, and all others stay.
+
+    If ``widths`` (D, 2) is not empty, it is filled instead, and nothing moves: how far each axis moves down and up
+    before the image score drops by one. It is one kernel, as nearly all of the code to compile is the same.
     """
     tree, subtrees, starts = model[0], model[2], model[3]
     n_parts, half = len(tree[0]), reach[1]
@@ -232,6 +236,10 @@ def sweep(pose, shift, order, whole, reach, weights, bounds, model, views, scrat
         fill_evidence(weights[0], views[3], scratch[4], scratch[2], scratch[3], scratch[7])
         lowest = _find_lowest(fixed, model[1], scratch)
         first = 0 if part == 0 else 6 + tree[5][part]
+        if len(widths) > 0:
+            _measure_axes(first, first + n_axes, moved, pose, weights, bounds, model, views, scratch, widths)
+            place_parts(below, _ONE_PART, pose, tree, scratch)
+            continue
         known = np.inf  # no number of pixels
         for axis in range(first, first + n_axes):
             best = _search_axis(axis, moved, lowest, known, pose, shift, reach, weights, bounds, model, views, scratch)
@@ -240,10 +248,29 @@ def sweep(pose, shift, order, whole, reach, weights, bounds, model, views, scrat
             shift[axis] += amount
             known = scratch[10][best + half]
         place_parts(below, _ONE_PART, pose, tree, scratch)
-    return _score(pose, shift, weights, bounds, model, views, scratch)
+    return _score(pose, shift, weights, bounds, model, views, scratch) if len(widths) == 0 else 0.0
 
 
-@compiled
+@part
+def _measure_axes(first, end, moved, pose, weights, bounds, model, views, scratch, widths):  # type: ignore[no-untyped-def]
+    """Fill ``widths`` of axes with dR / 32, / 8 or / 2, or 0."""
+    trial, reach = scratch[8], bounds[0]
+    allowed = count_parts(moved, model, views, scratch[2], scratch[3], scratch, np.inf) + 1.0 / weights[2]
+    for axis in range(first, end):
+        for side in range(2):
+            amount = reach[axis] / 32.0
+            while amount <= reach[axis]:
+                for number in range(len(pose)):
+                    trial[number] = pose[number]
+                move_axis(trial, axis, amount if side == 1 else -amount)
+                place_parts(moved, _ONE_PART, trial, model[0], scratch)
+                if count_parts(moved, model, views, scratch[2], scratch[3], scratch, allowed) > allowed:
+                    break
+                widths[axis, side] = amount
+                amount *= 4.0
+
+
+@part
 def select_fixed(part, end, below, chosen):  # type: ignore[no-untyped-def]
     """Write the parts before ``end`` that are not below ``part`` into ``chosen`` and return their number."""
     count, place = np.int64(0), np.int64(0)
@@ -257,7 +284,7 @@ def select_fixed(part, end, below, chosen):  # type: ignore[no-untyped-def]
     return count
 
 
-@inlined
+@part
 def _search_axis(axis, moved, lowest, known, pose, shift, reach, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
     """Return the number (-half to half) of the best candidate of one axis.
 
@@ -306,14 +333,14 @@ def _search_axis(axis, moved, lowest, known, pose, shift, reach, weights, bounds
     return best
 
 
-@inlined
+@part
 def _weigh_inertia(off):  # type: ignore[no-untyped-def]
     """Compute W (eq. 3) of a candidate ``off`` dR from the prediction; 0.001 where less, from nearly 2 dR on."""
     w = 1.0 - 0.25 * off * off
     return w if w > 1e-3 else 1e-3
 
 
-@inlined
+@part
 def _weigh(k, axis, amount, pose, shift, weights, bounds):  # type: ignore[no-untyped-def]
     """Compute inertia and ease of candidate k of an axis; -inf where it is out of reach."""
     spread, ease, limits = bounds
@@ -329,7 +356,7 @@ def _weigh(k, axis, amount, pose, shift, weights, bounds):  # type: ignore[no-un
     return weights[3] * np.log(w) - price
 
 
-@inlined
+@part
 def _choose(half, weights, scratch):  # type: ignore[no-untyped-def]
     """Return the best candidate so far; the nearer one where two are equal."""
     evidence, mismatches, priors = weights[1], scratch[10], scratch[11]
@@ -352,14 +379,14 @@ def _choose(half, weights, scratch):  # type: ignore[no-untyped-def]
     return best
 
 
-@inlined
+@part
 def _price_strain(axis, angle, ease):  # type: ignore[no-untyped-def]
     """Compute the cost of an angle away from its neutral value."""
     strain = (angle - ease[axis, 0]) * ease[axis, 1]
     return strain * strain
 
 
-@inlined
+@part
 def _score(pose, shift, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
     """Compute the log score of a whole pose: image, inertia, ease and floor, up to a constant of the frame."""
     n_parts = len(model[0][0])

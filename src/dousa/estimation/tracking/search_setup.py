@@ -20,6 +20,8 @@ from dousa.estimation.tracking.outlines import shrink_mask
 from dousa.estimation.tracking.search_kernels import sweep
 from dousa.estimation.tracking.settings import EVIDENCES, READINGS, TrackerSettings
 
+_NOTHING_MEASURED = np.zeros((0, 2))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
@@ -138,8 +140,19 @@ class SearchSetup:
         """Run one pass over the parts in `order`, in place, and return the log score; see `search_kernels.sweep`."""
         reach, views = (factor, half or self.half, self.settings.thinning), self.views(frame)
         order = self.order if factor else self.order[:0]
-        found = sweep(pose, shift, order, self.whole, reach, self.weights, self.bounds, self.model, views, scratch)
-        return float(found)
+        fixed = (self.weights, self.bounds, self.model, views, scratch)
+        return float(sweep(pose, shift, order, self.whole, reach, *fixed, _NOTHING_MEASURED))
+
+    def measure_widths(self, pose: FloatArray, frame: Frame, scratch: tuple[Any, ...]) -> FloatArray:
+        """Compute how far (6 + A, 2) each degree of freedom moves either way before the image score drops by one.
+
+        Amounts are 0 or more: dR / 32, / 8 or / 2.
+        """
+        widths = np.zeros((self.n_axes, 2))
+        weights, views = (READINGS.index("masked"), *self.weights[1:]), self.views(frame)
+        fixed = (weights, self.bounds, self.model, views, scratch)
+        sweep(pose, widths[:, 0].copy(), self.order, True, (1.0, self.half, 1), *fixed, widths)
+        return widths
 
     def score(self, pose: FloatArray, shift: FloatArray, frame: Frame, scratch: tuple[Any, ...]) -> float:
         """Compute the log score of a whole pose."""
