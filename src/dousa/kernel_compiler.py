@@ -69,7 +69,8 @@ class _KernelLibrary(_PartLibrary):
     def finalize(self) -> None:
         self.link_called(self._final_module)
         for function in self._final_module.functions:
-            if function.linkage == Linkage.linkonce_odr and not function.is_declaration:
+            mangled = function.name.startswith("_ZN")  # the others count references, and Numba knows them by name
+            if mangled and function.linkage == Linkage.linkonce_odr and not function.is_declaration:
                 function.linkage, function.name = Linkage.internal, f"part {function.name}"
         if self.counts:
             self._optimize_final_module()
