@@ -183,7 +183,7 @@ _OTHER = 2.0  # mean squared residual, a share of the template's power, of other
 # motions of equal power differ by twice it
 _ONSET = 0.12  # share of the displacement at which a repetition has begun, see docs/exercises.md
 _SHORTEST_S, _LONGEST_S = 0.4, 20.0
-_ALIKE = 1.0  # misfit, a share of the template's power, from which on a pass is another motion
+_ALIKE = 1.0  # misfit, a share of the template's power, from which on a pass is another motion, see docs/exercises.md
 COMPLETE = 0.65
 """Share of the displacement of the template, or of the usual repetition if that is more; see docs/exercises.md."""
 _RETURNS = 0.55  # share of its reach within which a repetition begins and ends at rest, see docs/exercises.md
