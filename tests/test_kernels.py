@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from dousa import kernels
+from dousa import kernel_compiler, kernels
 from dousa.kernels import kernel, part
 from dousa.motion import canonicalise, compute_trajectories
 from dousa.motion.synthetic.performers import draw_performer, make_motion
@@ -61,22 +61,25 @@ def test_a_kernel_can_call_another_and_make_arrays():
 
 
 def test_a_part_is_compiled_once_for_constants_and_for_what_is_computed():
-    @njit
-    def call_it(number):  # not kept: the part is compiled now
+    def call_parts(number):
         return greater(number, 0) + greater(3, number) + greater(0.0, 0.5)
 
+    call_it = kernel_compiler._Kernel(  # not kept: the part is compiled now
+        call_parts,
+        targetoptions=kernel_compiler._options(False, False),
+        pipeline_class=kernel_compiler._KernelCompiler,
+    )
     assert call_it(2) == 5.5
     assert [str(kinds) for kinds in greater.overloads] == ["(int64, int64)", "(float64, float64)"]
 
 
-def test_other_compiled_code_gets_the_parts_of_a_part_that_kernels_have_taken_before():
-    shift(np.ones(3), np.empty(3))
-
+def test_code_that_is_no_kernel_cannot_call_a_part():
     @njit
     def call_it(number):
-        return double_greater(number, 0.5)
+        return greater(number, 0.5)
 
-    assert call_it(2.0) == 4.0
+    with pytest.raises(TypeError, match="into kernels alone"):
+        call_it(2.0)
 
 
 def test_python_cannot_call_a_part():

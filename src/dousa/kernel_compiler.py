@@ -51,10 +51,8 @@ class _PartLibrary(JITCodeLibrary):
             self._reload_init.update(library._reload_init)
             module.link_in(JITCodeLibrary._get_module_for_linking(library), preserve=True)
 
-    def _get_module_for_linking(self) -> Any:  # by code that is neither part nor kernel
-        module = super()._get_module_for_linking().clone()
-        self.link_called(module)
-        return module
+    def _get_module_for_linking(self) -> Any:
+        raise TypeError("a part is compiled into kernels alone: make what calls it a kernel")
 
 
 class _KernelLibrary(_PartLibrary):
