@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (480, 6),
 }
 TOTALS = {
-    "lines of tests": 58_850,
+    "lines of tests": 59_091,
     "lines of JavaScript": 12_465,
     "constants": 912,
     "numeric constants without a source": 0,
