@@ -48,7 +48,10 @@ class ChannelProgram:
         return self.kinds[self.starts[joint] : self.starts[joint + 1]]
 
 
-def _pose(t, values, offsets, starts, kinds, columns, half_angle, axes, rotations, translations):  # type: ignore[no-untyped-def]
+def _pose(
+    t: Any, values: Any, offsets: Any, starts: Any, kinds: Any, columns: Any, half_angle: Any, axes: Any,
+    rotations: Any, translations: Any,
+) -> None:  # fmt: skip
     """Fill the poses of frame t, which may be a slice: NumPy then does the same with all its frames at once."""
     for j in range(offsets.shape[0]):
         x, y, z = offsets[j, 0], offsets[j, 1], offsets[j, 2]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -10,7 +12,7 @@ from dousa.kernels import is_worth_compiling, kernel, part
 from dousa.motion.types import Motion, Skeleton, Trajectories
 
 
-def _follow(t, parents, rotations, translations, world, positions):  # type: ignore[no-untyped-def]
+def _follow(t: Any, parents: Any, rotations: Any, translations: Any, world: Any, positions: Any) -> None:
     """Fill the world rotations and positions of frame t, or of a slice of frames; parents stand before children."""
     for j in range(translations.shape[1]):
         p = parents[j]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from dousa.arrays import FloatArray
 from dousa.kernels import kernel, part
 
 
@@ -170,7 +171,7 @@ def compare_clips(
             cosines[place] = _multiply(directions[clip], direction)
 
 
-def find_limit(bounds, least, n_buckets=1 << 14, farthest=4.0):
+def find_limit(bounds: FloatArray, least: int, n_buckets: int = 1 << 14, farthest: float = 4.0) -> float:
     """Return a limit that at least ``least`` of the bounds (N,) do not exceed; infinity if there are fewer.
 
     Bounds of ``farthest`` and more are left out; the limit is that much too high at most, divided by ``n_buckets``.
@@ -178,4 +179,4 @@ def find_limit(bounds, least, n_buckets=1 << 14, farthest=4.0):
     near = bounds[bounds < farthest]
     places = np.maximum((near * (n_buckets / farthest)).astype(np.intp), 0)
     below = np.cumsum(np.bincount(places, minlength=n_buckets))
-    return (np.searchsorted(below, least) + 1) * (farthest / n_buckets) if below[-1] >= least else np.inf
+    return float(np.searchsorted(below, least) + 1) * (farthest / n_buckets) if below[-1] >= least else np.inf
