@@ -25,9 +25,11 @@ from dousa.estimation.tracking.diagnosis import (
     Diagnosis,
     ErrorModel,
     PatchMeasure,
-    cover_views,
+    compare_views,
+    draw_views,
     erode,
     find_habit,
+    find_visible,
 )
 from dousa.estimation.tracking.search_setup import SearchSetup
 from dousa.estimation.tracking.settings import TrackerSettings
@@ -50,7 +52,9 @@ def make_scene(seed, unseen=False):
 @given(seeds, st.booleans())
 def test_overlap_and_what_hides_are_those_of_plain_masks(seed, unseen):
     setup, masks, pose = make_scene(seed, unseen)
-    overlap, visible, drawn = cover_views(setup, pose, setup.pack(masks))
+    frame = setup.pack(masks)
+    drawn, visible = draw_views(setup, pose, frame), find_visible(setup, pose, frame)
+    overlap = compare_views(drawn, frame.bits)
     expected = np.zeros(setup.body.n_parts)
     for view, (camera, mask) in enumerate(zip(setup.cameras, masks, strict=True)):
         if mask is None:

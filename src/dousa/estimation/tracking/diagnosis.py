@@ -155,36 +155,37 @@ class Note(NamedTuple):
 
 def _count_bits(bits: Bits) -> NDArray[np.int64]:
     """Count the bits set in images (..., H, words)."""
-    return np.asarray(np.bitwise_count(bits).sum(axis=(-2, -1), dtype=np.int64))
+    counts = np.bitwise_count(bits).reshape(*bits.shape[:-2], -1)
+    return np.asarray(np.add.reduce(counts, axis=-1, dtype=np.int32).astype(np.int64))
 
 
-def _compare(ours: Bits, theirs: Bits) -> float:
-    """Compute intersection over union of two bit images (H, words); NaN where both are empty."""
-    either = int(_count_bits(ours | theirs))
-    return int(_count_bits(ours & theirs)) / either if either else np.nan
-
-
-def cover_views(setup: SearchSetup, pose: FloatArray, frame: Frame) -> tuple[FloatArray, FloatArray, Bits]:
-    """Compute the overlap of body and silhouettes, and what hides of each part.
-
-    Returns
-    -------
-    overlap : (V,) intersection over union; nan where nothing is seen.
-    visible : (P,) share of a part's pixels that are its own alone, in the view where it is greatest.
-    drawn : (V, H, words) the body in the views that are seen.
-    """
-    body, drawn = setup.body, np.zeros_like(frame.bits)
-    overlap, visible, layers = np.full(len(drawn), np.nan), np.zeros(body.n_parts), np.arange(body.n_parts)
-    placed = place_parts(body, pose[None])
+def draw_views(setup: SearchSetup, pose: FloatArray, frame: Frame) -> Bits:
+    """Draw a pose into the views (V, H, words) that are seen."""
+    placed, together = place_parts(setup.body, pose[None]), np.zeros(setup.body.n_parts, np.intp)
+    drawn = np.zeros_like(frame.bits)
     for view in np.flatnonzero(frame.seen):
-        (parts,) = draw_placed(body, placed, setup.rows[view], setup.sizes[view], layers, body.n_parts)
+        found = draw_placed(setup.body, placed, setup.rows[view], setup.sizes[view], together, 1)[0, 0]
+        drawn[view, : found.shape[0], : found.shape[1]] = found
+    return drawn
+
+
+def compare_views(drawn: Bits, silhouettes: Bits) -> FloatArray:
+    """Compute intersection over union (V,) of bits (V, H, words); nan where both are empty."""
+    both, either = _count_bits(drawn & silhouettes), _count_bits(drawn | silhouettes)
+    return np.where(either > 0, both / np.maximum(either, 1), np.nan)
+
+
+def find_visible(setup: SearchSetup, pose: FloatArray, frame: Frame) -> FloatArray:
+    """Compute the share (P,) of each part's pixels that no other part covers, in the view where it is greatest."""
+    body, visible = setup.body, np.zeros(setup.body.n_parts)
+    placed, apart = place_parts(body, pose[None]), np.arange(body.n_parts)
+    for view in np.flatnonzero(frame.seen):
+        (parts,) = draw_placed(body, placed, setup.rows[view], setup.sizes[view], apart, body.n_parts)
         before = np.bitwise_or.accumulate(parts)  # what each part and those before it cover
         shared = np.bitwise_or.reduce(before[:-1] & parts[1:])
-        drawn[view, : parts.shape[1], : parts.shape[2]] = before[-1]
-        overlap[view] = _compare(drawn[view], frame.bits[view])
         whole, own = _count_bits(parts), _count_bits(parts & ~shared)
         visible = np.maximum(visible, own / np.maximum(whole, 1))
-    return overlap, visible, drawn
+    return visible
 
 
 def _await(note: Note | Future[Note]) -> Note:
@@ -212,18 +213,20 @@ class Diagnosis:
 
     def cover(self, pose: FloatArray, frame: Frame) -> tuple[float, float]:
         """Return mean overlap and share of patches over the views that see a person; 0 and 1 if none does."""
-        overlap, _, patches = self._cover(pose, frame)
+        overlap, patches = self._cover(pose, frame)
         seen = overlap[np.isfinite(overlap)]
         return (float(seen.mean()), float(patches[0])) if len(seen) else (0.0, 1.0)
 
-    def _cover(self, pose: FloatArray, frame: Frame) -> tuple[FloatArray, FloatArray, FloatArray]:
-        overlap, visible, drawn = cover_views(self.setup, pose, frame)
-        return overlap, visible, self._patch_measure.measure(drawn, frame)
+    def _cover(self, pose: FloatArray, frame: Frame) -> tuple[FloatArray, FloatArray]:
+        """Compute overlap (V,) and patches (2,)."""
+        drawn = draw_views(self.setup, pose, frame)
+        return compare_views(drawn, frame.bits), self._patch_measure.measure(drawn, frame)
 
     def look(self, pose: FloatArray, frame: Frame) -> Note:
         """Measure a pose."""
-        overlap, visible, patches = self._cover(pose, frame)
-        return Note(overlap, self._measure_spread(pose, frame), visible < self._hidden, patches)
+        overlap, patches = self._cover(pose, frame)
+        occluded = find_visible(self.setup, pose, frame) < self._hidden
+        return Note(overlap, self._measure_spread(pose, frame), occluded, patches)
 
     @property
     def latest(self) -> Note:
