@@ -261,8 +261,10 @@ def read_plain_rows(data: bytes, start: int, columns: int, most: int) -> FloatAr
 
     Plain are finite decimals, ``columns`` in each line that is not blank, in all lines from ``start`` on.
     """
+    if is_worth_compiling((len(data) - start) // 8):
+        return None
     text = data[start:]
-    if is_worth_compiling(len(text) // 8) or text.translate(None, b"0123456789+-.eE \t\r\n"):
+    if text.translate(None, b"0123456789+-.eE \t\r\n"):
         return None
     lines = [words for line in text.splitlines() if (words := line.split())]
     if len(lines) > most or any(len(line) != columns for line in lines):

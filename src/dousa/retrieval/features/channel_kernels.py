@@ -86,6 +86,12 @@ def find_lateral(points, hips, shoulders, left):
         left[t, 0], left[t, 1] = (left[first, 0], left[first, 1]) if first >= 0 else (1.0, 0.0)
 
 
+@kernel(linear=True)
+def find_lateral_directions(points, hips, shoulders, left):
+    """Do ``find_lateral``."""
+    find_lateral(points, hips, shoulders, left)
+
+
 @part
 def turn_to_body(points, left, body):
     """Turn ``points`` (n, J, 3) with Y up, relative to the first joint, into body axes: left, up, forward."""

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.motion.canonical.joints import JOINT_INDEX
+from dousa.retrieval.features.channel_kernels import find_lateral_directions
 from dousa.retrieval.features.posed_motion import PosedMotion, check_shape
 
 _LEFT, _UP, _FORWARD = 0, 1, 2
@@ -183,18 +184,9 @@ def turn_to_body(points: FloatArray) -> FloatArray:
 
 def find_lateral_axis(points: FloatArray) -> FloatArray:
     """Return (T, 2) unit x and z of the direction to the left: of the hips, else the shoulders, else as before."""
-    known, left = np.zeros(len(points), np.bool_), np.empty((len(points), 2))
-    for tip, base in (SHOULDERS, HIPS):
-        across = (points[:, tip] - points[:, 0]) - (points[:, base] - points[:, 0])
-        length = np.hypot(across[:, 0], across[:, 2])
-        whole = np.hypot(length, across[:, 1])
-        certain = (whole > 1e-6) & (length >= 0.1 * whole)
-        left[certain] = across[certain, ::2] / length[certain, None]
-        known |= certain
-    if not known.any():
-        return np.tile((1.0, 0.0), (len(points), 1))
-    places = np.maximum.accumulate(np.where(known, np.arange(len(points)), 0))
-    return left[np.maximum(places, known.argmax())]
+    left = np.empty((len(points), 2))
+    find_lateral_directions(np.ascontiguousarray(points, np.float64), HIPS, SHOULDERS, left)
+    return left
 
 
 def _trunk_inclination(body: FloatArray) -> FloatArray:
