@@ -24,7 +24,7 @@ __all__ = ["compile_always", "is_worth_compiling", "kernel", "load_compiler", "p
 class _Effort:
     """What this process does without compiled code, in numbers of 0.2 us each (``python -m lab.benchmarks.first_run``).
 
-    ``most`` of all before Numba is loaded, and of each kernel that nobody has compiled before: as long as that takes.
+    ``most`` of all before Numba is loaded, and of each kernel that no process has compiled: as long as that takes.
     """
 
     most = 2_000_000

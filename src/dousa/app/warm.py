@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import asdict, dataclass, replace
@@ -37,6 +37,10 @@ PARTS = {
         "count series.bvh",
     ),
 }
+
+_JOBS = (
+    "import sys; from dousa.app.cli.main import app; from dousa.app.warm import run_jobs; run_jobs(app, sys.argv[1])"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +91,7 @@ def warm(
     def run(part: str) -> WarmPart:
         nonlocal done
         started = time.perf_counter()
-        command = [sys.executable, "-m", "dousa.app.warm", part]
+        command = [sys.executable, "-c", _JOBS, part]
         pipe = subprocess.PIPE
         with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe, text=True) as process:
             running.append(process)
@@ -135,14 +139,12 @@ def _make_motions() -> None:
     write_motion(join([made["squat"][1]] * 6), "series.bvh")
 
 
-def _run_jobs(part: str) -> None:
-    """Run the jobs of a part here, with a line on standard output after each: how many functions were compiled."""
+def run_jobs(app: Callable[..., object], part: str) -> None:
+    """Run the jobs of a part here by ``app``, with a line of output after each: how many functions it compiled."""
     from dousa.kernels import compile_always
 
     compile_always()  # also what small work alone would not
     from numba.core import event
-
-    from dousa.app.cli.main import app
 
     with tempfile.TemporaryDirectory() as folder, event.install_recorder("numba:compile") as seen:
         os.chdir(folder)
@@ -154,7 +156,3 @@ def _run_jobs(part: str) -> None:
                 print(sum(one.is_start for _, one in seen.buffer), flush=True)
         finally:
             os.chdir(os.sep)  # the folder goes
-
-
-if __name__ == "__main__":
-    _run_jobs(sys.argv[1])

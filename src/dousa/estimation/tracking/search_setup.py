@@ -20,8 +20,6 @@ from dousa.estimation.tracking.outlines import shrink_mask
 from dousa.estimation.tracking.search_kernels import sweep
 from dousa.estimation.tracking.settings import EVIDENCES, READINGS, TrackerSettings
 
-_NOTHING_MEASURED = np.zeros((0, 2))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
@@ -141,7 +139,7 @@ class SearchSetup:
         reach, views = (factor, half or self.half, self.settings.thinning), self.views(frame)
         order = self.order if factor else self.order[:0]
         fixed = (self.weights, self.bounds, self.model, views, scratch)
-        return float(sweep(pose, shift, order, self.whole, reach, *fixed, _NOTHING_MEASURED))
+        return float(sweep(pose, shift, order, self.whole, reach, *fixed, np.zeros((0, 2))))
 
     def measure_widths(self, pose: FloatArray, frame: Frame, scratch: tuple[Any, ...]) -> FloatArray:
         """Compute how far (6 + A, 2) each degree of freedom moves either way before the image score drops by one.

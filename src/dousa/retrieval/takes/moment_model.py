@@ -331,9 +331,9 @@ class MomentRows:
         """Return the discriminants as ``MomentSums``, by the identity of Hastie et al., exercise 18.4."""
         ones = self.scores[:, -1].astype(np.float64)
         pull = max(ridge * float(ones @ ones), _LEAST)
-        alike = self.products / pull + np.outer(ones, ones) / _LEAST
-        alike[np.diag_indices(len(alike))] += 1.0
-        shares = solve_positive(alike, self.shown)
+        gram = self.products / pull + np.outer(ones, ones) / _LEAST
+        gram[np.diag_indices(len(gram))] += 1.0
+        shares = solve_positive(gram, self.shown)
         inside = self.scores[:, :-1].T @ (shares / pull).astype(np.float32)
         return np.concatenate([inside, (ones @ shares / _LEAST)[None].astype(np.float32)])
 
