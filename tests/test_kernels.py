@@ -109,11 +109,12 @@ def double(values, out):
     for t in range(len(values)):
         out[t] = 2.0 * values[t]
 
-values, out, loaded = np.linspace(0.0, 1.0, 300_000), np.empty(300_000), []
-for _ in range(5):
+values, out, count = np.linspace(0.0, 1.0, 100_000), np.empty(100_000), 0
+while "numba" not in sys.modules:
     double(values, out)
-    loaded.append("numba" in sys.modules)
-assert (out == 2.0 * values).all() and loaded == [False] * 3 + [True] * 2, loaded
+    count += 1
+    assert (out == 2.0 * values).all() and count < 1000
+assert count > 1
 """
 
 

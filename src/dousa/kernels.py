@@ -13,6 +13,7 @@ from __future__ import annotations
 import functools
 import sys
 import threading
+import time
 from collections.abc import Callable
 from typing import Any, overload
 
@@ -80,12 +81,19 @@ class _Compiled:
     def __call__(self, *args: Any, **named: Any) -> Any:
         if (self._left or _depth.interpreting) and self.is_interpreted(args):
             _depth.interpreting += 1
+            started = time.thread_time()
             try:
                 with np.errstate(all="ignore"):  # as in compiled code
                     return self.py_func(*args, **named)
             finally:
                 _depth.interpreting -= 1
+                if self._left:
+                    self._charge(round((time.thread_time() - started) / 2e-7))
         return self._dispatcher(*args, **named)
+
+    def _charge(self, numbers: int) -> None:
+        _Effort.spent += numbers
+        self._left = max(self._left - numbers, 0)
 
     def is_interpreted(self, args: tuple[Any, ...]) -> bool:
         """Tell whether a call is better interpreted, as are the parts of what is."""
@@ -95,8 +103,9 @@ class _Compiled:
             return False  # Numba computes with these in float64, NumPy does not
         numbers = sum(getattr(one, "size", 1) for one in args)
         if "numba" not in sys.modules:
-            return not is_worth_compiling(numbers)
-        self._left = 0 if self._left < numbers or self._dispatcher.is_kept() else self._left - numbers
+            return _Effort.spent + numbers <= _Effort.most
+        if self._left < numbers or self._dispatcher.is_kept():
+            self._left = 0
         return self._left > 0
 
     def __reduce__(self) -> str:

@@ -104,7 +104,7 @@ def count_sparsely(
     return written
 
 
-@kernel(linear=True)
+@kernel
 def bound_clips(
     starts, found, votes, squares, lengths, query, meant, numbers, weights, n_trees, bounds, cosines
 ):  # fmt: skip
