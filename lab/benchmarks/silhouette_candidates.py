@@ -19,7 +19,6 @@ from collections.abc import Iterator
 
 import cv2
 import numpy as np
-from numba import njit
 
 from dousa.estimation import TrackerSettings, make_human, make_ring, standing_state
 from dousa.estimation.body.kinematics import place_parts
@@ -28,6 +27,7 @@ from dousa.estimation.tracking.search_kernels import count_parts, fill_evidence,
 from dousa.estimation.tracking.search_kernels import place_parts as hang_parts
 from dousa.estimation.tracking.search_setup import SearchSetup
 from dousa.estimation.tracking.settings import READINGS
+from dousa.kernels import kernel
 from lab.benchmarks.timing import Row, run, take_turns
 
 SIZE = (320, 240)
@@ -36,7 +36,7 @@ SHIFT = 4  # binary places of OpenCV's polygon corners
 CIRCLE = np.stack((np.cos(a := np.linspace(0, 2 * np.pi, 24, endpoint=False)), np.sin(a)), axis=1)
 
 
-@njit(error_model="numpy")
+@kernel(allocates=True)
 def count_all(pose, axis, amounts, parts, reading, model, views, scratch, counts):  # type: ignore[no-untyped-def]
     fill_evidence(reading, views[3], scratch[4], scratch[2], scratch[3], scratch[7])
     trial = pose.copy()
