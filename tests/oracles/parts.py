@@ -2,15 +2,18 @@
 
 from functools import cache
 
-from numba import njit
+from numba.core.caching import NullCache
+
+from dousa.kernel_compiler import compile_kernel
 
 
 @cache
 def run_part(part):
     """Return a function for Python that calls a part of `dousa.kernels`."""
 
-    @njit(error_model="numpy")
     def call(*arguments):
         return part(*arguments)
 
-    return call
+    run = compile_kernel(call, True, False)
+    run._cache = NullCache()  # a part that was changed would not be noticed
+    return run
