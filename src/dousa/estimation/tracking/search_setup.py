@@ -149,7 +149,7 @@ class SearchSetup:
         widths = np.zeros((self.n_axes, 2))
         weights, views = (READINGS.index("masked"), *self.weights[1:]), self.views(frame)
         fixed = (weights, self.bounds, self.model, views, scratch)
-        sweep(pose, widths[:, 0].copy(), self.order, True, (1.0, self.half, 1), *fixed, widths)
+        sweep(np.array(pose), widths[:, 0].copy(), self.order, True, (1.0, self.half, 1), *fixed, widths)
         return widths
 
     def score(self, pose: FloatArray, shift: FloatArray, frame: Frame, scratch: tuple[Any, ...]) -> float:
