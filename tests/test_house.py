@@ -20,13 +20,13 @@ SOURCE = ROOT / "src" / "dousa"
 ROOMS = {
     "app": (25_060, 110),
     "estimation": (15_271, 62),
-    "evaluation": (12_377, 43),
+    "evaluation": (12_371, 43),
     "experiments": (1_811, 10),
     "files": (511, 6),
     "formats": (9_415, 50),
     "library": (15_535, 55),
     "messages": (234, 3),
-    "motion": (6_100, 34),
+    "motion": (6_103, 34),
     "retrieval": (13_490, 46),
     "workers": (480, 6),
 }

@@ -13,12 +13,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from dousa.arrays import BoolArray, FloatArray
-from dousa.errors import InvalidMotionError
-from dousa.motion.canonical.canonicalise import CanonicalMotion
-from dousa.motion.canonical.joints import CANONICAL_JOINTS, JOINT_INDEX
+from dousa.motion.canonical.canonicalise import CanonicalMotion, check_positions
+from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.motion.resampling import fill_gaps, smooth_gaussian
 from dousa.motion.runs import find_runs
 
@@ -74,24 +72,13 @@ def count_repetitions(motion: CanonicalMotion) -> RepetitionCount:
     InvalidMotionError : no frame, another shape, or infinite positions.
     """
     rate = motion.frame_rate
-    curve = trace_movement(fold_poses(_check(motion.positions), rate), rate)
+    curve = trace_movement(fold_poses(check_positions(motion.positions), rate), rate)
     low, high = _find_range(curve)
     if high - low < _STILL * motion.height:
         return RepetitionCount((), 1.0, len(curve) / rate)
     counts = [count_crossings(curve, share) for share in (0.0, _HYSTERESIS, 2 * _HYSTERESIS)]
     spans = tuple((start / rate, end / rate) for start, end in find_spans(curve))
     return RepetitionCount(spans, min(counts) / max(counts), len(curve) / rate)
-
-
-def _check(positions: ArrayLike) -> FloatArray:
-    points = np.asarray(positions, np.float64)
-    if points.ndim != 3 or points.shape[1:] != (len(CANONICAL_JOINTS), 3):
-        raise InvalidMotionError("postures.motion_shape", shape=points.shape)
-    if len(points) == 0:
-        raise InvalidMotionError("postures.no_position")
-    if np.isinf(points).any():
-        raise InvalidMotionError("postures.infinite")
-    return points
 
 
 def count_cycles(poses: FloatArray, frame_rate: float) -> int:

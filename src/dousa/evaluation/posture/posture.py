@@ -26,7 +26,7 @@ from dousa.errors import InvalidMotionError, MotionFileError, OptionError
 from dousa.evaluation.words import SEGMENT_NAMES
 from dousa.files.disk import read_small_text
 from dousa.messages import Message
-from dousa.motion.canonical.canonicalise import CanonicalMotion
+from dousa.motion.canonical.canonicalise import CanonicalMotion, check_positions
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, MIRRORED_JOINTS
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.resampling import fill_gaps, find_neighbours
@@ -203,15 +203,9 @@ def compute_postures(motion: CanonicalMotion, frame_rate: float | None = None, n
 
 def _read(motion: CanonicalMotion) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Positions without gaps, as far as a joint is ever seen, and (T, 9) what is seen of the segments."""
-    positions = np.asarray(motion.positions, np.float64)
+    positions = check_positions(motion.positions)
     if positions.flags.writeable:
         positions = positions.copy()
-    if positions.ndim != 3 or positions.shape[1:] != (len(CANONICAL_JOINTS), 3):
-        raise InvalidMotionError("postures.motion_shape", shape=positions.shape)
-    if len(positions) == 0:
-        raise InvalidMotionError("postures.no_position")
-    if np.isinf(positions).any():
-        raise InvalidMotionError("postures.infinite")
     lost = cast(NDArray[np.bool_], np.isnan(positions).any(axis=2))
     if lost.any():
         positions = fill_gaps(positions)

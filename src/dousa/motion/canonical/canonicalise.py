@@ -354,6 +354,23 @@ class _Posed(Protocol):
 _Some = TypeVar("_Some", bound=_Posed)
 
 
+def check_positions(positions: ArrayLike) -> FloatArray:
+    """Return canonical positions (T, 20, 3) as numbers; NaN stays.
+
+    Raises
+    ------
+    InvalidMotionError : no frame, another shape, or infinite positions.
+    """
+    points = np.asarray(positions, np.float64)
+    if points.ndim != 3 or points.shape[1:] != (len(CANONICAL_JOINTS), 3):
+        raise InvalidMotionError("postures.motion_shape", shape=points.shape)
+    if len(points) == 0:
+        raise InvalidMotionError("postures.no_position")
+    if np.isinf(points).any():
+        raise InvalidMotionError("postures.infinite")
+    return points
+
+
 def mirror_positions(positions: ArrayLike) -> FloatArray:
     """Mirror canonical positions, in a new array.
 

@@ -5,6 +5,8 @@ The rows are in the order of ``relations``. A missing joint (NaN) fulfils no rel
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from dousa.kernels import kernel, part
@@ -58,7 +60,7 @@ def turn(points, left, rate, body, lowest, speed, turned):
                 lowest[t] = y
         speed[t, 0], speed[t, 1] = slope(points[:, 0, 0], t, rate), slope(points[:, 0, 2], t, rate)
         # Seen from above, a turn to the left takes x towards -z.
-        angle = np.arctan2(-along, across)
+        angle = math.atan2(-along, across)
         around += 0.0 if t == 0 else _wrap(angle - before)
         turned[t], before = around, angle
 
@@ -173,7 +175,7 @@ def _find_circles(reach, axis, holds):
     for t in range(n):
         a, b = reach[t, axis], reach[t, axis + 1]
         wide += np.hypot(a, b) > 0.15
-        angle = np.arctan2(a, b)
+        angle = math.atan2(a, b)
         around += 0.0 if t == 0 else _wrap(angle - before)
         lowest, highest, before = min(lowest, around), max(highest, around), angle
     if wide >= 0.8 * n and highest - lowest > np.radians(330.0):
