@@ -23,6 +23,7 @@ from dousa.motion.rotations import normalise
 from formats import fake_programs, made_mmd, made_usd
 from formats import made_files as made
 from formats import made_points as points
+from formats.made_tables import nexus
 from formats.test_asf_amc import AMC, ASF
 from formats.test_bvh import SMALL as BVH
 from fuzzing import damage, outcome_of, traced_outcome_of
@@ -80,7 +81,7 @@ def make_seeds(folder: Path) -> dict[str, list[dict[str, bytes]]]:
         ".amass.npz": [{"x.amass.npz": smpl}],
         ".npy": [{"x.npy": made.make_npy(rng.normal(size=(3, count, 3)))} for count in (22, 25, 17)],
         ".pkl": [{"x.pkl": made.make_aist()}, {"x.pkl": pickle.dumps({"keypoints3d": rng.normal(size=(3, 17, 3))})}],
-        ".csv": [{"x.csv": made.make_motive()}, {"x.csv": files["m.csv"]}],
+        ".csv": [{"x.csv": made.make_motive()}, {"x.csv": files["m.csv"]}, {"x.csv": nexus(points.COCO).encode()}],
         ".tsv": [{"x.tsv": made.make_qualisys()}, {"x.tsv": made.make_qualisys_skeleton()}],
         **{suffix: [{f"x{suffix}": files["m.glb"]}] for suffix in (".glb", ".gltf", ".vrm", ".vrma")},
         ".json": [{"x.json": json.dumps(content).encode()} for content in landmarks],

@@ -78,7 +78,7 @@ def test_motive_skeleton_by_its_names(tmp_path):
 
 def test_motive_damage(tmp_path):
     path, good = tmp_path / "x.csv", made.make_motive()
-    refused(path, b"a,b,c\n1,2,3\n", "motive.no_header")
+    refused(path, b"a,b,c\n1,2,3\n", "tables.no_points")
     refused(path, good.partition(b",Name")[0], "motive.no_names")
     refused(path, good.partition(b"0,0.0")[0], "motive.no_frames")
     refused(path, good.replace(b",1700", b",high"), "tables.number")
@@ -105,7 +105,7 @@ def test_qualisys_skeleton(tmp_path):
 
 def test_qualisys_damage(tmp_path):
     path, good = tmp_path / "x.tsv", made.make_qualisys()
-    refused(path, b"a\tb\n", "qualisys.no_header")
+    refused(path, b"a\tb\n", "tables.no_points")
     refused(path, good.replace(b"FREQUENCY\t100", b"FREQUENCY\t0"), "qualisys.rate")
     refused(path, good.partition(b"1\t2\t900")[0], "qualisys.no_frames")
     refused(path, good.replace(b"\tRASI", b"\tRASI\tSACR"), "qualisys.width")

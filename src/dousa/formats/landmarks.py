@@ -16,7 +16,7 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -308,7 +308,7 @@ def read_landmarks(
     except FormError as error:
         raise MotionFileError(path, error.message) from error
     points = _stack(path, people)
-    _refuse_pictures(path, points, people)
+    refuse_pictures(path, points, {person.key for person in people if person is not None})
     places = points[..., :3].copy()
     places[~(points[..., 3] > 0) | (places == 0).all(axis=2)] = np.nan
     if not np.isfinite(places).any():
@@ -386,10 +386,10 @@ def _stack(path: str | os.PathLike[str], people: list[Person | None]) -> FloatAr
     return points
 
 
-def _refuse_pictures(
+def refuse_pictures(
     path: str | os.PathLike[str],
     points: FloatArray,
-    people: list[Person | None],
+    keys: Collection[str] = (),
     pixels: float = 3.0,
     off_origin: float = 0.15,
 ) -> None:
@@ -397,10 +397,11 @@ def _refuse_pictures(
 
     Parameters
     ----------
+    points : (T, K, 4) x, y, z, confidence.
+    keys : names of the points in the file.
     pixels : coordinates beyond this, beside confidences from 0 to 1, are places in a picture.
     off_origin : m from the middle of the hips of world landmarks.
     """
-    keys = {person.key for person in people if person is not None}
     seen = points[np.isfinite(points[..., :2]).all(axis=2)]
     depth = seen[np.isfinite(seen[:, 2]), 2]
     landmarks = points.shape[1] == _LANDMARKS
@@ -411,7 +412,7 @@ def _refuse_pictures(
     middle = middle[np.isfinite(middle).all(axis=1)]
     inside = ((seen[:, :2] > -0.25) & (seen[:, :2] < 1.25)).all(axis=1).mean()
     away = len(middle) > 0 and float(np.abs(np.median(middle, axis=0)).max()) > off_origin
-    if keys & set(PICTURE_KEYS) or (away and inside > 0.98):
+    if set(keys) & set(PICTURE_KEYS) or (away and inside > 0.98):
         raise MotionFileError(path, "landmarks.picture")
 
 

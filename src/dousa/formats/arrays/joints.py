@@ -156,6 +156,7 @@ def name_joints(
     unit: float | str | None,
     up: str | None,
     frame_rate: float | None,
+    unit_in_file: float | None = None,
     notes: tuple[Message, ...] = (),
 ) -> Trajectories:
     """Build trajectories of points that may lack names, unit, axes and rate.
@@ -166,6 +167,7 @@ def name_joints(
     points : (T, J, 3) in the file's unit and axes, NaN where missing.
     names : (J,) of the file; else those of the layout of this number of joints.
     unit, up, frame_rate : as for `read_npy`.
+    unit_in_file : metres per unit, declared in the file.
     notes : for the user, on the reading of the file.
 
     Raises
@@ -188,7 +190,8 @@ def name_joints(
         raise MotionFileError(path, "arrays.rate", found=repr(frame_rate))
     return settle_trajectories(
         path, format_name, names, points, frame_rate,
-        unit=unit, up=up, unit_in_file=None, up_in_file=None, default_up=layout.up if layout else None, notes=notes,
+        unit=unit, up=up, unit_in_file=unit_in_file, up_in_file=None, default_up=layout.up if layout else None,
+        notes=notes,
     )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.assembly import declared_unit, settle_trajectories, settle_world
-from dousa.formats.optical.tables import guess_parents, read_rows, strip_owner
+from dousa.formats.optical.cells import guess_parents, read_rows, strip_owner
 from dousa.messages import Message
 from dousa.motion import Motion, Trajectories, forward_kinematics
 from dousa.motion.rotations import from_euler, normalise
@@ -53,7 +53,7 @@ def read_motive(
 
     Raises
     ------
-    MotionFileError : missing, damaged, another CSV, neither bones nor labelled markers.
+    MotionFileError : missing, damaged, neither bones nor labelled markers.
     """
     text = read_bytes(path).decode("utf-8-sig", errors="replace")
     try:
@@ -70,10 +70,10 @@ def read_motive(
     if kind is None or not assets:
         raise MotionFileError(path, "motive.nothing")
     width = 1 + max(max(columns["position"] + columns.get("rotation", [])) for _, columns in assets)
-    lines = [row for row in rows[table.body :] if any(cell.strip() for cell in row)]
+    lines = [(n, row) for n, row in enumerate(rows[table.body :], table.body + 1) if any(cell.strip() for cell in row)]
     if not lines:
         raise MotionFileError(path, "motive.no_frames", len(rows))
-    values = read_rows(path, lines, table.body + 1, width)
+    values = read_rows(path, [row for _, row in lines], [number for number, _ in lines], width)
     return _build(path, table, kind, assets, values, unit, up)
 
 
@@ -91,7 +91,9 @@ def _build(
     if len(owners) > 1 and kind.startswith("bone"):
         notes.append(Message("motive.several", read=owners[0], others=owners[1:]))
         assets = [asset for asset in assets if asset[0].rpartition(":")[0] == owners[0]]
-    names, _ = strip_owner([name for name, _ in assets])
+    names = [name for name, _ in assets]
+    if len(owners) == 1 or kind.startswith("bone"):
+        names, _ = strip_owner(names)
     positions = values[:, [columns["position"] for _, columns in assets]]
     rate = _read_rate(path, table.fields, values)
     unit_in_file = declared_unit(table.fields.get("length units", ""))
@@ -115,9 +117,7 @@ def _build(
 
 
 def _read_header(path: str | os.PathLike[str], rows: list[list[str]]) -> _Table:
-    if not rows or not rows[0] or rows[0][0].strip().lower() != "format version":
-        raise MotionFileError(path, "motive.no_header")
-    first = [cell.strip() for cell in rows[0]]
+    first = [cell.strip() for cell in rows[0]] if rows else []
     fields = {key.lower(): value for key, value in zip(first[::2], first[1::2], strict=False)}
     labelled: dict[str, list[str]] = {}
     for number, row in enumerate(rows[1:12], 1):
@@ -195,7 +195,7 @@ def write_motive(motion: Motion | Trajectories, path: str | os.PathLike[str]) ->
     bones = isinstance(motion, Motion)
     names = motion.skeleton.names if isinstance(motion, Motion) else motion.names
     for name in names:
-        if not name.strip() or any(sign in name for sign in ',"\r\n:'):
+        if not name.strip() or any(sign in name for sign in ',"\r\n'):
             raise MotionWriteError(path, "motive.name", name=name)
     if isinstance(motion, Motion):
         skeleton = motion.skeleton

@@ -17,7 +17,7 @@ from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.formats.assembly import settle_trajectories, settle_world
-from dousa.formats.optical.tables import guess_parents, read_rows, strip_owner
+from dousa.formats.optical.cells import guess_parents, read_rows, strip_owner
 from dousa.motion import Motion, Trajectories
 from dousa.motion.rotations import normalise
 
@@ -38,7 +38,7 @@ def read_qualisys(
 
     Raises
     ------
-    MotionFileError : missing, damaged, another TSV, rigid bodies (6D) without markers.
+    MotionFileError : missing, damaged, rigid bodies (6D) without markers.
     """
     text = read_bytes(path).decode("utf-8-sig", errors="replace").replace("\r\n", "\n").replace("\r", "\n")
     rows = [line.split("\t") for line in text.split("\n")]
@@ -47,26 +47,26 @@ def read_qualisys(
     while number < min(len(rows), 40) and (_KEY.fullmatch(rows[number][0].strip()) or not any(rows[number])):
         fields[rows[number][0].strip()] = [cell.strip() for cell in rows[number][1:]]
         number += 1
-    if "NO_OF_FRAMES" not in fields:
-        raise MotionFileError(path, "qualisys.no_header")
     rate = _read_rate(path, fields)
     titles = [cell.strip() for cell in rows[number]] if number < len(rows) else []
     has_titles = bool(titles) and not re.fullmatch(r"[\d.eE+-]*|nan", titles[0])
     first = number + has_titles
-    lines = [row for row in rows[first:] if any(cell.strip() for cell in row)]
+    lines = {n: row for n, row in enumerate(rows[first:], first + 1) if any(cell.strip() for cell in row)}
     if not lines:
         raise MotionFileError(path, "qualisys.no_frames", number)
     if "BODY_NAMES" in fields and "MARKER_NAMES" not in fields:
         raise MotionFileError(path, "qualisys.bodies")
     if "MARKER_NAMES" not in fields:
-        return _read_skeleton(path, titles, lines, first, rate, unit, up)
+        return _read_skeleton(path, titles, lines, rate, unit, up)
     names = [name for name in fields["MARKER_NAMES"] if name]
     leading = 0
     if has_titles:
         leading = next((index for index, title in enumerate(titles) if title not in ("Frame", "Time")), 0)
-    if not names or max(len(row) for row in lines) < leading + 3 * len(names):
-        raise MotionFileError(path, "qualisys.width", first + 1, expected=leading + 3 * len(names), found=len(lines[0]))
-    values = read_rows(path, lines, first + 1, leading + 3 * len(names))[:, leading:]
+    if not names or max(map(len, lines.values())) < leading + 3 * len(names):
+        raise MotionFileError(
+            path, "qualisys.width", first + 1, expected=leading + 3 * len(names), found=len(next(iter(lines.values())))
+        )
+    values = read_rows(path, [*lines.values()], [*lines], leading + 3 * len(names))[:, leading:]
     points = values.reshape(len(values), len(names), 3)
     points = np.where((points == 0).all(axis=2, keepdims=True), np.nan, points)
     return settle_trajectories(
@@ -88,8 +88,7 @@ def _read_rate(path: str | os.PathLike[str], fields: dict[str, list[str]]) -> fl
 def _read_skeleton(
     path: str | os.PathLike[str],
     titles: list[str],
-    lines: list[list[str]],
-    first: int,
+    lines: dict[int, list[str]],
     rate: float,
     unit: float | str | None,
     up: str | None,
@@ -98,7 +97,7 @@ def _read_skeleton(
     names, _ = strip_owner([titles[index] for index in starts])
     if not names:
         raise MotionFileError(path, "qualisys.no_names")
-    values = read_rows(path, lines, first + 1, starts[-1] + 8)
+    values = read_rows(path, [*lines.values()], [*lines], starts[-1] + 8)
     blocks: FloatArray = np.stack([values[:, start + 1 : start + 8] for start in starts], axis=1)
     positions, world = blocks[..., :3], normalise(blocks[..., [6, 3, 4, 5]])
     parents = guess_parents(names)

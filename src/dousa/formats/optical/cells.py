@@ -1,8 +1,9 @@
-"""Tables of optical systems as text: numbers, blank where a value is missing; owners of names; trees by usual names."""
+"""Cells of tables of text: numbers, blank where a value is missing; owners of names; trees by usual names."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -10,15 +11,18 @@ import numpy as np
 from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
 
+BLANK = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "--", "."})
+"""What programs write for a missing number, in lower case."""
 
-def read_rows(path: str | os.PathLike[str], rows: list[list[str]], first_line: int, width: int) -> FloatArray:
+
+def read_rows(path: str | os.PathLike[str], rows: list[list[str]], lines: Sequence[int], width: int) -> FloatArray:
     """Read (T, width) numbers; blank cells, and cells missing at the end of a row, are NaN.
 
     Parameters
     ----------
     path : for messages.
     rows : cells as text.
-    first_line : 1-based line of the first row.
+    lines : 1-based line of each row.
     width : cells read per row.
 
     Raises
@@ -29,16 +33,20 @@ def read_rows(path: str | os.PathLike[str], rows: list[list[str]], first_line: i
     for number, row in enumerate(rows):
         cells = row[:width]
         try:
-            values[number, : len(cells)] = [float(cell) if cell.strip() else np.nan for cell in cells]
+            values[number, : len(cells)] = [float(cell or "nan") for cell in cells]
         except ValueError:
-            bad = next(cell for cell in cells if cell.strip() and not _is_number(cell))
-            raise MotionFileError(path, "tables.number", first_line + number, found=bad.strip()[:40]) from None
+            bare = [cell.strip() for cell in cells]
+            bad = next((cell for cell in bare if cell.lower() not in BLANK and not is_number(cell)), None)
+            if bad is not None:
+                raise MotionFileError(path, "tables.number", lines[number], found=bad[:40]) from None
+            values[number, : len(cells)] = [np.nan if cell.lower() in BLANK else float(cell) for cell in bare]
     if np.isinf(values).any():
-        raise MotionFileError(path, "tables.infinite", first_line + int(np.argwhere(np.isinf(values))[0][0]))
+        raise MotionFileError(path, "tables.infinite", lines[int(np.argwhere(np.isinf(values))[0][0])])
     return values
 
 
-def _is_number(cell: str) -> bool:
+def is_number(cell: str) -> bool:
+    """Return whether a cell is a number."""
     try:
         float(cell)
     except ValueError:

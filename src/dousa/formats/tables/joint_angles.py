@@ -1,0 +1,92 @@
+"""Joint angles of bvh-toolbox: three tables of one motion, NAME_rot.csv, NAME_hierarchy.csv and NAME_pos.csv.
+
+The angles are degrees in the order of the columns (``Hips.z, Hips.x, Hips.y``), the hierarchy has a row for every joint
+(``joint, parent, offset.x, offset.y, offset.z``), ends without angles included, and the positions move the root.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+
+from dousa.arrays import FloatArray
+from dousa.errors import MotionFileError
+from dousa.files.disk import read_bytes
+from dousa.formats.assembly import settle_motion
+from dousa.formats.optical.cells import read_rows
+from dousa.motion import Motion, Skeleton
+from dousa.motion.rotations import from_euler, identity
+
+_ANGLES = re.compile(r"(.*)_(?:rot|rotations?)\.csv", re.IGNORECASE)
+
+
+def is_of_angles(path: str | os.PathLike[str]) -> bool:
+    """Return whether a table is one of angles by its name."""
+    return _ANGLES.fullmatch(os.path.basename(os.fspath(path))) is not None
+
+
+def read_angles(path: str | os.PathLike[str], *, unit: float | str | None, up: str | None) -> Motion:
+    """Read the motion of a table of angles with the hierarchy, and the places of the root, of the tables beside it.
+
+    Raises
+    ------
+    MotionFileError : no hierarchy beside it, joints without angles, numbers that are none.
+    """
+    name = _ANGLES.fullmatch(os.path.basename(os.fspath(path)))
+    stem = Path(path).parent / (name[1] if name else "")
+    tree, moved = Path(f"{stem}_hierarchy.csv"), Path(f"{stem}_pos.csv")
+    if not tree.exists():
+        raise MotionFileError(path, "tables.no_hierarchy", file=tree.name)
+    joints = [row for row in csv.reader(_lines(tree)[1:]) if len(row) >= 5]
+    names = tuple(row[0].strip() for row in joints)
+    above = {row[0].strip(): row[1].strip() for row in joints}
+    parents = [names.index(above[joint]) if above[joint] in names else -1 for joint in names]
+    if not names or any(parent >= n for n, parent in enumerate(parents)):
+        raise MotionFileError(tree, "tables.no_tree")
+    offsets = read_rows(tree, [row[2:5] for row in joints], range(2, len(joints) + 2), 3)
+    values, turns, rate = _read_columns(path)
+    lacking = tuple(joint for joint in names if joint in above.values() and sorted(turns.get(joint, {})) != list("xyz"))
+    if lacking:
+        raise MotionFileError(path, "tables.no_angles", joints=lacking)
+    rotations = identity((len(values), len(names)))
+    for number, joint in enumerate(names):
+        if joint in turns:
+            own = turns[joint]
+            rotations[:, number] = from_euler(np.radians(values[:, list(own.values())]), "".join(own).upper())
+    translations = np.tile(offsets, (len(values), 1, 1))
+    if moved.exists():
+        places, columns, _ = _read_columns(moved)
+        own = columns.get(names[0], {})
+        if len(places) != len(values) or sorted(own) != list("xyz"):
+            raise MotionFileError(moved, "tables.other_frames", expected=len(values), found=len(places), joint=names[0])
+        translations[:, 0] = places[:, [own[axis] for axis in "xyz"]]
+    ends = np.array([joint not in turns for joint in names])
+    return settle_motion(
+        path, "csv", Skeleton(names, np.array(parents), offsets, ends), rotations, translations, rate,
+        unit=unit, up=up, default_up="y",
+    )  # fmt: skip
+
+
+def _lines(path: str | os.PathLike[str]) -> list[str]:
+    return read_bytes(path).decode("utf-8-sig", errors="replace").splitlines()
+
+
+def _read_columns(path: str | os.PathLike[str]) -> tuple[FloatArray, dict[str, dict[str, int]], float]:
+    """The numbers, of each joint the columns by axis in the order of the table, and the rate of the first column."""
+    lines = _lines(path)
+    titles = next(csv.reader(lines[:1]), [])
+    columns: dict[str, dict[str, int]] = {}
+    for number, title in enumerate(titles):
+        joint, dot, axis = title.strip().rpartition(".")
+        if dot and axis.lower() in ("x", "y", "z"):
+            columns.setdefault(joint, {})[axis.lower()] = number
+    rows = [(number, row) for number, row in enumerate(csv.reader(lines[1:]), 2) if any(row)]
+    values = read_rows(path, [row for _, row in rows], [number for number, _ in rows], len(titles))
+    steps = np.diff(values[:, 0]) if len(values) > 1 else np.zeros(1)
+    if not len(values) or (len(values) > 1 and not np.median(steps) > 0):
+        raise MotionFileError(path, "tables.no_frames", 1)
+    return values, columns, 1 / float(np.median(steps)) if len(values) > 1 else 30.0
