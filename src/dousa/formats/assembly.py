@@ -13,9 +13,11 @@ import numpy as np
 
 from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.errors import InvalidMotionError, MotionFileError, OptionError
+from dousa.formats.guard import Clock, measure_cloud, settle_clock, settle_positions, settle_roots
 from dousa.messages import Message
 from dousa.motion import Motion, Provenance, Skeleton, Trajectories, thin
 from dousa.motion.canonical.reference_frame import (
+    ReferenceFrame,
     change_arrays,
     infer_reference_frame,
     parse_unit,
@@ -32,7 +34,7 @@ def settle_motion(
     skeleton: Skeleton,
     rotations: FloatArray,
     translations: FloatArray,
-    frame_rate: float,
+    clock: Clock | float,
     *,
     unit: float | str | None,
     up: str | None,
@@ -47,7 +49,7 @@ def settle_motion(
     notes: tuple[Message, ...] = (),
     damaged: str = "markers.damaged",
 ) -> Motion:
-    """Build a motion in metres with Y up from the content of a file.
+    """Build a motion in metres with Y up from the content of a file, after the checks of `dousa.formats.guard`.
 
     Parameters
     ----------
@@ -55,7 +57,7 @@ def settle_motion(
     skeleton : offsets in the file's unit and axes.
     rotations : (T, J, 4) local unit quaternions.
     translations : (T, J, 3) local positions in the file's unit and axes, changed in place.
-    frame_rate : Hz.
+    clock : all that the file says of time; the rate in Hz where it says no more.
     unit, up : given by the caller, or None.
     unit_in_file, up_in_file : of the file or its format, or None.
     declared_unit : of the file or its format, rejected if the body would have an impossible height.
@@ -74,17 +76,24 @@ def settle_motion(
 
     known_unit = unit_in_file if unit is None else parse_unit(unit)
     known_up = up_in_file if up is None else parse_up(up)
+    timeline = settle_clock(path, clock, len(rotations))
+    rotations, translations = timeline.place(rotations), timeline.place(translations)
+    values = None if values is None else timeline.place(values)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300
             rest = _place_rest(skeleton) if rest_in_world else None
 
             def place(frames: IndexArray | slice) -> Trajectories:
                 positions, _ = forward_kinematics(skeleton.parents, rotations[frames], translations[frames])
-                return Trajectories(skeleton.names, freeze(positions), frame_rate, skeleton.parents, rest)
+                return Trajectories(skeleton.names, freeze(positions), timeline.rate, skeleton.parents, rest)
 
             count = min(len(rotations), 16)
+            some = np.arange(count) * (len(rotations) - 1) // max(count - 1, 1)
+            sample = place(some)
+            placed = settle_roots(path, skeleton, rotations, translations, measure_cloud(sample.positions))
+            translations = placed.positions
             frame = infer_reference_frame(
-                place(np.arange(count) * (len(rotations) - 1) // max(count - 1, 1)),
+                place(some) if placed.notes else sample,
                 unit=known_unit,
                 up=known_up,
                 declared_unit=declared_unit,
@@ -102,9 +111,10 @@ def settle_motion(
                 layout,
                 values,
                 () if values is None else (settled[0].offsets, *settled[1:]),
-                (*notes, *frame.notes),
+                (*notes, *timeline.notes, *placed.notes, *frame.notes),
+                _to_metres(placed.shift, frame),
             )
-            return Motion(*settled, frame_rate, provenance)
+            return Motion(*settled, timeline.rate, provenance)
     except InvalidMotionError as error:
         raise MotionFileError(path, damaged, reason=error) from error
 
@@ -124,7 +134,7 @@ def settle_world(
     parent_names: dict[str, str],
     world: FloatArray,
     positions: FloatArray,
-    frame_rate: float,
+    clock: Clock | float,
     *,
     are_local: bool = False,
     **settings: Any,
@@ -144,7 +154,7 @@ def settle_world(
     if not are_local:
         rotations, translations = localise(parents, rotations, translations)
     skeleton = Skeleton(tuple(names[joint] for joint in order), np.array(parents), median_offsets(translations))
-    return settle_motion(path, format_name, skeleton, rotations, translations, frame_rate, **settings)
+    return settle_motion(path, format_name, skeleton, rotations, translations, clock, **settings)
 
 
 def add_ends(
@@ -240,7 +250,7 @@ def settle_trajectories(
     format_name: str,
     names: tuple[str, ...],
     positions: FloatArray,
-    frame_rate: float,
+    clock: Clock | float,
     *,
     unit: float | str | None,
     up: str | None,
@@ -250,14 +260,14 @@ def settle_trajectories(
     keep_values: bool = False,
     notes: tuple[Message, ...] = (),
 ) -> Trajectories:
-    """Build trajectories in metres with Y up from the content of a file.
+    """Build trajectories in metres with Y up from the content of a file, after the checks of `dousa.formats.guard`.
 
     Parameters
     ----------
     path, format_name : for the provenance and the messages.
     names : (K,) of the points.
     positions : (T, K, 3) in the file's unit and axes, NaN where missing.
-    frame_rate : Hz.
+    clock : all that the file says of time; the rate in Hz where it says no more.
     unit, up : given by the caller, or None.
     unit_in_file, up_in_file : declared in the file, or None.
     default_up : usual in the format, if neither is there.
@@ -266,13 +276,16 @@ def settle_trajectories(
 
     Raises
     ------
-    MotionFileError : no points, no frames, infinite positions, an impossible frame rate.
+    MotionFileError : no points, no frames, positions that can be none, an impossible frame rate.
     """
     known_unit = None if unit is None else parse_unit(unit)
     known_up = None if up is None else parse_up(up)
+    timeline = settle_clock(path, clock, len(positions), positions)
+    values = timeline.place(positions)
+    placed = settle_positions(path, names, values)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300
-            raw = Trajectories(names, positions, frame_rate)
+            raw = Trajectories(names, placed.positions, timeline.rate)
             sample = raw.replace(positions=thin(raw.positions, min(10, raw.n_frames)))
             frame = infer_reference_frame(
                 sample,
@@ -293,8 +306,16 @@ def settle_trajectories(
         frame.unit_source,
         frame.up,
         frame.up_source,
-        values=raw.positions if keep_values else None,
+        values=freeze(values) if keep_values else None,
         read=(settled.positions,) if keep_values else (),
-        notes=(*notes, *frame.notes),
+        notes=(*notes, *timeline.notes, *placed.notes, *frame.notes),
+        shift=_to_metres(placed.shift, frame),
     )
     return dataclasses.replace(settled, provenance=provenance)
+
+
+def _to_metres(shift: FloatArray | None, frame: ReferenceFrame) -> tuple[float, float, float] | None:
+    if shift is None:
+        return None
+    x, y, z = (frame.rotation @ shift * frame.unit).tolist()
+    return x, y, z

@@ -72,6 +72,7 @@ class Provenance:
         `values_of`, which knows whether they still are the motion's.
     read : the arrays that were made of them, shared with the motion.
     notes : for the user, on the reading of the file: wrong declarations, assumptions.
+    shift : m, (x, y, z) with Y up, taken off all positions as they were too far from the origin; None mostly.
     """
 
     path: str
@@ -84,6 +85,7 @@ class Provenance:
     values: FloatArray | None = None
     read: tuple[NDArray[Any], ...] = ()
     notes: tuple[Message, ...] = ()
+    shift: tuple[float, float, float] | None = None
 
     def values_of(self, *arrays: NDArray[Any]) -> FloatArray | None:
         """Return the file's own numbers if ``arrays`` are those made of them on reading; None if any was changed."""

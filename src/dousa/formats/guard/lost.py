@@ -1,0 +1,132 @@
+"""Lost points: what programs write where a point was not seen, such as 0 0 0, -9999 or 1e9 in all three coordinates.
+
+No number says by itself that it is no place. What was not seen has one size in all three coordinates, which no measured
+point has, and jumps there from where it was seen; or it lies far beyond all other points. All distances are shares of
+the size of the body, in whatever unit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dousa.arrays import BoolArray, FloatArray, IndexArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cloud:
+    """Where the points of a file are: the middle (3,), the usual size of the body, and how far it gets around."""
+
+    middle: FloatArray
+    size: float
+    reach: float
+
+
+def measure_cloud(positions: FloatArray, most: int = 50) -> Cloud:
+    """Measure the points of a file, robust against strays.
+
+    Parameters
+    ----------
+    positions : (T, K, 3) in any unit; NaN where missing.
+    most : frames that are looked at.
+    """
+    sample = positions[:: -(-len(positions) // most)]
+    with np.errstate(over="ignore", invalid="ignore"):
+        seen = np.isfinite(sample).all(axis=2) & ~_equal_sides(sample)
+        counts = seen.sum(axis=1)
+        sample, counts = sample[counts > 0], counts[counts > 0]
+        seen = seen[seen.any(axis=1)]
+        if len(sample) == 0:
+            return Cloud(np.zeros(3), 0.0, 0.0)
+        ranked = np.sort(np.where(seen[..., None], sample, np.nan), axis=1)  # NaN last
+        frames = np.arange(len(sample))
+        low, middle, high = (ranked[frames, np.rint(share * (counts - 1)).astype(int)] for share in (0.1, 0.5, 0.9))
+        size = float(np.median((high - low).max(axis=1)))
+        travelled = np.sort(middle, axis=0)
+        tenth = len(travelled) // 10
+        reach = float((travelled[-1 - tenth] - travelled[tenth]).max())
+    return Cloud(np.median(middle, axis=0), size or reach, size + reach)
+
+
+def find_lost(positions: FloatArray, cloud: Cloud | None = None, *, can_rest: bool = False) -> BoolArray | None:
+    """Find the points that were not seen and yet have coordinates: (T, K), None if there are none.
+
+    Parameters
+    ----------
+    positions : (T, K, 3) in any unit; NaN where missing.
+    cloud : of these points, if it is known.
+    can_rest : whether a zero before the first and after the last other place is one: roots stand there at rest.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        equal = _equal_sides(positions)
+        some = equal.any()
+        greatest = float(np.fmax.reduce(np.abs(positions), axis=None, initial=0.0))
+        cloud = cloud or measure_cloud(positions)
+        if not cloud.size > 0:
+            return None
+        lost = np.zeros(positions.shape[:2], bool)
+        if some:
+            frames, points = np.nonzero(equal)
+            lost[frames, points] = _jumps(positions, equal, frames, points, cloud)
+            if can_rest:
+                away = (positions != 0).any(axis=2)
+                inside = np.maximum.accumulate(away, axis=0) & np.maximum.accumulate(away[::-1], axis=0)[::-1]
+                lost &= inside
+        beyond = 100.0 * cloud.reach
+        if greatest > beyond + np.abs(cloud.middle).max():
+            lost |= np.abs(positions - cloud.middle).max(axis=2) > beyond
+    return lost if lost.any() else None
+
+
+def _equal_sides(positions: FloatArray) -> BoolArray:
+    """(T, K) whether all three coordinates have one size."""
+    x, y, z = (np.abs(positions[..., axis]) for axis in range(3))
+    equal: BoolArray = (x == y) & (y == z)
+    return equal
+
+
+def _jumps(
+    positions: FloatArray,
+    equal: BoolArray,
+    frames: IndexArray,
+    points: IndexArray,
+    cloud: Cloud,
+    near: float = 0.05,
+    outside: float = 3.0,
+) -> BoolArray:
+    """Whether suspected positions are out of the way that the point takes, and moves with the others.
+
+    Parameters
+    ----------
+    positions, equal : (T, K, 3) and (T, K).
+    frames, points : (N,) of the suspected ones.
+    cloud : of all points.
+    near : size of the body within which a point stays from one frame to the next in which it is seen.
+    outside : reach of the body from whose middle a point must be that is never seen elsewhere.
+    """
+    n_frames = len(positions)
+    seen = ~equal & np.isfinite(positions).all(axis=2)
+    count = seen.sum(axis=1)
+    middles = np.where(seen[..., None], positions, 0.0).sum(axis=1) / np.maximum(count, 1)[:, None]
+    middles[count == 0] = np.nan
+    columns, where = np.unique(points, return_inverse=True)
+    shown = seen[:, columns]
+    index = np.arange(n_frames)[:, None]
+    before = np.maximum.accumulate(np.where(shown, index, -1), axis=0)[frames, where]
+    after = np.minimum.accumulate(np.where(shown, index, n_frames)[::-1], axis=0)[::-1][frames, where]
+    here = positions[frames, points]
+    nearest = np.full(len(frames), np.inf)
+    for other, there in ((before, before >= 0), (after, after < n_frames)):
+        step = here - positions[np.clip(other, 0, n_frames - 1), points]
+        carried = step - (middles[frames] - middles[np.clip(other, 0, n_frames - 1)])
+        # In a frame without any other point the body would be a single point.
+        far = np.linalg.norm(carried, axis=1)
+        far = np.minimum(np.linalg.norm(step, axis=1), np.where(np.isnan(far), np.inf, far))
+        nearest = np.where(there, np.minimum(nearest, far), nearest)
+    never = ~np.isfinite(nearest)
+    lost: BoolArray = nearest > near * cloud.size
+    collapsed = (count[frames] == 0) & (positions.shape[1] > 1)
+    lost[never] = np.abs(here[never] - cloud.middle).max(axis=1) > outside * cloud.reach
+    lost[collapsed] = True
+    return lost
