@@ -102,3 +102,25 @@ def test_any_names_are_survived(names: list[str]) -> None:
 
 def test_unknown_names() -> None:
     assert match_names(tuple(f"j{i}" for i in range(30))) is None
+
+
+AFFIXES = {
+    "_JNT": "{}_JNT", "_bind": "{}_bind", "glued behind": "{}jnt", "Bip01_": "Bip01_{}", "namespaces": "Char:rig:{}",
+    "path": "|grp|{}", "many words": "rp_nathan_animated_003_walking_{}", "both ends": "Skeleton1_{}_01",
+    "glued before": "xbot{}", "capital": "Hero{}", "count": "{n:02d}_{}", "a rig's helpers": "DEF-{}",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("affix", AFFIXES)
+def test_what_all_names_share_says_nothing(affix: str) -> None:
+    """End sites have it in the middle, as readers name them: ``Head_JNT_end``; and a rig has bones without it."""
+    for label, (_, text) in NAME_LISTS.items():
+        names = text.split(",")
+        spelled = [AFFIXES[affix].format(name, n=number) for number, name in enumerate(names)]
+        for number, name in enumerate(names):
+            if name.removesuffix("_end") in names and name.endswith("_end"):
+                spelled[number] = spelled[names.index(name.removesuffix("_end"))] + "_end"
+        helpers = [f"MCH-x{number}" for number in range(40)] if affix == "a rig's helpers" else []
+        plain, found = match_names(tuple(names)), match_names((*spelled, *helpers))
+        assert plain is not None and found is not None
+        assert (found.table, found.sources, found.skin) == (plain.table, plain.sources, plain.skin), label

@@ -1,10 +1,10 @@
 """Mapping of the names in a file to canonical joints.
 
-A name is normalised to a side and a core. The namespace before ``:`` and what all names begin or end with
-(``Character1_``, ``Bip01 ``, ``mixamorig:``, ``_4X4``) are dropped, words are split at separators and capitals, a word
-such as ``Left``, ``l`` or ``RGT`` is the side, and the rest is joined in lower case. A side in the first or last letter
-(``lfemur``, ``LASI``) is found by its twin (``rfemur``). Then the table of ``name_tables.toml`` that covers most joints
-is taken.
+A name is normalised to a side and a core. The namespace before ``:`` and what nearly all names of the file begin or end
+with (``Character1_``, ``Bip01 ``, ``_JNT``, ``bind``) says nothing and is dropped, words are split at separators and
+capitals, a word such as ``Left``, ``l`` or ``RGT`` is the side, and the rest is joined in lower case. A side in the
+first or last letter (``lfemur``, ``LASI``) is found by its twin (``rfemur``). Then the table of ``name_tables.toml``
+that covers most joints is taken.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from __future__ import annotations
 import re
 import tomllib
 import unicodedata
-from collections.abc import Container, Iterable
+from collections import Counter
+from collections.abc import Container, Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -31,12 +32,9 @@ _HAN = r"(?:(?![左右])[\u3005-\u30ff\u3400-\u9fff])+"  # kana and kanji; the s
 _WORDS = re.compile(r"[A-Z]+(?=[A-Z][a-zäöüßéèêà])|[A-Z]?[a-zäöüßéèêà]+\d*|[A-Z]+\d*|\d+|[左右]|" + _HAN)
 _SIDES = {
     **dict.fromkeys(("left", "lft", "lt", "l", "li", "links", "sx", "gauche", "izq", "izquierda", "esq", "左"), "l"),
+    "c": "",  # the centre
     **dict.fromkeys(("right", "rgt", "rt", "r", "re", "rechts", "dx", "droite", "der", "derecha", "dir", "右"), "r"),
 }
-_FIRST_WORDS = frozenset(
-    {"def", "org", "joint", "jnt", "bone", "c", "m", "f", "avg", "mixamorig", "valvebiped", "bip01", "bip001"}
-)
-_LAST_WORDS = frozenset({"jnt", "joint", "bone", "study"})
 
 
 def _load_tables() -> dict[str, dict[str, str]]:
@@ -96,46 +94,74 @@ class NameMatch:
     skin: frozenset[str] = frozenset()
 
 
+_FEWEST, _NEARLY_ALL = 5, 0.8
+"""How many names show what names share, and the share of them that have it."""
+
+
+def _without_affixes(names: Iterable[str]) -> list[str]:
+    """Drop namespaces, running numbers, and what nearly all names begin or end with; ``_end`` of a bone's end stays."""
+    bare = [re.split(r"[:|]", unicodedata.normalize("NFKC", str(name)))[-1].strip(" _-.") for name in names]
+    known = set(bare)
+    ends = ["_end" if name[-4:] == "_end" and name[:-4] in known else "" for name in bare]
+    stems = [name.removesuffix(end) for name, end in zip(bare, ends, strict=True)]
+    before: list[str] = []
+    while before != stems:
+        before = stems
+        for part in (_without_numbers, _without_affix):
+            stems = part(part(stems, 1), -1)
+    return [stem + end for stem, end in zip(stems, ends, strict=True)]
+
+
+def _without_numbers(names: list[str], step: int) -> list[str]:
+    """Drop the numbers that count nearly all names: ``23 left hip`` and ``left hip 23``."""
+    cut = [re.sub(r"^\d+[\W_]*(?=.)" if step > 0 else r"(?<=.)[\W_]+\d+$", "", name) for name in names]
+    counted = sum(map(str.__ne__, names, cut))
+    enough = counted >= max(_FEWEST, _NEARLY_ALL * sum(map(bool, names)))
+    return cut if enough and len(set(cut)) == len(set(names)) else names
+
+
+def _without_affix(names: list[str], step: int, glued: int = 3, longest: int = 64) -> list[str]:
+    """Drop what nearly all names begin with (step 1) or end with (-1): ``Bip01_``, ``_JNT``; never a side.
+
+    Parameters
+    ----------
+    glued : letters from which on an affix needs no separator.
+    longest : letters that are looked at.
+    """
+    turned = [name[::step] for name in names]
+    least = max(_FEWEST, _NEARLY_ALL * sum(map(bool, names)))
+    affix = ""
+    while len(affix) < longest:
+        starts = Counter(name[: len(affix) + 1] for name in turned if len(name) > len(affix) + 1)
+        longer, count = starts.most_common(1)[0] if starts else ("", 0)
+        if count < least:
+            break
+        affix = longer
+        if len(affix) == glued:  # a letter that fewer have is the end of a joint's name: left_JNT, right_JNT
+            least = count
+    if side := _SIDE.search(affix[::step]):
+        affix = affix[: side.start() if step > 0 else len(affix) - side.end()]
+    at_word = affix[-1:].islower() and step > 0 and all(name[len(affix) :][:1].isupper() for name in turned)
+    if len(affix) < glued and (not affix or affix[-1].isalnum()) and not at_word:
+        return names
+    return [name.removeprefix(affix)[::step] if len(name) > len(affix) else name[::step] for name in turned]
+
+
+_SIDE = re.compile(r"(?i:left|right)|[左右]|(?<![A-Za-z])[LRlr](?![A-Za-z])|(?<=[a-z])[LR](?![A-Za-z])")
+
+
+def _list_groups(names: tuple[str, ...]) -> Iterator[list[str]]:
+    """The names that share a first or last word, without any others: the bones among the helpers of a rig."""
+    for pattern in (r"^[^\W_]+[\W_]+", r"[\W_]+[^\W_]+$"):
+        words = [found[0] if (found := re.search(pattern, name)) else "" for name in names]
+        for word, count in Counter(words).most_common():
+            if word and count >= _FEWEST and not _SIDE.search(word):
+                yield [name if own == word else "" for name, own in zip(names, words, strict=True)]
+
+
 def _split(name: str) -> list[str]:
-    """Words of a name, the namespace dropped: ``"Bob:LeftUpLeg_01"`` -> ``["Left", "Up", "Leg", "1"]``."""
-    words = _WORDS.findall(unicodedata.normalize("NFKC", name).rpartition(":")[2])
-    return [re.sub(r"(?<!\d)0+(?=\d)", "", word).lower() for word in words]
-
-
-def _common(rows: list[list[str]], place: int, shared: float = 0.8) -> str:
-    """First (place 0) or last (-1) word that a share of the names of several words has; empty if none."""
-    ends = [row[place] for row in rows if len(row) > 1]
-    word = max(set(ends), key=ends.count) if ends else ""
-    return word if word not in _SIDES and ends.count(word) >= shared * sum(map(bool, rows)) else ""
-
-
-def _without_prefix(words: list[list[str]]) -> list[list[str]]:
-    """Drop the first and last words that nearly all names share, and the known ones of single bones."""
-    for place in (0, -1):
-        while len(words) >= 5 and (common := _common(words, place)):
-            rest = slice(1, None) if place == 0 else slice(None, -1)
-            words = [row[rest] if len(row) > 1 and row[place] == common else row for row in words]
-    cleaned = []
-    for row in _without_numbers(words):
-        start = 0
-        while start < len(row) - 1 and row[start] in _FIRST_WORDS:
-            start += 1
-        end = len(row) - (len(row) - start > 1 and row[-1] in _LAST_WORDS)
-        cleaned.append(row[start:end])
-    return cleaned
-
-
-def _without_numbers(words: list[list[str]], shared: float = 0.8) -> list[list[str]]:
-    """Drop the numbers that count a share of the names: ``23 left hip`` and ``left hip 23``."""
-    for place in (0, -1):
-        counted = [len(row) > 1 and row[place].isdecimal() for row in words]
-        if sum(counted) < max(5, shared * len(words)):
-            continue
-        rest = slice(1, None) if place == 0 else slice(None, -1)
-        bare = [row[rest] if number else row for row, number in zip(words, counted, strict=True)]
-        if len({tuple(row) for row in bare}) == len({tuple(row) for row in words}):
-            words = bare
-    return words
+    """Words of a name in lower case: ``"LeftUpLeg_01"`` -> ``["left", "up", "leg", "1"]``."""
+    return [re.sub(r"(?<!\d)0+(?=\d)", "", word).lower() for word in _WORDS.findall(name)]
 
 
 def _split_side(words: list[str]) -> Key:
@@ -180,7 +206,7 @@ def normalise_names(names: Iterable[str]) -> tuple[tuple[str, str], ...]:
 
     ``names`` : all names of one file, for shared prefixes and twins.
     """
-    keys = [_split_side(words) for words in _without_prefix([_split(str(name)) for name in names])]
+    keys = [_split_side(_split(name)) for name in _without_affixes(names)]
     cores = frozenset(core for side, core in keys if not side)
     return tuple((side, core) if side else _hidden_side(core, cores) for side, core in keys)
 
@@ -273,7 +299,7 @@ def list_bodies(names: tuple[str, ...], least: int = 8, similar: float = 0.6) ->
     markers: dict[str, set[str]] = {}
     for name in names:
         owner = _OWNER.match(name)
-        if owner is not None and owner[1].lower() not in _SIDES and owner[1].lower() not in _FIRST_WORDS:
+        if owner is not None and owner[1].lower() not in _SIDES:
             markers.setdefault(owner[1], set()).add(name[owner.end() :])
     owners = [owner for owner, own in markers.items() if len(own) >= least]
     bodies = [o for o in owners if len(markers[o] & markers[owners[0]]) >= similar * len(markers[o])]
@@ -296,8 +322,17 @@ def rank_matches(names: tuple[str, ...]) -> tuple[NameMatch, ...]:
 
     ``names`` : (K,) as in the file; the first of equal names counts. Matches without a joint are left out.
     """
+    best = _rank(normalise_names(names))
+    for group in _list_groups(names) if not best or best[0].missing else ():
+        found = _rank(normalise_names(group))
+        if found and (not best or len(found[0].missing) < len(best[0].missing)):
+            best = found
+    return best
+
+
+def _rank(keys: tuple[Key, ...]) -> tuple[NameMatch, ...]:
     index: dict[Key, int] = {}
-    for position, key in enumerate(normalise_names(names)):
+    for position, key in enumerate(keys):
         index.setdefault(key, position)
     found = []
     for name, table in TABLES.items():
