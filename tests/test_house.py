@@ -26,12 +26,12 @@ ROOMS = {
     "formats": (10_550, 59),
     "library": (15_535, 55),
     "messages": (234, 3),
-    "motion": (6_105, 34),
+    "motion": (6_140, 34),
     "retrieval": (13_490, 46),
     "workers": (480, 6),
 }
 TOTALS = {
-    "lines of tests": 59_355,
+    "lines of tests": 59_377,
     "lines of JavaScript": 12_465,
     "constants": 935,
     "numeric constants without a source": 0,
