@@ -227,11 +227,9 @@ def _build(
         names, rows = tuple(triples), None
     scores = [columns.scores.get(name) for name in triples]
     wanted = [column for own in triples.values() for column in own] + [s for s in scores if s is not None]
-    timed = [columns.roles[role] for role in ("times", "numbers", "parts") if role in columns.roles]
-    values = _read_cells(path, numbered, header.mark, [*timed, *wanted])
-    times = {
-        role: values[:, n] for n, role in enumerate(r for r in ("times", "numbers", "parts") if r in columns.roles)
-    }
+    timed: list[str] = [role for role in ("times", "numbers", "parts") if role in columns.roles]
+    values = _read_cells(path, numbered, header.mark, [*(columns.roles[role] for role in timed), *wanted])
+    times = {role: values[:, n] for n, role in enumerate(timed)}
     points = values[:, len(timed) : len(timed) + 3 * len(triples)].reshape(len(values), len(triples), 3)
     sure = np.ones(points.shape[:2])
     sure[:, [n for n, s in enumerate(scores) if s is not None]] = values[:, len(timed) + 3 * len(triples) :]
