@@ -22,8 +22,8 @@ ROOMS = {
     "estimation": (15_271, 62),
     "evaluation": (12_371, 43),
     "experiments": (1_811, 10),
-    "files": (667, 7),
-    "formats": (10_550, 59),
+    "files": (852, 7),
+    "formats": (10_929, 63),
     "library": (15_535, 55),
     "messages": (234, 3),
     "motion": (6_140, 34),
@@ -31,9 +31,9 @@ ROOMS = {
     "workers": (480, 6),
 }
 TOTALS = {
-    "lines of tests": 59_377,
+    "lines of tests": 59_598,
     "lines of JavaScript": 12_465,
-    "constants": 935,
+    "constants": 940,
     "numeric constants without a source": 0,
     "functions over 60 lines": 20,
     "files over 650 lines": 0,

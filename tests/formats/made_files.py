@@ -4,7 +4,9 @@ import gzip
 import io
 import pickle
 import zipfile
+from typing import ClassVar
 
+import joblib
 import numpy as np
 import pytest
 
@@ -103,6 +105,51 @@ def make_aist(n_frames=4):
             "smpl_loss": 1.5,
         }
     )
+
+
+def make_joblib(content, **options):
+    """The bytes of a dump of joblib."""
+    packed = io.BytesIO()
+    joblib.dump(content, packed, **options)
+    return packed.getvalue()
+
+
+class _TorchPickler(pickle._Pickler):
+    """Pickles arrays as torch pickles tensors: a function, and numbers that stand elsewhere under a key."""
+
+    dispatch: ClassVar = dict(pickle._Pickler.dispatch)
+
+    def __init__(self, file):
+        super().__init__(file, 2)
+        self.storages = {}
+
+    def save_tensor(self, array):
+        key = str(len(self.storages))
+        self.storages[key] = np.ascontiguousarray(array, np.float32)
+        self.write(b"ctorch._utils\n_rebuild_tensor_v2\n(")
+        self.write(pickle.MARK)
+        self.save("storage")
+        self.write(b"ctorch\nFloatStorage\n")
+        for part in (key, "cuda:0", array.size):
+            self.save(part)
+        self.write(pickle.TUPLE + pickle.BINPERSID)
+        for part in (0, array.shape, tuple(step // 4 for step in self.storages[key].strides), False, {}):
+            self.save(part)
+        self.write(pickle.TUPLE + pickle.REDUCE)
+
+    dispatch[np.ndarray] = save_tensor
+
+
+def make_torch(content):
+    """The bytes of a file of torch.save, arrays as tensors of float32."""
+    stream, packed = io.BytesIO(), io.BytesIO()
+    pickler = _TorchPickler(stream)
+    pickler.dump(content)
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.writestr("x/data.pkl", stream.getvalue())
+        for key, array in pickler.storages.items():
+            archive.writestr(f"x/data/{key}", array.tobytes())
+    return packed.getvalue()
 
 
 def pack_gzip(data):

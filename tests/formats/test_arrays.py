@@ -182,7 +182,8 @@ def test_pickles_of_every_age(tmp_path, protocol):
 def test_what_is_no_motion_is_said_in_one_sentence(tmp_path):
     path = tmp_path / "x.npy"
     refused(path, b"no array", "arrays.no_npy")
-    refused(path, made.make_npy(np.zeros((4, 263))), "arrays.shape")
+    refused(path, made.make_npy(np.zeros((4, 264))), "arrays.shape")
+    refused(path, made.make_npy(np.random.default_rng(0).normal(size=(9, 263))), "arrays.features")
     refused(path, made.make_npy(np.zeros((4, 7, 3))), "arrays.joints")
     refused(path, made.make_npy(np.zeros((4, 22, 3)))[:-1], "arrays.size")
     refused(path, made.make_npy(np.array(["a"])), "arrays.not_plain")

@@ -80,6 +80,8 @@ def make_seeds(folder: Path) -> dict[str, list[dict[str, bytes]]]:
         ".npz": [{"x.npz": files["m.npz"]}, {"x.npz": files["t.npz"]}, {"x.npz": joints}, {"x.npz": smpl}],
         ".amass.npz": [{"x.amass.npz": smpl}],
         ".npy": [{"x.npy": made.make_npy(rng.normal(size=(3, count, 3)))} for count in (22, 25, 17)],
+        ".joblib": [{"x.joblib": made.make_joblib({1: made.make_smpl()})}],
+        ".pt": [{"x.pt": made.make_torch({"smpl_params_global": made.make_smpl()})}],
         ".pkl": [{"x.pkl": made.make_aist()}, {"x.pkl": pickle.dumps({"keypoints3d": rng.normal(size=(3, 17, 3))})}],
         ".csv": [{"x.csv": made.make_motive()}, {"x.csv": files["m.csv"]}, {"x.csv": nexus(points.COCO).encode()}],
         ".tsv": [{"x.tsv": made.make_qualisys()}, {"x.tsv": made.make_qualisys_skeleton()}],

@@ -51,8 +51,8 @@ def test_every_line_of_the_table_works():
 
 def test_the_table_is_the_one_promised():
     assert " ".join(SUFFIXES) == (
-        ".bvh .amc .c3d .trc .amass.npz .npz .npy .pkl .csv .tsv .json .vmd .mvnx .fbx .dae .usd .usda .usdc .usdz"
-        " .glb .gltf .vrm .vrma"
+        ".bvh .amc .c3d .trc .amass.npz .npz .npy .pkl .joblib .pt .csv .tsv .json .vmd .mvnx .fbx .dae .usd .usda"
+        " .usdc .usdz .glb .gltf .vrm .vrma"
     )
     assert " ".join(WRITERS) == ".bvh .c3d .trc .amass.npz .npz .csv .fbx .glb"
 

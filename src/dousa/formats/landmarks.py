@@ -26,7 +26,7 @@ from dousa.arrays import FloatArray
 from dousa.errors import DousaError, MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.files.frame_files import list_frame_files, natural_key, number_frames
-from dousa.formats.arrays.joints import list_layouts, name_joints
+from dousa.formats.arrays.joints import BODY_OF, list_layouts, name_joints
 from dousa.messages import Message
 from dousa.motion import Trajectories
 from dousa.motion.canonical.naming import match_names
@@ -47,8 +47,6 @@ _SURE_KEYS = ("visibility", "score", "confidence", "conf", "c")
 _NUMBER_KEYS = ("person_id", "track_id", "idx")
 _RATE_KEYS = ("fps", "frame_rate", "frameRate", "framerate", "FPS")
 _NAME_KEYS = ("joint_names", "keypoint_names", "names", "jointNames", "keypoints_name")
-# By the definition of COCO-WholeBody, HALPE 136 and MediaPipe Holistic the body comes first, then feet, face, hands.
-_BODY_OF = {133: 17, 136: 26, 553: 33}
 
 
 class FormError(DousaError):
@@ -232,7 +230,7 @@ def _flat_width(node: list[Any]) -> int:
     """Number of values per point in a flat list of numbers; 0 if it is none."""
     if len(node) < 6 or not all(map(_is_value, node)):
         return 0
-    known = _counts() | set(_BODY_OF)
+    known = _counts() | set(BODY_OF)
     return next((width for width in (4, 3) if len(node) % width == 0 and len(node) // width in known), 0)
 
 
@@ -253,7 +251,7 @@ def _read_points(node: list[Any], key: str) -> tuple[FloatArray, str, tuple[str,
         points = np.array([_read_landmark(entry) for entry in node])
         if all(isinstance(entry, Mapping) and isinstance(entry.get("name"), str) for entry in node):
             names = tuple(entry["name"][:100] for entry in node)
-    count = _BODY_OF.get(len(points), len(points))
+    count = BODY_OF.get(len(points), len(points))
     return points[:count], key, names[:count] if len(set(names)) == len(names) else ()
 
 

@@ -75,11 +75,12 @@ FORMATS: tuple[Format, ...] = (
     Format("amass", (".amass.npz",), "dousa.formats.smpl", "read_smpl_npz", "write_amass", "motion", _ARRAYS),
     Format("npz", (".npz",), "dousa.formats.arrays", "read_any_npz", "write_npz", "both", _ARRAYS),
     Format(
-        "npy", (".npy",), "dousa.formats.arrays", "read_npy", None, "trajectories", ("frame_rate",),
-        rb"'shape': \(\d+, \d+, \d+\)",
+        "npy", (".npy",), "dousa.formats.arrays", "read_npy", None, "both", _ARRAYS,
+        rb"'shape': \(\d+, (?:\d+, \d+|263|251|322)\)|(?s:'\|O'.*(?:motion|orient|rotmat|poses?)\W)",
     ),
     Format(
-        "pkl", (".pkl",), "dousa.formats.arrays", "read_pickle", None, "both", _ARRAYS, rb"poses|keypoints3d",
+        "pkl", (".pkl", ".joblib", ".pt"), "dousa.formats.arrays", "read_pickle", None, "both", _ARRAYS,
+        rb"poses|keypoints3d|(?:global|root)_orient|rotmat|body_pose|\x04(?:\0{3})?pose|\x06(?:\0{3})?motion",
     ),
     Format(
         "csv", (".csv",), "dousa.formats.tables", "read_table", "write_motive", "both", ("frame_rate",),

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache, partial
 from importlib import resources
 from typing import TYPE_CHECKING, Any
@@ -25,17 +25,16 @@ from dousa.errors import JointMappingError, MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write
 from dousa.files.npz_arrays import open_npz
 from dousa.formats.assembly import rest_offsets, settle_motion
+from dousa.formats.guard import Clock
+from dousa.formats.smpl_poses import JOINTS_OF, Get, are_poses, bare_name, find_roles, read_rotations
 from dousa.messages import Message
 from dousa.motion import Motion, Skeleton, Trajectories
 from dousa.motion.canonical.recipes import JointMap
 from dousa.motion.canonical.reference_frame import ReferenceFrame, from_reference_frame
-from dousa.motion.rotations import from_axis_angle, identity, to_axis_angle
+from dousa.motion.rotations import identity, rotate, to_axis_angle
 
 if TYPE_CHECKING:
     from dousa.motion.retargeting import Retargeted
-
-JOINTS_OF = {22: "SMPL", 24: "SMPL", 52: "SMPL-H", 55: "SMPL-X"}
-"""Model by its number of joints, by the definition of each; 22 are SMPL's without the hands."""
 
 
 @lru_cache(maxsize=4)
@@ -98,23 +97,14 @@ def model_body(path: str | os.PathLike[str], n_joints: int, betas: FloatArray | 
     return Skeleton(mean.names, mean.parents, rest_offsets(mean.parents.tolist(), joints))
 
 
-_POSES = ("poses", "smpl_poses", "fullpose", "pose", "body_pose", "pose_body")
-_PARTS = (
-    ("root_orient", "pose_body", "pose_hand"),
-    ("global_orient", "body_pose"),
-    ("root_orient", "pose_body"),
-)
-_PLACES = ("trans", "smpl_trans", "transl", "translation")
 _RATES = ("mocap_framerate", "mocap_frame_rate", "frame_rate", "framerate", "fps")
 AIST_RATE = 60.0
 """Hz of AIST++ (Li et al., ICCV 2021)."""
 
-Get = Callable[[str], NDArray[Any] | None]
 
-
-def find_poses(names: Mapping[str, Any] | tuple[str, ...]) -> bool:
+def find_poses(names: Iterable[str]) -> bool:
     """Return whether the names of some arrays are those of SMPL poses."""
-    return any(name in names for name in _POSES) or any(all(part in names for part in parts) for parts in _PARTS)
+    return are_poses(find_roles(names))
 
 
 def read_smpl_npz(
@@ -144,17 +134,20 @@ def read_smpl_npz(
         def get(name: str) -> NDArray[Any] | None:
             return file.read(name, "iuf", most=1_000_000_000) if name in file else None
 
-        return build_smpl(path, get, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate)
+        return build_smpl(path, get, file.names, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate)
 
 
 def build_smpl(
     path: str | os.PathLike[str],
     get: Get,
+    names: Iterable[str],
     *,
     unit: float | str | None,
     up: str | None,
     skeleton: str | os.PathLike[str] | None,
     frame_rate: float | None,
+    default_up: str | None = "z",
+    notes: tuple[Message, ...] = (),
 ) -> Motion:
     """Build the motion of SMPL poses.
 
@@ -162,62 +155,59 @@ def build_smpl(
     ----------
     path : for messages and provenance.
     get : returns the array of a name, or None.
+    names : of the arrays.
     unit, up, skeleton, frame_rate : as for `read_smpl_npz`.
+    default_up : usual in such files, for those without AIST++'s scaling.
+    notes : for the user, on the reading of the file.
     """
-    poses = _read_poses(path, get)
-    n_frames, n_joints = poses.shape[:2]
-    notes = []
-    betas = get("betas")
+    roles = find_roles(names)
+    rotations = _read_poses(path, get, roles)
+    n_frames, n_joints = rotations.shape[:2]
+    betas = get(roles.get("betas", ""))
     betas = None if betas is None or betas.size == 0 else np.atleast_2d(betas)[0].astype(np.float64)
     if skeleton is not None:
         tree = model_body(skeleton, n_joints, betas)
     else:
         tree = mean_body(n_joints)
-        notes.append(Message("smpl.mean_body", model=JOINTS_OF[n_joints]))
-    scaling = get("smpl_scaling")
+        notes = (*notes, Message("smpl.mean_body", model=JOINTS_OF[n_joints]))
+    scaling = get(roles.get("scaling", ""))
     rate = frame_rate or read_rate(get)
     if rate is None:
         rate = 30.0 if scaling is None else AIST_RATE
-        notes.append(Message("arrays.assumed_rate", rate=rate))
-    places = _read_places(path, get, n_frames, scaling)
+        notes = (*notes, Message("arrays.assumed_rate", rate=rate))
+    places = _read_places(path, get(roles.get("places", "")), n_frames, scaling)
+    numbers = get(roles.get("numbers", ""))
+    numbers = numbers.reshape(-1).astype(np.float64) if numbers is not None and numbers.size == n_frames else None
     translations = np.tile(tree.offsets, (n_frames, 1, 1))
     with np.errstate(over="ignore", invalid="ignore"):
-        translations[:, 0] += places
-        rotations = from_axis_angle(poses)
-    if not np.isfinite(poses).all():
-        raise MotionFileError(path, "smpl.not_finite")
+        # EasyMocap turns the whole body about the origin, the pelvis too.
+        turned = bare_name(roles.get("root", "")) == "rh"
+        translations[:, 0] = (rotate(rotations[:, 0], tree.offsets[0]) if turned else tree.offsets[0]) + places
     return settle_motion(
-        path, "smpl", tree, rotations, translations, rate,
-        unit=unit, up=up, unit_in_file=1.0, default_up="z" if scaling is None else "y", rest_in_world=False,
-        notes=tuple(notes),
+        path, "smpl", tree, rotations, translations, Clock(rate, None, numbers),
+        unit=unit, up=up, unit_in_file=1.0, default_up=default_up if scaling is None else "y", rest_in_world=False,
+        notes=notes,
     )  # fmt: skip
 
 
-def _read_poses(path: str | os.PathLike[str], get: Get) -> FloatArray:
-    """(T, J, 3) rotation vectors of 22, 24, 52 or 55 joints."""
-    found = None
-    for parts in _PARTS:
-        arrays = [get(part) for part in parts]
-        present = [array for array in arrays if array is not None]
-        if len(present) == len(parts) and len({len(array) for array in present if array.ndim}) == 1:
-            found = np.concatenate([array.reshape(len(array), -1) for array in present], axis=1)
-            break
-    if found is None:
-        found = next((array for array in map(get, _POSES) if array is not None), None)
-    if found is None or found.ndim not in (2, 3) or 0 in found.shape:
+def _read_poses(path: str | os.PathLike[str], get: Get, roles: Mapping[str, str]) -> FloatArray:
+    """(T, J, 4) local rotations of 22, 24, 52 or 55 joints."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        read = read_rotations(get, roles)
+    if read.turns is None and read.found:
+        known = tuple(form * count for form in (3, 6, 9) for count in JOINTS_OF)
+        raise MotionFileError(path, "smpl.width", found=read.found, known=known)
+    if read.turns is None:
         raise MotionFileError(path, "smpl.no_poses", found=())
-    flat = found.reshape(len(found), -1)
-    width = flat.shape[1]
-    if width == 63:  # a body without its root, which then does not turn
-        flat, width = np.concatenate((np.zeros((len(flat), 3)), flat), axis=1), 66
-    if width % 3 or width // 3 not in JOINTS_OF:
-        raise MotionFileError(path, "smpl.width", found=width, known=tuple(3 * count for count in JOINTS_OF))
-    return flat.reshape(len(flat), -1, 3).astype(np.float64)
+    if not np.isfinite(read.turns).all():
+        raise MotionFileError(path, "smpl.not_finite")
+    return read.turns
 
 
-def _read_places(path: str | os.PathLike[str], get: Get, n_frames: int, scaling: NDArray[Any] | None) -> FloatArray:
+def _read_places(
+    path: str | os.PathLike[str], places: NDArray[Any] | None, n_frames: int, scaling: NDArray[Any] | None
+) -> FloatArray:
     """(T, 3) m."""
-    places = next((array for array in map(get, _PLACES) if array is not None), None)
     if places is None:
         return np.zeros((n_frames, 3))
     if places.shape not in ((n_frames, 3), (n_frames, 1, 3)):

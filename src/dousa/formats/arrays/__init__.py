@@ -1,8 +1,8 @@
-"""Arrays of numpy: npz of dousa, of SMPL poses or of joints, npy of joints; pickles of either."""
+"""Arrays of numpy: npz of dousa, of SMPL poses or of joints, npy of joints or features; pickles of any."""
 
 from __future__ import annotations
 
-from dousa.formats.arrays.joints import read_npy
+from dousa.formats.arrays.npy import read_npy
 from dousa.formats.arrays.npz import read_any_npz, write_npz
 from dousa.formats.arrays.pickles import read_pickle
 

@@ -7,7 +7,6 @@ one whose bones have the most constant lengths over time and between left and ri
 from __future__ import annotations
 
 import os
-import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,8 +19,8 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
-from dousa.files.disk import read_bytes
 from dousa.formats.assembly import settle_trajectories
+from dousa.formats.guard import Clock
 from dousa.formats.smpl import mean_body
 from dousa.messages import Message
 from dousa.motion import Trajectories
@@ -29,10 +28,9 @@ from dousa.motion.canonical.naming import match_names
 
 _NAMES = ("joints", "positions", "keypoints3d_optim", "keypoints3d", "keypoints_3d", "joints3d", "poses_3d", "motion")
 _LIMBS = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
-_MAGIC = b"\x93NUMPY"
-_HEADER = re.compile(
-    r"\{'descr': '([<>|=]?[iuf]\d{1,2})', 'fortran_order': (True|False), 'shape': \(([\d, ]{0,200})\), ?\}\s*"
-)
+BODY_OF = {133: 17, 136: 26, 553: 33, 543: 33, 67: 25, 137: 25}
+"""Points of the body among more, by the definition of COCO-WholeBody, HALPE 136, MediaPipe Holistic (FreeMoCap with
+refined faces, and without) and OpenPose with hands, and with hands and face: the body comes first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,47 +72,6 @@ def find_joints(arrays: Mapping[str, Any]) -> str | None:
     return next((name for name in _NAMES if name in fitting), fitting[0] if len(fitting) == 1 else None)
 
 
-def read_npy(
-    path: str | os.PathLike[str],
-    *,
-    unit: float | str | None = None,
-    up: str | None = None,
-    frame_rate: float | None = None,
-) -> Trajectories:
-    """Read an npy file of joint positions (T, J, 3).
-
-    Parameters
-    ----------
-    path : the file.
-    unit, up : by default inferred from the body.
-    frame_rate : Hz; by default that of the data set whose joints these are.
-
-    Raises
-    ------
-    MotionFileError : missing, damaged, objects instead of numbers, another shape, an unknown number of joints.
-    """
-    data = read_bytes(path)
-    if data[:6] != _MAGIC or len(data) < 12:
-        raise MotionFileError(path, "arrays.no_npy")
-    wide = data[6] >= 2
-    start = 12 if wide else 10
-    end = start + int.from_bytes(data[8:start], "little")
-    header = _HEADER.fullmatch(data[start : min(end, 10_000)].decode("latin-1"))
-    if header is None:
-        raise MotionFileError(path, "arrays.not_plain")
-    try:
-        dtype = np.dtype(header[1])
-    except TypeError:
-        raise MotionFileError(path, "arrays.not_plain") from None
-    shape = tuple(int(axis) for axis in header[3].replace(" ", "").split(",") if axis)
-    if not is_joint_array(shape):
-        raise MotionFileError(path, "arrays.shape", found=str(shape))
-    if int(np.prod(shape, dtype=object)) * dtype.itemsize != len(data) - end:
-        raise MotionFileError(path, "arrays.size", shape=str(shape), found=len(data) - end)
-    points = np.frombuffer(data, dtype, offset=end).reshape(shape, order="F" if header[2] == "True" else "C")
-    return build_joints(path, "npy", points, unit=unit, up=up, frame_rate=frame_rate)
-
-
 def build_joints(
     path: str | os.PathLike[str],
     format_name: str,
@@ -124,16 +81,20 @@ def build_joints(
     up: str | None,
     frame_rate: float | None,
     names: tuple[str, ...] | None = None,
+    notes: tuple[Message, ...] = (),
 ) -> Trajectories:
     """Build trajectories from an array of joints.
 
     Parameters
     ----------
     path, format_name : for messages and provenance.
-    array : (T, J, 3) or (J, 3, T), with axes of length 1 anywhere.
+    array : (T, J, 3) or (J, 3, T), with axes of length 1 anywhere; (T, J, 4) with a score of each, 0 for what was not
+        seen.
     unit, up, frame_rate : as for `read_npy`.
     names : (J,) of the file, if any.
+    notes : for the user, on the reading of the file.
     """
+    array = _without_scores(array)
     if not is_joint_array(array.shape):
         raise MotionFileError(path, "arrays.shape", found=str(array.shape))
     points = array.reshape([axis for axis in array.shape if axis != 1]).astype(np.float64)
@@ -144,7 +105,21 @@ def build_joints(
     points = np.where(
         (points == 0).all(axis=2, keepdims=True) & (np.arange(points.shape[1]) > 0)[:, None], np.nan, points
     )
-    return name_joints(path, format_name, points, names, unit=unit, up=up, frame_rate=frame_rate)
+    if points.shape[1] in BODY_OF and names is None:
+        points = points[:, : BODY_OF[points.shape[1]]]
+    return name_joints(path, format_name, points, names, unit=unit, up=up, frame_rate=frame_rate, notes=notes)
+
+
+def _without_scores(array: NDArray[Any]) -> NDArray[Any]:
+    """Take the scores, from 0 to 1, off the places; the rows of quaternions have length 1 and stay."""
+    if array.ndim < 3 or array.shape[-1] != 4 or not is_joint_array((*array.shape[:-1], 3)):
+        return array
+    places, scores = array[..., :3].astype(np.float64), array[..., 3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        turns = np.abs(np.square(places).sum(axis=-1) + np.square(scores) - 1) < 1e-3
+    if turns.all() or not ((scores >= 0) & (scores <= 1)).all():
+        return array
+    return np.where((scores > 0)[..., None], places, np.nan)
 
 
 def name_joints(
@@ -156,6 +131,7 @@ def name_joints(
     unit: float | str | None,
     up: str | None,
     frame_rate: float | None,
+    clock: Clock | None = None,
     unit_in_file: float | None = None,
     notes: tuple[Message, ...] = (),
 ) -> Trajectories:
@@ -167,6 +143,7 @@ def name_joints(
     points : (T, J, 3) in the file's unit and axes, NaN where missing.
     names : (J,) of the file; else those of the layout of this number of joints.
     unit, up, frame_rate : as for `read_npy`.
+    clock : what the file says about time, if anything.
     unit_in_file : metres per unit, declared in the file.
     notes : for the user, on the reading of the file.
 
@@ -183,13 +160,16 @@ def name_joints(
             raise MotionFileError(path, "arrays.joints", found=points.shape[1], known=known)
         names = layout.names
         notes += (Message("arrays.layout", joints=len(names), layout=layout.title),)
-    if frame_rate is None:
-        frame_rate = layout.rate if layout else 30.0
-        notes += (Message("arrays.assumed_rate", rate=frame_rate),)
-    if not 0 < frame_rate <= 1e6:
-        raise MotionFileError(path, "arrays.rate", found=repr(frame_rate))
+    clock = clock or Clock()
+    rate = frame_rate or clock.rate
+    if rate is None and (clock.times is None or len(points) < 2):
+        rate = layout.rate if layout else 30.0
+        notes += (Message("arrays.assumed_rate", rate=rate),)
+    if rate is not None and not 0 < rate <= 1e6:
+        raise MotionFileError(path, "arrays.rate", found=repr(rate))
+    clock = Clock(rate, None if frame_rate else clock.times, clock.numbers, clock.frames)
     return settle_trajectories(
-        path, format_name, names, points, frame_rate,
+        path, format_name, names, points, clock,
         unit=unit, up=up, unit_in_file=unit_in_file, up_in_file=None, default_up=layout.up if layout else None,
         notes=notes,
     )  # fmt: skip

@@ -180,7 +180,7 @@ def read_any_npz(
     """
     with open_npz(path, partial(MotionFileError, path)) as file:
         if find_poses(file.names):
-            return build_smpl(path, lambda name: _read(file, name), unit=unit, up=up, skeleton=skeleton,
+            return build_smpl(path, lambda name: _read(file, name), file.names, unit=unit, up=up, skeleton=skeleton,
                               frame_rate=frame_rate)  # fmt: skip
         name = None if "format" in file else find_joints(_shapes(file))
         if name is None:

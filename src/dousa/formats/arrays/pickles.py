@@ -1,8 +1,9 @@
-"""Pickled dictionaries of SMPL poses or of joint positions."""
+"""Pickled content: SMPL bodies of several people, joint positions, samples of text-to-motion."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,10 @@ from numpy.typing import NDArray
 
 from dousa.errors import MotionFileError
 from dousa.files.pickles import load_pickle
+from dousa.formats.arrays.bodies import as_array, list_bodies
 from dousa.formats.arrays.joints import build_joints, find_joints
-from dousa.formats.smpl import AIST_RATE, build_smpl, find_poses, read_rate
+from dousa.formats.smpl import AIST_RATE, build_smpl, read_rate
+from dousa.messages import Message
 from dousa.motion import Motion, Trajectories
 
 
@@ -23,7 +26,7 @@ def read_pickle(
     skeleton: str | os.PathLike[str] | None = None,
     frame_rate: float | None = None,
 ) -> Motion | Trajectories:
-    """Read a pickled dictionary of SMPL poses or of joint positions, such as those of AIST++.
+    """Read a pickled dictionary of SMPL bodies or of joint positions: a pickle, a dump of joblib, a file of torch.
 
     Parameters
     ----------
@@ -34,24 +37,58 @@ def read_pickle(
     ------
     MotionFileError : missing, damaged, something other than arrays, no poses.
     """
-    content = load_pickle(path)
-    arrays = {name: _as_array(value) for name, value in content.items()}
-    if find_poses(arrays):
-        return build_smpl(path, arrays.get, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate)
-    name = find_joints({key: array for key, array in arrays.items() if array is not None})
+    return build_content(path, load_pickle(path), unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate)
+
+
+def build_content(
+    path: str | os.PathLike[str],
+    content: Mapping[Any, Any],
+    *,
+    unit: float | str | None,
+    up: str | None,
+    skeleton: str | os.PathLike[str] | None,
+    frame_rate: float | None,
+) -> Motion | Trajectories:
+    """Build the motion of a dictionary of arrays, numbers, texts, lists and dictionaries.
+
+    Parameters
+    ----------
+    path : for messages and provenance.
+    content : as `load_pickle` gives it.
+    unit, up, skeleton, frame_rate : as for `read_pickle`.
+    """
+    arrays = {str(key): array for key, value in content.items() if (array := as_array(value)) is not None}
+    bodies = list_bodies(content)
+    if bodies:
+        body = bodies[0]
+        return build_smpl(
+            path, body.arrays.get, body.arrays, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate,
+            # A film says no up axis: bodies by person stand in the axes of a camera, or of the program's own world.
+            default_up=None if body.name else "z",
+        )  # fmt: skip
+    samples = _list_samples(content, arrays)
+    if samples:
+        points, text = samples[0]
+        notes = (Message("arrays.text", text=text),) if text else ()
+        return build_joints(path, "pkl", points, unit=unit, up=up, frame_rate=frame_rate, notes=notes)
+    name = find_joints(arrays)
     if name is None:
-        raise MotionFileError(path, "pickles.no_motion", found=tuple(content)[:12])
-    points = arrays[name]
-    assert points is not None
+        raise MotionFileError(path, "pickles.no_motion", found=tuple(map(str, content))[:12])
     rate = frame_rate or read_rate(arrays.get) or (AIST_RATE if name.startswith("keypoints3d") else None)
-    return build_joints(path, "pkl", points, unit=unit, up=up, frame_rate=rate)
+    return build_joints(path, "pkl", arrays[name], unit=unit, up=up, frame_rate=rate)
 
 
-def _as_array(value: Any) -> NDArray[Any] | None:
-    if isinstance(value, bool | str | bytes | dict) or value is None:
-        return None
-    try:
-        array = np.asarray(value)
-    except ValueError:  # lists of unequal lengths
-        return None
-    return array if array.dtype.kind in "iuf" else None
+def _list_samples(content: Mapping[Any, Any], arrays: Mapping[str, NDArray[Any]]) -> list[tuple[NDArray[Any], str]]:
+    """Places (T, J, 3) and text of each sample of text-to-motion: ``motion`` (N, J, 3, T), ``lengths``, ``text``."""
+    motion = arrays.get("motion")
+    if motion is None or motion.ndim != 4 or 3 not in motion.shape[2:]:
+        return []
+    if motion.shape[2] == 3 and motion.shape[3] != 3:
+        motion = np.moveaxis(motion, 3, 1)
+    lengths, texts = arrays.get("lengths"), content.get("text")
+    known = lengths is not None and lengths.shape == (len(motion),)
+    texts = texts if isinstance(texts, list) and len(texts) == len(motion) else [""] * len(motion)
+    return [
+        (own[: int(lengths[n])] if known and lengths is not None and lengths[n] > 0 else own, str(texts[n])[:200])
+        for n, own in enumerate(motion)
+    ]

@@ -132,17 +132,16 @@ def _usable(column: FloatArray | None, n_rows: int) -> FloatArray | None:
     return None if np.all(column == column[0]) or np.abs(column).max() > 2.0**53 else column
 
 
-def _even_steps(column: FloatArray, most: float = 0.25) -> IntArray | None:
+def _even_steps(column: FloatArray, rounded: float, most: float = 0.25) -> IntArray | None:
     """Steps (T - 1,) from row to row in units of the usual step; None if the column has no usual step.
 
-    ``most`` : of a usual step that most steps, less what the column rounds away, may differ from it.
+    ``rounded`` : what the column rounds away. ``most`` : of a usual step that most steps, less this, may differ from it.
     """
     steps = np.diff(column)
     rising = steps[steps > 0]
     if len(rising) == 0:
         return None
     usual = float(np.median(rising))
-    rounded = _resolution(column)
     counted = np.rint(steps / usual)
     if rounded > most * usual:  # 0.01, 0.02, 0.02, 0.03: the column is too coarse to tell frames apart
         return None
@@ -164,8 +163,8 @@ def _resolution(column: FloatArray) -> float:
 
 def _count_steps(numbers: FloatArray | None, times: FloatArray | None) -> tuple[IntArray | None, list[Message]]:
     """Frames from row to row (T - 1,), by the numbers and the times; None where neither counts."""
-    by_number = None if numbers is None else _even_steps(numbers)
-    by_time = None if times is None else _even_steps(times)
+    by_number = None if numbers is None else _even_steps(numbers, 0.0)  # they are counted
+    by_time = None if times is None else _even_steps(times, _resolution(times))
     notes = []
     if times is not None and by_time is None:
         notes += _note_uneven(times)

@@ -21,6 +21,7 @@ from dousa.errors import MotionFileError, OptionError
 from dousa.files.disk import read_bytes
 from dousa.formats.arrays.joints import list_layouts, name_joints
 from dousa.formats.assembly import declared_unit
+from dousa.formats.guard import Clock
 from dousa.formats.landmarks import refuse_pictures
 from dousa.formats.optical import read_motive, read_qualisys
 from dousa.formats.optical.cells import is_number, read_rows
@@ -241,10 +242,9 @@ def _build(
         spread[rows] = points[:, 0]
         points, sure = spread, np.ones(spread.shape[:2])
     refuse_pictures(path, np.concatenate((points, sure[..., None]), axis=2))
-    rate, more = _find_rate(header, times, frame_rate)
     return name_joints(
-        path, "csv", points, None if columns.counted else names, unit=unit, up=up, frame_rate=rate,
-        unit_in_file=declared_unit(header.unit), notes=(*notes, *more),
+        path, "csv", points, None if columns.counted else names, unit=unit, up=up, frame_rate=frame_rate,
+        clock=_read_clock(header, times), unit_in_file=declared_unit(header.unit), notes=tuple(notes),
     )  # fmt: skip
 
 
@@ -286,18 +286,12 @@ def _spread_points(
     return tuple(known), rows
 
 
-def _find_rate(
-    header: _Header, times: dict[str, FloatArray], frame_rate: float | None
-) -> tuple[float | None, tuple[Message, ...]]:
-    """Hz given, of the times, or of the header; None where the table has none."""
-    if frame_rate is not None:
-        return frame_rate, ()
-    if "times" in times:
-        seconds = header.columns.seconds
-        found = times["times"][np.isfinite(times["times"])]
-        step = float(found[-1] - found[0]) / (len(found) - 1) if len(found) > 1 else 0.0
-        units = (1.0, 1e-3, 1e-6, 1e-9) if seconds is None else (seconds,)
-        fitting = [1 / (step * one) for one in units if step > 0 and 1 < 1 / (step * one) < 5000]
-        if fitting:
-            return round(fitting[0], 6), ()
-    return header.rate, ()
+def _read_clock(header: _Header, times: dict[str, FloatArray]) -> Clock:
+    """What the columns and the header say about time; the parts of a frame are frames of their own."""
+    seconds, numbers = times.get("times"), times.get("numbers")
+    if seconds is not None and header.columns.seconds is not None:
+        seconds = seconds * header.columns.seconds
+    if numbers is not None and "parts" in times:
+        parts = np.nan_to_num(times["parts"])
+        numbers = numbers * (parts.max() + 1) + parts
+    return Clock(header.rate, seconds, numbers)

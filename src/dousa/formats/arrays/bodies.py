@@ -1,0 +1,92 @@
+"""Bodies of SMPL in nested content, as programs that watch films save it: by person, by frame, in world and camera.
+
+A dictionary whose arrays are the rotations of a body is a body. Of a dictionary of others, keys that are numbers are
+people; of other keys the one that says world or global is taken before one that says camera. A dictionary of frames
+(4DHumans: a list of bodies of one pose beside the numbers of their people) is turned into people first.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dousa.files.frame_files import natural_key
+from dousa.formats.smpl_poses import are_poses, find_roles, rank_place, read_rotations
+
+_PERSON = re.compile(r"(?:id|person|track|subject|body|human|p)?[ _-]?(\d+)", re.IGNORECASE)
+_TRACKS = ("tracked_ids", "tid", "track_ids", "person_ids")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """A body in a file: its name there ("" of the only one), its arrays, and the number of its frames."""
+
+    name: str
+    arrays: Mapping[str, NDArray[Any]]
+    n_frames: int
+
+
+def as_array(value: Any) -> NDArray[Any] | None:
+    """Return numbers as an array; None for anything else."""
+    if isinstance(value, bool | str | bytes | dict) or value is None:
+        return None
+    try:
+        array = np.asarray(value)
+    except ValueError:  # lists of unequal lengths
+        return None
+    return array if array.dtype.kind in "iuf" else None
+
+
+def list_bodies(content: Any, name: str = "", depth: int = 0, deepest: int = 6) -> list[Body]:
+    """List the bodies of nested dictionaries and lists, nested at most ``deepest``; [] if there are none."""
+    if depth > deepest:
+        return []
+    if isinstance(content, list):
+        content = {f"{number}": item for number, item in enumerate(content, 1) if isinstance(item, Mapping)}
+    if not isinstance(content, Mapping):
+        return []
+    content = _gather_frames(content) or content
+    arrays = {str(key): array for key, value in content.items() if (array := as_array(value)) is not None}
+    roles = find_roles(arrays)
+    if are_poses(roles):
+        turns = read_rotations(arrays.get, roles).turns
+        if turns is not None:
+            return [Body(name, arrays, len(turns))]
+    found = {str(key): bodies for key, value in content.items() if (bodies := list_bodies(value, str(key), depth + 1))}
+    people = {key: match for key in found if (match := _PERSON.fullmatch(key))}
+    if people and len(people) == len(found):
+        named = [(f"id {match[1]}", found[key]) for key, match in people.items()]
+        return [Body(who if len(own) == 1 else f"{who} {body.name}", body.arrays, body.n_frames)
+                for who, own in named for body in own]  # fmt: skip
+    return found[min(found, key=rank_place)] if found else []
+
+
+def _gather_frames(content: Mapping[Any, Any]) -> Mapping[Any, Any] | None:
+    """Turn frames that hold lists of bodies of one pose into people; None of other content."""
+    frames = [value for value in content.values() if isinstance(value, Mapping)]
+    if len(frames) < max(2, len(content)) or not all(isinstance(frame.get("smpl"), list) for frame in frames):
+        return None
+    people: dict[int, list[tuple[int, Mapping[str, Any]]]] = {}
+    for number, key in enumerate(sorted(content, key=lambda key: natural_key(str(key)))):
+        frame = content[key]
+        tracks = next((frame[name] for name in _TRACKS if isinstance(frame.get(name), list)), None)
+        for place, pose in enumerate(frame["smpl"]):
+            who = tracks[place] if tracks is not None and place < len(tracks) else place
+            if isinstance(pose, Mapping) and isinstance(who, int | float):
+                people.setdefault(int(who), []).append((number, pose))
+    gathered = {}
+    for who, poses in people.items():
+        shared = [key for key in poses[0][1] if all(key in pose for _, pose in poses)]
+        rows = {str(key): [as_array(pose[key]) for _, pose in poses] for key in shared}
+        whole = {
+            key: np.stack([row.reshape(-1, *row.shape[-2:]) if row.ndim > 1 else row for row in own if row is not None])
+            for key, own in rows.items()
+            if all(row is not None and row.shape == own[0].shape for row in own if own[0] is not None)
+        }
+        gathered[who] = {**whole, "frame_ids": np.array([number for number, _ in poses])}
+    return gathered

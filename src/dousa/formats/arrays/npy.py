@@ -1,0 +1,77 @@
+"""An npy file: joint positions, rows of features, or a pickled dictionary of motions."""
+
+from __future__ import annotations
+
+import os
+import re
+
+import numpy as np
+
+from dousa.errors import MotionFileError
+from dousa.files.disk import read_bytes
+from dousa.files.pickles import load_pickle
+from dousa.formats.arrays.features import FEATURES, MOTION_X, recover_joints
+from dousa.formats.arrays.joints import build_joints, is_joint_array
+from dousa.formats.arrays.pickles import build_content
+from dousa.formats.smpl import build_smpl
+from dousa.motion import Motion, Trajectories
+
+_MAGIC = b"\x93NUMPY"
+_HEADER = re.compile(
+    r"\{'descr': '([<>|=]?[iuf]\d{1,2}|\|O)', 'fortran_order': (True|False), 'shape': \(([\d, ]{0,200})\), ?\}\s*"
+)
+
+
+def read_npy(
+    path: str | os.PathLike[str],
+    *,
+    unit: float | str | None = None,
+    up: str | None = None,
+    skeleton: str | os.PathLike[str] | None = None,
+    frame_rate: float | None = None,
+) -> Motion | Trajectories:
+    """Read an npy file: joint positions (T, J, 3), features of HumanML3D or Motion-X, or a dictionary of motions.
+
+    Parameters
+    ----------
+    path : the file; nothing in it is executed.
+    unit, up : by default inferred from the body.
+    skeleton : body model of SMPL poses.
+    frame_rate : Hz; by default that of the data set whose joints these are.
+
+    Raises
+    ------
+    MotionFileError : missing, damaged, another shape, an unknown number of joints, objects that are no plain values.
+    """
+    data = read_bytes(path)
+    if data[:6] != _MAGIC or len(data) < 12:
+        raise MotionFileError(path, "arrays.no_npy")
+    start = 12 if data[6] >= 2 else 10
+    end = start + int.from_bytes(data[8:start], "little")
+    header = _HEADER.fullmatch(data[start : min(end, 10_000)].decode("latin-1"))
+    if header is None:
+        raise MotionFileError(path, "arrays.not_plain")
+    if header[1] == "|O":
+        content = load_pickle(path, data[end:])
+        return build_content(path, content, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate)
+    try:
+        dtype = np.dtype(header[1])
+    except TypeError:
+        raise MotionFileError(path, "arrays.not_plain") from None
+    shape = tuple(int(axis) for axis in header[3].replace(" ", "").split(",") if axis)
+    trimmed = tuple(axis for axis in shape if axis != 1)
+    rows = len(trimmed) == 2 and trimmed[1] in (*FEATURES, MOTION_X)
+    if not rows and not is_joint_array(shape) and not is_joint_array((*shape[:-1], 3 * (shape[-1:] == (4,)))):
+        raise MotionFileError(path, "arrays.shape", found=str(shape))
+    if int(np.prod(shape, dtype=object)) * dtype.itemsize != len(data) - end:
+        raise MotionFileError(path, "arrays.size", shape=str(shape), found=len(data) - end)
+    array = np.frombuffer(data, dtype, offset=end).reshape(shape, order="F" if header[2] == "True" else "C")
+    if rows and trimmed[1] == MOTION_X:
+        poses = array.reshape(trimmed)
+        arrays = {"poses": poses[:, :156], "trans": poses[:, 309:312], "betas": poses[:, 312:]}
+        return build_smpl(
+            path, arrays.get, arrays, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate, default_up="y"
+        )
+    if rows:
+        array = recover_joints(path, array.reshape(trimmed))
+    return build_joints(path, "npy", array, unit=unit, up=up, frame_rate=frame_rate)
