@@ -13,7 +13,15 @@ import numpy as np
 
 from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.errors import InvalidMotionError, MotionFileError, OptionError
-from dousa.formats.guard import Clock, measure_cloud, settle_clock, settle_positions, settle_roots
+from dousa.formats.guard import (
+    Clock,
+    check_body,
+    keep_offsets,
+    measure_cloud,
+    settle_clock,
+    settle_positions,
+    settle_roots,
+)
 from dousa.messages import Message
 from dousa.motion import Motion, Provenance, Skeleton, Trajectories, thin
 from dousa.motion.canonical.reference_frame import (
@@ -89,6 +97,7 @@ def settle_motion(
 
             count = min(len(rotations), 16)
             some = np.arange(count) * (len(rotations) - 1) // max(count - 1, 1)
+            translations, emptied = keep_offsets(skeleton, translations, some)
             sample = place(some)
             placed = settle_roots(path, skeleton, rotations, translations, measure_cloud(sample.positions))
             translations = placed.positions
@@ -100,6 +109,7 @@ def settle_motion(
                 default_up=default_up,
                 whole=(lambda: place(slice(0, most_frames))) if most_frames else None,
             )
+            doubts = check_body(skeleton.names, frame.body, skeleton.parents, translations)
             settled = change_arrays(skeleton, rotations, translations, frame.unit, frame.rotation)
             provenance = Provenance(
                 os.fspath(path),
@@ -111,7 +121,7 @@ def settle_motion(
                 layout,
                 values,
                 () if values is None else (settled[0].offsets, *settled[1:]),
-                (*notes, *timeline.notes, *placed.notes, *frame.notes),
+                (*notes, *timeline.notes, *placed.notes, *emptied, *doubts, *frame.notes),
                 _to_metres(placed.shift, frame),
             )
             return Motion(*settled, timeline.rate, provenance)
@@ -308,7 +318,7 @@ def settle_trajectories(
         frame.up_source,
         values=freeze(values) if keep_values else None,
         read=(settled.positions,) if keep_values else (),
-        notes=(*notes, *timeline.notes, *placed.notes, *frame.notes),
+        notes=(*notes, *timeline.notes, *placed.notes, *check_body(names, frame.body), *frame.notes),
         shift=_to_metres(placed.shift, frame),
     )
     return dataclasses.replace(settled, provenance=provenance)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 import numpy as np
@@ -18,7 +18,7 @@ from dousa.arrays import FloatArray
 from dousa.errors import OptionError
 from dousa.messages import Message
 from dousa.motion.canonical.geometry import STATURE_PER_HEIGHT, body_points, estimate_stature
-from dousa.motion.canonical.mapping import choose_map
+from dousa.motion.canonical.mapping import ChosenMap, choose_map
 from dousa.motion.canonical.naming import named_by_estimators
 from dousa.motion.canonical.recipes import Recipe
 from dousa.motion.canonical.upright import (
@@ -52,6 +52,25 @@ _ROTATIONS: dict[str, FloatArray] = {
 _Moving = TypeVar("_Moving", Motion, Trajectories)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class MappedBody:
+    """The canonical joints of some frames of a file.
+
+    Parameters
+    ----------
+    chosen : the map.
+    points : (T, 20, 3) in the file's unit and axes; NaN where absent.
+    """
+
+    chosen: ChosenMap
+    points: FloatArray
+
+    @property
+    def sources(self) -> dict[str, tuple[int, ...]]:
+        """Return canonical joint -> indices of the points it is the mean of."""
+        return self.chosen.recipe.sources
+
+
 @dataclass(frozen=True, slots=True)
 class ReferenceFrame:
     """How a file's numbers become metres with Y up.
@@ -65,6 +84,7 @@ class ReferenceFrame:
     up_source : ``"given"``, ``"declared"``, ``"assumed"`` (usual in the format, and not contradicted),
         ``"inferred"`` (from the body) or ``"guessed"`` (too little evidence).
     notes : for the user, on how they were found.
+    body : that they were found by; None if the file holds none.
     """
 
     unit: float = 1.0
@@ -72,6 +92,7 @@ class ReferenceFrame:
     up: str = "y"
     up_source: str = "assumed"
     notes: tuple[Message, ...] = ()
+    body: MappedBody | None = field(default=None, compare=False)
 
     @property
     def rotation(self) -> FloatArray:
@@ -136,6 +157,7 @@ def infer_reference_frame(
     chosen = choose_map(sample)
     recipe = None if chosen is None else chosen.recipe
     points = None if recipe is None else body_points(recipe, sample.positions)
+    body = None if chosen is None or points is None else MappedBody(chosen, points)
     stature = estimate_stature(sample, points)
     if unit is not None:
         found: tuple[float, str, tuple[Message, ...]] = (unit, "given", ())
@@ -150,7 +172,7 @@ def infer_reference_frame(
         axis = _up_of_a_cloud(sample, declared_up, default_up)
     else:
         axis = _choose_up(sample, recipe, points, found[0], declared_up, default_up, whole)
-    return ReferenceFrame(found[0], found[1], axis[0], axis[1], (*found[2], *axis[2]))
+    return ReferenceFrame(found[0], found[1], axis[0], axis[1], (*found[2], *axis[2]), body)
 
 
 def _choose_up(
