@@ -1,4 +1,4 @@
-"""Body: bones have a length and keep it, limbs hang together, and left and right are told apart.
+"""Body: bones have a length and keep it, limbs hang together, and left and right are named as they are.
 
 A map by names finds a knee wherever it lies and whatever it hangs on. Here geometry and tree are asked whether the
 points so named can be those of a body. What fails is said, with joint and frame; positions of a file are kept.
