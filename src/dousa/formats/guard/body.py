@@ -131,7 +131,7 @@ def _find_stretched(names: Sequence[str], joints: list[int], translations: Float
 
 
 def _find_crossed(names: Sequence[str], mapped: MappedBody, mostly: float = 0.8) -> Iterator[Message]:
-    """Hips and shoulders that point opposite ways: nobody turns the trunk by more than a right angle for long."""
+    """Hips and shoulders that point opposite ways: trunks turn by a right angle at most."""
     across = [_at(mapped, f"left_{joint}") - _at(mapped, f"right_{joint}") for joint in ("hip", "shoulder")]
     with np.errstate(invalid="ignore", divide="ignore"):
         turns = np.einsum("tk,tk->t", *across) / np.sqrt(np.prod([np.einsum("tk,tk->t", a, a) for a in across], axis=0))
