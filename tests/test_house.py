@@ -18,8 +18,8 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_060, 110),
-    "estimation": (15_271, 62),
+    "app": (25_124, 110),
+    "estimation": (15_434, 63),
     "evaluation": (12_371, 43),
     "experiments": (1_811, 10),
     "files": (852, 7),
@@ -31,9 +31,9 @@ ROOMS = {
     "workers": (480, 6),
 }
 TOTALS = {
-    "lines of tests": 59_731,
-    "lines of JavaScript": 12_465,
-    "constants": 944,
+    "lines of tests": 59_967,
+    "lines of JavaScript": 12_467,
+    "constants": 947,
     "numeric constants without a source": 0,
     "functions over 60 lines": 20,
     "files over 650 lines": 0,
@@ -41,7 +41,7 @@ TOTALS = {
     "lines with words that a native reader stumbles over": 48,
     "hand-written runs of a mask": 3,
     "commands": 30,
-    "options": 197,
+    "options": 202,
 }
 
 _LONG_FUNCTION, _LONG_FILE, _LARGE_FOLDER = 60, 650, 15

@@ -286,7 +286,7 @@ def test_cameras_that_nobody_knows_need_a_stature(dousa, scene, tmp_path):
     ("words", "says"),
     [
         (("--cues", "keypoints", "--person", "5"), "--person 5"),
-        (("--person", "2"), "--cues keypoints"),
+        (("--cues", "silhouettes", "--person", "2"), "--cues keypoints"),
         (("--cues", "keypoints", "--offsets", "none.toml"), "none.toml"),
         (("--cues", "keypoints", "--background", "x.png"), "without --background"),
         (("--cues", "keypoints", "--stature", "175"), "stature"),

@@ -192,8 +192,8 @@ def newest_curl():
 @pytest.fixture
 def seen(tmp_path, bvh):
     """Silhouettes of three frames."""
-    from dousa.app.pipelines.render import parse_size, render_file
-    from dousa.app.requests.estimation import RenderRequest
+    from dousa.app.pipelines.render import render_file
+    from dousa.app.requests.estimation import RenderRequest, parse_size
 
     size = parse_size("80x60")
     render_file(RenderRequest(motion=bvh, output=tmp_path / "seen.npz", n_ring=2, size=size, frames="0:3"))

@@ -181,3 +181,58 @@ def test_an_empty_folder_and_a_broken_frame_are_named(tmp_path):
 def test_nobody_in_any_frame(tmp_path):
     view = read_keypoints(write(tmp_path / "view.json", [{"people": []}] * 3), size=SIZE, frame_rate=30)
     assert view.people == () and view.n_frames == 3
+
+
+DLC = """scorer,net,net,net,net,net,net,net,net,net
+individuals,one,one,one,one,one,one,two,two,two
+bodyparts,LShoulder,LShoulder,LShoulder,knee_r,knee_r,knee_r,LShoulder,LShoulder,LShoulder
+coords,x,y,likelihood,x,y,likelihood,x,y,likelihood
+img000.png,10,20,0.9,30,40,0.5,,,
+img002.png,11,21,0.8,,,,50.5,60,1
+"""
+
+
+def test_the_table_of_deeplabcut(tmp_path):
+    path = tmp_path / "view.csv"
+    path.write_text(DLC)
+    view = read_keypoints(path, size=SIZE, frame_rate=25)
+    assert view.names == ("left_shoulder", "right_knee") and view.n_people == 2
+    first = view.people[0]
+    np.testing.assert_allclose(first.points[0], [(10, 20), (30, 40)])
+    np.testing.assert_allclose(first.visibility, [(0.9, 0.5), (0.8, 0)])
+    assert view.people[1].present.tolist() == [False, True]
+    single = tmp_path / "single.csv"
+    single.write_text("scorer,net,net\nbodyparts,nose,nose\ncoords,x,y\n0,1,2\n1,3,4\n")
+    view = read_keypoints(single, size=SIZE, frame_rate=25)
+    assert view.names == ("nose",) and view.people[0].points[1].tolist() == [[3, 4]]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code", "line"),
+    [
+        ("coords", "units", "keypoint_table.unknown", None),
+        ("x,y,likelihood,x", "x,likelihood,likelihood,x", "keypoint_table.unknown", None),
+        ("knee_r,knee_r,knee_r,", "knee_r,,knee_r,", "keypoint_table.column", None),
+        ("10,20", "ten,20", "keypoint_table.number", 5),
+        ("11,21,0.8,", "", "keypoint_table.row", 6),
+        (DLC[DLC.index("img000") :], "", "keypoint_table.empty", None),
+    ],
+)
+def test_a_damaged_table_is_one_clear_error(tmp_path, old, new, code, line):
+    path = tmp_path / "view.csv"
+    path.write_text(DLC.replace(old, new))
+    with pytest.raises(KeypointError, match=r"view\.csv") as caught:
+        read_keypoints(path, size=SIZE)
+    assert caught.value.code == code and caught.value.line == line
+
+
+def test_names_in_the_file_go_before_the_number_of_points(tmp_path):
+    """Sets of 17 points in another order, such as that of Human3.6M."""
+    names = ["root", "right_hip", "right_knee", "right_foot", "left_hip", "left_knee", "left_foot", "spine", "thorax"]
+    names += ["neck_base", "head", "left_shoulder", "left_elbow", "left_wrist", "right_shoulder", "right_elbow"]
+    points = make_points(17)
+    person = {"keypoints": points[:, :2].tolist(), "keypoint_scores": points[:, 2].tolist()}
+    about = {"keypoint_id2name": {str(number): name for number, name in enumerate([*names, "right_wrist"])}}
+    content = {"meta_info": about, "instance_info": [{"frame_id": 1, "instances": [person]}]}
+    view = read_keypoints(write(tmp_path / "view.json", content), size=SIZE, frame_rate=30)
+    np.testing.assert_allclose(view.people[0].points[0, view.find(["right_knee"])[0]], points[2, :2])

@@ -18,6 +18,8 @@ from dousa.app.requests.estimation import (
     KeypointRequest,
     Outputs,
     RenderRequest,
+    SynchronisationRequest,
+    parse_size,
     read_settings,
 )
 from dousa.app.requests.reading import Reading
@@ -42,8 +44,8 @@ def estimate(
         list[Path],
         typer.Argument(
             metavar="SOURCE...",
-            help="One npz of silhouettes (all views and the cameras in it), or one folder of masks or one video for "
-            "each view.",
+            help="One npz of silhouettes (all views and the cameras in it), or for each view a folder of masks, a "
+            "video, or its keypoints as another program wrote them (.json, a folder of .json, .csv).",
         ),
     ],
     *,
@@ -93,6 +95,8 @@ def estimate(
 
     Example: dousa estimate cam1.mp4 cam2.mp4 --cameras calib.toml --background bg1.png bg2.png
     --stature 1.75 -o walk.bvh
+
+    Example: dousa estimate cam01_json cam02_json --calibration Calib.toml --rate 60 -o walk.bvh
     """
     from dousa.app.pipelines.estimate import estimate_sources
     from dousa.app.tables.estimation import print_estimation
@@ -141,7 +145,7 @@ def render(
 
     Example: dousa render walk.bvh --ring 4 -o walk_seen.npz
     """
-    from dousa.app.pipelines.render import parse_size, render_file
+    from dousa.app.pipelines.render import render_file
 
     if output is None:
         raise OptionError("estimation_cli.render_without_output")
@@ -174,10 +178,8 @@ def sync(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="OUT", help="Time offsets to write (.toml).")
     ] = None,
-    cameras: Annotated[
-        Path | None,
-        typer.Option("--cameras", metavar="FILE", help="Calibration, if there is one: more exact."),
-    ] = None,
+    *,
+    given: Annotated[dict[str, Any], SynchronisationRequest],
     json: Json = False,
 ) -> None:
     """Find the time offsets of films of one scene, to a fraction of a frame.
@@ -190,9 +192,10 @@ def sync(
     """
     from dousa.app.pipelines.films import sync_films
 
-    check_targets({"--output": output}, (*films, cameras), SYNC)
+    request = SynchronisationRequest(tuple(films), **given)
+    check_targets({"--output": output}, (*films, request.cameras), SYNC)
     with progress_bar() as progress:
-        names, found = sync_films(films, cameras, progress)
+        names, found = sync_films(request, progress)
     for note in found.warnings:
         warn(note)
     if output is not None:

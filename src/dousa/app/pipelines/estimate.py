@@ -41,6 +41,7 @@ from dousa.app.pipelines.film_scene import (
 from dousa.app.pipelines.track_log import PartialFile, describe_files, fingerprint
 from dousa.arrays import FloatArray
 from dousa.errors import DousaError, KeypointError, OptionError, SilhouetteError
+from dousa.estimation.keypoints.keypoint_files import holds_keypoints
 from dousa.extras import require
 from dousa.messages import Message
 
@@ -263,6 +264,8 @@ def _takes_keypoints(request: EstimationRequest, tell: Callable[[Message], None]
         if not films:
             raise OptionError("film_estimate.no_films")
         return True
+    if request.cues is None and films and any(map(holds_keypoints, request.sources)):
+        return True
     installed = has_models()
     if request.cues is not None or not films or (request.cameras is None and not installed):
         return False
@@ -302,6 +305,8 @@ def estimate_films(request: EstimationRequest, progress: ProgressCallback | None
         if not 1 <= request.person <= len(people):
             raise OptionError("film_estimate.no_such_person", number=request.person, people=len(people))
         chosen = [(request.person, people[request.person - 1])]
+        if len(people) > 1:
+            aside = [Message("film_estimate.others", number=request.person, people=len(people))]
     answers = []
     for number, person in chosen:
         numbered = with_outputs(request, number) if request.everybody else request

@@ -114,11 +114,17 @@ def read_view_cameras(
     from dousa.estimation.cameras.camera_files import read_cameras
 
     found = read_cameras(path)
+    check_count(path, found, names)
+    matched, notes = match_cameras(found, names)
+    # once more with the sizes, for a camera whose file has none
+    cameras, more = fit_cameras(read_cameras(path, [camera.name for camera in matched], sizes=sizes), sizes)
+    return cameras, [*notes, *more]
+
+
+def check_count(path: Path, found: Sequence[Camera], names: Sequence[str]) -> None:
+    """Raise CalibrationError unless a calibration has a camera for each view."""
     if len(found) < len(names):
         raise CalibrationError("estimate.too_few_cameras", path=path, found=len(found), views=tuple(names))
-    matched, notes = match_cameras(found, names)
-    cameras, more = fit_cameras(matched, sizes)
-    return cameras, [*notes, *more]
 
 
 def _read_own_cameras(sources: Sequence[Path], n_views: int) -> tuple[Camera, ...]:

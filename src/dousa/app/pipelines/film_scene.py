@@ -8,12 +8,12 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from dousa.app.pipelines.doubts import parse_frames
-from dousa.app.pipelines.estimation_views import VideoPictures, read_view_cameras
+from dousa.app.pipelines.estimation_views import VideoPictures, check_count, read_view_cameras
 from dousa.arrays import FloatArray, Image, IndexArray, Mask
 from dousa.errors import CalibrationError, KeypointError, OptionError, SilhouetteError
 from dousa.estimation.silhouettes.silhouettes import Silhouettes
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from dousa.estimation.sync.sound import Sound
 
 
-_KEYPOINT_SUFFIXES = (".npz", ".json")
+_KEYPOINT_SUFFIXES = (".npz", ".json", ".csv")
 _FOCAL_35 = ("focal_length.35mm", "focallengthin35mm")
 _FRAME_35 = 36.0  # mm, by definition the longer side of a 35 mm picture
 
@@ -54,8 +54,22 @@ def name_films(paths: Sequence[Path]) -> tuple[str, ...]:
     return tuple(names)
 
 
+class PictureFacts(Protocol):
+    """What is known of the pictures of keypoints: Hz, size as ``WxH`` px, and a calibration whose sizes are theirs."""
+
+    @property
+    def rate(self) -> float | None: ...
+    @property
+    def size(self) -> str | None: ...
+    @property
+    def cameras(self) -> Path | None: ...
+
+
 def open_keypoints(
-    paths: Sequence[Path], model: LandmarkModel | None, progress: ProgressCallback
+    paths: Sequence[Path],
+    model: LandmarkModel | None,
+    progress: ProgressCallback,
+    known: PictureFacts | None = None,
 ) -> tuple[ViewKeypoints, ...]:
     """Find the keypoints of films, or read files of keypoints; of each the source is its name.
 
@@ -64,20 +78,45 @@ def open_keypoints(
     paths : films, or files of keypoints (npz of dousa, or what other programs write).
     model : by which keypoints are found in films; None for the most precise that is installed.
     progress : called with (done, total, what).
+    known : what files of keypoints do not state.
 
     Raises
     ------
-    KeypointError : a source that is missing or damaged, a model that is not installed.
-    OptionError : one film is given twice.
+    KeypointError : a source that is missing or damaged, a model that is not installed, no size of the pictures.
+    CalibrationError : no calibration, or no camera for a view.
+    OptionError : one film is given twice, a rate or size that is none.
     """
-    import dataclasses
-
+    from dousa.app.requests.estimation import parse_size
     from dousa.estimation import read_keypoints
 
-    names = name_films(paths)
+    rate, size, cameras = (None, None, None) if known is None else (known.rate, known.size, known.cameras)
+    if rate is not None and not 0 < rate < np.inf:
+        raise OptionError("films.rate", found=rate)
+    names, given = name_films(paths), None if size is None else parse_size(size)
+    usual = find_sizes(cameras if any(map(is_keypoints, paths)) else None, names)
     films = _find_all([path for path in paths if not is_keypoints(path)], model, progress)
-    views = [next(films) if not is_keypoints(path) else read_keypoints(path) for path in paths]
-    return tuple(dataclasses.replace(found, source=name) for found, name in zip(views, names, strict=True))
+    views = [
+        read_keypoints(path, size=given, frame_rate=rate, usual_size=own) if is_keypoints(path) else next(films)
+        for path, own in zip(paths, usual, strict=True)
+    ]
+    return tuple(replace(found, source=name) for found, name in zip(views, names, strict=True))
+
+
+def find_sizes(cameras: Path | None, names: Sequence[str]) -> list[tuple[int, int] | None]:
+    """The size (px) of the pictures of each view's camera (V,); None without a calibration.
+
+    Raises
+    ------
+    CalibrationError : no calibration, or no camera for a view.
+    """
+    from dousa.estimation.cameras.camera import match_cameras
+    from dousa.estimation.cameras.camera_files import read_cameras
+
+    if cameras is None:
+        return [None] * len(names)
+    found = read_cameras(cameras)
+    check_count(cameras, found, names)
+    return [camera.size for camera in match_cameras(found, names)[0]]
 
 
 class _GivenUpError(Exception):
@@ -205,7 +244,7 @@ def open_films(request: EstimationRequest, report: ProgressCallback) -> FilmScen
     ------
     DousaError : a film or calibration that cannot be used, or models that are not installed.
     """
-    return place_films(request, open_keypoints(request.sources, request.model, report), report)
+    return place_films(request, open_keypoints(request.sources, request.model, report, request), report)
 
 
 def place_films(
@@ -446,7 +485,8 @@ def nearest_frames(times: FloatArray, moments: FloatArray) -> IndexArray:
 
 
 def is_films(request: EstimationRequest) -> bool:
-    """Whether the sources are films of a scene, or keypoints that are asked for as such, and no plates go with them."""
+    """Whether the sources are films of a scene or their keypoints, and no plates go with them."""
+    from dousa.estimation.keypoints.keypoint_files import holds_keypoints
     from dousa.estimation.silhouettes.images import IMAGE_ENDINGS
 
     endings = (".npz", *IMAGE_ENDINGS)
@@ -456,7 +496,9 @@ def is_films(request: EstimationRequest) -> bool:
         return False
     if request.cues == "keypoints":
         return not any(path.suffix.lower() in IMAGE_ENDINGS for path in request.sources)
-    return all(path.is_file() and path.suffix.lower() not in endings for path in request.sources)
+    return all(
+        (path.is_file() and path.suffix.lower() not in endings) or holds_keypoints(path) for path in request.sources
+    )
 
 
 def shows_masks(path: Path) -> bool:

@@ -18,7 +18,7 @@ from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
-    from dousa.app.requests.estimation import CalibrationRequest, KeypointRequest
+    from dousa.app.requests.estimation import CalibrationRequest, KeypointRequest, SynchronisationRequest
     from dousa.estimation import Calibration, Camera, Synchronisation, ViewKeypoints
 
 
@@ -43,7 +43,7 @@ def calibrate_films(
         raise OptionError("calibration.one_view")
     board = None if request.board is None else parse_board(request.board)
     if board is None:
-        views = open_keypoints(request.films, None, progress)
+        views = open_keypoints(request.films, None, progress, request)
     else:
         names = name_films(request.films)
         found_boards = [find_board(film, board, progress) for film in request.films]
@@ -80,18 +80,8 @@ def _find_offsets(
     return found.offsets.tolist(), found
 
 
-def sync_films(
-    films: Sequence[Path],
-    cameras: Path | None,
-    progress: ProgressCallback,
-) -> tuple[tuple[str, ...], Synchronisation]:
+def sync_films(request: SynchronisationRequest, progress: ProgressCallback) -> tuple[tuple[str, ...], Synchronisation]:
     """Find the time offsets of films.
-
-    Parameters
-    ----------
-    films : films, or files of keypoints.
-    cameras : a calibration; None where there is none.
-    progress : called with (done, total, what).
 
     Returns
     -------
@@ -103,13 +93,13 @@ def sync_films(
     """
     from dousa.estimation import sync
 
-    if len(films) < 2:
+    if len(request.films) < 2:
         raise OptionError("sync.one_film")
-    views = open_keypoints(films, None, progress)
+    views = open_keypoints(request.films, None, progress, request)
     names, calibrated = tuple(view.source for view in views), None
-    if cameras is not None:
-        calibrated = read_view_cameras(cameras, names, [view.size for view in views])[0]
-    return names, sync(views, cameras=calibrated, sounds=read_sounds(films), progress=progress)
+    if request.cameras is not None:
+        calibrated = read_view_cameras(request.cameras, names, [view.size for view in views])[0]
+    return names, sync(views, cameras=calibrated, sounds=read_sounds(request.films), progress=progress)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -25,19 +24,6 @@ if TYPE_CHECKING:
     from dousa.app.requests.estimation import RenderRequest
     from dousa.estimation import BodyModel, Camera
     from dousa.motion import CanonicalMotion
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    """``WxH`` in pixels.
-
-    Raises
-    ------
-    OptionError : something else.
-    """
-    found = re.fullmatch(r"(\d{1,5})\s*[x×X,]\s*(\d{1,5})", text.strip())
-    if found is None or min(int(found[1]), int(found[2])) < 8:
-        raise OptionError("render.size", found=text)
-    return int(found[1]), int(found[2])
 
 
 def render_file(request: RenderRequest, progress: ProgressCallback | None = None) -> dict[str, Any]:

@@ -29,7 +29,20 @@ _VIDEOS, _DRAWINGS, _POINTS = (".mp4", ".avi", ".mkv"), (".png", ".svg", ".pdf")
 
 Films = Annotated[
     list[Path],
-    typer.Argument(metavar="FILM...", help="A film for each camera, or a file of its keypoints (.npz, .json)."),
+    typer.Argument(
+        metavar="FILM...",
+        help="A film for each camera, or its keypoints: .npz, .json of OpenPose, AlphaPose, MMPose, RTMPose or COCO, a "
+        "folder of .json files, .csv of DeepLabCut.",
+    ),
+]
+Rate = Annotated[
+    float | None, typer.Option("--rate", metavar="HZ", help="Frame rate if the source does not specify it.")
+]
+PictureSize = Annotated[
+    str | None,
+    typer.Option(
+        "--size", metavar="WxH", help="Size of the pictures of keypoints, in pixels. Default: that of the calibration."
+    ),
 ]
 Offsets = Annotated[
     str,
@@ -128,7 +141,7 @@ class EstimationRequest:
 
     Parameters
     ----------
-    sources : npz of silhouettes, or folders of masks, or videos; a view each, except for an npz of several.
+    sources : npz of silhouettes, folders of masks, videos, or keypoints; a view each, except for an npz of several.
     settings : of the tracker; its defaults where there are none.
     outputs : files to write.
     backgrounds : plates of the videos, in their order.
@@ -151,17 +164,18 @@ class EstimationRequest:
         Path | None,
         typer.Option(
             "--cameras",
+            "--calibration",
             metavar="FILE",
-            help="Calibration: Qualisys XML, OpenCV YAML, XML or JSON, Pose2Sim TOML, or an npz with cameras. Cameras "
-            "are matched to the views by name, else by order.",
+            help="Calibration: TOML of Pose2Sim, Anipose or Caliscope, XML of Qualisys, .xcp of Vicon, EasyMocap, "
+            "OpenCap, BioCV, OpenCV YAML, XML or JSON, an npz with cameras; or their folder. Cameras are matched to "
+            "the views by name, else by order.",
         ),
     ] = None
     backgrounds: tuple[Path, ...] = ()
     background_method: BackgroundMethod | None = None
     kind: SourceKind | None = None
-    rate: Annotated[
-        float | None, typer.Option("--rate", metavar="HZ", help="Frame rate if the source does not specify it.")
-    ] = None
+    rate: Rate = None
+    size: PictureSize = None
     frames: Frames = None
     mirrored: Annotated[
         bool,
@@ -333,6 +347,19 @@ def choose_settings(given: Mapping[str, Any]) -> TrackerSettings:
     return dataclasses.replace(preset, **changed)
 
 
+def parse_size(text: str) -> tuple[int, int]:
+    """``WxH`` in pixels.
+
+    Raises
+    ------
+    OptionError : something else.
+    """
+    found = re.fullmatch(r"(\d{1,5})\s*[x×X,]\s*(\d{1,5})", text.strip())
+    if found is None or min(int(found[1]), int(found[2])) < 8:
+        raise OptionError("render.size", found=text)
+    return int(found[1]), int(found[2])
+
+
 def parse_start(text: str) -> tuple[Path, int]:
     """``FILE:FRAME`` or ``FILE``, which means its frame 0; a file of exactly this name comes first.
 
@@ -374,7 +401,12 @@ class RenderRequest:
     output: Path
     cameras: Annotated[
         Path | None,
-        typer.Option("--cameras", metavar="FILE", help="Calibration, as for estimate. Default: a ring of cameras."),
+        typer.Option(
+            "--cameras",
+            "--calibration",
+            metavar="FILE",
+            help="Calibration, as for estimate. Default: a ring of cameras.",
+        ),
     ] = None
     n_ring: int = 4
     size: tuple[int, int] | None = None
@@ -407,10 +439,30 @@ class CalibrationRequest:
     ] = None
     cameras: Annotated[
         Path | None,
-        typer.Option("--cameras", metavar="FILE", help="Calibration whose focal lengths and distortion are right."),
+        typer.Option(
+            "--cameras",
+            "--calibration",
+            metavar="FILE",
+            help="Calibration whose focal lengths and distortion are right.",
+        ),
     ] = None
     focal: FocalLength = None
     offsets: Offsets = "auto"
+    rate: Rate = None
+    size: PictureSize = None
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class SynchronisationRequest:
+    """The films, or files of their keypoints, whose times are compared."""
+
+    films: tuple[Path, ...]
+    cameras: Annotated[
+        Path | None,
+        typer.Option("--cameras", "--calibration", metavar="FILE", help="Calibration, if there is one: more exact."),
+    ] = None
+    rate: Rate = None
+    size: PictureSize = None
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

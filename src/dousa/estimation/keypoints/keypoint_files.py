@@ -14,6 +14,7 @@ mask_crops    (P, T, 2, 3) see `PersonMasks`
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import KeypointError
 from dousa.estimation.keypoints.keypoint_json import SCHEMES, ReadPerson, read_keypoint_json, settle_units
+from dousa.estimation.keypoints.keypoint_table import is_keypoint_table, read_keypoint_table, spell_points
 from dousa.estimation.keypoints.keypoints import PersonMasks, PersonTrack, ViewKeypoints, sort_people
 from dousa.estimation.keypoints.people import assign
 from dousa.files.disk import atomic_write
@@ -114,8 +116,34 @@ def _expect(array: NDArray[np.generic], name: str, shape: tuple[int, ...]) -> ND
     return array
 
 
+_OF_PEOPLE = re.compile(rb'"(people|bodies|instance_info|\w*keypoints\w*|\w*landmarks\w*)"')
+
+
+def holds_keypoints(path: str | os.PathLike[str]) -> bool:
+    """Return whether a source holds the keypoints of a view, by what is in it; a folder by its first file."""
+    try:
+        if os.path.isdir(path):
+            names = sorted(name for name in os.listdir(path) if not name.startswith("."))
+            return bool(names) and names[0].lower().endswith(".json") and _shows_people(os.path.join(path, names[0]))
+        if os.fspath(path).lower().endswith(".npz"):
+            with open_npz(path, KeypointError) as arrays:
+                return {"names", "points", "visibility"} <= set(arrays.names)
+        return is_keypoint_table(path) or (os.fspath(path).lower().endswith(".json") and _shows_people(path))
+    except (OSError, KeypointError):
+        return False  # its reader describes the problem
+
+
+def _shows_people(path: str | os.PathLike[str], n_bytes: int = 20_000) -> bool:
+    with open(path, "rb") as file:
+        return _OF_PEOPLE.search(file.read(n_bytes)) is not None
+
+
 def read_keypoints(
-    path: str | os.PathLike[str], *, size: tuple[int, int] | None = None, frame_rate: float | None = None
+    path: str | os.PathLike[str],
+    *,
+    size: tuple[int, int] | None = None,
+    frame_rate: float | None = None,
+    usual_size: tuple[int, int] | None = None,
 ) -> ViewKeypoints:
     """Read the keypoints of one view; the people come most seen first.
 
@@ -123,10 +151,11 @@ def read_keypoints(
 
     Parameters
     ----------
-    path : an npz file of dousa; or the JSON of another program, one file for the view or a folder of one for each
-        frame, recognised by the number of points (see `keypoint_json`).
-    size : width and height of the images in px; needed for JSON without it.
-    frame_rate : Hz of JSON; by default 30 with a warning.
+    path : an npz file of dousa; the JSON of another program, one file for the view or a folder of one for each
+        frame, recognised by the number of points (see `keypoint_json`); or the CSV of DeepLabCut.
+    size : width and height of the images in px; needed for other files than npz that do not say it.
+    frame_rate : Hz of other files than npz; by default 30 with a warning.
+    usual_size : as ``size``, such as that of the camera; used where the file has none.
 
     Raises
     ------
@@ -134,10 +163,11 @@ def read_keypoints(
     """
     if not os.path.exists(path):
         raise KeypointError("keypoints.missing").at(path)
-    if os.path.isfile(path) and not os.fspath(path).lower().endswith(".json"):
+    is_table = os.path.isfile(path) and is_keypoint_table(path)
+    if os.path.isfile(path) and not is_table and not os.fspath(path).lower().endswith(".json"):
         return read_keypoint_npz(path)
-    read = read_keypoint_json(path)
-    size = size or read.size
+    read = read_keypoint_table(path) if is_table else read_keypoint_json(path)
+    size = size or read.size or usual_size
     try:
         numbers = {len(person.points) for people in read.frames for person in people}
         if len(numbers) > 1:
@@ -145,7 +175,7 @@ def read_keypoints(
         frames = list(settle_units(read.frames, size))
         if size is None:
             raise KeypointError("keypoint_json.no_size")
-        names = SCHEMES[next(iter(numbers))] if len(numbers & SCHEMES.keys()) else _find_names(numbers)
+        names = _find_names(numbers, read.names)
         tracks = link_people(frames, len(names))
     except KeypointError as error:
         raise error.at(path) from None
@@ -155,11 +185,14 @@ def read_keypoints(
     return ViewKeypoints(names, sort_people(tracks), times, size, os.fspath(path), warnings)
 
 
-def _find_names(numbers: set[int]) -> tuple[str, ...]:
-    """Return the names of points cut from a larger scheme; those of COCO if no person is there."""
+def _find_names(numbers: set[int], given: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of the points: those of the file, else by their number; those of COCO if no person is there."""
+    if len(numbers) == 1 and len(given) >= (number := next(iter(numbers))):
+        return spell_points(given)[:number]
     if not numbers:
         return SCHEMES[17]
-    return next(names for names in SCHEMES.values() if len(names) in numbers)
+    known = SCHEMES.values()  # of a larger scheme the first ones are kept
+    return SCHEMES.get(next(iter(numbers))) or next(names for names in known if len(names) in numbers)
 
 
 def link_people(

@@ -55,8 +55,8 @@ SCHEMES: dict[int, tuple[str, ...]] = {
 and Halpe's whole body."""
 
 _MOST_BYTES, _MOST_FRAMES, _MOST_PEOPLE = 1_000_000_000, 2_000_000, 200
-_POINT_KEYS = ("pose_keypoints_2d", "keypoints", "pose_landmarks", "poseLandmarks", "landmarks")
-_PEOPLE_KEYS = ("people", "instances", "predictions", "persons", *_POINT_KEYS)
+_POINT_KEYS = ("pose_keypoints_2d", "keypoints", "pose_landmarks", "poseLandmarks", "landmarks", "joints")
+_PEOPLE_KEYS = ("people", "instances", "predictions", "persons", "bodies", *_POINT_KEYS)
 _SCORE_KEYS = ("keypoint_scores", "scores")
 _NUMBER_KEYS = ("person_id", "track_id", "idx")
 
@@ -69,10 +69,11 @@ class ReadPerson(NamedTuple):
 
 
 class ReadFrames(NamedTuple):
-    """The people of every frame (T,), and the size of the images in px if the file has it."""
+    """The people of every frame (T,), and if the file has them the size of the images in px and the points' names."""
 
     frames: list[list[ReadPerson]]
     size: tuple[int, int] | None
+    names: tuple[str, ...] = ()
 
 
 def read_keypoint_json(path: str | os.PathLike[str]) -> ReadFrames:
@@ -123,7 +124,7 @@ def _read_folder(folder: str) -> ReadFrames:
 def _read_file(path: str) -> ReadFrames:
     """Read a single file: a list of frames, or a list of people with their frames."""
     content = _parse(path)
-    size = None
+    size, names = None, _find_names(content)
     if isinstance(content, Mapping):
         images = content.get("images")
         if isinstance(content.get("annotations"), list):
@@ -133,14 +134,34 @@ def _read_file(path: str) -> ReadFrames:
         else:
             size = _read_size(content)
             frames = next((content[key] for key in ("instance_info", "frames", "data") if key in content), None)
+            if frames is None and content and all(_holds_people(entry) for entry in content.values()):
+                return ReadFrames(_place_images({image: _list_people(entry) for image, entry in content.items()}), size)
             content = [content] if frames is None else frames
     if not isinstance(content, list) or not content:
         raise KeypointError("keypoint_json.unknown")
     if len(content) > _MOST_FRAMES * 10:
         raise KeypointError("keypoint_json.frames", most=_MOST_FRAMES, found=len(content))
     if all(isinstance(entry, Mapping) and "image_id" in entry for entry in content):
-        return ReadFrames(_group_by_image(content), size)
-    return ReadFrames([_list_people(entry) for entry in content], size)
+        return ReadFrames(_group_by_image(content), size, names)
+    return ReadFrames([_list_people(entry) for entry in content], size, names)
+
+
+def _holds_people(entry: Any) -> bool:
+    return isinstance(entry, Mapping) and any(isinstance(entry.get(key), list) for key in _PEOPLE_KEYS)
+
+
+def _find_names(content: Any) -> tuple[str, ...]:
+    """Return the names that MMPose (``meta_info``) and COCO (``categories``) give the points; none otherwise."""
+    if not isinstance(content, Mapping):
+        return ()
+    named: Any = None
+    about, categories = content.get("meta_info"), content.get("categories")
+    if isinstance(about, Mapping) and isinstance(about.get("keypoint_id2name"), Mapping):
+        named = list(about["keypoint_id2name"].values())
+    elif isinstance(categories, list) and categories and isinstance(categories[0], Mapping):
+        named = categories[0].get("keypoints")
+    names = tuple(named) if isinstance(named, list) and all(isinstance(name, str) for name in named) else ()
+    return names if len(set(names)) == len(names) else ()
 
 
 def _read_size(node: Mapping[str, Any]) -> tuple[int, int] | None:
@@ -154,6 +175,10 @@ def _group_by_image(entries: list[Mapping[str, Any]]) -> list[list[ReadPerson]]:
     by_image: dict[str, list[ReadPerson]] = {}
     for entry in entries:
         by_image.setdefault(str(entry["image_id"]), []).append(_read_person(entry))
+    return _place_images(by_image)
+
+
+def _place_images(by_image: Mapping[str, list[ReadPerson]]) -> list[list[ReadPerson]]:
     numbered = number_frames(sorted(by_image, key=natural_key))
     if max(numbered) >= _MOST_FRAMES:
         raise KeypointError("keypoint_json.frames", most=_MOST_FRAMES, found=max(numbered) + 1)

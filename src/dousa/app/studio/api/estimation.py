@@ -72,7 +72,7 @@ class StartRequest(StrictModel):
     joint_map: dict[str, str | list[str]] | None = None
 
 
-_SHARED = ("background_method", "kind", "mirrored", "bones", "cues", "model")
+_SHARED = ("background_method", "kind", "mirrored", "bones", "cues", "model", "size")
 
 
 class EstimateRequest(derive_model(EstimationRequest, _SHARED)):  # type: ignore[misc]

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from dousa.app.studio.core.answers import shorten, to_message
 from dousa.app.studio.jobs.lanes import Context
-from dousa.app.studio.work.materials import holds_keypoints
 from dousa.errors import KeypointError, OptionError
+from dousa.estimation.keypoints.keypoint_files import holds_keypoints
 from dousa.extras import require
 from dousa.messages import Message
 
@@ -173,7 +173,7 @@ def _show_films(views: Sequence[FilmSource], record: FilmRecordWriter, context: 
 def _find_people(views: Sequence[FilmSource], asked: EstimationRequest, context: Context) -> tuple[ViewKeypoints, ...]:
     from dousa.app.pipelines.film_scene import open_keypoints
 
-    found = open_keypoints([view.source for view in views], asked.model, context.progress)
+    found = open_keypoints([view.source for view in views], asked.model, context.progress, asked)
     for one in found:
         for note in one.warnings:
             context.tell(shorten(to_message(note), context.home))
@@ -247,11 +247,12 @@ class _Watcher:
 
 def look_at_films(asked: EstimationRequest, context: Context, answer: dict[str, Any]) -> None:
     """Fill in the preview: the films with a picture of each, and what is missing."""
+    from dousa.app.pipelines.film_scene import find_sizes
     from dousa.estimation.body.human import USUAL_STATURE
 
     views = pair_films(asked.sources)
-    for view in views:
-        answer["views"].append(_look_at_view(view, answer))
+    for view, size in zip(views, find_sizes(asked.cameras, [view.name for view in views]), strict=True):
+        answer["views"].append(_look_at_view(view, asked, size, answer))
     check_films(asked)
     if asked.cameras is not None:
         _match_cameras(asked, views, answer)
@@ -267,7 +268,10 @@ def look_at_films(asked: EstimationRequest, context: Context, answer: dict[str, 
         answer["notes"].append(Message("studio_films.one_film_stature"))
 
 
-def _look_at_view(view: FilmSource, answer: dict[str, Any]) -> dict[str, Any]:
+def _look_at_view(
+    view: FilmSource, asked: EstimationRequest, usual: tuple[int, int] | None, answer: dict[str, Any]
+) -> dict[str, Any]:
+    from dousa.app.requests.estimation import parse_size
     from dousa.estimation import read_keypoints
     from dousa.estimation.keypoints.films import FilmFrames
 
@@ -277,7 +281,8 @@ def _look_at_view(view: FilmSource, answer: dict[str, Any]) -> dict[str, Any]:
             size, n_frames, rate = film.size, film.n_stated, film.nominal_rate
         picture = _middle_picture(view.film, n_frames)
     if view.film is None or holds_keypoints(view.source):
-        found = read_keypoints(view.source)
+        given = None if asked.size is None else parse_size(asked.size)
+        found = read_keypoints(view.source, size=given, frame_rate=asked.rate, usual_size=usual)
         size, n_frames, rate = found.size, found.n_frames, found.frame_rate
         answer["notes"] += found.warnings
     answer["n_frames"] = max(answer["n_frames"], n_frames)

@@ -10,14 +10,14 @@ from pathlib import Path
 
 from dousa.app.studio.core.uploads import PICTURES, VIDEOS
 from dousa.errors import CalibrationError
+from dousa.estimation.keypoints.keypoint_files import holds_keypoints
 from dousa.files.frame_files import natural_key
 
 ROLES = ("source", "cameras", "background", "body", "start", "unused")
-_CALIBRATIONS = frozenset({".toml", ".xml", ".yaml", ".yml", ".json", ".txt"})
+_CALIBRATIONS = frozenset({".toml", ".xml", ".yaml", ".yml", ".json", ".txt", ".xcp", ".calib", ".pickle"})
 _MOTIONS = frozenset({".bvh", ".amc", ".c3d", ".trc"})
 _PLATE = re.compile(r"background|backdrop|plate|empty|(^|[/_ -])bg([/_ .-]|$)|背景", re.IGNORECASE)
 _PERSON = re.compile(rb"^\s*(stature\s*=|\[\[part\]\]|\[measures\])", re.MULTILINE)
-_KEYPOINTS = re.compile(rb'"(\w*keypoints\w*|\w*landmarks\w*)"')
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ def _look_at(folder: Path, name: str, suffix: str) -> Material:
         return _look_into_npz(folder / name, name)
     if suffix in _MOTIONS or suffix == ".asf":
         return Material(name, "unused" if suffix == ".asf" else "start", "motion")
-    if suffix == ".json" and holds_keypoints(folder / name):
+    if suffix in (".json", ".csv") and holds_keypoints(folder / name):
         return Material(name, "source", "keypoints")
     if suffix in _CALIBRATIONS:
         is_body = suffix == ".toml" and _shows(_PERSON, folder / name, 200_000)
@@ -76,16 +76,6 @@ def _shows(pattern: re.Pattern[bytes], path: Path, n_bytes: int) -> bool:
     """Whether the first bytes of a file have a pattern."""
     with open(path, "rb") as file:
         return pattern.search(file.read(n_bytes)) is not None
-
-
-def holds_keypoints(path: Path) -> bool:
-    """Whether a source holds keypoints of people: an npz of dousa, JSON of another program, or a folder of such."""
-    if path.is_dir():
-        first = next((file for file in sorted(path.iterdir()) if not file.name.startswith(".")), None)
-        return first is not None and first.suffix.lower() == ".json" and _shows(_KEYPOINTS, first, 20_000)
-    if path.suffix.lower() == ".json":
-        return _shows(_KEYPOINTS, path, 20_000)
-    return path.suffix.lower() == ".npz" and _look_into_npz(path, path.name).kind == "keypoints"
 
 
 def _gather_frames(found: list[Material]) -> list[Material]:

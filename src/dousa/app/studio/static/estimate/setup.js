@@ -6,7 +6,7 @@ import { dropZone, refusedList } from "../core/drop.js";
 import { attempt } from "../core/notices.js";
 
 // Who moves, and how it is searched: fields, and what they say to the interface.
-const SEEN = new Set(["frames", "rate", "kind", "background_method", "mirrored", "cues", "model"]); // what a look would show
+const SEEN = new Set(["frames", "rate", "size", "kind", "background_method", "mirrored", "cues", "model"]); // what a look would show
 const SEEN_OF_FILMS = new Set(["stature"]);
 
 const number = (name, least, most, step, hint) =>
@@ -37,6 +37,7 @@ function more() {
     choice("offsets", [["auto", "offsets_auto"], ["none", "offsets_none"]]),
     field("frames", h("input", { type: "text", name: "frames", placeholder: t("frames_hint"), pattern: "-?\\d*:-?\\d*" })),
     number("rate", 0.1, 10000, "any", "rate_hint"),
+    field("size", h("input", { type: "text", name: "size", placeholder: t("size_hint"), pattern: "\\d+x\\d+" })),
     choice("kind", [["", "kind_auto"], ["mask", "kind_is_mask"], ["video", "kind_is_video"]]),
     choice("background_method", [["", "background_auto"], ["plate", "background_plate"], ["median", "background_median"], ["mog2", "background_mog2"]]),
     choice("bones", [["auto", "bones_auto"], ["tables", "bones_tables"], ["start", "bones_start"]]),
@@ -60,6 +61,7 @@ function readOptions(form) {
     body: { stature_m: stature === null ? null : stature / 100, sex: at.sex.value },
     frames: frames && !frames.includes(":") ? `${frames}:` : frames || null,
     rate: numberOf(at.rate),
+    size: at.size.value.trim() || null,
     cues: at.cues.value || null,
     model: at.model.value || null,
     offsets: at.offsets.value,
