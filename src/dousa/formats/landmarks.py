@@ -27,6 +27,7 @@ from dousa.errors import DousaError, MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.files.frame_files import list_frame_files, natural_key, number_frames
 from dousa.formats.arrays.joints import BODY_OF, list_layouts, name_joints
+from dousa.formats.parts import choose
 from dousa.messages import Message
 from dousa.motion import Trajectories
 from dousa.motion.canonical.naming import match_names
@@ -287,22 +288,24 @@ def read_landmarks(
     unit: float | str | None = None,
     up: str | None = None,
     frame_rate: float | None = None,
+    person: str | None = None,
 ) -> Trajectories:
-    """Read 3D points of a person from JSON; of several people the one in most frames, NaN where missing.
+    """Read 3D points of a person from JSON, NaN where missing.
 
     Parameters
     ----------
     path : a file, or a folder of one file for each frame.
     unit, up : by default inferred from the body.
     frame_rate : Hz; by default that of the file, else that of the program that usually writes these points.
+    person : name or number; by default the one in most frames.
 
     Raises
     ------
-    MotionFileError : missing, damaged, of another form, 2D points, no person in any frame.
+    MotionFileError : missing, damaged, of another form, 2D points, no person in any frame, or not this one.
     """
     try:
         recording = _read_folder(path) if os.path.isdir(path) else list_frames(_parse(path))
-        people, notes = _choose_person(recording)
+        people, notes = _choose_person(path, recording, person)
     except FormError as error:
         raise MotionFileError(path, error.message) from error
     points = _stack(path, people)
@@ -353,20 +356,23 @@ def _read_folder(folder: str | os.PathLike[str]) -> Recording:
     return Recording(frames)
 
 
-def _choose_person(recording: Recording) -> tuple[list[Person | None], tuple[Message, ...]]:
-    """One person (or None) for each frame: the number in most of them; without numbers the first."""
+def _choose_person(
+    path: str | os.PathLike[str], recording: Recording, wanted: str | None
+) -> tuple[list[Person | None], tuple[Message, ...]]:
+    """One person (or None) for each frame: by their numbers; without numbers by the order in the frames."""
     frames = [[person for person in people if len(person.points)] for people in recording.frames]
     counts = Counter(person.number for people in frames for person in people)
     if not counts:
         raise FormError("landmarks.flat" if any(recording.frames) else "landmarks.nobody")
     most = max(map(len, frames))
     # A number that is another one in every frame counts frames, not people.
-    numbered = None not in counts and (most > 1 or counts.most_common(1)[0][1] > 1)
-    chosen = max(counts, key=lambda number: counts[number])
-    people = [next((person for person in found if not numbered or person.number == chosen), None) for found in frames]
-    total = len(counts) if numbered else most
-    notes = (Message("landmarks.several", found=total),) if total > 1 else ()
-    return people, notes
+    if None not in counts and (most > 1 or counts.most_common(1)[0][1] > 1):
+        ranked = [number for number, _ in counts.most_common()]
+        chosen, notes = choose(path, "person", [f"id {number}" for number in ranked], wanted)
+        number = ranked[chosen]
+        return [next((one for one in found if one.number == number), None) for found in frames], notes
+    place, notes = choose(path, "person", [str(number) for number in range(1, most + 1)], wanted)
+    return [found[place] if place < len(found) else None for found in frames], notes
 
 
 def _stack(path: str | os.PathLike[str], people: list[Person | None]) -> FloatArray:

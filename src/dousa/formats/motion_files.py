@@ -37,7 +37,8 @@ class ReadOptions:
     unit : metres per unit of the file, or a name such as ``"cm"``; see ``dousa.formats.read_motion``.
     up : axis of the file that points up, such as ``"y"`` or ``"-z"``.
     skeleton : the ``.asf`` of ``.amc`` files, the model of ``.vmd`` files, the body model of SMPL poses.
-    frame_rate : Hz, of arrays without one.
+    frame_rate : Hz, whatever the file says.
+    person, animation : name or number of one of several in a file; see ``dousa.formats.read_motion``.
     any_skeleton : take bodies that cannot be a person's too, such as an animal's.
     """
 
@@ -47,6 +48,8 @@ class ReadOptions:
     skeleton: str | os.PathLike[str] | None = None
     frame_rate: float | None = None
     any_skeleton: bool = False
+    person: str | None = None
+    animation: str | None = None
 
     def describe(self) -> str:
         """Return the options that affect the result, as one line of JSON; empty if there are none."""
@@ -59,6 +62,8 @@ class ReadOptions:
             "up": self.up,
             "frame_rate": self.frame_rate,
             "any_skeleton": self.any_skeleton or None,
+            "person": self.person,
+            "animation": self.animation,
         }
         given = {key: value for key, value in given.items() if value is not None}
         return json.dumps(given, sort_keys=True) if given else ""
@@ -177,7 +182,7 @@ def read_canonical(
 
     options = options or ReadOptions()
     # The rotations of a long recording are not held on to while its joints are mapped.
-    motion = compute_trajectories(_read(path, options))
+    motion = compute_trajectories(read_with(path, options))
     canonical = _canonicalise(path, motion, options, whole)
     return canonical, motion.provenance.format if motion.provenance else ""
 
@@ -187,15 +192,20 @@ def read_both(
 ) -> tuple[Motion | Trajectories, CanonicalMotion]:
     """Read a motion file as it is, and on canonical joints; parameters and errors as of ``read_canonical``."""
     options = options or ReadOptions()
-    motion = _read(path, options)
+    motion = read_with(path, options)
     return motion, _canonicalise(path, motion, options, whole)
 
 
-def _read(path: str | os.PathLike[str], options: ReadOptions) -> Motion | Trajectories:
+def read_with(path: str | os.PathLike[str], options: ReadOptions) -> Motion | Trajectories:
+    """Read a motion file as it is; parameters and errors as of ``read_canonical``."""
     line = find_reader(path)
     # In a folder of all kinds, each kind uses its own options.
-    taken: dict[str, Any] = {name: getattr(options, name) for name in (line.options if line else ())}
-    return read_motion(path, unit=options.unit, up=options.up, **taken)
+    own = line.options if line is not None else ()
+    return read_motion(
+        path, unit=options.unit, up=options.up, frame_rate=options.frame_rate, person=options.person,
+        skeleton=options.skeleton if "skeleton" in own else None,
+        animation=options.animation if "animation" in own else None,
+    )  # fmt: skip
 
 
 def _canonicalise(

@@ -19,6 +19,7 @@ from dousa.errors import CalibrationError, MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.files.markup import parse_xml
 from dousa.formats.assembly import add_ends, localise, median_offsets, order_tree, rest_offsets, settle_motion
+from dousa.formats.parts import choose, distinguish
 from dousa.motion import Motion, Skeleton
 from dousa.motion.rotations import normalise
 
@@ -31,14 +32,21 @@ _TIPS = {
 }
 
 
-def read_mvnx(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Motion:
-    """Read the segments of an MVNX file, with end sites at the tips of head, hands and toes.
+def read_mvnx(
+    path: str | os.PathLike[str],
+    *,
+    unit: float | str | None = None,
+    up: str | None = None,
+    person: str | None = None,
+) -> Motion:
+    """Read the segments of a subject of an MVNX file, with end sites at the tips of head, hands and toes.
 
     Parameters
     ----------
     path : the file.
     unit : metres per unit; by default metres.
     up : axis that points up; by default Z.
+    person : label or number of a subject; by default the first.
 
     Raises
     ------
@@ -48,9 +56,12 @@ def read_mvnx(path: str | os.PathLike[str], *, unit: float | str | None = None, 
         root = parse_xml(read_bytes(path))
     except CalibrationError as error:
         raise MotionFileError(path, error.message) from None
-    subject = next(_children(root, "subject"), None)
-    if subject is None:
+    subjects = list(_children(root, "subject"))
+    if not subjects:
         raise MotionFileError(path, "mvnx.no_subject")
+    labels = distinguish(node.get("label") or str(number) for number, node in enumerate(subjects, 1))
+    chosen, notes = choose(path, "person", labels, person)
+    subject = subjects[chosen]
     segments = [node for group in _children(subject, "segments") for node in _children(group, "segment")]
     names = tuple(node.get("label", f"segment{index}") for index, node in enumerate(segments))
     if not names or len(names) > 500 or len(set(names)) != len(names):
@@ -71,7 +82,7 @@ def read_mvnx(path: str | os.PathLike[str], *, unit: float | str | None = None, 
     skeleton = Skeleton(tuple(names[index] for index in order), np.array(parents, np.intp), offsets)
     return settle_motion(
         path, "mvnx", *add_ends(skeleton, rotations, translations, ends), _read_rate(path, subject),
-        unit=unit, up=up, unit_in_file=1.0, up_in_file="z",
+        unit=unit, up=up, unit_in_file=1.0, up_in_file="z", notes=notes,
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ import functools
 import importlib
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +25,7 @@ from dousa.errors import (
     UnknownFormatError,
 )
 from dousa.files.frame_files import is_frame_folder
+from dousa.formats.parts import KINDS, file_of, split_address
 from dousa.messages import Message
 from dousa.motion import Motion, Trajectories
 
@@ -41,7 +42,8 @@ class Format:
     reader : name of the function that reads a file, None if the format is only written.
     writer : name of the function that writes a file, None if the format is only read.
     holds : ``"motion"``, ``"trajectories"`` or ``"both"``: possible content of a file of this format.
-    options : of the reader besides ``unit`` and ``up``: ``"skeleton"``, ``"frame_rate"``.
+    options : of the reader besides ``unit`` and ``up``: ``"skeleton"``; ``"frame_rate"``, ``"person"`` and
+        ``"animation"`` where it has to choose. Rate and person of all others are settled on what they read.
     signs : pattern in the first bytes of such files, for suffixes that other programs use too; else None.
     character : name of the function that reads a file at rest, for formats whose files need no motion; else None.
     check : name of the function that decides by path and first bytes about files without the signs, if any.
@@ -91,24 +93,28 @@ FORMATS: tuple[Format, ...] = (
         check="is_table",
     ),
     Format(
-        "landmarks", (".json",), "dousa.formats.landmarks", "read_landmarks", None, "trajectories", ("frame_rate",),
+        "landmarks", (".json",), "dousa.formats.landmarks", "read_landmarks", None, "trajectories",
+        ("frame_rate", "person"),
         rb"keypoints_?3[dD]\"|\"(?:pose_?)?[wW]orld_?[lL]andmarks\"|\"(?:joints|landmarks|positions)_?3[dD]\"|\"instance_info\""
         rb"|\A[\s\[]{2,}\{\s*\"x\"\s*:[^{}]*\"z\"|\A\s*\[\s*\[\s*\[\s*-?\d[^][,]*,[^][,]*,[^][,]*(?:,[^][,]*)?\]\s*,\s*\[",
     ),
     Format("vmd", (".vmd",), "dousa.formats.mmd", "read_vmd", None, "motion", ("skeleton",)),
-    Format("mvnx", (".mvnx",), "dousa.formats.mvnx", "read_mvnx", None, "motion"),
+    Format("mvnx", (".mvnx",), "dousa.formats.mvnx", "read_mvnx", None, "motion", ("person",)),
     Format(
-        "fbx", (".fbx",), "dousa.formats.exchange", "read_exchange", "write_fbx", "motion",
+        "fbx", (".fbx",), "dousa.formats.exchange", "read_exchange", "write_fbx", "motion", ("animation",),
         character="read_exchange_character",
     ),
     Format(
-        "dae", (".dae",), "dousa.formats.exchange", "read_exchange", None, "motion",
+        "dae", (".dae",), "dousa.formats.exchange", "read_exchange", None, "motion", ("animation",),
         character="read_exchange_character",
     ),
     Format("usd", (".usd", ".usda", ".usdc", ".usdz"), "dousa.formats.exchange.usd", "read_usd", None, "motion"),
-    Format("glb", (".glb",), "dousa.formats.gltf", "read_gltf", "write_glb", "motion", character="read_gltf_character"),
     Format(
-        "gltf", (".gltf", ".vrm", ".vrma"), "dousa.formats.gltf", "read_gltf", None, "motion",
+        "glb", (".glb",), "dousa.formats.gltf", "read_gltf", "write_glb", "motion", ("animation",),
+        character="read_gltf_character",
+    ),
+    Format(
+        "gltf", (".gltf", ".vrm", ".vrma"), "dousa.formats.gltf", "read_gltf", None, "motion", ("animation",),
         character="read_gltf_character",
     ),
 )  # fmt: skip
@@ -211,11 +217,11 @@ def _find(path: str | os.PathLike[str], table: dict[str, Format]) -> Format | No
 
 
 def find_reader(path: str | os.PathLike[str]) -> Format | None:
-    """Find the line of the table for a file by its name; None if there is none.
+    """Find the line of the table for a file by its name or that of a part of it; None if there is none.
 
     A packed file has both suffixes, such as ``walk.bvh.gz``. Of folders only those with one file per frame are known.
     """
-    text = os.fspath(path)
+    text = path = file_of(path)
     if os.path.isdir(path):
         return READERS[".json"] if is_frame_folder(path) else _find(text, READERS)
     name = text[: -len(_suffix(text))] if _suffix(text) in PACKED else text
@@ -257,17 +263,22 @@ def read_motion(
     up: str | None = None,
     skeleton: str | os.PathLike[str] | None = None,
     frame_rate: float | None = None,
+    person: str | int | None = None,
+    animation: str | int | None = None,
 ) -> Motion | Trajectories:
     """Read a motion file of any known format, chosen by suffix.
 
     Parameters
     ----------
-    path : file ending in one of ``SUFFIXES``, in any case, as it is or packed (``.gz``, ``.zip``).
+    path : file ending in one of ``SUFFIXES``, in any case, as it is or packed (``.gz``, ``.zip``); or the address of a
+        part of it, such as ``moves.glb#animation=Walk``.
     unit : metres per unit of the file, or a name such as ``"cm"``; by default declared, else inferred from body height.
     up : axis of the file that points up, such as ``"y"`` or ``"-z"``; by default declared, else inferred.
     skeleton : the ``.asf`` of an ``.amc``, by default found beside and above it; the model of a ``.vmd``, by default
         found beside it; or the body model of SMPL poses, by default the mean body.
-    frame_rate : Hz, of arrays without one.
+    frame_rate : Hz, whatever the file says; its frames stay.
+    person : name or number (from 1) of one of several people; by default the one seen in most frames, else the first.
+    animation : name or number of one of several animations; by default the longest.
 
     Returns
     -------
@@ -277,35 +288,44 @@ def read_motion(
     ------
     UnknownFormatError : the suffix is not known.
     MotionFileError : the file is missing, damaged or not of this format.
-    OptionError : a unit or axis that does not exist.
+    OptionError : a unit or axis that does not exist, an impossible rate, an option that is none of this format.
 
     >>> motion = dousa.read_motion("wave.bvh")
     >>> motion.n_frames, motion.frame_rate
     (86, 30.0)
     """
+    path, part = split_address(path)
+    given = {"skeleton": skeleton, "frame_rate": frame_rate, "person": person, "animation": animation, **part}
+    given = {name: value for name, value in given.items() if value is not None}
+    if frame_rate is not None and not 0 < frame_rate <= 1e6:
+        raise OptionError("resampling.rate", rate=frame_rate)
     if _suffix(path) in PACKED and not os.path.isdir(path):
-        return _read_packed(path, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate)
+        return _read_packed(path, unit=unit, up=up, **given)
     if _suffix(path) in _ADVICE:
         raise UnknownFormatError(path, _ADVICE[_suffix(path)])
     line = find_reader(path)
     if line is None or line.reader is None:
         raise _no_format(path, read=True)
+    for name, code in (("skeleton", "formats.skeleton"), ("animation", "formats.animation")):
+        if name in given and name not in line.options:
+            raise OptionError(code, path=path)
+    given |= {name: str(given[name]) for name in KINDS if name in given}
     from dousa.motion.canonical.reference_frame import parse_unit, parse_up
 
     options: dict[str, Any] = {
         "unit": None if unit is None else parse_unit(unit),
         "up": None if up is None else parse_up(up),
+        **{name: value for name, value in given.items() if name in line.options},
     }
-    for name, value, code in (
-        ("skeleton", skeleton, "formats.skeleton"),
-        ("frame_rate", frame_rate, "formats.frame_rate"),
-    ):
-        if value is not None:
-            if name not in line.options:
-                raise OptionError(code, path=path)
-            options[name] = value
-    if frame_rate is not None and not 0 < frame_rate <= 1e6:
-        raise OptionError("resampling.rate", rate=frame_rate)
+    motion = _run(path, line, options)
+    if "person" not in line.options:
+        motion = _take_person(motion, path, given.get("person"))
+    return motion if frame_rate is None else _with_rate(motion, frame_rate)
+
+
+def _run(path: str, line: Format, options: Mapping[str, Any]) -> Motion | Trajectories:
+    """Call a reader; every error of a damaged file names it."""
+    assert line.reader is not None
     import numpy as np
 
     reader = _function(path, line, line.reader)
@@ -324,6 +344,26 @@ def read_motion(
             path, "formats.damaged", format=line.name.upper(), kind=type(error).__name__, reason=error
         ) from error
     return motion
+
+
+def _take_person(motion: Motion | Trajectories, path: str, wanted: str | None) -> Motion | Trajectories:
+    many = motion.skeleton.parents if isinstance(motion, Motion) else motion.parents
+    if wanted is None and many is not None and (many < 0).sum() == 1:
+        return motion  # a single tree
+    from dousa.formats.guard.people import take_person
+
+    return take_person(motion, path, wanted)
+
+
+def _with_rate(motion: Motion | Trajectories, rate: float) -> Motion | Trajectories:
+    """The same frames at another rate, with a note where the file says something else."""
+    if motion.frame_rate == rate:
+        return motion
+    origin = motion.provenance
+    if origin is not None:
+        note = Message("formats.other_rate", declared=motion.frame_rate, given=rate)
+        origin = dataclasses.replace(origin, notes=(*origin.notes, note))
+    return dataclasses.replace(motion, frame_rate=rate, provenance=origin)
 
 
 def _read_packed(path: str | os.PathLike[str], **options: Any) -> Motion | Trajectories:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, cast
@@ -19,7 +19,9 @@ import sqlalchemy as sa
 
 from dousa.errors import DousaError
 from dousa.formats.annotations.label_file import to_annotation
+from dousa.formats.parts import KINDS, are_all, file_of, join_address
 from dousa.formats.motion_files import FoundFile, FrameVotes, ReadOptions, Skipped, find_motion_files, is_unicode
+from dousa.formats.registry import find_reader
 from dousa.library.annotations.matching import FoundLabels, TakeLength, check_fit, choose_labels, find_labels
 from dousa.library.annotations.store import annotate_takes, read_annotations, rename_segments
 from dousa.library.care.compact import begin_where_large
@@ -32,7 +34,16 @@ from dousa.library.store import schema
 from dousa.library.store.checksums import LABELS, NUMBERS, update_rows
 from dousa.library.store.engine import Database, next_revision
 from dousa.library.store.forests import StoredForest, load_forest
-from dousa.library.store.ingest import ClipRecord, FileRecord, ReadTask, SourceState, look_at, read_clip, read_clips
+from dousa.library.store.ingest import (
+    ClipRecord,
+    FileRecord,
+    ReadTask,
+    Several,
+    SourceState,
+    look_at,
+    read_clip,
+    read_clips,
+)
 from dousa.library.store.selection import delete_clips, fetch_in, read_tags, save_tags
 from dousa.library.takes.windows import make_window_files, refresh_windows
 from dousa.messages import Message
@@ -45,6 +56,8 @@ _NO_LABEL = {"category": Message("library_add.no_category"), "performer": Messag
 Labels = dict[str, str | None]
 
 Answer = ClipRecord | FileRecord | Skipped
+
+_PART_NOTES = {"parts.person_asked", "parts.animation_asked"}  # the name of the clip says it
 
 _SKELETONS = {".asf", ".pmx"}  # read with motions
 
@@ -95,11 +108,14 @@ class Adding:
         self._database = database
         self._kind = kind
         self._rules = rules
-        self._options = options
+        # A part goes into the name of its clip, as it does where all parts are added.
+        self._part = {kind: name for kind in KINDS if (name := getattr(options, kind)) is not None}
+        self._options = replace(options, person=None, animation=None)
         self.forest = forest
         self._labels_from = labels_from
         self._tier = tier
         self._found: dict[str, FoundFile] = {}
+        self._of_file: dict[str, list[str]] = {}  # clips that the library has of a file that is read again
         self._known_labels: dict[str, Labels] = {}
         self._labels_stay = True
         self.change: int | None = None  # in the journal, one for all portions
@@ -112,7 +128,7 @@ class Adding:
         files, missing = find_motion_files(paths, others)
         self._tally["skipped"] += missing
         self._tally["passed_over"] += others.most_common()
-        self._found = {str(file.path): file for file in files}
+        self._found = {self._name(str(file.path)): file for file in files}
         self._leave_out(self._find_skeletons())
         report = progress or (lambda done, total, path: None)
         report(0, len(files), "")  # a rule for labels may take long
@@ -120,6 +136,7 @@ class Adding:
             self._labels(path)
         # All tables before anything is written, so that an error in one leaves nothing half done.
         labels = {} if self._labels_from is None else find_labels(files, self._labels_from, self._tier)
+        labels = {self._name(path): own for path, own in labels.items()}
         tasks = self._plan()
         self._check_known(labels)
         try:
@@ -136,7 +153,7 @@ class Adding:
     def _read(
         self,
         tasks: Sequence[ReadTask],
-        labels: Mapping[str, FoundLabels],
+        labels: dict[str, FoundLabels],
         n_jobs: int | None,
         report: AddProgress,
         *,
@@ -151,15 +168,14 @@ class Adding:
             their own guess.
         at_most_s : s between two portions, which is what an interrupted program loses; less makes more transactions.
         """
-        files = self._found
-        done = len(files) - len(tasks)
+        done = len(self._found) - len(tasks)
         if done:
-            report(done, len(files), "")
+            report(done, len(self._found), "")
         portion: list[Answer] = []
         doubtful: list[ClipRecord] = []
         votes = FrameVotes()
         last = time.monotonic()
-        answers = read_clips(tasks, n_jobs)
+        answers = self._read_parts(tasks, labels, n_jobs)
         try:
             for answer in answers:
                 self._check_table(answer, labels)
@@ -175,14 +191,47 @@ class Adding:
                     portion = self._store_portion(portion)
                     last = time.monotonic()
                 done += 1
-                report(done, len(files), answer.path)
+                report(done, len(self._found), answer.path)
         except KeyboardInterrupt:
             self._store_portion(portion)
             raise
         finally:
             answers.close()
         portion += [self._settle(record, votes) for record in doubtful]
-        self._store_portion(portion)
+        self._store_portion(portion, [path for paths in self._of_file.values() for path in paths])
+
+    def _read_parts(
+        self, tasks: Sequence[ReadTask], labels: dict[str, FoundLabels], n_jobs: int | None
+    ) -> Generator[Answer, None, None]:
+        """Read files, and those of several people or animations once more for each of them.
+
+        Clips of a file that are none of its parts any more stay in ``_of_file``; of one that cannot be read, all are
+        left alone.
+        """
+        while tasks:
+            several: list[Several] = []
+            with closing(read_clips(tasks, n_jobs)) as answers:
+                for answer in answers:
+                    if isinstance(answer, Several):
+                        several.append(answer)
+                        continue
+                    own = self._of_file.get(file_of(answer.path), [])
+                    if isinstance(answer, Skipped):
+                        own.clear()
+                    elif answer.path in own:
+                        own.remove(answer.path)
+                    if not isinstance(answer, Skipped) and answer.path not in self._found:  # a part by its number
+                        self._rename(self._name(file_of(answer.path)), [answer.path], labels)
+                    yield answer
+            for one in several:
+                self._rename(one.path, one.addresses, labels)
+            tasks = [self._task(address, parts=True) for one in several for address in one.addresses]
+
+    def _rename(self, path: str, addresses: Sequence[str], labels: dict[str, FoundLabels]) -> None:
+        """Put addresses of parts in the place of a path."""
+        self._found |= dict.fromkeys(addresses, self._found.pop(path))
+        if path in labels:
+            labels |= dict.fromkeys(addresses, labels.pop(path))
 
     def _check_known(self, labels: Mapping[str, FoundLabels]) -> None:
         """Check that tables fit takes in the library, before anything is written."""
@@ -296,6 +345,13 @@ class Adding:
             self._tally["warnings"].append((self._database.where, Message("library_fragments.begun", most=begun)))
         return _make_report(self._tally, time.perf_counter() - start)
 
+    def _name(self, path: str) -> str:
+        """Return the address of the part that was asked for, of a file that can have it."""
+        line = find_reader(path) if "animation" in self._part else None
+        if line is not None and "animation" not in line.options:
+            return join_address(path, {kind: name for kind, name in self._part.items() if kind != "animation"})
+        return join_address(path, self._part)
+
     def _plan(self) -> list[ReadTask]:
         """Return the files to open; unchanged files are tallied."""
         table = schema.clips.c
@@ -305,18 +361,25 @@ class Adding:
         names = [path for path in states if is_unicode(path)]
         with self._database.reading() as connection:
             stored: dict[str, Any] = {row.path: row for row in fetch_in(connection, query, table.path, names)}
+            parts = _read_parts_of_files(connection)
             self.forest = load_forest(connection, self._database.where, self.forest)
             unread, options = [], self._options.describe()
             for path, state in states.items():
-                row = stored.get(path)
-                if row and state and (row.fingerprint, row.read_options) == (state.fingerprint, options):
-                    self._tally["unchanged"].append(path)
-                    self._note_labels(self._tally, path, row)
-                else:
-                    unread.append((path, row, -1 if state is None else state.size))
+                rows = [stored[path]] if path in stored else parts.get(path, [])
+                same = state and all((r.fingerprint, r.read_options) == (state.fingerprint, options) for r in rows)
+                whole = path in stored or are_all({row.path: map(schema.as_message, row.warnings) for row in rows})
+                for row in rows if same and whole else ():
+                    self._found[row.path] = self._found[path]
+                    self._tally["unchanged"].append(row.path)
+                    self._note_labels(self._tally, row.path, row)
+                if rows and same and whole:
+                    continue
+                if not self._part:
+                    self._of_file[path] = [row.path for row in rows]
+                unread.append((path, next(iter(rows), None), -1 if state is None else state.size))
             hashes = _find_hashes(connection, {size for _, _, size in unread})
         return [
-            self._task(path, row.kind if row and size >= 0 else self._kind, tuple(hashes.get(size, ())))
+            self._task(path, row.kind if row and size >= 0 else self._kind, tuple(hashes.get(size, ())), parts=True)
             for path, row, size in unread
         ]
 
@@ -327,11 +390,13 @@ class Adding:
         except (DousaError, OSError):
             return None
 
-    def _task(self, path: str, kind: str | None = None, known: tuple[str, ...] = ()) -> ReadTask:
+    def _task(
+        self, path: str, kind: str | None = None, known: tuple[str, ...] = (), *, parts: bool = False
+    ) -> ReadTask:
         """Return the task for a file; with a forest, the features of a clip are computed too."""
         chosen = kind or self._kind
         feature_set = self.forest.feature_set if self.forest and chosen == schema.CLIP else ""
-        return ReadTask(path, self._options, known, chosen, feature_set)
+        return ReadTask(path, self._options, known, chosen, feature_set, parts=parts)
 
     def _labels(self, path: str) -> Labels:
         """Return the labels of a file by the rules, each applied once."""
@@ -351,18 +416,20 @@ class Adding:
         if any(value is not None and value != getattr(row, name) for name, value in labels.items()):
             tally["other_labels"].append(path)
 
-    def _store_portion(self, portion: list[Answer]) -> list[Answer]:
-        """Write a portion in one transaction; return the empty next one."""
+    def _store_portion(self, portion: list[Answer], stale: Sequence[str] = ()) -> list[Answer]:
+        """Write a portion in one transaction and remove stale clips by path; return the empty next portion."""
         self._tally["skipped"] += [answer for answer in portion if isinstance(answer, Skipped)]
         read = [answer for answer in portion if not isinstance(answer, Skipped)]
-        if read:
+        if read or stale:
             # Votes are slow: compute them before other programs have to wait.
-            sorted_out = self._database.write_planned(lambda c, known: self._sort(c, read, known), self._store)
+            sorted_out = self._database.write_planned(lambda c, known: self._sort(c, read, known, stale), self._store)
             for name, items in sorted_out.tally.items():
                 self._tally[name] += items
         return []
 
-    def _sort(self, connection: sa.Connection, read: list[FileRecord], known: _Sorted | None) -> _Sorted:
+    def _sort(
+        self, connection: sa.Connection, read: list[FileRecord], known: _Sorted | None, stale: Sequence[str] = ()
+    ) -> _Sorted:
         """Sort motions into new, changed and present ones, without writing."""
         tally: Tally = defaultdict(list)
         stored = _load_rows(connection, read)
@@ -370,6 +437,8 @@ class Adding:
         # Changed files, all found before any is stored: two may have swapped names.
         now = {record.path: record.row["content_hash"] for record in read}
         gone = {row.path: row.id for row in stored if now.get(row.path, row.content_hash) != row.content_hash}
+        clips = schema.clips.c
+        gone |= {row.path: row.id for row in fetch_in(connection, sa.select(clips.id, clips.path), clips.path, stale)}
         owner = {row.content_hash: row.path for row in stored if row.path not in gone}
         fresh: list[ClipRecord] = []
         moved: list[tuple[FileRecord, Any]] = []
@@ -423,7 +492,8 @@ class Adding:
             fresh.append(replace(record, row={**record.row, **labels, "kind": kind}))
             (tally["added"] if row is None else tally["replaced"]).append(record.path)
             missing = [name for name, rule in self._rules.items() if labels[name] is None and rule is not no_label]
-            doubts = (*map(schema.as_message, record.row["warnings"]), *map(_NO_LABEL.__getitem__, missing))
+            notes = map(schema.as_message, record.row["warnings"])
+            doubts = (*(note for note in notes if note.code not in _PART_NOTES), *map(_NO_LABEL.__getitem__, missing))
             tally["warnings"] += [(record.path, text) for text in doubts]
         elif isinstance(record, Skipped):
             tally["skipped"].append(record)
@@ -459,7 +529,18 @@ def _give_tags(connection: sa.Connection, tags: Mapping[str, Sequence[str]]) -> 
 
 def _is_gone(row: Any) -> bool:
     """Return whether the file of a clip is missing; motions in memory never had one."""
-    return bool(row.fingerprint) and not os.path.exists(row.path)
+    return bool(row.fingerprint) and not os.path.exists(file_of(row.path))
+
+
+def _read_parts_of_files(connection: sa.Connection) -> dict[str, list[Any]]:
+    """Return the clips that are parts of a file, by file."""
+    table = schema.clips.c
+    columns = (table.path, table.content_hash, table.fingerprint, table.size, table.read_options, table.warnings)
+    query = sa.select(*columns, table.category, table.performer, table.kind).order_by(table.id)
+    parts: dict[str, list[Any]] = {}
+    for row in connection.execute(query.where(sa.or_(*(table.path.contains(f"#{kind}=") for kind in KINDS)))):
+        parts.setdefault(file_of(row.path), []).append(row)
+    return parts
 
 
 def _is_full(portion: Sequence[Answer], *, n_clips: int = 256, n_bytes: int = 1 << 26) -> bool:

@@ -23,7 +23,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from dousa.errors import DousaError, MotionWriteError, OptionError
 from dousa.files.disk import NO_ROOM, atomic_write, read_bytes, write_error
-from dousa.formats.motion_files import ReadOptions, Skipped, describe_problem
+from dousa.formats.parts import file_of, split_address
+from dousa.formats.motion_files import ReadOptions, Skipped, describe_problem, read_with
 from dousa.formats.registry import WRITERS
 from dousa.library.results import Answer
 
@@ -158,7 +159,7 @@ ExportProgress = Callable[[int, int, str], None]
 """Called with (clips done, clips, name of the next)."""
 
 _UNSAFE = re.compile(r'[\x00-\x1f<>:"|?*\\]')
-_GIVEN = ("joint_map", "unit", "up", "skeleton", "frame_rate")
+_GIVEN = ("joint_map", "unit", "up", "skeleton", "frame_rate", "person", "animation")
 
 
 class Source(Protocol):
@@ -278,7 +279,7 @@ class _Export:
         self.skeletons: list[str] = []
 
     def run(self, clip: ClipInfo) -> None:
-        suffix = _suffix_of(_file_of(clip)) if self.form.to == ORIGINAL else list_formats()[self.form.to]
+        suffix = _suffix_of(file_of(_file_of(clip))) if self.form.to == ORIGINAL else list_formats()[self.form.to]
         name = self._choose_name(clip, suffix)
         content = self.library.contents([clip.id]).get(clip.id, "")
         made_of = hashlib.sha256(f"{self.recipe} {content} {clip.start_s} {clip.end_s}".encode()).hexdigest()[:16]
@@ -319,9 +320,11 @@ class _Export:
         is that of a file that no export wrote.
         """
         parts = [_safe(part) for part in (clip.category or "").split("/") if part]
-        base = os.path.basename(_file_of(clip))
+        file, chosen = split_address(_file_of(clip))
+        base = os.path.basename(file)
         own = _suffix_of(base)
-        stem = _safe(base[: -len(own)] if own and base.lower().endswith(own.lower()) else base)
+        stem = "_".join((base[: -len(own)] if own and base.lower().endswith(own.lower()) else base, *chosen.values()))
+        stem = _safe(stem)
         if clip.take_id is not None:
             stem = f"{stem}_{clip.start_s or 0.0:.2f}s"
         name = "/".join((*parts, stem + suffix))
@@ -340,7 +343,7 @@ class _Export:
         if self.form.to == ORIGINAL:
             if clip.take_id is not None:
                 raise OptionError("export.part_of_take")
-            data = read_bytes(clip.path)
+            data = read_bytes(file_of(clip.path))
             path = self.destination.prepare(name)
             self._copy_skeleton(clip, name)
             with atomic_write(path) as file:
@@ -388,13 +391,9 @@ class _Export:
     def _read(self, clip: ClipInfo, options: ReadOptions) -> tuple[Motion | Trajectories, str]:
         """Read the motion of the file, or its part, else the stored joints."""
         path = _file_of(clip)
-        if not os.path.exists(path):
+        if not os.path.exists(file_of(path)):
             return self.library.trajectories(clip.id), "stored joints"
-        from dousa.formats import read_motion
-
-        motion = read_motion(
-            path, unit=options.unit, up=options.up, skeleton=options.skeleton, frame_rate=options.frame_rate
-        )
+        motion = read_with(path, options)
         return (motion if clip.take_id is None else _cut(motion, clip)), "file"
 
 

@@ -105,7 +105,10 @@ def count(
 def _read(path: Path, options: ReadOptions) -> Motion | Trajectories:
     from dousa.formats.registry import read_motion
 
-    return read_motion(path, unit=options.unit, up=options.up, skeleton=options.skeleton, frame_rate=options.frame_rate)
+    return read_motion(
+        path, unit=options.unit, up=options.up, skeleton=options.skeleton, frame_rate=options.frame_rate,
+        person=options.person, animation=options.animation,
+    )  # fmt: skip
 
 
 def _describe(path: Path, options: ReadOptions) -> dict[str, Any]:

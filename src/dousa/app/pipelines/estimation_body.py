@@ -143,7 +143,8 @@ def load_given_body(file: Path, options: ReadOptions) -> tuple[BodyModel, tuple[
     ------
     DousaError : the file is no body.
     """
-    from dousa.formats.registry import find_reader, read_motion
+    from dousa.formats.motion_files import read_with
+    from dousa.formats.registry import find_reader
 
     if find_reader(file) is None:
         from dousa.estimation.body.body_file import read_body
@@ -151,9 +152,7 @@ def load_given_body(file: Path, options: ReadOptions) -> tuple[BodyModel, tuple[
         return read_body(file), ()
     from dousa.estimation.body.skeleton_body import body_from_motion
 
-    skeleton = options.skeleton if file.suffix.lower() == ".amc" else None
-    motion = read_motion(file, unit=options.unit, up=options.up, skeleton=skeleton)
-    body = body_from_motion(motion)
+    body = body_from_motion(read_with(file, options))
     return body, (Message("body.of_motion", path=file, stature=body.stature),)
 
 

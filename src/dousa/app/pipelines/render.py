@@ -83,13 +83,11 @@ def _check_output(request: RenderRequest) -> None:
 
 
 def _read_motion(request: RenderRequest) -> CanonicalMotion:
-    from dousa.formats.registry import read_motion
+    from dousa.formats.motion_files import read_with
     from dousa.motion import canonicalise, resample
 
     options = request.options
-    skeleton = options.skeleton if request.motion.suffix.lower() == ".amc" else None
-    read = read_motion(request.motion, unit=options.unit, up=options.up, skeleton=skeleton)
-    sampled = resample(read, request.rate)  # type: ignore[type-var]  # one kind or the other, not both
+    sampled = resample(read_with(request.motion, options), request.rate)  # type: ignore[type-var]  # one kind or the other, not both
     motion = canonicalise(sampled, options.joint_map, whole=True)
     first, last = parse_frames(
         request.frames, motion.n_frames, Message("frames.motion", path=request.motion, rate=request.rate)

@@ -27,7 +27,8 @@ class Reading:
             "--read",
             metavar="KEY=VALUE",
             help="How files are read; repeatable. unit=cm; up=z; skeleton=FILE (.asf of an .amc, .pmx of a .vmd, SMPL "
-            "model); frame_rate=HZ; joint_map=FILE; any_skeleton (also animals).",
+            "model); frame_rate=HZ; person=NAME, animation=NAME (of several; or a number from 1); joint_map=FILE; "
+            "any_skeleton (also animals).",
         ),
     ] = None
 
@@ -65,7 +66,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class UnitReading(Reading):
-    """The same for commands about single files, whose unit and axis are often wanted."""
+    """The same for commands about single files, with the usual keys as options of their own."""
 
     unit: Annotated[
         str | None,
@@ -79,10 +80,31 @@ class UnitReading(Reading):
         typer.Option("--up", help="Axis of the file that points up: y, z, x, -y ... Default: inferred."),
     ] = None
 
+    file_rate: Annotated[
+        float | None,
+        typer.Option("--file-rate", metavar="HZ", help="Frame rate of the file, whatever it says itself."),
+    ] = None
+    person: Annotated[
+        str | None,
+        typer.Option(
+            "--person", metavar="NAME|N", help="Whose motion, of several people. Default: seen most, or first."
+        ),
+    ] = None
+    animation: Annotated[
+        str | None,
+        typer.Option("--animation", metavar="NAME|N", help="Which of several animations. Default: the longest."),
+    ] = None
+
     @property
     def values(self) -> dict[str, Any]:
         """The options by name, as `ReadOptions` takes them; see `Reading.values`."""
-        given = (("unit", self.unit), ("up", self.up))
+        given = (
+            ("unit", self.unit),
+            ("up", self.up),
+            ("frame_rate", self.file_rate),
+            ("person", self.person),
+            ("animation", self.animation),
+        )
         return _parse((*(self.read or ()), *(f"{key}={value}" for key, value in given if value is not None)))
 
 
@@ -129,4 +151,6 @@ _PARSERS: Mapping[str, Callable[[str, str], Any]] = {
     "frame_rate": _parse_number,
     "joint_map": _parse_file,
     "any_skeleton": _parse_switch,
+    "person": _parse_text,
+    "animation": _parse_text,
 }

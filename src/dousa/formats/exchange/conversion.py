@@ -36,24 +36,32 @@ class _Converted:
     title: str
 
 
-def read_exchange(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Motion:
-    """Read an FBX or Collada file through Blender or assimp; of several animations the longest, with a note.
+def read_exchange(
+    path: str | os.PathLike[str],
+    *,
+    unit: float | str | None = None,
+    up: str | None = None,
+    animation: str | None = None,
+) -> Motion:
+    """Read an animation of an FBX or Collada file through Blender or assimp.
 
     Parameters
     ----------
     path : the file.
     unit : metres per unit; by default the declared one, unless the body would have no possible height.
     up : axis that points up; by default Y, into which the other program turns the file.
+    animation : name or number; by default the longest.
 
     Raises
     ------
-    MotionFileError : missing, damaged, no program that could read it, no skeleton or no animation.
+    MotionFileError : missing, damaged, no program that could read it, no skeleton or no such animation.
     """
     made = _convert(path)
     notes = (Message("exchange.through", program=made.title),)
     return build_motion(
-        made.document, unit=unit, up=up, format_name=_format(path), declared_unit=made.unit, notes=notes
-    )
+        made.document, unit=unit, up=up, animation=animation, format_name=_format(path), declared_unit=made.unit,
+        notes=notes,
+    )  # fmt: skip
 
 
 def read_exchange_character(

@@ -1,4 +1,4 @@
-"""glTF 2.0, GLB, VRM, VRM animations: the joints of the skin, moved by the longest animation.
+"""glTF 2.0, GLB, VRM, VRM animations: the joints of the skins, moved by one of the animations.
 
 The specification has metres and Y up; files in centimetres are common, so the unit is inferred if the body would have
 no possible height. Joints get the axes of the scene, as in a BVH file: at rest nothing is turned. The file's own axes,
@@ -17,6 +17,7 @@ from dousa.arrays import FloatArray, IndexArray
 from dousa.formats.assembly import settle_motion
 from dousa.formats.gltf.document import GltfDocument, load_document
 from dousa.formats.gltf.tree import JointTree, build_tree, list_nodes
+from dousa.formats.parts import choose, distinguish
 from dousa.messages import Message
 from dousa.motion import Motion, Skeleton
 from dousa.motion.rotations import conjugate, multiply, normalise, rotate
@@ -148,6 +149,17 @@ class GltfLayout:
     document: GltfDocument
     tree: JointTree
 
+    def name_tree(self, root: int) -> str | None:
+        """Return the name of the armature above a root, else of the skin that it belongs to."""
+        node, nodes = self.tree.nodes[root], self.document.items("nodes")
+        above = [other for other in nodes if node in other.get("children", [])]
+        skins = [skin for skin in self.document.items("skins") if node in skin.get("joints", [])]
+        return next((str(item["name"]) for item in (*above, *skins) if item.get("name")), None)
+
+    def take(self, joints: IndexArray) -> GltfLayout:
+        """Return the layout with these joints alone; the rest of the file stays."""
+        return GltfLayout(self.document, self.tree.take(joints.tolist()))
+
 
 @dataclass(frozen=True, slots=True)
 class _Clip:
@@ -156,22 +168,29 @@ class _Clip:
     length: float
 
 
-def read_gltf(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Motion:
-    """Read the longest animation of a glTF, GLB, VRM or VRMA file, sampled at the rate of the keys.
+def read_gltf(
+    path: str | os.PathLike[str],
+    *,
+    unit: float | str | None = None,
+    up: str | None = None,
+    animation: str | None = None,
+) -> Motion:
+    """Read an animation of a glTF, GLB, VRM or VRMA file, sampled at the rate of the keys.
 
-    A note names the animation if there are several. ``provenance.layout`` is a `GltfLayout`.
+    ``provenance.layout`` is a `GltfLayout`.
 
     Parameters
     ----------
     path : the file.
     unit : metres per unit; by default metres, unless the body would have no possible height.
     up : axis that points up; by default Y.
+    animation : name or number; by default the longest.
 
     Raises
     ------
-    MotionFileError : missing, damaged, without an animation.
+    MotionFileError : missing, damaged, without an animation, or without this one.
     """
-    return build_motion(load_document(path), unit=unit, up=up)
+    return build_motion(load_document(path), unit=unit, up=up, animation=animation)
 
 
 def build_motion(
@@ -179,16 +198,17 @@ def build_motion(
     *,
     unit: float | str | None,
     up: str | None,
+    animation: str | None = None,
     format_name: str = "gltf",
     declared_unit: float = 1.0,
     notes: tuple[Message, ...] = (),
 ) -> Motion:
-    """Build the longest animation of a document, also of one converted from another format.
+    """Build an animation of a document, also of one converted from another format.
 
     Parameters
     ----------
     document : its ``path`` goes into provenance and messages.
-    unit, up : as for `read_gltf`.
+    unit, up, animation : as for `read_gltf`.
     format_name : for the provenance.
     declared_unit : metres per unit of the document.
     notes : for the user, on the reading of the file.
@@ -197,17 +217,16 @@ def build_motion(
     clips = [clip for clip in clips if clip.curves]
     if not clips:
         raise document.fail("gltf.no_animation")
-    clip = max(clips, key=lambda clip: clip.length)
-    if len(clips) > 1:
-        others = tuple(other.name for other in clips if other is not clip)
-        notes += (Message("gltf.several", read=clip.name, others=others[:10]),)
+    names = distinguish(clip.name for clip in clips)
+    chosen, choice = choose(document.path, "animation", names, animation, [clip.length for clip in clips])
+    clip = clips[chosen]
     times, rate = choose_times([curve.times for curve in clip.curves.values()])
     if len(times) * max(1, len(document.items("nodes"))) > 50_000_000:
         raise document.fail("gltf.large", frames=len(times))
     tree, rotations, translations, said = _pose(document, clip, times)
     return settle_motion(
         document.path, format_name, _skeleton(tree), rotations, translations, rate, unit=unit, up=up,
-        declared_unit=declared_unit, layout=GltfLayout(document, tree), notes=(*notes, *said),
+        declared_unit=declared_unit, layout=GltfLayout(document, tree), notes=(*notes, *choice, *said),
     )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.formats.gltf.document import GltfDocument
+from dousa.formats.guard.people import split_trees
 from dousa.motion.rotations import conjugate, from_matrix, multiply, normalise, rotate
 
 
@@ -37,7 +38,7 @@ class JointTree:
     Parameters
     ----------
     nodes : (J,) index in the file.
-    names : (J,) unique.
+    names : (J,) unique; where there are several people, each is one's own.
     parents : (J,) parent before child.
     offsets : (J, 3) in the axes of the scene at rest; that of a root is its place.
     end_sites : (J,) leaves that nothing is attached to and that are not animated.
@@ -54,6 +55,20 @@ class JointTree:
     rest: FloatArray
     scales: FloatArray
     above: dict[int, FloatArray]
+
+    def take(self, joints: list[int]) -> JointTree:
+        """Return these joints alone, whole trees of them."""
+        place = {joint: number for number, joint in enumerate(joints)}
+        return JointTree(
+            [self.nodes[joint] for joint in joints],
+            tuple(self.names[joint] for joint in joints),
+            [place.get(self.parents[joint], -1) for joint in joints],
+            self.offsets[joints],
+            [self.end_sites[joint] for joint in joints],
+            self.rest[joints],
+            self.scales[joints],
+            {place[joint]: pose for joint, pose in self.above.items() if joint in place},
+        )
 
 
 def list_nodes(document: GltfDocument) -> Nodes:
@@ -144,8 +159,12 @@ def build_tree(document: GltfDocument, animated: set[int]) -> JointTree:
         for joint, number in enumerate(places)
     ]
     human = _humanoid_names(document)
-    names = _unique([human.get(nodes.order[n]) or str(raw[nodes.order[n]].get("name") or f"node{nodes.order[n]}")
-                     for n in places])  # fmt: skip
+    named = [
+        human.get(nodes.order[n]) or str(raw[nodes.order[n]].get("name") or f"node{nodes.order[n]}") for n in places
+    ]
+    trees = split_trees(named, parents)
+    owners = {int(joint): owner for owner, joints in trees.items() for joint in joints}
+    names = _unique(named, [owners.get(joint, "") for joint in range(len(places))])
     return JointTree([nodes.order[n] for n in places], names, parents, offsets, ends, rotations[places], grown, above)
 
 
@@ -249,10 +268,11 @@ def _humanoid_names(document: GltfDocument) -> dict[int, str]:
     return names
 
 
-def _unique(names: list[str]) -> tuple[str, ...]:
-    seen: dict[str, int] = {}
+def _unique(names: list[str], owners: list[str]) -> tuple[str, ...]:
+    """Number what is there twice for one owner."""
+    seen: dict[tuple[str, str], int] = {}
     result = []
-    for name in names:
-        seen[name] = seen.get(name, 0) + 1
-        result.append(name if seen[name] == 1 else f"{name}.{seen[name]}")
+    for name, owner in zip(names, owners, strict=True):
+        seen[owner, name] = seen.get((owner, name), 0) + 1
+        result.append(name if seen[owner, name] == 1 else f"{name}.{seen[owner, name]}")
     return tuple(result)

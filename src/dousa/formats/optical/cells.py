@@ -10,6 +10,7 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
+from dousa.motion.canonical.naming import group_owners
 
 BLANK = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "--", "."})
 """What programs write for a missing number, in lower case."""
@@ -54,15 +55,14 @@ def is_number(cell: str) -> bool:
     return True
 
 
-def strip_owner(names: list[str]) -> tuple[list[str], list[str]]:
-    """Strip owners from names, before a colon or a shared underscore; and the owners in order."""
-    owners = list(dict.fromkeys(name.rpartition(":")[0] for name in names))
+def strip_owner(names: list[str]) -> list[str]:
+    """Strip the owner before a colon or a shared underscore, if all names have the same."""
+    if len({name.rpartition(":")[0] for name in names}) > 1:
+        return names
     bare = [name.rpartition(":")[2] for name in names]
     prefix = bare[0].partition("_")[0] + "_" if bare and "_" in bare[0] else ""
-    if prefix and len(bare) > 4 and sum(name.startswith(prefix) for name in bare) == len(bare):
-        bare = [name.removeprefix(prefix) for name in bare]
-        owners = [prefix[:-1]]
-    return bare, owners
+    shared = bool(prefix) and len(bare) > 4 and all(name.startswith(prefix) for name in bare)
+    return [name.removeprefix(prefix) for name in bare] if shared else bare
 
 
 _SIDES = ("L", "R")
@@ -85,10 +85,23 @@ _FBX_CHAINS = [
 
 
 def guess_parents(names: list[str]) -> dict[str, str]:
-    """Return the parent of each joint of Motive's or Qualisys' skeletons by name; {} for other names.
+    """Return the parent of each joint of Motive's or Qualisys' skeletons by name, per person; {} for other names.
 
     Joints that a skeleton lacks are skipped.
     """
+    parents: dict[str, str] = {}
+    people = group_owners(tuple(names))
+    for owner, joints in people.items():
+        before = {name.rpartition(":")[2].removeprefix(f"{owner}_"): name for name in (names[j] for j in joints)}
+        found = _guess_tree(list(before))
+        if not found:
+            return {}
+        parents |= {before[child]: before[parent] for child, parent in found.items()}
+    return parents if people else _guess_tree(names)
+
+
+def _guess_tree(names: list[str]) -> dict[str, str]:
+    """The parents of the joints of one skeleton."""
     present = set(names)
     chains = _MOTIVE_CHAINS if "Hip" in present else _FBX_CHAINS if "Hips" in present else []
     trunk = [name for name in ("Hips", "Spine", "Spine1", "Spine2", "Spine3", "Spine4") if name in present]

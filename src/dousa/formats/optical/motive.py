@@ -23,7 +23,6 @@ from dousa.errors import MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.assembly import declared_unit, settle_trajectories, settle_world
 from dousa.formats.optical.cells import guess_parents, read_rows, strip_owner
-from dousa.messages import Message
 from dousa.motion import Motion, Trajectories, forward_kinematics
 from dousa.motion.rotations import from_euler, normalise
 
@@ -43,7 +42,7 @@ class _Table:
 def read_motive(
     path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None
 ) -> Motion | Trajectories:
-    """Read a CSV file that Motive exported: bones or markers; of several skeletons the first, with a note.
+    """Read a CSV file that Motive exported: bones or markers.
 
     Parameters
     ----------
@@ -86,19 +85,15 @@ def _build(
     unit: float | str | None,
     up: str | None,
 ) -> Motion | Trajectories:
-    notes = []
-    owners = list(dict.fromkeys(name.rpartition(":")[0] for name, _ in assets))
-    if len(owners) > 1 and kind.startswith("bone"):
-        notes.append(Message("motive.several", read=owners[0], others=owners[1:]))
-        assets = [asset for asset in assets if asset[0].rpartition(":")[0] == owners[0]]
-    names = [name for name, _ in assets]
-    if len(owners) == 1 or kind.startswith("bone"):
-        names, _ = strip_owner(names)
+    names = strip_owner([name for name, _ in assets])
     positions = values[:, [columns["position"] for _, columns in assets]]
     rate = _read_rate(path, table.fields, values)
     unit_in_file = declared_unit(table.fields.get("length units", ""))
     # Rigid bodies and bones that are not solved are blank; markers of older versions lie at the origin.
-    parents = {c.rpartition(":")[2]: p.rpartition(":")[2] for c, p in table.parents.items()} or guess_parents(names)
+    given = table.parents
+    if not any(":" in name for name in names):  # of one person
+        given = {child.rpartition(":")[2]: parent.rpartition(":")[2] for child, parent in given.items()}
+    parents = given or guess_parents(names)
     turns = (
         _read_turns(table.fields, assets, values)
         if kind == "bone" and any(p in names for p in parents.values())
@@ -107,12 +102,12 @@ def _build(
     if turns is None:
         return settle_trajectories(
             path, "motive", tuple(names), positions, rate,
-            unit=unit, up=up, unit_in_file=unit_in_file, up_in_file=None, default_up="y", notes=tuple(notes),
+            unit=unit, up=up, unit_in_file=unit_in_file, up_in_file=None, default_up="y",
         )  # fmt: skip
     return settle_world(
         path, "motive", names, parents, turns, positions, rate,
         are_local=table.fields.get("coordinate space", "global").lower() == "local",
-        unit=unit, up=up, unit_in_file=unit_in_file, default_up="y", notes=tuple(notes),
+        unit=unit, up=up, unit_in_file=unit_in_file, default_up="y",
     )  # fmt: skip
 
 

@@ -94,7 +94,7 @@ def _read_skeleton(
     up: str | None,
 ) -> Motion | Trajectories:
     starts = [i for i in range(len(titles)) if [t.upper() for t in titles[i + 1 : i + 8]] == _SEGMENT]
-    names, _ = strip_owner([titles[index] for index in starts])
+    names = strip_owner([titles[index] for index in starts])
     if not names:
         raise MotionFileError(path, "qualisys.no_names")
     values = read_rows(path, [*lines.values()], [*lines], starts[-1] + 8)

@@ -20,6 +20,7 @@ from urllib.parse import quote
 import sqlalchemy as sa
 
 from dousa.errors import LibraryError
+from dousa.formats.parts import file_of
 from dousa.formats.motion_files import ReadOptions, Skipped
 from dousa.library.care.damage import (
     REMOVED_POSITIONS,
@@ -320,7 +321,7 @@ def _look_at_file(database: Database, number: int) -> tuple[Message, ClipRecord 
         return Message("library_check.lost"), None
     if row.format == "memory":
         return Message("library_check.no_file"), None
-    if not os.path.exists(row.path):
+    if not os.path.exists(file_of(row.path)):
         return Message("library_check.file_gone"), None
     return _read_file(ReadTask(row.path, options, kind=row.kind), row.content_hash, number, sums)
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from dousa.errors import DousaError, InvalidMotionError, MotionFileError
+from dousa.formats.parts import file_of, find_address, join_address, list_untaken, split_address
 from dousa.formats.motion_files import (
     OVERRULED,
     FrameClaim,
@@ -65,6 +66,7 @@ class ReadTask:
     kind : ``CLIP`` or ``TAKE``.
     feature_set : name of the features to compute; none if empty.
     voted : up axis and unit elected by other files of its skeleton, and the message about that.
+    parts : of a file of several people or animations, whether to list them instead of reading the first.
     """
 
     path: str
@@ -73,6 +75,18 @@ class ReadTask:
     kind: str = CLIP
     feature_set: str = ""
     voted: tuple[str | None, float | None, tuple[Message, ...]] = (None, None, ())
+    parts: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Several:
+    """A file (or part) of several people or animations, each of which is a motion of its own.
+
+    ``path`` : as it was asked for. ``addresses`` : of the parts, see ``dousa.formats.parts``.
+    """
+
+    path: str
+    addresses: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,6 +125,7 @@ def look_at(path: str, options: ReadOptions) -> SourceState:
 
     OSError for a file that is not there. MotionFileError for an ``.amc`` without a skeleton file.
     """
+    path = file_of(path)
     files = [path]
     if os.path.isdir(path):  # a file for each frame
         from dousa.files.frame_files import list_frame_files
@@ -140,13 +155,13 @@ def is_as_stored(row: Any, options: ReadOptions) -> bool:
         return False  # reading the file reports the error
 
 
-def read_clip(task: ReadTask) -> ClipRecord | FileRecord | Skipped:
-    """Read one motion file and derive everything the library keeps of it.
+def read_clip(task: ReadTask) -> ClipRecord | FileRecord | Several | Skipped:
+    """Read one motion file, or a part of it, and derive everything the library keeps of it.
 
     Returns
     -------
-    The record; that of the file alone if its content is known; or why the file cannot be used. A bad file raises no
-    error, so that the others go on.
+    The record; that of the file alone if its content is known; the parts of the file, if they were asked for; or why
+    the file cannot be used. A bad file raises no error, so that the others go on.
     """
     if not is_unicode(task.path):
         printable = task.path.encode(errors="backslashreplace").decode()
@@ -155,7 +170,7 @@ def read_clip(task: ReadTask) -> ClipRecord | FileRecord | Skipped:
         state = look_at(task.path, task.options)
         row = {
             "path": task.path,
-            "content_hash": _hash_content(state, task.options),
+            "content_hash": _hash_content(state, task.path, task.options),
             "fingerprint": state.fingerprint,
             "size": state.size,
             "read_options": task.options.describe(),
@@ -166,6 +181,10 @@ def read_clip(task: ReadTask) -> ClipRecord | FileRecord | Skipped:
         up, unit, notes = task.voted
         options = replace(task.options, up=up or task.options.up, unit=unit or task.options.unit)
         motion, canonical = read_both(task.path, options, whole=False)
+        if task.parts and (addresses := list_untaken(task.path, canonical.warnings)):
+            return Several(task.path, addresses)
+        if task.parts and (path := find_address(task.path, canonical.warnings)) != task.path:
+            row |= {"path": path, "content_hash": _hash_content(state, path, task.options)}
         if up or unit:
             kept = tuple(note for note in canonical.warnings if note.code not in OVERRULED)
             canonical = replace(canonical, warnings=(*notes, *kept))
@@ -180,13 +199,15 @@ def read_clip(task: ReadTask) -> ClipRecord | FileRecord | Skipped:
         return Skipped(task.path, Message("motion_files.too_large"))
 
 
-def _hash_content(state: SourceState, options: ReadOptions) -> str:
+def _hash_content(state: SourceState, path: str, options: ReadOptions) -> str:
     digest = hashlib.sha256()
     for file in state.files:
         with open(file, "rb") as stream:
             digest.update(stream.read())
-    # The same bytes read with other options make another clip.
+    # The same bytes read with other options make another clip, and so does another part of them.
     digest.update(options.describe().encode())
+    if parts := split_address(path)[1]:
+        digest.update(join_address("", parts).encode())
     return digest.hexdigest()
 
 
@@ -239,7 +260,7 @@ def _round(motion: CanonicalMotion) -> StoredMotion:
 
 def read_clips(
     tasks: Sequence[ReadTask], n_jobs: int | None = None
-) -> Generator[ClipRecord | FileRecord | Skipped, None, None]:
+) -> Generator[ClipRecord | FileRecord | Several | Skipped, None, None]:
     """Read many files at the same time (``n_jobs`` as in ``Library.add``), in the order of the tasks."""
     check_jobs(n_jobs)
     cluster = current_cluster()
@@ -254,9 +275,10 @@ def read_clips(
 
 def _read_elsewhere(
     cluster: Cluster, tasks: Sequence[ReadTask]
-) -> Generator[ClipRecord | FileRecord | Skipped, None, None]:
-    cluster.check_paths([task.path for task in tasks])
-    sizes = [os.path.getsize(task.path) if os.path.isfile(task.path) else 0 for task in tasks]
+) -> Generator[ClipRecord | FileRecord | Several | Skipped, None, None]:
+    files = [file_of(task.path) for task in tasks]
+    cluster.check_paths(files)
+    sizes = [os.path.getsize(file) if os.path.isfile(file) else 0 for file in files]
     for task, answer in zip(tasks, cluster.map(read_clip, tasks, sizes=sizes), strict=True):
         # Retry here a file that a worker cannot use: the worker may not see it.
         yield read_clip(task) if isinstance(answer, Skipped) else answer

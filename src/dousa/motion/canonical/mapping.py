@@ -17,7 +17,7 @@ import numpy as np
 from dousa.motion.canonical.anthropometry import measure_proportions, walks_on_fours
 from dousa.motion.canonical.geometry import body_points
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
-from dousa.motion.canonical.naming import list_bodies, named_by_estimators, owner_of
+from dousa.motion.canonical.naming import group_owners, named_by_estimators
 from dousa.motion.canonical.recipes import Recipe, named_recipes, on_the_skin, partial_recipes
 from dousa.motion.canonical.tree_shape import shape_recipe, spread_frames
 from dousa.motion.types import Trajectories
@@ -49,12 +49,12 @@ def choose_map(sample: Trajectories, unseen: tuple[int, ...] = ()) -> ChosenMap 
     ``unseen`` : indices of points that are never seen: they do not count.
     """
     names = names_of_seen(sample.names, unseen)
-    bodies = list_bodies(sample.names) if sample.parents is None else ()
+    bodies = group_owners(sample.names) if sample.parents is None else {}
     if bodies:  # the others keep their places but lose their names
-        others = tuple(index for index, name in enumerate(names) if owner_of(name) in bodies[1:])
-        names = names_of_seen(names, others)
+        first = next(iter(bodies.values()))
+        names = names_of_seen(names, tuple(index for own in bodies.values() if own != first for index in own))
     found = _choose(names, sample, unseen)
-    return found if found is None or not bodies else dataclasses.replace(found, bodies=bodies)
+    return found if found is None or not bodies else dataclasses.replace(found, bodies=tuple(bodies))
 
 
 def _choose(names: tuple[str, ...], sample: Trajectories, unseen: tuple[int, ...]) -> ChosenMap | None:

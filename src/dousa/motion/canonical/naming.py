@@ -13,7 +13,7 @@ import re
 import tomllib
 import unicodedata
 from collections import Counter
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -287,29 +287,67 @@ def named_by_estimators(names: tuple[str, ...]) -> bool:
     return any(signs <= cores for signs in _ESTIMATED)
 
 
-_OWNER = re.compile(r"^\s*([^:_]{2,})[:_]\s*(?=\S)")
+_OWNER = re.compile(r"^\s*(?:(.+):|([^:_. -]{2,})[_. -])\s*(?=\S)")
 
 
 @lru_cache(maxsize=256)
-def list_bodies(names: tuple[str, ...], least: int = 8, similar: float = 0.6) -> tuple[str, ...]:
-    """Return the owners of markers of several people: ``Anna:LASI`` and ``Ben:LASI``, or ``S1_LASI`` ...
+def group_owners(names: tuple[str, ...]) -> dict[str, tuple[int, ...]]:
+    """Return the points of each of several people by owner: ``Anna:LASI`` and ``Ben:LASI``, or ``S1_LASI`` ...
 
-    The owners have at least so many markers each, of which the first has a share too; () if there is only one.
+    {} if there is at most one. Without a colon an owner is one only if the points are those of a body: fingers have
+    prefixes too.
     """
-    markers: dict[str, set[str]] = {}
-    for name in names:
-        owner = _OWNER.match(name)
-        if owner is not None and owner[1].lower() not in _SIDES:
-            markers.setdefault(owner[1], set()).add(name[owner.end() :])
-    owners = [owner for owner, own in markers.items() if len(own) >= least]
-    bodies = [o for o in owners if len(markers[o] & markers[owners[0]]) >= similar * len(markers[o])]
-    return tuple(bodies) if len(bodies) > 1 else ()
+    points: dict[str, list[int]] = {}
+    sure = set()
+    for index, name in enumerate(names):
+        found = _OWNER.match(name)
+        owner = (found[1] or found[2]).strip() if found is not None else ""
+        if owner and owner.lower() not in _SIDES:
+            points.setdefault(owner, []).append(index)
+            if found is not None and found[1]:
+                sure.add(owner)
+    if len(points) < 2:
+        return {}
+    bare = [tuple(_OWNER.sub("", names[index]) for index in own) for own in points.values()]
+    alike = are_alike(bare, [owner in sure for owner in points])
+    people = {owner: tuple(own) for (owner, own), like in zip(points.items(), alike, strict=True) if like}
+    return people if len(people) > 1 else {}
 
 
-def owner_of(name: str) -> str:
-    """Return the part of a name before the first colon or underscore."""
-    owner = _OWNER.match(name)
-    return owner[1] if owner is not None else ""
+def are_alike(
+    bodies: Sequence[tuple[str, ...]],
+    by_name: Sequence[bool] | None = None,
+    *,
+    least: int = 8,
+    similar: float = 0.6,
+    limb: int = 3,
+) -> list[bool]:
+    """Return which sets of names are those of one more body: a person has each joint once.
+
+    Parameters
+    ----------
+    bodies : names of each set, without owners.
+    by_name : whether equal names are enough; else, and of different ones, the canonical joints found in them count.
+    least : names of a body.
+    similar : share of the names of one set that another one has.
+    limb : canonical joints that two sets share.
+    """
+    keys = [set(normalise_names(names)) if len(names) >= least else set() for names in bodies]
+    large = [index for index, own in enumerate(keys) if own]
+    result = [False] * len(bodies)
+    if len(large) < 2:
+        return result
+    matches = {index: match_names(bodies[index]) for index in large}
+    joints = {index: set(match.sources) if match is not None else set() for index, match in matches.items()}
+    for one in large:
+        named = by_name is None or by_name[one]
+        result[one] = any(
+            (named and len(keys[one] & keys[other]) >= similar * len(keys[one]))
+            or len(joints[one] & joints[other] & set(CANONICAL_JOINTS)) >= limb
+            for other in large
+            if other != one
+        )
+    return result
 
 
 _JOINTS = {"shoulder", "elbow", "wrist", "hip", "knee"}
