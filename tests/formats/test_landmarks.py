@@ -143,7 +143,7 @@ def test_mmpose_and_people(tmp_path):
         info["instances"] = [other, own] if number < 30 else [own]
     several = read_motion(save(tmp_path / "y.json", content))
     np.testing.assert_array_equal(several.positions, motion.positions)
-    assert "landmarks.several" in codes(several)
+    assert "parts.person" in codes(several)
 
 
 def test_what_lies_in_a_picture_is_sent_to_its_command(tmp_path):

@@ -70,7 +70,7 @@ def test_looking_at_the_table_imports_no_reader():
         "print(sorted(m for m in sys.modules if m.startswith(('dousa.formats.', 'numba', 'ezc3d'))))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == str([f"dousa.formats.{name}" for name in ("motion_files", "registry")])
+    assert done.stdout.strip() == str([f"dousa.formats.{name}" for name in ("motion_files", "parts", "registry")])
 
 
 @pytest.mark.parametrize("suffix", [".trc", ".TRC", ".c3d", ".C3d", ".npz", ".NPZ"])

@@ -183,17 +183,8 @@ def read_canonical(
     options = options or ReadOptions()
     # The rotations of a long recording are not held on to while its joints are mapped.
     motion = compute_trajectories(read_with(path, options))
-    canonical = _canonicalise(path, motion, options, whole)
+    canonical = map_joints(path, motion, options, whole=whole)
     return canonical, motion.provenance.format if motion.provenance else ""
-
-
-def read_both(
-    path: str | os.PathLike[str], options: ReadOptions | None = None, *, whole: bool = True
-) -> tuple[Motion | Trajectories, CanonicalMotion]:
-    """Read a motion file as it is, and on canonical joints; parameters and errors as of ``read_canonical``."""
-    options = options or ReadOptions()
-    motion = read_with(path, options)
-    return motion, _canonicalise(path, motion, options, whole)
 
 
 def read_with(path: str | os.PathLike[str], options: ReadOptions) -> Motion | Trajectories:
@@ -208,9 +199,10 @@ def read_with(path: str | os.PathLike[str], options: ReadOptions) -> Motion | Tr
     )  # fmt: skip
 
 
-def _canonicalise(
-    path: str | os.PathLike[str], motion: Motion | Trajectories, options: ReadOptions, whole: bool
+def map_joints(
+    path: str | os.PathLike[str], motion: Motion | Trajectories, options: ReadOptions, *, whole: bool = True
 ) -> CanonicalMotion:
+    """Map what was read of a file to canonical joints; parameters and errors as of ``read_canonical``."""
     from dousa.motion import canonicalise
 
     try:

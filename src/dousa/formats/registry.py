@@ -295,8 +295,8 @@ def read_motion(
     (86, 30.0)
     """
     path, part = split_address(path)
-    given = {"skeleton": skeleton, "frame_rate": frame_rate, "person": person, "animation": animation, **part}
-    given = {name: value for name, value in given.items() if value is not None}
+    named: dict[str, Any] = {"skeleton": skeleton, "frame_rate": frame_rate, "person": person, "animation": animation}
+    given = {name: value for name, value in (named | part).items() if value is not None}
     if frame_rate is not None and not 0 < frame_rate <= 1e6:
         raise OptionError("resampling.rate", rate=frame_rate)
     if _suffix(path) in PACKED and not os.path.isdir(path):
@@ -317,20 +317,25 @@ def read_motion(
         "up": None if up is None else parse_up(up),
         **{name: value for name, value in given.items() if name in line.options},
     }
-    motion = _run(path, line, options)
+    motion = _run(path, line, options, frame_rate)
     if "person" not in line.options:
         motion = _take_person(motion, path, given.get("person"))
-    return motion if frame_rate is None else _with_rate(motion, frame_rate)
+    if frame_rate is not None and motion.frame_rate != frame_rate:  # read by no clock
+        return dataclasses.replace(motion, frame_rate=frame_rate)
+    return motion
 
 
-def _run(path: str, line: Format, options: Mapping[str, Any]) -> Motion | Trajectories:
+def _run(path: str, line: Format, options: Mapping[str, Any], frame_rate: float | None) -> Motion | Trajectories:
     """Call a reader; every error of a damaged file names it."""
     assert line.reader is not None
     import numpy as np
 
+    from dousa.formats.guard.clock import given_rate
+
     reader = _function(path, line, line.reader)
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300
+        # A damaged file may hold 1e300.
+        with given_rate(frame_rate), np.errstate(over="ignore", invalid="ignore"):
             motion: Motion | Trajectories = reader(path, **options)
     except DousaError as error:
         if isinstance(error, MotionFileError | OptionError):
@@ -353,17 +358,6 @@ def _take_person(motion: Motion | Trajectories, path: str, wanted: str | None) -
     from dousa.formats.guard.people import take_person
 
     return take_person(motion, path, wanted)
-
-
-def _with_rate(motion: Motion | Trajectories, rate: float) -> Motion | Trajectories:
-    """The same frames at another rate, with a note where the file says something else."""
-    if motion.frame_rate == rate:
-        return motion
-    origin = motion.provenance
-    if origin is not None:
-        note = Message("formats.other_rate", declared=motion.frame_rate, given=rate)
-        origin = dataclasses.replace(origin, notes=(*origin.notes, note))
-    return dataclasses.replace(motion, frame_rate=rate, provenance=origin)
 
 
 def _read_packed(path: str | os.PathLike[str], **options: Any) -> Motion | Trajectories:

@@ -19,8 +19,8 @@ import sqlalchemy as sa
 
 from dousa.errors import DousaError
 from dousa.formats.annotations.label_file import to_annotation
-from dousa.formats.parts import KINDS, are_all, file_of, join_address
 from dousa.formats.motion_files import FoundFile, FrameVotes, ReadOptions, Skipped, find_motion_files, is_unicode
+from dousa.formats.parts import KINDS, are_all, file_of, join_address
 from dousa.formats.registry import find_reader
 from dousa.library.annotations.matching import FoundLabels, TakeLength, check_fit, choose_labels, find_labels
 from dousa.library.annotations.store import annotate_takes, read_annotations, rename_segments
@@ -320,7 +320,7 @@ class Adding:
         voted = votes.elect(record.claim)
         if voted[:2] == (None, None):
             return record
-        return read_clip(replace(self._task(record.path, record.row["kind"]), voted=voted))
+        return _whole(read_clip(replace(self._task(record.path, record.row["kind"]), voted=voted)))
 
     def run_one(self, record: ClipRecord, n_jobs: int | None) -> AddReport:
         """Add a motion in memory, or replace one of its name; its labels are given."""
@@ -485,7 +485,7 @@ class Adding:
         record: Answer = known
         if not isinstance(known, ClipRecord):
             # The clip of this content was just removed: read the file after all.
-            record = read_clip(self._task(known.path, row.kind if row is not None else None))
+            record = _whole(read_clip(self._task(known.path, row.kind if row is not None else None)))
         if isinstance(record, ClipRecord):
             labels = self._choose_labels(record.path, row)
             kind = record.row["kind"] if row is None else row.kind
@@ -506,6 +506,11 @@ class Adding:
         stored = {name: getattr(row, name) for name in labels}
         first, second = (stored, labels) if self._labels_stay else (labels, stored)
         return {name: second[name] if value is None else value for name, value in first.items()}
+
+
+def _whole(answer: Answer | Several) -> Answer:
+    assert not isinstance(answer, Several), "parts are listed before"
+    return answer
 
 
 def _move(connection: sa.Connection, record: FileRecord, row: Any) -> None:

@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from dousa.errors import DousaError, MotionWriteError, OptionError
 from dousa.files.disk import NO_ROOM, atomic_write, read_bytes, write_error
-from dousa.formats.parts import file_of, split_address
 from dousa.formats.motion_files import ReadOptions, Skipped, describe_problem, read_with
+from dousa.formats.parts import file_of, split_address
 from dousa.formats.registry import WRITERS
 from dousa.library.results import Answer
 

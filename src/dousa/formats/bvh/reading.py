@@ -12,7 +12,7 @@ import functools
 import math
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from decimal import Decimal
 from typing import Any
@@ -76,11 +76,10 @@ class BvhLayout:
         """Values per frame."""
         return sum(map(len, self.channels))
 
-    def take(self, joints: Iterable[int]) -> BvhLayout:
+    def take(self, joints: list[int]) -> BvhLayout:
         """Return the layout of a file of these joints alone."""
-        kept = list(joints)
-        channels, offsets = (tuple(rows[joint] for joint in kept) for rows in (self.channels, self.offsets))
-        return BvhLayout(channels, offsets, self.frame_time, self.encoding)
+        channels = tuple(self.channels[joint] for joint in joints)
+        return BvhLayout(channels, tuple(self.offsets[joint] for joint in joints), self.frame_time, self.encoding)
 
     @property
     def frame_rate(self) -> float:

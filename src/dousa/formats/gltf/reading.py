@@ -156,9 +156,9 @@ class GltfLayout:
         skins = [skin for skin in self.document.items("skins") if node in skin.get("joints", [])]
         return next((str(item["name"]) for item in (*above, *skins) if item.get("name")), None)
 
-    def take(self, joints: IndexArray) -> GltfLayout:
+    def take(self, joints: list[int]) -> GltfLayout:
         """Return the layout with these joints alone; the rest of the file stays."""
-        return GltfLayout(self.document, self.tree.take(joints.tolist()))
+        return GltfLayout(self.document, self.tree.take(joints))
 
 
 @dataclass(frozen=True, slots=True)

@@ -114,6 +114,8 @@ def settle_clock(
     if clock.frames is not None and np.isfinite(clock.frames) and clock.frames > 0 and clock.frames != n_frames:
         notes.append(Message("guard.frame_count", declared=int(clock.frames), found=n_rows))
     if given is not None:
+        if clock.rate is not None and clock.rate != given:
+            notes.append(Message("guard.given_rate", declared=clock.rate, given=given))
         return Timeline(given, rows, tuple(notes))
     rate, more = _choose_rate(path, clock.rate, times, steps)
     return Timeline(rate, rows, (*notes, *more))

@@ -12,7 +12,7 @@ import numpy as np
 from dousa.arrays import BoolArray, IndexArray
 from dousa.formats.parts import choose, distinguish
 from dousa.messages import Message
-from dousa.motion import Motion, Skeleton, Trajectories
+from dousa.motion import Motion, Provenance, Skeleton, Trajectories
 from dousa.motion.canonical.naming import are_alike, group_owners
 
 
@@ -27,32 +27,31 @@ def take_person(
     path : for the messages.
     wanted : as of `choose`.
     """
-    groups = list_people(motion)
-    if len(groups) < 2:
+    people = list_people(motion)
+    if len(people) < 2:
         if wanted is not None:
-            choose(path, "person", tuple(groups), wanted)
+            choose(path, "person", tuple(people) or ("1",), wanted)
         return motion
-    lengths = [_count_seen(motion, indices) for indices in groups.values()]
-    chosen, notes = choose(path, "person", tuple(groups), wanted, lengths)
-    return _take(motion, list(groups.values())[chosen], notes)
+    lengths = {name: _count_seen(motion, indices) for name, indices in people.items()}
+    still = tuple(name for name, frames in lengths.items() if not frames)
+    names = [name for name, frames in lengths.items() if frames] or list(people)
+    chosen, notes = choose(path, "person", names, wanted, [lengths[name] for name in names])
+    if 0 < len(still) < len(people):
+        notes += (Message("parts.still", read=names[chosen], others=still),)
+    return _take(motion, path, people[names[chosen]], notes)
 
 
 def list_people(motion: Motion | Trajectories) -> dict[str, IndexArray]:
-    """Return the joints or points of each person by name; of one person all."""
+    """Return the joints or points of each of several people by name; {} if there is at most one."""
     names, parents = (
         (motion.skeleton.names, motion.skeleton.parents)
         if isinstance(motion, Motion)
         else (motion.names, motion.parents)
     )
-    everything = np.arange(len(names))
     trees = split_trees(names, parents) if parents is not None else {}
     if len(trees) > 1 and isinstance(motion, Motion):
         trees = _name_trees(motion, trees)
-    groups = trees or {owner: np.array(points) for owner, points in group_owners(tuple(names)).items()}
-    if len(groups) > 1:
-        moving = {name: indices for name, indices in groups.items() if _count_seen(motion, indices)}
-        groups = moving or groups
-    return groups if len(groups) > 1 else {next(iter(groups), "1"): everything}
+    return trees or {owner: np.array(points) for owner, points in group_owners(tuple(names)).items()}
 
 
 def split_trees(names: Sequence[str], parents: Any) -> dict[str, IndexArray]:
@@ -66,10 +65,10 @@ def split_trees(names: Sequence[str], parents: Any) -> dict[str, IndexArray]:
         return {}
     for joint, parent in enumerate(parents):
         roots[joint] = joint if parent < 0 else roots[parent]
-    trees = [np.flatnonzero(roots == root) for root in np.flatnonzero(np.array(parents) < 0)]
-    alike = are_alike([tuple(names[joint] for joint in tree) for tree in trees])
+    trees: list[IndexArray] = [np.flatnonzero(roots == root) for root in np.flatnonzero(np.array(parents) < 0)]
+    alike = are_alike([tuple(names[joint] for joint in tree.tolist()) for tree in trees])
     people = [tree for tree, like in zip(trees, alike, strict=True) if like]
-    titles = distinguish(_title([names[joint] for joint in tree]) for tree in people)
+    titles = distinguish(_title([names[joint] for joint in tree.tolist()]) for tree in people)
     return dict(zip(titles, people, strict=True)) if len(people) > 1 else {}
 
 
@@ -82,7 +81,7 @@ def _title(names: Sequence[str]) -> str:
 def _name_trees(motion: Motion, trees: dict[str, IndexArray]) -> dict[str, IndexArray]:
     """The trees under the names that the file gives to whole skeletons, if its layout knows any."""
     layout = motion.provenance.layout if motion.provenance is not None else None
-    if not hasattr(layout, "name_tree"):
+    if layout is None or not hasattr(layout, "name_tree"):
         return trees
     titles = [layout.name_tree(int(tree[0])) or name for name, tree in trees.items()]
     return dict(zip(distinguish(titles), trees.values(), strict=True))
@@ -98,11 +97,15 @@ def _count_seen(motion: Motion | Trajectories, indices: IndexArray) -> int:
     return 0 if still else int(np.isfinite(turns[..., 0]).any(axis=1).sum())
 
 
-def _take(motion: Motion | Trajectories, indices: IndexArray, notes: tuple[Message, ...]) -> Motion | Trajectories:
+def _take(
+    motion: Motion | Trajectories, path: str | os.PathLike[str], indices: IndexArray, notes: tuple[Message, ...]
+) -> Motion | Trajectories:
     """The motion of some joints, whole trees of them, without the file's own numbers."""
     origin = motion.provenance
-    if origin is not None:
-        layout = origin.layout.take(indices) if hasattr(origin.layout, "take") else None
+    if origin is None:
+        origin = Provenance(os.fspath(path), "", notes=notes)
+    else:
+        layout = origin.layout.take(indices.tolist()) if hasattr(origin.layout, "take") else None
         origin = dataclasses.replace(origin.derive(), layout=layout, notes=(*notes, *origin.notes))
     place = {int(joint): number for number, joint in enumerate(indices)}
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dousa.arrays import FloatArray, IndexArray
-from dousa.errors import MotionFileError, OptionError
+from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.formats.arrays.joints import list_layouts, name_joints
 from dousa.formats.assembly import declared_unit
@@ -72,8 +72,6 @@ def read_table(
     text = decode(read_bytes(path))
     for sign, read in ((r'\A\s*"?Format Version', read_motive), (r"^\s*NO_OF_FRAMES", read_qualisys)):
         if re.search(sign, text[:4096], re.MULTILINE | re.IGNORECASE):
-            if frame_rate is not None:
-                raise OptionError("formats.frame_rate", path=path)
             return read(path, unit=unit, up=up)
     lines = text.split("\n")
     start = _find_section(lines)

@@ -20,8 +20,8 @@ from urllib.parse import quote
 import sqlalchemy as sa
 
 from dousa.errors import LibraryError
-from dousa.formats.parts import file_of
 from dousa.formats.motion_files import ReadOptions, Skipped
+from dousa.formats.parts import file_of
 from dousa.library.care.damage import (
     REMOVED_POSITIONS,
     WINDOW_FILE,

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from dousa.errors import DousaError, InvalidMotionError, MotionFileError
-from dousa.formats.parts import file_of, find_address, join_address, list_untaken, split_address
 from dousa.formats.motion_files import (
     OVERRULED,
     FrameClaim,
@@ -23,9 +22,11 @@ from dousa.formats.motion_files import (
     describe_frame,
     describe_problem,
     is_unicode,
-    read_both,
+    map_joints,
     read_canonical,
+    read_with,
 )
+from dousa.formats.parts import file_of, find_address, join_address, list_untaken, split_address
 from dousa.library.store.engine import check_jobs, choose_jobs
 from dousa.library.store.features import Description, StoredMotion, describe_clip, is_measurable, lacks, round_positions
 from dousa.library.store.schema import CLIP, as_message, pack
@@ -167,36 +168,42 @@ def read_clip(task: ReadTask) -> ClipRecord | FileRecord | Several | Skipped:
         printable = task.path.encode(errors="backslashreplace").decode()
         return Skipped(printable, Message("motion_files.not_unicode"))
     try:
-        state = look_at(task.path, task.options)
-        row = {
-            "path": task.path,
-            "content_hash": _hash_content(state, task.path, task.options),
-            "fingerprint": state.fingerprint,
-            "size": state.size,
-            "read_options": task.options.describe(),
-            "kind": task.kind,
-        }
-        if row["content_hash"] in task.known:
-            return FileRecord(row)
-        up, unit, notes = task.voted
-        options = replace(task.options, up=up or task.options.up, unit=unit or task.options.unit)
-        motion, canonical = read_both(task.path, options, whole=False)
-        if task.parts and (addresses := list_untaken(task.path, canonical.warnings)):
-            return Several(task.path, addresses)
-        if task.parts and (path := find_address(task.path, canonical.warnings)) != task.path:
-            row |= {"path": path, "content_hash": _hash_content(state, path, task.options)}
-        if up or unit:
-            kept = tuple(note for note in canonical.warnings if note.code not in OVERRULED)
-            canonical = replace(canonical, warnings=(*notes, *kept))
-        form = motion.provenance.format if motion.provenance else ""
-        record = _derive(canonical, {**row, "format": form}, task.feature_set)
-        return replace(record, claim=describe_frame(motion, canonical))
+        return _read_clip(task)
     except DousaError as error:
         return Skipped(task.path, describe_problem(task.path, error))
     except OSError as error:
         return Skipped(task.path, Message("motion_files.unreadable", reason=error))
     except MemoryError:
         return Skipped(task.path, Message("motion_files.too_large"))
+
+
+def _read_clip(task: ReadTask) -> ClipRecord | FileRecord | Several:
+    state = look_at(task.path, task.options)
+    row = {
+        "path": task.path,
+        "content_hash": _hash_content(state, task.path, task.options),
+        "fingerprint": state.fingerprint,
+        "size": state.size,
+        "read_options": task.options.describe(),
+        "kind": task.kind,
+    }
+    if row["content_hash"] in task.known:
+        return FileRecord(row)
+    up, unit, notes = task.voted
+    options = replace(task.options, up=up or task.options.up, unit=unit or task.options.unit)
+    motion = read_with(task.path, options)
+    said = motion.provenance.notes if motion.provenance else ()
+    if task.parts and (addresses := list_untaken(task.path, said)):
+        return Several(task.path, addresses)
+    if task.parts and (path := find_address(task.path, said)) != task.path:
+        row |= {"path": path, "content_hash": _hash_content(state, path, task.options)}
+    canonical = map_joints(task.path, motion, options, whole=False)
+    if up or unit:
+        kept = tuple(note for note in canonical.warnings if note.code not in OVERRULED)
+        canonical = replace(canonical, warnings=(*notes, *kept))
+    form = motion.provenance.format if motion.provenance else ""
+    record = _derive(canonical, {**row, "format": form}, task.feature_set)
+    return replace(record, claim=describe_frame(motion, canonical))
 
 
 def _hash_content(state: SourceState, path: str, options: ReadOptions) -> str:
