@@ -18,22 +18,22 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_124, 110),
+    "app": (25_148, 110),
     "estimation": (15_434, 63),
     "evaluation": (12_371, 43),
     "experiments": (1_811, 10),
     "files": (852, 7),
-    "formats": (11_115, 64),
-    "library": (15_535, 55),
+    "formats": (11_520, 66),
+    "library": (15_640, 55),
     "messages": (234, 3),
-    "motion": (6_162, 34),
+    "motion": (6_200, 34),
     "retrieval": (13_490, 46),
     "workers": (480, 6),
 }
 TOTALS = {
-    "lines of tests": 59_967,
+    "lines of tests": 60_166,
     "lines of JavaScript": 12_467,
-    "constants": 947,
+    "constants": 952,
     "numeric constants without a source": 0,
     "functions over 60 lines": 20,
     "files over 650 lines": 0,
@@ -41,7 +41,7 @@ TOTALS = {
     "lines with words that a native reader stumbles over": 48,
     "hand-written runs of a mask": 3,
     "commands": 30,
-    "options": 202,
+    "options": 211,
 }
 
 _LONG_FUNCTION, _LONG_FILE, _LARGE_FOLDER = 60, 650, 15

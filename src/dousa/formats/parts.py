@@ -69,7 +69,7 @@ def choose(
     kind : one of ``KINDS``.
     names : of the parts, in the order of the file, none twice (see `distinguish`).
     wanted : a name, or a number from 1; None takes the longest, of equal ones the first.
-    lengths : of the parts: seconds, frames in which somebody is seen; by default equal.
+    lengths : of the parts: seconds, frames in which someone is seen; by default equal.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Several people in what was read of a file: told apart by their trees, or by the owners in their names."""
+"""Several people in what was read of a file: each has a tree, or an owner before the names."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dousa.arrays import BoolArray, IndexArray
 from dousa.formats.parts import choose, distinguish
 from dousa.messages import Message
 from dousa.motion import Motion, Provenance, Skeleton, Trajectories
-from dousa.motion.canonical.naming import are_alike, group_owners
+from dousa.motion.canonical.naming import group_owners, share_joints
 
 
 def take_person(
@@ -66,8 +66,8 @@ def split_trees(names: Sequence[str], parents: Any) -> dict[str, IndexArray]:
     for joint, parent in enumerate(parents):
         roots[joint] = joint if parent < 0 else roots[parent]
     trees: list[IndexArray] = [np.flatnonzero(roots == root) for root in np.flatnonzero(np.array(parents) < 0)]
-    alike = are_alike([tuple(names[joint] for joint in tree.tolist()) for tree in trees])
-    people = [tree for tree, like in zip(trees, alike, strict=True) if like]
+    shared = share_joints([tuple(names[joint] for joint in tree.tolist()) for tree in trees])
+    people = [tree for tree, like in zip(trees, shared, strict=True) if like]
     titles = distinguish(_title([names[joint] for joint in tree.tolist()]) for tree in people)
     return dict(zip(titles, people, strict=True)) if len(people) > 1 else {}
 
@@ -88,7 +88,7 @@ def _name_trees(motion: Motion, trees: dict[str, IndexArray]) -> dict[str, Index
 
 
 def _count_seen(motion: Motion | Trajectories, indices: IndexArray) -> int:
-    """Frames in which somebody is seen; 0 for a skeleton that never moves, such as one that another animation has."""
+    """Frames in which someone is seen; 0 for a skeleton that never moves, such as one that another animation has."""
     if isinstance(motion, Trajectories):
         seen: BoolArray = np.isfinite(motion.positions[:, indices, 0])
         return int(seen.any(axis=1).sum())

@@ -309,12 +309,12 @@ def group_owners(names: tuple[str, ...]) -> dict[str, tuple[int, ...]]:
     if len(points) < 2:
         return {}
     bare = [tuple(_OWNER.sub("", names[index]) for index in own) for own in points.values()]
-    alike = are_alike(bare, [owner in sure for owner in points])
-    people = {owner: tuple(own) for (owner, own), like in zip(points.items(), alike, strict=True) if like}
+    shared = share_joints(bare, [owner in sure for owner in points])
+    people = {owner: tuple(own) for (owner, own), like in zip(points.items(), shared, strict=True) if like}
     return people if len(people) > 1 else {}
 
 
-def are_alike(
+def share_joints(
     bodies: Sequence[tuple[str, ...]],
     by_name: Sequence[bool] | None = None,
     *,
