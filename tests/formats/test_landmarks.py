@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from dousa.errors import DousaError, MotionFileError
 from dousa.formats import find_motion_files, is_frame_folder
 from dousa.formats.registry import find_reader, is_motion_file, read_motion
-from dousa.motion import JOINT_INDEX, Trajectories, canonicalise
+from dousa.motion import JOINT_INDEX, Motion, Trajectories, canonicalise
 from formats import made_points as made
 from formats.made_files import code_of
 
@@ -146,6 +146,99 @@ def test_mmpose_and_people(tmp_path):
     assert "parts.person" in codes(several)
 
 
+def save_numbered(folder, contents, pattern="{:06d}.json", step=1):
+    folder.mkdir(parents=True)
+    for number, content in enumerate(contents):
+        if content is not None:
+            save(folder / pattern.format(step * number), content)
+    return folder
+
+
+def test_easymocap(tmp_path):
+    """A folder of two people, one of whom comes later; a frame without a file is a gap."""
+    points, expected = made.make_points(made.OPENPOSE)
+    scored = np.concatenate((points, np.ones((*points.shape[:2], 1))), axis=2).tolist()
+    frames = [[{"id": 3, "keypoints3d": frame}] for frame in scored]
+    for frame in frames[20:]:
+        frame.insert(0, {"id": 0, "keypoints3d": scored[0]})
+    frames[10] = None
+    folder = save_numbered(tmp_path / "a" / "keypoints3d", frames)
+    assert [file.path for file in find_motion_files([tmp_path])[0]] == [folder]
+    motion = read_motion(folder)
+    assert motion.n_frames == 40
+    assert np.isnan(motion.positions[10]).all()
+    kept = np.arange(40) != 10
+    assert_places(motion.replace(positions=motion.positions[kept]), {k: v[kept] for k, v in expected.items()})
+
+
+def test_panoptic(tmp_path):
+    """Centimetres, Y down, every second frame of the scene; -1 is the score of what was not seen."""
+    points, expected = made.make_points("Panoptic (19)")
+    scored = np.concatenate((100 * points * (1, -1, -1), np.ones((*points.shape[:2], 1))), axis=2)
+    scored[4, 1, 3] = -1
+    scenes = [
+        {"version": 0.7, "univTime": 100 + 33.3667 * n, "bodies": [{"id": 5, "joints19": frame.ravel().tolist()}]}
+        for n, frame in enumerate(scored)
+    ]
+    folder = save_numbered(tmp_path / "hdPose3d_stage1_coco19", scenes, "body3DScene_{:08d}.json", 2)
+    motion = read_motion(folder)
+    assert (motion.n_frames, motion.provenance.up, motion.provenance.unit) == (40, "-y", 0.01)
+    assert np.isnan(motion.positions[4, 1]).all()
+    assert_places(motion, expected)
+
+
+def test_azure_kinect(tmp_path):
+    points, expected = made.make_points("Azure Kinect")
+    names = next(y.names for y in made.list_layouts() if y.title == "Azure Kinect")
+    rows = (1000 * points * (1, -1, -1)).tolist()
+    frames = [
+        {"bodies": [{"body_id": 2, "joint_positions": frame}], "frame_id": n, "timestamp_usec": 40_000 * n}
+        for n, frame in enumerate(rows)
+    ]
+    motion = read_motion(save(tmp_path / "x.json", {"frames": frames, "joint_names": names}))
+    assert (motion.names, motion.frame_rate) == (names, 25.0)
+    assert is_motion_file(tmp_path / "x.json")
+    assert not is_frame_folder(tmp_path)
+    assert_places(motion, expected)
+    del frames[7:9]
+    gap = read_motion(save(tmp_path / "y.json", {"frames": frames, "joint_names": names}))
+    assert (gap.n_frames, gap.frame_rate) == (40, 25.0)
+    assert np.isnan(gap.positions[7:9]).all()
+
+
+def test_smpl_poses_of_easymocap(tmp_path):
+    rng = np.random.default_rng(0)
+    poses = np.concatenate((np.zeros((5, 3)), 0.1 * rng.normal(size=(5, 69))), axis=1)
+    frames = [
+        [{"id": 0, "Rh": [[0.1 * n, 0, 0]], "Th": [[n, 0, 1]], "poses": [row]}] for n, row in enumerate(poses.tolist())
+    ]
+    frames[2] = None
+    folder = save_numbered(tmp_path / "smpl", frames)
+    motion = read_motion(folder, up="y")
+    assert isinstance(motion, Motion)
+    assert (motion.n_frames, find_reader(folder).name) == (5, "landmarks")
+    assert np.isnan(motion.translations[2, 0]).all()
+    np.testing.assert_allclose(motion.rotations[3, 0], [np.cos(0.15), np.sin(0.15), 0, 0], atol=1e-9)
+    one = read_motion(folder / "000003.json", up="y")
+    np.testing.assert_allclose(one.rotations[0], motion.rotations[3])
+    arrays = {"poses": poses.tolist(), "trans": np.zeros((5, 3)).tolist()}
+    assert isinstance(read_motion(save(tmp_path / "x.json", arrays)), Motion)
+
+
+@pytest.mark.parametrize(
+    ("name", "n_frames"),
+    [
+        ("easymocap_keypoints3d/keypoints3d", 30),
+        ("easymocap_smpl/smpl", 3),
+        ("kinect_and_freemocap_tables/azure_offline_processor.json", 20),
+    ],
+)
+def test_reported(shared_data, name, n_frames):
+    motion = read_motion(shared_data(f"reported/{name}"))
+    assert motion.n_frames == n_frames
+    assert not canonicalise(motion).absent
+
+
 def test_what_lies_in_a_picture_is_sent_to_its_command(tmp_path):
     rng = np.random.default_rng(0)
     flat = [*rng.uniform(0, 900, 50), *rng.uniform(0, 1, 25)]
@@ -200,7 +293,8 @@ def test_damage(tmp_path):
 numbers = st.none() | st.integers(-3, 3) | st.floats(allow_nan=True) | st.just(10**400) | st.text(max_size=2)
 keys = st.sampled_from(
     ["x", "y", "z", "keypoints", "pose_keypoints_3d", "people", "instances", "instance_info", "frames", "image_id",
-     "track_id", "visibility", "keypoint_scores", "pose_world_landmarks", "fps", "names", "nose", "meta_info"]
+     "track_id", "visibility", "keypoint_scores", "pose_world_landmarks", "fps", "names", "nose", "meta_info",
+     "poses", "Rh", "id"]
 )  # fmt: skip
 points_of_one = st.lists(st.lists(numbers, min_size=2, max_size=4), min_size=17, max_size=17)
 contents = st.recursive(
@@ -213,6 +307,6 @@ contents = st.recursive(
 def test_any_json_is_read_or_refused(tmp_path_factory, content):
     path = tmp_path_factory.mktemp("any") / "x.json"
     try:
-        assert isinstance(read_motion(save(path, content)), Trajectories)
+        assert isinstance(read_motion(save(path, content)), Motion | Trajectories)
     except MotionFileError as error:
         assert error.code != "formats.damaged" or str(error)

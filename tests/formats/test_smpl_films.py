@@ -85,6 +85,13 @@ def test_easymocap_turns_the_pelvis_about_the_origin(tmp_path):
     np.testing.assert_allclose(compute_trajectories(motion).positions[:, 0], expected, atol=1e-9)
 
 
+def test_people(tmp_path):
+    path = save(tmp_path / "x.pkl", made.make_joblib(FILMS["VIBE"]))
+    assert "parts.person" in {note.code for note in read_motion(path, up="y").provenance.notes}
+    assert read_motion(path, up="y", person="id 2").n_frames == len(OTHER)
+    assert code_of(path, person="Ann") == "parts.no_person"
+
+
 def test_frames_without_the_person(tmp_path):
     content = {1: {"pose": VECTORS, "trans": PLACES, "frame_ids": np.array([0, 1, 2, 5, 6, 7])}}
     motion = read_motion(save(tmp_path / "x.pkl", pickle.dumps(content)), up="y")
@@ -135,9 +142,12 @@ def test_samples_of_mdm(tmp_path):
     motion = np.moveaxis(np.stack((joints, joints[::-1])), 1, 3)
     content = {"motion": motion, "text": ["a walk", "back"], "lengths": np.array([30, 40]), "num_samples": 2}
     path = save(tmp_path / "results.npy", made.make_npy(np.array(content, object)))
-    read = read_motion(path, unit="m", up="y")
+    read = read_motion(path, unit="m", up="y", animation=1)
     assert (read.n_frames, read.frame_rate, is_motion_file(path)) == (30, 20.0, True)
     np.testing.assert_allclose(read.positions, joints[:30])
+    longest = read_motion(path, unit="m", up="y")
+    np.testing.assert_allclose(longest.positions, joints[::-1])
+    np.testing.assert_allclose(read_motion(f"{path}#animation=back", unit="m", up="y").positions, joints[::-1])
     assert [str(note.values["text"]) for note in read.provenance.notes if note.code == "arrays.text"] == ["a walk"]
 
 

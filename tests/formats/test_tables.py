@@ -113,9 +113,26 @@ def test_damage(tmp_path):
 def test_people_by_a_column(tmp_path):
     lines = table(SMPL).strip().split("\n")
     rows = [line for n, line in enumerate(lines[1:]) for line in (f"7,{line}", *([f"9,{line}"] if n < 20 else []))]
-    motion = read_motion(save(tmp_path / "x.csv", join([["body_id," + lines[0]], *([row] for row in rows)]).encode()))
+    path = save(tmp_path / "x.csv", join([["body_id," + lines[0]], *([row] for row in rows)]).encode())
+    motion = read_motion(path)
     assert motion.n_frames == len(lines) - 1
-    assert "tables.several" in {note.code for note in motion.provenance.notes}
+    assert "parts.person" in {note.code for note in motion.provenance.notes}
+    assert read_motion(path, person="9").n_frames == 20
+    assert code_of(path, person="Ann") == "parts.no_person"
+
+
+def test_people_by_the_beginnings_of_names(tmp_path):
+    text = table(SMPL)
+    titles, *rows = text.strip().split("\n")
+    own = titles.split(",")
+    both = [own[0], *(f"{who}:{cell}" for who in ("Ann", "Ben") for cell in own[1:])]
+    lines = [row.split(",") for row in rows]
+    path = save(tmp_path / "x.csv", join([both, *([*cells, *cells[1:]] for cells in lines)]).encode())
+    motion = read_motion(path)
+    assert len(motion.names) == 22
+    assert "parts.person" in {note.code for note in motion.provenance.notes}
+    ben = read_motion(path, person="Ben")
+    np.testing.assert_array_equal(ben.positions, motion.positions)
 
 
 def test_angles_of_bvh_toolbox(tmp_path):

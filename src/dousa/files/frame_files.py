@@ -37,8 +37,9 @@ def number_frames(names: list[str], most_gaps: float = 3.0) -> dict[int, str]:
     return dict(zip(frames, names, strict=True))
 
 
-_POINTS = re.compile(rb'"pose_keypoints_3d"\s*:\s*\[\s*-?\d')
-_PEOPLE = re.compile(rb'"people"\s*:\s*\[')
+_POINTS = re.compile(rb'"(?:pose_keypoints_3d|keypoints3d|joints19|Rh)"\s*:\s*\[[\s\[]*-?\d')
+# A frame of OpenPose; one of Panoptic's scenes or EasyMocap's, a list of people.
+_PEOPLE = re.compile(rb'"(?:people|bodies|annots)"\s*:\s*\[|\A\s*\[\s*(?:\{\s*"id"\s*:|\])')
 
 
 def list_frame_files(folder: str | os.PathLike[str]) -> list[str]:
@@ -69,4 +70,4 @@ def is_frame_folder(folder: str | os.PathLike[str], names: Sequence[str] | None 
 def _has_points(path: str) -> bool:
     with open(path, "rb") as file:
         head = file.read(65_536)
-    return _PEOPLE.search(head) is not None and _POINTS.search(head) is not None
+    return _PEOPLE.search(head) is not None and _POINTS.search(head) is not None and b'"frames"' not in head

@@ -4,7 +4,9 @@ The forms are converted to one: people by frame, points by person. Supported for
 (``people``, ``pose_keypoints_3d``: flat x, y, z, confidence), MMPose (``instance_info``, ``instances``, ``keypoints``,
 ``keypoint_scores``; names in ``meta_info``), world landmarks of MediaPipe (lists of ``x, y, z, visibility``;
 ``pose_world_landmarks``), TensorFlow.js (``keypoints3D``, with ``name`` of each), points by name, and bare lists
-(frames, joints, 3) or (frames, 3 joints).
+(frames, joints, 3) or (frames, 3 joints); EasyMocap (``id``, ``keypoints3d``), Panoptic Studio (``bodies``,
+``joints19``), the offline processor of Azure Kinect (``joint_positions``). SMPL poses of EasyMocap (``Rh``, ``Th``,
+``poses``) are a motion.
 
 Points in a picture (2D keypoints, MediaPipe's picture landmarks) are refused; the message names the command for them. A
 point with confidence 0, or with all numbers 0, was not seen. World landmarks of MediaPipe (BlazePose GHUM) are metres
@@ -26,26 +28,35 @@ from dousa.arrays import FloatArray
 from dousa.errors import DousaError, MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.files.frame_files import list_frame_files, natural_key, number_frames
+from dousa.formats.arrays.bodies import gather_people, list_bodies
 from dousa.formats.arrays.joints import BODY_OF, list_layouts, name_joints
+from dousa.formats.arrays.pickles import build_content
+from dousa.formats.guard import Clock
 from dousa.formats.parts import choose
 from dousa.messages import Message
-from dousa.motion import Trajectories
+from dousa.motion import Motion, Trajectories
 from dousa.motion.canonical.naming import match_names
 
 WORLD_KEYS = (
     "pose_keypoints_3d", "keypoints_3d", "keypoints3d", "keypoints3D", "pose_world_landmarks", "poseWorldLandmarks",
     "world_landmarks", "worldLandmarks", "landmarks_3d", "landmarks3d", "joints_3d", "joints3d", "joints3D",
-    "positions_3d", "pred_xyz_jts",
+    "positions_3d", "pred_xyz_jts", "joints19", "joint_positions",
 )  # fmt: skip
 _PLAIN_KEYS = ("keypoints", "joints", "landmarks", "positions", "points", "landmark", "pose", "skeleton")
 PICTURE_KEYS = ("pose_landmarks", "poseLandmarks")
 FLAT_KEY = "pose_keypoints_2d"
 _POINT_KEYS = (*WORLD_KEYS, *_PLAIN_KEYS, *PICTURE_KEYS)
-_PEOPLE_KEYS = ("people", "instances", "predictions", "persons", "bodies", "poses")
+_PEOPLE_KEYS = ("people", "instances", "predictions", "persons", "bodies", "annots", "poses")
 _FRAME_KEYS = ("instance_info", "frames", "data", "results", *_PEOPLE_KEYS)
 _SCORE_KEYS = ("keypoint_scores", "scores", "confidence", "visibility", "confidences")
 _SURE_KEYS = ("visibility", "score", "confidence", "conf", "c")
-_NUMBER_KEYS = ("person_id", "track_id", "idx")
+_NUMBER_KEYS = ("person_id", "track_id", "body_id", "idx", "id")
+_CLOCK_KEYS = (
+    ("timestamp_usec", "timestamp_us", "timestamp_ms", "timestamp", "timestamps", "univTime"),
+    ("frame_id", "frame_index", "frame_number", "frame", "frameId"),
+)
+# Seconds, by the names of the keys and the definition of Panoptic Studio's univTime.
+_TIME_UNITS = {"_usec": 1e-6, "_us": 1e-6, "_ms": 1e-3, "univTime": 1e-3}
 _RATE_KEYS = ("fps", "frame_rate", "frameRate", "framerate", "FPS")
 _NAME_KEYS = ("joint_names", "keypoint_names", "names", "jointNames", "keypoints_name")
 
@@ -74,11 +85,13 @@ class Person:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """People of every frame, with their common rate in Hz and names of the points."""
+    """People of every frame, with their common rate in Hz, names of the points, and what else is known of time."""
 
     frames: list[list[Person]]
     rate: float | None = None
     names: tuple[str, ...] = ()
+    times: FloatArray | None = None
+    numbers: FloatArray | None = None
 
 
 def list_frames(content: Any, most: int = 2_000_000) -> Recording:
@@ -99,7 +112,17 @@ def list_frames(content: Any, most: int = 2_000_000) -> Recording:
         return Recording(_group_by_image(content, most), rate, names)
     if _is_person(content):  # the points of a single frame
         content = [content]
-    return Recording([list_people(entry) for entry in content], rate, names)
+    times, numbers = (_list_values(content, keys) for keys in _CLOCK_KEYS)
+    return Recording([list_people(entry) for entry in content], rate, names, times, numbers)
+
+
+def _list_values(frames: Sequence[Any], keys: Sequence[str]) -> FloatArray | None:
+    """The number that each frame has under one of the keys; None if one has none."""
+    key = next((key for key in keys if isinstance(frames[0], Mapping) and key in frames[0]), None)
+    values = [frame.get(key) if isinstance(frame, Mapping) else None for frame in frames]
+    if key is None or not all(map(_is_number, values)):
+        return None
+    return np.array(values, np.float64) * next((unit for end, unit in _TIME_UNITS.items() if key.endswith(end)), 1.0)
 
 
 def _find_rate(content: Mapping[str, Any]) -> float | None:
@@ -270,7 +293,7 @@ def _read_landmark(entry: Any) -> tuple[float, float, float, float]:
 
 
 def _read_number(node: Mapping[str, Any]) -> int | None:
-    for key in _NUMBER_KEYS:
+    for key in _NUMBER_KEYS[: -1 if "image_id" in node else None]:  # COCO's id counts annotations
         value = node.get(key)
         if isinstance(value, list) and len(value) == 1:
             value = value[0]
@@ -287,15 +310,17 @@ def read_landmarks(
     *,
     unit: float | str | None = None,
     up: str | None = None,
+    skeleton: str | os.PathLike[str] | None = None,
     frame_rate: float | None = None,
     person: str | None = None,
-) -> Trajectories:
-    """Read 3D points of a person from JSON, NaN where missing.
+) -> Motion | Trajectories:
+    """Read 3D points or SMPL poses of a person from JSON, NaN where missing.
 
     Parameters
     ----------
     path : a file, or a folder of one file for each frame.
     unit, up : by default inferred from the body.
+    skeleton : body model of SMPL poses.
     frame_rate : Hz; by default that of the file, else that of the program that usually writes these points.
     person : name or number; by default the one in most frames.
 
@@ -303,8 +328,17 @@ def read_landmarks(
     ------
     MotionFileError : missing, damaged, of another form, 2D points, no person in any frame, or not this one.
     """
+    files = _read_folder(path) if os.path.isdir(path) else {}
+    content = None if files else _parse(path)
+    numbered = number_frames([*files])
+    frames = [files.get(numbered.get(frame, "")) for frame in range(max(numbered) + 1)] if files else [content]
+    poses: Any = gather_people(frames) or content
+    if list_bodies(poses):
+        return build_content(
+            path, poses, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate, person=person, animation=None
+        )
     try:
-        recording = _read_folder(path) if os.path.isdir(path) else list_frames(_parse(path))
+        recording = Recording(_list_folder(path, files, numbered)) if files else list_frames(content)
         people, notes = _choose_person(path, recording, person)
     except FormError as error:
         raise MotionFileError(path, error.message) from error
@@ -314,9 +348,10 @@ def read_landmarks(
     places[~(points[..., 3] > 0) | (places == 0).all(axis=2)] = np.nan
     if not np.isfinite(places).any():
         raise MotionFileError(path, "landmarks.nobody")
+    clock = Clock(recording.rate, recording.times, recording.numbers)
     return name_joints(
         path, "landmarks", places, _name_points(recording, people, points.shape[1]), unit=unit, up=up,
-        frame_rate=frame_rate or recording.rate, notes=(*notes, *_note_hips(places)),
+        frame_rate=frame_rate, clock=clock, notes=(*notes, *_note_hips(places)),
     )  # fmt: skip
 
 
@@ -336,24 +371,34 @@ def _parse(path: str | os.PathLike[str]) -> Any:
         raise MotionFileError(path, "landmarks.broken", reason=str(error)[:200]) from error
 
 
-def _read_folder(folder: str | os.PathLike[str]) -> Recording:
+def _read_folder(folder: str | os.PathLike[str]) -> dict[str, Any]:
+    """The content of each frame that has a file, by its name."""
     try:
         names = list_frame_files(folder)
     except OSError as error:
         raise MotionFileError(folder, "disk.unreadable", reason=error) from error
     if not names:
         raise MotionFileError(folder, "disk.folder")
-    numbered = number_frames(names)
-    frames: list[list[Person]] = [[] for _ in range(max(numbered) + 1)]
-    for frame, name in numbered.items():
-        place = os.path.join(folder, name)
+    contents = {}
+    for name in names:
         try:
-            frames[frame] = list_people(_parse(place))
+            contents[name] = _parse(os.path.join(folder, name))
         except MotionFileError as error:
             raise MotionFileError(folder, "landmarks.in_frame", file=name, problem=error.message) from error
+    return contents
+
+
+def _list_folder(
+    folder: str | os.PathLike[str], contents: Mapping[str, Any], numbered: Mapping[int, str]
+) -> list[list[Person]]:
+    """The people of every frame; none in frames without a file."""
+    frames: list[list[Person]] = [[] for _ in range(max(numbered) + 1)]
+    for frame, name in numbered.items():
+        try:
+            frames[frame] = list_people(contents[name])
         except FormError as error:
             raise MotionFileError(folder, "landmarks.in_frame", file=name, problem=error.message) from error
-    return Recording(frames)
+    return frames
 
 
 def _choose_person(

@@ -62,6 +62,8 @@ class Format:
 
 
 _ARRAYS = ("skeleton", "frame_rate")
+_PARTS = (*_ARRAYS, "person", "animation")
+_TABLE = ("frame_rate", "person")
 
 _HEAD = 65_536
 """Bytes of a table that are looked at: a row of titles of 553 points takes 30,000 (measured on FreeMoCap's)."""
@@ -77,25 +79,25 @@ FORMATS: tuple[Format, ...] = (
     Format("amass", (".amass.npz",), "dousa.formats.smpl", "read_smpl_npz", "write_amass", "motion", _ARRAYS),
     Format("npz", (".npz",), "dousa.formats.arrays", "read_any_npz", "write_npz", "both", _ARRAYS),
     Format(
-        "npy", (".npy",), "dousa.formats.arrays", "read_npy", None, "both", _ARRAYS,
+        "npy", (".npy",), "dousa.formats.arrays", "read_npy", None, "both", _PARTS,
         rb"'shape': \(\d+, (?:\d+, \d+|263|251|322)\)|(?s:'\|O'.*(?:motion|orient|rotmat|poses?)\W)",
     ),
     Format(
-        "pkl", (".pkl", ".joblib", ".pt"), "dousa.formats.arrays", "read_pickle", None, "both", _ARRAYS,
+        "pkl", (".pkl", ".joblib", ".pt"), "dousa.formats.arrays", "read_pickle", None, "both", _PARTS,
         rb"poses|keypoints3d|(?:global|root)_orient|rotmat|body_pose|\x04(?:\0{3})?pose|\x06(?:\0{3})?motion",
     ),
     Format(
-        "csv", (".csv",), "dousa.formats.tables", "read_table", "write_motive", "both", ("frame_rate",),
+        "csv", (".csv",), "dousa.formats.tables", "read_table", "write_motive", "both", _TABLE,
         rb"\A(?:\xef\xbb\xbf)?\"?Format Version", check="is_table",
     ),
     Format(
-        "tsv", (".tsv",), "dousa.formats.tables", "read_table", None, "both", ("frame_rate",), rb"(?m)^\s*NO_OF_FRAMES",
+        "tsv", (".tsv",), "dousa.formats.tables", "read_table", None, "both", _TABLE, rb"(?m)^\s*NO_OF_FRAMES",
         check="is_table",
     ),
     Format(
-        "landmarks", (".json",), "dousa.formats.landmarks", "read_landmarks", None, "trajectories",
-        ("frame_rate", "person"),
+        "landmarks", (".json",), "dousa.formats.landmarks", "read_landmarks", None, "both", (*_ARRAYS, "person"),
         rb"keypoints_?3[dD]\"|\"(?:pose_?)?[wW]orld_?[lL]andmarks\"|\"(?:joints|landmarks|positions)_?3[dD]\"|\"instance_info\""
+        rb"|\"(?:joints19|joint_positions|Rh|smpl_poses|global_orient)\""
         rb"|\A[\s\[]{2,}\{\s*\"x\"\s*:[^{}]*\"z\"|\A\s*\[\s*\[\s*\[\s*-?\d[^][,]*,[^][,]*,[^][,]*(?:,[^][,]*)?\]\s*,\s*\[",
     ),
     Format("vmd", (".vmd",), "dousa.formats.mmd", "read_vmd", None, "motion", ("skeleton",)),

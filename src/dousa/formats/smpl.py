@@ -164,7 +164,8 @@ def build_smpl(
     rotations = _read_poses(path, get, roles)
     n_frames, n_joints = rotations.shape[:2]
     betas = get(roles.get("betas", ""))
-    betas = None if betas is None or betas.size == 0 else np.atleast_2d(betas)[0].astype(np.float64)
+    if betas is not None:
+        betas = betas.reshape(-1, betas.shape[-1])[0].astype(np.float64) if betas.ndim and betas.size else None
     if skeleton is not None:
         tree = model_body(skeleton, n_joints, betas)
     else:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -44,22 +45,20 @@ Get = Callable[[str], NDArray[Any] | None]
 
 def find_roles(names: Iterable[str]) -> dict[str, str]:
     """Return the array of each role, by the names of some arrays; those in the world before those of a camera."""
-    roles: dict[str, str] = {}
-    ranked = sorted(names, key=rank_place)
-    for role, words in _ROLES.items():
-        for word in words:
-            found = next((name for name in ranked if bare_name(name) == word), None)
-            if found is not None:
-                roles[role] = found
-                break
-    return roles
+    found: dict[str, str] = {}
+    for name in sorted(names, key=rank_place):
+        found.setdefault(bare_name(name), name)
+    roles = {role: next((found[word] for word in words if word in found), None) for role, words in _ROLES.items()}
+    return {role: name for role, name in roles.items() if name is not None}
 
 
+@lru_cache(maxsize=4096)
 def bare_name(name: str) -> str:
     """Return a name in lower case, without the words and lines that programs put around it."""
     return _PROGRAMS.sub("", name.lower())
 
 
+@lru_cache(maxsize=4096)
 def rank_place(name: str) -> int:
     """Return 0 for what a name places in the world, 2 in a camera, 1 for names that say neither."""
     return 0 if _WORLD.search(name.lower()) else 2 if _CAMERA.search(name.lower()) else 1

@@ -8,7 +8,7 @@ people; of other keys the one that says world or global is taken before one that
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,18 +42,21 @@ def as_array(value: Any) -> NDArray[Any] | None:
     return array if array.dtype.kind in "iuf" else None
 
 
-def list_bodies(content: Any, name: str = "", depth: int = 0, deepest: int = 6) -> list[Body]:
-    """List the bodies of nested dictionaries and lists, nested at most ``deepest``; [] if there are none."""
+def list_bodies(content: Any, name: str = "", depth: int = 0, deepest: int = 6, most: int = 200) -> list[Body]:
+    """List the bodies of nested dictionaries and lists, nested at most ``deepest``; [] if there are none.
+
+    ``most`` : items of a list of people, or of something that is looked into.
+    """
     if depth > deepest:
         return []
-    if isinstance(content, list):
+    if isinstance(content, list) and len(content) <= most:
         content = {f"{number}": item for number, item in enumerate(content, 1) if isinstance(item, Mapping)}
     if not isinstance(content, Mapping):
         return []
     content = _gather_frames(content) or content
-    arrays = {str(key): array for key, value in content.items() if (array := as_array(value)) is not None}
-    roles = find_roles(arrays)
-    if are_poses(roles):
+    if are_poses(find_roles(map(str, content))):
+        arrays = {str(key): array for key, value in content.items() if (array := as_array(value)) is not None}
+        roles = find_roles(arrays)
         turns = read_rotations(arrays.get, roles).turns
         if turns is not None:
             return [Body(name, arrays, len(turns))]
@@ -71,22 +74,36 @@ def _gather_frames(content: Mapping[Any, Any]) -> Mapping[Any, Any] | None:
     frames = [value for value in content.values() if isinstance(value, Mapping)]
     if len(frames) < max(2, len(content)) or not all(isinstance(frame.get("smpl"), list) for frame in frames):
         return None
+    ordered = [content[key] for key in sorted(content, key=lambda key: natural_key(str(key)))]
+    named = []
+    for frame in ordered:
+        tracks = next((frame[name] for name in _TRACKS if isinstance(frame.get(name), list)), ())
+        named.append([{"id": who, **pose} for who, pose in zip(tracks, frame["smpl"], strict=False)])
+    return gather_people(named)
+
+
+def gather_people(frames: Sequence[Any]) -> dict[int, Mapping[str, Any]]:
+    """Gather bodies of one pose each, listed by frame, by the number of their person; {} where the frames have none.
+
+    Parameters
+    ----------
+    frames : of each frame a list of dictionaries, with the ``id`` of a person each; that of the place in the list where
+        there is none. A dictionary in its stead has the list under ``annots``.
+    """
     people: dict[int, list[tuple[int, Mapping[str, Any]]]] = {}
-    for number, key in enumerate(sorted(content, key=lambda key: natural_key(str(key)))):
-        frame = content[key]
-        tracks = next((frame[name] for name in _TRACKS if isinstance(frame.get(name), list)), None)
-        for place, pose in enumerate(frame["smpl"]):
-            who = tracks[place] if tracks is not None and place < len(tracks) else place
-            if isinstance(pose, Mapping) and isinstance(who, int | float):
-                people.setdefault(int(who), []).append((number, pose))
-    gathered = {}
+    for number, frame in enumerate(frames):
+        listed = frame.get("annots") if isinstance(frame, Mapping) else frame
+        for place, pose in enumerate(listed if isinstance(listed, list) else ()):
+            if isinstance(pose, Mapping) and are_poses(find_roles(map(str, pose))):
+                who = pose.get("id", place)
+                people.setdefault(int(who) if isinstance(who, int | float) else place, []).append((number, pose))
+    gathered: dict[int, Mapping[str, Any]] = {}
     for who, poses in people.items():
-        shared = [key for key in poses[0][1] if all(key in pose for _, pose in poses)]
-        rows = {str(key): [as_array(pose[key]) for _, pose in poses] for key in shared}
-        whole = {
-            key: np.stack([row.reshape(-1, *row.shape[-2:]) if row.ndim > 1 else row for row in own if row is not None])
-            for key, own in rows.items()
-            if all(row is not None and row.shape == own[0].shape for row in own if own[0] is not None)
-        }
-        gathered[who] = {**whole, "frame_ids": np.array([number for number, _ in poses])}
+        whole: dict[str, Any] = {"frame_ids": np.array([number for number, _ in poses])}
+        for key in poses[0][1]:
+            rows = [as_array(pose.get(key)) for _, pose in poses]
+            found = [row for row in rows if row is not None and row.ndim and row.shape == rows[0].shape]  # type: ignore[union-attr]
+            if key != "id" and len(found) == len(rows):
+                whole[str(key)] = np.stack(found)
+        gathered[who] = whole
     return gathered

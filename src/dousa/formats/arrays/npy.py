@@ -29,6 +29,8 @@ def read_npy(
     up: str | None = None,
     skeleton: str | os.PathLike[str] | None = None,
     frame_rate: float | None = None,
+    person: str | None = None,
+    animation: str | None = None,
 ) -> Motion | Trajectories:
     """Read an npy file: joint positions (T, J, 3), features of HumanML3D or Motion-X, or a dictionary of motions.
 
@@ -38,6 +40,7 @@ def read_npy(
     unit, up : by default inferred from the body.
     skeleton : body model of SMPL poses.
     frame_rate : Hz; by default that of the data set whose joints these are.
+    person, animation : of a dictionary of motions, as for `read_pickle`.
 
     Raises
     ------
@@ -53,7 +56,10 @@ def read_npy(
         raise MotionFileError(path, "arrays.not_plain")
     if header[1] == "|O":
         content = load_pickle(path, data[end:])
-        return build_content(path, content, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate)
+        return build_content(
+            path, content, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate, person=person,
+            animation=animation,
+        )  # fmt: skip
     try:
         dtype = np.dtype(header[1])
     except TypeError:

@@ -13,6 +13,7 @@ from dousa.errors import MotionFileError
 from dousa.files.pickles import load_pickle
 from dousa.formats.arrays.bodies import as_array, list_bodies
 from dousa.formats.arrays.joints import build_joints, find_joints
+from dousa.formats.parts import choose, distinguish
 from dousa.formats.smpl import AIST_RATE, build_smpl, read_rate
 from dousa.messages import Message
 from dousa.motion import Motion, Trajectories
@@ -25,6 +26,8 @@ def read_pickle(
     up: str | None = None,
     skeleton: str | os.PathLike[str] | None = None,
     frame_rate: float | None = None,
+    person: str | None = None,
+    animation: str | None = None,
 ) -> Motion | Trajectories:
     """Read a pickled dictionary of SMPL bodies or of joint positions: a pickle, a dump of joblib, a file of torch.
 
@@ -32,12 +35,17 @@ def read_pickle(
     ----------
     path : the file; nothing in it is executed.
     unit, up, skeleton, frame_rate : as for `read_smpl_npz`; joint positions take no skeleton.
+    person : name or number of one of several people; by default the one seen in most frames.
+    animation : name or number of one of several samples of text-to-motion; by default the longest.
 
     Raises
     ------
-    MotionFileError : missing, damaged, something other than arrays, no poses.
+    MotionFileError : missing, damaged, something other than arrays, no poses, no such person.
     """
-    return build_content(path, load_pickle(path), unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate)
+    return build_content(
+        path, load_pickle(path), unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate, person=person,
+        animation=animation,
+    )  # fmt: skip
 
 
 def build_content(
@@ -48,6 +56,8 @@ def build_content(
     up: str | None,
     skeleton: str | os.PathLike[str] | None,
     frame_rate: float | None,
+    person: str | None,
+    animation: str | None,
 ) -> Motion | Trajectories:
     """Build the motion of a dictionary of arrays, numbers, texts, lists and dictionaries.
 
@@ -55,21 +65,25 @@ def build_content(
     ----------
     path : for messages and provenance.
     content : as `load_pickle` gives it.
-    unit, up, skeleton, frame_rate : as for `read_pickle`.
+    unit, up, skeleton, frame_rate, person, animation : as for `read_pickle`.
     """
     arrays = {str(key): array for key, value in content.items() if (array := as_array(value)) is not None}
     bodies = list_bodies(content)
     if bodies:
-        body = bodies[0]
+        names = distinguish(body.name or "1" for body in bodies)
+        chosen, notes = choose(path, "person", names, person, [body.n_frames for body in bodies])
+        body = bodies[chosen]
         return build_smpl(
             path, body.arrays.get, body.arrays, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate,
             # A film says no up axis: bodies by person stand in the axes of a camera, or of the program's own world.
-            default_up=None if body.name else "z",
+            default_up=None if body.name else "z", notes=notes,
         )  # fmt: skip
     samples = _list_samples(content, arrays)
     if samples:
-        points, text = samples[0]
-        notes = (Message("arrays.text", text=text),) if text else ()
+        names = distinguish(text or f"sample {number}" for number, (_, text) in enumerate(samples, 1))
+        chosen, notes = choose(path, "animation", names, animation, [len(points) for points, _ in samples])
+        points, text = samples[chosen]
+        notes += (Message("arrays.text", text=text),) if text else ()
         return build_joints(path, "pkl", points, unit=unit, up=up, frame_rate=frame_rate, notes=notes)
     name = find_joints(arrays)
     if name is None:

@@ -137,7 +137,7 @@ def _usable(column: FloatArray | None, n_rows: int) -> FloatArray | None:
 def _even_steps(column: FloatArray, rounded: float, most: float = 0.25) -> IntArray | None:
     """Steps (T - 1,) from row to row in units of the usual step; None if the column has no usual step.
 
-    ``rounded`` : what the column rounds away. ``most`` : of a usual step that most steps, less this, may differ from it.
+    ``rounded`` : what the column rounds away. ``most`` : of a usual step that most steps, less this, may differ.
     """
     steps = np.diff(column)
     rising = steps[steps > 0]

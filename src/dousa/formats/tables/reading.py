@@ -22,9 +22,11 @@ from dousa.files.disk import read_bytes
 from dousa.formats.arrays.joints import list_layouts, name_joints
 from dousa.formats.assembly import declared_unit
 from dousa.formats.guard import Clock
+from dousa.formats.guard.people import take_person
 from dousa.formats.landmarks import refuse_pictures
 from dousa.formats.optical import read_motive, read_qualisys
 from dousa.formats.optical.cells import is_number, read_rows
+from dousa.formats.parts import choose
 from dousa.formats.tables.columns import Columns, find_columns, spread_names
 from dousa.formats.tables.joint_angles import is_of_angles, read_angles
 from dousa.messages import Message
@@ -55,6 +57,7 @@ def read_table(
     unit: float | str | None = None,
     up: str | None = None,
     frame_rate: float | None = None,
+    person: str | None = None,
 ) -> Motion | Trajectories:
     """Read a table of text with a header: bones or markers of Motive or Qualisys, or the points of its columns.
 
@@ -63,7 +66,8 @@ def read_table(
     path : the file.
     unit : metres per unit; by default that of the header, else inferred from the body.
     up : axis that points up; by default inferred.
-    frame_rate : Hz, of tables without a rate and times.
+    frame_rate : Hz, whatever the table says.
+    person : name or number of one of several people, by their column or the beginnings of names; by default the first.
 
     Raises
     ------
@@ -79,9 +83,12 @@ def read_table(
     if header is None or not header.columns.points:
         raise MotionFileError(path, "tables.flat" if header else "tables.no_points")
     if is_of_angles(path):
-        return read_angles(path, unit=unit, up=up)
+        return take_person(read_angles(path, unit=unit, up=up), path, person)
     numbered = _list_rows(lines, start + header.body, header.mark)
-    return _build(path, header, numbered, unit=unit, up=up, frame_rate=frame_rate)
+    if "people" not in header.columns.roles:
+        return take_person(_build(path, header, numbered, unit, up, frame_rate), path, person)
+    numbered, notes = _choose_person(path, header.columns, numbered, header.mark, person)
+    return _build(path, header, numbered, unit, up, frame_rate, notes)
 
 
 def decode(data: bytes) -> str:
@@ -204,22 +211,20 @@ def _build(
     path: str | os.PathLike[str],
     header: _Header,
     numbered: list[tuple[int, str]],
-    *,
     unit: float | str | None,
     up: str | None,
     frame_rate: float | None,
+    notes: tuple[Message, ...] = (),
 ) -> Trajectories:
-    columns, notes = header.columns, []
+    columns = header.columns
     last = numbered[-1] if numbered else (0, "")
     triples = {name: own for name, own in columns.points.items() if name} or columns.points
     width = max(max(own) for own in triples.values()) + 1
     if len(numbered) > 1 and len(next(_split([last[1]], header.mark), [])) < width:
         numbered = numbered[:-1]
-        notes.append(Message("tables.cut_off", line=last[0]))
+        notes += (Message("tables.cut_off", line=last[0]),)
     if not numbered:
         raise MotionFileError(path, "tables.no_frames", header.body)
-    numbered, people = _choose_person(columns, numbered, header.mark)
-    notes += people
     if "" in triples:
         names, rows = _spread_points(path, columns, numbered, header.mark)
     else:
@@ -242,7 +247,7 @@ def _build(
     refuse_pictures(path, np.concatenate((points, sure[..., None]), axis=2))
     return name_joints(
         path, "csv", points, None if columns.counted else names, unit=unit, up=up, frame_rate=frame_rate,
-        clock=_read_clock(header, times), unit_in_file=declared_unit(header.unit), notes=tuple(notes),
+        clock=_read_clock(header, times), unit_in_file=declared_unit(header.unit), notes=notes,
     )  # fmt: skip
 
 
@@ -251,18 +256,20 @@ def _column(numbered: list[tuple[int, str]], mark: str, column: int) -> list[str
 
 
 def _choose_person(
-    columns: Columns, numbered: list[tuple[int, str]], mark: str, most: int = 50
+    path: str | os.PathLike[str],
+    columns: Columns,
+    numbered: list[tuple[int, str]],
+    mark: str,
+    wanted: str | None,
+    most: int = 50,
 ) -> tuple[list[tuple[int, str]], tuple[Message, ...]]:
-    """Rows of the person in most of them, where a column tells people apart; ``most`` of them are people."""
-    column = columns.roles.get("people")
-    owners = [] if column is None else _column(numbered, mark, column)
+    """Rows of a person whom a column tells from others; ``most`` names of it are people."""
+    owners = _column(numbered, mark, columns.roles["people"])
     people = list(dict.fromkeys(owners))
-    if not 1 < len(people) <= min(most, len(owners) - 1):
-        return numbered, ()
-    chosen = max(people, key=owners.count)
-    kept = [row for row, owner in zip(numbered, owners, strict=True) if owner == chosen]
-    others = tuple(name for name in people if name != chosen)
-    return kept, (Message("tables.several", read=chosen, others=others),)
+    if len(people) > min(most, max(len(owners) - 1, 1)):  # it counts rows
+        people, owners = ["1"], ["1"] * len(owners)
+    chosen, notes = choose(path, "person", people, wanted, [owners.count(name) for name in people])
+    return [row for row, owner in zip(numbered, owners, strict=True) if owner == people[chosen]], notes
 
 
 def _spread_points(
