@@ -22,8 +22,8 @@ ROOMS = {
     "estimation": (15_434, 63),
     "evaluation": (12_371, 43),
     "experiments": (1_811, 10),
-    "files": (852, 7),
-    "formats": (11_520, 66),
+    "files": (853, 7),
+    "formats": (11_609, 66),
     "library": (15_640, 55),
     "messages": (234, 3),
     "motion": (6_200, 34),
@@ -31,9 +31,9 @@ ROOMS = {
     "workers": (480, 6),
 }
 TOTALS = {
-    "lines of tests": 60_166,
+    "lines of tests": 60_287,
     "lines of JavaScript": 12_467,
-    "constants": 952,
+    "constants": 956,
     "numeric constants without a source": 0,
     "functions over 60 lines": 20,
     "files over 650 lines": 0,

@@ -274,7 +274,7 @@ def test_damage(tmp_path):
         ([[{"x": 1, "y": 1, "z": 1, "visibility": 0}] * 17] * 3, "landmarks.nobody"),
         ([*points, points[0][:16]], "landmarks.uneven"),
         ([frame[:16] for frame in points], "arrays.joints"),
-        ([[[1e400, 0, -1], *frame[1:]] for frame in points], "markers.damaged"),
+        ([[[1e400, 0, -1], *frame[1:]] for frame in points], "guard.no_place"),
         ([points * 100], "landmarks.people"),
     )):  # fmt: skip
         assert code_of(save(tmp_path / f"{number}.json", content)) == code, number
