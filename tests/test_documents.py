@@ -29,9 +29,9 @@ def test_commands_and_options_exist():
     """Every ``dousa COMMAND --option`` of the documents is one that the command line knows."""
     from typer.main import get_command
 
-    from dousa.app.cli.main import app
+    from dousa.app.cli.main import make_application
 
-    commands = get_command(app).commands
+    commands = get_command(make_application()).commands
     lines = [
         (page, line)
         for page in PAGES

@@ -18,16 +18,16 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_148, 110),
+    "app": (25_172, 110),
     "estimation": (15_434, 63),
     "evaluation": (12_371, 43),
-    "experiments": (1_811, 10),
+    "experiments": (1_809, 10),
     "files": (853, 7),
     "formats": (11_609, 66),
-    "library": (15_640, 55),
+    "library": (15_644, 55),
     "messages": (234, 3),
     "motion": (6_200, 34),
-    "retrieval": (13_490, 46),
+    "retrieval": (13_489, 46),
     "workers": (480, 6),
 }
 TOTALS = {

@@ -18,6 +18,22 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
 from numba.core.types import unliteral
+from numba.np import linalg
+
+
+def _load_arrays() -> None:
+    """Load what Numba knows of arrays, but not SciPy, of which it wants to see that it is there.
+
+    That is a third of loading Numba; code that multiplies matrices looks again when it is compiled.
+    """
+    check, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+    try:
+        import numba.np.arraymath  # noqa: F401
+    finally:
+        linalg.ensure_blas = check
+
+
+_load_arrays()
 
 
 def _options(allocates: bool, fastmath: Any) -> dict[str, Any]:

@@ -33,9 +33,9 @@ class _Effort:
 
 
 class _Depth(threading.local):
-    """How many kernels of a thread are being interpreted."""
+    """Whether a kernel of a thread is being interpreted."""
 
-    interpreting = 0
+    interpreting = False
 
 
 _depth = _Depth()
@@ -79,28 +79,23 @@ class _Compiled:
         return vars(self)["_dispatcher"]
 
     def __call__(self, *args: Any, **named: Any) -> Any:
-        if (self._left or _depth.interpreting) and self.is_interpreted(args):
-            _depth.interpreting += 1
-            started = time.thread_time()
-            try:
-                with np.errstate(all="ignore"):  # as in compiled code
-                    return self.py_func(*args, **named)
-            finally:
-                _depth.interpreting -= 1
-                if self._left:
-                    self._charge(round((time.thread_time() - started) / 2e-7))
-        return self._dispatcher(*args, **named)
-
-    def _charge(self, numbers: int) -> None:
-        _Effort.spent += numbers
-        self._left = max(self._left - numbers, 0)
+        if _depth.interpreting:  # as the kernel that calls it
+            return self.py_func(*args, **named)
+        if not self._left or not self.is_interpreted(args):
+            return self._dispatcher(*args, **named)
+        _depth.interpreting = True
+        started = time.thread_time()
+        try:
+            with np.errstate(all="ignore"):  # as in compiled code
+                return self.py_func(*args, **named)
+        finally:
+            _depth.interpreting = False
+            numbers = round((time.thread_time() - started) / 2e-7)
+            _Effort.spent += numbers
+            self._left = max(self._left - numbers, 0)
 
     def is_interpreted(self, args: tuple[Any, ...]) -> bool:
-        """Tell whether a call is better interpreted, as are the parts of what is."""
-        if not self._left:
-            return self._made_by == "compile_part"
-        if any(getattr(one, "dtype", None) == np.float32 for one in args):
-            return False  # Numba computes with these in float64, NumPy does not
+        """Tell whether a call of a kernel is better interpreted."""
         numbers = sum(getattr(one, "size", 1) for one in args)
         if "numba" not in sys.modules:
             return _Effort.spent + numbers <= _Effort.most
@@ -132,7 +127,8 @@ def kernel(function: Any = None, *, linear: bool = False, allocates: bool = Fals
 
     Parameters
     ----------
-    linear : it visits each number of its arrays a few times, so that small work may be interpreted.
+    linear : it visits each number of its arrays a few times, so that small work may be interpreted; float32 numbers it
+        turns into float64 before it computes with them, as Numba does and NumPy does not.
     allocates : the function, or one that it calls, makes arrays.
     fastmath : as for ``numba.njit``.
     """

@@ -181,9 +181,9 @@ def is_mention(text: str) -> bool:
 def _commands() -> dict[str, Any]:
     from typer.main import get_command
 
-    from dousa.app.cli.main import app
+    from dousa.app.cli.main import make_application
 
-    return get_command(app).commands  # type: ignore[attr-defined, no-any-return]
+    return get_command(make_application()).commands  # type: ignore[attr-defined, no-any-return]
 
 
 def _parameters(name: str) -> list[Any]:

@@ -38,7 +38,7 @@ def console(*, stderr: bool = False) -> Console:
     """A console as wide as the terminal, or wide enough for whole rows when the output goes to a file."""
     from rich.console import Console
 
-    made = Console(stderr=stderr, highlight=False, soft_wrap=False)
+    made = Console(stderr=stderr, emoji=False, highlight=False, soft_wrap=False)
     if not made.is_terminal:
         made.width = _WHOLE_ROWS
     return made
@@ -122,6 +122,9 @@ def make_folder(folder: Path) -> None:
 @contextmanager
 def progress_bar() -> Iterator[ProgressCallback]:
     """A progress bar on standard error, shown only on a terminal; yields the callback that moves it."""
+    if not sys.stderr.isatty():
+        yield lambda done, total, what: None
+        return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     bar = Progress(
@@ -131,7 +134,6 @@ def progress_bar() -> Iterator[ProgressCallback]:
         TimeRemainingColumn(),
         console=console(stderr=True),
         transient=True,
-        disable=not sys.stderr.isatty(),
     )
     with bar:
         task = bar.add_task("", total=None)

@@ -39,7 +39,8 @@ PARTS = {
 }
 
 _JOBS = (
-    "import sys; from dousa.app.cli.main import app; from dousa.app.warm import run_jobs; run_jobs(app, sys.argv[1])"
+    "import sys; from dousa.app.cli.main import make_application as make; from dousa.app.warm import run_jobs; "
+    "run_jobs(make(), sys.argv[1])"
 )
 
 

@@ -7,9 +7,7 @@ from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any
 
 from dousa.errors import LibraryError, OptionError
-from dousa.library.annotations.store import find_leaving, leave_open
 from dousa.library.contents import LibraryContents
-from dousa.library.history.recording import Recorded, recording, recording_together
 from dousa.library.label_rules import check_labels
 from dousa.library.store import selection as _selection
 from dousa.library.store.engine import next_revision
@@ -19,6 +17,7 @@ if TYPE_CHECKING:
     from dousa.library.care.compact import CompactReport
     from dousa.library.care.damage import CheckReport
     from dousa.library.history.journal import JournalEntry
+    from dousa.library.history.recording import Recorded
     from dousa.messages import Progress
 
 _FULL = ("library_file.disk_full", "library_file.server_disk_full", "library_file.disk_failed")
@@ -60,6 +59,9 @@ class LibraryChanges(LibraryContents):
         >>> len(library.remove(category="squat"))
         4
         """
+        from dousa.library.annotations.store import find_leaving, leave_open
+        from dousa.library.history.recording import recording
+
         try:
             with self.database.writing() as connection:
                 ids = select_ids(connection, self.name, selection, category, performer, tag)
@@ -108,6 +110,8 @@ class LibraryChanges(LibraryContents):
         >>> library.categories()
         {'greeting': 4, 'squat': 4, 'walk': 4}
         """
+        from dousa.library.history.recording import recording
+
         if category is UNCHANGED and performer is UNCHANGED:
             raise OptionError("library_clips.no_new_label")
         check_labels(category, performer)
@@ -153,6 +157,7 @@ class LibraryChanges(LibraryContents):
         4
         """
         from dousa.library.annotations.tags import change_tags, check_tags
+        from dousa.library.history.recording import recording
 
         more, less = check_tags(add), check_tags(remove)
         if not more and not less:
@@ -227,6 +232,8 @@ class LibraryChanges(LibraryContents):
         >>> library.tags()
         {}
         """
+        from dousa.library.history.recording import recording_together
+
         with recording_together(self.database.engine, kind, values) as whole:
             try:
                 yield

@@ -11,7 +11,7 @@ pytest.importorskip("sklearn", reason="scikit-learn is not installed: pip instal
 
 from typer.testing import CliRunner
 
-from dousa.app.cli.main import app, main
+from dousa.app.cli.main import main, make_application
 from dousa.formats import write_motion
 from dousa.formats.motion_files import read_canonical
 from dousa.library.care import clip_map
@@ -85,7 +85,7 @@ def test_bodies_that_lack_joints_and_takes_are_not_on_it(library, made, tmp_path
 
 
 def test_the_command_writes_a_table(library, tmp_path):
-    answer = CliRunner().invoke(app, ["plot", library.name, "-o", str(tmp_path / "map.csv"), "--json"])
+    answer = CliRunner().invoke(make_application(), ["plot", library.name, "-o", str(tmp_path / "map.csv"), "--json"])
     told = json.loads(answer.stdout)
     with open(tmp_path / "map.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -98,7 +98,7 @@ def test_the_command_writes_a_table(library, tmp_path):
 
 def test_the_command_draws_a_picture_with_a_legend(library, tmp_path):
     pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'dousa[pictures]'")
-    answer = CliRunner().invoke(app, ["plot", library.name, "-o", str(tmp_path / "map.svg")])
+    answer = CliRunner().invoke(make_application(), ["plot", library.name, "-o", str(tmp_path / "map.svg")])
     assert f"{N} clips" in answer.stdout
     drawn = (tmp_path / "map.svg").read_text(encoding="utf-8")
     assert "walk (6)" in drawn or drawn.count("<use") >= N

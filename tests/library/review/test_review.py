@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from dousa.app.cli.main import app
+from dousa.app.cli.main import make_application
 from dousa.errors import OptionError, TrainingError
 from dousa.library import CHECKED
 from dousa.library.care.review import find_pairs, split_halves
@@ -111,9 +111,9 @@ def test_pairs_are_those_of_comparing_all():
 def test_the_command_lists_them(library):
     right = plant(library, 2)
     runner = CliRunner()
-    answer = runner.invoke(app, ["review", library.name, "--json"])
+    answer = runner.invoke(make_application(), ["review", library.name, "--json"])
     assert {one["clip_id"] for one in json.loads(answer.stdout)["doubts"]} == set(right)
-    lines = runner.invoke(app, ["review", library.name, "-k", "1"]).stdout.splitlines()
+    lines = runner.invoke(make_application(), ["review", library.name, "-k", "1"]).stdout.splitlines()
     assert "looks like" in lines[0] and lines[1:] == ["... and 1 more (see --limit)", "2 of 72 labels in doubt"]
-    none = runner.invoke(app, ["review", library.name, "--duplicates"])
+    none = runner.invoke(make_application(), ["review", library.name, "--duplicates"])
     assert none.stdout.splitlines() == ["0 groups of clips that are nearly the same"]

@@ -3,14 +3,18 @@
 import json
 import os
 import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
+from dousa import kernels
 from dousa.errors import JointMappingError, LibraryError, MotionFileError, NotTrainedError, OptionError, TrainingError
 from dousa.formats.registry import read_motion
 from dousa.library import Library
 from dousa.motion import Trajectories, canonicalise, compute_trajectories
+from dousa.retrieval.ranking.ranking import RANKINGS
 
 
 def test_training_reports_and_gives_histograms(empty_library, moves, write_move, tmp_path):
@@ -51,6 +55,22 @@ def test_training_does_not_depend_on_workers(library, moves):
         library.train(n_trees=15, random_state=3, n_jobs=jobs)
         results.append(library.search(query, 15))
     assert results[0] == results[1] == results[2]
+
+
+def test_search_in_a_small_library_loads_no_compiler(library_file, moves):
+    heavy = "numba scipy sklearn joblib dousa.library.learning dousa.motion.synthetic".split()
+    code = f"import sys; from dousa.app.cli.main import main; main(); print([m for m in {heavy} if m in sys.modules])"
+    words = ["search", str(library_file), str(moves / "squat" / "squat_p2.bvh")]
+    out = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=True)
+    assert out.stdout.splitlines()[-1] == "[]"
+
+
+def test_search_answers_the_same_interpreted(library, moves, monkeypatch):
+    query = moves / "squat" / "squat_p2.bvh"
+    compiled = [library.search(query, 15, ranking=by) for by in RANKINGS]
+    monkeypatch.setattr(kernels._depth, "interpreting", True)
+    with Library.open(library.name, read_only=True) as again, np.errstate(all="ignore"):
+        assert [again.search(query, 15, ranking=by) for by in RANKINGS] == compiled
 
 
 def test_search_finds_the_category_and_the_query_itself(library, moves):

@@ -1,20 +1,22 @@
 """The command line: ``dousa --help`` lists the commands, ``dousa COMMAND --help`` shows an example of each.
 
-Commands live in one module per group and import what they need when they run, so that help is there at once.
+Commands live in one module per group, which is imported when one of them is asked for, and import what they need when
+they run, so that answers and help are there at once.
 Errors that a person can put right are one line on standard error and exit code 2.
 """
 
 from __future__ import annotations
 
+import atexit
 import gc
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from importlib import import_module
 from typing import Annotated, Any
 
 import typer
 
 import dousa
-from dousa.app.cli import estimation, evaluation, experiments, files, library, studio, takes, upkeep
 from dousa.app.cli.usage import (
     Command,
     Group,
@@ -22,6 +24,7 @@ from dousa.app.cli.usage import (
     UsageError,
     choose_language,
     describe_usage,
+    find_command,
     to_typer_command,
 )
 from dousa.app.output import fail, survive_narrow_encodings
@@ -40,36 +43,45 @@ class Application(typer.Typer):
         return lambda command: add(to_typer_command(command))
 
 
-app = Application(
-    name="dousa",
-    cls=Group,
-    help="Capture, retrieve and evaluate human motion (動作).",
-    no_args_is_help=True,
-    add_completion=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-
-PANELS: dict[str, tuple[Callable[..., None], ...]] = {
-    "Files": (files.info, files.convert, files.plot),
-    "Library": (
-        *(library.add, library.train, library.search, library.classify, library.export, library.remove),
-        *(library.relabel, library.list_clips, upkeep.tag, upkeep.undo, upkeep.check, upkeep.compact, upkeep.review),
-        *(takes.find, takes.label),
-    ),
-    "Estimation": (
-        *(estimation.estimate, estimation.render, estimation.sync, estimation.calibrate, estimation.keypoints),
-    ),
-    "Evaluation": (evaluation.evaluate, evaluation.progress, files.count),
-    "Studio": (studio.studio,),
-    "Trials": (experiments.experiment, experiments.demo, experiments.warm),
+COMMANDS: dict[str, dict[str, str]] = {
+    "Files": {"files": "info convert plot"},
+    "Library": {
+        "library": "add train search classify export remove relabel list_clips",
+        "upkeep": "tag undo check compact review",
+        "takes": "find label",
+    },
+    "Estimation": {"estimation": "estimate render sync calibrate keypoints"},
+    "Evaluation": {"evaluation": "evaluate progress", "files": "count"},
+    "Studio": {"studio": "studio"},
+    "Trials": {"experiments": "experiment demo warm"},
 }
-"""The commands in the order of the help."""
+"""The functions of the commands by panel of the help, and by module."""
 
-for panel, commands in PANELS.items():
-    for command in commands:
-        app.command("list" if command is library.list_clips else None, rich_help_panel=panel)(command)
+
+def make_application(words: Sequence[str] = ()) -> Application:
+    """Make the application: with the one command that ``words`` of the command line ask for, else with all."""
+    application = Application(
+        name="dousa",
+        cls=Group,
+        help="Capture, retrieve and evaluate human motion (動作).",
+        no_args_is_help=True,
+        add_completion=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode="rich",
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    application.callback(invoke_without_command=True)(_root)
+    listed = [
+        (function.removesuffix("_clips"), panel, module, function)
+        for panel, modules in COMMANDS.items()
+        for module, functions in modules.items()
+        for function in functions.split()
+    ]
+    asked = find_command(words)
+    for name, panel, module, function in [one for one in listed if one[0] == asked] or listed:
+        run = getattr(import_module(f"dousa.app.cli.{module}"), function)
+        application.command(name, rich_help_panel=panel)(run)
+    return application
 
 
 def _check_jobs(jobs: int | None) -> int | None:
@@ -84,7 +96,6 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback(invoke_without_command=True)
 def _root(
     context: typer.Context,
     version: Annotated[
@@ -114,14 +125,16 @@ def _root(
 
 def main() -> None:
     """Run the command line of dousa."""
-    run_application(app)
+    # What is left at the end is not looked through for cycles, which takes a quarter of the time of a search.
+    atexit.register(gc.freeze)
+    run_application(make_application(sys.argv[1:]))
 
 
 def run_application(application: typer.Typer) -> None:
     """Run an application; the exit code is 0, 2 after an error that can be put right, 130 after Ctrl-C."""
-    # Loading numba and SQLAlchemy makes very many objects that all stay; to look through them for cycles again
+    # Loading SQLAlchemy and numba makes very many objects that all stay; to look through them for cycles again
     # and again would take a tenth of the time of a search.
-    gc.set_threshold(100_000)
+    gc.set_threshold(300_000)
     survive_narrow_encodings()
     try:
         choose_language(sys.argv[1:])

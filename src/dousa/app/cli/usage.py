@@ -65,6 +65,14 @@ def choose_language(words: Sequence[str], environment: Mapping[str, str] = os.en
         use_language(_check(_VARIABLE, environment[_VARIABLE]))
 
 
+def find_command(words: Sequence[str]) -> str | None:
+    """Return the command of a command line; None if something other than options with a value stands before it."""
+    for place in range(0, len(words), 2):
+        if words[place] not in ROOT_OPTIONS:
+            return None if words[place].startswith("-") else words[place]
+    return None
+
+
 def _check(source: str, language: str) -> str:
     if language not in LANGUAGES:
         raise OptionError("usage.unknown_language", source=source, found=language, known=LANGUAGES)

@@ -104,7 +104,7 @@ def count_sparsely(
     return written
 
 
-@kernel
+@kernel(linear=True)
 def bound_clips(
     starts, found, votes, squares, lengths, query, meant, numbers, weights, n_trees, bounds, cosines
 ):  # fmt: skip
@@ -144,7 +144,7 @@ def _multiply(one, other):
     return total
 
 
-@kernel
+@kernel(linear=True)
 def compare_clips(
     rows, starts, found, votes, squares, codes, directions, query, query_codes, direction, total, square, histograms,
     leaves, cosines,

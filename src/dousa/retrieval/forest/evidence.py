@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.errors import InvalidMotionError
 from dousa.motion import canonicalise, mirror_canonical
-from dousa.motion.synthetic.performers import make_gesture
 from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.features.posed_motion import PosedMotion, hide_joints
 from dousa.retrieval.forest import tree_kernels as kernels
@@ -246,5 +245,7 @@ def _describe(kind: FeatureSet) -> Strangers:
 
 @lru_cache(maxsize=1)
 def _make_gestures() -> Sequence[PosedMotion]:
+    from dousa.motion.synthetic.performers import make_gesture
+
     motions = [canonicalise(make_gesture(seed)) for seed in range(_BESIDE + _ASKED)]
     return [side for motion in motions for side in (motion, mirror_canonical(motion))]

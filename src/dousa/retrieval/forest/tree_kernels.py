@@ -95,7 +95,7 @@ def find_leaves(features, nodes, cuts, roots, only_means, integral, work, leaves
             running = 0.0
             row = i * (n_frames + 1) + 1
             for t in range(n_frames):
-                running += features[clip, t, i]  # eq. 4
+                running += np.float64(features[clip, t, i])  # eq. 4
                 integral[row + t] = running
             finite += running - running  # NaN as soon as one value is NaN or infinite
         if finite != 0.0:

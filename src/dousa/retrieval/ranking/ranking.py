@@ -311,9 +311,9 @@ def count_differences(query: NDArray[np.int32], stored: NDArray[np.int32], count
         counts[k] = count
 
 
-@part(fastmath={"reassoc", "contract"})
+@part
 def _measure(query: NDArray[np.float32], i: int, frames: NDArray[np.float32], j: int) -> Any:
-    """Euclidean distance of rows i and j; separate, as only this sum may be reordered."""
+    """Euclidean distance of rows i and j, added up in their order: the same on every processor, and interpreted."""
     square = np.float32(0.0)
     for k in range(query.shape[1]):
         difference = query[i, k] - frames[j, k]
@@ -377,7 +377,7 @@ def warp_distances(
     _warp_all(query, frames, starts, stops, reach, costs, distances)
 
 
-@kernel
+@kernel(linear=True)
 def _warp_all(query, frames, starts, stops, reach, costs, distances):  # type: ignore[no-untyped-def]
     for k in range(len(starts)):
         m = stops[k] - starts[k]
