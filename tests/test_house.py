@@ -99,9 +99,9 @@ def count_commands() -> tuple[int, int]:
     """Commands, and options of all of them; ``--help`` does not count, nor what stands before the command."""
     from typer.main import get_command
 
-    from dousa.app.cli.main import app
+    from dousa.app.cli.main import make_application
 
-    commands = get_command(app).commands.values()  # type: ignore[attr-defined]
+    commands = get_command(make_application()).commands.values()  # type: ignore[attr-defined]
     options = [part for command in commands for part in command.params if part.param_type_name == "option"]
     return len(commands), len(options)
 
