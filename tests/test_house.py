@@ -31,11 +31,11 @@ ROOMS = {
     "workers": (480, 6),
 }
 TOTALS = {
-    "lines of tests": 60_287,
+    "lines of tests": 60_307,
     "lines of JavaScript": 12_467,
     "constants": 956,
     "numeric constants without a source": 0,
-    "functions over 60 lines": 20,
+    "functions over 60 lines": 19,
     "files over 650 lines": 0,
     "folders with more than 15 files": 0,
     "lines with words that a native reader stumbles over": 48,
