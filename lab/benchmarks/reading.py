@@ -63,7 +63,7 @@ def find_skeleton(path: Path, folder: Path) -> AsfSkeleton:
 def check_amc(path: Path, folder: Path) -> None:
     """Stop if a channel value differs in a single bit."""
     asf, data = find_skeleton(path, folder), scannable(read_bytes(path))
-    ours = parse_frames(str(path), data, parse_header(str(path), data).first_frame_at, asf)
+    ours, _ = parse_frames(str(path), data, parse_header(str(path), data).first_frame_at, asf)
     names = ["root", *(bone.name for bone in asf.bones if bone.dof)]
     wanted = np.array([[value for name in names for value in frame[name]] for frame in read_amc_plainly(path)])
     if ours.tobytes() != wanted.tobytes():

@@ -184,11 +184,11 @@ def test_other_frame_times(bvh, text):
 
 
 def test_up_axis_and_unit_can_be_given(bvh, tmp_path):
-    motion = read_bvh(bvh(SMALL), unit=1.0, up="z")
-    np.testing.assert_allclose(motion.translations[0, 0], [1, 0, -90])
+    motion = read_bvh(bvh(SMALL), unit=0.1, up="z")
+    np.testing.assert_allclose(motion.translations[0, 0], [0.1, 0, -9])
     assert (motion.provenance.up, motion.provenance.up_source) == ("z", "given")
     write_bvh(motion.replace(translations=motion.translations + 0), tmp_path / "out.bvh")
-    again = read_bvh(tmp_path / "out.bvh", unit=1.0, up="z")
+    again = read_bvh(tmp_path / "out.bvh", unit=0.1, up="z")
     np.testing.assert_allclose(again.translations, motion.translations, atol=1e-9)
     np.testing.assert_allclose(again.provenance.values[:, :3], [[1, 90, 0], [2, 91, 0.5], [3, 92, 1]], atol=1e-9)
 
@@ -253,14 +253,14 @@ def test_a_wrong_number_of_frames(bvh, declared):
     """All rows that are there are read, and a note says that the file declares another number."""
     motion = read_bvh(bvh(SMALL.replace("Frames: 3", f"Frames: {declared}")))
     assert motion.n_frames == 3
-    assert [(note.code, note.values["found"]) for note in motion.provenance.notes] == [("bvh.frame_count", 3)]
+    assert [(note.code, note.values["found"]) for note in motion.provenance.notes] == [("guard.frame_count", 3)]
     np.testing.assert_array_equal(motion.provenance.values, read_bvh(bvh(SMALL)).provenance.values)
 
 
 def test_a_row_that_breaks_off(bvh):
     motion = read_bvh(bvh(SMALL[: SMALL.index("32 1 2")]))
     assert motion.n_frames == 2
-    assert [note.code for note in motion.provenance.notes] == ["bvh.cut_off"]
+    assert [note.code for note in motion.provenance.notes] == ["guard.cut_off", "guard.frame_count"]
 
 
 @pytest.mark.parametrize("row", ["1 2 3 4 5 6 7\n", "1 2 3 4 5 6 7 8 9 10 11\n"])
@@ -273,9 +273,9 @@ def test_rows_of_another_skeleton_are_left_out(bvh, row):
 @pytest.mark.parametrize(
     ("name", "frames", "code"),
     [
-        ("assimp/Boxing_Toes.bvh", 3070, "bvh.frame_count"),
-        ("nite_mae/bk_cut_single_01.bvh", 8960, "bvh.frame_count"),
-        ("motive_blobixx/Take006.bvh", 1, "bvh.frame_count"),
+        ("assimp/Boxing_Toes.bvh", 3070, "guard.frame_count"),
+        ("nite_mae/bk_cut_single_01.bvh", 8960, "guard.frame_count"),
+        ("motive_blobixx/Take006.bvh", 1, "guard.frame_count"),
         ("smpl_tram/sample.bvh", 613, "bvh.other_rows"),
     ],
 )
@@ -319,11 +319,11 @@ def test_end_sites_are_no_joints(bvh):
 
 
 def test_values_beyond_the_largest_float_make_no_motion(bvh):
-    with pytest.raises(MotionFileError, match="make no motion"):
-        read_bvh(bvh(SMALL.replace("2 91", "1e308 91")), unit=100.0)
+    with pytest.raises(MotionFileError, match="'Hips' is at 1e\\+308 in frame 2"):
+        read_bvh(bvh(SMALL.replace("2 91", "1e308 91")))
 
 
-NUMBER = st.floats(-1e150, 1e150) | st.just(math.nan)
+NUMBER = st.floats(-1e10, 1e10) | st.just(math.nan)
 ANGLE = st.floats(allow_nan=True, allow_infinity=False)
 NAME = st.text(
     st.characters(codec="utf-8", exclude_categories=["C", "Z"], exclude_characters="{}"), min_size=1, max_size=8
@@ -336,7 +336,7 @@ def bvh_files(draw):
     count = draw(st.integers(1, 6))
     names = [draw(NAME) for _ in range(count)]
     parents = [-1] + [draw(st.integers(0, joint - 1)) for joint in range(1, count)]
-    finite = st.floats(-1e150, 1e150)
+    finite = st.floats(-1e10, 1e10)
     offsets = [[draw(finite) for _ in range(3)] for _ in range(count)]
     channels = [draw(st.permutations(CHANNEL_NAMES))[: draw(st.integers(0, 6))] for _ in range(count)]
     channels[0] = channels[0] or ["Yrotation"]

@@ -77,9 +77,9 @@ def test_motive_damage(tmp_path):
     path, good = tmp_path / "x.csv", made.make_motive()
     refused(path, b"a,b,c\n1,2,3\n", "tables.no_points")
     refused(path, good.partition(b",Name")[0], "motive.no_names")
-    refused(path, good.partition(b"0,0.0")[0], "motive.no_frames")
+    refused(path, good.partition(b"0,0.0")[0], "tables.no_frames")
     refused(path, good.replace(b",1700", b",high"), "tables.number")
-    refused(path, good.replace(b",1700", b",1e999"), "tables.infinite")
+    refused(path, good.replace(b",1700", b",1e999"), "guard.no_place")
     refused(path, made.make_motive("Force Plate"), "motive.nothing")
     with pytest.raises(MotionFileError, match="no place"):
         write_motion(Trajectories(("a,b",), np.zeros((1, 1, 3)), 1.0), path)
@@ -103,8 +103,8 @@ def test_qualisys_skeleton(tmp_path):
 def test_qualisys_damage(tmp_path):
     path, good = tmp_path / "x.tsv", made.make_qualisys()
     refused(path, b"a\tb\n", "tables.no_points")
-    refused(path, good.replace(b"FREQUENCY\t100", b"FREQUENCY\t0"), "qualisys.rate")
-    refused(path, good.partition(b"1\t2\t900")[0], "qualisys.no_frames")
+    refused(path, good.replace(b"FREQUENCY\t100", b"FREQUENCY\t0"), "guard.rate")
+    refused(path, good.partition(b"1\t2\t900")[0], "tables.no_frames")
     refused(path, good.replace(b"\tRASI", b"\tRASI\tSACR"), "qualisys.width")
     refused(path, good.replace(b"MARKER_NAMES", b"BODY_NAMES"), "qualisys.bodies")
     refused(path, good.replace(b"MARKER_NAMES\tLASI\tRASI\n", b""), "qualisys.no_names")
@@ -144,7 +144,7 @@ def test_mvnx_damage(tmp_path):
     refused(path, good[:-40], "markup.broken_xml")
     refused(path, b"<mvnx></mvnx>", "mvnx.no_subject")
     refused(path, good.replace(b'label="L5" id', b'label="Pelvis" id'), "mvnx.segments")
-    refused(path, good.replace(b'frameRate="60"', b'frameRate="-1"'), "mvnx.rate")
+    refused(path, good.replace(b'frameRate="60"', b'frameRate="-1"'), "guard.rate")
     refused(path, good.replace(b'"normal"', b'"tpose"'), "mvnx.no_frames")
     refused(path, good.replace(b'type="normal"><orientation>', b'type="normal"><orientation>x '), "mvnx.number")
     refused(path, good.replace(b'type="normal"><orientation>', b'type="normal"><orientation/><other>').replace(

@@ -107,7 +107,7 @@ def test_damage(tmp_path):
         read_motion(path)
     cut = read_motion(save(tmp_path / "y.csv", text[: text.rindex(",")][:-200].encode()))
     assert "tables.cut_off" in {note.code for note in cut.provenance.notes}
-    assert code_of(save(tmp_path / "z.csv", text.replace(place, "1e999", 1).encode())) == "tables.infinite"
+    assert code_of(save(tmp_path / "z.csv", text.replace(place, "1e999", 1).encode())) == "guard.no_place"
 
 
 def test_people_by_a_column(tmp_path):

@@ -16,8 +16,10 @@ from dousa.errors import InvalidMotionError, MotionFileError, OptionError
 from dousa.formats.guard import (
     Clock,
     check_body,
+    find_shift,
     keep_offsets,
     measure_cloud,
+    note_shift,
     settle_clock,
     settle_positions,
     settle_roots,
@@ -98,17 +100,27 @@ def settle_motion(
             count = min(len(rotations), 16)
             some = np.arange(count) * (len(rotations) - 1) // max(count - 1, 1)
             translations, emptied = keep_offsets(skeleton, translations, some)
+
+            def infer(sample: Trajectories) -> ReferenceFrame:
+                return infer_reference_frame(
+                    sample,
+                    unit=known_unit,
+                    up=known_up,
+                    declared_unit=declared_unit,
+                    default_up=default_up,
+                    whole=(lambda: place(slice(0, most_frames))) if most_frames else None,
+                )
+
             sample = place(some)
-            placed = settle_roots(path, skeleton, rotations, translations, measure_cloud(sample.positions))
-            translations = placed.positions
-            frame = infer_reference_frame(
-                place(some) if placed.notes else sample,
-                unit=known_unit,
-                up=known_up,
-                declared_unit=declared_unit,
-                default_up=default_up,
-                whole=(lambda: place(slice(0, most_frames))) if most_frames else None,
-            )
+            cloud = measure_cloud(sample.positions)
+            translations, lost = settle_roots(path, skeleton, rotations, translations, cloud)
+            frame, notes = infer(place(some) if lost else sample), (*notes, *timeline.notes, *lost)
+            roots = np.flatnonzero(skeleton.parents < 0)
+            shift = find_shift(translations[:, roots], frame.unit)
+            if shift is not None:
+                translations = translations.copy()
+                translations[:, roots] -= shift
+                frame, notes = infer(place(some)), (*notes, note_shift(shift))
             doubts = check_body(skeleton.names, frame.body, skeleton.parents, translations)
             settled = change_arrays(skeleton, rotations, translations, frame.unit, frame.rotation)
             provenance = Provenance(
@@ -121,8 +133,8 @@ def settle_motion(
                 layout,
                 values,
                 () if values is None else (settled[0].offsets, *settled[1:]),
-                (*notes, *timeline.notes, *placed.notes, *emptied, *doubts, *frame.notes),
-                _to_metres(placed.shift, frame),
+                (*notes, *emptied, *doubts, *frame.notes),
+                _to_metres(shift, frame),
             )
             return Motion(*settled, timeline.rate, provenance)
     except InvalidMotionError as error:
@@ -160,6 +172,9 @@ def settle_world(
     settings : of `settle_motion`.
     """
     order, parents = order_tree(tuple(names), parent_names)
+    if not are_local:
+        positions, lost = settle_positions(path, names, positions)
+        settings["notes"] = (*settings.get("notes", ()), *lost)
     rotations, translations = world[:, order], positions[:, order]
     if not are_local:
         rotations, translations = localise(parents, rotations, translations)
@@ -292,20 +307,28 @@ def settle_trajectories(
     known_up = None if up is None else parse_up(up)
     timeline = settle_clock(path, clock, len(positions), positions)
     values = timeline.place(positions)
-    placed = settle_positions(path, names, values)
+    positions, lost = settle_positions(path, names, values)
+    notes = (*notes, *timeline.notes, *lost)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300
-            raw = Trajectories(names, placed.positions, timeline.rate)
-            sample = raw.replace(positions=thin(raw.positions, min(10, raw.n_frames)))
-            frame = infer_reference_frame(
-                sample,
-                unit=known_unit,
-                up=known_up,
-                declared_unit=unit_in_file,
-                declared_up=up_in_file,
-                default_up=default_up,
-                whole=lambda: raw,
-            )
+
+            def infer() -> ReferenceFrame:
+                return infer_reference_frame(
+                    raw.replace(positions=thin(raw.positions, min(10, raw.n_frames))),
+                    unit=known_unit,
+                    up=known_up,
+                    declared_unit=unit_in_file,
+                    declared_up=up_in_file,
+                    default_up=default_up,
+                    whole=lambda: raw,
+                )
+
+            raw = Trajectories(names, positions, timeline.rate)
+            frame = infer()
+            shift = find_shift(positions, frame.unit)
+            if shift is not None:
+                raw = Trajectories(names, positions - shift, timeline.rate)
+                frame, notes = infer(), (*notes, note_shift(shift))
             settled = to_reference_frame(raw, frame)
     except InvalidMotionError as error:
         raise MotionFileError(path, "markers.damaged", reason=error) from error
@@ -318,8 +341,8 @@ def settle_trajectories(
         frame.up_source,
         values=freeze(values) if keep_values else None,
         read=(settled.positions,) if keep_values else (),
-        notes=(*notes, *timeline.notes, *placed.notes, *check_body(names, frame.body), *frame.notes),
-        shift=_to_metres(placed.shift, frame),
+        notes=(*notes, *check_body(names, frame.body), *frame.notes),
+        shift=_to_metres(shift, frame),
     )
     return dataclasses.replace(settled, provenance=provenance)
 

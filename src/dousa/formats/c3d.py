@@ -25,10 +25,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.arrays import BoolArray, FloatArray, IndexArray
+from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.assembly import declared_unit, settle_trajectories
+from dousa.formats.guard import Clock, check_points, compare_bytes
 from dousa.messages import Message
 from dousa.motion import Motion, Trajectories
 
@@ -375,14 +376,14 @@ def read_c3d(
     if not sections.number("POINT:USED") and sections.number("ROTATION:USED"):
         return _read_segments(sections, data, unit=unit, up=up)
     chosen, names = _choose_points(sections)
-    positions, notes = _read_positions(sections, data, chosen)
+    positions, clock, notes = _read_positions(sections, data, chosen)
     units = sections.texts("POINT:UNITS")
     return settle_trajectories(
         path,
         "c3d",
         names,
         positions,
-        _frame_rate(sections),
+        clock,
         unit=unit,
         up=up,
         unit_in_file=declared_unit(units[0]) if units else None,
@@ -416,6 +417,7 @@ def _n_points(sections: Sections) -> int:
     count = sections.header.n_points if used is None or not np.isfinite(used) else int(used)
     if count <= 0:
         raise MotionFileError(sections.path, "c3d.no_points")
+    check_points(sections.path, count)
     return count
 
 
@@ -445,8 +447,6 @@ def _frame_rate(sections: Sections) -> float:
     rate = sections.number("POINT:RATE")
     if rate is None or not rate > 0:
         rate = sections.header.frame_rate
-    if not 0 < rate <= 1e6:
-        raise MotionFileError(sections.path, "c3d.rate", rate=rate)
     return float(str(np.float32(rate)))  # 29.97, not 29.969999313354492
 
 
@@ -456,8 +456,10 @@ def _up_axis(sections: Sections) -> str | None:
     return axis if axis.removeprefix("-") in ("x", "y", "z") else None
 
 
-def _read_positions(sections: Sections, data: bytes, chosen: IndexArray) -> tuple[FloatArray, tuple[Message, ...]]:
-    """Positions (T, K, 3) of the chosen points in file units, NaN where the residual is negative, and notes."""
+def _read_positions(
+    sections: Sections, data: bytes, chosen: IndexArray
+) -> tuple[FloatArray, Clock, tuple[Message, ...]]:
+    """Positions (T, K, 3) of the chosen points in file units, NaN where the residual is negative; time, and notes."""
     scale = sections.number("POINT:SCALE") or sections.header.scale
     if scale == 0 or not np.isfinite(scale):
         raise MotionFileError(sections.path, "c3d.scale", scale=scale)
@@ -465,16 +467,20 @@ def _read_positions(sections: Sections, data: bytes, chosen: IndexArray) -> tupl
     item_size = 4 if scale < 0 else 2
     start = _data_start(sections)
     items = max(0, len(data) - start) // item_size
-    row, frames, notes = _measure_rows(sections, width, items, BLOCK // item_size)
-    block = data[start : start + frames * row * item_size]
+    row, frames, declared, notes = _measure_rows(sections, width, items, BLOCK // item_size)
+    end = start + frames * row * item_size
+    block = data[start:end]
     if scale < 0:
         values = decode_floats(block, sections.processor)
     else:
         values = np.frombuffer(block, ">i2" if sections.big_endian else "<i2")
     rows = values.reshape(frames, row)
-    if notes and notes[0].code == "c3d.fewer_frames":
+    if frames < declared:
         rows = rows[: 1 + max(np.flatnonzero(rows.any(axis=1)), default=0)]  # the rest is what fills the last block
-        notes = [Message(notes[0].code, **{**notes[0].values, "held": len(rows)})]
+    elif len(data) != end and (len(data) % BLOCK or data.count(0, end) != len(data) - end):
+        notes += compare_bytes(
+            -(-end // BLOCK) * BLOCK, len(data)
+        )  # behind the frames are zeros, to the end of a block
     points = rows[:, :width].reshape(len(rows), -1, 4)[:, chosen]
     with np.errstate(invalid="ignore"):  # a damaged float may be a signalling NaN
         positions = points[..., :3].astype(np.float64)
@@ -482,33 +488,14 @@ def _read_positions(sections: Sections, data: bytes, chosen: IndexArray) -> tupl
     if scale > 0:
         positions *= scale
     if missing.all() and np.count_nonzero(positions) > positions.size // 2:
-        notes.append(Message("c3d.residuals"))  # a program that writes -1 for all points, also those seen
+        notes += (Message("c3d.residuals"),)  # a program that writes -1 for all points, also those seen
     else:
         positions[missing] = np.nan
-    lost = _find_unmarked(positions)
-    if lost.any():
-        positions[lost] = np.nan
-        notes.append(Message("c3d.unmarked", n=int(lost.sum()), total=lost.size))
-    return positions, tuple(notes)
+    return positions, Clock(_frame_rate(sections), frames=declared), notes
 
 
-def _find_unmarked(positions: FloatArray, away_from_zero: float = 50.0, beyond: float = 9.9e6) -> BoolArray:
-    """(T, K) points that were not seen without a residual for it: put to zero, or to 1e9.
-
-    Parameters
-    ----------
-    away_from_zero : file units that a point whose coordinates are exactly zero is away from there in other frames.
-    beyond : file units, outside any room.
-    """
-    with np.errstate(invalid="ignore"):
-        size = np.abs(positions).max(axis=2)
-        away = np.nanmax(size, axis=0, initial=0.0) > away_from_zero
-        lost: BoolArray = (size == 0) & away | (size >= beyond) & np.isfinite(size)
-    return lost
-
-
-def _measure_rows(sections: Sections, width: int, items: int, slack: int) -> tuple[int, int, list[Message]]:
-    """Items of a frame and number of frames, by the size of the file where the header contradicts it.
+def _measure_rows(sections: Sections, width: int, items: int, slack: int) -> tuple[int, int, int, tuple[Message, ...]]:
+    """Items of a frame, frames in the file and declared, notes; by the size of the file if the header contradicts it.
 
     The data fill whole blocks, so the right row leaves less than a block over. Some programs write the number of analog
     channels in place of the number of their samples, which would misplace every frame but the first.
@@ -526,11 +513,12 @@ def _measure_rows(sections: Sections, width: int, items: int, slack: int) -> tup
         declared = _declared_frames(sections)
         if not frames or not declared:
             _count_frames(sections, frames)  # raises the error
-        return width + counts[0], frames, [Message("c3d.fewer_frames", declared=min(declared), held=frames)]
+        return width + counts[0], frames, min(declared), ()
     fitting = [count for count in held if held[count] < slack]
     count = next(iter(held)) if not fitting else fitting[0]
-    notes = [Message("c3d.analog_count", header=counts[0], found=count)] if count != counts[0] else []
-    return width + count, _count_frames(sections, items // (width + count)), notes
+    frames = _count_frames(sections, items // (width + count))
+    notes = (Message("c3d.analog_count", header=counts[0], found=count),) if count != counts[0] else ()
+    return width + count, frames, frames, notes
 
 
 def _analog_counts(sections: Sections) -> list[int]:

@@ -10,6 +10,7 @@ import numpy as np
 from dousa.arrays import FloatArray, IntArray
 from dousa.errors import MotionFileError
 from dousa.formats.assembly import settle_motion
+from dousa.formats.guard import Clock
 from dousa.kernels import is_worth_compiling, kernel, part
 from dousa.motion.types import Motion, Skeleton, freeze
 
@@ -139,7 +140,7 @@ def build_motion(
     format_name: str,
     program: ChannelProgram,
     rows: FloatArray,
-    frame_rate: float,
+    clock: Clock | float,
     *,
     largest: int = 50_000_000,
     **settings: Any,
@@ -149,6 +150,7 @@ def build_motion(
     Parameters
     ----------
     rows : (T, C) channel values.
+    clock : all that the file says of time.
     largest : joints times frames, about 3 GB, beyond which a file must hold a sixteenth as many values.
     settings : of `settle_motion`.
 
@@ -162,6 +164,6 @@ def build_motion(
     with np.errstate(over="ignore", invalid="ignore"):
         rotations, translations = compute_poses(program, rows)
     return settle_motion(
-        path, format_name, program.skeleton, rotations, translations, frame_rate,
+        path, format_name, program.skeleton, rotations, translations, clock,
         most_frames=20_000, damaged="channels.no_motion", **settings,
     )  # fmt: skip

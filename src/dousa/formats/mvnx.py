@@ -19,6 +19,7 @@ from dousa.errors import CalibrationError, MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.files.markup import parse_xml
 from dousa.formats.assembly import add_ends, localise, median_offsets, order_tree, rest_offsets, settle_motion
+from dousa.formats.guard import Clock
 from dousa.formats.parts import choose, distinguish
 from dousa.motion import Motion, Skeleton
 from dousa.motion.rotations import normalise
@@ -81,7 +82,7 @@ def read_mvnx(
     ends = [(joint, place) for joint, place in enumerate(tips) if place is not None]
     skeleton = Skeleton(tuple(names[index] for index in order), np.array(parents, np.intp), offsets)
     return settle_motion(
-        path, "mvnx", *add_ends(skeleton, rotations, translations, ends), _read_rate(path, subject),
+        path, "mvnx", *add_ends(skeleton, rotations, translations, ends), _read_clock(subject, taken),
         unit=unit, up=up, unit_in_file=1.0, up_in_file="z", notes=notes,
     )  # fmt: skip
 
@@ -91,14 +92,18 @@ def _children(node: ET.Element, name: str) -> Iterator[ET.Element]:
     return (child for child in node if isinstance(child.tag, str) and child.tag.rpartition("}")[2] == name)
 
 
-def _read_rate(path: str | os.PathLike[str], subject: ET.Element) -> float:
+def _read_clock(subject: ET.Element, frames: list[ET.Element]) -> Clock:
+    """The rate; ``index`` and ``time`` (ms from the start) of every frame."""
+    numbers, times = (np.array([_number(frame.get(key, "")) for frame in frames]) for key in ("index", "time"))
+    rate = subject.get("frameRate", "").strip()
+    return Clock(_number(rate) if rate else None, times, numbers)
+
+
+def _number(text: str) -> float:
     try:
-        rate = float(subject.get("frameRate", ""))
+        return float(text)
     except ValueError:
-        rate = float("nan")
-    if not 0 < rate <= 1e6:
-        raise MotionFileError(path, "mvnx.rate", found=subject.get("frameRate", "")[:20])
-    return rate
+        return np.nan
 
 
 def _read_values(

@@ -5,9 +5,7 @@ frame: frame number, time, coordinates, separated by tabs, or throughout a file 
 or ``nan`` cell is a missing value; the decimal sign is a point or, throughout a file, a comma.
 Reference: OpenSim documentation, "Marker (.trc) Files". The format does not declare the up axis.
 
-The rows count, not NumFrames and NumMarkers, which are wrong in published files (those of Pose2Sim). A file counts as
-cut off where the last row is short, or where frames are missing and the last line does not end: that row is left out,
-with a note.
+The rows count, not NumFrames and NumMarkers, which are wrong in published files (those of Pose2Sim).
 """
 
 from __future__ import annotations
@@ -17,14 +15,12 @@ import re
 
 import numpy as np
 
-from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.assembly import declared_unit, settle_trajectories
-from dousa.messages import Message
+from dousa.formats.guard import Clock, check_points
+from dousa.formats.optical.cells import read_lines, read_number
 from dousa.motion import Trajectories
-
-_NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|\s*[+-]?(nan|inf|infinity)\s*", re.IGNORECASE)
 
 
 def read_trc(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Trajectories:
@@ -44,32 +40,26 @@ def read_trc(path: str | os.PathLike[str], *, unit: float | str | None = None, u
     text = read_bytes(path).decode("utf-8-sig", errors="replace")
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     lines = _with_tabs(lines)
-    fields, fields_line = _read_fields(path, lines)
-    rate = _field_number(path, fields, "datarate", fields_line)
-    if not 0 < rate <= 1e6:
-        raise MotionFileError(path, "trc.rate", fields_line, rate=rate)
+    fields = _read_fields(path, lines)
     names, body = _read_names(path, lines)
-    declared = _field_number(path, fields, "numframes", fields_line) if "numframes" in fields else 0.0
-    whole = _without_cut_row(lines, body, 2 + 3 * len(names), declared)
-    positions = _read_rows(path, whole, body, names)
-    notes = []
-    if len(whole) < len(lines):
-        notes.append(Message("trc.cut_off", found=len(positions), declared=declared))
-    elif 0 < declared != len(positions):
-        notes.append(Message("trc.frame_count", found=len(positions), declared=declared))
+    frames = read_number(fields.get("numframes"))
+    if any("," in line for line in lines[body:]) and not any("." in line for line in lines[body:]):
+        lines[body:] = [line.replace(",", ".") for line in lines[body:]]
+    width = 2 + 3 * len(names)
+    values, notes = read_lines(path, lines, body, width, declared=np.nan if frames is None else frames, whole=True)
     return settle_trajectories(
         path,
         "trc",
         names,
-        positions,
-        rate,
+        values[:, 2:].reshape(len(values), -1, 3),
+        Clock(read_number(fields.get("datarate")), values[:, 1], values[:, 0], frames),
         unit=unit,
         up=up,
         unit_in_file=declared_unit(fields.get("units", "")),
         up_in_file=None,
         default_up="y",
         keep_values=True,
-        notes=tuple(notes),
+        notes=notes,
     )
 
 
@@ -88,23 +78,13 @@ def _with_tabs(lines: list[str]) -> list[str]:
     return lines[:start] + ["\t".join(line.split()) for line in lines[start:]]
 
 
-def _without_cut_row(lines: list[str], body: int, width: int, declared: float) -> list[str]:
-    """Drop a last row that breaks off, unless it is the only one."""
-    rows = [number for number in range(body, len(lines)) if lines[number].strip()]
-    if len(rows) < 2:
-        return lines
-    last = lines[rows[-1]]
-    cut = rows[-1] == len(lines) - 1 and (len(rows) < declared or last.count("\t") + 1 < width)
-    return lines[: rows[-1]] if cut else lines
-
-
 def _cells(line: str) -> list[str]:
     parts = line.split("\t") if "\t" in line else line.split()
     return [part.strip() for part in parts]
 
 
-def _read_fields(path: str | os.PathLike[str], lines: list[str]) -> tuple[dict[str, str], int]:
-    """Header fields by lower-case name, and the 1-based line of their values."""
+def _read_fields(path: str | os.PathLike[str], lines: list[str]) -> dict[str, str]:
+    """Header fields by lower-case name."""
     for number, line in enumerate(lines[:20]):
         if line.lstrip().lower().startswith("datarate"):
             if number + 1 >= len(lines):
@@ -112,23 +92,17 @@ def _read_fields(path: str | os.PathLike[str], lines: list[str]) -> tuple[dict[s
             keys, values = _cells(line), _cells(lines[number + 1])
             if len(values) > len(keys):  # some programs put two tabs between the values
                 keys, values = [key for key in keys if key], [value for value in values if value]
-            return {key.lower(): value for key, value in zip(keys, values, strict=False)}, number + 2
+            return {key.lower(): value for key, value in zip(keys, values, strict=False)}
     raise MotionFileError(path, "trc.no_header")
-
-
-def _field_number(path: str | os.PathLike[str], fields: dict[str, str], key: str, line: int) -> float:
-    text = fields.get(key, "").replace(",", ".")
-    if not _NUMBER.fullmatch(text):
-        raise MotionFileError(path, "trc.header_number", line, key=key, found=text)
-    return float(text)
 
 
 def _read_names(path: str | os.PathLike[str], lines: list[str]) -> tuple[tuple[str, ...], int]:
     """Marker names, and the index of the first line after the header."""
     for number, line in enumerate(lines[:20]):
-        cells = line.split("\t")
-        if not cells[0].strip().lower().startswith("frame"):
+        if line.lstrip()[:5].lower() != "frame":
             continue
+        check_points(path, line.count("\t") // 3, number + 1)
+        cells = line.split("\t")
         cells = [cell.strip() for cell in cells[2:]]
         while cells and not cells[-1]:
             cells.pop()
@@ -143,66 +117,6 @@ def _read_names(path: str | os.PathLike[str], lines: list[str]) -> tuple[tuple[s
             body += 1
         return names, body
     raise MotionFileError(path, "trc.no_names")
-
-
-def _read_rows(
-    path: str | os.PathLike[str], lines: list[str], body: int, names: tuple[str, ...], chunk: int = 200_000
-) -> FloatArray:
-    """Positions (T, K, 3) in file units; so many cells are held as text at a time."""
-    width = 2 + 3 * len(names)
-    rows = lines[body:]
-    if any("," in row for row in rows) and not any("." in row for row in rows):
-        rows = [row.replace(",", ".") for row in rows]
-    numbered = [(number, row) for number, row in enumerate(rows, body + 1) if row and not row.isspace()]
-    if not numbered:
-        raise MotionFileError(path, "trc.no_frames", body)
-    step = max(1, chunk // width)
-    chunks = []
-    for start in range(0, len(numbered), step):
-        part = numbered[start : start + step]
-        cells = [_row_cells(path, line, number, names) for number, line in part]
-        chunks.append(_parse_rows(path, cells, part, names))
-    positions = np.concatenate(chunks)
-    if np.isinf(positions).any():
-        row, point, _ = np.argwhere(np.isinf(positions))[0]
-        raise MotionFileError(path, "trc.infinite", numbered[row][0], name=names[point])
-    return positions
-
-
-def _row_cells(path: str | os.PathLike[str], line: str, number: int, names: tuple[str, ...]) -> list[str]:
-    width = 2 + 3 * len(names)
-    cells = line.split("\t")
-    if len(cells) != width:
-        if any(cell.strip() for cell in cells[width:]) or len(cells) < width:
-            raise MotionFileError(path, "trc.value_count", number, expected=width, markers=len(names), found=len(cells))
-        cells = cells[:width]
-    return cells[2:]
-
-
-def _parse_rows(
-    path: str | os.PathLike[str],
-    rows: list[list[str]],
-    numbered: list[tuple[int, str]],
-    names: tuple[str, ...],
-) -> FloatArray:
-    try:
-        values = np.array([[float(cell or "nan") for cell in row] for row in rows])
-    except ValueError:
-        values = np.array(
-            [
-                [_parse_cell(path, cell, number, names[column // 3]) for column, cell in enumerate(row)]
-                for row, (number, _) in zip(rows, numbered, strict=True)
-            ]
-        )
-    return values.reshape(len(rows), len(names), 3)
-
-
-def _parse_cell(path: str | os.PathLike[str], cell: str, number: int, name: str) -> float:
-    if not cell.strip():
-        return float("nan")
-    if not _NUMBER.fullmatch(cell):
-        raise MotionFileError(path, "trc.number", number, name=name, found=cell.strip()[:40])
-    return float(cell)
 
 
 def write_trc(motion: Trajectories, path: str | os.PathLike[str]) -> None:

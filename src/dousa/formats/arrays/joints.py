@@ -6,6 +6,7 @@ one whose bones have the most constant lengths over time and between left and ri
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import tomllib
 from collections.abc import Mapping
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
 from dousa.formats.assembly import settle_trajectories
-from dousa.formats.guard import Clock
+from dousa.formats.guard import Clock, check_points
 from dousa.formats.smpl import mean_body
 from dousa.messages import Message
 from dousa.motion import Trajectories
@@ -100,11 +101,7 @@ def build_joints(
     points = array.reshape([axis for axis in array.shape if axis != 1]).astype(np.float64)
     if points.shape[2] != 3:
         points = np.moveaxis(points, 2, 0)
-    if points.shape[1] > 1000:
-        raise MotionFileError(path, "arrays.shape", found=str(array.shape))
-    points = np.where(
-        (points == 0).all(axis=2, keepdims=True) & (np.arange(points.shape[1]) > 0)[:, None], np.nan, points
-    )
+    check_points(path, points.shape[1])
     if points.shape[1] in BODY_OF and names is None:
         points = points[:, : BODY_OF[points.shape[1]]]
     return name_joints(path, format_name, points, names, unit=unit, up=up, frame_rate=frame_rate, notes=notes)
@@ -160,14 +157,9 @@ def name_joints(
             raise MotionFileError(path, "arrays.joints", found=points.shape[1], known=known)
         names = layout.names
         notes += (Message("arrays.layout", joints=len(names), layout=layout.title),)
-    clock = clock or Clock()
-    rate = frame_rate or clock.rate
-    if rate is None and (clock.times is None or len(points) < 2):
-        rate = layout.rate if layout else 30.0
-        notes += (Message("arrays.assumed_rate", rate=rate),)
-    if rate is not None and not 0 < rate <= 1e6:
-        raise MotionFileError(path, "arrays.rate", found=repr(rate))
-    clock = Clock(rate, None if frame_rate else clock.times, clock.numbers, clock.frames)
+    clock = dataclasses.replace(clock or Clock(), assumed=layout.rate if layout else 30.0)
+    if frame_rate is not None:
+        clock = dataclasses.replace(clock, rate=frame_rate, times=None)
     return settle_trajectories(
         path, format_name, names, points, clock,
         unit=unit, up=up, unit_in_file=unit_in_file, up_in_file=None, default_up=layout.up if layout else None,

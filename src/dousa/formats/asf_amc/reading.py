@@ -21,12 +21,13 @@ from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.formats.asf_amc.skeleton import AsfSkeleton, channel_program, read_asf
 from dousa.formats.channels import build_motion
+from dousa.formats.guard import Clock
 from dousa.formats.numbers import Bytes, line_number, scan_short, scannable, settle
 from dousa.kernels import kernel, part
 from dousa.messages import Message
 from dousa.motion.types import Motion
 
-_DONE, _BAD_NUMBER, _SKIPPED, _MISSING, _UNKNOWN, _TWICE, _COUNT = range(7)
+_DONE, _BAD_NUMBER, _MISSING, _UNKNOWN, _TWICE, _COUNT = range(6)
 _LINE = re.compile(rb"[^\r\n]*")
 
 
@@ -85,7 +86,7 @@ def _find_bone(buffer: Bytes, start: int, end: int, names: Bytes, name_starts: I
 
 
 @kernel
-def _scan_frames(  # noqa: PLR0911, PLR0912, PLR0915
+def _scan_frames(  # noqa: PLR0912, PLR0915
     buffer: Bytes,
     position: int,
     end: int,
@@ -95,9 +96,10 @@ def _scan_frames(  # noqa: PLR0911, PLR0912, PLR0915
     last_seen: IntArray,
     follower: IntArray,
     out: FloatArray,
+    numbers: FloatArray,
     notes: IntArray,
 ) -> tuple[int, int, int, int, int]:
-    """Fill ``out`` (T, C); bone b has the columns ``columns[b]:columns[b + 1]``.
+    """Fill ``out`` (T, C) and ``numbers`` (T,) of the frames; bone b has the columns ``columns[b]:columns[b + 1]``.
 
     Tokens that are no short decimals go to ``notes`` (M, 2): position, index in out.
     ``last_seen`` holds -1 per bone, ``follower`` the bone expected next after each, learnt on the way.
@@ -107,7 +109,7 @@ def _scan_frames(  # noqa: PLR0911, PLR0912, PLR0915
     needed = 0
     for bone in range(bones):
         needed += columns[bone + 1] > columns[bone]
-    frame, number, seen, previous, noted = -1, 0, needed, bones - 1, 0
+    frame, seen, previous, noted = -1, needed, bones - 1, 0
     while True:
         while position < end and buffer[position] <= 32:
             position += 1
@@ -131,9 +133,8 @@ def _scan_frames(  # noqa: PLR0911, PLR0912, PLR0915
             if digits == position:
                 if seen < needed:
                     break
-                if frame >= 0 and value != number + 1:
-                    return _SKIPPED, token, frame + 1, number, noted
-                frame, number, seen = frame + 1, value, 0
+                frame, seen = frame + 1, 0
+                numbers[frame] = value
                 continue
             bone = _find_bone(buffer, token, position, names, name_starts)
             if bone < 0:
@@ -183,16 +184,17 @@ def _tables(asf: AsfSkeleton) -> _Tables:
     )
 
 
-def parse_frames(path: str, data: bytes, start: int, asf: AsfSkeleton) -> FloatArray:
-    """Parse channel values (T, C): root first, then the bones in the skeleton's order.
+def parse_frames(path: str, data: bytes, start: int, asf: AsfSkeleton) -> tuple[FloatArray, FloatArray]:
+    """Parse channel values (T, C), root first, then the bones in the skeleton's order, and the frames' numbers (T,).
 
     Raises
     ------
-    MotionFileError : an unknown, missing or repeated bone, a wrong count, frames that skip; with the line.
+    MotionFileError : an unknown, missing or repeated bone, a wrong count; with the line.
     """
     tables = _tables(asf)
     rows = (len(data) - start) // tables.smallest_frame + 2
     values = np.empty((rows, int(tables.columns[-1])))
+    numbers = np.empty(rows)
     notes = np.empty((values.size, 2), np.int64)
     status, position, n_frames, detail, noted = _scan_frames(
         np.frombuffer(data, np.uint8),
@@ -204,6 +206,7 @@ def parse_frames(path: str, data: bytes, start: int, asf: AsfSkeleton) -> FloatA
         np.full(len(tables.names), -1),
         tables.follower.copy(),
         values,
+        numbers,
         notes,
     )
     bad = settle(data, notes[:noted], values)
@@ -214,7 +217,7 @@ def parse_frames(path: str, data: bytes, start: int, asf: AsfSkeleton) -> FloatA
         raise MotionFileError(path, problem, line_number(data, position))
     values = values[:n_frames].copy() if 2 * n_frames < rows else values[:n_frames]
     values.flags.writeable = False
-    return values
+    return values, numbers[:n_frames]
 
 
 def _problem(
@@ -226,8 +229,6 @@ def _problem(
     bone = tables.names[detail] if status in (_MISSING, _TWICE, _COUNT) else ""
     if status == _BAD_NUMBER:
         return Message("amc.bad_number", found=shown)
-    if status == _SKIPPED:
-        return Message("amc.skipped", expected=detail + 1, before=detail, found=shown)
     if status == _MISSING:
         return Message("amc.missing", frame=n_frames, bone=bone)
     if status == _UNKNOWN:
@@ -270,11 +271,11 @@ def read_amc(
     data = scannable(read_bytes(path))
     asf = read_asf(skeleton if skeleton is not None else find_skeleton(name))
     header = parse_header(name, data)
-    values = parse_frames(name, data, header.first_frame_at, asf)
+    values, numbers = parse_frames(name, data, header.first_frame_at, asf)
     degrees = asf.degrees if header.degrees is None else header.degrees
-    rate = header.frame_rate or _rate_of_name(name)
+    clock = Clock(header.frame_rate or _rate_of_name(name), numbers=numbers)
     program = channel_program(asf, degrees)
-    return build_motion(name, "amc", program, values, rate, unit=unit, up=up, declared_unit=asf.declared_unit)
+    return build_motion(name, "amc", program, values, clock, unit=unit, up=up, declared_unit=asf.declared_unit)
 
 
 def _rate_of_name(path: str) -> float:

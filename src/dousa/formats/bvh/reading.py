@@ -23,6 +23,7 @@ from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.formats.channels import ChannelProgram, build_motion
+from dousa.formats.guard import MOST_POINTS, Clock
 from dousa.formats.numbers import (
     DONE,
     FULL,
@@ -185,7 +186,7 @@ class _Parser:
             raise BvhSyntaxError(position, "bvh.joint_in_end")
         self._add(_Joint(name.decode(self.encoding), self.open[-1] if self.open else -1, position, False))
 
-    def _add(self, joint: _Joint, most: int = 10_000, most_with_ends: int = 40_000) -> None:
+    def _add(self, joint: _Joint, most: int = MOST_POINTS, most_with_ends: int = 4 * MOST_POINTS) -> None:
         self.n_joints += not joint.is_end
         if self.n_joints > most or len(self.joints) >= most_with_ends:
             raise BvhSyntaxError(joint.position, "bvh.too_many", most=most)
@@ -344,18 +345,18 @@ def read_bvh(path: str | os.PathLike[str], *, unit: float | None = None, up: str
     """
     data = scannable(read_bytes(path))
     try:
-        program, layout, values, notes = _parse(data)
+        program, layout, values, n_frames, notes = _parse(data)
     except BvhSyntaxError as error:
         raise MotionFileError(path, error.message, line_number(data, error.position)) from None
     del data  # the text of a long recording is as large as its numbers
     return build_motion(
-        os.fspath(path), "bvh", program, values, layout.frame_rate,
+        os.fspath(path), "bvh", program, values, Clock(layout.frame_rate, frames=n_frames),
         unit=unit, up=up, layout=layout, values=values, notes=notes,
     )  # fmt: skip
 
 
-def _parse(data: bytes) -> tuple[ChannelProgram, BvhLayout, FloatArray, tuple[Message, ...]]:
-    """How channels make poses, the layout, the channel values (T, C), and notes."""
+def _parse(data: bytes) -> tuple[ChannelProgram, BvhLayout, FloatArray, int, tuple[Message, ...]]:
+    """How channels make poses, the layout, the channel values (T, C), the declared number of frames, and notes."""
     start = _HIERARCHY.match(data)
     if start is None:
         raise BvhSyntaxError(0, "bvh.no_hierarchy")
@@ -370,7 +371,7 @@ def _parse(data: bytes) -> tuple[ChannelProgram, BvhLayout, FloatArray, tuple[Me
     n_frames, frames_at, frame_time, values_at = _parse_motion_header(data, motion.end())
     values, notes = _read_values(data, values_at, hierarchy.n_channels, n_frames, frames_at)
     layout = BvhLayout(hierarchy.channels, hierarchy.offsets, frame_time, hierarchy.encoding)
-    return hierarchy.program, layout, values, notes
+    return hierarchy.program, layout, values, n_frames, notes
 
 
 def _find_motion(data: bytes, start: int) -> re.Match[bytes]:
@@ -426,9 +427,7 @@ def _read_values(
         raise BvhSyntaxError(frames_at, "bvh.no_values", declared=n_frames, found=found)
     notes = []
     if status not in (DONE, FULL):
-        notes.append(_explain_rest(data, position, columns, found, n_frames))
-    elif found != n_frames:
-        notes.append(Message("bvh.frame_count", declared=n_frames, found=found))
+        notes.append(_explain_rest(data, position, columns, found))
     if found < len(values):
         values = values[:found].copy()
     values.flags.writeable = False
@@ -450,11 +449,11 @@ def _scan(data: bytes, start: int, columns: int, rows: int) -> tuple[FloatArray,
     return values, status, position, filled
 
 
-def _explain_rest(data: bytes, position: int, columns: int, found: int, n_frames: int) -> Message:
+def _explain_rest(data: bytes, position: int, columns: int, found: int) -> Message:
     """Explain a row of another width: a row that breaks off, or another skeleton; BvhSyntaxError if damaged."""
     widths = [len(line.split()) for line in data[position:].splitlines() if line.strip()]
     if found and len(widths) == 1 and widths[0] < columns:
-        return Message("bvh.cut_off", declared=n_frames, found=found)
+        return Message("guard.cut_off", line=line_number(data, position))
     if found and len(widths) > 1 and len(set(widths)) == 1:
         return Message("bvh.other_rows", found=found, columns=columns, left_out=len(widths), width=widths[0])
     raise BvhSyntaxError(position, "bvh.value_count", expected=columns, found=widths[0])

@@ -50,12 +50,14 @@ class Clock:
     times : (T,) time of every row, in seconds or in another unit of time; NaN where blank; None without such a column.
     numbers : (T,) number of the frame of every row, NaN where blank; None without such a column.
     frames : number of frames that the header declares; None where it does not.
+    assumed : Hz, usual in such files, for one that says nothing of time; None where there is no such rate.
     """
 
     rate: float | None = None
     times: FloatArray | None = None
     numbers: FloatArray | None = None
     frames: float | None = None
+    assumed: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,12 +113,14 @@ def settle_clock(
         rows, more = _order_rows(path, np.concatenate(([0], np.cumsum(steps))), content)
         notes += more
         n_frames = n_rows if rows is None else len(rows)
-    if clock.frames is not None and np.isfinite(clock.frames) and clock.frames > 0 and clock.frames != n_frames:
-        notes.append(Message("guard.frame_count", declared=int(clock.frames), found=n_rows))
+    if clock.frames is not None and clock.frames != n_frames and not clock.frames <= 0:
+        notes.append(Message("guard.frame_count", declared=f"{clock.frames:,.0f}", found=n_rows))
     if given is not None:
         if clock.rate is not None and clock.rate != given:
             notes.append(Message("guard.given_rate", declared=clock.rate, given=given))
         return Timeline(given, rows, tuple(notes))
+    if clock.rate is None and times is None and clock.assumed is not None:
+        return Timeline(clock.assumed, rows, (*notes, Message("arrays.assumed_rate", rate=clock.assumed)))
     rate, more = _choose_rate(path, clock.rate, times, steps)
     return Timeline(rate, rows, (*notes, *more))
 
@@ -297,7 +301,7 @@ def _question(rate: float) -> list[Message]:
 
 def _rate_of_duration(duration: float) -> float | None:
     """The rate that stands where seconds should be, or that of so many milliseconds; None if it can be neither."""
-    candidates = [rate for rate in (duration, 1e3 / duration) if _SLOWEST <= rate <= _HIGHEST]
+    candidates = [rate for rate in (duration, 1e3 / duration) if min(rate, duration) >= _SLOWEST and rate <= _HIGHEST]
     # Rates are mostly whole numbers; 33.3333 are the milliseconds of 30 Hz.
     whole = [rate for rate in candidates if abs(rate - round(rate)) <= 1e-3 * rate]
     return float(round(whole[0])) if whole else candidates[0] if candidates else None

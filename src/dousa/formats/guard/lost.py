@@ -16,15 +16,14 @@ from dousa.arrays import BoolArray, FloatArray, IndexArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cloud:
-    """Where the points of a file are: the middle (3,), the usual size of the body, and how far it gets around."""
+    """Where the points of a file are: their middle (3,), and the usual size of the body."""
 
     middle: FloatArray
     size: float
-    reach: float
 
 
 def measure_cloud(positions: FloatArray, most: int = 50) -> Cloud:
-    """Measure the points of a file, robust against strays.
+    """Measure the points of a file, robust against strays; of a single point how far it gets around.
 
     Parameters
     ----------
@@ -35,18 +34,14 @@ def measure_cloud(positions: FloatArray, most: int = 50) -> Cloud:
     with np.errstate(over="ignore", invalid="ignore"):
         seen = np.isfinite(sample).all(axis=2) & ~_equal_sides(sample)
         counts = seen.sum(axis=1)
-        sample, counts = sample[counts > 0], counts[counts > 0]
-        seen = seen[seen.any(axis=1)]
+        sample, seen, counts = (array[counts > 0] for array in (sample, seen, counts))
         if len(sample) == 0:
-            return Cloud(np.zeros(3), 0.0, 0.0)
+            return Cloud(np.zeros(3), 0.0)
         ranked = np.sort(np.where(seen[..., None], sample, np.nan), axis=1)  # NaN last
         frames = np.arange(len(sample))
         low, middle, high = (ranked[frames, np.rint(share * (counts - 1)).astype(int)] for share in (0.1, 0.5, 0.9))
-        size = float(np.median((high - low).max(axis=1)))
-        travelled = np.sort(middle, axis=0)
-        tenth = len(travelled) // 10
-        reach = float((travelled[-1 - tenth] - travelled[tenth]).max())
-    return Cloud(np.median(middle, axis=0), size or reach, size + reach)
+        size = float(np.median((high - low).max(axis=1))) or float(np.ptp(middle, axis=0).max())
+    return Cloud(np.median(middle, axis=0), size)
 
 
 def find_lost(positions: FloatArray, cloud: Cloud | None = None, *, can_rest: bool = False) -> BoolArray | None:
@@ -55,28 +50,40 @@ def find_lost(positions: FloatArray, cloud: Cloud | None = None, *, can_rest: bo
     Parameters
     ----------
     positions : (T, K, 3) in any unit; NaN where missing.
-    cloud : of these points, if it is known.
+    cloud : of these points, or of the body that they belong to.
     can_rest : whether a zero before the first and after the last other place is one: roots stand there at rest.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         equal = _equal_sides(positions)
-        some = equal.any()
-        greatest = float(np.fmax.reduce(np.abs(positions), axis=None, initial=0.0))
+        suspected = bool(equal.any())
+        if not suspected and positions.shape[1] < 3:
+            return None
         cloud = cloud or measure_cloud(positions)
         if not cloud.size > 0:
             return None
         lost = np.zeros(positions.shape[:2], bool)
-        if some:
+        if suspected:
             frames, points = np.nonzero(equal)
             lost[frames, points] = _jumps(positions, equal, frames, points, cloud)
             if can_rest:
                 away = (positions != 0).any(axis=2)
-                inside = np.maximum.accumulate(away, axis=0) & np.maximum.accumulate(away[::-1], axis=0)[::-1]
-                lost &= inside
-        beyond = 100.0 * cloud.reach
-        if greatest > beyond + np.abs(cloud.middle).max():
-            lost |= np.abs(positions - cloud.middle).max(axis=2) > beyond
+                lost &= np.maximum.accumulate(away, axis=0) & np.maximum.accumulate(away[::-1], axis=0)[::-1]
+        if positions.shape[1] > 2:
+            lost |= _strays(positions, equal, cloud)
     return lost if lost.any() else None
+
+
+def _strays(positions: FloatArray, equal: BoolArray, cloud: Cloud, most: float = 100.0) -> BoolArray:
+    """(T, K) points that are beyond all that the body reaches, by more than ``most`` of its sizes."""
+    beyond = most * cloud.size
+    low, high = (reduce(positions, axis=None) for reduce in (np.fmin.reduce, np.fmax.reduce))
+    if low >= cloud.middle.max() - beyond and high <= cloud.middle.min() + beyond:
+        return np.zeros(equal.shape, bool)
+    # How far the whole body gets around: the median of the points in each frame.
+    seen = np.where(equal[..., None], np.nan, positions)
+    seen = seen[np.isfinite(seen).all(axis=2).any(axis=1)]
+    middles = np.nanmedian(seen, axis=1) if len(seen) else cloud.middle[None]
+    return np.abs(positions - cloud.middle).max(axis=2) > beyond + np.abs(middles - cloud.middle).max()
 
 
 def _equal_sides(positions: FloatArray) -> BoolArray:
@@ -103,7 +110,7 @@ def _jumps(
     frames, points : (N,) of the suspected ones.
     cloud : of all points.
     near : size of the body within which a point stays from one frame to the next in which it is seen.
-    outside : reach of the body from whose middle a point must be that is never seen elsewhere.
+    outside : sizes of the body from whose middle a point must be that is never seen elsewhere.
     """
     n_frames = len(positions)
     seen = ~equal & np.isfinite(positions).all(axis=2)
@@ -127,6 +134,6 @@ def _jumps(
     never = ~np.isfinite(nearest)
     lost: BoolArray = nearest > near * cloud.size
     collapsed = (count[frames] == 0) & (positions.shape[1] > 1)
-    lost[never] = np.abs(here[never] - cloud.middle).max(axis=1) > outside * cloud.reach
+    lost[never] = np.abs(here[never] - cloud.middle).max(axis=1) > outside * cloud.size
     lost[collapsed] = True
     return lost

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 from collections.abc import Sequence
 from itertools import pairwise
@@ -10,6 +11,8 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
+from dousa.formats.guard import check_memory
+from dousa.messages import Message
 from dousa.motion.canonical.naming import group_owners
 
 BLANK = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "--", "."})
@@ -41,9 +44,79 @@ def read_rows(path: str | os.PathLike[str], rows: list[list[str]], lines: Sequen
             if bad is not None:
                 raise MotionFileError(path, "tables.number", lines[number], found=bad[:40]) from None
             values[number, : len(cells)] = [np.nan if cell.lower() in BLANK else float(cell) for cell in bare]
-    if np.isinf(values).any():
-        raise MotionFileError(path, "tables.infinite", lines[int(np.argwhere(np.isinf(values))[0][0])])
     return values
+
+
+def read_lines(
+    path: str | os.PathLike[str],
+    lines: Sequence[str],
+    body: int,
+    width: int,
+    *,
+    mark: str = "\t",
+    declared: float = np.nan,
+    whole: bool = False,
+    at_once: int = 200_000,
+) -> tuple[FloatArray, tuple[Message, ...]]:
+    """Read (T, width) numbers from the lines of a table, and notes.
+
+    A last line that breaks off is left out: it has no end, and lacks cells, or frames are missing, or its last number
+    is shorter than all others of the column.
+
+    Parameters
+    ----------
+    path : for messages.
+    lines : of the whole file, the last one empty where the last row has an end.
+    body : index of the first that is a row; blank lines are none.
+    width : cells read per row.
+    mark : between cells.
+    declared : number of frames in the header, if any.
+    whole : refuse rows of another width, but for blank cells at their end.
+    at_once : so many cells are held as text at a time.
+
+    Raises
+    ------
+    MotionFileError : no rows, a cell that is no number, rows of another width, rows that take too much memory.
+    """
+    blank = f'{mark} \r"\t'
+    rows = [number for number in range(body, len(lines)) if lines[number].strip(blank)]
+    notes = []
+    if len(rows) > 1 and rows[-1] == len(lines) - 1 and _breaks_off(lines, rows, width, mark, declared):
+        notes.append(Message("guard.cut_off", line=rows.pop() + 1))
+    if not rows:
+        raise MotionFileError(path, "tables.no_frames", body)
+    check_memory(path, 8 * width * len(rows), sum(map(len, lines)))
+    parts = []
+    step = max(1, at_once // width)
+    for start in range(0, len(rows), step):
+        part = rows[start : start + step]
+        cells = [_split(lines[number], mark) for number in part]
+        if whole:
+            for number, row in zip(part, cells, strict=True):
+                if len(row) < width or any(cell.strip() for cell in row[width:]):
+                    raise MotionFileError(path, "tables.width", number + 1, expected=width, found=len(row))
+        parts.append(read_rows(path, cells, [number + 1 for number in part], width))
+    return np.concatenate(parts), tuple(notes)
+
+
+def _split(line: str, mark: str) -> list[str]:
+    return line.split(mark) if '"' not in line else next(csv.reader([line], delimiter=mark))
+
+
+def _breaks_off(lines: Sequence[str], rows: list[int], width: int, mark: str, declared: float) -> bool:
+    last = lines[rows[-1]].split(mark)
+    if len(last) < width or len(rows) < declared:
+        return True
+    ends = [len(lines[number].rpartition(mark)[2]) for number in rows[:-1]]
+    return len(last) == width and len(rows) > 2 and 0 < len(last[-1]) < min(ends)
+
+
+def read_number(cell: str | Sequence[str] | None) -> float | None:
+    """Read a number of a header, decimal comma or point; None without a cell or in a blank one, NaN for other text."""
+    if not isinstance(cell, str):
+        cell = cell[0] if cell else ""
+    cell = cell.strip().replace(",", ".")
+    return None if not cell else float(cell) if is_number(cell) else np.nan
 
 
 def is_number(cell: str) -> bool:

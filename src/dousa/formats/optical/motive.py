@@ -22,7 +22,9 @@ from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.assembly import declared_unit, settle_trajectories, settle_world
-from dousa.formats.optical.cells import guess_parents, read_rows, strip_owner
+from dousa.formats.guard import Clock, check_points
+from dousa.formats.optical.cells import guess_parents, read_lines, read_number, strip_owner
+from dousa.messages import Message
 from dousa.motion import Motion, Trajectories, forward_kinematics
 from dousa.motion.rotations import from_euler, normalise
 
@@ -54,9 +56,10 @@ def read_motive(
     ------
     MotionFileError : missing, damaged, neither bones nor labelled markers.
     """
-    text = read_bytes(path).decode("utf-8-sig", errors="replace")
+    lines = read_bytes(path).decode("utf-8-sig", errors="replace").replace("\0", "").replace("\r\n", "\n").split("\n")
+    check_points(path, max(line.count(",") for line in lines[:12]) // 7)  # numbers of a bone
     try:
-        rows = list(csv.reader(text.replace("\0", "").splitlines()))
+        rows = list(csv.reader(lines[:12]))
     except csv.Error as error:
         raise MotionFileError(path, "motive.damaged", reason=error) from error
     table = _read_header(path, rows)
@@ -69,11 +72,11 @@ def read_motive(
     if kind is None or not assets:
         raise MotionFileError(path, "motive.nothing")
     width = 1 + max(max(columns["position"] + columns.get("rotation", [])) for _, columns in assets)
-    lines = [(n, row) for n, row in enumerate(rows[table.body :], table.body + 1) if any(cell.strip() for cell in row)]
-    if not lines:
-        raise MotionFileError(path, "motive.no_frames", len(rows))
-    values = read_rows(path, [row for _, row in lines], [number for number, _ in lines], width)
-    return _build(path, table, kind, assets, values, unit, up)
+    frames = read_number(table.fields.get("total exported frames"))
+    values, notes = read_lines(path, lines, table.body, width, mark=",", declared=np.nan if frames is None else frames)
+    rates = (read_number(table.fields.get(key)) for key in ("export frame rate", "capture frame rate"))
+    clock = Clock(next((rate for rate in rates if rate is not None), None), values[:, 1], values[:, 0], frames)
+    return _build(path, table, kind, assets, values, clock, unit, up, list(notes))
 
 
 def _build(
@@ -82,12 +85,13 @@ def _build(
     kind: str,
     assets: list[tuple[str, dict[str, list[int]]]],
     values: FloatArray,
+    clock: Clock,
     unit: float | str | None,
     up: str | None,
+    notes: list[Message],
 ) -> Motion | Trajectories:
     names = strip_owner([name for name, _ in assets])
     positions = values[:, [columns["position"] for _, columns in assets]]
-    rate = _read_rate(path, table.fields, values)
     unit_in_file = declared_unit(table.fields.get("length units", ""))
     # Rigid bodies and bones that are not solved are blank; markers of older versions lie at the origin.
     given = table.parents
@@ -101,13 +105,13 @@ def _build(
     )
     if turns is None:
         return settle_trajectories(
-            path, "motive", tuple(names), positions, rate,
-            unit=unit, up=up, unit_in_file=unit_in_file, up_in_file=None, default_up="y",
+            path, "motive", tuple(names), positions, clock,
+            unit=unit, up=up, unit_in_file=unit_in_file, up_in_file=None, default_up="y", notes=tuple(notes),
         )  # fmt: skip
     return settle_world(
-        path, "motive", names, parents, turns, positions, rate,
+        path, "motive", names, parents, turns, positions, clock,
         are_local=table.fields.get("coordinate space", "global").lower() == "local",
-        unit=unit, up=up, unit_in_file=unit_in_file, default_up="y",
+        unit=unit, up=up, unit_in_file=unit_in_file, default_up="y", notes=tuple(notes),
     )  # fmt: skip
 
 
@@ -143,22 +147,6 @@ def _read_columns(
         if column < len(above) and above[column] and kind == "bone":
             parents[names[column]] = above[column]
     return columns, parents
-
-
-def _read_rate(path: str | os.PathLike[str], fields: dict[str, str], values: FloatArray) -> float:
-    for key in ("export frame rate", "capture frame rate"):
-        try:
-            rate = float(fields.get(key, ""))
-        except ValueError:
-            continue
-        if 0 < rate <= 1e6:
-            return rate
-    times = values[:, 1]
-    steps = np.diff(times[np.isfinite(times)])
-    step = float(np.median(steps)) if len(steps) else 0.0
-    if not step >= 1e-6:
-        raise MotionFileError(path, "motive.rate")
-    return 1.0 / step
 
 
 def _read_turns(

@@ -17,7 +17,9 @@ from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.formats.assembly import settle_trajectories, settle_world
-from dousa.formats.optical.cells import guess_parents, read_rows, strip_owner
+from dousa.formats.guard import Clock, check_points
+from dousa.formats.optical.cells import guess_parents, read_lines, read_number, strip_owner
+from dousa.messages import Message
 from dousa.motion import Motion, Trajectories
 from dousa.motion.rotations import normalise
 
@@ -41,55 +43,60 @@ def read_qualisys(
     MotionFileError : missing, damaged, rigid bodies (6D) without markers.
     """
     text = read_bytes(path).decode("utf-8-sig", errors="replace").replace("\r\n", "\n").replace("\r", "\n")
-    rows = [line.split("\t") for line in text.split("\n")]
+    lines = text.split("\n")
+    check_points(path, max(line.count("\t") for line in lines[:40]) // 3)
     fields: dict[str, list[str]] = {}
     number = 0
-    while number < min(len(rows), 40) and (_KEY.fullmatch(rows[number][0].strip()) or not any(rows[number])):
-        fields[rows[number][0].strip()] = [cell.strip() for cell in rows[number][1:]]
+    while number < min(len(lines), 40):
+        key, *cells = (cell.strip() for cell in lines[number].split("\t"))
+        if not _KEY.fullmatch(key) and (key or cells):
+            break
+        fields[key] = cells
         number += 1
-    rate = _read_rate(path, fields)
-    titles = [cell.strip() for cell in rows[number]] if number < len(rows) else []
-    has_titles = bool(titles) and not re.fullmatch(r"[\d.eE+-]*|nan", titles[0])
-    first = number + has_titles
-    lines = {n: row for n, row in enumerate(rows[first:], first + 1) if any(cell.strip() for cell in row)}
-    if not lines:
-        raise MotionFileError(path, "qualisys.no_frames", number)
+    titles = [cell.strip() for cell in lines[number].split("\t")] if number < len(lines) else []
+    first = number + (bool(titles) and not re.fullmatch(r"[\d.eE+-]*|nan", titles[0]))
+    titles = titles[: len(titles) * (first - number)]
     if "BODY_NAMES" in fields and "MARKER_NAMES" not in fields:
         raise MotionFileError(path, "qualisys.bodies")
     if "MARKER_NAMES" not in fields:
-        return _read_skeleton(path, titles, lines, rate, unit, up)
+        return _read_skeleton(path, fields, titles, lines, first, unit, up)
     names = [name for name in fields["MARKER_NAMES"] if name]
-    leading = 0
-    if has_titles:
-        leading = next((index for index, title in enumerate(titles) if title not in ("Frame", "Time")), 0)
-    if not names or max(map(len, lines.values())) < leading + 3 * len(names):
-        raise MotionFileError(
-            path, "qualisys.width", first + 1, expected=leading + 3 * len(names), found=len(next(iter(lines.values())))
-        )
-    values = read_rows(path, [*lines.values()], [*lines], leading + 3 * len(names))[:, leading:]
-    points = values.reshape(len(values), len(names), 3)
-    points = np.where((points == 0).all(axis=2, keepdims=True), np.nan, points)
+    leading = next((index for index, title in enumerate(titles) if title not in ("Frame", "Time")), 0)
+    width = leading + 3 * len(names)
+    cells = lines[first].split("\t") if first < len(lines) else []
+    if not names or 1 < len(cells) < width:
+        raise MotionFileError(path, "qualisys.width", first + 1, expected=width, found=len(cells))
+    values, clock, notes = _read_values(path, fields, titles[:leading], lines, first, width)
+    points = values[:, leading:].reshape(len(values), len(names), 3)
+    points = np.where((points == 0).all(axis=2, keepdims=True), np.nan, points)  # by the definition of the format
     return settle_trajectories(
-        path, "qualisys", tuple(names), points, rate,
+        path, "qualisys", tuple(names), points, clock,
         unit=unit, up=up, unit_in_file=0.001, up_in_file=None, default_up="z",
+        notes=notes,
     )  # fmt: skip
 
 
-def _read_rate(path: str | os.PathLike[str], fields: dict[str, list[str]]) -> float:
-    try:
-        rate = float(fields["FREQUENCY"][0])
-    except (LookupError, ValueError):
-        rate = float("nan")
-    if not 0 < rate <= 1e6:
-        raise MotionFileError(path, "qualisys.rate")
-    return rate
+def _read_values(
+    path: str | os.PathLike[str],
+    fields: dict[str, list[str]],
+    titles: list[str],
+    lines: list[str],
+    first: int,
+    width: int,
+) -> tuple[FloatArray, Clock, tuple[Message, ...]]:
+    """Numbers (T, width) of the rows, what the file says of time, and notes."""
+    frames = read_number(fields.get("NO_OF_FRAMES"))
+    values, notes = read_lines(path, lines, first, width, declared=np.nan if frames is None else frames)
+    numbers, times = (values[:, titles.index(t)] if t in titles else None for t in ("Frame", "Time"))
+    return values, Clock(read_number(fields.get("FREQUENCY")), times, numbers, frames), notes
 
 
 def _read_skeleton(
     path: str | os.PathLike[str],
+    fields: dict[str, list[str]],
     titles: list[str],
-    lines: dict[int, list[str]],
-    rate: float,
+    lines: list[str],
+    first: int,
     unit: float | str | None,
     up: str | None,
 ) -> Motion | Trajectories:
@@ -97,16 +104,17 @@ def _read_skeleton(
     names = strip_owner([titles[index] for index in starts])
     if not names:
         raise MotionFileError(path, "qualisys.no_names")
-    values = read_rows(path, [*lines.values()], [*lines], starts[-1] + 8)
+    leading = titles[: starts[0]]
+    values, clock, notes = _read_values(path, fields, leading, lines, first, starts[-1] + 8)
     blocks: FloatArray = np.stack([values[:, start + 1 : start + 8] for start in starts], axis=1)
     positions, world = blocks[..., :3], normalise(blocks[..., [6, 3, 4, 5]])
     parents = guess_parents(names)
     if not parents:
         return settle_trajectories(
-            path, "qualisys", tuple(names), positions, rate,
-            unit=unit, up=up, unit_in_file=0.001, up_in_file=None, default_up="z",
+            path, "qualisys", tuple(names), positions, clock,
+            unit=unit, up=up, unit_in_file=0.001, up_in_file=None, default_up="z", notes=notes,
         )  # fmt: skip
     return settle_world(
-        path, "qualisys", names, parents, world, positions, rate,
-        unit=unit, up=up, unit_in_file=0.001, default_up="z", rest_in_world=False,
+        path, "qualisys", names, parents, world, positions, clock,
+        unit=unit, up=up, unit_in_file=0.001, default_up="z", rest_in_world=False, notes=notes,
     )  # fmt: skip
