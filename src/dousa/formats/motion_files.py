@@ -1,11 +1,12 @@
-"""Motion files on disk: options, finding them, reading them on canonical joints, and votes on their axes and units.
+"""Motion files on disk: options, finding them, reading them on canonical joints, and votes on what they leave open.
 
-A program writes all its files in the same axes and unit. Where a file's own evidence is only a guess, the files with
-the same joints that were read together decide, if most of those with clear evidence agree.
+A program writes all its files in the same axes and unit, and with joints or markers. Where a file's own evidence is
+only a guess, the files with the same joints that were read together decide, if most of those with clear evidence agree.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 from collections import Counter, defaultdict
@@ -40,6 +41,7 @@ class ReadOptions:
     frame_rate : Hz, whatever the file says.
     person, animation : name or number of one of several in a file; see ``dousa.formats.read_motion``.
     any_skeleton : take bodies that cannot be a person's too, such as an animal's.
+    markers : whether points named like joints are markers on the skin; None to decide it by the file.
     """
 
     joint_map: JointMap | None = None
@@ -50,6 +52,7 @@ class ReadOptions:
     any_skeleton: bool = False
     person: str | None = None
     animation: str | None = None
+    markers: bool | None = None
 
     def describe(self) -> str:
         """Return the options that affect the result, as one line of JSON; empty if there are none."""
@@ -64,6 +67,7 @@ class ReadOptions:
             "any_skeleton": self.any_skeleton or None,
             "person": self.person,
             "animation": self.animation,
+            "markers": self.markers,
         }
         given = {key: value for key, value in given.items() if value is not None}
         return json.dumps(given, sort_keys=True) if given else ""
@@ -206,7 +210,9 @@ def map_joints(
     from dousa.motion import canonicalise
 
     try:
-        return canonicalise(motion, options.joint_map, any_skeleton=options.any_skeleton, whole=whole)
+        return canonicalise(
+            motion, options.joint_map, any_skeleton=options.any_skeleton, whole=whole, markers=options.markers
+        )
     except JointMappingError as error:
         error.path = os.fspath(path)
         raise
@@ -222,19 +228,21 @@ def describe_problem(path: str, error: DousaError) -> Message:
     return error.message
 
 
-OVERRULED = frozenset({"units.guessed_up", "units.assumed", "units.normalised"})
+OVERRULED = frozenset({"units.guessed_up", "units.assumed", "units.normalised", "canonical.not_a_person"})
 """Codes of the notes that no longer hold where others decided."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameClaim:
-    """Axes and unit of a file, declared or guessed.
+    """Axes, unit and body of a file, declared or guessed.
 
     Parameters
     ----------
     skeleton : names and tree of the joints.
     up, up_source, unit, unit_source : as in a ``Provenance``.
     height : of the body in units of the file.
+    markers : as in a ``JointMapping``.
+    is_person : whether the proportions are a person's.
     """
 
     skeleton: tuple[object, ...]
@@ -243,11 +251,47 @@ class FrameClaim:
     unit: float
     unit_source: str
     height: float
+    markers: bool | None = None
+    is_person: bool = True
 
     @property
     def doubtful(self) -> bool:
         """Whether other files could have better evidence."""
-        return self.up_source == "guessed" or self.unit_source == "assumed"
+        is_open = self.markers is not None or not self.is_person
+        return is_open or self.up_source == "guessed" or self.unit_source == "assumed"
+
+
+@dataclass(frozen=True, slots=True)
+class Elected:
+    """What other files of a skeleton decided on one.
+
+    Parameters
+    ----------
+    up, unit, markers : to read it with; None where undecided.
+    is_person : whether it is a person's although its proportions are not.
+    notes : for the user.
+    """
+
+    up: str | None = None
+    unit: float | None = None
+    markers: bool | None = None
+    is_person: bool = False
+    notes: tuple[Message, ...] = ()
+
+    @property
+    def decides(self) -> bool:
+        """Whether anything was decided."""
+        return self.is_person or (self.up, self.unit, self.markers) != (None, None, None)
+
+    def apply(self, options: ReadOptions) -> ReadOptions:
+        """Return the options, completed by what was decided."""
+        return dataclasses.replace(
+            options,
+            up=self.up or options.up,
+            unit=self.unit or options.unit,
+            markers=options.markers if self.markers is None else self.markers,
+            any_skeleton=self.is_person or options.any_skeleton,
+        )
 
 
 def describe_frame(motion: Motion | Trajectories, canonical: CanonicalMotion) -> FrameClaim | None:
@@ -268,7 +312,12 @@ def describe_frame(motion: Motion | Trajectories, canonical: CanonicalMotion) ->
         origin.unit,
         origin.unit_source,
         canonical.height / origin.unit,
+        canonical.mapping.markers,
     )
+
+
+_FEWEST, _MAJORITY = 2, 0.75
+"""By definition: how many files decide on the body of another, and which share of those that know."""
 
 
 @dataclass(slots=True)
@@ -281,31 +330,44 @@ class FrameVotes:
         """Add the claim of one more file."""
         self.claims[claim.skeleton].append(claim)
 
-    def elect(self, claim: FrameClaim) -> tuple[str | None, float | None, tuple[Message, ...]]:
-        """Let the other files of its skeleton decide on a doubtful claim.
-
-        Returns
-        -------
-        Up axis and unit to read the file with, None where undecided, and notes for the user.
-        """
-        others = self.claims[claim.skeleton]
+    def elect(self, claim: FrameClaim) -> Elected:
+        """Let the other files of its skeleton decide on a doubtful claim."""
+        every = self.claims[claim.skeleton]
+        others = [other for other in every if other.is_person]
         up, unit = self._elect_up(claim, others), self._elect_unit(claim, others)
+        markers = self._elect_markers(claim, others)
+        is_person = not claim.is_person and len(others) >= max(_FEWEST, _MAJORITY * len(every))
         notes = []
         if up is not None and up != claim.up:
             known = sum(other.up_source != "guessed" for other in others)
             notes.append(Message("units.voted_up", up=up, n=known, own=claim.up))
         if unit is not None:
             notes.append(Message("units.voted_unit", unit=unit, n=len(others), own=claim.unit))
-        return up, unit, tuple(notes)
+        if markers is not None:
+            code = "canonical.voted_markers" if markers else "canonical.voted_joints"
+            notes.append(Message(code, n=sum(other.markers == markers for other in others)))
+        if is_person:
+            notes.append(Message("canonical.voted_person", n=len(others)))
+        return Elected(up, unit, markers, is_person, tuple(notes))
 
     @staticmethod
-    def _elect_up(claim: FrameClaim, others: list[FrameClaim], majority: float = 0.75) -> str | None:
-        """Return the axis that most files with evidence have, if they are at least the ``majority`` of these."""
+    def _elect_markers(claim: FrameClaim, others: list[FrameClaim]) -> bool | None:
+        """Return what most files were taken for, if it is not what the file was; None if they do not decide."""
+        counts = Counter(other.markers for other in others if other.markers is not None)
+        if claim.markers is None or not counts:
+            return None
+        found, votes = counts.most_common(1)[0]
+        enough = votes >= max(_FEWEST, _MAJORITY * counts.total())
+        return found if enough and found != claim.markers else None
+
+    @staticmethod
+    def _elect_up(claim: FrameClaim, others: list[FrameClaim]) -> str | None:
+        """Return the axis that most files with evidence have, if they are a clear majority of these."""
         known = Counter(other.up for other in others if other.up_source != "guessed")
         if claim.up_source != "guessed" or not known:
             return None
         up, votes = known.most_common(1)[0]
-        return up if votes >= majority * known.total() else None
+        return up if votes >= _MAJORITY * known.total() else None
 
     @staticmethod
     def _elect_unit(

@@ -19,7 +19,15 @@ import sqlalchemy as sa
 
 from dousa.errors import DousaError
 from dousa.formats.annotations.label_file import to_annotation
-from dousa.formats.motion_files import FoundFile, FrameVotes, ReadOptions, Skipped, find_motion_files, is_unicode
+from dousa.formats.motion_files import (
+    Elected,
+    FoundFile,
+    FrameVotes,
+    ReadOptions,
+    Skipped,
+    find_motion_files,
+    is_unicode,
+)
 from dousa.formats.parts import KINDS, are_all, file_of, join_address
 from dousa.formats.registry import find_reader
 from dousa.library.annotations.matching import FoundLabels, TakeLength, check_fit, choose_labels, find_labels
@@ -185,7 +193,7 @@ class Adding:
                 if claim is not None and claim.doubtful and len(doubtful) < most_doubtful:
                     doubtful.append(cast("ClipRecord", answer))
                 else:
-                    portion.append(answer)
+                    portion.append(_believe(answer))
                 # Takes with tables wait while there is room, so that nothing is written if one does not fit.
                 if _is_full(portion) or (not labels and time.monotonic() - last >= at_most_s):
                     portion = self._store_portion(portion)
@@ -315,11 +323,14 @@ class Adding:
 
     def _settle(self, record: ClipRecord, votes: FrameVotes) -> Answer:
         """Read a file of doubtful up axis or unit as the others of its skeleton."""
-        if record.claim is None or self._options.up is not None or self._options.unit is not None:
-            return record
-        voted = votes.elect(record.claim)
-        if voted[:2] == (None, None):
-            return record
+        given = self._options
+        voted = Elected() if record.claim is None else votes.elect(record.claim)
+        if given.up is not None or given.unit is not None:
+            voted = replace(
+                voted, up=None, unit=None, notes=tuple(n for n in voted.notes if not n.code.startswith("units."))
+            )
+        if not voted.decides or (record.refusal is not None and not voted.is_person):
+            return _believe(record)
         return _whole(read_clip(replace(self._task(record.path, record.row["kind"]), voted=voted)))
 
     def run_one(self, record: ClipRecord, n_jobs: int | None) -> AddReport:
@@ -396,7 +407,7 @@ class Adding:
         """Return the task for a file; with a forest, the features of a clip are computed too."""
         chosen = kind or self._kind
         feature_set = self.forest.feature_set if self.forest and chosen == schema.CLIP else ""
-        return ReadTask(path, self._options, known, chosen, feature_set, parts=parts)
+        return ReadTask(path, self._options, known, chosen, feature_set, parts=parts, may_be_voted=True)
 
     def _labels(self, path: str) -> Labels:
         """Return the labels of a file by the rules, each applied once."""
@@ -485,7 +496,7 @@ class Adding:
         record: Answer = known
         if not isinstance(known, ClipRecord):
             # The clip of this content was just removed: read the file after all.
-            record = _whole(read_clip(self._task(known.path, row.kind if row is not None else None)))
+            record = _believe(_whole(read_clip(self._task(known.path, row.kind if row is not None else None))))
         if isinstance(record, ClipRecord):
             labels = self._choose_labels(record.path, row)
             kind = record.row["kind"] if row is None else row.kind
@@ -511,6 +522,12 @@ class Adding:
 def _whole(answer: Answer | Several) -> Answer:
     assert not isinstance(answer, Several), "parts are listed before"
     return answer
+
+
+def _believe(answer: Answer) -> Answer:
+    """Skip a body of impossible proportions on which no others decided."""
+    refusal = answer.refusal if isinstance(answer, ClipRecord) else None
+    return answer if refusal is None else Skipped(answer.path, refusal)
 
 
 def _move(connection: sa.Connection, record: FileRecord, row: Any) -> None:

@@ -136,7 +136,7 @@ def _describe(path: Path, options: ReadOptions) -> dict[str, Any]:
         "joints": [name for name, end in zip(names, ends, strict=True) if not end],
     }
     try:
-        canonical = canonicalise(motion, options.joint_map, any_skeleton=options.any_skeleton)
+        canonical = canonicalise(motion, options.joint_map, any_skeleton=options.any_skeleton, markers=options.markers)
     except JointMappingError as error:
         notes = list(map(str, origin.notes)) if origin else []
         return {**answer, "mapping": None, "height_m": None, "warnings": [*notes, str(error.problem)]}
@@ -340,7 +340,9 @@ def _plot_motion(file: Path, output: Path, poses: int, reading: Reading, *, json
     for note in motion.provenance.notes if motion.provenance else ():
         warn(Message("text.in_file", path=file, problem=note))
     try:
-        drawn: Drawable = canonicalise(motion, options.joint_map, any_skeleton=options.any_skeleton)
+        drawn: Drawable = canonicalise(
+            motion, options.joint_map, any_skeleton=options.any_skeleton, markers=options.markers
+        )
     except JointMappingError as error:
         warn(Message("files_cli.drawn_as_points", path=file, problem=error.problem))
         drawn = motion

@@ -28,7 +28,7 @@ class Reading:
             metavar="KEY=VALUE",
             help="How files are read; repeatable. unit=cm; up=z; skeleton=FILE (.asf of an .amc, .pmx of a .vmd, SMPL "
             "model); frame_rate=HZ; person=NAME, animation=NAME (of several; or a number from 1); joint_map=FILE; "
-            "any_skeleton (also animals).",
+            "any_skeleton (also animals); markers (on the skin, though named like joints; markers=no: joints).",
         ),
     ] = None
 
@@ -153,4 +153,5 @@ _PARSERS: Mapping[str, Callable[[str, str], Any]] = {
     "any_skeleton": _parse_switch,
     "person": _parse_text,
     "animation": _parse_text,
+    "markers": _parse_switch,
 }

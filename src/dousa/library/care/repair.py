@@ -20,7 +20,7 @@ from urllib.parse import quote
 import sqlalchemy as sa
 
 from dousa.errors import LibraryError
-from dousa.formats.motion_files import ReadOptions, Skipped
+from dousa.formats.motion_files import Elected, ReadOptions, Skipped
 from dousa.formats.parts import file_of
 from dousa.library.care.damage import (
     REMOVED_POSITIONS,
@@ -327,9 +327,9 @@ def _look_at_file(database: Database, number: int) -> tuple[Message, ClipRecord 
 
 
 def _read_file(task: ReadTask, content: str, number: int, sums: bytes | None) -> tuple[Message, ClipRecord | None]:
-    # The up axis may have been elected by other files of the folder: the checksum identifies it.
-    for up, unit in product((None, "y", "z"), (None, 1.0, 0.01, 0.001)):
-        record = read_clip(replace(task, voted=(up, unit, ())))
+    # Up axis, unit and markers may have been elected by other files of the folder: the checksum identifies them.
+    for markers, up, unit in product((None, False, True), (None, "y", "z"), (None, 1.0, 0.01, 0.001)):
+        record = read_clip(replace(task, voted=Elected(up, unit, markers, is_person=True)))
         if isinstance(record, Skipped):
             return Message("library_check.file_unusable", problem=record.reason), None
         if not isinstance(record, ClipRecord) or record.row["content_hash"] != content:

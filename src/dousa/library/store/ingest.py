@@ -8,14 +8,15 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from dousa.errors import DousaError, InvalidMotionError, MotionFileError
+from dousa.errors import DousaError, InvalidMotionError, JointMappingError, MotionFileError
 from dousa.formats.motion_files import (
     OVERRULED,
+    Elected,
     FrameClaim,
     ReadOptions,
     Skipped,
@@ -66,7 +67,8 @@ class ReadTask:
     known : content hashes of clips of this size in the library; such a content is not parsed again.
     kind : ``CLIP`` or ``TAKE``.
     feature_set : name of the features to compute; none if empty.
-    voted : up axis and unit elected by other files of its skeleton, and the message about that.
+    voted : what other files of its skeleton elected.
+    may_be_voted : keep a body of impossible proportions until others decide on it, see ``ClipRecord.refusal``.
     parts : of a file of several people or animations, whether to list them instead of reading the first.
     """
 
@@ -75,7 +77,8 @@ class ReadTask:
     known: tuple[str, ...] = ()
     kind: str = CLIP
     feature_set: str = ""
-    voted: tuple[str | None, float | None, tuple[Message, ...]] = (None, None, ())
+    voted: Elected = field(default_factory=Elected)
+    may_be_voted: bool = False
     parts: bool = False
 
 
@@ -113,12 +116,14 @@ class ClipRecord(FileRecord):
     description : features and poses, if they were wanted.
     claim : axes and unit according to the file; None of a motion in memory.
     place : of a segment of a take, the values of the columns of ``segments``.
+    refusal : why the file cannot be used, unless others of its skeleton decide otherwise.
     """
 
     motion: StoredMotion
     description: Description | None
     claim: FrameClaim | None = None
     place: dict[str, Any] | None = None
+    refusal: Message | None = None
 
 
 def look_at(path: str, options: ReadOptions) -> SourceState:
@@ -189,21 +194,29 @@ def _read_clip(task: ReadTask) -> ClipRecord | FileRecord | Several:
     }
     if row["content_hash"] in task.known:
         return FileRecord(row)
-    up, unit, notes = task.voted
-    options = replace(task.options, up=up or task.options.up, unit=unit or task.options.unit)
+    options, refusal = task.voted.apply(task.options), None
     motion = read_with(task.path, options)
     said = motion.provenance.notes if motion.provenance else ()
     if task.parts and (addresses := list_untaken(task.path, said)):
         return Several(task.path, addresses)
     if task.parts and (path := find_address(task.path, said)) != task.path:
         row |= {"path": path, "content_hash": _hash_content(state, path, task.options)}
-    canonical = map_joints(task.path, motion, options, whole=False)
-    if up or unit:
+    try:
+        canonical = map_joints(task.path, motion, options, whole=False)
+    except JointMappingError as error:
+        if not task.may_be_voted or error.problem.code != "canonical.not_human":
+            raise
+        refusal = describe_problem(task.path, error)
+        canonical = map_joints(task.path, motion, replace(options, any_skeleton=True), whole=False)
+    if task.voted.decides:
         kept = tuple(note for note in canonical.warnings if note.code not in OVERRULED)
-        canonical = replace(canonical, warnings=(*notes, *kept))
+        canonical = replace(canonical, warnings=(*task.voted.notes, *kept))
     form = motion.provenance.format if motion.provenance else ""
     record = _derive(canonical, {**row, "format": form}, task.feature_set)
-    return replace(record, claim=describe_frame(motion, canonical))
+    claim = describe_frame(motion, canonical)
+    if claim is not None and refusal is not None:
+        claim = replace(claim, is_person=False)
+    return replace(record, claim=claim, refusal=refusal)
 
 
 def _hash_content(state: SourceState, path: str, options: ReadOptions) -> str:

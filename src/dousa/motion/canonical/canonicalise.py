@@ -59,6 +59,8 @@ class JointMapping:
     derived : canonical joints missing in the file and made from others.
     absent : canonical joints that cannot be found or made: their positions are NaN.
     sides : named and geometrical sides ``"agree"``, ``"disagree"`` (positions were mirrored) or are ``"unclear"``.
+    markers : whether points named like joints look like markers on the skin, by the width of the hips alone; None if
+        that is not in question.
     """
 
     table: str
@@ -66,6 +68,7 @@ class JointMapping:
     derived: tuple[str, ...]
     sides: str
     absent: tuple[str, ...] = ()
+    markers: bool | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,6 +117,7 @@ def canonicalise(
     *,
     any_skeleton: bool = False,
     whole: bool = False,
+    markers: bool | None = None,
 ) -> CanonicalMotion:
     """Map a motion of any skeleton or marker set to the canonical joints.
 
@@ -125,6 +129,7 @@ def canonicalise(
     joint_map : canonical joint -> name or names in the file, where names and shape are not enough.
     any_skeleton : accept a body that cannot be a person's, such as an animal's or a toy's.
     whole : refuse a part of a body.
+    markers : whether points named like joints are markers on the skin; None to decide it by the file.
 
     Raises
     ------
@@ -141,7 +146,7 @@ def canonicalise(
     moving, positions = motion, motion.positions
     gaps = bool(np.isnan(positions.sum()))
     never = _never_seen(moving) if gaps else ()
-    chosen = _choose_recipe(moving, joint_map, never)
+    chosen = _choose_recipe(moving, joint_map, never, markers)
     if not (chosen.is_person or any_skeleton):
         raise JointMappingError("canonical.not_human", moving.names, table=chosen.recipe.table)
     recipe = chosen.recipe
@@ -188,12 +193,14 @@ def _find_missing(recipe: Recipe, positions: FloatArray) -> BoolArray:
     return missing
 
 
-def _choose_recipe(moving: Trajectories, joint_map: JointMap | None, never: tuple[int, ...]) -> ChosenMap:
+def _choose_recipe(
+    moving: Trajectories, joint_map: JointMap | None, never: tuple[int, ...], markers: bool | None
+) -> ChosenMap:
     """Choose a joint map, else names, else tree shape, else a part; points that are never seen do not count."""
     names = names_of_seen(moving.names, never)
     if joint_map is not None:
         return ChosenMap(recipe_from_joint_map(joint_map, names), True)
-    chosen = choose_map(moving, never)
+    chosen = choose_map(moving, never, markers)
     if chosen is None:
         unseen = tuple(dict.fromkeys(moving.names[index] for index in never))
         raise JointMappingError(_problem(match_names(names), moving, unseen), moving.names)
@@ -260,7 +267,7 @@ def _finish(moving: Trajectories, chosen: ChosenMap, points: FloatArray, unseen:
     if recipe.estimated:
         warnings.append(Message("canonical.skin_markers", joints=recipe.estimated))
     sources = {joint: names for joint, names in _named_sources(recipe, moving.names) if joint not in derived}
-    mapping = JointMapping(recipe.table, sources, derived, sides, recipe.absent)
+    mapping = JointMapping(recipe.table, sources, derived, sides, recipe.absent, chosen.markers)
     points.flags.writeable = False
     return CanonicalMotion(points, moving.frame_rate, height, height_source, mapping, tuple(warnings), unseen)
 

@@ -14,12 +14,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from dousa.motion.canonical.anthropometry import measure_proportions, walks_on_fours
+from dousa.motion.canonical.anthropometry import find_medians, measure_proportions, walks_on_fours
 from dousa.motion.canonical.geometry import body_points
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
+from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.naming import group_owners, named_by_estimators
 from dousa.motion.canonical.recipes import Recipe, named_recipes, on_the_skin, partial_recipes
-from dousa.motion.canonical.tree_shape import shape_recipe, spread_frames
+from dousa.motion.canonical.tree_shape import compute_forward, shape_recipe, spread_frames
 from dousa.motion.types import Trajectories
 
 
@@ -34,6 +35,8 @@ class ChosenMap:
     passed_over : tables that cover as much but give no person.
     is_odd : whether only the names suggest a person.
     bodies : owners of the markers, if there are several people; the map is that of the first.
+    markers : whether points named like joints were taken for markers on the skin, by the width of the hips alone; None
+        if the names or a point inside the body decide.
     """
 
     recipe: Recipe
@@ -41,35 +44,44 @@ class ChosenMap:
     passed_over: tuple[str, ...] = ()
     is_odd: bool = False
     bodies: tuple[str, ...] = ()
+    markers: bool | None = None
 
 
-def choose_map(sample: Trajectories, unseen: tuple[int, ...] = ()) -> ChosenMap | None:
+def choose_map(sample: Trajectories, unseen: tuple[int, ...] = (), markers: bool | None = None) -> ChosenMap | None:
     """Choose the map of a file from some frames; None if neither names nor tree give a body or a limb.
 
-    ``unseen`` : indices of points that are never seen: they do not count.
+    Parameters
+    ----------
+    sample : some frames.
+    unseen : indices of points that are never seen: they do not count.
+    markers : whether points named like joints are markers on the skin; None to decide it.
     """
     names = names_of_seen(sample.names, unseen)
     bodies = group_owners(sample.names) if sample.parents is None else {}
     if bodies:  # the others keep their places but lose their names
         first = next(iter(bodies.values()))
         names = names_of_seen(names, tuple(index for own in bodies.values() if own != first for index in own))
-    found = _choose(names, sample, unseen)
+    found = _choose(names, sample, unseen, markers)
     return found if found is None or not bodies else dataclasses.replace(found, bodies=tuple(bodies))
 
 
-def _choose(names: tuple[str, ...], sample: Trajectories, unseen: tuple[int, ...]) -> ChosenMap | None:
-    first: Recipe | None = None
+def _choose(
+    names: tuple[str, ...], sample: Trajectories, unseen: tuple[int, ...], markers: bool | None
+) -> ChosenMap | None:
+    first: ChosenMap | None = None
     failed: list[str] = []
     for candidate in _candidates(names, sample, use_tree=not unseen):
-        recipe = on_the_skin(candidate) if _marks_the_skin(candidate, sample) else candidate
+        wide = _marks_the_skin(candidate, sample, names)
+        on_skin = _can_be_on_skin(candidate, sample) if markers else wide if markers is None else False
+        recipe = on_the_skin(candidate) if on_skin else candidate
         if _is_person(recipe, sample):
-            return ChosenMap(recipe, True, tuple(failed))
-        first = first or recipe
+            return ChosenMap(recipe, True, tuple(failed), markers=wide)
+        first = first or ChosenMap(recipe, False, markers=wide)
         failed.append(recipe.table)
     if first is None:
         return None
     is_odd = named_by_estimators(names)
-    return ChosenMap(first, is_odd, is_odd=is_odd)
+    return dataclasses.replace(first, is_person=is_odd, is_odd=is_odd)
 
 
 def names_of_seen(names: tuple[str, ...], unseen: tuple[int, ...]) -> tuple[str, ...]:
@@ -88,15 +100,40 @@ def _candidates(names: tuple[str, ...], sample: Trajectories, *, use_tree: bool)
         yield from partial_recipes(names)
 
 
-def _marks_the_skin(recipe: Recipe, sample: Trajectories, wide_hips: float = 0.34) -> bool:
+def _can_be_on_skin(recipe: Recipe, sample: Trajectories) -> bool:
+    """Whether joints may be markers on their outer side: points without a tree, no marker of the pelvis among them."""
+    return sample.parents is None and "left_hip" in recipe.sources and not recipe.skin
+
+
+def _marks_the_skin(
+    recipe: Recipe, sample: Trajectories, names: tuple[str, ...], wide_hips: float = 0.34, inside: float = 0.08
+) -> bool | None:
     """Whether joints are in fact markers on their outer side: hips are as wide as the trochanters.
 
-    ``wide_hips`` : share of the leg; hip joints of people are at most 0.3 of it apart, trochanters 0.4.
+    None if that is not the question: cameras see joints, and a pelvis between the hips is inside the body.
+
+    Parameters
+    ----------
+    wide_hips : share of the leg; hip joints of people are at most 0.3 of it apart, trochanters 0.4.
+    inside : share of the leg by which a pelvis may lie before or behind the hips; a marker on the sacrum is 0.12
+        behind, Kinects see it 0.03 to 0.055 behind, and other makers put it between the hips.
     """
-    if sample.parents is not None or "left_hip" not in recipe.sources or recipe.skin:
-        return False
+    if not _can_be_on_skin(recipe, sample) or named_by_estimators(names):
+        return None
     points = body_points(recipe, spread_frames(sample.positions))
+    if "pelvis" in recipe.sources:
+        hips = 0.5 * (points[:, J["left_hip"]] + points[:, J["right_hip"]])
+        behind = np.einsum("tk,tk->t", points[:, J["pelvis"]] - hips, compute_forward(points))
+        legs = np.linalg.norm(points[:, _UPPER] - points[:, _LOWER], axis=2).sum(axis=1) / 2
+        if abs(float(find_medians((behind / legs)[:, None])[0])) < inside:
+            return None
     return measure_proportions(points).ratios["hips_per_leg"] > wide_hips
+
+
+_UPPER, _LOWER = (
+    [J[f"{side}_{joint}"] for joint in joints for side in ("left", "right")]
+    for joints in (("hip", "knee"), ("knee", "ankle"))
+)
 
 
 _TAIL = re.compile(r"(?<![A-Za-z])tail|(?<=[a-z])Tail", re.IGNORECASE)
