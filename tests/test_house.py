@@ -18,20 +18,20 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_172, 110),
+    "app": (25_175, 110),
     "estimation": (15_434, 63),
     "evaluation": (12_371, 43),
     "experiments": (1_809, 10),
     "files": (853, 7),
-    "formats": (11_609, 66),
-    "library": (15_644, 55),
+    "formats": (11_652, 66),
+    "library": (15_674, 55),
     "messages": (234, 3),
-    "motion": (6_200, 34),
+    "motion": (6_244, 34),
     "retrieval": (13_489, 46),
     "workers": (480, 6),
 }
 TOTALS = {
-    "lines of tests": 60_307,
+    "lines of tests": 60_357,
     "lines of JavaScript": 12_467,
     "constants": 956,
     "numeric constants without a source": 0,
