@@ -44,11 +44,12 @@ def nexus(title, subject="Ann"):
 def long_table(title, mark=","):
     """A row for every point of a frame, as FreeMoCap's tidy tables."""
     rows = [
-        [n, f"{n / 30:.5f}", name, *np.round(place, 5), 0.1]
+        [n, f"{n / 30:.5f}", name, *np.round(place, 5), model, 0.1]
         for n, frame in enumerate(made.make_points(title)[0])
+        for model in ("mediapipe.body", "mediapipe.face")
         for name, place in zip(names_of(title), frame, strict=True)
     ]
-    return join([["frame", "timestamp", "keypoint", "x", "y", "z", "reprojection_error"], *rows], mark)
+    return join([["frame", "timestamp", "keypoint", "x", "y", "z", "model", "reprojection_error"], *rows], mark)
 
 
 def two_rows(title):

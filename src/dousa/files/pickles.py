@@ -261,7 +261,7 @@ class _Unpickler(pickle._Unpickler):
 
 
 def load_pickle(path: str | os.PathLike[str], data: bytes | None = None) -> dict[Any, Any]:
-    """Load the arrays (read-only), numbers, texts, lists and dictionaries of a pickled dictionary.
+    """Load the arrays (read-only), numbers, texts, lists and dictionaries of a pickled dictionary, or list of such.
 
     Parameters
     ----------
@@ -280,6 +280,8 @@ def load_pickle(path: str | os.PathLike[str], data: bytes | None = None) -> dict
     except _DAMAGE as error:
         raise MotionFileError(path, "pickles.damaged", kind=type(error).__name__) from error
     loaded = _plain(loaded, {})
+    if isinstance(loaded, list) and all(isinstance(item, dict) for item in loaded):
+        loaded = dict(enumerate(loaded, 1))  # people
     if not isinstance(loaded, dict):
         raise MotionFileError(path, "pickles.no_dictionary", found=type(loaded).__name__)
     return loaded

@@ -19,7 +19,7 @@ import numpy as np
 from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
-from dousa.formats.arrays.joints import list_layouts, name_joints
+from dousa.formats.arrays.joints import BODY_OF, list_layouts, name_joints
 from dousa.formats.assembly import declared_unit
 from dousa.formats.guard import Clock
 from dousa.formats.guard.people import take_person
@@ -226,6 +226,8 @@ def _build(
     if not numbered:
         raise MotionFileError(path, "tables.no_frames", header.body)
     if "" in triples:
+        numbered, more = _choose_kind(columns, numbered, header.mark)
+        notes += more
         names, rows = _spread_points(path, columns, numbered, header.mark)
     else:
         names, rows = tuple(triples), None
@@ -245,8 +247,11 @@ def _build(
         spread[rows] = points[:, 0]
         points, sure = spread, np.ones(spread.shape[:2])
     refuse_pictures(path, np.concatenate((points, sure[..., None]), axis=2))
+    if columns.counted and points.shape[1] in BODY_OF:
+        points = points[:, : BODY_OF[points.shape[1]]]
+    known = columns.counted and any(len(layout.names) == points.shape[1] for layout in list_layouts())
     return name_joints(
-        path, "csv", points, None if columns.counted else names, unit=unit, up=up, frame_rate=frame_rate,
+        path, "csv", points, None if known else names[: points.shape[1]], unit=unit, up=up, frame_rate=frame_rate,
         clock=_read_clock(header, times), unit_in_file=declared_unit(header.unit), notes=notes,
     )  # fmt: skip
 
@@ -270,6 +275,18 @@ def _choose_person(
         people, owners = ["1"], ["1"] * len(owners)
     chosen, notes = choose(path, "person", people, wanted, [owners.count(name) for name in people])
     return [row for row, owner in zip(numbered, owners, strict=True) if owner == people[chosen]], notes
+
+
+def _choose_kind(
+    columns: Columns, numbered: list[tuple[int, str]], mark: str
+) -> tuple[list[tuple[int, str]], tuple[Message, ...]]:
+    """Of a table with a row for every point and a column of kinds (FreeMoCap's ``model``): the rows of the first."""
+    if "kinds" not in columns.roles:
+        return numbered, ()
+    kinds = _column(numbered, mark, columns.roles["kinds"])
+    kept = [row for row, kind in zip(numbered, kinds, strict=True) if kind == kinds[0]]
+    others = tuple(dict.fromkeys(kind for kind in kinds if kind != kinds[0]))
+    return kept, (Message("tables.kinds", read=kinds[0], others=others),) if others else ()
 
 
 def _spread_points(
