@@ -1,304 +1,47 @@
-"""Calibration files: Qualisys XML, Pose2Sim TOML, OpenCV, and the cameras of an npz sequence.
+"""Calibration files, and folders of them; the content determines the format.
 
-The content determines the format. To add one, write a `CameraFormat` and add it to ``_FORMATS``.
-
-OpenCV's FileStorage is YAML, XML or JSON, one camera for each file, document or section, with the keys of OpenCV's
-calibration sample (``camera_matrix``, ``distortion_coefficients``, ``image_width``, ``image_height``) or usual ones;
-case and underscores do not count. The sample writes one pose for each view of the board; a camera needs one: ``R``
-and ``T``, ``rvec`` and ``tvec``, or ``extrinsic_matrix``.
+To add a format, write a `CameraFormat` and add it to ``_FORMATS``.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import stat
-import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import yaml
-
-from dousa.arrays import FloatArray
 from dousa.errors import CalibrationError, MotionFileError
 from dousa.estimation.cameras.camera import Camera, check_names, find_views
 from dousa.estimation.cameras.camera_formats import (
+    ANIPOSE,
+    CALISCOPE,
     POSE2SIM,
     QUALISYS,
     CameraFormat,
     RawCamera,
     check_distance,
-    entry,
+    find_unit,
     find_up,
-    flatten,
     format_cameras,
-    read_distortion,
     read_npz_cameras,
-    read_numbers,
-    rotation_from_vector,
     settle_camera,
 )
+from dousa.estimation.cameras.capture_formats import BIOCV, EASYMOCAP, OPENCAP, VICON, lacks_half
+from dousa.estimation.cameras.opencv_storage import OPENCV
 from dousa.files.disk import atomic_write, read_bytes
-from dousa.files.markup import parse_xml
 from dousa.messages import Message
 from dousa.motion.canonical.reference_frame import parse_unit, parse_up
 
-
-def read_json(text: str) -> dict[str, Any]:
-    """Parse a JSON object, else raise CalibrationError."""
-    try:
-        found = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise CalibrationError("opencv.json", reason=error.msg).at(line=error.lineno) from error
-    except (ValueError, RecursionError) as error:
-        raise CalibrationError("opencv.json", reason=error) from error
-    if not isinstance(found, dict):
-        raise CalibrationError("opencv.no_mapping")
-    return found
-
-
-def read_xml(root: ET.Element) -> dict[str, Any]:
-    """Return the document below ``<opencv_storage>``."""
-    return {child.tag: _read_element(child, 20) for child in root}
-
-
-def _read_element(element: ET.Element, deepest: int) -> Any:
-    if deepest < 0:
-        raise CalibrationError("opencv.deep")
-    if len(element) == 0:
-        text = (element.text or "").strip()
-        words = [_scalar(word) for word in text.split()]
-        if words and all(isinstance(word, float) for word in words):
-            return words[0] if len(words) == 1 else words
-        return text.strip('"')
-    if all(child.tag == "_" for child in element):
-        return [_read_element(child, deepest - 1) for child in element]
-    return {child.tag: _read_element(child, deepest - 1) for child in element}
-
-
-def _scalar(text: str) -> Any:
-    """Return a number, or the text; None if empty."""
-    text = text.strip()
-    if text.lower() in (".nan", ".inf", "-.inf", "+.inf"):
-        return float(text.lower().replace(".", "", 1))
-    try:
-        return text or None if "_" in text or not text else float(text)
-    except ValueError:
-        return text
-
-
-def read_yaml(text: str) -> list[dict[str, Any]]:
-    """Parse the documents of a YAML file; tags are ignored.
-
-    Raises
-    ------
-    CalibrationError : no YAML, anchors or aliases, a repeated or non-text key, a document that is no mapping, deep
-        nesting; with the line.
-    """
-    bare = re.sub(r"^%.*$", "", text, flags=re.MULTILINE)  # OpenCV's "%YAML:1.0" is no directive of YAML
-    found = []
-    try:
-        events: Iterator[Any] = yaml.parse(bare, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-        for event in events:
-            if isinstance(event, yaml.DocumentStartEvent):
-                value = _read_node(first := next(events), events, 20)
-                if value is not None and not isinstance(value, dict):
-                    raise CalibrationError("opencv.no_mapping").at(line=first.start_mark.line + 1)
-                found.append(value or {})
-    except yaml.YAMLError as error:
-        mark = getattr(error, "context_mark", None) or getattr(error, "problem_mark", None)
-        reason = getattr(error, "problem", None) or str(error)
-        raise CalibrationError("opencv.yaml", reason=reason).at(line=mark and mark.line + 1) from error
-    return found
-
-
-def _read_node(event: Any, events: Iterator[Any], deepest: int) -> Any:
-    """Return the value that begins with an event, in which others are nested ``deepest`` times at most."""
-    line = event.start_mark.line + 1
-    if deepest < 0:
-        raise CalibrationError("opencv.deep").at(line=line)
-    if event.anchor is not None:
-        raise CalibrationError("opencv.alias").at(line=line)
-    if isinstance(event, yaml.ScalarEvent):
-        return event.value if event.style else _scalar(event.value)
-    if isinstance(event, yaml.SequenceStartEvent):
-        items = []
-        while not isinstance(item := next(events), yaml.SequenceEndEvent):
-            items.append(_read_node(item, events, deepest - 1))
-        return items
-    found: dict[str, Any] = {}
-    while not isinstance(begun := next(events), yaml.MappingEndEvent):
-        line = begun.start_mark.line + 1
-        if not isinstance(begun, yaml.ScalarEvent):
-            raise CalibrationError("opencv.key").at(line=line)
-        key, value = begun.value, _read_node(next(events), events, deepest - 1)
-        if value is None and ":" in key and not begun.style:  # OpenCV writes {width:640}
-            key, _, text = key.partition(":")
-            value = _scalar(text)
-        if key in found:
-            raise CalibrationError("opencv.twice", key=key).at(line=line)
-        found[key] = value
-    return found
-
-
-_MATRIX = ("cameramatrix", "intrinsicmatrix", "intrinsics", "mtx", "k")
-_DISTORTION = (
-    "distortioncoefficients", "distcoeffs", "distcoeff", "distortions", "distortion", "dist", "d"
-)  # fmt: skip
-_WIDTH, _HEIGHT = ("imagewidth", "width"), ("imageheight", "height")
-_SIZE = ("imagesize", "size", "resolution", "imgsize")
-_POSE = ("extrinsicmatrix", "extrinsics", "extrinsic", "worldtocamera", "rt")
-_ROTATION = ("rotationmatrix", "rotation", "worldtocamerarotation", "r", "rvec", "rotationvector")
-_TRANSLATION = ("translationvector", "translation", "worldtocameratranslation", "t", "tvec")
-_BOARD_POSES = "extrinsicparameters"
-_NAME = ("cameraname", "name", "serial")
-_DATA_TYPE = re.compile(r"(\d*)[a-zA-Z]\w*")
-
-_Keys = dict[str, Any]
-
-
-def _parse(content: bytes, stem: str) -> list[RawCamera] | None:
-    bare = content.lstrip(b"\xef\xbb\xbf \t\r\n")
-    if bare.startswith(b"<"):
-        root = parse_xml(content)
-        if root.tag != "opencv_storage":
-            return None
-        documents = [read_xml(root)]
-    elif bare.startswith(b"{"):
-        documents = [read_json(_decode(content))]
-    elif bare.startswith(b"%YAML") or _looks_like_yaml(content):
-        documents = read_yaml(_decode(content))
-    else:
-        return None
-    many = len(documents) > 1
-    found = [
-        camera
-        for number, document in enumerate(documents, 1)
-        for camera in _find_cameras(document, f"{stem}{number}" if many else stem)
-    ]
-    return [_read_camera(name, keys) for name, keys in found] or None
-
-
-def _decode(content: bytes) -> str:
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise CalibrationError("opencv.encoding", reason=error) from error
-
-
-def _looks_like_yaml(content: bytes) -> bool:
-    key = re.compile(rb"^[ \t]*[\"']?(camera_?matrix|intrinsic_?matrix|mtx|K)[\"']?[ \t]*:", re.I | re.M)
-    return key.search(content) is not None
-
-
-def _plain(tree: dict[Any, Any]) -> _Keys:
-    return {re.sub(r"[\W_]", "", str(key)).lower(): value for key, value in tree.items()}
-
-
-def _find_cameras(tree: dict[str, Any], name: str) -> Iterator[tuple[str, _Keys]]:
-    """Yield name and keys of each mapping with a camera matrix."""
-    keys = _plain(tree)
-    if _pick(keys, _MATRIX) is not None:
-        given = next((keys[key] for key in _NAME if isinstance(keys.get(key), (str, int, float))), None)
-        yield (name if given is None or str(given) == "" else _word(given)), keys
-        return
-    for key, value in tree.items():
-        if isinstance(value, dict):
-            yield from _find_cameras(value, str(key))
-        elif isinstance(value, list):
-            for number, item in enumerate(value, 1):
-                if isinstance(item, dict):
-                    yield from _find_cameras(item, f"{key}{number}")
-
-
-def _word(value: Any) -> str:
-    """Format a serial number, which may be parsed as a number."""
-    return f"{value:.0f}" if isinstance(value, float) and value == round(value) else str(value)
-
-
-def _pick(keys: _Keys, names: tuple[str, ...]) -> Any:
-    return next((keys[name] for name in names if keys.get(name) is not None), None)
-
-
-def _array(value: Any, what: Message) -> Any:
-    """Return the numbers of a value; matrices of OpenCV and ROS are mappings with rows, cols and data."""
-    if not isinstance(value, dict):
-        return value
-    keys = _plain(value)
-    if "data" not in keys:
-        raise CalibrationError("opencv.no_data", what=what, keys=tuple(map(str, value))[:10])
-    if "rows" in keys and "cols" in keys:
-        channels = _DATA_TYPE.fullmatch(str(keys.get("dt", "d")))
-        count = int(channels[1] or 1) if channels and len(channels[1]) < 4 else 1
-        rows, cols = read_numbers([keys["rows"], keys["cols"]], (2,), what)
-        if not (0 <= rows <= 10_000 and 0 <= cols <= 10_000):
-            raise CalibrationError("opencv.matrix_size", what=what, rows=rows, columns=cols)
-        return read_numbers(keys["data"], (int(rows), int(cols) * count), what)
-    return keys["data"]
-
-
-def _read_camera(name: str, keys: _Keys) -> RawCamera:
-    if str(keys.get("distortionmodel", "")).lower() in ("equidistant", "fisheye") or keys.get("fisheye") in (
-        1.0, True, "true",
-    ):  # fmt: skip
-        raise CalibrationError("camera_files.fisheye", camera=name)
-    what = entry(name, "camera_matrix")
-    matrix = read_numbers(_array(_pick(keys, _MATRIX), what), (3, 3), what)
-    rotation, translation = _read_pose(keys, name)
-    bent, what = _pick(keys, _DISTORTION), entry(name, "distortion_coefficients")
-    distortion = np.zeros(5) if bent is None else read_distortion(_array(bent, what), what)
-    return RawCamera(name, _read_size(keys, name), matrix, rotation, translation, distortion)
-
-
-def _read_size(keys: _Keys, name: str) -> tuple[int, int] | None:
-    sides, what = [_pick(keys, _WIDTH), _pick(keys, _HEIGHT)], entry(name, "image_size")
-    if None in sides:
-        both = _pick(keys, _SIZE)
-        if both is None:
-            return None
-        sides = _array(both, what)
-    width, height = read_numbers(sides, (2,), what)
-    return round(width), round(height)
-
-
-def _read_pose(keys: _Keys, name: str) -> tuple[FloatArray, FloatArray]:
-    """Return rotation (3, 3) and translation (3,) from world to camera."""
-    turned, moved = _pick(keys, _ROTATION), _pick(keys, _TRANSLATION)
-    if turned is not None and moved is not None:
-        what = entry(name, "rotation")
-        numbers = flatten(_array(turned, what), what)
-        shape: tuple[int, ...] = (3,) if len(numbers) == 3 else (3, 3)
-        rotation, what = read_numbers(numbers, shape, what), entry(name, "translation")
-        translation = read_numbers(_array(moved, what), (3,), what)
-        return (rotation_from_vector(rotation) if shape == (3,) else rotation), translation
-    pose = _pick(keys, _POSE)
-    if pose is not None:
-        what = entry(name, "extrinsic_matrix")
-        numbers = flatten(_array(pose, what), what)
-        whole = read_numbers(numbers, (4 if len(numbers) == 16 else 3, 4), what)
-        return whole[:3, :3], whole[:3, 3]
-    board = keys.get(_BOARD_POSES)
-    if board is not None:
-        what = entry(name, "extrinsic_parameters")
-        numbers = flatten(_array(board, what), what)
-        if len(numbers) == 6:
-            vectors = read_numbers(numbers, (6,), what)
-            return rotation_from_vector(vectors[:3]), vectors[3:]
-    raise CalibrationError("opencv.no_pose" if board is None else "opencv.board_poses", camera=name)
-
-
-# OpenCV's FileStorage states no unit: metres are usual.
-OPENCV = CameraFormat("OpenCV FileStorage", _parse, unit=1.0, up=None)
-
-
-_FORMATS = (QUALISYS, POSE2SIM, OPENCV)
+_FORMATS = (QUALISYS, VICON, POSE2SIM, ANIPOSE, CALISCOPE, OPENCAP, BIOCV, EASYMOCAP, OPENCV)
 # By definition, see `mask_npz`.
 _ARRAYS = CameraFormat("npz", lambda _content, _stem: None, unit=1.0, up="y", unit_is_sure=True)
-_SUFFIXES = (".xml", ".txt", ".qca", ".toml", ".yml", ".yaml", ".json", ".npz")
+_SUFFIXES = (
+    ".xml", ".txt", ".qca", ".xcp", ".toml", ".yml", ".yaml", ".json", ".calib", ".pickle", ".pkl", ".npz"
+)  # fmt: skip
+_OPENCAP_STEM = "cameraintrinsicsextrinsics"
 
 _Found = tuple[CameraFormat, list[RawCamera]]
 
@@ -317,14 +60,14 @@ def read_cameras(
 
     Parameters
     ----------
-    path : a calibration file, or a folder with one for each camera.
+    path : a calibration file, or a folder with one for each camera, or of folders of cameras.
     names : (V,) which cameras, in which order, matched as by `match_cameras` but never by order; by default all, in
         the order of the file (in a folder, of the names of the files).
     sizes : (V,) width and height in pixels for cameras without a size in the file, in the order of ``names``. Other
         cameras keep the size of their calibration, see `fit_cameras`.
-    unit : metres per unit of the file, or its name; by default Qualisys in mm, others in m.
-    up : axis of the file's world that points up; by default Z for Qualisys and Pose2Sim, Y for npz, and for OpenCV the
-        axis nearest to the cameras' own mean up direction.
+    unit : metres per unit of the file, or its name; by default that of the format, see docs/cameras.md.
+    up : axis of the file's world that points up; by default Z for Qualisys, Vicon, BioCV and Pose2Sim, Y for npz, and
+        for others the axis nearest to the cameras' own mean up direction.
 
     Raises
     ------
@@ -336,17 +79,21 @@ def read_cameras(
     axis = None if up is None else parse_up(up)
     try:
         read = _read_folder(Path(path)) if os.path.isdir(path) else [_read_file(path)]
-        found = [(raw, metres or shape.unit, axis or shape.up or find_up(raws)) for shape, raws in read for raw in raws]
-        check_names([raw.name for raw, _, _ in found])
+        found = [
+            (raw, metres or shape.unit or find_unit(together), axis or shape.up or find_up(together), shape.centred)
+            for shape, raws in read
+            for together in [[raw for other, some in read if other is shape for raw in some]]
+            for raw in raws
+        ]
+        check_names([raw.name for raw, *_ in found])
         if metres is None:
-            check_distance([raw for shape, raws in read if not shape.unit_is_sure for raw in raws])
+            check_distance([raw for shape, raws in read if shape.unit and not shape.unit_is_sure for raw in raws])
         if names is not None:
-            found = [found[index] for index in find_views([raw.name for raw, _, _ in found], names)]
+            found = [found[index] for index in find_views([raw.name for raw, *_ in found], names)]
         if sizes is not None and len(sizes) != len(found):
             raise CalibrationError("camera_files.sizes", cameras=len(found), sizes=len(sizes))
         return tuple(
-            settle_camera(raw, None if sizes is None else sizes[index], scale, up_axis)
-            for index, (raw, scale, up_axis) in enumerate(found)
+            settle_camera(raw, None if sizes is None else sizes[index], *how) for index, (raw, *how) in enumerate(found)
         )
     except CalibrationError as error:
         error.message = _tame(error.message)
@@ -370,27 +117,37 @@ class _NoCalibrationError(CalibrationError):
     """The content has no known format."""
 
 
-def _read_folder(folder: Path, most: int = 1000) -> list[_Found]:
-    """Read the calibration files of a folder, ``most`` at most; other files are skipped."""
+def _read_folder(folder: Path) -> list[_Found]:
+    """Read the calibration files of a folder, else those of the folders in it; other files are skipped."""
     try:
-        paths = [entry for entry in folder.iterdir() if entry.suffix.lower() in _SUFFIXES]
+        inside = sorted(folder.iterdir(), key=_natural_key)
+        found = _read_files(inside)
+        if not found:
+            cameras = [path for path in inside if path.is_dir() and not path.name.startswith(".")]
+            found = _read_files([file for path in cameras for file in sorted(path.iterdir(), key=_natural_key)])
     except OSError as error:
         raise CalibrationError("camera_files.folder_unreadable", reason=error) from error
+    if not found:
+        raise CalibrationError("camera_files.empty_folder")
+    return found
+
+
+def _read_files(paths: Sequence[Path], most: int = 1000) -> list[_Found]:
+    """Read those of the files that are calibrations, ``most`` at most."""
+    paths = [path for path in paths if path.suffix.lower() in _SUFFIXES and not path.name.startswith(".")]
     if len(paths) > most:
         raise CalibrationError("camera_files.many_files", found=len(paths))
     found: list[_Found] = []
-    for path in sorted(paths, key=_natural_key):
-        if path.name.startswith(".") or not path.is_file():
-            continue
+    for path in paths:
         try:
-            found.append(_read_file(path))
+            shape, raws = _read_file(path) if path.is_file() else (None, [])
         except _NoCalibrationError:
             continue
         except CalibrationError as error:
             error.at(path)
             raise
-    if not found:
-        raise CalibrationError("camera_files.empty_folder")
+        if shape is not None and not (shape is EASYMOCAP and any(other is EASYMOCAP for other, _ in found)):
+            found.append((shape, raws))  # each half of EasyMocap has brought the other
     return found
 
 
@@ -403,8 +160,12 @@ def _read_file(path: str | os.PathLike[str]) -> _Found:
     content = _read_content(path)
     if content is None:
         return _ARRAYS, read_npz_cameras(path)
-    name = Path(path).name
-    stem = name[: -len(".qca.txt")] if name.lower().endswith(".qca.txt") else Path(path).stem
+    place = Path(path)
+    stem = place.name[: -len(".qca.txt")] if place.name.lower().endswith(".qca.txt") else place.stem
+    if stem.lower() == _OPENCAP_STEM:
+        stem = place.absolute().parent.name
+    if place.suffix.lower() in (".yml", ".yaml") and lacks_half(content):
+        content = b"\n".join([content, *_find_half(place)])
     for shape in _FORMATS:
         try:
             raws = shape.parse(content, stem)
@@ -413,6 +174,15 @@ def _read_file(path: str | os.PathLike[str]) -> _Found:
         if raws:
             return shape, raws
     raise _NoCalibrationError(Message("camera_files.unknown"))
+
+
+def _find_half(path: Path) -> list[bytes]:
+    """Return the other file of EasyMocap, which lies beside; none if there is not exactly one."""
+    lenses = path.parent / f"{'extri' if path.stem.lower().startswith('intri') else 'intri'}{path.suffix}"
+    beside = [lenses] if lenses.is_file() else sorted(path.parent.glob(f"*{path.suffix}"))[:100]
+    found = [_read_content(other) for other in beside if other != path and other.is_file()]
+    halves = [content for content in found if content is not None and lacks_half(content)]
+    return halves if len(halves) == 1 else []
 
 
 def _read_content(path: str | os.PathLike[str], most: int = 5_000_000) -> bytes | None:

@@ -5,9 +5,11 @@ sensor's first pixel; the image is the cut-out ``fov_video`` of the sensor. Posi
 axes are x right, y up, z backwards: x_camera = diag(1, -1, -1) R (X - C). The distortion is OpenCV's, for normalised
 coordinates and not in pixels (some converters divide it by 64 too).
 
-Pose2Sim (and Anipose) write TOML, one section for each camera: ``size``, ``matrix``, ``distortions`` (k1, k2, p1, p2),
-``rotation`` (Rodrigues vector) and ``translation`` (m), from a world with Z up to OpenCV's camera axes. Sections
-without a matrix (``metadata``) are not cameras. An orthographic camera has ``kind = "orthographic"``.
+Pose2Sim, Anipose and Caliscope write TOML, one section for each camera: ``size``, ``matrix``, ``distortions`` (k1, k2,
+p1, p2), ``rotation`` (Rodrigues vector) and ``translation``, from the world to OpenCV's camera axes. Sections without a
+matrix (``metadata``) are not cameras. Pose2Sim has metres, Z up and a ``fisheye``; an orthographic camera of ours has
+``kind = "orthographic"``. Anipose (and FreeMoCap) has the unit of its board, mostly mm, the axes of a camera and no
+``fisheye``. Caliscope has metres, a ``rotation_count``, mostly matrices for ``rotation``, and cameras to ``ignore``.
 
 Arrays beside the masks of an npz sequence: ``camera_matrix`` (V, 3, 3), ``world_to_camera_rotation`` (V, 3, 3),
 ``world_to_camera_translation`` (V, 3) m with Y up, ``width`` and ``height`` of the largest image; optional
@@ -17,6 +19,7 @@ Arrays beside the masks of an npz sequence: ``camera_matrix`` (V, 3, 3), ``world
 
 from __future__ import annotations
 
+import functools
 import os
 import re
 import xml.etree.ElementTree as ET
@@ -80,16 +83,18 @@ class CameraFormat:
     ----------
     name : for messages.
     parse : (content, name of the file without suffix) -> cameras, or None if the content is of another format.
-    unit : metres per unit.
+    unit : metres per unit; None for metres, or mm where cameras were too far away otherwise.
     up : axis that points up; None if the format has no convention.
     unit_is_sure : the format fixes the unit, so that great distances are accepted.
+    centred : the format has no sizes; where nothing else tells them, the principal point is the middle.
     """
 
     name: str
     parse: Callable[[bytes, str], list[RawCamera] | None]
-    unit: float
+    unit: float | None
     up: str | None
     unit_is_sure: bool = False
+    centred: bool = False
 
 
 def entry(camera: str, key: str) -> Message:
@@ -157,18 +162,31 @@ def find_up(raws: Sequence[RawCamera], clearly: float = 0.8) -> str:
     return ("" if mean[axis] > 0 else "-") + "xyz"[axis]
 
 
-def check_distance(raws: Sequence[RawCamera], far: float = 100.0) -> None:
-    """Raise CalibrationError if the cameras are farther than ``far`` away: no studio is that many metres wide."""
+_FAR = 100.0  # m, units of the world: no studio is that wide
+
+
+def check_distance(raws: Sequence[RawCamera]) -> None:
+    """Raise CalibrationError if the cameras are farther away than any studio is wide."""
     if not raws:
         return
     distance = float(np.median([np.linalg.norm(raw.translation) for raw in raws]))
-    if distance > far:
+    if distance > _FAR:
         raise CalibrationError("camera_files.far", metres=distance)
 
 
-def settle_camera(raw: RawCamera, size: tuple[int, int] | None, unit: float, up: str) -> Camera:
-    """Return a camera in metres with Y up; CalibrationError without a size or for invalid numbers."""
+def find_unit(raws: Sequence[RawCamera]) -> float:
+    """Return metres per unit of a file in metres or millimetres: mm if the cameras were too far away otherwise."""
+    return 0.001 if max(float(np.linalg.norm(raw.translation)) for raw in raws) > _FAR else 1.0
+
+
+def settle_camera(raw: RawCamera, size: tuple[int, int] | None, unit: float, up: str, centred: bool = False) -> Camera:
+    """Return a camera in metres with Y up; CalibrationError without a size or for invalid numbers.
+
+    ``centred`` : the principal point is taken for the middle of the picture where nothing tells its size.
+    """
     size = raw.size or size
+    if size is None and centred:
+        size = (round(2.0 * float(raw.matrix[0, 2])), round(2.0 * float(raw.matrix[1, 2])))
     if size is None:
         raise CalibrationError("camera_files.no_size", camera=raw.name)
     if np.abs(raw.matrix[2] - (0.0, 0.0, 1.0)).max() > 1e-9 or raw.matrix[1, 0] != 0.0:
@@ -275,21 +293,35 @@ QUALISYS = CameraFormat("Qualisys XML", _parse_qualisys, unit=0.001, up="z", uni
 _LIKE_TOML = re.compile(rb"^[ \t]*(matrix|rotation|translation)[ \t]*=", re.MULTILINE)
 
 
-def _parse_pose2sim(content: bytes, _stem: str) -> list[RawCamera] | None:
+def _parse_toml_of(program: str, content: bytes, _stem: str) -> list[RawCamera] | None:
+    found = _find_sections(content)
+    if found is None or found[0] != program:
+        return None
+    return [_read_section(key, section) for key, section in found[1].items()]
+
+
+@functools.lru_cache(maxsize=1)
+def _find_sections(content: bytes) -> tuple[str, dict[str, Any]] | None:
+    """Return the program that wrote a file, and its cameras; None for a file without."""
     try:
         tree = parse_toml(content.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         if _LIKE_TOML.search(content):
             raise CalibrationError("camera_files.broken_toml", reason=error) from error
         return None
-    sections = {
+    whole = tree.get("cameras", tree)
+    places = {
         key: value
-        for key, value in tree.items()
+        for key, value in (whole.items() if isinstance(whole, dict) else ())
         if isinstance(value, dict) and {"matrix", "rotation", "translation"} & value.keys()
     }
-    if not sections:
+    if any("rotation_count" in section for section in places.values()):
+        used = {key: section for key, section in places.items() if section.get("ignore") is not True}
+        return "caliscope", used or places
+    if not places:
         return None
-    return [_read_section(key, section) for key, section in sections.items()]
+    named = any("fisheye" in section or "kind" in section for section in places.values())
+    return "pose2sim" if named else "anipose", places
 
 
 def _read_section(key: str, section: dict[str, Any]) -> RawCamera:
@@ -302,11 +334,13 @@ def _read_section(key: str, section: dict[str, Any]) -> RawCamera:
     if "size" in section:
         width, height = read_numbers(section["size"], (2,), entry(key, "size"))
         size = (round(width), round(height))
+    turned, what = section["rotation"], entry(key, "rotation")
+    is_matrix = isinstance(turned, list) and len(turned) == 3 and all(isinstance(row, list) for row in turned)
     return RawCamera(
         str(section.get("name", key)),
         size,
         read_numbers(section["matrix"], (3, 3), entry(key, "matrix")),
-        rotation_from_vector(read_numbers(section["rotation"], (3,), entry(key, "rotation"))),
+        read_numbers(turned, (3, 3), what) if is_matrix else rotation_from_vector(read_numbers(turned, (3,), what)),
         read_numbers(section["translation"], (3,), entry(key, "translation")),
         read_distortion(section.get("distortions", [0.0] * 4), entry(key, "distortions")),
         str(section.get("kind", "pinhole")),
@@ -314,7 +348,11 @@ def _read_section(key: str, section: dict[str, Any]) -> RawCamera:
 
 
 # Metres and Z up by the definition of Pose2Sim.
-POSE2SIM = CameraFormat("Pose2Sim TOML", _parse_pose2sim, unit=1.0, up="z")
+POSE2SIM = CameraFormat("Pose2Sim TOML", functools.partial(_parse_toml_of, "pose2sim"), unit=1.0, up="z")
+# The unit is that of the board; the world that of a camera, or of the board.
+ANIPOSE = CameraFormat("Anipose TOML", functools.partial(_parse_toml_of, "anipose"), unit=None, up=None)
+# Metres by the definition of Caliscope.
+CALISCOPE = CameraFormat("Caliscope TOML", functools.partial(_parse_toml_of, "caliscope"), unit=1.0, up=None)
 
 
 def format_cameras(cameras: Sequence[Camera]) -> bytes:
