@@ -11,7 +11,8 @@ from dousa.formats.mmd.models import load_model, template
 from dousa.formats.mmd.vmd import ease, load_vmd
 from dousa.formats.registry import read_motion, write_motion
 from dousa.library.store.ingest import look_at
-from dousa.motion import canonicalise, compute_trajectories
+from dousa.motion import JOINT_INDEX, canonicalise, compute_trajectories
+from dousa.motion.synthetic import draw_performer, make_motion
 from formats import made_mmd as made
 from formats.made_files import code_of, save
 
@@ -239,3 +240,32 @@ def test_damaged_models_are_read_or_refused(tmp_path_factory, data):
         assert load_model(path).bones
     except MotionFileError as error:
         assert error.code.startswith("mmd.")
+
+
+def test_written_and_read_again(tmp_path):
+    """A walk of another skeleton on the bones of MMD; read again, it is within 0.1 mm."""
+    walk = make_motion("walk", draw_performer(2))
+    write_motion(walk, tmp_path / "x.vmd")
+    first = read_motion(tmp_path / "x.vmd")
+    assert first.frame_rate == 30
+    write_motion(first, tmp_path / "y.vmd")
+    again = read_motion(tmp_path / "y.vmd")
+    assert again.skeleton.names == first.skeleton.names
+    there, back = (compute_trajectories(motion).positions for motion in (first, again))
+    np.testing.assert_allclose(back, there, atol=1e-4)
+    assert directions_between(walk, first).mean() < 3.0  # feet are held in place
+
+
+def directions_between(one, other):
+    """Degrees between the thighs, shanks, upper arms and forearms of two motions, (T, 8)."""
+    angles = []
+    for start, end in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist")):
+        for side in ("left_", "right_"):
+            limbs = []
+            for motion in (one, other):
+                places = canonicalise(motion).positions
+                limb = places[:, JOINT_INDEX[side + end]] - places[:, JOINT_INDEX[side + start]]
+                limbs.append(limb / np.linalg.norm(limb, axis=1, keepdims=True))
+            n = min(map(len, limbs))
+            angles.append(np.degrees(np.arccos(np.clip((limbs[0][:n] * limbs[1][:n]).sum(axis=1), -1, 1))))
+    return np.array(angles).T

@@ -31,7 +31,7 @@ from dousa.files.disk import read_bytes
 _DAMAGE = (
     pickle.UnpicklingError, struct.error, EOFError, AttributeError, ImportError, LookupError, TypeError, ValueError,
     ArithmeticError, MemoryError, RecursionError, AssertionError, OSError,
-    zlib.error, lzma.LZMAError, zipfile.BadZipFile,
+    zlib.error, lzma.LZMAError, zipfile.BadZipFile, NotImplementedError, RuntimeError,
 )  # fmt: skip
 
 _INSTRUCTIONS = (

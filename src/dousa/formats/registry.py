@@ -100,7 +100,7 @@ FORMATS: tuple[Format, ...] = (
         rb"|\"(?:joints19|joint_positions|Rh|smpl_poses|global_orient)\""
         rb"|\A[\s\[]{2,}\{\s*\"x\"\s*:[^{}]*\"z\"|\A\s*\[\s*\[\s*\[\s*-?\d[^][,]*,[^][,]*,[^][,]*(?:,[^][,]*)?\]\s*,\s*\[",
     ),
-    Format("vmd", (".vmd",), "dousa.formats.mmd", "read_vmd", None, "motion", ("skeleton",)),
+    Format("vmd", (".vmd",), "dousa.formats.mmd", "read_vmd", "write_vmd", "motion", ("skeleton",)),
     Format("mvnx", (".mvnx",), "dousa.formats.mvnx", "read_mvnx", None, "motion", ("person",)),
     Format(
         "fbx", (".fbx",), "dousa.formats.exchange", "read_exchange", "write_fbx", "motion", ("animation",),

@@ -31,7 +31,7 @@ READ_SUFFIXES = (
     ".bvh .amc .c3d .trc .amass.npz .npz .npy .pkl .joblib .pt .csv .tsv .json .vmd .mvnx .fbx .dae .usd .usda .usdc"
     " .usdz .glb .gltf .vrm .vrma"
 )
-WRITTEN_SUFFIXES = ".bvh .c3d .trc .amass.npz .npz .csv .fbx .glb"
+WRITTEN_SUFFIXES = ".bvh .c3d .trc .amass.npz .npz .csv .vmd .fbx .glb"
 
 
 def info(

@@ -11,6 +11,7 @@ import unicodedata
 
 import numpy as np
 
+from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
 from dousa.formats.assembly import add_ends, localise, rest_offsets, settle_motion
 from dousa.formats.mmd.models import Model, find_model, load_model, template
@@ -18,6 +19,9 @@ from dousa.formats.mmd.posing import Poses, find_needed
 from dousa.formats.mmd.vmd import VmdFile, load_vmd
 from dousa.messages import Message
 from dousa.motion import Motion, Skeleton
+
+UNIT = 0.08
+"""Metres per unit, by the definition above."""
 
 _TRUNK = ("上半身", "上半身2", "首", "頭", "下半身")
 _LIMBS = ("肩", "腕", "ひじ", "手首", "足", "ひざ", "足首", "つま先")
@@ -48,9 +52,8 @@ def read_vmd(
     motion = load_vmd(path)
     chosen = skeleton or find_model(path)
     model = template() if chosen is None else load_model(chosen)
-    kept = [number for number in model.order if _plain(model.bones[number].name) in _KEPT]
-    root = _find_root(model, kept)
-    if root is None or len({model.bones[number].name for number in kept}) < len(kept):
+    kept = list_kept(model)
+    if not kept:
         raise MotionFileError(chosen or path, "mmd.no_body")
     known = {bone.name for bone in model.bones}
     needed = find_needed(model, kept)
@@ -62,7 +65,7 @@ def read_vmd(
         lost = tuple(name for name in motion.bones if _plain(name) in _KEPT and name not in known)
         if lost:
             notes.append(Message("mmd.lost_bones", found=lost[:8]))
-    return _build(path, motion, model, [root, *kept], needed, tuple(notes), unit, up)
+    return _build(path, motion, model, kept, needed, tuple(notes), unit, up)
 
 
 def _plain(name: str) -> str:
@@ -80,10 +83,30 @@ def _build(
     unit: float | str | None,
     up: str | None,
 ) -> Motion:
-    bones = model.bones
     if motion.n_frames * len(kept) * 3 > 50_000_000:
         raise MotionFileError(path, "disk.too_large")
     poses = Poses(model, motion, needed)
+    skeleton, ends = build_skeleton(model, kept)
+    turns = np.stack([poses.turns[number] for number in kept], axis=1)
+    places = np.stack([poses.places[number] for number in kept], axis=1)
+    rotations, translations = localise(skeleton.parents, turns, places)
+    return settle_motion(
+        path, "vmd", *add_ends(skeleton, rotations, translations, ends), 30.0,
+        unit=unit, up=up, unit_in_file=UNIT, up_in_file="y", notes=notes,
+    )  # fmt: skip
+
+
+def list_kept(model: Model) -> list[int]:
+    """List the bones of a body in a model: their root, then themselves; [] if it has none, or a name twice."""
+    kept = [number for number in model.order if _plain(model.bones[number].name) in _KEPT]
+    root = _find_root(model, kept)
+    whole = root is not None and len({model.bones[number].name for number in kept}) == len(kept)
+    return [root, *kept] if whole and root is not None else []
+
+
+def build_skeleton(model: Model, kept: list[int]) -> tuple[Skeleton, list[tuple[int, FloatArray]]]:
+    """Build the skeleton of some bones of a model, in its units, and the end of the head, for `add_ends`."""
+    bones = model.bones
     joint_of = {number: joint for joint, number in enumerate(kept)}
     parents = []
     for number in kept:
@@ -91,20 +114,10 @@ def _build(
         while above >= 0 and above not in joint_of:
             above = bones[above].parent
         parents.append(joint_of[above] if above >= 0 else -1)
-    turns = np.stack([poses.turns[number] for number in kept], axis=1)
-    places = np.stack([poses.places[number] for number in kept], axis=1)
-    rotations, translations = localise(parents, turns, places)
     offsets = rest_offsets(parents, np.array([bones[number].place for number in kept]))
     skeleton = Skeleton(tuple(bones[number].name for number in kept), np.array(parents, np.intp), offsets)
-    ends = []
-    for joint, number in enumerate(kept):
-        end = bones[number].end
-        if bones[number].name == "頭" and end is not None:
-            ends.append((joint, end - bones[number].place))
-    return settle_motion(
-        path, "vmd", *add_ends(skeleton, rotations, translations, ends), 30.0,
-        unit=unit, up=up, unit_in_file=0.08, up_in_file="y", notes=notes,
-    )  # fmt: skip
+    heads = [(joint, bones[number]) for joint, number in enumerate(kept) if bones[number].name == "頭"]
+    return skeleton, [(joint, bone.end - bone.place) for joint, bone in heads if bone.end is not None]
 
 
 def _find_root(model: Model, kept: list[int]) -> int | None:

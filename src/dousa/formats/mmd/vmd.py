@@ -88,6 +88,8 @@ _MAGIC = b"Vocaloid Motion Data "
 _BONE = np.dtype(
     [("name", "S15"), ("frame", "<u4"), ("place", "<f4", 3), ("turn", "<f4", 4), ("curve", "u1", 64)]
 )  # fmt: skip
+# Straight curves, by the definition of the format: x1 and y1 of the four channels, x2 and y2; then three rows, each shifted by one.
+_STRAIGHT = b"".join((bytes([20] * 8 + [107] * 8) + bytes(3))[row : row + 16] for row in range(4))
 # Bytes of a row of the tables that follow, by the definition of the format.
 _SIZES = {"face": 23, "camera": 61, "light": 28, "shadow": 9}
 
@@ -204,6 +206,27 @@ def _make_keys(rows: np.ndarray) -> BoneKeys:
     curves = rows["curve"].reshape(-1, 4, 4, 4)[:, :, :, 0].astype(np.float64) / 127.0
     places = rows["place"].astype(np.float64) * (1, 1, -1)
     return BoneKeys(rows["frame"].astype(np.intp), places, turns, np.minimum(curves, 1.0))
+
+
+def encode_keys(model: str, bones: dict[str, tuple[FloatArray, FloatArray]]) -> bytes:
+    """Return the head of a VMD file and the table of its keys, a key for each row from frame 0 on, without curves.
+
+    Parameters
+    ----------
+    model : name of the model of the motion.
+    bones : by name places (K, 3) moved from rest, units of the file, z mirrored, and unit quaternions (K, 4) w x y z.
+    """
+    tables = []
+    for name, (places, turns) in bones.items():
+        rows = np.zeros(len(turns), _BONE)
+        rows["name"], rows["frame"] = name.encode("cp932")[:15], np.arange(len(turns))
+        rows["place"] = places * (1, 1, -1)
+        rows["turn"] = (turns * (1, -1, -1, 1))[:, [1, 2, 3, 0]]
+        rows["curve"] = np.frombuffer(_STRAIGHT, np.uint8)
+        tables.append(rows)
+    keys = np.concatenate(tables)
+    head = (_MAGIC + b"0002").ljust(30, b"\0") + model.encode("cp932")[:20].ljust(20, b"\0")
+    return head + struct.pack("<I", len(keys)) + keys.tobytes()
 
 
 def _read_switches(cursor: Cursor) -> tuple[tuple[int, dict[str, bool]], ...]:
