@@ -93,7 +93,8 @@ def read_cameras(
         if sizes is not None and len(sizes) != len(found):
             raise CalibrationError("camera_files.sizes", cameras=len(found), sizes=len(sizes))
         return tuple(
-            settle_camera(raw, None if sizes is None else sizes[index], *how) for index, (raw, *how) in enumerate(found)
+            settle_camera(raw, None if sizes is None else sizes[index], scale, up_axis, centred)
+            for index, (raw, scale, up_axis, centred) in enumerate(found)
         )
     except CalibrationError as error:
         error.message = _tame(error.message)

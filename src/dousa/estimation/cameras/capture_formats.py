@@ -85,7 +85,7 @@ def _read_easymocap(name: str, keys: Mapping[str, Any]) -> RawCamera:
     return RawCamera(name, size, matrix, rotation, translation, distortion)
 
 
-# Metres, as the people of its world are; no size, and no convention about which axis is up.
+# Metres by the definition of EasyMocap; no size, and no convention about which axis is up.
 EASYMOCAP = CameraFormat("EasyMocap YAML", _parse_easymocap, unit=1.0, up=None, centred=True)
 
 
