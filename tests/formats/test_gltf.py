@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from dousa.errors import MotionFileError, MotionWriteError
 from dousa.formats.gltf import read_gltf_character
+from dousa.formats.gltf.curves import Curve, choose_times
 from dousa.formats.gltf.document import FLOAT, load_document, pack_document
-from dousa.formats.gltf.reading import Curve, choose_times
 from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import Motion, Skeleton, canonicalise, compute_trajectories
 from dousa.motion.rotations import from_axis_angle, normalise, to_matrix
@@ -217,15 +217,19 @@ def test_gltf_with_its_buffer_inside_and_beside(tmp_path):
     made = Made([{"name": "a"}], [(0, "rotation", [0, 1], [TURN, TURN], "LINEAR")])
     inside = {
         **made.tree,
-        "buffers": [{"byteLength": 1, "uri": "data:;base64," + base64.b64encode(made.binary).decode()}],
+        "buffers": [{"byteLength": len(made.binary), "uri": "data:;base64," + base64.b64encode(made.binary).decode()}],
     }
     (tmp_path / "x.gltf").write_text(json.dumps(inside))
     (tmp_path / "y z.bin").write_bytes(made.binary)
-    (tmp_path / "y.gltf").write_text(json.dumps({**made.tree, "buffers": [{"byteLength": 1, "uri": "y%20z.bin"}]}))
+    (tmp_path / "y.gltf").write_text(
+        json.dumps({**made.tree, "buffers": [{"byteLength": len(made.binary), "uri": "y%20z.bin"}]})
+    )
     one, other = read_motion(tmp_path / "x.gltf", unit="m"), read_motion(tmp_path / "y.gltf", unit="m")
     np.testing.assert_array_equal(one.rotations, other.rotations)
     for uri in ("../x.bin", "/etc/passwd", "http://example.org/x.bin", "data:;base64,!"):
-        (tmp_path / "z.gltf").write_text(json.dumps({**made.tree, "buffers": [{"byteLength": 1, "uri": uri}]}))
+        (tmp_path / "z.gltf").write_text(
+            json.dumps({**made.tree, "buffers": [{"byteLength": len(made.binary), "uri": uri}]})
+        )
         with pytest.raises(MotionFileError) as caught:
             read_motion(tmp_path / "z.gltf")
         assert caught.value.code == "gltf.buffer"
@@ -258,7 +262,7 @@ def change(tree, **changes):
         (lambda t: change(t, nodes=[{"children": [7]}]), "gltf.index"),
         (lambda t: change(t, nodes=[{"rotation": [0, 0, 0, 0]}]), "gltf.pose"),
         (lambda t: change(t, nodes=5), "gltf.list"),
-        (lambda t: change(t, animations=[]), "gltf.no_animation"),
+        (lambda t: change(t, animations=[]), "gltf.no_joints"),
         (lambda t: change(t, accessors=[{**a, "count": 10**11} for a in t["accessors"]]), "gltf.short"),
         (lambda t: change(t, accessors=[{**a, "sparse": {}} for a in t["accessors"]]), "gltf.accessor"),
         (lambda t: change(t, accessors=[{**a, "componentType": 1} for a in t["accessors"]]), "gltf.accessor"),
@@ -290,3 +294,118 @@ def test_truncated(tmp_path):
         with pytest.raises(MotionFileError) as caught:
             read_motion(path)
         assert caught.value.code == code
+
+
+BLOW = [[0.0, 0, 0], [0, 0, 0], [1, 0, 0], [0, 0, 0], [0, 0, 0]]
+
+
+@pytest.mark.parametrize(
+    ("keys", "rate"),
+    [
+        ([0, 1, 1.1, 1.2, 2], 30),  # on frames of 30 Hz
+        ([0, 1, 1.05, 1.1, 2], 60),
+        ([0, 1, 1.031, 1.071, 2.2], 60),  # on no frames at all
+        ([0, 0.013, 0.5, 0.517, 3.1], 60),
+        ([0, 0.2, 0.4, 0.6, 0.8], 30),  # even, and slower than any recording
+        ([0, 1 / 15, 2 / 15, 3 / 15, 4 / 15], 15),
+        ([0, 0.5, 1.0, 1.5, 2], 30),
+    ],
+)
+@pytest.mark.parametrize("how", ["LINEAR", "STEP", "CUBICSPLINE"])
+def test_sparse_and_uneven_keys_are_met(keys, rate, how):
+    """A blow between keys far apart is there in full, whatever the rate."""
+    keys = np.array(keys, "<f4").astype(float)
+    values = np.array(BLOW)
+    times, got = choose_times([keys, keys[[0, -1]]])
+    assert got == rate
+    if how == "CUBICSPLINE":
+        values = np.stack([np.zeros_like(values), values, np.zeros_like(values)], axis=1).reshape(-1, 3)
+    sampled = Curve(keys, values, how, False).sample(times)
+    assert sampled[:, 0].max() == 1.0
+    peak = times[np.argmax(sampled[:, 0])]
+    assert peak == pytest.approx(keys[2], abs=0.51 / rate)
+    np.testing.assert_allclose(sampled[[0, -1]], 0, atol=1e-9)
+
+
+def test_several_animations_are_taken_by_name_or_number(tmp_path):
+    made = Made([{"name": "a"}], [(0, "translation", [0, 1], [[0, 0, 0], [n, 0, 0]], "LINEAR") for n in (1, 2, 3)])
+    curves = made.tree.pop("animations")[0]
+    made.tree["animations"] = [
+        {"name": name, "samplers": [curves["samplers"][n]], "channels": [{**curves["channels"][n], "sampler": 0}]}
+        for n, name in enumerate(("Idle", "Walk", "Walk"))
+    ]
+    path = made.save(tmp_path / "x.glb")
+    for wanted, end in ((None, 1), ("walk", 2), ("Walk 2", 3), (3, 3), ("1", 1)):
+        motion = read_motion(path, unit="m", up="y", animation=wanted)
+        assert motion.translations[-1, 0, 0] == pytest.approx(end)
+        (note,) = [note for note in motion.provenance.notes if note.code.startswith("parts.")]
+        assert (*note.values["others"], note.values["read"]).count("Walk") == 1
+    with pytest.raises(MotionFileError) as caught:
+        read_motion(path, animation="Kick")
+    assert caught.value.message.values == {"found": "Kick", "known": ("Idle", "Walk", "Walk 2")}
+
+
+def _insert(data, place, more):
+    return data[:place] + more + data[place:]
+
+
+@pytest.mark.parametrize(
+    ("edit", "code"),
+    [
+        (lambda d: _insert(d, -300, bytes(range(16))), "gltf.surplus"),
+        (lambda d: _insert(d, 60, b"    "), "gltf.truncated"),
+        (lambda d: d[:-8], "gltf.truncated"),
+        (lambda d: d[:-300] + d[-296:], "gltf.truncated"),
+        (lambda d: d + b"<html>", "gltf.surplus"),
+        (lambda d: d.replace(b'"rotation"}', b'"rotatiom"}', 1), "gltf.target"),
+        (lambda d: d.replace(b'"children"', b'"childrem"', 1), "gltf.unknown_key"),
+        (lambda d: d[:8] + struct.pack("<I", 77) + d[12:], "guard.bytes_over"),
+        (lambda d: d + bytes(4), "guard.bytes_over"),
+    ],
+)
+def test_what_a_file_declares_is_compared_with_what_came(tmp_path, edit, code):
+    """Errors and notes: none of these is read in silence."""
+    write_motion(make_walk(), tmp_path / "x.glb")
+    data = edit((tmp_path / "x.glb").read_bytes())
+    (tmp_path / "y.glb").write_bytes(data)
+    try:
+        codes = [note.code for note in read_motion(tmp_path / "y.glb").provenance.notes]
+    except MotionFileError as error:
+        codes = [error.code]
+    assert code in codes
+
+
+@pytest.mark.parametrize(
+    ("place", "change", "code"),
+    [
+        (("bufferViews", 1), {"byteOffset": 4}, "gltf.across"),
+        (("accessors", 1), {"componentType": 5122}, "gltf.accessor"),
+        (("accessors", 1), {"max": [1, 1, 1, 7], "min": [0, 0, 0, 0]}, "gltf.limits"),
+        (("animations", 0, "samplers", 0), {"interpolation": "LINEAS"}, "gltf.keys"),
+        (("animations", 0, "samplers", 1), {"output": 1}, "gltf.unused_data"),
+        (("animations", 0, "channels", 1), {"sampler": 0}, "gltf.unused"),
+        (("animations", 0, "channels", 1, "target"), {"node": 0}, "gltf.target_twice"),
+    ],
+)
+def test_what_gltf_does_not_allow_is_said(tmp_path, place, change, code):
+    nodes = [{"name": "a", "children": [1]}, {"name": "b", "translation": [0, 1, 0]}]
+    other = TURN[[0, 2, 1, 3]]
+    made = Made(nodes, [(node, "rotation", [0, 1], [TURN, other], "LINEAR") for node in (0, 1)])
+    item = made.tree
+    for key in place:
+        item = item[key]
+    item.update(change)
+    try:
+        codes = [note.code for note in read_motion(made.save(tmp_path / "x.glb"), unit="m", up="y").provenance.notes]
+    except MotionFileError as error:
+        codes = [error.code]
+    assert code in codes
+
+
+@pytest.mark.parametrize(
+    ("name", "code"), [("glb_mesh_only/statue.glb", "gltf.no_joints"), ("glb_meshopt/packed.glb", "gltf.extension")]
+)
+def test_messages_name_what_is_missing(shared_data, name, code):
+    with pytest.raises(MotionFileError) as caught:
+        read_motion(shared_data(f"reported/{name}"))
+    assert caught.value.code == code

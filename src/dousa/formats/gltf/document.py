@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
+from dousa.formats.guard.sizes import compare_bytes
+from dousa.messages import Message
 
 MAGIC, JSON_CHUNK, BIN_CHUNK = b"glTF", 0x4E4F534A, 0x004E4942
 FLOAT, USHORT, UINT = 5126, 5123, 5125
@@ -36,11 +38,18 @@ class GltfDocument:
     ----------
     path : for messages.
     tree : the JSON object.
-    buffers : bytes of each buffer.
+    buffers : bytes of each buffer, as many as it declares; None of one that only an extension can read.
+    notes : for the user, on declarations that the bytes contradict.
     """
 
-    def __init__(self, path: str | os.PathLike[str], tree: dict[str, Any], buffers: list[bytes]) -> None:
-        self.path, self.tree, self.buffers = path, tree, buffers
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        tree: dict[str, Any],
+        buffers: list[bytes | None],
+        notes: tuple[Message, ...] = (),
+    ) -> None:
+        self.path, self.tree, self.buffers, self.notes = path, tree, buffers, notes
 
     def fail(self, code: str, **values: Any) -> MotionFileError:
         """Return an error about this file."""
@@ -68,16 +77,14 @@ class GltfDocument:
         count = _whole(accessor.get("count"))
         if kind is None or width is None or count < 0 or "sparse" in accessor or "bufferView" not in accessor:
             raise MotionFileError(self.path, "gltf.accessor", number=index)
-        view = self.item("bufferViews", accessor["bufferView"])
-        number = _whole(view.get("buffer", 0))
-        if not 0 <= number < len(self.buffers):
-            raise MotionFileError(self.path, "gltf.index", name="buffers", found=str(number), count=len(self.buffers))
+        self._check_extensions(accessor)
+        view, data = self._view(accessor["bufferView"], index)
         dtype, scale = np.dtype(kind[0]), kind[1]
         row = width * dtype.itemsize
-        start = _whole(view.get("byteOffset", 0)) + _whole(accessor.get("byteOffset", 0))
-        stride = _whole(view.get("byteStride", row)) or row
-        data = self.buffers[number]
-        if start < 0 or stride < row or (count and start + stride * (count - 1) + row > len(data)):
+        start, stride = _whole(accessor.get("byteOffset", 0)), _whole(view.get("byteStride", row)) or row
+        if start < 0 or start % dtype.itemsize or stride < row:
+            raise MotionFileError(self.path, "gltf.short", number=index)
+        if count and start + stride * (count - 1) + row > len(data):
             raise MotionFileError(self.path, "gltf.short", number=index)
         raw = (
             np.ndarray((count, width), dtype, data, start, (stride, dtype.itemsize)) if count else np.empty((0, width))
@@ -87,7 +94,44 @@ class GltfDocument:
             values = np.maximum(values / scale, -1.0)
         if not np.isfinite(values).all():
             raise MotionFileError(self.path, "gltf.finite", number=index)
+        self._compare_limits(accessor, index, raw.astype(np.float64))
         return values
+
+    def _view(self, index: object, accessor: object) -> tuple[dict[str, Any], bytes]:
+        """A view and its bytes, which must lie in its buffer."""
+        view = self.item("bufferViews", index)
+        self._check_extensions(view)
+        number = _whole(view.get("buffer", 0))
+        if not 0 <= number < len(self.buffers):
+            raise MotionFileError(self.path, "gltf.index", name="buffers", found=str(number), count=len(self.buffers))
+        data = self.buffers[number]
+        if data is None:
+            self._check_extensions(self.items("buffers")[number], fail=True)
+        start, size = _whole(view.get("byteOffset", 0)), _whole(view.get("byteLength"))
+        if data is None or start < 0 or size < 0 or start + size > len(data):
+            raise MotionFileError(self.path, "gltf.short", number=accessor)
+        return view, data[start : start + size]
+
+    def _check_extensions(self, item: dict[str, Any], *, fail: bool = False) -> None:
+        """Raise MotionFileError for an extension that changes what the bytes mean, if the file requires it."""
+        extensions, required = item.get("extensions"), self.tree.get("extensionsRequired")
+        for name in extensions if isinstance(extensions, dict) else ():
+            if fail or (isinstance(required, list) and name in required):
+                raise MotionFileError(self.path, "gltf.extension", name=str(name)[:40])
+
+    def _compare_limits(
+        self, accessor: dict[str, Any], index: object, values: NDArray[Any], near: float = 1e-4
+    ) -> None:
+        """Note values that are not those between the ``min`` and ``max`` that the file declares.
+
+        ``near`` : share of the greatest value by which programs round them.
+        """
+        limits = [np.array(accessor.get(key, ()), np.float64) for key in ("min", "max")]
+        if any(limit.shape != values.shape[1:] for limit in limits) or not len(values):
+            return
+        off = max(np.abs(limits[0] - values.min(axis=0)).max(), np.abs(limits[1] - values.max(axis=0)).max())
+        if not off <= near * max(1.0, float(np.abs(values).max())):
+            self.notes += (Message("gltf.limits", number=index),)
 
 
 def _whole(value: object) -> int:
@@ -98,9 +142,10 @@ def _whole(value: object) -> int:
 def load_document(path: str | os.PathLike[str]) -> GltfDocument:
     """Parse a GLB or glTF file and load its buffers; MotionFileError if damaged, or buffers lie outside its folder."""
     data = read_bytes(path)
-    rest = b""
+    rest: bytes | None = None
+    notes: tuple[Message, ...] = ()
     if data[:4] == MAGIC:
-        data, rest = _split_chunks(path, data)
+        data, rest, notes = _split_chunks(path, data)
     try:
         tree = json.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
@@ -110,25 +155,42 @@ def load_document(path: str | os.PathLike[str]) -> GltfDocument:
         raise MotionFileError(path, "gltf.no_asset")
     if str(asset.get("version", "")).partition(".")[0] != "2":
         raise MotionFileError(path, "gltf.version", found=str(asset.get("version"))[:20])
-    document = GltfDocument(path, tree, [])
+    document = GltfDocument(path, tree, [], notes)
     for number, buffer in enumerate(document.items("buffers")):
-        uri = buffer.get("uri")
-        document.buffers.append(rest if uri is None and number == 0 else _load_buffer(path, uri))
+        uri, found = buffer.get("uri"), rest if number == 0 else None
+        if found is None and (uri is not None or "extensions" not in buffer):
+            found = _load_buffer(path, uri)
+        size = _whole(buffer.get("byteLength"))
+        if found is not None and not 0 <= size <= len(found):
+            raise MotionFileError(path, "gltf.buffer_size", number=number, declared=size, found=len(found))
+        if found is not None and len(found) - size > (_PADDING if found is rest else 0):
+            document.notes += compare_bytes(size, len(found))
+        document.buffers.append(None if found is None else found[:size])
     return document
 
 
-def _split_chunks(path: str | os.PathLike[str], data: bytes) -> tuple[bytes, bytes]:
+# Bytes, less than which may fill a chunk: glTF 2.0 specification, section 4.4.3.
+_PADDING = 3
+
+
+def _split_chunks(path: str | os.PathLike[str], data: bytes) -> tuple[bytes, bytes | None, tuple[Message, ...]]:
+    """JSON, binary and notes: the chunks fill the file to its end, which is where its header says."""
     chunks: dict[int, bytes] = {}
     place = 12
-    while place + 8 <= len(data):
+    if len(data) < 12 or struct.unpack_from("<I", data, 4)[0] != 2:
+        raise MotionFileError(path, "gltf.version", found=str(data[4] if len(data) > 4 else ""))
+    declared = struct.unpack_from("<I", data, 8)[0]
+    while place + 8 <= len(data) and place != declared:
         length, kind = struct.unpack_from("<II", data, place)
         if place + 8 + length > len(data):
             raise MotionFileError(path, "gltf.truncated")
         chunks.setdefault(kind, data[place + 8 : place + 8 + length])
         place += 8 + length
-    if len(data) < 12 or struct.unpack_from("<I", data, 4)[0] != 2 or JSON_CHUNK not in chunks:
-        raise MotionFileError(path, "gltf.version", found=str(data[4] if len(data) > 4 else ""))
-    return chunks[JSON_CHUNK], chunks.get(BIN_CHUNK, b"")
+    if data[place:].strip(b"\0 \r\n"):  # not only padding
+        raise MotionFileError(path, "gltf.surplus", n=len(data) - place)
+    if JSON_CHUNK not in chunks:
+        raise MotionFileError(path, "gltf.no_json_chunk")
+    return chunks[JSON_CHUNK], chunks.get(BIN_CHUNK, b""), compare_bytes(declared, len(data))
 
 
 def _load_buffer(path: str | os.PathLike[str], uri: object) -> bytes:

@@ -13,127 +13,19 @@ from typing import Any
 
 import numpy as np
 
-from dousa.arrays import FloatArray, IndexArray
+from dousa.arrays import FloatArray
 from dousa.formats.assembly import settle_motion
+from dousa.formats.gltf.curves import Curve, choose_times
 from dousa.formats.gltf.document import GltfDocument, load_document
+from dousa.formats.gltf.soundness import INTERPOLATIONS, are_turns, check_keys, check_samplers
 from dousa.formats.gltf.tree import JointTree, build_tree, list_nodes
 from dousa.formats.parts import choose, distinguish
 from dousa.messages import Message
 from dousa.motion import Motion, Skeleton
 from dousa.motion.rotations import conjugate, multiply, normalise, rotate
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Curve:
-    """The keys of one property of a node.
-
-    Parameters
-    ----------
-    times : (K,) s, ascending.
-    values : (K, n); of a cubic spline (3 K, n): tangent in, value, tangent out.
-    kind : ``"LINEAR"``, ``"STEP"`` or ``"CUBICSPLINE"``.
-    turns : whether the values are quaternions.
-    """
-
-    times: FloatArray
-    values: FloatArray
-    kind: str
-    turns: bool
-
-    def is_sound(self) -> bool:
-        """Whether times and values fit together and are usable numbers."""
-        per_key = 3 if self.kind == "CUBICSPLINE" else 1
-        width = 4 if self.turns else 3
-        if not len(self.times) or self.values.shape != (per_key * len(self.times), width):
-            return False
-        if self.turns and not (np.linalg.norm(self._points(), axis=1) > 1e-6).all():
-            return False
-        return bool((np.diff(self.times) >= 0).all() and abs(self.times).max() < 1e6)
-
-    def _points(self) -> FloatArray:
-        return self.values[1::3] if self.kind == "CUBICSPLINE" else self.values
-
-    def sample(self, times: FloatArray) -> FloatArray:
-        """Interpolate values (T, n) at some times; before the first and after the last key the value is held."""
-        points = self._points()
-        after = np.clip(np.searchsorted(self.times, times, side="right"), 1, max(len(self.times) - 1, 1))
-        before = after - 1
-        if len(self.times) == 1:
-            return np.repeat(points, len(times), axis=0)
-        span = self.times[after] - self.times[before]
-        share = np.clip((times - self.times[before]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
-        # A key that was meant: not 0.99999 of the way to it.
-        share = np.where(share < 1e-4, 0.0, np.where(share > 1 - 1e-4, 1.0, share))[:, None]
-        if self.kind == "STEP":
-            return np.where(share < 1, points[before], points[after])
-        if self.kind == "CUBICSPLINE":
-            return self._spline(before, after, share, span[:, None])
-        start, end = points[before], points[after]
-        if not self.turns:
-            return start + share * (end - start)
-        return _slerp(start, end, share)
-
-    def _spline(self, before: IndexArray, after: IndexArray, share: FloatArray, span: FloatArray) -> FloatArray:
-        points, tangents_in, tangents_out = self.values[1::3], self.values[0::3], self.values[2::3]
-        square, cube = share**2, share**3
-        value: FloatArray = (
-            (2 * cube - 3 * square + 1) * points[before]
-            + span * (cube - 2 * square + share) * tangents_out[before]
-            + (3 * square - 2 * cube) * points[after]
-            + span * (cube - square) * tangents_in[after]
-        )
-        return value
-
-
-def _slerp(start: FloatArray, end: FloatArray, share: FloatArray) -> FloatArray:
-    cosine = (start * end).sum(axis=1, keepdims=True)
-    end = np.where(cosine < 0, -end, end)
-    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
-    sine = np.where(angle > 1e-5, np.sin(angle), 1.0)
-    first = np.where(angle > 1e-5, np.sin((1 - share) * angle) / sine, 1 - share)
-    second = np.where(angle > 1e-5, np.sin(share * angle) / sine, share)
-    turned: FloatArray = first * start + second * end
-    return turned
-
-
-def choose_times(
-    inputs: list[FloatArray],
-    *,
-    even_by: float = 0.02,
-    same_rate: float = 2e-3,
-    same_measured: float = 1e-4,
-    fastest: float = 1000.0,
-    most_frames: int = 10_000_000,
-) -> tuple[FloatArray, float]:
-    """Choose even times (T,) that meet the keys of all curves, and their rate in Hz.
-
-    The rate is one over the usual step between keys, rounded to a usual rate within its precision.
-
-    Parameters
-    ----------
-    inputs : (K,) s of the keys of each curve.
-    even_by : share of the step by which even steps differ.
-    same_rate, same_measured : share of a rate within which it is a usual one, of uneven and of even steps.
-    fastest : Hz; shorter steps are none.
-    most_frames : of the result.
-    """
-    usual_rates = (12.5, 15, 20, 24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 125, 144, 150, 180, 200, 240, 250, 300, 480)
-    first, last = min(float(times[0]) for times in inputs), max(float(times[-1]) for times in inputs)
-    finest = max(inputs, key=len)
-    steps = np.diff(finest)
-    steps = steps[steps > 1.0 / fastest]
-    step = float(np.median(steps)) if len(steps) else 1.0 / 30
-    even = len(steps) == len(finest) - 1 > 0 and (np.abs(steps - step) < even_by * step).all()
-    # Over the whole length, as single steps are rounded to 32 bits.
-    rate = len(steps) / float(finest[-1] - finest[0]) if even else 1.0 / step
-    usual = min(usual_rates, key=lambda other: abs(other - rate))
-    if abs(usual - rate) <= (same_measured if even else same_rate) * rate:
-        rate = float(usual)
-    count = min(round((last - first) * rate) + 1, most_frames)
-    return first + np.arange(count) / rate, rate
-
-
 _PATHS = ("translation", "rotation", "scale")
+_OTHER_PATHS = ("weights", "pointer")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,9 +55,11 @@ class GltfLayout:
 
 @dataclass(frozen=True, slots=True)
 class _Clip:
+    number: int
     name: str
     curves: dict[tuple[int, str], Curve]
     length: float
+    notes: tuple[Message, ...]
 
 
 def read_gltf(
@@ -213,20 +107,22 @@ def build_motion(
     declared_unit : metres per unit of the document.
     notes : for the user, on the reading of the file.
     """
-    clips = [_read_clip(document, animation, n) for n, animation in enumerate(document.items("animations"))]
+    animations = document.items("animations")
+    clips = [_read_clip(document, one, number) for number, one in enumerate(animations)]
     clips = [clip for clip in clips if clip.curves]
     if not clips:
-        raise document.fail("gltf.no_animation")
+        raise document.fail("gltf.no_animation" if document.items("skins") else "gltf.no_joints")
     names = distinguish(clip.name for clip in clips)
     chosen, choice = choose(document.path, "animation", names, animation, [clip.length for clip in clips])
     clip = clips[chosen]
+    notes += (*choice, *clip.notes, *check_keys(document, animations[clip.number]))
     times, rate = choose_times([curve.times for curve in clip.curves.values()])
     if len(times) * max(1, len(document.items("nodes"))) > 50_000_000:
         raise document.fail("gltf.large", frames=len(times))
-    tree, rotations, translations, said = _pose(document, clip, times)
+    tree, rotations, translations, scaled = _pose(document, clip, times)
     return settle_motion(
         document.path, format_name, _skeleton(tree), rotations, translations, rate, unit=unit, up=up,
-        declared_unit=declared_unit, layout=GltfLayout(document, tree), notes=(*notes, *choice, *said),
+        declared_unit=declared_unit, layout=GltfLayout(document, tree), notes=(*notes, *scaled, *document.notes),
     )  # fmt: skip
 
 
@@ -266,11 +162,16 @@ def _read_clip(document: GltfDocument, animation: dict[str, Any], number: int) -
     channels, samplers = animation.get("channels", []), animation.get("samplers", [])
     if not isinstance(channels, list) or not isinstance(samplers, list):
         raise document.fail("gltf.list", name="channels")
+    notes = check_samplers(document, animation)
     curves: dict[tuple[int, str], Curve] = {}
     for channel in channels:
         target = channel.get("target") if isinstance(channel, dict) else None
-        if not isinstance(target, dict) or target.get("path") not in _PATHS or "node" not in target:
+        if not isinstance(target, dict) or target.get("path") not in (*_PATHS, *_OTHER_PATHS):
+            raise document.fail("gltf.target", found=str(target)[:60])
+        if target["path"] in _OTHER_PATHS or "node" not in target:
             continue  # weights of a face, or an extension
+        if (target["node"], target["path"]) in curves:
+            raise document.fail("gltf.target_twice", node=target["node"], path=target["path"])
         document.item("nodes", target["node"])
         index = channel.get("sampler")
         sampler = samplers[index] if isinstance(index, int) and 0 <= index < len(samplers) else None
@@ -278,13 +179,16 @@ def _read_clip(document: GltfDocument, animation: dict[str, Any], number: int) -
             raise document.fail("gltf.index", name="samplers", found=repr(index)[:20], count=len(samplers))
         times, values = document.numbers(sampler.get("input")), document.numbers(sampler.get("output"))
         kind = sampler.get("interpolation", "LINEAR")
-        curve = Curve(times[:, 0], values, kind if isinstance(kind, str) else "LINEAR", target["path"] == "rotation")
-        if not curve.is_sound():
+        curve = Curve(times[:, 0], values, str(kind), target["path"] == "rotation")
+        if kind not in INTERPOLATIONS or not curve.is_sound():
             raise document.fail("gltf.keys", number=index)
         curves[target["node"], target["path"]] = curve
     length = max((float(curve.times[-1]) for curve in curves.values()), default=0.0)
     name = animation.get("name")
-    return _Clip(name if isinstance(name, str) else f"animation {number + 1}", curves, length)
+    turns = (curve.values for curve in curves.values() if curve.turns and curve.kind != "CUBICSPLINE")
+    if not all(map(are_turns, turns)):
+        notes += (Message("gltf.no_turns"),)
+    return _Clip(number, name if isinstance(name, str) else f"animation {number + 1}", curves, length, notes)
 
 
 def _pose(

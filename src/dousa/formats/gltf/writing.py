@@ -218,7 +218,9 @@ def _open_character(layout: GltfLayout) -> tuple[dict[str, Any], _Buffer]:
     document = layout.document
     tree = {key: value for key, value in document.tree.items() if key not in ("animations", "buffers")}
     starts, joined = [], b""
-    for data in document.buffers:
+    for number, data in enumerate(document.buffers):
+        if data is None:
+            raise document.fail("gltf.extension", name=next(iter(document.items("buffers")[number]["extensions"])))
         starts.append(len(joined))
         joined += data + b"\0" * (-len(data) % 4)
     views = []
