@@ -76,7 +76,7 @@ def read_table(
     text = decode(read_bytes(path))
     for sign, read in ((r'\A\s*"?Format Version', read_motive), (r"^\s*NO_OF_FRAMES", read_qualisys)):
         if re.search(sign, text[:4096], re.MULTILINE | re.IGNORECASE):
-            return read(path, unit=unit, up=up)
+            return take_person(read(path, unit=unit, up=up), path, person)
     lines = text.split("\n")
     start = _find_section(lines)
     header = find_header(lines[start : start + _MOST_TITLES])
