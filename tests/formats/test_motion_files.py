@@ -135,7 +135,7 @@ def test_folders_give_motions_only(tmp_path):
         "labels.csv": b"start,end,category\n",
         "table.tsv": b"a\tb\n",
         "model.pkl": b"\x80\x04}\x94.",
-        "features.npy": made.make_npy(rng.normal(size=(4, 263))),
+        "features.npy": made.make_npy(rng.normal(size=(4, 264))),
         "notes.txt.gz": made.pack_gzip(b"hello"),
         "angles.mot": b"Coordinates\n",
     }

@@ -88,7 +88,7 @@ _MAGIC = b"Vocaloid Motion Data "
 _BONE = np.dtype(
     [("name", "S15"), ("frame", "<u4"), ("place", "<f4", 3), ("turn", "<f4", 4), ("curve", "u1", 64)]
 )  # fmt: skip
-# Straight curves, by the definition of the format: x1 and y1 of the four channels, x2 and y2; then three rows, each shifted by one.
+# Straight curves by the definition of the format: x1, y1, x2, y2 of four channels; three more rows, each shifted.
 _STRAIGHT = b"".join((bytes([20] * 8 + [107] * 8) + bytes(3))[row : row + 16] for row in range(4))
 # Bytes of a row of the tables that follow, by the definition of the format.
 _SIZES = {"face": 23, "camera": 61, "light": 28, "shadow": 9}
