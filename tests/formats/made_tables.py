@@ -69,3 +69,19 @@ def count_points(text):
     titles, rest = text.split("\n", 1)
     cells = titles.split(",")
     return ",".join([cells[0], *(f"{cell[-1]}{n // 3}" for n, cell in enumerate(cells[1:]))]) + "\n" + rest
+
+
+def visual3d(title):
+    """The standard export of Visual3D: names above three other rows of titles, and the axes."""
+    names, places = names_of(title), made.make_points(title)[0]
+    wide = [n for n in names for _ in range(3)]
+    head = [["", *cells] for cells in (["a.c3d"] * len(wide), wide, ["TARGET"] * len(wide), ["ORIGINAL"] * len(wide))]
+    head.append(["ITEM", *"XYZ" * len(names)])
+    return join([*head, *([n + 1, *np.round(frame, 5).ravel()] for n, frame in enumerate(places))], "\t")
+
+
+def at_times_of_day(text):
+    """The same table with dates and times for seconds."""
+    head, *rows = text.strip().split("\n")
+    cells = [row.split(",", 1) for row in rows]
+    return "\n".join([head, *(f"2024-03-01 23:59:{58 + float(t):09.6f},{rest}" for t, rest in cells)]) + "\n"

@@ -148,6 +148,8 @@ def test_samples_of_mdm(tmp_path):
     longest = read_motion(path, unit="m", up="y")
     np.testing.assert_allclose(longest.positions, joints[::-1])
     np.testing.assert_allclose(read_motion(f"{path}#animation=back", unit="m", up="y").positions, joints[::-1])
+    alone = read_motion(save(tmp_path / "motion.npy", made.make_npy(motion)), unit="m", up="y", animation=2)
+    np.testing.assert_allclose(alone.positions, joints[::-1])
     assert [str(note.values["text"]) for note in read.provenance.notes if note.code == "arrays.text"] == ["a walk"]
 
 

@@ -10,7 +10,19 @@ from dousa.formats.tables.columns import find_columns
 from dousa.motion import JOINT_INDEX, Motion, Trajectories, canonicalise
 from formats import made_points as made
 from formats.made_files import code_of, save
-from formats.made_tables import KINECT, MEDIAPIPE, SMPL, count_points, join, long_table, nexus, table, two_rows
+from formats.made_tables import (
+    KINECT,
+    MEDIAPIPE,
+    SMPL,
+    at_times_of_day,
+    count_points,
+    join,
+    long_table,
+    nexus,
+    table,
+    two_rows,
+    visual3d,
+)
 
 FORMS = {
     "commas": (MEDIAPIPE, lambda: table(MEDIAPIPE), 50.0),
@@ -31,6 +43,8 @@ FORMS = {
     ),
     "nexus": (SMPL, lambda: nexus(SMPL), 100.0),
     "long": (MEDIAPIPE, lambda: long_table(MEDIAPIPE), 30.0),
+    "visual3d": (SMPL, lambda: visual3d(SMPL), 20.0),
+    "times of day": (MEDIAPIPE, lambda: at_times_of_day(table(MEDIAPIPE)), 50.0),
     "deeplabcut": (MEDIAPIPE, lambda: two_rows(MEDIAPIPE), 30.0),
     "numbers for names": (MEDIAPIPE, lambda: count_points(table(MEDIAPIPE)), 50.0),
 }

@@ -176,7 +176,10 @@ def build_smpl(
     if rate is None:
         rate = 30.0 if scaling is None else AIST_RATE
         notes = (*notes, Message("arrays.assumed_rate", rate=rate))
-    places = _read_places(path, get(roles.get("places", "")), n_frames, scaling)
+    found = get(roles.get("places", ""))
+    if found is None and n_frames > 1:
+        notes = (*notes, Message("smpl.no_places"))
+    places = _read_places(path, found, n_frames, scaling)
     numbers = get(roles.get("numbers", ""))
     numbers = numbers.reshape(-1).astype(np.float64) if numbers is not None and numbers.size == n_frames else None
     translations = np.tile(tree.offsets, (n_frames, 1, 1))

@@ -24,6 +24,7 @@ from dousa.motion.rotations import from_axis_angle, from_matrix, identity
 JOINTS_OF = {22: "SMPL", 24: "SMPL", 52: "SMPL-H", 55: "SMPL-X"}
 """Model by its number of joints, by the definition of each; 22 are SMPL's without the hands."""
 
+_EASYMOCAP = (78, 87)  # numbers of SMPL-H and SMPL-X with 6 each for the hands, by the definition of EasyMocap
 _BODIES = (21, 23)  # without the root, by the definition of SMPL-X and SMPL
 _ROLES = {
     "poses": ("poses", "pose", "fullpose", "thetas", "theta", "rotmat", "rotmats"),
@@ -89,6 +90,8 @@ def read_rotations(get: Get, roles: Mapping[str, str]) -> Rotations:
     whole = parts.get("poses", parts.get("body"))
     if whole is None:
         return Rotations(None)
+    if whole[0].size in _EASYMOCAP:
+        whole = whole.reshape(len(whole), -1)[:, :66]
     turns = as_turns(whole, (*JOINTS_OF, *_BODIES))
     if turns is None:
         return Rotations(None, whole[0].size)

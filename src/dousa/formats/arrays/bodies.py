@@ -19,7 +19,7 @@ from dousa.files.frame_files import natural_key
 from dousa.formats.smpl_poses import are_poses, find_roles, rank_place, read_rotations
 
 _PERSON = re.compile(r"(?:id|person|track|subject|body|human|p)?[ _-]?(\d+)", re.IGNORECASE)
-_TRACKS = ("tracked_ids", "tid", "track_ids", "person_ids")
+_TRACKS = ("tid", "tracked_ids", "track_ids", "person_ids")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

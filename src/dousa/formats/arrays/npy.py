@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import re
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
@@ -46,6 +48,20 @@ def read_npy(
     ------
     MotionFileError : missing, damaged, another shape, an unknown number of joints, objects that are no plain values.
     """
+    content, array = _load(path)
+    options: dict[str, Any] = {"unit": unit, "up": up, "frame_rate": frame_rate}
+    if content is not None:
+        return build_content(path, content, skeleton=skeleton, person=person, animation=animation, **options)
+    if array.ndim == 2 and array.shape[1] == MOTION_X:
+        arrays = {"poses": array[:, :156], "trans": array[:, 309:312], "betas": array[:, 312:]}
+        return build_smpl(path, arrays.get, arrays, skeleton=skeleton, default_up="y", **options)
+    if array.ndim == 2:
+        array = recover_joints(path, array)
+    return build_joints(path, "npy", array, **options)
+
+
+def _load(path: str | os.PathLike[str]) -> tuple[dict[Any, Any] | None, NDArray[Any]]:
+    """The dictionary of a file of objects, or of samples; else the array, without axes of length 1 if of features."""
     data = read_bytes(path)
     if data[:6] != _MAGIC or len(data) < 12:
         raise MotionFileError(path, "arrays.no_npy")
@@ -55,11 +71,7 @@ def read_npy(
     if header is None:
         raise MotionFileError(path, "arrays.not_plain")
     if header[1] == "|O":
-        content = load_pickle(path, data[end:])
-        return build_content(
-            path, content, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate, person=person,
-            animation=animation,
-        )  # fmt: skip
+        return load_pickle(path, data[end:]), np.empty(0)
     try:
         dtype = np.dtype(header[1])
     except TypeError:
@@ -67,17 +79,12 @@ def read_npy(
     shape = tuple(int(axis) for axis in header[3].replace(" ", "").split(",") if axis)
     trimmed = tuple(axis for axis in shape if axis != 1)
     rows = len(trimmed) == 2 and trimmed[1] in (*FEATURES, MOTION_X)
-    if not rows and not is_joint_array(shape) and not is_joint_array((*shape[:-1], 3 * (shape[-1:] == (4,)))):
+    samples = len(trimmed) == 4 and is_joint_array(trimmed[1:])
+    if not (rows or samples or is_joint_array(shape) or is_joint_array((*shape[:-1], 3 * (shape[-1:] == (4,))))):
         raise MotionFileError(path, "arrays.shape", found=str(shape))
     if int(np.prod(shape, dtype=object)) * dtype.itemsize != len(data) - end:
         raise MotionFileError(path, "arrays.size", shape=str(shape), found=len(data) - end)
     array = np.frombuffer(data, dtype, offset=end).reshape(shape, order="F" if header[2] == "True" else "C")
-    if rows and trimmed[1] == MOTION_X:
-        poses = array.reshape(trimmed)
-        arrays = {"poses": poses[:, :156], "trans": poses[:, 309:312], "betas": poses[:, 312:]}
-        return build_smpl(
-            path, arrays.get, arrays, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate, default_up="y"
-        )
-    if rows:
-        array = recover_joints(path, array.reshape(trimmed))
-    return build_joints(path, "npy", array, unit=unit, up=up, frame_rate=frame_rate)
+    if samples:
+        return {"motion": array.reshape(trimmed)}, array
+    return None, array.reshape(trimmed) if rows else array

@@ -38,7 +38,7 @@ _ROLES = {
         "people": "person personid body bodyid trackid subject subjectid skeletonid userid playerid",
         "kinds": "model trajectory trajectorytype datatype aspect tracker",
         "labels": "keypoint joint landmark marker name bodypart point label jointname jointid jointtype landmarkname "
-        "landmarkid keypointname markername",
+        "landmarkid landmarkindex keypointid keypointname markername",
     }.items()
 }
 # Seconds in each, by the definition of the units; other units of a title are seconds, or found by the rate.

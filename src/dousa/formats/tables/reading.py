@@ -9,6 +9,7 @@ anipose, DeepLabCut 3D; and tables with a row for every point of a frame (``fram
 from __future__ import annotations
 
 import csv
+import datetime
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -35,6 +36,7 @@ from dousa.motion.canonical.naming import holds_limb, match_names
 
 _MARKS = ("\t", ";", ",", "|", " ")
 _MOST_TITLES = 80  # lines a header may have, by the definition of docs/formats.md
+_MOST_ROWS = 6  # above the axes, one with the names: four in the standard export of Visual3D
 _RATE = re.compile(r"(?:rate|fps|frequency|sampling|hz)\W{1,4}(\d+(?:\.\d+)?)", re.IGNORECASE)
 _UNITS = re.compile(r"\bunits?\W{1,4}([a-z]+)", re.IGNORECASE)
 _LENGTH = re.compile(r"\[?\(?(?:mm|cm|m|in|inch|inches|ft)\)?\]?", re.IGNORECASE)
@@ -142,8 +144,9 @@ def _name_columns(rows: list[list[str]], number: int) -> Columns:
     titles = rows[number]
     axes = sum(title.strip().lower() in ("x", "y", "z") for title in titles)
     if number and axes > 3:
-        above = next((row for row in reversed(rows[:number]) if any(cell.strip() for cell in row)), [])
-        titles = spread_names(above, titles)
+        above = [row for row in reversed(rows[max(0, number - _MOST_ROWS) : number]) if any(map(str.strip, row))]
+        named = [find_columns(spread_names(row, titles)) for row in above]
+        return max(named, key=lambda some: len(some.points), default=Columns())
     return find_columns(titles) if len(titles) > 2 else Columns()
 
 
@@ -234,11 +237,11 @@ def _build(
     scores = [columns.scores.get(name) for name in triples]
     wanted = [column for own in triples.values() for column in own] + [s for s in scores if s is not None]
     timed: list[str] = [role for role in ("times", "numbers", "parts") if role in columns.roles]
-    values = _read_cells(path, numbered, header.mark, [*(columns.roles[role] for role in timed), *wanted])
-    times = {role: values[:, n] for n, role in enumerate(timed)}
-    points = values[:, len(timed) : len(timed) + 3 * len(triples)].reshape(len(values), len(triples), 3)
+    times = {role: read_times(_column(numbered, header.mark, columns.roles[role])) for role in timed}
+    values = _read_cells(path, numbered, header.mark, wanted)
+    points = values[:, : 3 * len(triples)].reshape(len(values), len(triples), 3)
     sure = np.ones(points.shape[:2])
-    sure[:, [n for n, s in enumerate(scores) if s is not None]] = values[:, len(timed) + 3 * len(triples) :]
+    sure[:, [n for n, s in enumerate(scores) if s is not None]] = values[:, 3 * len(triples) :]
     points = np.where((sure > 0)[..., None], points, np.nan)
     if rows is not None:
         first = np.unique(rows[0], return_index=True)[1]
@@ -306,6 +309,27 @@ def _spread_points(
     rows = (np.array([order[frame] for frame in frames]), np.array([known[name] for name in names]))
     columns.counted = list(known) == [str(n) for n in range(len(known))]
     return tuple(known), rows
+
+
+def read_times(cells: Sequence[str]) -> FloatArray:
+    """Read times or numbers of frames: numbers, dates and times of day in seconds, numbers in names (``img_012.png``).
+
+    NaN for anything else: a clock goes on without it.
+    """
+    if all(map(_is_number, filter(None, cells[:2]))):
+        return np.array([float(cell.replace(",", ".")) if _is_number(cell) else np.nan for cell in cells])
+    return np.array([_read_time(cell) for cell in cells])
+
+
+def _read_time(cell: str) -> float:
+    clock = re.search(r"(\d+):(\d+):(\d+(?:[.,]\d+)?)", cell)
+    if clock is None:
+        number = re.search(r"(\d{1,15})\D*$", cell)
+        return float(number[1]) if number else np.nan
+    day = re.match(r"(\d{4})-(\d\d)-(\d\d)", cell)
+    days = datetime.date(*map(int, day.groups())).toordinal() if day else 0
+    hours, minutes, seconds = (float(part.replace(",", ".")) for part in clock.groups())
+    return 86400.0 * days + 3600 * hours + 60 * minutes + seconds
 
 
 def _read_clock(header: _Header, times: dict[str, FloatArray]) -> Clock:
