@@ -208,7 +208,23 @@ def normalise_names(names: Iterable[str]) -> tuple[tuple[str, str], ...]:
     """
     keys = [_split_side(_split(name)) for name in _without_affixes(names)]
     cores = frozenset(core for side, core in keys if not side)
-    return tuple((side, core) if side else _hidden_side(core, cores) for side, core in keys)
+    marked = {core: _first_side(core, cores) for core in cores}
+    if sum(side != "" for side, _ in marked.values()) < _MOSTLY * sum(map(bool, cores)):
+        marked = {}  # L may be lateral
+    return tuple(
+        (side, core) if side else found if (found := marked.get(core, ("", "")))[0] else _hidden_side(core, cores)
+        for side, core in keys
+    )
+
+
+_MOSTLY = 0.5
+"""Share of the names without a word for the side from which on their first letter is the side, by definition."""
+
+
+def _first_side(core: str, cores: frozenset[str]) -> Key:
+    """The side of ``lkne`` in a set that marks sides so, if there is no ``mkne`` beside it: l could be lateral."""
+    is_side = core[:1] in ("l", "r") and core[1:] in _CORES and "m" + core[1:] not in cores
+    return (core[0], core[1:]) if is_side else ("", core)
 
 
 def _find(term: str, side: str, index: dict[Key, int], table: dict[str, str]) -> tuple[int, ...] | None:
