@@ -91,6 +91,21 @@ def test_an_animal_is_no_person() -> None:
     assert canonicalise(walking_body()).warnings == ()
 
 
+def test_who_stands_upright_is_a_person_however_the_skeleton_was_made() -> None:
+    """All bones of one length, as tools for the points of cameras write them; lying down it could be anything."""
+    body = walking_body()
+    local = body.positions - body.positions[:, np.maximum(body.parents, 0)]
+    size = np.linalg.norm(local, axis=2, keepdims=True)
+    places = np.empty_like(local)
+    for joint, parent in enumerate(body.parents):
+        unit = np.divide(local[:, joint], size[:, joint], where=size[:, joint] > 0, out=np.zeros_like(local[:, joint]))
+        places[:, joint] = body.positions[:, joint] if parent < 0 else places[:, parent] + 0.25 * unit
+    made = Trajectories(body.names, places, 30.0, body.parents)
+    found = canonicalise(made)
+    assert [note.code for note in found.warnings] == ["canonical.odd_proportions"]
+    assert found.mapping.sources["left_knee"] == ("LeftLeg",)
+
+
 def _on_fours(tail: bool, arm_per_leg: float) -> Trajectories:
     """A dog that stands: the trunk level, fore legs straight down to the floor like the hind legs."""
     leg = np.array([[0.0, 0.5, 0.0], [0.0, 0.25, 0.03], [0.0, 0.05, 0.0], [0.0, 0.0, 0.06]])
@@ -229,3 +244,25 @@ def test_medians_of_what_is_seen_are_those_of_numpy():
         expected = np.concatenate([[np.nan], np.nanmedian(values[:, 1:], axis=0)])
         np.testing.assert_array_equal(find_medians(values), expected)
     assert np.isnan(find_medians(np.empty((0, 3)))).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "segments"),
+    [
+        ("EB015PI", {"RFT", "LFT", "RSK", "LSK", "RTH", "LTH", "PV"}),
+        ("dec_real", {"RFT", "LFT", "RSK", "LSK", "RTH", "LTH", "RPV", "RTA", "RAR", "RFA", "LAR", "LFA"}),
+        ("Walking_Hybrid_1_1", {"R_THIGH", "L_THIGH", "R_SHANK", "L_SHANK"}),
+    ],
+)
+def test_clusters_on_segments_are_called_so(foreign, name: str, segments: set[str]) -> None:
+    with pytest.raises(JointMappingError) as caught:
+        canonicalise(read_motion(foreign(f"c3d_org/{name}.c3d")))
+    assert caught.value.problem.code == "canonical.clusters"
+    assert set(caught.value.problem.values["names"]) == segments
+
+
+@pytest.mark.parametrize("name", ["Dance", "MotionMonitorC3D", "golf"])
+def test_numbered_points_are_no_clusters(foreign, name: str) -> None:
+    with pytest.raises(JointMappingError) as caught:
+        canonicalise(read_motion(foreign(f"c3d_org/{name}.c3d")))
+    assert caught.value.problem.code == "canonical.unknown_names"

@@ -25,7 +25,7 @@ from dousa.motion.canonical.anthropometry import stature_of_parts
 from dousa.motion.canonical.geometry import STATURE_PER_HEIGHT, body_points, chain_height, find_leaps, measure_rest
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, CANONICAL_PARENTS, MIRRORED_JOINTS, CanonicalPoses
 from dousa.motion.canonical.joints import JOINT_INDEX as J
-from dousa.motion.canonical.mapping import ChosenMap, choose_map, names_of_seen
+from dousa.motion.canonical.mapping import ChosenMap, choose_map, find_clusters, names_of_seen
 from dousa.motion.canonical.naming import NameMatch, match_names
 from dousa.motion.canonical.recipes import HAND_REACH, JointMap, Recipe, recipe_from_joint_map
 from dousa.motion.canonical.tree_shape import compare_sides, compute_forward, spread_frames
@@ -210,6 +210,10 @@ def _choose_recipe(
 def _problem(match: NameMatch | None, moving: Trajectories, never: tuple[str, ...]) -> Message:
     if set(never) == set(moving.names) and np.isnan(moving.positions).any(axis=2).all():
         return Message("canonical.never_seen")
+    if moving.parents is None and (
+        clusters := find_clusters(moving.replace(positions=spread_frames(moving.positions)))
+    ):
+        return Message("canonical.clusters", n=len(clusters), names=clusters)
     unseen = Message("canonical.unseen", names=never) if never else Message("canonical.nothing")
     if match is not None and len(match.missing) <= 8:
         return Message("canonical.missing_joints", table=match.table, missing=match.missing, unseen=unseen)

@@ -80,7 +80,7 @@ def _choose(
         failed.append(recipe.table)
     if first is None:
         return None
-    is_odd = named_by_estimators(names)
+    is_odd = named_by_estimators(names) or _is_odd_person(first.recipe, sample)
     return dataclasses.replace(first, is_person=is_odd, is_odd=is_odd)
 
 
@@ -158,7 +158,72 @@ def _is_person(recipe: Recipe, sample: Trajectories) -> bool:
     return measure_proportions(points).is_person
 
 
+def _is_odd_person(
+    recipe: Recipe,
+    sample: Trajectories,
+    mostly: float = 0.5,
+    upright: float = 0.5,
+    narrowest: float = 0.04,
+    longest_arms: float = 1.1,
+) -> bool:
+    """Whether a body of strange proportions is a person's all the same: only people wear markers and stand upright.
+
+    Parameters
+    ----------
+    mostly : share of the frames.
+    upright : cosine between trunk and legs from which on the one stands on the others, as no animal's does.
+    narrowest : distance of the hips as a share of the legs; points that coincide are no hips.
+    longest_arms : share of the legs; those of apes and four-legged rigs are longer.
+    """
+    if recipe.table == "tree shape" or _is_animal(recipe, sample):
+        return False
+    if sample.parents is None and recipe.estimated:
+        return True
+    points = body_points(recipe, spread_frames(sample.positions))
+    found = measure_proportions(points)
+    hips, arms = found.ratios["hips_per_leg"], found.ratios["arm_per_leg"]
+    if (
+        not hips > narrowest
+        or not arms < longest_arms
+        or {"thigh_per_shank", "upper_arm_per_forearm"} & set(found.faults)
+    ):
+        return False
+    trunk = points[:, J["neck"]] - points[:, J["pelvis"]]
+    legs = (points[:, _UPPER[:2]] - points[:, _LOWER[2:]]).sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cosines = (trunk * legs).sum(axis=1) / np.sqrt((trunk * trunk).sum(axis=1) * (legs * legs).sum(axis=1))
+    return bool((cosines > upright).mean() > mostly)
+
+
 @lru_cache(maxsize=256)
 def _rests_as_person(recipe: Recipe, rest_bytes: bytes) -> bool:
     rest = np.frombuffer(rest_bytes).reshape(1, -1, 3)
     return measure_proportions(body_points(recipe, rest)).is_person
+
+
+def find_clusters(sample: Trajectories, least: int = 3, mostly: float = 0.5, rigid: float = 0.02) -> tuple[str, ...]:
+    """Return the names, without their numbers, of clusters of markers on segments: points that keep their distances.
+
+    Parameters
+    ----------
+    sample : some frames.
+    least : points of a cluster.
+    mostly : share of the points that clusters have; else ().
+    rigid : share by which the distances in a cluster mostly change: those of plates on the skin.
+    """
+    groups: dict[str, list[int]] = {}
+    for index, name in enumerate(sample.names):
+        stem = re.sub(r"[\W_]*\d+$", "", name)
+        if stem != name:
+            groups.setdefault(stem.upper(), []).append(index)
+    found = {}
+    for stem, points in groups.items():
+        if least <= len(points) <= len(sample.names) / 2:
+            places = sample.positions[:, points]
+            lengths = np.linalg.norm(places[:, :, None] - places[:, None], axis=3)[:, *np.triu_indices(len(points), 1)]
+            lengths = lengths[~np.isnan(lengths).any(axis=1)]
+            if len(lengths):
+                usual = np.median(lengths, axis=0)
+                if np.median(np.median(np.abs(lengths - usual), axis=0) / usual) <= rigid:
+                    found[stem] = len(points)
+    return tuple(found) if sum(found.values()) >= mostly * len(sample.names) else ()
