@@ -26,14 +26,14 @@ ROOMS = {
     "formats": (12_096, 69),
     "library": (15_674, 55),
     "messages": (234, 3),
-    "motion": (6_244, 34),
+    "motion": (6_329, 34),
     "retrieval": (13_489, 46),
     "workers": (480, 6),
 }
 TOTALS = {
-    "lines of tests": 60_759,
+    "lines of tests": 60_796,
     "lines of JavaScript": 12_467,
-    "constants": 980,
+    "constants": 981,
     "numeric constants without a source": 1,
     "functions over 60 lines": 19,
     "files over 650 lines": 0,
