@@ -1,8 +1,5 @@
 """Several people, or several animations, in one file: one is taken and the others named, in every format."""
 
-import dataclasses
-import json
-
 import numpy as np
 import pytest
 
@@ -10,101 +7,19 @@ from dousa.errors import MotionFileError, OptionError
 from dousa.formats.parts import choose, distinguish, file_of, join_address, split_address
 from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import Motion, Skeleton, Trajectories, canonicalise, compute_trajectories
-from dousa.motion.synthetic import draw_performer, make_motion
-from dousa.motion.types import freeze
-
-FRAMES = 20
-
-
-def make_person(seed, category="walk"):
-    motion = make_motion(category, draw_performer(seed))
-    moved = motion.translations[:FRAMES] + np.where(np.arange(motion.skeleton.n_joints) > 0, 0.0, 1.0)[:, None] * [
-        1.5 * seed, 0, 0
-    ]  # fmt: skip
-    return dataclasses.replace(motion, rotations=motion.rotations[:FRAMES], translations=moved)
-
-
-ANNA, BEN = make_person(0), make_person(1)
-
-
-def join(motions, names):
-    """One motion of several people, each with roots and names of their own."""
-    skeletons = [motion.skeleton for motion in motions]
-    starts = np.cumsum([0, *(skeleton.n_joints for skeleton in skeletons)])
-    parents = [np.where(s.parents < 0, -1, s.parents + start) for s, start in zip(skeletons, starts, strict=False)]
-    skeleton = Skeleton(
-        tuple(name(joint) for name, s in zip(names, skeletons, strict=True) for joint in s.names),
-        np.concatenate(parents),
-        np.concatenate([s.offsets for s in skeletons]),
-        np.concatenate([s.end_sites for s in skeletons]),
-    )
-    rotations, translations = (
-        np.concatenate([getattr(motion, key) for motion in motions], axis=1) for key in ("rotations", "translations")
-    )
-    return Motion(skeleton, freeze(rotations), freeze(translations), 30.0)
-
-
-def prefixed(mark=":"):
-    return [(lambda joint, owner=owner: f"{owner}{mark}{joint}") for owner in ("Anna", "Ben")]
-
-
-def write_points(path, mark):
-    write_motion(compute_trajectories(join([ANNA, BEN], prefixed(mark))), path)
-    return ["Anna", "Ben"]
-
-
-def write_bvh(path):
-    write_motion(join([ANNA, BEN], prefixed()), path)
-    return ["Anna", "Ben"]
-
-
-def write_equal_names(path):
-    write_motion(join([ANNA, BEN], [str, str]), path)
-    return [ANNA.skeleton.names[0], f"{ANNA.skeleton.names[0]} 2"]
-
-
-def write_glb(path):
-    """Two armatures with joints of equal names, moved by one animation."""
-    write_motion(join([ANNA, BEN], [str, str]), path)
-    return [ANNA.skeleton.names[0], f"{ANNA.skeleton.names[0]} 2"]
-
-
-def write_json(path, numbers=(None, None)):
-    people = [compute_trajectories(motion) for motion in (ANNA, BEN)]
-    frames = []
-    for frame in range(FRAMES):
-        entries = []
-        for number, person in zip(numbers, people, strict=True):
-            named = canonicalise(person).to_trajectories()
-            points = [
-                {"name": name, "x": x, "y": y, "z": z, "score": 0.9}
-                for name, (x, y, z) in zip(named.names, named.positions[frame].tolist(), strict=True)
-            ]
-            entries.append({"keypoints3D": points} | ({} if number is None else {"track_id": number}))
-        frames.append(entries)
-    path.write_text(json.dumps(frames))
-    return ["1", "2"] if numbers[0] is None else [f"id {number}" for number in numbers]
-
-
-def write_motive(path):
-    """Bones of two skeletons: as Motive writes them, with the owner before a colon."""
-    both = join([ANNA, BEN], [lambda joint: f"Anna_{joint}", lambda joint: f"Ben_{joint}"])
-    write_motion(both, path)
-    path.write_text(path.read_text().replace("Anna_", "Anna:").replace("Ben_", "Ben:"))
-    return ["Anna", "Ben"]
-
+from formats import made_people as made
 
 WRITERS = {
-    "bvh": ("x.bvh", write_bvh),
-    "bvh, equal names": ("x.bvh", write_equal_names),
-    "c3d": ("x.c3d", lambda path: write_points(path, ":")),
-    "c3d, underscores": ("x.c3d", lambda path: write_points(path, "_")),
-    "trc": ("x.trc", lambda path: write_points(path, ":")),
-    "npz": ("x.npz", lambda path: write_points(path, ":")),
-    "motive": ("x.csv", write_motive),
-    "glb": ("x.glb", write_glb),
-    "json": ("x.json", write_json),
-    "json, numbered": ("x.json", lambda path: write_json(path, (4, 7))),
+    "bvh": ("x.bvh", made.write_bvh),
+    "bvh, equal names": ("x.bvh", made.write_equal_names),
+    "c3d": ("x.c3d", lambda path: made.write_points(path, ":")),
+    "c3d, underscores": ("x.c3d", lambda path: made.write_points(path, "_")),
+    "trc": ("x.trc", lambda path: made.write_points(path, ":")),
+    "npz": ("x.npz", lambda path: made.write_points(path, ":")),
+    "motive": ("x.csv", made.write_motive),
+    "glb": ("x.glb", made.write_glb),
+    "json": ("x.json", made.write_json),
+    "json, numbered": ("x.json", lambda path: made.write_json(path, (4, 7))),
 }
 
 
@@ -121,12 +36,12 @@ def test_one_of_several_people_is_taken_and_all_are_named(tmp_path, form):
     first = read_motion(path)
     (note,) = [note for note in first.provenance.notes if note.code.startswith("parts.")]
     assert (note.code, note.values) == ("parts.person", {"read": names[0], "others": (names[1],)})
-    np.testing.assert_allclose(place(first), place(ANNA), atol=2e-3)
+    np.testing.assert_allclose(place(first), place(made.ANNA), atol=2e-3)
     for chosen in (names[1], names[1].upper(), "2", 2):
         second = read_motion(path, person=chosen)
         (note,) = [note for note in second.provenance.notes if note.code.startswith("parts.")]
         assert (note.code, note.values) == ("parts.person_asked", {"read": names[1], "others": (names[0],)})
-        np.testing.assert_allclose(place(second), place(BEN), atol=2e-3)
+        np.testing.assert_allclose(place(second), place(made.BEN), atol=2e-3)
     address = join_address(path, {"person": names[1]})
     again = read_motion(address)
     np.testing.assert_array_equal(canonicalise(again).positions, canonicalise(second).positions)
@@ -152,11 +67,11 @@ def test_who_was_taken_is_written_alone(tmp_path, form):
 def test_what_is_no_second_person_stays(tmp_path):
     """A prop, fingers with prefixes, a foot with a root of its own, markers of one person."""
     prop = Skeleton([f"stick{n}" for n in range(9)], [-1, *range(8)], np.tile([0, 0.1, 0], (9, 1)))
-    stick = Motion(prop, np.tile([1.0, 0, 0, 0], (FRAMES, 9, 1)), np.tile(prop.offsets, (FRAMES, 1, 1)), 30.0)
-    both = join([ANNA, stick], [str, str])
+    stick = Motion(prop, np.tile([1.0, 0, 0, 0], (made.FRAMES, 9, 1)), np.tile(prop.offsets, (made.FRAMES, 1, 1)), 30.0)
+    both = made.join([made.ANNA, stick], [str, str])
     write_motion(both, tmp_path / "x.bvh")
     assert read_motion(tmp_path / "x.bvh").skeleton.n_joints >= both.skeleton.n_joints
-    points = compute_trajectories(ANNA)
+    points = compute_trajectories(made.ANNA)
     fingers = [f"{finger}_0{n}_{side}" for finger in ("thumb", "index") for n in range(1, 6) for side in "lr"]
     extra = np.tile(points.positions[:, :1], (1, len(fingers), 1))
     hand = Trajectories((*points.names, *fingers), np.concatenate([points.positions, extra], axis=1), 30.0)
@@ -166,8 +81,8 @@ def test_what_is_no_second_person_stays(tmp_path):
 
 
 def test_of_one_person_the_number_is_one(tmp_path):
-    write_motion(ANNA, tmp_path / "x.bvh")
-    assert read_motion(tmp_path / "x.bvh", person=1).n_frames == FRAMES
+    write_motion(made.ANNA, tmp_path / "x.bvh")
+    assert read_motion(tmp_path / "x.bvh", person=1).n_frames == made.FRAMES
     with pytest.raises(MotionFileError, match="'2'"):
         read_motion(tmp_path / "x.bvh", person=2)
     with pytest.raises(OptionError) as caught:
@@ -180,7 +95,7 @@ def test_the_rate_of_any_format_can_be_given(tmp_path, form):
     name, write = WRITERS[form]
     write(tmp_path / name)
     motion = read_motion(tmp_path / name, frame_rate=120)
-    assert (motion.frame_rate, motion.n_frames) == (120, FRAMES)
+    assert (motion.frame_rate, motion.n_frames) == (120, made.FRAMES)
     with pytest.raises(OptionError):
         read_motion(tmp_path / name, frame_rate=0)
 

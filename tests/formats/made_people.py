@@ -1,0 +1,91 @@
+"""Files of two people, Anna and Ben, who walk beside each other, in all formats that can hold them."""
+
+import dataclasses
+import json
+
+import numpy as np
+
+from dousa.formats.registry import write_motion
+from dousa.motion import Motion, Skeleton, canonicalise, compute_trajectories
+from dousa.motion.synthetic import draw_performer, make_motion
+from dousa.motion.types import freeze
+
+FRAMES = 20
+
+
+def make_person(seed, category="walk"):
+    motion = make_motion(category, draw_performer(seed))
+    moved = motion.translations[:FRAMES] + np.where(np.arange(motion.skeleton.n_joints) > 0, 0.0, 1.0)[:, None] * [
+        1.5 * seed, 0, 0
+    ]  # fmt: skip
+    return dataclasses.replace(motion, rotations=motion.rotations[:FRAMES], translations=moved)
+
+
+ANNA, BEN = make_person(0), make_person(1)
+
+
+def join(motions, names):
+    """One motion of several people, each with roots and names of their own."""
+    skeletons = [motion.skeleton for motion in motions]
+    starts = np.cumsum([0, *(skeleton.n_joints for skeleton in skeletons)])
+    parents = [np.where(s.parents < 0, -1, s.parents + start) for s, start in zip(skeletons, starts, strict=False)]
+    skeleton = Skeleton(
+        tuple(name(joint) for name, s in zip(names, skeletons, strict=True) for joint in s.names),
+        np.concatenate(parents),
+        np.concatenate([s.offsets for s in skeletons]),
+        np.concatenate([s.end_sites for s in skeletons]),
+    )
+    rotations, translations = (
+        np.concatenate([getattr(motion, key) for motion in motions], axis=1) for key in ("rotations", "translations")
+    )
+    return Motion(skeleton, freeze(rotations), freeze(translations), 30.0)
+
+
+def prefixed(mark=":"):
+    return [(lambda joint, owner=owner: f"{owner}{mark}{joint}") for owner in ("Anna", "Ben")]
+
+
+def write_points(path, mark):
+    write_motion(compute_trajectories(join([ANNA, BEN], prefixed(mark))), path)
+    return ["Anna", "Ben"]
+
+
+def write_bvh(path):
+    write_motion(join([ANNA, BEN], prefixed()), path)
+    return ["Anna", "Ben"]
+
+
+def write_equal_names(path):
+    write_motion(join([ANNA, BEN], [str, str]), path)
+    return [ANNA.skeleton.names[0], f"{ANNA.skeleton.names[0]} 2"]
+
+
+def write_glb(path):
+    """Two armatures with joints of equal names, moved by one animation."""
+    write_motion(join([ANNA, BEN], [str, str]), path)
+    return [ANNA.skeleton.names[0], f"{ANNA.skeleton.names[0]} 2"]
+
+
+def write_json(path, numbers=(None, None)):
+    people = [compute_trajectories(motion) for motion in (ANNA, BEN)]
+    frames = []
+    for frame in range(FRAMES):
+        entries = []
+        for number, person in zip(numbers, people, strict=True):
+            named = canonicalise(person).to_trajectories()
+            points = [
+                {"name": name, "x": x, "y": y, "z": z, "score": 0.9}
+                for name, (x, y, z) in zip(named.names, named.positions[frame].tolist(), strict=True)
+            ]
+            entries.append({"keypoints3D": points} | ({} if number is None else {"track_id": number}))
+        frames.append(entries)
+    path.write_text(json.dumps(frames))
+    return ["1", "2"] if numbers[0] is None else [f"id {number}" for number in numbers]
+
+
+def write_motive(path):
+    """Bones of two skeletons: as Motive writes them, with the owner before a colon."""
+    both = join([ANNA, BEN], [lambda joint: f"Anna_{joint}", lambda joint: f"Ben_{joint}"])
+    write_motion(both, path)
+    path.write_text(path.read_text().replace("Anna_", "Anna:").replace("Ben_", "Ben:"))
+    return ["Anna", "Ben"]
