@@ -89,3 +89,32 @@ def write_motive(path):
     write_motion(both, path)
     path.write_text(path.read_text().replace("Anna_", "Anna:").replace("Ben_", "Ben:"))
     return ["Anna", "Ben"]
+
+
+SEGMENTS = {"Pelvis": "pelvis", "T8": "spine", "Neck": "neck", "Head": "head"} | {
+    f"{side}{segment}": f"{side.lower()}_{joint}"
+    for side in ("Left", "Right")
+    for segment, joint in (
+        ("UpperArm", "shoulder"), ("ForeArm", "elbow"), ("Hand", "wrist"),
+        ("UpperLeg", "hip"), ("LowerLeg", "knee"), ("Foot", "ankle"), ("Toe", "toe"),
+    )
+}  # fmt: skip
+
+
+def write_mvnx(path):
+    """Two subjects, with the positions of their segments, Z up."""
+    subjects = []
+    labels = "".join(f'<segment label="{name}"/>' for name in SEGMENTS)
+    for label, motion in (("Anna", ANNA), ("Ben", BEN)):
+        joints = canonicalise(motion).to_trajectories()
+        places = joints.positions[:, [joints.names.index(joint) for joint in SEGMENTS.values()]][..., [0, 2, 1]] * [
+            1,
+            -1,
+            1,
+        ]
+        numbers = [" ".join(f"{value:.9f}" for value in frame.ravel()) for frame in places]
+        frames = "".join(f'<frame type="normal"><position>{row}</position></frame>' for row in numbers)
+        content = f"<segments>{labels}</segments><frames>{frames}</frames>"
+        subjects.append(f'<subject label="{label}" frameRate="30">{content}</subject>')
+    path.write_text(f'<mvnx version="4">{"".join(subjects)}</mvnx>')
+    return ["Anna", "Ben"]

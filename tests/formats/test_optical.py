@@ -1,5 +1,7 @@
 """Motive CSV, Qualisys TSV, Xsens MVNX: values by hand, files of the systems, damage."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -153,3 +155,38 @@ def test_mvnx_damage(tmp_path):
     ), "mvnx.count")  # fmt: skip
     entity = b'<?xml version="1.0"?><!DOCTYPE a [<!ENTITY b "b">]><mvnx/>'
     refused(path, entity, "markup.doctype")
+
+
+@pytest.mark.parametrize(
+    ("left_out", "code", "near"),
+    [
+        ("joints", None, 1e-6),
+        ("joints|segments", None, 1e-6),
+        ("orientation", "mvnx.no_orientation", 1e-6),
+        ("position", "mvnx.mean_body", 0.15),
+        ("position|joints", "mvnx.mean_body", 0.15),
+    ],
+)
+def test_mvnx_with_parts_of_its_data(tmp_path, shared_data, left_out, code, near):
+    """What is exported is a choice in MVN; the tree and the order of the 23 segments are known."""
+    text = shared_data("reported/mvnx_without_joints/with_joints.mvnx").read_text()
+    expected = canonicalise(read_motion(save(tmp_path / "x.mvnx", text.encode()))).positions
+    part = re.sub(rf"<({left_out})>.*?</\1>", "", text, flags=re.DOTALL)
+    motion = read_motion(save(tmp_path / "y.mvnx", part.encode()))
+    found = canonicalise(motion).positions
+    np.testing.assert_allclose(found - found[:, :1], expected - expected[:, :1], atol=near)
+    assert [note.code for note in motion.provenance.notes if note.code.startswith("mvnx")] == [code] * bool(code)
+    if isinstance(motion, Motion):
+        assert (motion.skeleton.parents < 0).sum() == 1
+    nothing = re.sub(r"<(orientation|position)>.*?</\1>", "", text, flags=re.DOTALL).encode()
+    refused(tmp_path / "z.mvnx", nothing, "mvnx.no_pose")
+
+
+def test_mvnx_of_orientations_has_the_lengths_of_its_points(tmp_path, shared_data):
+    text = shared_data("foreign/xsens_mvnx/test_mocap.mvnx").read_text(errors="replace")
+    expected = canonicalise(read_motion(save(tmp_path / "x.mvnx", text.encode()))).positions
+    part = re.sub(r"<position>.*?</position>", "", text, flags=re.DOTALL)
+    motion = read_motion(save(tmp_path / "y.mvnx", part.encode()))
+    found = canonicalise(motion).positions
+    np.testing.assert_allclose(found - found[:, :1], expected - expected[:, :1], atol=3e-3)
+    assert "mvnx.no_position" in [note.code for note in motion.provenance.notes]

@@ -17,6 +17,7 @@ WRITERS = {
     "trc": ("x.trc", lambda path: made.write_points(path, ":")),
     "npz": ("x.npz", lambda path: made.write_points(path, ":")),
     "motive": ("x.csv", made.write_motive),
+    "mvnx": ("x.mvnx", made.write_mvnx),
     "glb": ("x.glb", made.write_glb),
     "json": ("x.json", made.write_json),
     "json, numbered": ("x.json", lambda path: made.write_json(path, (4, 7))),

@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 
@@ -18,10 +19,20 @@ from dousa.arrays import FloatArray
 from dousa.errors import CalibrationError, MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.files.markup import parse_xml
-from dousa.formats.assembly import add_ends, localise, median_offsets, order_tree, rest_offsets, settle_motion
+from dousa.formats.assembly import (
+    add_ends,
+    localise,
+    median_offsets,
+    order_tree,
+    rest_offsets,
+    settle_motion,
+    settle_trajectories,
+)
 from dousa.formats.guard import Clock
 from dousa.formats.parts import choose, distinguish
-from dousa.motion import Motion, Skeleton
+from dousa.formats.smpl import mean_body
+from dousa.messages import Message
+from dousa.motion import Motion, Skeleton, Trajectories
 from dousa.motion.rotations import normalise
 
 _TIPS = {
@@ -33,14 +44,44 @@ _TIPS = {
 }
 
 
+SEGMENTS = (
+    "Pelvis", "L5", "L3", "T12", "T8", "Neck", "Head", "RightShoulder", "RightUpperArm", "RightForeArm", "RightHand",
+    "LeftShoulder", "LeftUpperArm", "LeftForeArm", "LeftHand", "RightUpperLeg", "RightLowerLeg", "RightFoot",
+    "RightToe", "LeftUpperLeg", "LeftLowerLeg", "LeftFoot", "LeftToe",
+)  # fmt: skip
+"""The segments in the order of MVN (user manual, "MVNX"), for files that leave them out."""
+
+_SIDES = ("Left", "Right")
+_CHAINS = (
+    "Pelvis L5 L3 T12 T8 Neck Head",
+    *(f"T8 {s}Shoulder {s}UpperArm {s}ForeArm {s}Hand" for s in _SIDES),
+    *(f"Pelvis {s}UpperLeg {s}LowerLeg {s}Foot {s}Toe" for s in _SIDES),
+)
+_TREE = {child: parent for chain in _CHAINS for parent, child in pairwise(chain.split())}
+_MEAN = {
+    "Head": "head",
+    **{
+        f"{side}{segment}": f"{side.lower()}_{joint}"
+        for side in _SIDES
+        for segment, joint in (
+            ("Shoulder", "collar"), ("UpperArm", "shoulder"), ("ForeArm", "elbow"), ("Hand", "wrist"),
+            ("UpperLeg", "hip"), ("LowerLeg", "knee"), ("Foot", "ankle"), ("Toe", "foot"),
+        )
+    },
+}  # fmt: skip
+
+
 def read_mvnx(
     path: str | os.PathLike[str],
     *,
     unit: float | str | None = None,
     up: str | None = None,
     person: str | None = None,
-) -> Motion:
+) -> Motion | Trajectories:
     """Read the segments of a subject of an MVNX file, with end sites at the tips of head, hands and toes.
+
+    What is exported is a choice: positions without orientations become trajectories; of orientations without positions
+    the body stays in its place, with the lengths of the points of its segments, else of the mean body.
 
     Parameters
     ----------
@@ -64,27 +105,96 @@ def read_mvnx(
     chosen, notes = choose(path, "person", labels, person)
     subject = subjects[chosen]
     segments = [node for group in _children(subject, "segments") for node in _children(group, "segment")]
-    names = tuple(node.get("label", f"segment{index}") for index, node in enumerate(segments))
+    names = tuple(node.get("label", f"segment{index}") for index, node in enumerate(segments)) or SEGMENTS
+    segments = segments or [ET.Element("segment", label=name) for name in names]
     if not names or len(names) > 500 or len(set(names)) != len(names):
         raise MotionFileError(path, "mvnx.segments", found=len(names))
     frames = [node for group in _children(subject, "frames") for node in _children(group, "frame")]
     taken = [frame for frame in frames if frame.get("type", "normal") == "normal"]
     if not taken:
         raise MotionFileError(path, "mvnx.no_frames")
+    clock = _read_clock(subject, taken)
+    held = {_name(node) for node in taken[0]} & {"orientation", "position"}
+    if not held:
+        raise MotionFileError(path, "mvnx.no_pose", found=tuple(_name(node) for node in taken[0]) or ("-",))
+    positions = _read_values(path, taken, "position", len(names), 3) if "position" in held else None
+    if "orientation" not in held:
+        assert positions is not None
+        return settle_trajectories(
+            path, "mvnx", names, positions, clock, unit=unit, up=up, unit_in_file=1.0, up_in_file="z", default_up="z",
+            notes=(*notes, Message("mvnx.no_orientation")),
+        )  # fmt: skip
     world = _read_values(path, taken, "orientation", len(names), 4)
-    positions = _read_values(path, taken, "position", len(names), 3)
-    rest = [frame for frame in frames if frame.get("type") == "identity"][:1]
+    order, parents = order_tree(names, _TREE | _read_parents(subject))
+    rest = [frame for frame in frames if frame.get("type") == "identity" and _has(frame, "position")][:1]
     resting = _read_values(path, rest, "position", len(names), 3)[0] if rest else None
-    order, parents = order_tree(names, _read_parents(subject))
-    rotations, translations = localise(parents, normalise(world[:, order]), positions[:, order])
-    offsets = median_offsets(translations) if resting is None else rest_offsets(parents, resting[order])
+    if positions is None:
+        given = resting[order] if resting is not None else _place_points(subject, segments, names, order, parents)
+        notes += (Message("mvnx.no_position" if given is not None else "mvnx.mean_body"),)
+        offsets = rest_offsets(parents, _place_mean(path, names)[order] if given is None else given)
+        turned = np.broadcast_to(np.zeros(3), (*world.shape[:2], 3))
+        rotations, _ = localise(parents, normalise(world[:, order]), turned)
+        translations = np.tile(offsets, (len(taken), 1, 1))
+    else:
+        rotations, translations = localise(parents, normalise(world[:, order]), positions[:, order])
+        offsets = median_offsets(translations) if resting is None else rest_offsets(parents, resting[order])
     tips = [_find_point(segments[index], _TIPS.get(names[index], "")) for index in order]
     ends = [(joint, place) for joint, place in enumerate(tips) if place is not None]
     skeleton = Skeleton(tuple(names[index] for index in order), np.array(parents, np.intp), offsets)
     return settle_motion(
-        path, "mvnx", *add_ends(skeleton, rotations, translations, ends), _read_clock(subject, taken),
+        path, "mvnx", *add_ends(skeleton, rotations, translations, ends), clock,
         unit=unit, up=up, unit_in_file=1.0, up_in_file="z", notes=notes,
     )  # fmt: skip
+
+
+def _name(node: ET.Element) -> str:
+    return node.tag.rpartition("}")[2] if isinstance(node.tag, str) else ""
+
+
+def _has(frame: ET.Element, name: str) -> bool:
+    return next(_children(frame, name), None) is not None
+
+
+def _place_points(
+    subject: ET.Element, segments: list[ET.Element], names: tuple[str, ...], order: list[int], parents: list[int]
+) -> FloatArray | None:
+    """(J, 3) places at rest by the points that the joints connect; None if some are missing."""
+    connected = {}
+    for group in _children(subject, "joints"):
+        for joint in _children(group, "joint"):
+            ends = [next(_children(joint, f"connector{side}"), None) for side in (1, 2)]
+            above, below = ((node.text or "").strip() if node is not None else "" for node in ends)
+            connected[below.partition("/")[0]] = above.partition("/")[2]
+    places: FloatArray = np.zeros((len(order), 3))
+    for place, index in enumerate(order):
+        if parents[place] >= 0:
+            point = _find_point(segments[order[parents[place]]], connected.get(names[index], ""))
+            if point is None:
+                return None
+            places[place] = places[parents[place]] + point
+    places[:, 2] -= places[:, 2].min()
+    return places
+
+
+def _place_mean(path: str | os.PathLike[str], names: tuple[str, ...]) -> FloatArray:
+    """(J, 3) places of the segments of the mean body of SMPL, which stands as MVN's identity pose does, X to the front.
+
+    MVN has five vertebrae from pelvis to neck; they are spread evenly.
+    """
+    body = mean_body(22)
+    rest: FloatArray = np.zeros_like(body.offsets)
+    for joint, parent in enumerate(body.parents):
+        rest[joint] = body.offsets[joint] + (rest[parent] if parent >= 0 else 0.0)
+    rest = (rest - rest[0])[:, [2, 0, 1]]
+    at = dict(zip(body.names, rest, strict=True))
+    trunk = ("Pelvis", "L5", "L3", "T12", "T8", "Neck")
+    placed = {name: at["neck"] * number / (len(trunk) - 1) for number, name in enumerate(trunk)}
+    placed |= {name: at[joint] for name, joint in _MEAN.items()}
+    missing = [name for name in names if name not in placed]
+    if missing:
+        raise MotionFileError(path, "mvnx.no_lengths", names=tuple(missing[:10]))
+    floor = np.array([0.0, 0.0, min(place[2] for place in placed.values())])
+    return np.array([placed[name] - floor for name in names])
 
 
 def _children(node: ET.Element, name: str) -> Iterator[ET.Element]:

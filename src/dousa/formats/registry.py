@@ -101,7 +101,7 @@ FORMATS: tuple[Format, ...] = (
         rb"|\A[\s\[]{2,}\{\s*\"x\"\s*:[^{}]*\"z\"|\A\s*\[\s*\[\s*\[\s*-?\d[^][,]*,[^][,]*,[^][,]*(?:,[^][,]*)?\]\s*,\s*\[",
     ),
     Format("vmd", (".vmd",), "dousa.formats.mmd", "read_vmd", "write_vmd", "motion", ("skeleton",)),
-    Format("mvnx", (".mvnx",), "dousa.formats.mvnx", "read_mvnx", None, "motion", ("person",)),
+    Format("mvnx", (".mvnx",), "dousa.formats.mvnx", "read_mvnx", None, "both", ("person",)),
     Format(
         "fbx", (".fbx",), "dousa.formats.exchange", "read_exchange", "write_fbx", "motion", ("animation",),
         character="read_exchange_character",
