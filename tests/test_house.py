@@ -23,7 +23,7 @@ ROOMS = {
     "evaluation": (12_371, 43),
     "experiments": (1_809, 10),
     "files": (855, 7),
-    "formats": (12_096, 69),
+    "formats": (12_206, 69),
     "library": (15_674, 55),
     "messages": (234, 3),
     "motion": (6_329, 34),
@@ -31,11 +31,11 @@ ROOMS = {
     "workers": (480, 6),
 }
 TOTALS = {
-    "lines of tests": 60_796,
+    "lines of tests": 60_979,
     "lines of JavaScript": 12_467,
-    "constants": 981,
+    "constants": 986,
     "numeric constants without a source": 1,
-    "functions over 60 lines": 19,
+    "functions over 60 lines": 20,
     "files over 650 lines": 0,
     "folders with more than 15 files": 0,
     "lines with words that a native reader stumbles over": 48,
