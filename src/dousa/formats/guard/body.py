@@ -6,14 +6,17 @@ points so named can be those of a body. What fails is said, with joint and frame
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 
 from dousa.arrays import FloatArray, IndexArray
 from dousa.messages import Message
+from dousa.motion.canonical.anthropometry import find_medians
 from dousa.motion.canonical.joints import JOINT_INDEX
+from dousa.motion.canonical.recipes import Recipe
 from dousa.motion.canonical.reference_frame import MappedBody
 from dousa.motion.types import Skeleton
 
@@ -71,30 +74,33 @@ def check_body(
     extent = np.fmax.reduce(mapped.points, axis=1) - np.fmin.reduce(mapped.points, axis=1)
     if not (extent > 0).any():
         return (Message("guard.no_size"),)
-    found = [*_find_crossed(names, mapped), *_find_exchanged(names, mapped)]
-    if parents is not None:
-        paths, loose = _follow_limbs(mapped.sources, parents)
+    recipe = mapped.chosen.recipe
+    points = mapped.points.copy()
+    points[:, [row for joint, row in JOINT_INDEX.items() if joint not in recipe.sources]] = np.nan
+
+    def name(joint: str) -> str:
+        return names[recipe.sources[joint][0]]
+
+    found = [*_find_crossed(name, points), *_find_exchanged(name, points)]
+    if parents is not None and translations is not None:
+        paths, loose = _follow_limbs(recipe, parents.tobytes())
         if loose:
             joint, above = loose[0]
-            found.append(
-                Message("guard.loose", n=len(loose), joint=names[joint], parent=names[above], roots=_count(parents))
-            )
-        if translations is not None:
-            found += _find_stretched(names, paths, translations)
+            roots = int(np.count_nonzero(parents < 0))
+            found.append(Message("guard.loose", n=len(loose), joint=names[joint], parent=names[above], roots=roots))
+        found += _find_stretched(names, paths, translations)
     return tuple(found)
 
 
-def _count(parents: IndexArray) -> int:
-    return int(np.count_nonzero(parents < 0))
-
-
-def _follow_limbs(sources: dict[str, tuple[int, ...]], parents: IndexArray) -> tuple[list[int], list[tuple[int, int]]]:
+@lru_cache(maxsize=64)
+def _follow_limbs(recipe: Recipe, tree: bytes) -> tuple[tuple[int, ...], tuple[tuple[int, int], ...]]:
     """Joints of the long bones, with those between; and the (lower, upper) joints that do not hang on each other."""
+    parents = np.frombuffer(tree, np.intp)
     paths: list[int] = []
     loose = []
     for side in _SIDES:
         for upper, lower in _BONES:
-            ends = (sources.get(f"{side}_{upper}", ()), sources.get(f"{side}_{lower}", ()))
+            ends = (recipe.sources.get(f"{side}_{upper}", ()), recipe.sources.get(f"{side}_{lower}", ()))
             if any(len(points) != 1 for points in ends):
                 continue
             top, joint = ends[0][0], ends[1][0]
@@ -106,69 +112,69 @@ def _follow_limbs(sources: dict[str, tuple[int, ...]], parents: IndexArray) -> t
                 paths += path
             else:
                 loose.append((path[0], top))
-    return paths, loose
+    return tuple(paths), tuple(loose)
 
 
-def _find_stretched(names: Sequence[str], joints: list[int], translations: FloatArray) -> Iterator[Message]:
-    """The joint whose bone changes its length most, if it is more than a rig's does."""
-    worst, joint, at = _STRETCH, -1, 0
-    lengths: list[float] = []
-    for one in joints:
-        places = translations[:, one]
-        if (places == places[0]).all():
-            continue
-        bone = np.sqrt(np.einsum("tk,tk->t", places, places))
-        usual = float(np.nanmedian(bone)) if not np.isnan(bone).all() else 0.0
-        if usual > 0:
-            off = np.abs(bone / usual - 1.0)
-            frame = int(np.nanargmax(off))
-            lengths.append(float(off[frame]))
-            if off[frame] > worst:
-                worst, joint, at = float(off[frame]), one, frame
-    if joint >= 0:
-        n = sum(length > _STRETCH for length in lengths)
-        yield Message("guard.stretched", n=n, joint=names[joint], frame=at + 1, share=worst)
+def _find_stretched(
+    names: Sequence[str], joints: tuple[int, ...], translations: FloatArray, most_frames: int = 500
+) -> Iterator[Message]:
+    """The joint whose bone changes its length most, if it is more than a rig's does.
 
-
-def _find_crossed(names: Sequence[str], mapped: MappedBody, mostly: float = 0.8) -> Iterator[Message]:
-    """Hips and shoulders that point opposite ways: trunks turn by a right angle at most."""
-    across = [_at(mapped, f"left_{joint}") - _at(mapped, f"right_{joint}") for joint in ("hip", "shoulder")]
+    ``most_frames`` : looked at, evenly spread, of a long file.
+    """
+    step = -(-len(translations) // most_frames)
+    places = translations[::step, joints]
+    bones = np.sqrt(np.einsum("tjk,tjk->jt", places, places))
     with np.errstate(invalid="ignore", divide="ignore"):
-        turns = np.einsum("tk,tk->t", *across) / np.sqrt(np.prod([np.einsum("tk,tk->t", a, a) for a in across], axis=0))
+        off = np.nan_to_num(np.abs(bones / find_medians(bones.T)[:, None] - 1.0), posinf=0.0)
+    most = off.max(axis=1, initial=0.0)
+    if (most > _STRETCH).any():
+        worst = int(most.argmax())
+        yield Message(
+            "guard.stretched",
+            n=int((most > _STRETCH).sum()),
+            joint=names[joints[worst]],
+            frame=int(off[worst].argmax()) * step + 1,
+            share=float(most[worst]),
+        )
+
+
+def _find_crossed(name: Callable[[str], str], points: FloatArray, mostly: float = 0.8) -> Iterator[Message]:
+    """Hips and shoulders that point opposite ways: trunks turn by a right angle at most.
+
+    Beyond 120 degrees, of which the cosine is -0.5, in most frames.
+    """
+    across = points[:, _LEFT] - points[:, _RIGHT]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        across /= np.sqrt(np.einsum("tjk,tjk->tj", across, across))[..., None]
+    turns = np.einsum("tk,tk->t", across[:, 0], across[:, 1])
     seen = turns[~np.isnan(turns)]
-    if len(seen) and (seen < -0.5).mean() >= mostly:  # the cosine of 120 degrees, beyond what a spine turns
-        hip, shoulder = (_name(names, mapped, f"left_{joint}") for joint in ("hip", "shoulder"))
-        yield Message("guard.crossed", hip=hip, shoulder=shoulder)
+    if len(seen) and (seen < -0.5).mean() >= mostly:
+        yield Message("guard.crossed", hip=name("left_hip"), shoulder=name("left_shoulder"))
 
 
-def _find_exchanged(names: Sequence[str], mapped: MappedBody, mostly: float = 0.8) -> Iterator[Message]:
+def _find_exchanged(name: Callable[[str], str], points: FloatArray, mostly: float = 0.8) -> Iterator[Message]:
     """Joints of one side named as the other's: the bone across is shorter in most frames, and keeps its length better.
 
     Who crosses the legs makes it shorter too, but then it changes.
     """
-    for upper, lower in _BONES:
-        own, across = (
-            np.stack([_at(mapped, f"{a}_{upper}") - _at(mapped, f"{b}_{lower}") for a, b in sides])
-            for sides in (zip(_SIDES, _SIDES, strict=True), zip(_SIDES, _SIDES[::-1], strict=True))
-        )
-        lengths = np.sqrt(np.einsum("bstk,bstk->bst", *2 * (np.stack((own, across)),)))
-        lengths = lengths[..., ~np.isnan(lengths).any(axis=(0, 1))]
-        if lengths.shape[2] < 2 or (lengths[0] > lengths[1]).all(axis=0).mean() < mostly:
-            continue
-        change = (lengths.std(axis=2) / lengths.mean(axis=2)).max(axis=1)
+    bones = points[:, _LOWER] - points[:, _UPPER]  # (T, own or across, bone, side, 3)
+    lengths = np.sqrt(np.einsum("twbsk,twbsk->wbst", bones, bones))
+    seen = ~np.isnan(lengths).any(axis=(0, 2))
+    with np.errstate(invalid="ignore"):
+        nearer = (lengths[0] > lengths[1]).all(axis=1)
+    for bone in np.flatnonzero((seen.sum(axis=1) > 1) & (nearer.sum(axis=1) >= mostly * seen.sum(axis=1))):
+        kept = lengths[:, bone][..., seen[bone]]
+        change = (kept.std(axis=2) / kept.mean(axis=2)).max(axis=1)
         if change[1] < change[0]:
-            joint, other, top = (
-                _name(names, mapped, place) for place in (f"left_{lower}", f"right_{lower}", f"left_{upper}")
-            )
+            upper, lower = _BONES[bone]
+            joint, other, top = (name(place) for place in (f"left_{lower}", f"right_{lower}", f"left_{upper}"))
             yield Message("guard.exchanged", joint=joint, other=other, upper=top)
             return
 
 
-def _at(mapped: MappedBody, joint: str) -> FloatArray:
-    """Places (T, 3) of a joint of its own; NaN where it was made from others."""
-    points = mapped.points[:, JOINT_INDEX[joint]]
-    return points if joint in mapped.sources else np.full_like(points, np.nan)
-
-
-def _name(names: Sequence[str], mapped: MappedBody, joint: str) -> str:
-    return names[mapped.sources[joint][0]]
+_LEFT, _RIGHT = ([JOINT_INDEX[f"{side}_{joint}"] for joint in ("hip", "shoulder")] for side in _SIDES)
+_UPPER = np.array([[[JOINT_INDEX[f"{side}_{upper}"] for side in _SIDES] for upper, _ in _BONES]] * 2)
+_LOWER = np.array(
+    [[[JOINT_INDEX[f"{side}_{lower}"] for side in sides] for _, lower in _BONES] for sides in (_SIDES, _SIDES[::-1])]
+)
