@@ -23,7 +23,7 @@ ROOMS = {
     "evaluation": (12_371, 43),
     "experiments": (1_809, 10),
     "files": (855, 7),
-    "formats": (12_206, 69),
+    "formats": (12_212, 69),
     "library": (15_674, 55),
     "messages": (234, 3),
     "motion": (6_329, 34),
@@ -33,7 +33,7 @@ ROOMS = {
 TOTALS = {
     "lines of tests": 60_979,
     "lines of JavaScript": 12_467,
-    "constants": 986,
+    "constants": 988,
     "numeric constants without a source": 1,
     "functions over 60 lines": 20,
     "files over 650 lines": 0,
