@@ -174,7 +174,9 @@ def _find_exchanged(name: Callable[[str], str], points: FloatArray, mostly: floa
 
 
 _LEFT, _RIGHT = ([JOINT_INDEX[f"{side}_{joint}"] for joint in ("hip", "shoulder")] for side in _SIDES)
+# By definition (own or across, bone, side): rows of the canonical joints at both ends of the bones.
 _UPPER = np.array([[[JOINT_INDEX[f"{side}_{upper}"] for side in _SIDES] for upper, _ in _BONES]] * 2)
+# By the same definition: the lower ends, of which the second are those of the other side.
 _LOWER = np.array(
     [[[JOINT_INDEX[f"{side}_{lower}"] for side in sides] for _, lower in _BONES] for sides in (_SIDES, _SIDES[::-1])]
 )
