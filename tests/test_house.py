@@ -23,7 +23,7 @@ ROOMS = {
     "evaluation": (12_371, 43),
     "experiments": (1_809, 10),
     "files": (855, 7),
-    "formats": (12_212, 69),
+    "formats": (12_214, 69),
     "library": (15_674, 55),
     "messages": (234, 3),
     "motion": (6_329, 34),
