@@ -152,6 +152,15 @@ def make_torch(content):
     return packed.getvalue()
 
 
+def make_mot(rows, rate=100.0, in_degrees="yes"):
+    """A file of coordinates by name, each a list of values."""
+    count = len(next(iter(rows.values())))
+    rows = {"time": np.arange(count) / rate, **rows}
+    table = "\n".join("\t".join(f"{value:.9f}" for value in row) for row in zip(*rows.values(), strict=True))
+    head = f"Coordinates\nversion=1\nnRows={count}\nnColumns={len(rows)}\ninDegrees={in_degrees}\n\nendheader\n"
+    return (head + "\t".join(rows) + "\n" + table + "\n").encode()
+
+
 def pack_gzip(data):
     """The bytes of a gzip file, the same every time."""
     return gzip.compress(data, mtime=0)

@@ -17,6 +17,7 @@ import pytest
 from oracles.c3d_file import DEC, MIPS, make_c3d, random_points
 
 import fuzzing
+from dousa.formats.opensim import list_coordinates
 from dousa.formats.registry import SUFFIXES, read_motion, write_motion
 from dousa.motion import Motion, Skeleton, Trajectories, compute_trajectories
 from dousa.motion.rotations import normalise
@@ -87,6 +88,7 @@ def make_seeds(folder: Path) -> dict[str, list[dict[str, bytes]]]:
         ".tsv": [{"x.tsv": made.make_qualisys()}, {"x.tsv": made.make_qualisys_skeleton()}],
         **{suffix: [{f"x{suffix}": files["m.glb"]}] for suffix in (".glb", ".gltf", ".vrm", ".vrma")},
         ".json": [{"x.json": json.dumps(content).encode()} for content in landmarks],
+        ".mot": [{"x.mot": made.make_mot({name: np.arange(5.0) for name in list_coordinates()})}],
         ".vmd": [{"x.vmd": vmd}, {"x.pmx": made_mmd.make_pmx(), "x.vmd": vmd}],
         **{suffix: [{f"x{suffix}": made_usd.make_usda()}] for suffix in (".usd", ".usda", ".usdc", ".usdz")},
         ".fbx": [{"x.fbx": fake_programs.FBX_MARK + files["m.glb"]}],

@@ -101,6 +101,7 @@ FORMATS: tuple[Format, ...] = (
         rb"|\A[\s\[]{2,}\{\s*\"x\"\s*:[^{}]*\"z\"|\A\s*\[\s*\[\s*\[\s*-?\d[^][,]*,[^][,]*,[^][,]*(?:,[^][,]*)?\]\s*,\s*\[",
     ),
     Format("vmd", (".vmd",), "dousa.formats.mmd", "read_vmd", "write_vmd", "motion", ("skeleton",)),
+    Format("mot", (".mot",), "dousa.formats.opensim", "read_mot", "write_mot", "motion", (), rb"hip_flexion_[rl]"),
     Format("mvnx", (".mvnx",), "dousa.formats.mvnx", "read_mvnx", None, "both", ("person",)),
     Format(
         "fbx", (".fbx",), "dousa.formats.exchange", "read_exchange", "write_fbx", "motion", ("animation",),
@@ -137,7 +138,6 @@ _ADVICE = {
     ".asf": "formats.asf_alone",
     ".pmx": "formats.model_alone",
     ".pmd": "formats.model_alone",
-    ".mot": "formats.coordinates",
     ".sto": "formats.coordinates",
 }
 """Suffixes that are no motion by themselves, and what to do about them."""
