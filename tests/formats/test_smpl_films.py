@@ -92,6 +92,13 @@ def test_people(tmp_path):
     assert code_of(path, person="Ann") == "parts.no_person"
 
 
+def test_joints_by_person(tmp_path):
+    joints, _ = points.make_points("HumanML3D")
+    path = save(tmp_path / "x.pkl", pickle.dumps({"person_1": joints[:20], "person_2": joints}))
+    np.testing.assert_allclose(read_motion(path, unit="m", up="y").positions, joints)
+    np.testing.assert_allclose(read_motion(path, unit="m", up="y", person="id 1").positions, joints[:20])
+
+
 def test_frames_without_the_person(tmp_path):
     content = {1: {"pose": VECTORS, "trans": PLACES, "frame_ids": np.array([0, 1, 2, 5, 6, 7])}}
     motion = read_motion(save(tmp_path / "x.pkl", pickle.dumps(content)), up="y")

@@ -171,6 +171,8 @@ def test_angles_of_bvh_toolbox(tmp_path):
     [
         (["LHip_x", "LHip_y", "LHip_z", "max", "may"], ["LHip"]),
         (["Head rotation x", "Head rotation y", "Head rotation z", "Head x", "Head y", "Head z"], ["Head"]),
+        (["Hip x", "Hip y", "Hip z", "Hip_q_x", "Hip_q_y", "Hip_q_z", "Hip_q_w"], ["Hip"]),
+        (["Hip_x", "Hip_y", "Hip_z", "Hip_w"], []),
         (["Ann:LASI:X", "Ann:LASI:Y", "Ann:LASI:Z"], ["Ann:LASI"]),
         (["hip-x [m]", "hip-z [m]", "hip-y [m]"], ["hip"]),
     ],

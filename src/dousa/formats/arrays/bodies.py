@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from dousa.files.frame_files import natural_key
 from dousa.formats.smpl_poses import are_poses, find_roles, rank_place, read_rotations
 
 _PERSON = re.compile(r"(?:id|person|track|subject|body|human|p)?[ _-]?(\d+)", re.IGNORECASE)
+_Value = TypeVar("_Value")
 _TRACKS = ("tid", "tracked_ids", "track_ids", "person_ids")
 
 
@@ -61,12 +62,17 @@ def list_bodies(content: Any, name: str = "", depth: int = 0, deepest: int = 6, 
         if turns is not None:
             return [Body(name, arrays, len(turns))]
     found = {str(key): bodies for key, value in content.items() if (bodies := list_bodies(value, str(key), depth + 1))}
-    people = {key: match for key in found if (match := _PERSON.fullmatch(key))}
-    if people and len(people) == len(found):
-        named = [(f"id {match[1]}", found[key]) for key, match in people.items()]
+    people = name_people(found)
+    if people:
         return [Body(who if len(own) == 1 else f"{who} {body.name}", body.arrays, body.n_frames)
-                for who, own in named for body in own]  # fmt: skip
+                for who, own in people.items() for body in own]  # fmt: skip
     return found[min(found, key=rank_place)] if found else []
+
+
+def name_people(found: Mapping[str, _Value]) -> dict[str, _Value]:
+    """Return values by the name of their person, ``id 7``; {} unless all keys are numbers of people."""
+    matches = {key: _PERSON.fullmatch(key) for key in found}
+    return {f"id {match[1]}": found[key] for key, match in matches.items() if match} if all(matches.values()) else {}
 
 
 def _gather_frames(content: Mapping[Any, Any]) -> Mapping[Any, Any] | None:

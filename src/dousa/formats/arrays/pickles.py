@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from dousa.errors import MotionFileError
 from dousa.files.pickles import load_pickle
-from dousa.formats.arrays.bodies import as_array, list_bodies
-from dousa.formats.arrays.joints import build_joints, find_joints
+from dousa.formats.arrays.bodies import as_array, list_bodies, name_people
+from dousa.formats.arrays.joints import build_joints, find_joints, is_joint_array
 from dousa.formats.parts import choose, distinguish
 from dousa.formats.smpl import AIST_RATE, build_smpl, read_rate
 from dousa.messages import Message
@@ -84,6 +84,11 @@ def build_content(
         chosen, notes = choose(path, "animation", names, animation, [len(points) for points, _ in samples])
         points, text = samples[chosen]
         notes += (Message("arrays.text", text=text),) if text else ()
+        return build_joints(path, "pkl", points, unit=unit, up=up, frame_rate=frame_rate, notes=notes)
+    people = name_people(arrays)
+    if len(people) > 1 and all(is_joint_array(array.shape) for array in people.values()):
+        chosen, notes = choose(path, "person", [*people], person, [len(array) for array in people.values()])
+        points = [*people.values()][chosen]
         return build_joints(path, "pkl", points, unit=unit, up=up, frame_rate=frame_rate, notes=notes)
     name = find_joints(arrays)
     if name is None:

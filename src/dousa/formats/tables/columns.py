@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 
 _BETWEEN = r"[\s_.:|/\-]*"
 _UNIT = r"(?:[\s_]*[\[(]\s*(?P<unit>[a-z]+)\s*[\])]|_(?P<short>mm|cm|m))?"
-_LAST = re.compile(rf"(?P<stem>.*?){_BETWEEN}[\[(]?(?P<axis>[xyz])[\])]?{_UNIT}", re.IGNORECASE | re.DOTALL)
-_FIRST = re.compile(rf"(?P<axis>[xyz]){_BETWEEN}[\[(]?(?P<stem>.*?)[\])]?{_UNIT}", re.IGNORECASE | re.DOTALL)
+_LAST = re.compile(rf"(?P<stem>.*?){_BETWEEN}[\[(]?(?P<axis>[xyzw])[\])]?{_UNIT}", re.IGNORECASE | re.DOTALL)
+_FIRST = re.compile(rf"(?P<axis>[xyzw]){_BETWEEN}[\[(]?(?P<stem>.*?)[\])]?{_UNIT}", re.IGNORECASE | re.DOTALL)
 _WORDS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 _SURE = re.compile(
     rf"(?:(?P<stem>.*?){_BETWEEN}(?:score|conf|confidence|visibility|likelihood|vis|prob)|(?P<after>.*?)[\s_.]+[vcp]"
@@ -25,7 +25,7 @@ _ALONE = re.compile(r"[xyz]|score|conf|confidence|likelihood|visibility", re.IGN
 
 # Words for other quantities than places, at either end of a stem; words for places.
 _OTHER = frozenset(
-    "acc accel acceleration gyr gyro mag magnetometer vel velocity speed omega rot rotation orientation orient quat "
+    "acc accel acceleration gyr gyro mag magnetometer vel velocity speed omega rot rotation orientation orient quat q "
     "quaternion euler angle angles ang force moment torque power jerk error std variance cop com grf emg imu".split()
 )
 _PLACE = frozenset("pos position positions loc location coord coords coordinate translation world 3d".split())
@@ -101,7 +101,8 @@ def _group(cells: list[str], pattern: re.Pattern[str]) -> Columns:
         if match is not None and name is not None:
             axes.setdefault(name, {}).setdefault(match["axis"].lower(), column)
             units.add((match["unit"] or match["short"] or "").lower())
-    points = {name: (own["x"], own["y"], own["z"]) for name, own in axes.items() if len(own) == 3}
+    # With a w they are quaternions.
+    points = {name: (own["x"], own["y"], own["z"]) for name, own in axes.items() if set(own) == {"x", "y", "z"}}
     flat = tuple(name for name, own in axes.items() if set(own) == {"x", "y"} and name)
     return Columns(points, flat, unit=units.pop() if len(units) == 1 else "")
 
