@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -133,12 +134,22 @@ def fill_gaps(positions: ArrayLike) -> FloatArray:
     return filled
 
 
-def smooth_gaussian(values: FloatArray, deviation: float) -> FloatArray:
+def smooth_gaussian(values: FloatArray, deviation: float, *, small: int = 10_000_000) -> FloatArray:
     """Smooth values (T, ...) with a Gaussian of four standard deviations (in frames) to either side; ends are repeated.
 
-    Missing values make all within reach of them missing.
+    Missing values make all within reach of them missing. Up to ``small`` products are added up without SciPy, in the
+    same order: loading it takes longer.
     """
-    from scipy.ndimage import gaussian_filter1d
+    n, reach = len(values), int(4.0 * deviation + 0.5)
+    if "scipy.ndimage" in sys.modules or not 0 < values.size * (reach + 1) <= small:
+        from scipy.ndimage import gaussian_filter1d
 
-    smooth: FloatArray = gaussian_filter1d(values, deviation, axis=0, output=np.float64, mode="nearest")
+        smooth: FloatArray = gaussian_filter1d(values, deviation, axis=0, output=np.float64, mode="nearest")
+        return smooth
+    weights = np.exp(-0.5 / (deviation * deviation) * np.arange(-reach, reach + 1) ** 2)
+    weights = (weights / weights.sum())[reach:]
+    held = np.asarray(values, np.float64)[np.arange(-reach, n + reach).clip(0, n - 1)]
+    smooth = weights[0] * held[reach : reach + n]
+    for step in range(reach, 0, -1):
+        smooth += (held[reach - step : reach - step + n] + held[reach + step : reach + step + n]) * weights[step]
     return smooth

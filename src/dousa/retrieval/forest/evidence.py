@@ -27,6 +27,7 @@ from dousa.errors import InvalidMotionError
 from dousa.motion import canonicalise, mirror_canonical
 from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.features.posed_motion import PosedMotion, hide_joints
+from dousa.retrieval.features.sensor_noise import reduce_noise_of_all
 from dousa.retrieval.forest import tree_kernels as kernels
 from dousa.retrieval.forest.forest import MotionForest
 from dousa.retrieval.forest.pose_space import Curve, PoseSpace, fit_weighted_curve, read_curve
@@ -238,7 +239,8 @@ def describe_strangers(feature_set: FeatureSet | None) -> Strangers | None:
 
 @lru_cache(maxsize=4)
 def _describe(kind: FeatureSet) -> Strangers:
-    features = np.stack([kind.compute(kind.complete(hide_joints(one, kind.hidden))) for one in _make_gestures()])
+    hidden = [kind.complete(hide_joints(one, kind.hidden)) for one in _make_gestures()]
+    features = kind.compute_quiet_all(reduce_noise_of_all(hidden))
     features.flags.writeable = False
     return Strangers(features[: 2 * _BESIDE], features[2 * _BESIDE :])
 
