@@ -17,7 +17,9 @@ from llvmlite.binding import Linkage
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
+from numba.core.targetconfig import ConfigStack
 from numba.core.types import unliteral
+from numba.core.types.functions import BaseFunction
 from numba.np import linalg
 
 
@@ -33,7 +35,30 @@ def _load_arrays() -> None:
         linalg.ensure_blas = check
 
 
+def _remember_types() -> None:
+    """Let Numba remember which types its own functions return for which: it asks ten times for each answer.
+
+    Each time it would try some ten overloads, half of the work on types. Answers hold for one set of options, as an
+    overload is compiled for those that asked last.
+    """
+    functions: Any = BaseFunction
+    find = functions.get_call_type
+
+    def get_call_type(self: Any, context: Any, args: Any, named: Any) -> Any:
+        flags = ConfigStack.top_or_none()
+        options = context, flags and (flags.nrt, flags.error_model, frozenset(flags.fastmath.flags))
+        if vars(self).get("asked_with") != options:
+            self.asked_with, self.answers = options, {}
+        answers, asked = self.answers, (args, tuple(named.items()))
+        if asked not in answers:
+            answers[asked] = find(self, context, args, named)
+        return answers[asked]
+
+    functions.get_call_type = get_call_type
+
+
 _load_arrays()
+_remember_types()
 
 
 def _options(allocates: bool, fastmath: Any) -> dict[str, Any]:

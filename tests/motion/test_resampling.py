@@ -1,5 +1,7 @@
 """Resampling, thinning and gap filling."""
 
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,6 +9,7 @@ from hypothesis import strategies as st
 
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.motion import Motion, Provenance, Skeleton, Trajectories, fill_gaps, resample, thin
+from dousa.motion.resampling import smooth_gaussian
 from dousa.motion.rotations import from_axis_angle
 
 
@@ -147,3 +150,13 @@ def test_fill_gaps_keeps_what_was_seen(seed):
 def test_fill_gaps_wants_points():
     with pytest.raises(InvalidMotionError):
         fill_gaps(np.zeros((3, 3)))
+
+
+@pytest.mark.parametrize("deviation", [0.1, 0.3, 2.7, 30.0])
+@pytest.mark.parametrize("shape", [(1, 3), (7,), (60, 4, 3)])
+def test_little_is_smoothed_as_by_scipy(monkeypatch, deviation, shape):
+    values = np.random.default_rng(0).normal(size=shape)
+    values[shape[0] // 3, ...] = np.nan if shape[0] == 60 else 0.0
+    wanted = smooth_gaussian(values, deviation, small=0)
+    monkeypatch.delitem(sys.modules, "scipy.ndimage")
+    np.testing.assert_array_equal(smooth_gaussian(values, deviation), wanted)

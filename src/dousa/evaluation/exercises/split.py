@@ -16,12 +16,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, FloatArray, IntArray
 from dousa.evaluation.posture.posture import PostureSequence, Working, compute_postures, thin_postures
 from dousa.evaluation.posture.yaw import rotate_yaw
+from dousa.kernels import kernel
 from dousa.motion import CanonicalMotion
 from dousa.motion.repetitions import find_spans, fold_poses, trace_movement
 from dousa.motion.resampling import smooth_gaussian
@@ -58,10 +58,8 @@ def parse_passes(
     return bounds, prices
 
 
-@njit(cache=True, nogil=True)
-def _accumulate(  # type: ignore[no-untyped-def]
-    cost, outside, stay, skip, entry
-):  # pragma: no cover - compiled
+@kernel(linear=True, allocates=True)
+def _accumulate(cost, outside, stay, skip, entry):  # type: ignore[no-untyped-def]
     """Cheapest prices (T, n + 1), and the way back: column 0 is outside, j + 1 the template."""
     n_frames, n = cost.shape
     total = np.full((n_frames, n + 1), np.inf)
@@ -87,8 +85,8 @@ def _accumulate(  # type: ignore[no-untyped-def]
     return total, origin, from_pass
 
 
-@njit(cache=True, nogil=True)
-def _trace(origin, from_pass, in_pass):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+@kernel(linear=True, allocates=True)
+def _trace(origin, from_pass, in_pass):  # type: ignore[no-untyped-def]
     """(R, 2) bounds of the passes on the cheapest chain."""
     n_frames, n = origin.shape[0], origin.shape[1] - 1
     bounds = np.empty((n_frames, 2), np.int64)

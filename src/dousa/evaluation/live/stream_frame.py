@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
@@ -23,6 +22,7 @@ from dousa.evaluation.figures.curves import turn_reference
 from dousa.evaluation.figures.eigenspace import Eigenspace
 from dousa.evaluation.figures.furi import Furi
 from dousa.evaluation.posture.posture import PostureSequence, Working, compute_segments
+from dousa.kernels import kernel
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 
 
@@ -217,7 +217,7 @@ def compare_with_reference(
     return np.where(judged, 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)), np.nan), bool(judged.all())
 
 
-@njit(cache=True, nogil=True)
+@kernel(allocates=True)
 def compare_pose(
     ours: FloatArray,
     theirs: FloatArray,
@@ -227,7 +227,7 @@ def compare_pose(
     turns: FloatArray,
     past: FloatArray,
     squared: FloatArray,
-) -> None:  # pragma: no cover - compiled
+) -> None:
     """Measure squared chords of one pose at every lag, with the yaw of this pose and those before at equal lag.
 
     Parameters
