@@ -135,6 +135,18 @@ def test_people_by_a_column(tmp_path):
     assert code_of(path, person="Ann") == "parts.no_person"
 
 
+def test_clips_by_a_column(tmp_path):
+    titles, *rows = table(SMPL).strip().split("\n")
+    lines = ["id,label," + titles, *(f"{3 if n < 15 else 7},WALK,{row}" for n, row in enumerate(rows))]
+    path = save(tmp_path / "x.csv", "\n".join(lines).encode())
+    motion = read_motion(path)
+    assert motion.n_frames == len(rows) - 15
+    assert "parts.animation" in {note.code for note in motion.provenance.notes}
+    assert read_motion(path, animation="3").n_frames == 15
+    each = ["id," + titles, *(f"{n},{row}" for n, row in enumerate(rows))]
+    assert read_motion(save(tmp_path / "y.csv", "\n".join(each).encode())).n_frames == len(rows)
+
+
 def test_people_by_the_beginnings_of_names(tmp_path):
     text = table(SMPL)
     titles, *rows = text.strip().split("\n")

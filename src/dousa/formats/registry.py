@@ -63,7 +63,7 @@ class Format:
 
 _ARRAYS = ("skeleton", "frame_rate")
 _PARTS = (*_ARRAYS, "person", "animation")
-_TABLE = ("frame_rate", "person")
+_TABLE = ("frame_rate", "person", "animation")
 
 _HEAD = 65_536
 """Bytes of a table that are looked at: a row of titles of 553 points takes 30,000 (measured on FreeMoCap's)."""

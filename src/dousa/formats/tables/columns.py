@@ -36,6 +36,7 @@ _ROLES = {
         "numbers": "frame frames fnum field framenumber frameid frameindex frameno framenum フレーム",
         "parts": "subframe",
         "people": "person personid body bodyid trackid subject subjectid skeletonid userid playerid",
+        "clips": "id video videoid sequence sequenceid clip clipid trial trialid session sessionid file filename",
         "kinds": "model trajectory trajectorytype datatype aspect tracker",
         "labels": "keypoint joint landmark marker name bodypart point label jointname jointid jointtype landmarkname "
         "landmarkid landmarkindex keypointid keypointname markername",
@@ -62,8 +63,8 @@ class Columns:
     points : by name the columns of x, y, z, in the order of the table.
     flat : names of what has x and y only.
     scores : by name the column of the confidence that the point was seen.
-    roles : column of ``times``, ``numbers`` (of frames), ``parts`` (of a frame), ``people``, ``kinds``, ``labels``,
-        where there.
+    roles : column of ``times``, ``numbers`` (of frames), ``parts`` (of a frame), ``people``, ``clips``, ``kinds``,
+        ``labels``, where there.
     unit : named in the titles, else "".
     seconds : per unit of the times if their title names it, else None.
     counted : whether the points have numbers for names: their order gives the layout.

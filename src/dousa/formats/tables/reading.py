@@ -12,6 +12,7 @@ import csv
 import datetime
 import os
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -60,6 +61,7 @@ def read_table(
     up: str | None = None,
     frame_rate: float | None = None,
     person: str | None = None,
+    animation: str | None = None,
 ) -> Motion | Trajectories:
     """Read a table of text with a header: bones or markers of Motive or Qualisys, or the points of its columns.
 
@@ -70,6 +72,7 @@ def read_table(
     up : axis that points up; by default inferred.
     frame_rate : Hz, whatever the table says.
     person : name or number of one of several people, by their column or the beginnings of names; by default the first.
+    animation : name or number of one of several clips in a table, by their column; by default the longest.
 
     Raises
     ------
@@ -87,10 +90,11 @@ def read_table(
     if is_of_angles(path):
         return take_person(read_angles(path, unit=unit, up=up), path, person)
     numbered = _list_rows(lines, start + header.body, header.mark)
+    numbered, clip = _choose_rows(path, header, numbered, "animation", "clips", animation)
     if "people" not in header.columns.roles:
-        return take_person(_build(path, header, numbered, unit, up, frame_rate), path, person)
-    numbered, notes = _choose_person(path, header.columns, numbered, header.mark, person)
-    return _build(path, header, numbered, unit, up, frame_rate, notes)
+        return take_person(_build(path, header, numbered, unit, up, frame_rate, clip), path, person)
+    numbered, notes = _choose_rows(path, header, numbered, "person", "people", person)
+    return _build(path, header, numbered, unit, up, frame_rate, (*clip, *notes))
 
 
 def decode(data: bytes) -> str:
@@ -263,21 +267,26 @@ def _column(numbered: list[tuple[int, str]], mark: str, column: int) -> list[str
     return [row[column].strip() if column < len(row) else "" for row in _split([line for _, line in numbered], mark)]
 
 
-def _choose_person(
+def _choose_rows(
     path: str | os.PathLike[str],
-    columns: Columns,
+    header: _Header,
     numbered: list[tuple[int, str]],
-    mark: str,
+    kind: str,
+    role: str,
     wanted: str | None,
-    most: int = 50,
+    most: int = 1000,
 ) -> tuple[list[tuple[int, str]], tuple[Message, ...]]:
-    """Rows of a person whom a column tells from others; ``most`` names of it are people."""
-    owners = _column(numbered, mark, columns.roles["people"])
-    people = list(dict.fromkeys(owners))
-    if len(people) > min(most, max(len(owners) - 1, 1)):  # it counts rows
-        people, owners = ["1"], ["1"] * len(owners)
-    chosen, notes = choose(path, "person", people, wanted, [owners.count(name) for name in people])
-    return [row for row, owner in zip(numbered, owners, strict=True) if owner == people[chosen]], notes
+    """Rows of one of several parts that a column tells apart: ``most``, and each of two rows or more on average."""
+    column = header.columns.roles.get(role)
+    owners = ["1"] * len(numbered) if column is None else _column(numbered, header.mark, column)
+    counts = Counter(owners)
+    if len(counts) > min(most, len(owners) // 2):  # it counts rows
+        owners, counts = ["1"] * len(numbered), Counter({"1": len(numbered)})
+    if not counts or (column is None and wanted is None):
+        return numbered, ()
+    chosen, notes = choose(path, kind, [*counts], wanted, [*counts.values()])
+    name = [*counts][chosen]
+    return [row for row, owner in zip(numbered, owners, strict=True) if owner == name], notes
 
 
 def _choose_kind(
