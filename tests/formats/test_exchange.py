@@ -17,6 +17,7 @@ from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import compute_trajectories
 from dousa.motion.synthetic import draw_performer, make_motion
 from formats import fake_programs as fake
+from formats import made_people
 from formats.made_files import code_of
 from patience import PATIENCE
 
@@ -207,3 +208,15 @@ def test_the_job_needs_nothing_but_bpy(tmp_path, walk):
         )  # fmt: skip
         called = [line.split(" ")[0] for line in done.stdout.splitlines()]
         assert [name for name in called if name in expected] == expected, done.stdout
+
+
+def test_animations_and_people_of_fbx(tmp_path, monkeypatch):
+    """They come through the program, and are taken as those of a GLB."""
+    made_people.write_glb(tmp_path / "x.glb")
+    (tmp_path / "x.fbx").write_bytes(fake.FBX_MARK + (tmp_path / "x.glb").read_bytes())
+    fake.install(tmp_path, monkeypatch, blender="works")
+    first, second = read_motion(tmp_path / "x.fbx"), read_motion(tmp_path / "x.fbx", person=2, animation="motion")
+    assert codes(first) == ["parts.person", "exchange.through"]
+    assert codes(second) == ["parts.person_asked", "exchange.through"]
+    assert abs(second.translations[0, 0, 0] - first.translations[0, 0, 0]) > 1
+    assert code_of(tmp_path / "x.fbx", animation="Walk") == "parts.no_animation"

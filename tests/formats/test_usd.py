@@ -26,7 +26,7 @@ def arrays(n_frames=4):
     rest[1, 3, :3] = 0, 0.5, 0
     return {
         "names": np.array(["A", "A/B"]), "parents": np.array([-1, 0]), "rest": rest, "frames": eye,
-        "rate": np.array([25.0]), "unit": np.array([1.0]), "up": np.array(["Z"]), "count": np.array([1]),
+        "rate": np.array([25.0]), "unit": np.array([1.0]), "up": np.array(["Z"]),
     }  # fmt: skip
 
 
@@ -43,9 +43,8 @@ def test_arrays_of_the_process(tmp_path):
     half = np.sqrt(0.5)
     np.testing.assert_allclose(motion.rotations[1, 1], [half, 0, 0, half], atol=1e-12)
     np.testing.assert_allclose(motion.translations[2], [[6, 7, 8], [0, 0.5, 0]], atol=1e-12)
-    same = build(tmp_path, names=np.array(["A/X", "B/X"]), count=np.array([3]))
+    same = build(tmp_path, names=np.array(["A/X", "B/X"]))
     assert same.skeleton.names == ("A/X", "B/X")
-    assert [note.code for note in same.provenance.notes] == ["usd.several"]
 
 
 def test_arrays_that_make_no_motion(tmp_path):

@@ -111,7 +111,10 @@ FORMATS: tuple[Format, ...] = (
         "dae", (".dae",), "dousa.formats.exchange", "read_exchange", None, "motion", ("animation",),
         character="read_exchange_character",
     ),
-    Format("usd", (".usd", ".usda", ".usdc", ".usdz"), "dousa.formats.exchange.usd", "read_usd", None, "motion"),
+    Format(
+        "usd", (".usd", ".usda", ".usdc", ".usdz"), "dousa.formats.exchange.usd", "read_usd", None, "motion",
+        ("person",),
+    ),
     Format(
         "glb", (".glb",), "dousa.formats.gltf", "read_gltf", "write_glb", "motion", ("animation",),
         character="read_gltf_character",
@@ -423,7 +426,8 @@ def read_character(path: str | os.PathLike[str], *, unit: float | str | None = N
 
     Parameters
     ----------
-    path : any file of joint rotations; a glTF, GLB, VRM or FBX needs no animation.
+    path : any file of joint rotations, or the address of one of several skeletons in it; a glTF, GLB, VRM or FBX needs
+        no animation.
     unit, up : if not in the file.
 
     Raises
@@ -433,7 +437,9 @@ def read_character(path: str | os.PathLike[str], *, unit: float | str | None = N
     """
     line = find_reader(path)
     if line is not None and line.character is not None:
-        character = _function(path, line, line.character)(path, unit=unit, up=up)
+        file, part = split_address(path)
+        character = _function(path, line, line.character)(file, unit=unit, up=up)
+        character = _take_person(character, file, part.get("person"))
     else:
         character = read_motion(path, unit=unit, up=up)
     if not isinstance(character, Motion):

@@ -269,7 +269,7 @@ class _Export:
             from dousa.formats import read_character
 
             self.character = read_character(form.onto)
-            recipe |= {"onto": hashlib.sha256(read_bytes(form.onto)).hexdigest(), "reach": form.keep_reach}
+            recipe |= {"onto": hashlib.sha256(read_bytes(file_of(form.onto))).hexdigest(), "reach": form.keep_reach}
         recipe |= {"rate": form.frame_rate, "read": options.describe(), "skeleton": str(options.skeleton or "")}
         self.recipe = json.dumps(recipe, sort_keys=True)
         self.rows = destination.open()

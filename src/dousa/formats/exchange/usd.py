@@ -21,6 +21,7 @@ from dousa.files.disk import read_bytes
 from dousa.files.npz_arrays import open_npz
 from dousa.formats.assembly import localise, rest_offsets, settle_motion
 from dousa.formats.exchange.programs import Program, ProgramError, run_program
+from dousa.formats.parts import choose, distinguish
 from dousa.messages import Message
 from dousa.motion import Motion, Skeleton
 from dousa.motion.rotations import conjugate, from_matrix, multiply
@@ -29,18 +30,25 @@ _SIGNS = re.compile(rb"\A(?:#usda|PXR-USDC|PK\x03\x04)")
 _CODE = re.compile(r"\bcode (usd\.[a-z_]{1,30})$")
 
 
-def read_usd(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Motion:
-    """Read the animation of the first skeleton with one of a USD file (text, binary or package).
+def read_usd(
+    path: str | os.PathLike[str],
+    *,
+    unit: float | str | None = None,
+    up: str | None = None,
+    person: str | None = None,
+) -> Motion:
+    """Read the animation of a skeleton of a USD file (text, binary or package).
 
     Parameters
     ----------
     path : the file.
     unit : metres per unit; by default that of the stage, unless the body would have no possible height.
     up : axis that points up; by default that of the stage.
+    person : name or number of a skeleton; by default the first that is animated.
 
     Raises
     ------
-    MotionFileError : missing, damaged, no skeleton, no animation.
+    MotionFileError : missing, damaged, no such skeleton, no animation.
     MissingExtraError : usd-core is not installed.
     """
     if not _SIGNS.search(read_bytes(path)[:16]):
@@ -50,12 +58,22 @@ def read_usd(path: str | os.PathLike[str], *, unit: float | str | None = None, u
     with tempfile.TemporaryDirectory(prefix="dousa-") as folder:
         found = os.path.join(folder, "skeleton.npz")
         job = os.path.join(os.path.dirname(__file__), "usd_job.py")
-        try:
-            run_program(Program("usd", sys.executable), [job, os.path.abspath(path), found], folder, found)
-        except ProgramError as error:
-            said = _CODE.search(str(error.message.values.get("reason", "")))
-            raise MotionFileError(path, Message(said[1]) if said else error.message) from error
-        return build_usd(path, found, unit=unit, up=up)
+        _run_job(path, [job, os.path.abspath(path), found], folder, found)
+        with open_npz(found, partial(MotionFileError, path)) as file:
+            people = distinguish(file.read_texts("people"))
+        chosen, notes = choose(path, "person", people, person)
+        if chosen:
+            os.remove(found)
+            _run_job(path, [job, os.path.abspath(path), found, str(chosen)], folder, found)
+        return build_usd(path, found, unit=unit, up=up, notes=notes)
+
+
+def _run_job(path: str | os.PathLike[str], words: list[str], folder: str, found: str) -> None:
+    try:
+        run_program(Program("usd", sys.executable), words, folder, found)
+    except ProgramError as error:
+        said = _CODE.search(str(error.message.values.get("reason", "")))
+        raise MotionFileError(path, Message(said[1]) if said else error.message) from error
 
 
 def build_usd(
@@ -64,6 +82,7 @@ def build_usd(
     *,
     unit: float | str | None,
     up: str | None,
+    notes: tuple[Message, ...] = (),
 ) -> Motion:
     """Build a motion from the arrays of `usd_job`.
 
@@ -72,6 +91,7 @@ def build_usd(
     path : of the USD file, for messages and provenance.
     found : npz with the arrays.
     unit, up : as for `read_usd`.
+    notes : for the user, on the reading of the file.
     """
     fail, most_bytes = partial(MotionFileError, path), 4_000_000_000
     with open_npz(found, fail) as file:
@@ -79,7 +99,7 @@ def build_usd(
         rest = file.read("rest", "f", 3, most_bytes)
         parents = [int(parent) for parent in file.read("parents", "i", 1)]
         names = _shorten(file.read_texts("names"))
-        rate, metres, count = (float(file.read(name, "fi", 1)[0]) for name in ("rate", "unit", "count"))
+        rate, metres = (float(file.read(name, "fi", 1)[0]) for name in ("rate", "unit"))
         axis = file.read_texts("up")[0].lower()
     n_joints = len(parents)
     if not 0 < n_joints <= 10_000 or any(parent >= joint for joint, parent in enumerate(parents)):
@@ -89,7 +109,6 @@ def build_usd(
     resting, places = _pose_of(rest), rest[:, 3, :3]
     world = multiply(_pose_of(frames), conjugate(resting))
     rotations, translations = localise(parents, world, frames[:, :, 3, :3])
-    notes = (Message("usd.several", found=int(count)),) if count > 1 else ()
     skeleton = Skeleton(names, np.array(parents, np.intp), rest_offsets(parents, places))
     return settle_motion(
         path, "usd", skeleton, rotations, translations, rate,

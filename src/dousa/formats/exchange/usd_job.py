@@ -1,9 +1,10 @@
-"""Script ``python usd_job.py IN OUT.npz`` for its own process: damaged files can crash usd-core, which is C++.
+"""Script ``python usd_job.py IN OUT.npz [N]`` for its own process: damaged files can crash usd-core, which is C++.
 
-Needs numpy and usd-core, and nothing of dousa. Writes the first skeleton that is animated, else the first one:
+Needs numpy and usd-core, and nothing of dousa. Writes skeleton N (from 0, by default 0) of those that are animated,
+else of all:
 
 names (J,) text, parents (J,), rest (J, 4, 4) and frames (T, J, 4, 4): from joint to world, for row vectors, in the
-units and axes of the stage; rate (1,) Hz, unit (1,) m, up (1,) text, count (1,) of skeletons that are animated.
+units and axes of the stage; rate (1,) Hz, unit (1,) m, up (1,) text, people (N,) names of the skeletons to choose from.
 """
 
 from __future__ import annotations
@@ -67,6 +68,7 @@ def _choose_times(samples: list[float], per_second: float, most: int = 1_000_000
 def main() -> None:
     """Write the content of a stage."""
     source, target = sys.argv[1:3]
+    chosen = int(sys.argv[3]) if len(sys.argv) > 3 else 0
     _limit_memory(os.path.getsize(source))
     usd, skel, geom = (importlib.import_module(f"pxr.{name}") for name in ("Usd", "UsdSkel", "UsdGeom"))
     stage = usd.Stage.Open(source)
@@ -74,7 +76,7 @@ def main() -> None:
     if not skeletons:
         _fail("usd.no_skeleton")
     moving = [row for row in skeletons if len(_sample_times(row[1])) > 1]
-    prim, query = (moving or skeletons)[0]
+    prim, query = (moving or skeletons)[chosen]
     if not query.GetAnimQuery():
         _fail("usd.no_animation")
     times, rate = _choose_times(_sample_times(query), stage.GetTimeCodesPerSecond())
@@ -102,9 +104,15 @@ def main() -> None:
         at_rest = frames[0]
     np.savez(
         target, names=np.array([str(name) for name in query.GetJointOrder()]), parents=np.array(parents, np.int64),
-        rest=at_rest, frames=frames, rate=np.array([rate], float), count=np.array([len(moving)]),
+        rest=at_rest, frames=frames, rate=np.array([rate], float),
+        people=np.array([_name(row[0]) for row in moving or skeletons]),
         unit=np.array([geom.GetStageMetersPerUnit(stage)], float), up=np.array([str(geom.GetStageUpAxis(stage))]),
     )  # fmt: skip
+
+
+def _name(prim: Any) -> str:
+    """Name of the SkelRoot above, which is the character's; that of the skeleton may be any."""
+    return str(prim.GetParent().GetName() or prim.GetName())
 
 
 def _to_world(local: np.ndarray, parents: list[int], world: np.ndarray) -> np.ndarray:

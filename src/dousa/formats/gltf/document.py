@@ -131,7 +131,8 @@ class GltfDocument:
             return
         off = max(np.abs(limits[0] - values.min(axis=0)).max(), np.abs(limits[1] - values.max(axis=0)).max())
         if not off <= near * max(1.0, float(np.abs(values).max())):
-            self.notes += (Message("gltf.limits", number=index),)
+            note = Message("gltf.limits", number=index)
+            self.notes += () if note in self.notes else (note,)
 
 
 def _whole(value: object) -> int:

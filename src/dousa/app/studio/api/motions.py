@@ -25,6 +25,7 @@ from dousa.app.studio.content.motions import (
 )
 from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import FILE, Answer, RefusedError, attachment, say
+from dousa.formats.parts import file_of
 from dousa.formats.registry import read_character
 from dousa.library.export import ORIGINAL, ExportFormat, list_formats
 from dousa.messages import Message
@@ -187,7 +188,7 @@ def get_character(studio: StudioNow, motion: Annotated[_Character, Query()]) -> 
         {
             "motion": motion,
             "name": path.name,
-            "suffix": path.suffix.lower(),
+            "suffix": Path(file_of(path)).suffix.lower(),
             "n_joints": len(character.skeleton.names),
             "height_m": body.height,
             "notes": [say(note) for note in body.warnings],
