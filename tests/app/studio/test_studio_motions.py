@@ -13,6 +13,7 @@ from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import canonicalise
 from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.motion.synthetic import draw_performer, make_motion
+from formats import made_people
 
 
 def clip_of(studio, category, n=0):
@@ -284,3 +285,19 @@ def test_clips_that_are_gone(studio, wait_job):
     assert job["state"] == "failed"
     assert "9998" in job["problem"]
     assert studio.get(f"/api/exports/{job['id']}").status_code == 404
+
+
+def test_people_of_one_file_are_clips_of_their_own(studio, wait_job, tmp_path):
+    made_people.write_bvh(tmp_path / "two.bvh")
+    answer = studio.post("/api/uploads", params={"name": "two.bvh"}, content=(tmp_path / "two.bvh").read_bytes())
+    batch = answer.json()["batch"]
+    motion = studio.get("/api/motions/info", params={"motion": answer.json()["files"][0]["motion"]})
+    assert "Ben" in str(motion.json()["notes"]), motion.text
+    job = wait_job(studio, studio.post("/api/jobs/add", json={"batch": batch}).json()["id"])
+    assert job["state"] == "done", job
+    found = [clip for clip in studio.app.state.studio.library.clips() if "two.bvh" in clip.path]
+    assert sorted(clip.path.rpartition("#")[2] for clip in found) == ["person=Anna", "person=Ben"]
+    for clip in found:
+        for page in ("motions/info", "motions/bvh"):
+            answer = studio.get(f"/api/{page}", params={"motion": f"clip:{clip.id}"})
+            assert answer.status_code == 200, answer.text
