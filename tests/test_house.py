@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (480, 6),
 }
 TOTALS = {
-    "lines of tests": 61_143,
+    "lines of tests": 61_160,
     "lines of JavaScript": 12_467,
     "constants": 993,
     "numeric constants without a source": 1,
