@@ -92,6 +92,12 @@ def test_people(tmp_path):
     assert code_of(path, person="Ann") == "parts.no_person"
 
 
+@pytest.mark.parametrize(("film", "said"), [("VIBE", True), ("WHAM", False), ("GVHMR", False), ("PromptHMR", False)])
+def test_bodies_before_a_camera_say_so(tmp_path, film, said):
+    motion = read_motion(save(tmp_path / "x.pkl", made.make_joblib(FILMS[film])), up="y")
+    assert ("smpl.camera" in {note.code for note in motion.provenance.notes}) == said
+
+
 def test_joints_by_person(tmp_path):
     joints, _ = points.make_points("HumanML3D")
     path = save(tmp_path / "x.pkl", pickle.dumps({"person_1": joints[:20], "person_2": joints}))

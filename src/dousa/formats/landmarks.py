@@ -351,7 +351,7 @@ def read_landmarks(
     clock = Clock(recording.rate, recording.times, recording.numbers)
     return name_joints(
         path, "landmarks", places, _name_points(recording, people, points.shape[1]), unit=unit, up=up,
-        frame_rate=frame_rate, clock=clock, notes=(*notes, *_note_hips(places)),
+        frame_rate=frame_rate, clock=clock, notes=(*notes, *note_hips(places)),
     )  # fmt: skip
 
 
@@ -478,7 +478,7 @@ def _name_points(recording: Recording, people: list[Person | None], count: int) 
     return None
 
 
-def _note_hips(places: FloatArray, at_origin: float = 0.03) -> tuple[Message, ...]:
+def note_hips(places: FloatArray, at_origin: float = 0.03) -> tuple[Message, ...]:
     """Note a body whose hips stay within ``at_origin`` m of the origin: it does not travel."""
     if places.shape[1] != _LANDMARKS:
         return ()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -25,11 +25,20 @@ _TRACKS = ("tid", "tracked_ids", "track_ids", "person_ids")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """A body in a file: its name there ("" of the only one), its arrays, and the number of its frames."""
+    """A body in a file.
+
+    Parameters
+    ----------
+    name : of its person, or of the dictionary that holds it; "" of the only one.
+    arrays : by name.
+    n_frames : in which it is seen.
+    in_world : whether names say that it stands in the world.
+    """
 
     name: str
     arrays: Mapping[str, NDArray[Any]]
     n_frames: int
+    in_world: bool
 
 
 def as_array(value: Any) -> NDArray[Any] | None:
@@ -60,13 +69,19 @@ def list_bodies(content: Any, name: str = "", depth: int = 0, deepest: int = 6, 
         roles = find_roles(arrays)
         turns = read_rotations(arrays.get, roles).turns
         if turns is not None:
-            return [Body(name, arrays, len(turns))]
+            return [Body(name, arrays, len(turns), any(rank_place(one) == 0 for one in arrays))]
     found = {str(key): bodies for key, value in content.items() if (bodies := list_bodies(value, str(key), depth + 1))}
     people = name_people(found)
     if people:
-        return [Body(who if len(own) == 1 else f"{who} {body.name}", body.arrays, body.n_frames)
-                for who, own in people.items() for body in own]  # fmt: skip
-    return found[min(found, key=rank_place)] if found else []
+        return [
+            replace(body, name=who if len(own) == 1 else f"{who} {body.name}")
+            for who, own in people.items()
+            for body in own
+        ]
+    if not found:
+        return []
+    best = min(found, key=rank_place)
+    return [replace(body, in_world=body.in_world or rank_place(best) == 0) for body in found[best]]
 
 
 def name_people(found: Mapping[str, _Value]) -> dict[str, _Value]:

@@ -73,6 +73,8 @@ def build_content(
         names = distinguish(body.name or "1" for body in bodies)
         chosen, notes = choose(path, "person", names, person, [body.n_frames for body in bodies])
         body = bodies[chosen]
+        if body.name and not body.in_world:
+            notes += (Message("smpl.camera"),)
         return build_smpl(
             path, body.arrays.get, body.arrays, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate,
             # A film says no up axis: bodies by person stand in the axes of a camera, or of the program's own world.

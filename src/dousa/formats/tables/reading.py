@@ -25,7 +25,7 @@ from dousa.formats.arrays.joints import BODY_OF, list_layouts, name_joints
 from dousa.formats.assembly import declared_unit
 from dousa.formats.guard import Clock
 from dousa.formats.guard.people import take_person
-from dousa.formats.landmarks import refuse_pictures
+from dousa.formats.landmarks import note_hips, refuse_pictures
 from dousa.formats.optical import read_motive, read_qualisys
 from dousa.formats.optical.cells import is_number, read_rows
 from dousa.formats.parts import choose
@@ -256,6 +256,7 @@ def _build(
     refuse_pictures(path, np.concatenate((points, sure[..., None]), axis=2))
     if columns.counted and points.shape[1] in BODY_OF:
         points = points[:, : BODY_OF[points.shape[1]]]
+    notes += note_hips(points)
     known = columns.counted and any(len(layout.names) == points.shape[1] for layout in list_layouts())
     return name_joints(
         path, "csv", points, None if known else names[: points.shape[1]], unit=unit, up=up, frame_rate=frame_rate,
