@@ -18,7 +18,6 @@ from dousa.formats.guard import (
     check_body,
     find_shift,
     keep_offsets,
-    measure_cloud,
     note_shift,
     settle_clock,
     settle_positions,
@@ -86,7 +85,7 @@ def settle_motion(
 
     known_unit = unit_in_file if unit is None else parse_unit(unit)
     known_up = up_in_file if up is None else parse_up(up)
-    timeline = settle_clock(path, clock, len(rotations))
+    timeline = settle_clock(path, clock, len(rotations), rotations)
     rotations, translations = timeline.place(rotations), timeline.place(translations)
     values = None if values is None else timeline.place(values)
     try:
@@ -112,8 +111,7 @@ def settle_motion(
                 )
 
             sample = place(some)
-            cloud = measure_cloud(sample.positions)
-            translations, lost = settle_roots(path, skeleton, rotations, translations, cloud)
+            translations, lost = settle_roots(path, skeleton, rotations, translations, sample.positions)
             frame, notes = infer(place(some) if lost else sample), (*notes, *timeline.notes, *lost)
             roots = np.flatnonzero(skeleton.parents < 0)
             shift = find_shift(translations[:, roots], frame.unit)

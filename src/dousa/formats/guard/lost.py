@@ -22,7 +22,7 @@ class Cloud:
     size: float
 
 
-def measure_cloud(positions: FloatArray, most: int = 50) -> Cloud:
+def measure_cloud(positions: FloatArray, most: int = 20) -> Cloud:
     """Measure the points of a file, robust against strays; of a single point how far it gets around.
 
     Parameters
@@ -32,44 +32,44 @@ def measure_cloud(positions: FloatArray, most: int = 50) -> Cloud:
     """
     sample = positions[:: -(-len(positions) // most)]
     with np.errstate(over="ignore", invalid="ignore"):
-        seen = np.isfinite(sample).all(axis=2) & ~_equal_sides(sample)
+        seen = np.isfinite(sample.sum(axis=2)) & ~_equal_sides(sample)
         counts = seen.sum(axis=1)
-        sample, seen, counts = (array[counts > 0] for array in (sample, seen, counts))
-        if len(sample) == 0:
-            return Cloud(np.zeros(3), 0.0)
+        if not counts.all():
+            sample, seen, counts = (array[counts > 0] for array in (sample, seen, counts))
+            if len(sample) == 0:
+                return Cloud(np.zeros(3), 0.0)
         ranked = np.sort(np.where(seen[..., None], sample, np.nan), axis=1)  # NaN last
-        frames = np.arange(len(sample))
-        low, middle, high = (ranked[frames, np.rint(share * (counts - 1)).astype(int)] for share in (0.1, 0.5, 0.9))
+        shares = np.rint(np.multiply.outer((0.1, 0.5, 0.9), counts - 1)).astype(np.intp)
+        low, middle, high = ranked[np.arange(len(sample)), shares]
         size = float(np.median((high - low).max(axis=1))) or float(np.ptp(middle, axis=0).max())
     return Cloud(np.median(middle, axis=0), size)
 
 
-def find_lost(positions: FloatArray, cloud: Cloud | None = None, *, can_rest: bool = False) -> BoolArray | None:
+def find_lost(positions: FloatArray, *, can_rest: bool = False, body: FloatArray | None = None) -> BoolArray | None:
     """Find the points that were not seen and yet have coordinates: (T, K), None if there are none.
 
     Parameters
     ----------
     positions : (T, K, 3) in any unit; NaN where missing.
-    cloud : of these points, or of the body that they belong to.
     can_rest : whether a zero before the first and after the last other place is one: roots stand there at rest.
+    body : (T', K', 3) points of the body that these belong to, if they are not all of it.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         equal = _equal_sides(positions)
+        if can_rest and equal.any():
+            away = (positions != 0).any(axis=2)
+            within = np.maximum.accumulate(away, axis=0) & np.maximum.accumulate(away[::-1], axis=0)[::-1]
+            equal &= within
         suspected = bool(equal.any())
-        if not suspected and positions.shape[1] < 3:
+        if not suspected and (positions.shape[1] < 3 or body is not None):
             return None
-        cloud = cloud or measure_cloud(positions)
+        cloud = measure_cloud(positions if body is None else body)
         if not cloud.size > 0:
             return None
-        lost = np.zeros(positions.shape[:2], bool)
+        lost = _strays(positions, equal, cloud) if positions.shape[1] > 2 else np.zeros(equal.shape, bool)
         if suspected:
             frames, points = np.nonzero(equal)
-            lost[frames, points] = _jumps(positions, equal, frames, points, cloud)
-            if can_rest:
-                away = (positions != 0).any(axis=2)
-                lost &= np.maximum.accumulate(away, axis=0) & np.maximum.accumulate(away[::-1], axis=0)[::-1]
-        if positions.shape[1] > 2:
-            lost |= _strays(positions, equal, cloud)
+            lost[frames, points] |= _jumps(positions, equal, frames, points, cloud)
     return lost if lost.any() else None
 
 
@@ -88,9 +88,9 @@ def _strays(positions: FloatArray, equal: BoolArray, cloud: Cloud, most: float =
 
 def _equal_sides(positions: FloatArray) -> BoolArray:
     """(T, K) whether all three coordinates have one size."""
-    x, y, z = (np.abs(positions[..., axis]) for axis in range(3))
-    equal: BoolArray = (x == y) & (y == z)
-    return equal
+    y = np.abs(positions[..., 1])
+    equal: BoolArray = np.abs(positions[..., 0]) == y
+    return equal & (y == np.abs(positions[..., 2])) if equal.any() else equal
 
 
 def _jumps(

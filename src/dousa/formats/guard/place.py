@@ -13,7 +13,7 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
-from dousa.formats.guard.lost import Cloud, find_lost
+from dousa.formats.guard.lost import find_lost
 from dousa.messages import Message
 from dousa.motion.types import Skeleton
 
@@ -56,7 +56,7 @@ def settle_roots(
     skeleton: Skeleton,
     rotations: FloatArray,
     translations: FloatArray,
-    cloud: Cloud,
+    some: FloatArray,
 ) -> tuple[FloatArray, tuple[Message, ...]]:
     """Take lost places of the roots of a motion as missing, and refuse places that are none.
 
@@ -66,7 +66,7 @@ def settle_roots(
     skeleton : of the motion.
     rotations, translations : (T, J, 4) and (T, J, 3) local poses in any unit; changed in place if they can be written
         to.
-    cloud : of the joints in the world, in some of the frames.
+    some : (T', J, 3) positions of the joints in the world, in some of the frames.
 
     Returns
     -------
@@ -80,11 +80,12 @@ def settle_roots(
         if not abs(float(translations.sum())) < _EARTH:  # spares the look at every value
             check_place(path, skeleton.names, translations)
     roots = np.flatnonzero(skeleton.parents < 0)
-    lost = find_lost(translations[:, roots], cloud, can_rest=True)
+    places = translations[:, :1] if len(roots) == 1 and roots[0] == 0 else translations[:, roots]
+    lost = find_lost(places, can_rest=True, body=some)
     notes = []
     if lost is not None:
         frame, root = np.argwhere(lost)[0]
-        example = " ".join(f"{number:.7g}" for number in translations[frame, roots[root]])
+        example = " ".join(f"{number:.7g}" for number in places[frame, root])
         notes.append(Message("guard.lost", n=int(lost.sum()), total=lost.size, example=example))
         translations = translations if translations.flags.writeable else translations.copy()
         translations[:, roots] = np.where(lost[..., None], np.nan, translations[:, roots])
@@ -129,9 +130,9 @@ def find_shift(positions: FloatArray, unit: float) -> FloatArray | None:
     unit : metres per unit.
     """
     limit = _FAR / unit
+    if positions.size == 0 or np.abs(positions[0]).max() <= limit:  # spares the look at every value
+        return None
     rows = positions.reshape(-1, 3)
-    if not np.fmax.reduce(np.abs(rows[0]), initial=0.0) > limit / 2 and np.isfinite(rows[0]).all():
-        return None  # spares the look at every value
     low, high = np.fmin.reduce(rows), np.fmax.reduce(rows)
     out = np.maximum(low, -high) > limit
     if not out.any():
