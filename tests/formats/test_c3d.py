@@ -239,7 +239,7 @@ def test_names_that_do_not_fit(tmp_path, name):
 def test_what_does_not_fit(tmp_path):
     path = tmp_path / "x.c3d"
     with pytest.raises(MotionWriteError, match="range"):
-        write_c3d(Trajectories(("a",), np.full((1, 1, 3), 1e37), 1.0), path)
+        write_c3d(Trajectories(("a", "b"), np.array([[[0, 0, 0], [1e37, 0, 0]]]), 1.0), path)
     many = tuple("x" * 200 + str(number) for number in range(1000))
     with pytest.raises(MotionWriteError, match="do not fit"):
         write_c3d(Trajectories(many, np.zeros((1, 1000, 3)), 1.0), path)

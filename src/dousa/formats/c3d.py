@@ -29,7 +29,7 @@ from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.assembly import declared_unit, settle_trajectories
-from dousa.formats.guard import Clock, check_points, compare_bytes
+from dousa.formats.guard import EXACT, Clock, check_points, compare_bytes, find_shift
 from dousa.messages import Message
 from dousa.motion import Motion, Trajectories
 
@@ -244,18 +244,22 @@ _MOST_LABELS, _FULL_COUNTER = 255, 65_535
 def write_c3d(motion: Trajectories, path: str | os.PathLike[str]) -> None:
     """Write trajectories as a C3D file, in mm with Y up, as 32-bit floats.
 
-    Missing positions get the residual -1. Names are kept; the tree and the rest pose are lost.
+    Missing positions get the residual -1. Names are kept; the tree and the rest pose are lost. What is so far from the
+    origin that 32 bits resolve no micrometre is moved to it; the parameter DOUSA:SHIFT has what was taken off, in mm.
 
     Raises
     ------
     MotionWriteError : names that C3D cannot hold, too many points, positions too large, a disk error.
     """
     names = [_check_name(path, name) for name in motion.names]
+    shift = find_shift(motion.positions, far=EXACT)
+    if shift is not None:
+        motion = motion.replace(positions=motion.positions - shift)
     # The place of the data is in the parameters, whose size does not depend on it.
-    blocks = -(-len(_parameter_section(motion, names, 0)) // BLOCK)
+    blocks = -(-len(_parameter_section(motion, names, 0, shift)) // BLOCK)
     if len(names) > _FULL_COUNTER or blocks > 255:
         raise MotionWriteError(path, "c3d.too_many_points", count=len(names))
-    section = _parameter_section(motion, names, 2 + blocks).ljust(blocks * BLOCK, b"\0")
+    section = _parameter_section(motion, names, 2 + blocks, shift).ljust(blocks * BLOCK, b"\0")
     section = section[:2] + bytes([blocks]) + section[3:]
     with atomic_write(path) as file:
         file.write(_header(motion, 2 + blocks))
@@ -294,7 +298,7 @@ def _header(motion: Trajectories, data_block: int) -> bytes:
     return start.ljust(BLOCK, b"\0")
 
 
-def _parameter_section(motion: Trajectories, names: list[bytes], data_block: int) -> bytes:
+def _parameter_section(motion: Trajectories, names: list[bytes], data_block: int, shift: FloatArray | None) -> bytes:
     frames = motion.n_frames
     point = [
         _integers("USED", [len(names)]),
@@ -319,6 +323,8 @@ def _parameter_section(motion: Trajectories, names: list[bytes], data_block: int
             _integers("ACTUAL_END_FIELD", [frames % 65_536, frames // 65_536]),
         ],
     }
+    if shift is not None:
+        groups["DOUSA"] = [_texts("SHIFT", [" ".join(map(repr, (shift * 1000).tolist())).encode()])]
     section = bytes([1, _MAGIC, 0, _INTEL])
     for group_id, (name, parameters) in enumerate(groups.items(), 1):
         section += struct.pack("bb", len(name), -group_id) + name.encode() + b"\3\0\0"
@@ -377,6 +383,9 @@ def read_c3d(
         return _read_segments(sections, data, unit=unit, up=up)
     chosen, names = _choose_points(sections)
     positions, clock, notes = _read_positions(sections, data, chosen)
+    shift = [float(word) for word in " ".join(sections.texts("DOUSA:SHIFT")).split()]
+    if len(shift) == 3:  # see `write_c3d`
+        positions += shift
     units = sections.texts("POINT:UNITS")
     return settle_trajectories(
         path,

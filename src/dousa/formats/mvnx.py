@@ -28,7 +28,7 @@ from dousa.formats.assembly import (
     settle_motion,
     settle_trajectories,
 )
-from dousa.formats.guard import Clock
+from dousa.formats.guard import Clock, settle_positions
 from dousa.formats.parts import choose, distinguish
 from dousa.formats.smpl import mean_body
 from dousa.messages import Message
@@ -109,6 +109,9 @@ def read_mvnx(
     segments = segments or [ET.Element("segment", label=name) for name in names]
     if not names or len(names) > 500 or len(set(names)) != len(names):
         raise MotionFileError(path, "mvnx.segments", found=len(names))
+    declared = subject.get("segmentCount", "")
+    if declared.isdecimal() and len(declared) < 9 and int(declared) > len(names):
+        raise MotionFileError(path, "mvnx.segment_count", declared=int(declared), found=len(names))
     frames = [node for group in _children(subject, "frames") for node in _children(group, "frame")]
     taken = [frame for frame in frames if frame.get("type", "normal") == "normal"]
     if not taken:
@@ -136,6 +139,8 @@ def read_mvnx(
         rotations, _ = localise(parents, normalise(world[:, order]), turned)
         translations = np.tile(offsets, (len(taken), 1, 1))
     else:
+        positions, lost = settle_positions(path, names, positions)
+        notes += lost
         rotations, translations = localise(parents, normalise(world[:, order]), positions[:, order])
         offsets = median_offsets(translations) if resting is None else rest_offsets(parents, resting[order])
     tips = [_find_point(segments[index], _TIPS.get(names[index], "")) for index in order]
@@ -206,7 +211,7 @@ def _read_clock(subject: ET.Element, frames: list[ET.Element]) -> Clock:
     """The rate; ``index`` and ``time`` (ms from the start) of every frame."""
     numbers, times = (np.array([_number(frame.get(key, "")) for frame in frames]) for key in ("index", "time"))
     rate = subject.get("frameRate", "").strip()
-    return Clock(_number(rate) if rate else None, times, numbers)
+    return Clock(_number(rate) if rate else None, times / 1000, numbers)
 
 
 def _number(text: str) -> float:
@@ -227,7 +232,7 @@ def _read_values(
             row = np.array([float(word) for word in (node.text or "").split()] if node is not None else [])
         except ValueError:
             raise MotionFileError(path, "mvnx.number", name=name, frame=number) from None
-        if len(row) < count * width or not np.isfinite(row).all():
+        if len(row) < count * width:
             raise MotionFileError(path, "mvnx.count", name=name, frame=number, expected=count * width, found=len(row))
         rows.append(row[: count * width])  # props come after the segments of the body
     return np.array(rows).reshape(len(frames), count, width)

@@ -18,6 +18,7 @@ from dousa.files.disk import atomic_write
 from dousa.formats.gltf.document import FLOAT, UINT, USHORT, pack_document
 from dousa.formats.gltf.reading import GltfLayout
 from dousa.formats.gltf.tree import JointTree
+from dousa.formats.guard import EXACT, find_shift
 from dousa.motion import Motion, compute_rest_positions
 from dousa.motion.canonical.reference_frame import ReferenceFrame, from_reference_frame
 from dousa.motion.rotations import conjugate, multiply, rotate
@@ -76,7 +77,18 @@ def write_glb(motion: Motion, path: str | os.PathLike[str]) -> None:
     else:
         tree = {"asset": {"version": "2.0", "generator": "dousa"}, "scene": 0}
         buffer = _Buffer(tree)
+        roots = np.flatnonzero(motion.skeleton.parents < 0)
+        shift = find_shift(motion.translations[:, roots], far=EXACT)
+        if shift is not None:
+            moved = motion.translations.copy()
+            moved[:, roots] -= shift
+            motion = motion.replace(translations=moved)
         _add_skeleton(motion, tree, buffer)
+        if shift is not None:  # the numbers of JSON have 64 bits, those of an animation 32
+            tree["nodes"].append(
+                {"name": "place", "translation": shift.tolist(), "children": tree["scenes"][0]["nodes"]}
+            )
+            tree["scenes"] = [{"nodes": [len(tree["nodes"]) - 1]}]
         turns, moves = _continuous(motion.rotations), motion.translations
         moving: BoolArray = np.max(np.abs(moves - motion.skeleton.offsets), axis=(0, 2)) > 1e-6
         turning: BoolArray = np.logical_or(~motion.skeleton.end_sites, (np.abs(turns[..., 1:]) > 1e-7).any(axis=(0, 2)))

@@ -294,7 +294,7 @@ def _choose_rate(
             if low * ticks * (1 - near) <= declared <= high * ticks * (1 + near):
                 return float(declared), _question(declared)
     if measured is not None:
-        for ticks in _TICKS if not sound else (1.0,):
+        for ticks in _TICKS:
             rate = _simplest(measured[0] * ticks, measured[1] * ticks)
             if _LOWEST <= rate <= _HIGHEST:
                 if declared is None:

@@ -24,6 +24,11 @@ _FAR = 1000.0
 """m, by definition: fields where motion is recorded are smaller. Numbers of 32 bits resolve 0.06 mm there."""
 
 
+EXACT = 16.0
+"""m: so far numbers of 32 bits resolve a micrometre, by the definition of IEEE 754; formats of such write what is
+farther out about a place of their own."""
+
+
 def settle_positions(
     path: str | os.PathLike[str], names: Sequence[str], positions: FloatArray
 ) -> tuple[FloatArray, tuple[Message, ...]]:
@@ -118,7 +123,7 @@ def check_place(path: str | os.PathLike[str], names: Sequence[str], positions: F
         raise MotionFileError(path, "guard.no_place", name=names[point], frame=int(frame) + 1, found=value)
 
 
-def find_shift(positions: FloatArray, unit: float) -> FloatArray | None:
+def find_shift(positions: FloatArray, unit: float = 1.0, far: float = _FAR) -> FloatArray | None:
     """Find by how much (3,) to move points so that numbers of 32 bits hold them; None where these do anyway.
 
     An axis is shifted if all points are far out on it: by a round number, so that the files of one scene mostly move
@@ -128,8 +133,9 @@ def find_shift(positions: FloatArray, unit: float) -> FloatArray | None:
     ----------
     positions : (T, K, 3) in the file's unit, NaN where missing.
     unit : metres per unit.
+    far : m from the origin.
     """
-    limit = _FAR / unit
+    limit = far / unit
     if positions.size == 0 or np.abs(positions[0]).max() <= limit:  # spares the look at every value
         return None
     rows = positions.reshape(-1, 3)
