@@ -23,7 +23,7 @@ ROOMS = {
     "evaluation": (12_369, 43),
     "experiments": (1_809, 10),
     "files": (855, 7),
-    "formats": (12_497, 70),
+    "formats": (12_543, 70),
     "library": (15_674, 55),
     "messages": (234, 3),
     "motion": (6_340, 34),
@@ -31,9 +31,9 @@ ROOMS = {
     "workers": (480, 6),
 }
 TOTALS = {
-    "lines of tests": 61_166,
+    "lines of tests": 61_567,
     "lines of JavaScript": 12_467,
-    "constants": 993,
+    "constants": 994,
     "numeric constants without a source": 1,
     "functions over 60 lines": 20,
     "files over 650 lines": 0,
