@@ -50,6 +50,11 @@ def _of(points: np.ndarray, name: str) -> np.ndarray:
         ("LASI RASI SACR LKNE RKNE LANK RANK LTOE RTOE", _joints(ARMS)),
         ("r_acromion r_humerus_epicondyle r_radius_styloid", _joints(LEGS) | _joints(ARMS, ("left",))),
         ("LGT RGT LKNE RKNE LANK RANK", _joints(ARMS)),
+        # one side only: the first letter is the side, though lkne could be a lateral knee
+        ("LSHO LUPA LELB LFRM LWRA LWRB LFIN", _joints(LEGS) | _joints(ARMS, ("right",))),
+        ("LASI RASI LPSI RPSI LTHI LKNE LTIB LANK LHEE LTOE", _joints(ARMS) | _joints(("knee", "ankle"), ("right",))),
+        ("lule rule luar ruar llar rlar lhan rhan pelv neck head", _joints(("knee", "ankle"))),
+        ("luar ruar llar rlar lhan rhan neck head", _joints(LEGS)),
     ],
 )  # fmt: skip
 def test_marker_sets(names: str, missing: set[str]) -> None:

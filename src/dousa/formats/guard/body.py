@@ -76,10 +76,11 @@ def check_body(
         return (Message("guard.no_size"),)
     recipe = mapped.chosen.recipe
     points = mapped.points.copy()
-    points[:, [row for joint, row in JOINT_INDEX.items() if joint not in recipe.sources]] = np.nan
+    known = {*recipe.sources, *recipe.estimated}
+    points[:, [row for joint, row in JOINT_INDEX.items() if joint not in known]] = np.nan
 
     def name(joint: str) -> str:
-        return names[recipe.sources[joint][0]]
+        return names[recipe.sources[joint][0]] if joint in recipe.sources else joint
 
     found = [*_find_crossed(name, points), *_find_exchanged(name, points)]
     if parents is not None and translations is not None:
