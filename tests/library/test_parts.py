@@ -108,3 +108,14 @@ def test_each_animation_is_a_clip(library, shared_data):
     assert len(report.added) == 3
     assert names(library) == [f"moves.glb#animation={name}" for name in ("Idle", "Kick", "Walk")]
     assert len({clip.n_frames for clip in library.clips()}) > 1
+
+
+def test_labels_beside_a_take_are_those_of_all_its_people(tmp_path, library):
+    write_bvh(tmp_path / "two.bvh")
+    (tmp_path / "two.labels.csv").write_text("start_s,end_s,category\n0.1,0.3,walk\n")
+    for changed in (2, 0):
+        report = library.add(tmp_path, kind="take", labels_from="beside")
+        assert (len(report.labelled), report.warnings) == (changed, ())
+    assert [[part.category for part in take.segments] for take in library.annotations.read()] == [["walk"]] * 2
+    assert sum("#t=" in clip.path for clip in library.clips()) == 2
+    assert len(library.export(tmp_path / "out", to="bvh").written) == 4

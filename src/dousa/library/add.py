@@ -145,7 +145,7 @@ class Adding:
         # All tables before anything is written, so that an error in one leaves nothing half done.
         labels = {} if self._labels_from is None else find_labels(files, self._labels_from, self._tier)
         labels = {self._name(path): own for path, own in labels.items()}
-        tasks = self._plan()
+        tasks = self._plan(labels)
         self._check_known(labels)
         try:
             self._read(tasks, labels, n_jobs, report)
@@ -363,7 +363,7 @@ class Adding:
             return join_address(path, {kind: name for kind, name in self._part.items() if kind != "animation"})
         return join_address(path, self._part)
 
-    def _plan(self) -> list[ReadTask]:
+    def _plan(self, labels: dict[str, FoundLabels]) -> list[ReadTask]:
         """Return the files to open; unchanged files are tallied."""
         table = schema.clips.c
         columns = (table.path, table.content_hash, table.fingerprint, table.size, table.read_options)
@@ -379,11 +379,11 @@ class Adding:
                 rows = [stored[path]] if path in stored else parts.get(path, [])
                 same = state and all((r.fingerprint, r.read_options) == (state.fingerprint, options) for r in rows)
                 whole = path in stored or are_all({row.path: map(schema.as_message, row.warnings) for row in rows})
-                for row in rows if same and whole else ():
-                    self._found[row.path] = self._found[path]
-                    self._tally["unchanged"].append(row.path)
-                    self._note_labels(self._tally, row.path, row)
                 if rows and same and whole:
+                    self._rename(path, [row.path for row in rows], labels)
+                    for row in rows:
+                        self._tally["unchanged"].append(row.path)
+                        self._note_labels(self._tally, row.path, row)
                     continue
                 if not self._part:
                     self._of_file[path] = [row.path for row in rows]
@@ -559,6 +559,7 @@ def _read_parts_of_files(connection: sa.Connection) -> dict[str, list[Any]]:
     table = schema.clips.c
     columns = (table.path, table.content_hash, table.fingerprint, table.size, table.read_options, table.warnings)
     query = sa.select(*columns, table.category, table.performer, table.kind).order_by(table.id)
+    query = query.where(table.fingerprint != "")  # not the segments of a take
     parts: dict[str, list[Any]] = {}
     for row in connection.execute(query.where(sa.or_(*(table.path.contains(f"#{kind}=") for kind in KINDS)))):
         parts.setdefault(file_of(row.path), []).append(row)
