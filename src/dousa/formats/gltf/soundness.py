@@ -69,7 +69,8 @@ def check_samplers(document: GltfDocument, animation: dict[str, Any]) -> tuple[M
             if accessor.get("componentType") != FLOAT and (key == "input" or not accessor.get("normalized")):
                 raise document.fail("gltf.accessor", number=sampler[key])
             views.add(accessor.get("bufferView"))
-        outputs.append(sampler["output"])
+        spot = document.item("accessors", sampler["output"])
+        outputs.append((spot.get("bufferView"), spot.get("byteOffset", 0)))
     if len(set(outputs)) < len(outputs) and (unused := _count_unused(document)):
         notes.append(Message("gltf.unused_data", n=unused))
     if _lie_across(document, views):
@@ -78,7 +79,7 @@ def check_samplers(document: GltfDocument, animation: dict[str, Any]) -> tuple[M
 
 
 def _count_unused(document: GltfDocument) -> int:
-    """Accessors that nothing refers to; 0 where an extension may."""
+    """Accessors and views that nothing refers to; 0 where an extension may."""
     meshes, animations = document.items("meshes"), document.items("animations")
     if "extensions" in document.tree or any("extensions" in str(mesh) for mesh in meshes):
         return 0
@@ -90,11 +91,15 @@ def _count_unused(document: GltfDocument) -> int:
     used = {index for row in rows for index in row.values()} | {part.get("indices") for part in parts}
     used |= {skin.get("inverseBindMatrices") for skin in document.items("skins")}
     used |= {one.get(key) for row in animations for one in row.get("samplers", []) for key in ("input", "output")}
-    return sum(index not in used for index in range(len(document.items("accessors"))))
+    accessors, views = document.items("accessors"), document.items("bufferViews")
+    viewed = {item.get("bufferView") for item in (*accessors, *document.items("images"))}
+    return sum(index not in used for index in range(len(accessors))) + sum(
+        index not in viewed for index in range(len(views))
+    )
 
 
 def _lie_across(document: GltfDocument, animated: Iterable[Any]) -> bool:
-    """Whether a view of an animation shares some bytes with another view, and has others for itself."""
+    """Whether a view of an animation shares some bytes with another view, but not all."""
     spans = [
         (view.get("buffer", 0), view.get("byteOffset", 0), view.get("byteLength", 0))
         for view in document.items("bufferViews")
@@ -107,8 +112,7 @@ def _lie_across(document: GltfDocument, animated: Iterable[Any]) -> bool:
         others = edges[edges[:, 0] == buffer]
         begins, ends = others[:, 1], others[:, 1] + others[:, 2]
         overlapping = (begins < start + size) & (ends > start)
-        inside = ((begins <= start) & (ends >= start + size)) | ((begins >= start) & (ends <= start + size))
-        if (overlapping & ~inside).any():
+        if (overlapping & ~((begins == start) & (ends == start + size))).any():
             return True
     return False
 
