@@ -56,10 +56,12 @@ def test_an_option_that_is_there_twice_is_refused():
 def test_options_of_a_file_become_those_that_it_is_read_with(tmp_path):
     path = tmp_path / "joints.txt"
     path.write_text("left_knee = L_Kn\n", encoding="utf-8")
-    reading = UnitReading(["frame-rate=25", f"joint_map={path}", "any_skeleton", "skeleton=a.asf"], "cm", "z")
+    reading = UnitReading(["frame-rate=25", f"joint_map={path}", "any_skeleton", "skeleton=a.asf"], unit="cm", up="z")
     assert reading.load() == ReadOptions({"left_knee": ("L_Kn",)}, "cm", "z", Path("a.asf"), 25.0, True)
     assert reading.files == (Path("a.asf"), path)
     assert Reading().load() == ReadOptions() and Reading(["any_skeleton=no"]).load() == ReadOptions()
+    assert UnitReading(file_rate=25, person="Ben").load() == ReadOptions(frame_rate=25.0, person="Ben")
+    assert Reading(["animation=2"], file_rate=60).load() == ReadOptions(frame_rate=60.0, animation="2")
     with pytest.raises(OptionError):
         Reading([f"joint_map={tmp_path / 'missing.txt'}"]).load()
 

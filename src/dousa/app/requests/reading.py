@@ -31,6 +31,10 @@ class Reading:
             "any_skeleton (also animals); markers (on the skin, though named like joints; markers=no: joints).",
         ),
     ] = None
+    file_rate: Annotated[
+        float | None,
+        typer.Option("--file-rate", metavar="HZ", help="Frame rate of motion files, whatever they say themselves."),
+    ] = None
 
     @property
     def values(self) -> dict[str, Any]:
@@ -40,7 +44,11 @@ class Reading:
         ------
         OptionError : an unknown key, a key without a value, one given twice, a value that cannot be understood.
         """
-        return _parse(self.read or ())
+        return _parse((*(self.read or ()), *(f"{key}={value}" for key, value in self._given() if value is not None)))
+
+    def _given(self) -> tuple[tuple[str, Any], ...]:
+        """The keys that have options of their own."""
+        return (("frame_rate", self.file_rate),)
 
     @property
     def files(self) -> tuple[Path | None, ...]:
@@ -79,11 +87,6 @@ class UnitReading(Reading):
         str | None,
         typer.Option("--up", help="Axis of the file that points up: y, z, x, -y ... Default: inferred."),
     ] = None
-
-    file_rate: Annotated[
-        float | None,
-        typer.Option("--file-rate", metavar="HZ", help="Frame rate of the file, whatever it says itself."),
-    ] = None
     person: Annotated[
         str | None,
         typer.Option(
@@ -95,17 +98,9 @@ class UnitReading(Reading):
         typer.Option("--animation", metavar="NAME|N", help="Which of several animations. Default: the longest."),
     ] = None
 
-    @property
-    def values(self) -> dict[str, Any]:
-        """The options by name, as `ReadOptions` takes them; see `Reading.values`."""
-        given = (
-            ("unit", self.unit),
-            ("up", self.up),
-            ("frame_rate", self.file_rate),
-            ("person", self.person),
-            ("animation", self.animation),
-        )
-        return _parse((*(self.read or ()), *(f"{key}={value}" for key, value in given if value is not None)))
+    def _given(self) -> tuple[tuple[str, Any], ...]:
+        parts = (("person", self.person), ("animation", self.animation))
+        return (("unit", self.unit), ("up", self.up), ("frame_rate", self.file_rate), *parts)
 
 
 def _parse(texts: Iterable[str]) -> dict[str, Any]:
