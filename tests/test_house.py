@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (480, 6),
 }
 TOTALS = {
-    "lines of tests": 61_583,
+    "lines of tests": 61_585,
     "lines of JavaScript": 12_467,
     "constants": 994,
     "numeric constants without a source": 1,
@@ -41,7 +41,7 @@ TOTALS = {
     "lines with words that a native reader stumbles over": 48,
     "hand-written runs of a mask": 3,
     "commands": 30,
-    "options": 211,
+    "options": 222,
 }
 
 _LONG_FUNCTION, _LONG_FILE, _LARGE_FOLDER = 60, 650, 15
