@@ -4,8 +4,8 @@ The rigs and point sets of ``../shared/data``, one file of each skeleton: as the
 behind all names, cut to a part of the body, exchanged left and right, and (rigs) with names that say nothing. Truth is
 what the untouched file gives, where its names are known. A row for each change: right; fewer joints than the file has;
 refused; wrong, but with a note of it; WRONG without one. Twice: for the half of the producers on which rules may be
-chosen, and for the half kept back (by the SHA-256 of the producer's name). Run: python -m lab.trials.foreign_rigs
-[--shown N] prints the first N that are not right.
+chosen, and for the half kept back (by the SHA-256 of the producer's name). Run: python -m lab.trials.foreign_rigs [--bodies
+N] [--shown N], which prints the first N that are not right.
 """
 
 from __future__ import annotations
@@ -79,13 +79,18 @@ class Body:
         return own
 
 
-def read_bodies() -> list[Body]:
-    """One file of each producer and skeleton that holds all required joints, with a map by names."""
+def read_bodies(most: int = 1000) -> list[Body]:
+    """One file of each producer and skeleton that holds all required joints, with a map by names; the first of them."""
     bodies, seen = [], set()
     for folder in FOLDERS:
         for path in sorted((SHARED_DATA / folder).rglob("*")):
             producer = path.parent.name if folder == "foreign" else folder
-            if not path.is_file() or path.stat().st_size > 20_000_000 or sum(one[0] == producer for one in seen) > 4:
+            if (
+                len(bodies) == most
+                or not path.is_file()
+                or path.stat().st_size > 20_000_000
+                or sum(one[0] == producer for one in seen) > 4
+            ):
                 continue
             try:
                 motion = read_motion(path)
@@ -190,8 +195,9 @@ def main() -> None:
     """Read the command line, try, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--shown", type=int, default=0, metavar="N", help="print the first N that are not right")
-    shown = parser.parse_args().shown
-    bodies = read_bodies()
+    parser.add_argument("--bodies", type=int, default=1000, metavar="N", help="take the first N only")
+    given = parser.parse_args()
+    shown, bodies = given.shown, read_bodies(given.bodies)
     counts: dict[str, tuple[Counter[str], Counter[str]]] = defaultdict(lambda: (Counter(), Counter()))
     for body in bodies:
         held = int(hashlib.sha256(body.producer.encode()).hexdigest(), 16) % 2

@@ -135,6 +135,7 @@ BENCHMARKS = {
     "benchmarks.ranking": "--queries 1 --repeats 1",
     "benchmarks.reading": "../shared/data --repeats 1",
     "trials.recognition": "",
+    "trials.foreign_rigs": "--bodies 3",
     "trials.retargeting": "--pairs 2",  # a page only draws
     "reliability.many_writers": "--clips 60 --files 1 --trees 3",
     "trials.subsamples": "--clips 200 --drawn 50 --folds 1",
