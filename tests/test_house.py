@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (480, 6),
 }
 TOTALS = {
-    "lines of tests": 61_585,
+    "lines of tests": 61_586,
     "lines of JavaScript": 12_467,
     "constants": 994,
     "numeric constants without a source": 1,
