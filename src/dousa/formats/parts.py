@@ -85,7 +85,7 @@ def choose(
     else:
         chosen = _find(names, wanted)
         if chosen < 0:
-            raise MotionFileError(path, missing, found=wanted, known=tuple(names))
+            raise MotionFileError(path, missing, found=wanted[:60], known=tuple(names))
     if len(names) < 2:
         return chosen, ()
     others = (*names[:chosen], *names[chosen + 1 :])

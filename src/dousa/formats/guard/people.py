@@ -13,7 +13,7 @@ from dousa.arrays import BoolArray, IndexArray
 from dousa.formats.parts import choose, distinguish
 from dousa.messages import Message
 from dousa.motion import Motion, Provenance, Skeleton, Trajectories
-from dousa.motion.canonical.naming import group_owners, share_joints
+from dousa.motion.canonical.naming import group_owners, share_joints, shared_owner
 
 
 def take_person(
@@ -68,14 +68,10 @@ def split_trees(names: Sequence[str], parents: Any) -> dict[str, IndexArray]:
     trees: list[IndexArray] = [np.flatnonzero(roots == root) for root in np.flatnonzero(np.array(parents) < 0)]
     shared = share_joints([tuple(names[joint] for joint in tree.tolist()) for tree in trees])
     people = [tree for tree, like in zip(trees, shared, strict=True) if like]
-    titles = distinguish(_title([names[joint] for joint in tree.tolist()]) for tree in people)
-    return dict(zip(titles, people, strict=True)) if len(people) > 1 else {}
-
-
-def _title(names: Sequence[str]) -> str:
-    """The owner before the names of a tree, else the name of its root."""
-    owners = {name.partition(":")[0] if ":" in name else "" for name in names}
-    return owners.pop() if len(owners) == 1 and "" not in owners else names[0]
+    titles = [shared_owner([names[joint] for joint in tree.tolist()]) for tree in people]
+    if "" in titles or len(set(titles)) < len(titles):
+        titles = [names[tree[0]] for tree in people]
+    return dict(zip(distinguish(titles), people, strict=True)) if len(people) > 1 else {}
 
 
 def _name_trees(motion: Motion, trees: dict[str, IndexArray]) -> dict[str, IndexArray]:

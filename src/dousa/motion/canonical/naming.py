@@ -330,6 +330,13 @@ def group_owners(names: tuple[str, ...]) -> dict[str, tuple[int, ...]]:
     return people if len(people) > 1 else {}
 
 
+def shared_owner(names: Sequence[str]) -> str:
+    """Return the owner that all names begin with; "" if there is none."""
+    found = [_OWNER.match(name) for name in names]
+    owners = {match[1] or match[2] if match is not None else "" for match in found}
+    return owners.pop().strip() if len(owners) == 1 else ""
+
+
 def share_joints(
     bodies: Sequence[tuple[str, ...]],
     by_name: Sequence[bool] | None = None,
