@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 
+from dousa.formats.gltf.document import load_document, pack_document
 from dousa.formats.registry import write_motion
 from dousa.motion import Motion, Skeleton, canonicalise, compute_trajectories
 from dousa.motion.synthetic import draw_performer, make_motion
@@ -89,6 +90,26 @@ def write_motive(path):
     write_motion(both, path)
     path.write_text(path.read_text().replace("Anna_", "Anna:").replace("Ben_", "Ben:"))
     return ["Anna", "Ben"]
+
+
+def write_armatures(path):
+    """Two armatures that one animation moves, and another that moves the second alone."""
+    write_glb(path)
+    document = load_document(path)
+    tree, nodes = document.tree, document.tree["nodes"]
+    roots = [node for node in tree["scenes"][0]["nodes"] if nodes[node]["name"] == ANNA.skeleton.names[0]]
+    nodes += [{"name": name, "children": [root]} for name, root in zip(("Anna", "Ben"), roots, strict=True)]
+    rest = [node for node in tree["scenes"][0]["nodes"] if node not in roots]
+    tree["scenes"][0]["nodes"] = [len(nodes) - 2, len(nodes) - 1, *rest]
+    duet = tree["animations"][0] | {"name": "duet"}
+    own = [channel for channel in duet["channels"] if channel["target"]["node"] >= roots[1]]
+    solo = {
+        "name": "solo",
+        "samplers": [duet["samplers"][channel["sampler"]] for channel in own],
+        "channels": [{**channel, "sampler": number} for number, channel in enumerate(own)],
+    }
+    tree["animations"] = [duet, solo]
+    path.write_bytes(pack_document(tree, document.buffers[0]))
 
 
 SEGMENTS = {"Pelvis": "pelvis", "T8": "spine", "Neck": "neck", "Head": "head"} | {

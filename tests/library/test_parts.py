@@ -9,7 +9,7 @@ import pytest
 from dousa import Library
 from dousa.formats import ReadOptions, read_motion
 from dousa.formats.parts import file_of, split_address
-from formats.made_people import ANNA, BEN, join, prefixed, write_bvh, write_json
+from formats.made_people import ANNA, BEN, join, prefixed, write_armatures, write_bvh, write_json
 
 
 def names(library):
@@ -119,3 +119,16 @@ def test_labels_beside_a_take_are_those_of_all_its_people(tmp_path, library):
     assert [[part.category for part in take.segments] for take in library.annotations.read()] == [["walk"]] * 2
     assert sum("#t=" in clip.path for clip in library.clips()) == 2
     assert len(library.export(tmp_path / "out", to="bvh").written) == 4
+
+
+def test_animations_of_several_people_are_clips_of_those_who_move(tmp_path, library):
+    path = tmp_path / "x.glb"
+    write_armatures(path)
+    for added in (3, 0):
+        assert len(library.add(path).added) == added
+        assert names(library) == [
+            "x.glb#animation=duet&person=Anna", "x.glb#animation=duet&person=Ben", "x.glb#animation=solo",
+        ]  # fmt: skip
+    solo = read_motion(path, animation="solo")
+    assert "parts.still" in [note.code for note in solo.provenance.notes]
+    assert library.add(path, options=ReadOptions(animation="solo")).added == ()

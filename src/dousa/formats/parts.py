@@ -125,11 +125,10 @@ def list_untaken(path: str | os.PathLike[str], notes: Iterable[Message]) -> tupl
     notes : of reading it.
     """
     file, parts = split_address(path)
-    kinds = {taken: kind for kind, (taken, _, _) in _CODES.items()}
-    for note in notes:
-        if note.code in kinds:
-            names = (note.values["read"], *note.values["others"])
-            return tuple(join_address(file, {**parts, kinds[note.code]: name}) for name in names)
+    said = {note.code: note.values for note in notes}
+    for kind in KINDS:  # who moves depends on the animation
+        if values := said.get(_CODES[kind][0]):
+            return tuple(join_address(file, {**parts, kind: name}) for name in (values["read"], *values["others"]))
     return ()
 
 

@@ -219,7 +219,7 @@ class Adding:
         while tasks:
             several: list[Several] = []
             with closing(read_clips(tasks, n_jobs)) as answers:
-                for answer in answers:
+                for task, answer in zip(tasks, answers, strict=True):
                     if isinstance(answer, Several):
                         several.append(answer)
                         continue
@@ -228,8 +228,8 @@ class Adding:
                         own.clear()
                     elif answer.path in own:
                         own.remove(answer.path)
-                    if not isinstance(answer, Skipped) and answer.path not in self._found:  # a part by its number
-                        self._rename(self._name(file_of(answer.path)), [answer.path], labels)
+                    if not isinstance(answer, Skipped) and answer.path != task.path:  # a part by its number
+                        self._rename(task.path, [answer.path], labels)
                     yield answer
             for one in several:
                 self._rename(one.path, one.addresses, labels)
