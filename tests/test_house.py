@@ -26,12 +26,12 @@ ROOMS = {
     "formats": (12_548, 70),
     "library": (15_675, 55),
     "messages": (234, 3),
-    "motion": (6_340, 34),
+    "motion": (6_347, 34),
     "retrieval": (13_491, 46),
     "workers": (480, 6),
 }
 TOTALS = {
-    "lines of tests": 61_586,
+    "lines of tests": 61_620,
     "lines of JavaScript": 12_467,
     "constants": 994,
     "numeric constants without a source": 1,
