@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (480, 6),
 }
 TOTALS = {
-    "lines of tests": 61_620,
+    "lines of tests": 61_621,
     "lines of JavaScript": 12_467,
     "constants": 994,
     "numeric constants without a source": 1,
