@@ -43,7 +43,7 @@ test-postgres: $(VENV)/.dev
 
 # What CI runs with every submission: tests/submission.py says what is left to `make nightly`.
 submission: $(VENV)/.dev
-	$(PYTEST) $(MORE) -rR -m "not nightly" $(COVERED)
+	$(PYTEST) $(MORE) -rRs -m "not nightly" $(COVERED)
 
 # Everything: all tests in one go, those of libraries on PostgreSQL, style, types, the site and the packages.
 nightly: $(VENV)/.all
