@@ -246,8 +246,7 @@ class EstimationRequest:
                 values[name] = tuple(Path(path) for path in values[name])
         values["settings"] = choose_settings(values)
         values.setdefault("outputs", Outputs(**_pick(values, Outputs)))
-        own = _names(cls)  # a person of the films is not one of the motion files
-        values.setdefault("options", _read_options({name: value for name, value in values.items() if name not in own}))
+        values["options"] = _read_options(values)
         return cls(**_pick(values, cls))
 
     @property

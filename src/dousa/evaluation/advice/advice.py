@@ -177,6 +177,8 @@ def advise(assessment: Assessment, detail: str = "brief", *, most_brief: int = 3
         raise OptionError("advice.detail", known=DETAILS, detail=detail)
     if assessment.is_other_dance:
         return (Advice(Message("advice.other_dance"), "dance"),)
+    if assessment.score_formula.code == "grade.hardly":
+        return (Advice(assessment.score_formula, "dance"),)
     labels = [one.label for one in assessment.furi]
     dancers = PairedDancers(assessment.reference, assessment.performance, assessment.same_time)
     found = [
@@ -396,13 +398,13 @@ def _say_facing(assessment: Assessment, labels: Sequence[str]) -> tuple[Advice, 
 
 
 def praise(assessment: Assessment, *, most_praised: int = 3, praised_score: float = 70.0) -> Advice | None:
-    """Praise figures without errors, those with most movement first; None without such figures, or for another dance.
+    """Praise figures without errors, those with most movement first; None without such figures or a grade.
 
     Parameters
     ----------
     assessment : of a performance.
     """
-    if assessment.is_other_dance:
+    if assessment.is_other_dance or math.isnan(assessment.score):
         return None
     spoilt = [(event.start_s, event.end_s) for event in assessment.events]
     spoilt += [(lapse.start_s, lapse.end_s) for lapse in assessment.lapses]

@@ -26,6 +26,7 @@ from dousa.evaluation.errors.explain import Finding
 from dousa.evaluation.figures.curves import Curves, compute_curves
 from dousa.evaluation.figures.eigenspace import Eigenspace
 from dousa.evaluation.figures.furi import Furi, find_furi, fit_furi_eigenspaces, pool_takes, scale_furi
+from dousa.evaluation.grade.movement import compare_movements, describe_movement, find_side
 from dousa.evaluation.grade.references import (
     Comparison,
     ReferenceTakes,
@@ -80,7 +81,7 @@ def assess(
         differs between the takes is tolerated. Three make a calibrated grade, five a good one.
     performance : what is judged; any frame rate, place, heading and stature.
     furi : figures in frames of the first reference at its own rate; found by themselves if None.
-    side : ``"mirrored"`` for a pupil who dances facing the teacher, left for right.
+    side : ``"mirrored"`` for a pupil who dances facing the teacher, left for right; ``"auto"``: found by itself.
     tempo : ``"same"``: to the same music, being late is an error; ``"free"``: only hurrying and lagging within a
         few seconds is.
     weights : of segments, limbs, ``arms`` or ``legs``; 1 for those not named.
@@ -103,11 +104,14 @@ def assess(
     takes = [reference] if isinstance(reference, CanonicalMotion) else list(reference)
     shares = spread_weights(weights)
     check_importance(importance)
-    postures, played = compute_all_postures(takes, performance, side=side, tempo=tempo, names=names)
+    asked = "same" if side == "auto" else side
+    postures, played = compute_all_postures(takes, performance, side=asked, tempo=tempo, names=names)
+    if side == "auto" and find_side(postures, played) == "mirrored":
+        played, asked = mirror_postures(played), "mirrored"
     shares = leave_out(shares, postures, played)
     references = prepare_references(postures, tempo, shares, importance=importance)
     figures = scale_furi(furi, takes[0], references.postures) if furi else find_furi(references.postures)
-    return judge(references, figures, played, side=side, tempo=tempo, weights=shares)
+    return judge(references, figures, played, side=asked, tempo=tempo, weights=shares)
 
 
 def compute_all_postures(
@@ -175,6 +179,8 @@ def compare_bodies(
     """Compare a performance with the takes, and remove the offset of its body."""
     working = thin_postures(performance)
     comparison = compare(references.working, working, tempo, weights, references.between)
+    ours = describe_movement(performance)
+    comparison = replace(comparison, movement=tuple(compare_movements(one, ours) for one in references.movements))
     return comparison, take_out_of_postures(performance, working, comparison.offset)
 
 

@@ -22,6 +22,7 @@ from dousa.evaluation.errors.evidence import (
 from dousa.evaluation.errors.explain import Finding, explain_all
 from dousa.evaluation.errors.findings import measure_suspects
 from dousa.evaluation.errors.judge import load_judge
+from dousa.evaluation.grade.movement import Difference, Movement, describe_movement
 from dousa.evaluation.grade.parts import PARTS, Measured, learn_importance, measure_parts
 from dousa.evaluation.posture.posture import PostureSequence, Working, interpolate_segments, thin_postures
 from dousa.evaluation.posture.yaw import Offset, estimate_offset, find_missing, learn_between, take_out
@@ -47,6 +48,7 @@ class ReferenceTakes:
     measured: tuple[Measured, ...] = ()  # of each of the further ones against all others
     # (9,) weights of the segments in the grade, see `learn_importance`
     importance: FloatArray = field(default_factory=lambda: np.ones(9))
+    movements: tuple[Movement, ...] = ()  # of all takes, those left out too
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +59,7 @@ class Comparison:
     deviations: Deviations  # from the nearest take
     offset: Offset  # of the performer's body against the first take's, taken out of all of them
     measured: Measured  # what the grade is made of
+    movement: tuple[Difference, ...] = ()  # from each take of the reference: whether the performer moves along
 
 
 def prepare_references(
@@ -99,6 +102,7 @@ def prepare_references(
         left_out,
         measured,
         learn_importance(working, measured),
+        tuple(describe_movement(take) for take in takes),
     )
     return set_importance(references, importance)
 

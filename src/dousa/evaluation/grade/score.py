@@ -18,10 +18,14 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.lines import NO_LIKENESS
+from dousa.evaluation.grade.movement import find_coverage
 from dousa.evaluation.grade.parts import PARTS
 from dousa.evaluation.grade.references import Comparison, ReferenceTakes
 from dousa.messages import Message
 
+LEAST_DANCED = 0.1
+"""Share of the reference's movement below which there is no grade: a performer who stands, or holds a
+pose; measured on lab/exams/exercises."""
 _MOSTLY = 1.28  # standard deviations around which four of five lie, by definition of the normal distribution
 
 
@@ -103,6 +107,7 @@ def compute_grade(
     n_references: int,
     *,
     unlike: bool = False,
+    hardly: bool = False,
     same_length: float = 0.02,
 ) -> Grade:
     """Compute the grade of a performance.
@@ -114,10 +119,13 @@ def compute_grade(
     takes : (n, 7) parts of the further takes of the reference, each against the others.
     n_references : takes of the reference.
     unlike : it is not the same dance: no grade.
+    hardly : next to nothing of the movement was done: no grade, and nothing was danced.
     same_length : share of the reference that may be missing.
     """
     calibrated = len(takes) >= 2  # further takes tell what is usual
     nothing = float("nan")
+    if hardly:
+        return Grade(nothing, (nothing, nothing), 0.0, Message("grade.hardly"), calibrated)
     if unlike or not np.isfinite(parts).all():
         why = Message("grade.unlike") if unlike else Message("grade.nothing")
         return Grade(nothing, (nothing, nothing), coverage, why, calibrated)
@@ -185,4 +193,5 @@ def grade_performance(
     takes = np.array([one.find_parts(weights) for one in references.measured]).reshape(-1, len(PARTS))
     takes = takes[np.isfinite(takes).all(axis=1)]
     unlike = frames is None and is_unlike(comparison, weights)
-    return compute_grade(parts, coverage, takes, len(references.working), unlike=unlike)
+    hardly = frames is None and find_coverage(comparison.movement, weights) < LEAST_DANCED
+    return compute_grade(parts, coverage, takes, len(references.working), unlike=unlike, hardly=hardly)
