@@ -172,8 +172,8 @@ class Adding:
 
         Parameters
         ----------
-        most_doubtful : doubtful files held in memory until the others of their skeleton are read; those beyond keep
-            their own guess.
+        most_doubtful : doubtful files held in memory until the others of their skeleton are read; on those beyond, the
+            files before them decide.
         at_most_s : s between two portions, which is what an interrupted program loses; less makes more transactions.
         """
         done = len(self._found) - len(tasks)
@@ -190,10 +190,12 @@ class Adding:
                 claim = answer.claim if isinstance(answer, ClipRecord) else None
                 if claim is not None:
                     votes.count(claim)
-                if claim is not None and claim.doubtful and len(doubtful) < most_doubtful:
+                if claim is None or not claim.doubtful:
+                    portion.append(_believe(answer))
+                elif len(doubtful) < most_doubtful:
                     doubtful.append(cast("ClipRecord", answer))
                 else:
-                    portion.append(_believe(answer))
+                    portion.append(self._settle(cast("ClipRecord", answer), votes))
                 # Takes with tables wait while there is room, so that nothing is written if one does not fit.
                 if _is_full(portion) or (not labels and time.monotonic() - last >= at_most_s):
                     portion = self._store_portion(portion)
