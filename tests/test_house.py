@@ -24,7 +24,7 @@ ROOMS = {
     "experiments": (1_809, 10),
     "files": (855, 7),
     "formats": (12_548, 70),
-    "library": (15_675, 55),
+    "library": (15_677, 55),
     "messages": (234, 3),
     "motion": (6_347, 34),
     "retrieval": (13_491, 46),
