@@ -22,7 +22,7 @@ ROOMS = {
     "estimation": (15_753, 65),
     "evaluation": (12_631, 44),
     "experiments": (1_809, 10),
-    "files": (855, 7),
+    "files": (881, 7),
     "formats": (12_548, 70),
     "library": (15_677, 55),
     "messages": (234, 3),

@@ -234,17 +234,38 @@ def _load_build(unpickler: Any) -> None:
         unpickler.stack[-1] = target.read(unpickler.file)
 
 
+def _count(load: Callable[[Any], None], most: int = 3_000_000) -> Callable[[Any], None]:
+    """Have an instruction load at most so many containers, some 300 MB."""
+
+    def load_counted(unpickler: Any) -> None:
+        unpickler.containers += 1
+        if unpickler.containers > most:
+            raise pickle.UnpicklingError("too many containers")
+        load(unpickler)
+
+    return load_counted
+
+
 class _Unpickler(pickle._Unpickler):
     """Python's own unpickler, not that in C: its memory follows the file, not the numbers in it."""
 
-    dispatch: ClassVar[dict[int, Callable[..., Any]]] = {
-        code: pickle._Unpickler.dispatch[code] for code in [getattr(pickle, name)[0] for name in _INSTRUCTIONS.split()]
-    } | {pickle.BYTEARRAY8[0]: _load_bytearray, pickle.BUILD[0]: _load_build, pickle.NEWOBJ[0]: _load_object}
+    dispatch: ClassVar[dict[int, Callable[..., Any]]] = (
+        {
+            code: pickle._Unpickler.dispatch[code]
+            for code in [getattr(pickle, name)[0] for name in _INSTRUCTIONS.split()]
+        }
+        | {
+            getattr(pickle, name)[0]: _count(pickle._Unpickler.dispatch[getattr(pickle, name)[0]])
+            for name in ("EMPTY_LIST", "EMPTY_DICT", "EMPTY_TUPLE", "MARK")
+        }
+        | {pickle.BYTEARRAY8[0]: _load_bytearray, pickle.BUILD[0]: _load_build, pickle.NEWOBJ[0]: _load_object}
+    )
 
     def __init__(
         self, file: io.BytesIO, *, encoding: str, find: Callable[[str, _Storage], _Storage] | None = None
     ) -> None:
         super().__init__(file, encoding=encoding)
+        self.containers = 0
         self.file, self._find = file, find
 
     def persistent_load(self, pid: Any) -> Any:

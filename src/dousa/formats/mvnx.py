@@ -28,7 +28,7 @@ from dousa.formats.assembly import (
     settle_motion,
     settle_trajectories,
 )
-from dousa.formats.guard import Clock, settle_positions
+from dousa.formats.guard import Clock, check_memory, settle_positions
 from dousa.formats.parts import choose, distinguish
 from dousa.formats.smpl import mean_body
 from dousa.messages import Message
@@ -94,11 +94,12 @@ def read_mvnx(
     ------
     MotionFileError : missing, no XML, no segments or frames, frames whose numbers do not fit the segments.
     """
+    data = read_bytes(path)
+    check_memory(path, 90 * data.count(b"<"), len(data))  # of an element of CPython
     try:
-        root = parse_xml(read_bytes(path))
+        subjects = list(_children(parse_xml(data), "subject"))
     except CalibrationError as error:
         raise MotionFileError(path, error.message) from None
-    subjects = list(_children(root, "subject"))
     if not subjects:
         raise MotionFileError(path, "mvnx.no_subject")
     labels = distinguish(node.get("label") or str(number) for number, node in enumerate(subjects, 1))

@@ -132,7 +132,7 @@ def read_smpl_npz(
     with open_npz(path, partial(MotionFileError, path)) as file:
 
         def get(name: str) -> NDArray[Any] | None:
-            return file.read(name, "iuf", most=1_000_000_000) if name in file else None
+            return file.read(name, "iuf", most=file.most) if name in file else None
 
         return build_smpl(path, get, file.names, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate)
 

@@ -201,7 +201,7 @@ def _read(file: NpzFile, name: str) -> Any:
     with file.open(name) as (header, _):
         if header.dtype.kind not in "iuf":
             return None
-    return file.read(name, "iuf", most=1_000_000_000)
+    return file.read(name, "iuf", most=file.most)
 
 
 def _is_text(file: NpzFile, name: str) -> bool:
