@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (480, 6),
 }
 TOTALS = {
-    "lines of tests": 61_732,
+    "lines of tests": 61_734,
     "lines of JavaScript": 12_467,
     "constants": 1_004,
     "numeric constants without a source": 1,
