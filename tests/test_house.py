@@ -18,11 +18,11 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_176, 110),
-    "estimation": (15_753, 65),
+    "app": (25_590, 111),
+    "estimation": (15_756, 65),
     "evaluation": (12_631, 44),
     "experiments": (1_809, 10),
-    "files": (881, 7),
+    "files": (886, 7),
     "formats": (12_548, 70),
     "library": (15_677, 55),
     "messages": (234, 3),
@@ -31,9 +31,9 @@ ROOMS = {
     "workers": (480, 6),
 }
 TOTALS = {
-    "lines of tests": 61_734,
+    "lines of tests": 61_851,
     "lines of JavaScript": 12_467,
-    "constants": 1_004,
+    "constants": 1_013,
     "numeric constants without a source": 1,
     "functions over 60 lines": 20,
     "files over 650 lines": 0,

@@ -4,12 +4,14 @@
     python -m lab.figures.measure_estimation retrieval FOLDER [--start kinect|auto] [--quick] [--cache FOLDER]
     python -m lab.figures.measure_estimation video FOLDER [--start reference|auto] [--cache FOLDER]
     python -m lab.figures.measure_estimation films FOLDER [--models heavy,full] [--views 4,2,1]
+    python -m lab.figures.measure_estimation project FOLDER [--model full] [--keypoints FOLDER]
     python -m lab.figures.measure_estimation doubt FOLDER [--start auto|truth] [--views 4,2] [--variants clean,noisy]
 
 ``kinect`` tracks the silhouettes of UTD-MHAD, one view, and compares with the joints of the Kinect; ``retrieval``
 classifies the motions so estimated by forests that were trained on skeletons of other people. ``video`` goes the whole
 way from the four videos of the Pose2Sim demo and compares with its markerless reference. ``films`` does so
-with nothing but the calibration, from keypoints. ``--cache`` keeps what was
+with nothing but the calibration, from keypoints; ``project`` does so by
+the folder, as a user of Pose2Sim has it. ``--cache`` keeps what was
 estimated: empty that folder after a change of the tracker. ``doubt`` compares what is said to be lost with the truth.
 """
 
@@ -21,6 +23,7 @@ from pathlib import Path
 from lab.figures.measured_doubt import measure_doubt
 from lab.figures.measured_films import measure_films
 from lab.figures.measured_kinect import list_clips, measure_kinect, measure_retrieval
+from lab.figures.measured_project import measure_project
 from lab.figures.measured_video import measure_video
 
 
@@ -48,6 +51,10 @@ def main() -> None:
     films.add_argument("folder", type=Path)
     films.add_argument("--models", default="heavy,full")
     films.add_argument("--views", default="4,2,1", help="how many at a time, with commas: every choice of so many")
+    project = commands.add_parser("project")
+    project.add_argument("folder", type=Path)
+    project.add_argument("--model", default="full")
+    project.add_argument("--keypoints", type=Path, help="of dousa keypoints -o; else they are found")
     doubt = commands.add_parser("doubt")
     doubt.add_argument("folder", type=Path, help="of clips with the truth")
     doubt.add_argument("--start", choices=("auto", "truth"), default="auto")
@@ -57,6 +64,9 @@ def main() -> None:
     if given.command == "doubt":
         views = [int(count) for count in given.views.split(",")]
         measure_doubt(given.folder, views, given.start, given.variants.split(","))
+        return
+    if given.command == "project":
+        measure_project(given.folder, given.model, given.keypoints)
         return
     if given.command == "films":
         measure_films(given.folder, given.models.split(","), [int(count) for count in given.views.split(",")])

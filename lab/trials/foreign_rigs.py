@@ -4,8 +4,8 @@ The rigs and point sets of ``../shared/data``, one file of each skeleton: as the
 behind all names, cut to a part of the body, exchanged left and right, and (rigs) with names that say nothing. Truth is
 what the untouched file gives, where its names are known. A row for each change: right; fewer joints than the file has;
 refused; wrong, but with a note of it; WRONG without one. Twice: for the half of the producers on which rules may be
-chosen, and for the half kept back (by the SHA-256 of the producer's name). Run: python -m lab.trials.foreign_rigs [--bodies
-N] [--shown N], which prints the first N that are not right.
+chosen, and for the half kept back (by the SHA-256 of the producer's name). Run: python -m lab.trials.foreign_rigs
+[--bodies N] [--shown N], which prints the first N that are not right.
 """
 
 from __future__ import annotations

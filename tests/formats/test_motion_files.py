@@ -137,7 +137,8 @@ def test_folders_give_motions_only(tmp_path):
         "model.pkl": b"\x80\x04}\x94.",
         "features.npy": made.make_npy(rng.normal(size=(4, 264))),
         "notes.txt.gz": made.pack_gzip(b"hello"),
-        "angles.mot": b"Coordinates\n",
+        "forces.mot": b"name forces\nendheader\ntime\tground_force_vx\n",
+        "states.sto": b"Coordinates\n",
     }
     for name, data in (wanted | others).items():
         save(tmp_path / name, data)
@@ -145,4 +146,4 @@ def test_folders_give_motions_only(tmp_path):
     assert [file.path.name for file in found] == sorted(wanted)
     assert not missing
     with pytest.raises(UnknownFormatError, match="joint angles of an OpenSim model"):
-        read_motion(tmp_path / "angles.mot")
+        read_motion(tmp_path / "states.sto")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 import xml.etree.ElementTree as ET
 from typing import Any
@@ -30,8 +31,11 @@ def parse_xml(content: bytes) -> ET.Element:
         raise CalibrationError("markup.not_xml", reason=error) from error
 
 
+_DECIMAL = re.compile(r"(?<![\w.])\d+\.\d+(?:[eE][-+]?\d+)?(?![\w.])")  # by definition of TOML; no dotted key
+
+
 def parse_toml(text: str, most_dots: int = 200) -> dict[str, Any]:
-    """Parse TOML with any line ends; ``most_dots`` : in a line, as numbers have them too.
+    """Parse TOML with any line ends; ``most_dots`` : in a line, without those of decimal numbers.
 
     Raises
     ------
@@ -39,7 +43,8 @@ def parse_toml(text: str, most_dots: int = 200) -> dict[str, Any]:
     RecursionError : brackets or keys are nested too deep.
     """
     lines = text.replace("\r\n", "\n")
-    if any(line.count(".") > most_dots for line in lines.split("\n")):
+    dotted = (line for line in lines.split("\n") if line.count(".") > most_dots)
+    if any(_DECIMAL.sub("", line).count(".") > most_dots for line in dotted):
         raise RecursionError("a line with more dots than any key or list of numbers needs")
     return tomllib.loads(lines)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -101,7 +100,7 @@ def estimate(
     from dousa.app.pipelines.estimate import estimate_sources
     from dousa.app.tables.estimation import print_estimation
 
-    values = {**read_settings(settings), **given, **asdict(reading.load())}
+    values = {**read_settings(settings), **given, "options": reading.load()}
     values["outputs"] = Outputs.from_paths(output or (), angles)
     values["sources"], values["backgrounds"] = sort_sources(sources, backgrounds)
     request = EstimationRequest.from_dict(values)

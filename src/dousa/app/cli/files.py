@@ -35,30 +35,47 @@ WRITTEN_SUFFIXES = ".bvh .c3d .trc .amass.npz .npz .csv .vmd .mot .fbx .glb"
 
 
 def info(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help=f"Motion files: {READ_SUFFIXES}.")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...",
+            help=f"Motion files: {READ_SUFFIXES}; or a folder of Pose2Sim, FreeMoCap, OpenCap or EasyMocap, or of "
+            "films and their calibration.",
+        ),
+    ],
     *,
     reading: UnitReading,
     json: Json = False,
 ) -> None:
     """Show what is in a motion file: length, rate, unit, up axis, joints and how they were identified.
 
+    Of the folder of a project: its cameras, calibration, films, keypoints and results, and the command to go on with.
+
     Example: dousa info walk.bvh take01.amc
+
+    Example: dousa info my_pose2sim_project
     """
+    from dousa.app.pipelines.projects import Project, find_project
+    from dousa.app.tables.estimation import print_project
     from dousa.app.tables.library import print_info
 
     options = reading.load()
-    answers, failed = [], 0
+    answers: list[Project | dict[str, Any]] = []
+    failed = 0
     for path in files:
         try:
-            answers.append(_describe(path, options))
+            answers.append((find_project(path) if path.is_dir() else None) or _describe(path, options))
         except DousaError as error:
             failed += 1
             fail(error)
     if json:
-        print_json(answers)
+        print_json([answer.to_json() if isinstance(answer, Project) else answer for answer in answers])
     else:
         for answer in answers:
-            print_info(console(), answer)
+            if isinstance(answer, Project):
+                print_project(console(), answer)
+            else:
+                print_info(console(), answer)
     if failed:
         raise typer.Exit(2)
 

@@ -38,6 +38,7 @@ from dousa.app.pipelines.film_scene import (
     shows_masks,
     with_outputs,
 )
+from dousa.app.pipelines.projects import take_project
 from dousa.app.pipelines.track_log import PartialFile, describe_files, fingerprint
 from dousa.arrays import FloatArray
 from dousa.errors import DousaError, KeypointError, OptionError, SilhouetteError
@@ -250,6 +251,9 @@ def estimate_sources(
     ------
     DousaError : what can be put right by the person who reads it.
     """
+    request, notes = take_project(request)
+    for note in notes if tell is not None else ():
+        tell(note)  # type: ignore[misc]
     if _takes_keypoints(request, tell):
         return estimate_films(request, progress)
     for option, given in (("--person", request.person != 1), ("--everybody", request.everybody)):

@@ -40,14 +40,16 @@ def is_keypoints(path: Path) -> bool:
 
 
 def name_films(paths: Sequence[Path]) -> tuple[str, ...]:
-    """Different names for films: without folder and suffix, with the folder where two are the same.
+    """Different names for films: without folder and suffix; of those of one name with the nearest folder that differs.
 
     Raises
     ------
     OptionError : one film is given twice.
     """
-    count = Counter(path.stem for path in paths)
-    names = [path.stem if count[path.stem] == 1 else f"{path.parent.name}_{path.stem}" for path in paths]
+    of_name: dict[str, list[Path]] = {}
+    for path in paths:
+        of_name.setdefault(path.stem, []).append(path)
+    names = [path.stem if len(of_name[path.stem]) == 1 else _tell_apart(path, of_name[path.stem]) for path in paths]
     if len(set(names)) < len(names):
         twice = next(name for name, times in Counter(names).items() if times > 1)
         raise OptionError("films.twice", name=twice)
@@ -63,6 +65,13 @@ class PictureFacts(Protocol):
     def size(self) -> str | None: ...
     @property
     def cameras(self) -> Path | None: ...
+
+
+def _tell_apart(path: Path, others: Sequence[Path]) -> str:
+    """Name a film by the nearest folder that differs from those of films with its name, and this name."""
+    depths = range(min(len(other.parents) for other in others))
+    apart = (depth for depth in depths if len({other.parents[depth].name for other in others}) == len(others))
+    return f"{path.parents[next(apart, 0)].name}_{path.stem}"
 
 
 def open_keypoints(

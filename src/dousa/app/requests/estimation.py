@@ -246,7 +246,8 @@ class EstimationRequest:
                 values[name] = tuple(Path(path) for path in values[name])
         values["settings"] = choose_settings(values)
         values.setdefault("outputs", Outputs(**_pick(values, Outputs)))
-        values["options"] = _read_options(values)
+        own = _names(cls)  # a person of the films is not one of the motion files
+        values.setdefault("options", _read_options({name: value for name, value in values.items() if name not in own}))
         return cls(**_pick(values, cls))
 
     @property

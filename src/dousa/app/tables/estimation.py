@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from dousa.app.pipelines.estimate import Estimation
+    from dousa.app.pipelines.projects import Project
 
 
 def print_estimation(out: Console, done: Estimation, good: float = 0.75, fair: float = 0.5) -> None:
@@ -88,3 +89,26 @@ def _print_uncertainty(out: Console, done: Estimation, shown: int = 5) -> None:
     parts = [f"{answer.body.names[part]} {hidden[part]:.0%}" for part in np.argsort(-hidden) if hidden[part] >= 0.1]
     if parts:
         say_line(out, "estimated.hidden", parts=parts[:shown])
+
+
+def print_project(out: Console, project: Project) -> None:
+    """What is in the folder of a project, and the command that goes on with each take."""
+    from dousa.app.pipelines.projects import write_command
+
+    say_line(out, "project.of" if project.program else "project.films", path=project.folder, program=project.program)
+    if project.calibration is not None:
+        say_line(out, "project.cameras", cameras=len(project.cameras), names=project.cameras, path=project.calibration)
+    elif project.problem is not None:
+        say_line(out, "project.no_cameras_for", problem=project.problem)
+    else:
+        say_line(out, "project.no_cameras")
+    if project.rate is not None:
+        say_line(out, "project.rate", rate=project.rate)
+    if project.stature is not None:
+        say_line(out, "project.stature", stature=project.stature)
+    for take in project.takes:
+        counts = {"films": len(take.films), "views": len(take.keypoints), "results": len(take.results)}
+        say_line(out, "project.take", name=take.name, **counts)
+        for path in take.results:
+            say_line(out, "project.result", path=path)
+        say_line(out, "project.next", command=write_command(project, take))

@@ -116,7 +116,7 @@ def _expect(array: NDArray[np.generic], name: str, shape: tuple[int, ...]) -> ND
     return array
 
 
-_OF_PEOPLE = re.compile(rb'"(people|bodies|instance_info|\w*keypoints\w*|\w*landmarks\w*)"')
+_OF_PEOPLE = re.compile(rb'"(people|bodies|annots|instance_info|\w*keypoints\w*|\w*landmarks\w*)"')
 
 
 def holds_keypoints(path: str | os.PathLike[str]) -> bool:

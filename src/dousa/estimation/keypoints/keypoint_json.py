@@ -56,9 +56,9 @@ and Halpe's whole body."""
 
 _MOST_BYTES, _MOST_FRAMES, _MOST_PEOPLE = 1_000_000_000, 2_000_000, 200
 _POINT_KEYS = ("pose_keypoints_2d", "keypoints", "pose_landmarks", "poseLandmarks", "landmarks", "joints")
-_PEOPLE_KEYS = ("people", "instances", "predictions", "persons", "bodies", *_POINT_KEYS)
+_PEOPLE_KEYS = ("people", "instances", "predictions", "persons", "bodies", "annots", *_POINT_KEYS)
 _SCORE_KEYS = ("keypoint_scores", "scores")
-_NUMBER_KEYS = ("person_id", "track_id", "idx")
+_NUMBER_KEYS = ("person_id", "personID", "track_id", "idx")
 
 
 class ReadPerson(NamedTuple):
@@ -113,12 +113,15 @@ def _read_folder(folder: str) -> ReadFrames:
     if n_frames > _MOST_FRAMES:
         raise KeypointError("keypoint_json.frames", most=_MOST_FRAMES, found=n_frames)
     frames: list[list[ReadPerson]] = [[] for _ in range(n_frames)]
+    size = None
     for frame, name in numbered.items():
         try:
-            frames[frame] = _list_people(_parse(os.path.join(folder, name)))
+            content = _parse(os.path.join(folder, name))
+            frames[frame] = _list_people(content)
+            size = size or (_read_size(content) if isinstance(content, Mapping) else None)
         except KeypointError as error:
             raise error.at(os.path.join(folder, name)) from None
-    return ReadFrames(frames, None)
+    return ReadFrames(frames, size)
 
 
 def _read_file(path: str) -> ReadFrames:

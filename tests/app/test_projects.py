@@ -1,0 +1,116 @@
+"""Folders of Pose2Sim, FreeMoCap, OpenCap and EasyMocap: what is in them, and what is estimated of them."""
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+from oracles.made_films import Performance, make_cameras
+from oracles.made_films import film as make_film
+
+from app.test_keypoint_sources import to_rows, write_openpose
+from dousa.app.pipelines.film_scene import name_films
+from dousa.app.pipelines.projects import find_project
+from dousa.estimation import write_cameras
+from dousa.estimation.keypoints.keypoint_json import HALPE_26
+from dousa.formats.registry import read_motion
+
+RATE = 50.0
+
+
+def put(folder, *names):
+    for name in names:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"")
+
+
+def make_pose2sim(folder, cameras):
+    put(folder, "videos/cam1.mp4", "videos/cam2.mp4", "pose-3d/walk_0-99.trc", "kinematics/walk.mot")
+    put(folder, ".git/videos/x.mp4", "pose/cam1_json/.keep", "calibration/intrinsics/cam1.mp4")
+    write_cameras(folder / "calibration" / "Calib_qualisys.toml", cameras)
+    (folder / "Config.toml").write_text(f"[project]\nframe_rate = {RATE:g}\nparticipant_height = 1.68\n")
+
+
+def make_freemocap(folder, cameras):
+    put(folder, "synchronized_videos/a.mp4", "synchronized_videos/b.mp4", "output_data/mediapipe_body_3d_xyz.csv")
+    put(folder, "annotated_videos/a.mp4")
+    write_cameras(folder / "session_camera_calibration.toml", cameras)
+
+
+def make_opencap(folder, cameras):
+    for number, camera in enumerate(cameras):
+        place = folder / "Videos" / f"Cam{number}"
+        for take in ("neutral", "squat"):
+            put(place / "InputMedia" / take, f"{take}_sync.mp4", f"{take}.mov")
+        content = {"intrinsicMat": camera.matrix, "distortion": np.zeros((1, 5)), "rotation": camera.rotation}
+        content |= {"imageSize": np.array(camera.size)[::-1, None], "translation": 1000 * camera.translation[:, None]}
+        (place / "cameraIntrinsicsExtrinsics.pickle").write_bytes(pickle.dumps(content))
+    put(folder, "MarkerData/squat.trc", "OpenSimData/Kinematics/squat.mot")
+    (folder / "sessionMetadata.yaml").write_text("gender_mf: f\nheight_m: 1.71\nmass_kg: 60.2\n")
+
+
+def make_plain(folder, cameras):
+    put(folder, "cam1.mp4", "cam2.mp4", "notes.txt")
+    write_cameras(folder / "calib.toml", cameras)
+
+
+FOLDERS = {
+    "Pose2Sim": (make_pose2sim, [(2, 0, 2)], RATE, 1.68),
+    "FreeMoCap": (make_freemocap, [(2, 0, 1)], None, None),
+    "OpenCap": (make_opencap, [(2, 0, 0), (2, 0, 2)], None, 1.71),
+    "": (make_plain, [(2, 0, 0)], None, None),
+}
+
+
+@pytest.mark.parametrize("program", FOLDERS)
+def test_what_is_in_a_folder(dousa, tmp_path, program):
+    make, counts, rate, stature = FOLDERS[program]
+    make(tmp_path, make_cameras(2))
+    code, out, error = dousa("info", tmp_path, "--json")
+    assert (code, error) == (0, "")
+    (answer,) = json.loads(out)
+    found = [tuple(len(take[kind]) for kind in ("films", "keypoints", "results")) for take in answer["takes"]]
+    assert (answer["program"] or "", found) == (program, counts)
+    assert (answer["rate"], answer["stature_m"]) == (rate, stature)
+    assert answer["cameras"] == (["Cam0", "Cam1"] if program == "OpenCap" else ["film1", "film2"])
+    code, out, _ = dousa("info", tmp_path)
+    assert code == 0 and out.count("go on with: dousa estimate") == len(counts)
+
+
+def test_folders_that_are_no_project(tmp_path):
+    put(tmp_path, "films/a.mp4", "masks/0001.png", "walk.bvh")
+    assert find_project(tmp_path) is None and find_project(tmp_path / "films") is None
+
+
+def test_films_of_one_name_are_called_by_the_folder_that_differs(tmp_path):
+    make_opencap(tmp_path, make_cameras(2))
+    (_, squat) = find_project(tmp_path).takes
+    assert name_films(squat.films) == ("Cam0_squat_sync", "Cam1_squat_sync")
+
+
+def test_several_takes_are_named(dousa, tmp_path):
+    make_opencap(tmp_path, make_cameras(2))
+    code, out, error = dousa("estimate", tmp_path, "-o", tmp_path / "out.bvh")
+    assert (code, out, error.count("\n")) == (2, "", 1) and "neutral, squat" in error
+
+
+@pytest.mark.parametrize("given", [(), ("--rate", "25")])
+def test_a_project_is_estimated_from_its_keypoints(dousa, tmp_path, given):
+    performance, cameras = Performance(("punch", "turn_around")), make_cameras(2)
+    make_pose2sim(tmp_path, cameras)
+    for camera in cameras:
+        view = make_film(performance, camera, 0.0, 1.0, RATE)
+        write_openpose(tmp_path / "pose" / camera.name, to_rows(view, HALPE_26))
+    code, out, error = dousa("estimate", tmp_path, *given, "--offsets", "none", "-o", tmp_path / "out.trc", "--json")
+    assert code == 0, error
+    assert all(word in error for word in ("Calib_qualisys.toml", "2 views", "1.68"))
+    assert ("50 Hz" in error) == (not given)
+    assert read_motion(tmp_path / "out.trc").frame_rate == pytest.approx(25 if given else RATE)
+    assert not json.loads(out)["lost_frames"] and np.isfinite(read_motion(tmp_path / "out.trc").positions).all()
+
+
+def test_the_shared_folder_of_pose2sim(shared_data):
+    project = find_project(shared_data("pose2sim/LICENSE").parent)
+    assert project.program == "Pose2Sim" and project.cameras == ("cam01", "cam02", "cam03", "cam04")
+    assert [len(take.films) for take in project.takes] == [4] and len(project.takes[0].results) == 2
