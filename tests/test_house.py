@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (480, 6),
 }
 TOTALS = {
-    "lines of tests": 61_851,
+    "lines of tests": 61_852,
     "lines of JavaScript": 12_467,
     "constants": 1_013,
     "numeric constants without a source": 1,
