@@ -100,7 +100,7 @@ def test_damage(tmp_path):
     for number, (data, code) in enumerate((
         (b"time\t1\n", "opensim.no_header"),
         (b"name ground_reaction\nendheader\ntime\tground_force_vx\n0\t1\n", "opensim.no_coordinates"),
-        (good[: good.index(b"pro_sup_r") + 10], "opensim.no_frames"),
+        (good[: good.index(b"pro_sup_r") + 10], "tables.no_frames"),
         (good.replace(b"0.000000000\n", b"high\n", 1), "tables.number"),
     )):  # fmt: skip
         assert code_of(save(tmp_path / f"{number}.mot", data)) == code, number

@@ -7,6 +7,7 @@ from dousa.errors import MotionFileError, OptionError
 from dousa.formats.parts import choose, distinguish, file_of, join_address, split_address
 from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import Motion, Skeleton, Trajectories, canonicalise, compute_trajectories
+from dousa.motion.canonical.naming import group_owners
 from formats import made_people as made
 
 WRITERS = {
@@ -89,6 +90,22 @@ def test_of_one_person_the_number_is_one(tmp_path):
     with pytest.raises(OptionError) as caught:
         read_motion(tmp_path / "x.bvh", animation="Walk")
     assert caught.value.code == "formats.animation"
+
+
+def test_a_part_that_an_array_cannot_have_is_refused(tmp_path):
+    np.save(tmp_path / "x.npy", np.random.default_rng(1).normal(size=(9, 22, 3)))
+    assert read_motion(tmp_path / "x.npy", person=1, animation="1").n_frames == 9
+    for kind in ("person", "animation"):
+        with pytest.raises(MotionFileError) as caught:
+            read_motion(tmp_path / "x.npy", **{kind: "Walk"})
+        assert caught.value.code == f"parts.one_{kind}"
+
+
+@pytest.mark.parametrize("owners", [("A.", "B."), ("1_", "2_"), ("S1_", "S2_")])
+def test_owners_of_one_letter_are_people(owners):
+    names = compute_trajectories(made.ANNA).names
+    assert list(group_owners(tuple(owner + name for owner in owners for name in names))) == [o[:-1] for o in owners]
+    assert not group_owners(tuple(side + name for side in ("L_", "R_") for name in names))
 
 
 @pytest.mark.parametrize("form", WRITERS)

@@ -30,6 +30,7 @@ def test_each_person_is_a_clip_and_stays_one(tmp_path, library):
     assert (
         sorted(map(os.path.basename, report.added)) == names(library) == ["two.bvh#person=Anna", "two.bvh#person=Ben"]
     )
+    assert report.bytes == (folder / "two.bvh").stat().st_size
     assert not report.warnings or all("parts." not in note.code for _, note in report.warnings)
     for clip in library.clips():
         stored = library.trajectories(clip.id)

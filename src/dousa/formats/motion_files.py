@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from dousa.errors import DousaError, JointMappingError
 from dousa.files.frame_files import is_frame_folder
+from dousa.formats.parts import file_of
 from dousa.formats.registry import find_reader, is_motion_file, read_motion
 from dousa.messages import Message
 
@@ -221,7 +222,7 @@ def map_joints(
 def describe_problem(path: str, error: DousaError) -> Message:
     """Return the message of an error without the file but with the line, for a place that names the file itself."""
     place, line = getattr(error, "path", None), getattr(error, "line", None)
-    if place not in (None, path):
+    if place not in (None, path, file_of(path)):
         return Message("motion_files.in_other_file", path=place, problem=error.message)
     if line is not None:
         return Message("motion_files.at_line", line=line, problem=error.message)

@@ -129,7 +129,7 @@ def read_mvnx(
             notes=(*notes, Message("mvnx.no_orientation")),
         )  # fmt: skip
     world = _read_values(path, taken, "orientation", len(names), 4)
-    order, parents = order_tree(names, _TREE | _read_parents(subject))
+    order, parents = order_tree(names, _TREE | {below: above for above, _, below in _list_joints(subject)})
     rest = [frame for frame in frames if frame.get("type") == "identity" and _has(frame, "position")][:1]
     resting = _read_values(path, rest, "position", len(names), 3)[0] if rest else None
     if positions is None:
@@ -165,12 +165,7 @@ def _place_points(
     subject: ET.Element, segments: list[ET.Element], names: tuple[str, ...], order: list[int], parents: list[int]
 ) -> FloatArray | None:
     """(J, 3) places at rest by the points that the joints connect; None if some are missing."""
-    connected = {}
-    for group in _children(subject, "joints"):
-        for joint in _children(group, "joint"):
-            ends = [next(_children(joint, f"connector{side}"), None) for side in (1, 2)]
-            above, below = ((node.text or "").strip() if node is not None else "" for node in ends)
-            connected[below.partition("/")[0]] = above.partition("/")[2]
+    connected = {below: point for _, point, below in _list_joints(subject)}
     places: FloatArray = np.zeros((len(order), 3))
     for place, index in enumerate(order):
         if parents[place] >= 0:
@@ -239,15 +234,13 @@ def _read_values(
     return np.array(rows).reshape(len(frames), count, width)
 
 
-def _read_parents(subject: ET.Element) -> dict[str, str]:
-    """Parent of a segment by name, from the joints that connect them."""
-    parents = {}
+def _list_joints(subject: ET.Element) -> Iterator[tuple[str, str, str]]:
+    """Of every joint the segment above, the point of it that is the joint, and the segment below."""
     for group in _children(subject, "joints"):
         for joint in _children(group, "joint"):
             ends = [next(_children(joint, f"connector{side}"), None) for side in (1, 2)]
-            above, below = ((node.text or "").partition("/")[0].strip() if node is not None else "" for node in ends)
-            parents[below] = above
-    return parents
+            above, below = ((node.text or "" if node is not None else "").partition("/")[::2] for node in ends)
+            yield above[0].strip(), above[1].strip(), below[0].strip()
 
 
 def _find_point(segment: ET.Element, label: str) -> FloatArray | None:

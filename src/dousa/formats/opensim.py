@@ -20,7 +20,7 @@ from dousa.errors import JointMappingError, MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.assembly import settle_motion
 from dousa.formats.guard import Clock
-from dousa.formats.optical.cells import read_rows
+from dousa.formats.optical.cells import read_lines
 from dousa.formats.smpl import mean_body
 from dousa.messages import Message
 from dousa.motion import Motion, Skeleton
@@ -123,7 +123,7 @@ def write_mot(motion: Motion, path: str | os.PathLike[str]) -> None:
         for side in ("left_", "right_"):
             _straighten(body, rotations, side, *chain)
     turns = np.concatenate((rotations[..., :1], _to_opensim(rotations[..., 1:])), axis=2)
-    angles = {joint: np.degrees(_unroll(to_euler(turns[:, n], "ZXY"))) for n, joint in enumerate(body.names)}
+    angles = {joint: np.degrees(np.unwrap(to_euler(turns[:, n], "ZXY"), axis=0)) for n, joint in enumerate(body.names)}
     columns = {name: sign * angles[joint][:, place] for name, (joint, place, sign) in list_coordinates().items()}
     origin = _to_opensim(places) + rotate(turns[:, 0], _PELVIS)
     columns |= dict(zip(_PLACES, origin.T, strict=True))
@@ -159,11 +159,6 @@ def _straighten(
     rotations[:, joint] = multiply(back, rotations[:, joint])
 
 
-def _unroll(angles: FloatArray) -> FloatArray:
-    """Angles (T, 3) in rad without jumps of a whole turn."""
-    return np.unwrap(angles, axis=0)
-
-
 def read_mot(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Motion:
     """Read the joint angles of a whole-body model of OpenSim onto the mean body; a note says so.
 
@@ -186,10 +181,10 @@ def read_mot(path: str | os.PathLike[str], *, unit: float | str | None = None, u
     known = list_coordinates()
     if not {"time", "hip_flexion_r", "hip_flexion_l", "knee_angle_r", "knee_angle_l"} <= set(titles):
         raise MotionFileError(path, "opensim.no_coordinates", start + 2)
-    rows = {n: line.split() for n, line in enumerate(lines[start + 2 :], start + 3) if line.strip()}
-    if not rows:
-        raise MotionFileError(path, "opensim.no_frames", start + 2)
-    values = read_rows(path, [*rows.values()], [*rows], len(titles))
+    lines[start + 2 :] = ["\t".join(line.split()) for line in lines[start + 2 :]]
+    rows = re.search(r"nRows\s*=\s*(\d{1,9})\s*$", head, re.IGNORECASE | re.MULTILINE)
+    frames = float(rows[1]) if rows else None
+    values, cut = read_lines(path, lines, start + 2, len(titles), declared=frames or np.nan, whole=True)
     columns = dict(zip(titles, values.T, strict=True))
     unit_of_angle = 1.0 if re.search(r"inDegrees\s*=\s*no", head, re.IGNORECASE) else np.pi / 180
     body = body_at_rest()
@@ -202,8 +197,8 @@ def read_mot(path: str | os.PathLike[str], *, unit: float | str | None = None, u
     translations = np.tile(body.offsets, (len(values), 1, 1))
     translations[:, 0] = _from_opensim(origin - rotate(turns[:, 0], _PELVIS))
     missing = tuple(name for name in (*known, *_PLACES) if name not in columns)
-    notes = (Message("opensim.mean_body"), *((Message("opensim.missing", names=missing),) if missing else ()))
+    notes = (*cut, Message("opensim.mean_body"), *((Message("opensim.missing", names=missing),) if missing else ()))
     return settle_motion(
-        path, "mot", body, rotations, translations, Clock(None, columns["time"]),
+        path, "mot", body, rotations, translations, Clock(None, columns["time"], frames=frames),
         unit=unit, up=up, unit_in_file=1.0, up_in_file="y", notes=notes,
     )  # fmt: skip

@@ -87,9 +87,19 @@ def choose(
         if chosen < 0:
             raise MotionFileError(path, missing, found=wanted[:60], known=tuple(names))
     if len(names) < 2:
-        return chosen, ()
+        return chosen, () if wanted is None else (Message("parts.alone", read=names[chosen]),)
     others = (*names[:chosen], *names[chosen + 1 :])
     return chosen, (Message(taken if wanted is None else asked, read=names[chosen], others=others),)
+
+
+def check_chosen(path: str | os.PathLike[str], kind: str, wanted: str, notes: Iterable[Message]) -> None:
+    """Raise MotionFileError if a part was asked for of a file in which no reader met any: it holds one, the first.
+
+    ``notes`` : of reading it.
+    """
+    if wanted != "1" and not {_CODES[kind][1], "parts.alone"} & {note.code for note in notes}:
+        code = "parts.one_person" if kind == "person" else "parts.one_animation"
+        raise MotionFileError(path, code, found=wanted[:60])
 
 
 def _find(names: Sequence[str], wanted: str) -> int:
@@ -104,14 +114,14 @@ def _find(names: Sequence[str], wanted: str) -> int:
 
 def distinguish(names: Iterable[str]) -> list[str]:
     """Return names of which none comes twice: the second ``Walk`` is ``Walk 2``."""
-    taken: set[str] = set()
+    counts: dict[str, int] = {}
     result = []
     for name in names:
-        one, number = name, 1
-        while one in taken:
-            number += 1
-            one = f"{name} {number}"
-        taken.add(one)
+        one = name
+        while one in counts:
+            counts[name] += 1
+            one = f"{name} {counts[name]}"
+        counts[one] = 1
         result.append(one)
     return result
 

@@ -25,7 +25,7 @@ from dousa.errors import (
     UnknownFormatError,
 )
 from dousa.files.frame_files import is_frame_folder
-from dousa.formats.parts import KINDS, file_of, split_address
+from dousa.formats.parts import KINDS, check_chosen, file_of, split_address
 from dousa.messages import Message
 from dousa.motion import Motion, Trajectories
 
@@ -325,6 +325,9 @@ def read_motion(
     motion = _run(path, line, options, frame_rate)
     if "person" not in line.options:
         motion = _take_person(motion, path, given.get("person"))
+    for kind in KINDS:
+        if kind in given:
+            check_chosen(path, kind, given[kind], motion.provenance.notes if motion.provenance else ())
     if frame_rate is not None and motion.frame_rate != frame_rate:  # read by no clock
         return dataclasses.replace(motion, frame_rate=frame_rate)
     return motion

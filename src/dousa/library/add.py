@@ -65,7 +65,7 @@ Labels = dict[str, str | None]
 
 Answer = ClipRecord | FileRecord | Skipped
 
-_PART_NOTES = {"parts.person_asked", "parts.animation_asked"}  # the name of the clip says it
+_PART_NOTES = {"parts.person_asked", "parts.animation_asked", "parts.alone"}  # the name of the clip says it
 
 _SKELETONS = {".asf", ".pmx"}  # read with motions
 
@@ -124,6 +124,7 @@ class Adding:
         self._tier = tier
         self._found: dict[str, FoundFile] = {}
         self._of_file: dict[str, list[str]] = {}  # clips that the library has of a file that is read again
+        self._sizes: dict[str, int] = {}  # of the files that were read
         self._known_labels: dict[str, Labels] = {}
         self._labels_stay = True
         self.change: int | None = None  # in the journal, one for all portions
@@ -433,6 +434,8 @@ class Adding:
         """Write a portion in one transaction and remove stale clips by path; return the empty next portion."""
         self._tally["skipped"] += [answer for answer in portion if isinstance(answer, Skipped)]
         read = [answer for answer in portion if not isinstance(answer, Skipped)]
+        self._sizes |= {file_of(record.path): record.row["size"] for record in read}
+        self._tally["bytes"] = [*self._sizes.values()]
         if read or stale:
             # Votes are slow: compute them before other programs have to wait.
             sorted_out = self._database.write_planned(lambda c, known: self._sort(c, read, known, stale), self._store)
@@ -456,7 +459,6 @@ class Adding:
         fresh: list[ClipRecord] = []
         moved: list[tuple[FileRecord, Any]] = []
         for record in read:
-            tally["bytes"].append(record.row["size"])
             row, first = by_path.get(record.path), owner.get(record.row["content_hash"])
             if first == record.path and row is not None:
                 moved.append((record, row))

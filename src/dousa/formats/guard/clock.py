@@ -304,9 +304,9 @@ def _choose_rate(
         raise MotionFileError(path, "guard.no_rate" if declared is None else "guard.rate", found=declared)
     notes = [] if measured is None else [Message("guard.times_refused", declared=declared, rate=measured[0])]
     if declared < _LOWEST:
-        rate = _rate_of_duration(1.0 / declared)
-        if rate is not None:
-            return rate, [*notes, Message("guard.rate_is_time", found=1.0 / declared, rate=rate)]
+        meant = _rate_of_duration(1.0 / declared)
+        if meant is not None:
+            return meant, [*notes, Message("guard.rate_is_time", found=1.0 / declared, rate=meant)]
     return float(declared), [*notes, *_question(declared)]
 
 

@@ -57,7 +57,7 @@ def find_lost(positions: FloatArray, *, can_rest: bool = False, body: FloatArray
     with np.errstate(over="ignore", invalid="ignore"):
         equal = _equal_sides(positions)
         if can_rest and equal.any():
-            away = (positions != 0).any(axis=2)
+            away: BoolArray = np.any(positions, axis=2)
             within = np.maximum.accumulate(away, axis=0) & np.maximum.accumulate(away[::-1], axis=0)[::-1]
             equal &= within
         suspected = bool(equal.any())
@@ -81,16 +81,19 @@ def _strays(positions: FloatArray, equal: BoolArray, cloud: Cloud, most: float =
         return np.zeros(equal.shape, bool)
     # How far the whole body gets around: the median of the points in each frame.
     seen = np.where(equal[..., None], np.nan, positions)
-    seen = seen[np.isfinite(seen).all(axis=2).any(axis=1)]
+    seen = seen[np.isfinite(seen).all(axis=2).any(axis=-1)]
     middles = np.nanmedian(seen, axis=1) if len(seen) else cloud.middle[None]
-    return np.abs(positions - cloud.middle).max(axis=2) > beyond + np.abs(middles - cloud.middle).max()
+    strays: BoolArray = np.abs(positions - cloud.middle).max(axis=2) > beyond + np.abs(middles - cloud.middle).max()
+    return strays
 
 
 def _equal_sides(positions: FloatArray) -> BoolArray:
     """(T, K) whether all three coordinates have one size."""
     y = np.abs(positions[..., 1])
     equal: BoolArray = np.abs(positions[..., 0]) == y
-    return equal & (y == np.abs(positions[..., 2])) if equal.any() else equal
+    if equal.any():
+        equal &= y == np.abs(positions[..., 2])
+    return equal
 
 
 def _jumps(

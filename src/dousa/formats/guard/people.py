@@ -29,8 +29,6 @@ def take_person(
     """
     people = list_people(motion)
     if len(people) < 2:
-        if wanted is not None:
-            choose(path, "person", tuple(people) or ("1",), wanted)
         return motion
     lengths = {name: _count_seen(motion, indices) for name, indices in people.items()}
     still = tuple(name for name, frames in lengths.items() if not frames)

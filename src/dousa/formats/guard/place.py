@@ -95,9 +95,8 @@ def settle_roots(
         translations = translations if translations.flags.writeable else translations.copy()
         translations[:, roots] = np.where(lost[..., None], np.nan, translations[:, roots])
         if rotations.flags.writeable:
-            still = lost.all(axis=1)
-            still[still] = (np.abs(rotations[still, :, 0]) == 1.0).all(axis=1)
-            rotations[still] = np.nan
+            frames = np.flatnonzero(lost.all(axis=1))
+            rotations[frames[(np.abs(rotations[frames, :, 0]) == 1.0).all(axis=1)]] = np.nan
     return translations, tuple(notes)
 
 

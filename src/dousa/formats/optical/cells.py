@@ -60,8 +60,7 @@ def read_lines(
 ) -> tuple[FloatArray, tuple[Message, ...]]:
     """Read (T, width) numbers from the lines of a table, and notes.
 
-    A last line that breaks off is left out: it has no end, and lacks cells, or frames are missing, or its last number
-    is shorter than all others of the column.
+    A last line that breaks off is left out.
 
     Parameters
     ----------
@@ -81,7 +80,8 @@ def read_lines(
     blank = f'{mark} \r"\t'
     rows = [number for number in range(body, len(lines)) if lines[number].strip(blank)]
     notes = []
-    if len(rows) > 1 and rows[-1] == len(lines) - 1 and _breaks_off(lines, rows, width, mark, declared):
+    open_end = len(rows) > 1 and rows[-1] == len(lines) - 1
+    if open_end and breaks_off([lines[number] for number in rows], width, mark, declared):
         notes.append(Message("guard.cut_off", line=rows.pop() + 1))
     if not rows:
         raise MotionFileError(path, "tables.no_frames", body)
@@ -103,11 +103,22 @@ def _split(line: str, mark: str) -> list[str]:
     return line.split(mark) if '"' not in line else next(csv.reader([line], delimiter=mark))
 
 
-def _breaks_off(lines: Sequence[str], rows: list[int], width: int, mark: str, declared: float) -> bool:
-    last = lines[rows[-1]].split(mark)
+def breaks_off(rows: Sequence[str], width: int, mark: str, declared: float = np.nan) -> bool:
+    """Return whether the last row, which has no end of line, breaks off.
+
+    It lacks cells, or frames are missing, or its last number is shorter than all others of the column.
+
+    Parameters
+    ----------
+    rows : as text.
+    width : cells of a row.
+    mark : between cells.
+    declared : number of frames in the header, if any.
+    """
+    last = rows[-1].split(mark)
     if len(last) < width or len(rows) < declared:
         return True
-    ends = [len(lines[number].rpartition(mark)[2]) for number in rows[:-1]]
+    ends = [len(row.rpartition(mark)[2]) for row in rows[:-1]]
     return len(last) == width and len(rows) > 2 and 0 < len(last[-1]) < min(ends)
 
 

@@ -17,6 +17,7 @@ from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.formats.assembly import settle_motion
+from dousa.formats.guard import Clock
 from dousa.formats.optical.cells import read_rows
 from dousa.motion import Motion, Skeleton
 from dousa.motion.rotations import from_euler, identity
@@ -48,7 +49,7 @@ def read_angles(path: str | os.PathLike[str], *, unit: float | str | None, up: s
     if not names or any(parent >= n for n, parent in enumerate(parents)):
         raise MotionFileError(tree, "tables.no_tree")
     offsets = read_rows(tree, [row[2:5] for row in joints], range(2, len(joints) + 2), 3)
-    values, turns, rate = _read_columns(path)
+    values, turns = _read_columns(path)
     lacking = tuple(joint for joint in names if joint in above.values() and sorted(turns.get(joint, {})) != list("xyz"))
     if lacking:
         raise MotionFileError(path, "tables.no_angles", joints=lacking)
@@ -59,15 +60,15 @@ def read_angles(path: str | os.PathLike[str], *, unit: float | str | None, up: s
             rotations[:, number] = from_euler(np.radians(values[:, list(own.values())]), "".join(own).upper())
     translations = np.tile(offsets, (len(values), 1, 1))
     if moved.exists():
-        places, columns, _ = _read_columns(moved)
+        places, columns = _read_columns(moved)
         own = columns.get(names[0], {})
         if len(places) != len(values) or sorted(own) != list("xyz"):
             raise MotionFileError(moved, "tables.other_frames", expected=len(values), found=len(places), joint=names[0])
         translations[:, 0] = places[:, [own[axis] for axis in "xyz"]]
     ends = np.array([joint not in turns for joint in names])
     return settle_motion(
-        path, "csv", Skeleton(names, np.array(parents), offsets, ends), rotations, translations, rate,
-        unit=unit, up=up, default_up="y",
+        path, "csv", Skeleton(names, np.array(parents), offsets, ends), rotations, translations,
+        Clock(None, values[:, 0], assumed=30.0), unit=unit, up=up, default_up="y",
     )  # fmt: skip
 
 
@@ -75,8 +76,8 @@ def _lines(path: str | os.PathLike[str]) -> list[str]:
     return read_bytes(path).decode("utf-8-sig", errors="replace").splitlines()
 
 
-def _read_columns(path: str | os.PathLike[str]) -> tuple[FloatArray, dict[str, dict[str, int]], float]:
-    """The numbers, of each joint the columns by axis in the order of the table, and the rate of the first column."""
+def _read_columns(path: str | os.PathLike[str]) -> tuple[FloatArray, dict[str, dict[str, int]]]:
+    """The numbers, the times first, and of each joint the columns by axis in the order of the table."""
     lines = _lines(path)
     titles = next(csv.reader(lines[:1]), [])
     columns: dict[str, dict[str, int]] = {}
@@ -85,8 +86,6 @@ def _read_columns(path: str | os.PathLike[str]) -> tuple[FloatArray, dict[str, d
         if dot and axis.lower() in ("x", "y", "z"):
             columns.setdefault(joint, {})[axis.lower()] = number
     rows = [(number, row) for number, row in enumerate(csv.reader(lines[1:]), 2) if any(row)]
-    values = read_rows(path, [row for _, row in rows], [number for number, _ in rows], len(titles))
-    steps = np.diff(values[:, 0]) if len(values) > 1 else np.zeros(1)
-    if not len(values) or (len(values) > 1 and not np.median(steps) > 0):
+    if not rows:
         raise MotionFileError(path, "tables.no_frames", 1)
-    return values, columns, 1 / float(np.median(steps)) if len(values) > 1 else 30.0
+    return read_rows(path, [row for _, row in rows], [number for number, _ in rows], len(titles)), columns

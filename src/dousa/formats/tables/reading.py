@@ -27,7 +27,7 @@ from dousa.formats.guard import Clock
 from dousa.formats.guard.people import take_person
 from dousa.formats.landmarks import note_hips, refuse_pictures
 from dousa.formats.optical import read_motive, read_qualisys
-from dousa.formats.optical.cells import is_number, read_rows
+from dousa.formats.optical.cells import breaks_off, is_number, read_rows
 from dousa.formats.parts import choose
 from dousa.formats.tables.columns import Columns, find_columns, spread_names
 from dousa.formats.tables.joint_angles import is_of_angles, read_angles
@@ -90,7 +90,9 @@ def read_table(
     if is_of_angles(path):
         return take_person(read_angles(path, unit=unit, up=up), path, person)
     numbered = _list_rows(lines, start + header.body, header.mark)
+    numbered, cut = _leave_out_cut(numbered, len(lines), header.mark)
     numbered, clip = _choose_rows(path, header, numbered, "animation", "clips", animation)
+    clip = (*cut, *clip)
     if "people" not in header.columns.roles:
         return take_person(_build(path, header, numbered, unit, up, frame_rate, clip), path, person)
     numbered, notes = _choose_rows(path, header, numbered, "person", "people", person)
@@ -195,6 +197,18 @@ def _list_rows(lines: list[str], body: int, mark: str) -> list[tuple[int, str]]:
     return numbered
 
 
+def _leave_out_cut(
+    numbered: list[tuple[int, str]], last: int, mark: str
+) -> tuple[list[tuple[int, str]], tuple[Message, ...]]:
+    """Rows without one at the end that breaks off, and a note about it; the ``last`` line of the file has no end."""
+    rows = [line for _, line in numbered]
+    width, own = (len(next(_split(some, mark), [])) for some in (rows, rows[-1:]))
+    open_end = len(rows) > 1 and numbered[-1][0] == last
+    if own >= width and not (open_end and breaks_off(rows, width, mark)):
+        return numbered, ()
+    return numbered[:-1], (Message("guard.cut_off", line=numbered[-1][0]),)
+
+
 def _read_cells(
     path: str | os.PathLike[str], numbered: list[tuple[int, str]], mark: str, wanted: list[int], chunk: int = 200_000
 ) -> FloatArray:
@@ -224,12 +238,7 @@ def _build(
     notes: tuple[Message, ...] = (),
 ) -> Trajectories:
     columns = header.columns
-    last = numbered[-1] if numbered else (0, "")
     triples = {name: own for name, own in columns.points.items() if name} or columns.points
-    width = max(max(own) for own in triples.values()) + 1
-    if len(numbered) > 1 and len(next(_split([last[1]], header.mark), [])) < width:
-        numbered = numbered[:-1]
-        notes += (Message("tables.cut_off", line=last[0]),)
     if not numbered:
         raise MotionFileError(path, "tables.no_frames", header.body)
     if "" in triples:

@@ -303,7 +303,7 @@ def named_by_estimators(names: tuple[str, ...]) -> bool:
     return any(signs <= cores for signs in _ESTIMATED)
 
 
-_OWNER = re.compile(r"^\s*(?:(.+):|([^:_. -]{2,})[_. -])\s*(?=\S)")
+_OWNER = re.compile(r"^\s*(?:(.+):|([^:_. -]+)[_. -])\s*(?=\S)")
 
 
 @lru_cache(maxsize=256)
