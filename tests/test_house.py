@@ -34,7 +34,7 @@ TOTALS = {
     "lines of tests": 61_872,
     "lines of JavaScript": 12_467,
     "constants": 1_013,
-    "numeric constants without a source": 1,
+    "numeric constants without a source": 0,
     "functions over 60 lines": 20,
     "files over 650 lines": 0,
     "folders with more than 15 files": 0,

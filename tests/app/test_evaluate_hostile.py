@@ -74,7 +74,7 @@ def test_ctrl_c_in_a_compiled_loop_is_an_interruption(monkeypatch, capsys):
         except SystemError as error:
             raise SystemError("the loop returned a result with an exception set") from error
 
-    monkeypatch.setattr(cli, "app", interrupted)
+    monkeypatch.setattr(cli, "make_application", lambda words: interrupted)
     with pytest.raises(SystemExit) as stop:
         cli.main()
     assert stop.value.code == 130
@@ -86,7 +86,7 @@ def test_other_system_errors_are_not_hidden(monkeypatch):
     def broken(standalone_mode):
         raise SystemError("a fault of the interpreter")
 
-    monkeypatch.setattr(cli, "app", broken)
+    monkeypatch.setattr(cli, "make_application", lambda words: broken)
     with pytest.raises(SystemError, match="a fault"):
         cli.main()
 

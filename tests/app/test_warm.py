@@ -10,6 +10,7 @@ import pytest
 
 from dousa.app.warm import PARTS, warm
 from dousa.errors import OptionError
+from patience import PATIENCE
 
 
 def test_what_was_compiled_once_is_ready_afterwards():
@@ -29,11 +30,12 @@ def test_an_unknown_part_is_refused_by_name():
 @pytest.mark.nightly
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_it_can_be_interrupted(tmp_path):
-    command = [sys.executable, "-m", "dousa", "warm"]
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "TMPDIR": str(tmp_path)}
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dousa", "warm"], stderr=subprocess.PIPE, text=True, env=environment
+    )
     while not any((tmp_path / "cache").rglob("*.nbc")):
         time.sleep(0.1)
     process.send_signal(signal.SIGINT)
-    assert process.communicate(timeout=20)[1].startswith("dousa: interrupted; finished work is kept")
+    assert process.communicate(timeout=PATIENCE)[1].startswith("dousa: interrupted; finished work is kept")
     assert process.returncode == 130

@@ -112,7 +112,7 @@ def settle_motion(
 
             sample = place(some)
             translations, lost = settle_roots(path, skeleton, rotations, translations, sample.positions)
-            frame, notes = infer(place(some) if lost else sample), (*notes, *timeline.notes, *lost)
+            frame, notes = infer(place(some) if lost else sample), (*timeline.join(notes), *lost)
             roots = np.flatnonzero(skeleton.parents < 0)
             shift = find_shift(translations[:, roots], frame.unit)
             if shift is not None:
@@ -306,7 +306,7 @@ def settle_trajectories(
     timeline = settle_clock(path, clock, len(positions), positions)
     values = timeline.place(positions)
     positions, lost = settle_positions(path, names, values)
-    notes = (*notes, *timeline.notes, *lost)
+    notes = (*timeline.join(notes), *lost)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300
 

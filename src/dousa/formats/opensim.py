@@ -43,7 +43,10 @@ _JOINTS = {
 }
 _STILL = ("subtalar_angle_", "mtp_angle_", "wrist_flex_", "wrist_dev_")
 _PLACES = ("pelvis_tx", "pelvis_ty", "pelvis_tz")
-_HINGES = (("hip", "knee", "ankle", -1.0), ("shoulder", "elbow", "wrist", 1.0))
+_HINGES = (
+    ("hip", "knee", "ankle", -1.0),
+    ("shoulder", "elbow", "wrist", 1.0),
+)  # joints and the sign of flexion, by the definition of ISB
 
 
 def list_coordinates() -> dict[str, tuple[str, int, float]]:

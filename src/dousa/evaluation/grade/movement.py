@@ -55,11 +55,11 @@ def describe_movement(postures: PostureSequence, *, heading_s: float = 0.3) -> M
     working = thin_postures(postures, heading_s=heading_s)
     lines = np.full((working.n_frames, N_PARTS, 3), np.nan)
     lines[:, :9] = np.where(working.seen[:, :, None], working.segments, np.nan)
-    points = postures.positions[: working.n_frames * working.stride : working.stride]
+    points: FloatArray = postures.positions[: working.n_frames * working.stride : working.stride]
     for number, (start, end, ends) in enumerate(_ACROSS, start=9):
         across = points[:, J[end]] - points[:, J[start]]
         across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
-        lines[:, number] = np.where(working.seen[:, ends].all(axis=1)[:, None], across, np.nan)
+        lines[:, number] = np.where(working.seen[:, ends].all(axis=1, keepdims=True), across, np.nan)
     turned = (lines[..., 2] + 1j * lines[..., 0]) * np.exp(-1j * np.nan_to_num(working.heading))[:, None]
     lines[..., 2], lines[..., 0] = turned.real, turned.imag
     step = max(1, round(working.frame_rate / RATE))

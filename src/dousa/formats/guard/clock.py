@@ -83,6 +83,11 @@ class Timeline:
         placed[self.rows < 0] = np.nan
         return placed
 
+    def join(self, notes: tuple[Message, ...]) -> tuple[Message, ...]:
+        """Return a reader's notes and those about time: that frames are lacking says that the last row breaks off."""
+        lacking = any(note.code == "guard.frame_count" for note in self.notes)
+        return (*(note for note in notes if not lacking or note.code != "guard.cut_off"), *self.notes)
+
 
 def settle_clock(
     path: str | os.PathLike[str], clock: Clock | float, n_rows: int, content: FloatArray | None = None
