@@ -134,7 +134,7 @@ class Sections:
 
 
 def _decode_text(data: bytes) -> str:
-    data = data.split(b"\0", 1)[0].strip()
+    data = data.partition(b"\0")[0].strip()
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError:
@@ -190,22 +190,20 @@ def _parse_parameters(
 ) -> dict[str, Parameter]:
     """Parse groups and parameters, at most so many: 127 groups of real files hold some hundreds."""
     groups: dict[int, str] = {}
-    found: list[tuple[int, str, Parameter]] = []
+    found: list[tuple[int, bytes, Parameter]] = []
     order = "big" if processor == _MIPS else "little"
     place = 0
     while place + 2 <= len(section):
-        # A negative length marks a locked entry, a negative number a group.
-        length = abs(int.from_bytes(section[place : place + 1], signed=True))
-        number = int.from_bytes(section[place + 1 : place + 2], signed=True)
+        length, number = struct.unpack_from("bb", section, place)
         if length == 0 or number == 0:
             break
-        name = _decode_text(section[place + 2 : place + 2 + length]).upper()
-        link = place + 2 + length
+        link = place + 2 + abs(length)  # a negative length marks a locked entry, a negative number a group
+        name = section[place + 2 : link]
         offset = int.from_bytes(section[link : link + 2], order)  # type: ignore[arg-type]
         if link + offset > len(section):  # files that were turned from one processor to another keep some as they were
             offset = int.from_bytes(section[link + 1 : link - 1 : -1], order)  # type: ignore[arg-type]
         if number < 0:
-            groups.setdefault(-number, name)
+            groups.setdefault(-number, _decode_text(name).upper())
         else:
             stop = link + offset if offset else len(section)
             found.append((number, name, _parse_parameter(section[link + 2 : stop], processor)))
@@ -214,11 +212,11 @@ def _parse_parameters(
         if len(found) > most:
             raise MotionFileError(path, "c3d.too_many_parameters", most=most)
         if offset < 2 or link + offset > len(section):
-            raise MotionFileError(path, "c3d.parameter_place", name=name)
+            raise MotionFileError(path, "c3d.parameter_place", name=_decode_text(name).upper())
         place = link + offset
     parameters: dict[str, Parameter] = {}
     for number, name, parameter in found:
-        parameters.setdefault(f"{groups.get(number, number)}:{name}", parameter)
+        parameters.setdefault(f"{groups.get(number, number)}:{_decode_text(name).upper()}", parameter)
     return parameters
 
 

@@ -126,7 +126,7 @@ class Skeleton:
     end_sites: BoolArray = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
-        names = tuple(str(name) for name in self.names)
+        names = tuple(map(str, self.names))
         count = len(names)
         if count == 0:
             raise InvalidMotionError("motion.no_joint")
@@ -192,9 +192,9 @@ class Motion:
         translations = _frozen_array(self.translations, np.float64, (frames, joints, 3), "motion translations")
         with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300 and infinities
             squares = np.einsum("tjk,tjk->tj", rotations, rotations)
-            off = np.abs(squares - 1.0) > 1e-6  # false for NaN: missing values are allowed
+            off = np.abs(squares - 1.0) > 1e-6  # true for infinity, false for NaN: missing values are allowed
             whole = np.isfinite(translations.sum())  # spares the look at every value
-        if off.any() or np.isinf(squares).any() or (not whole and np.isinf(translations).any()):
+        if off.any() or (not whole and np.isinf(translations).any()):
             raise InvalidMotionError("motion.quaternions")
         set_field = object.__setattr__
         set_field(self, "rotations", rotations)
@@ -248,7 +248,7 @@ class Trajectories:
     provenance: Provenance | None = None
 
     def __post_init__(self) -> None:
-        names = tuple(str(name) for name in self.names)
+        names = tuple(map(str, self.names))
         count = len(names)
         positions = _frozen_array(self.positions, np.float64, (None, count, 3), "trajectories")
         if count == 0 or len(positions) == 0:

@@ -43,8 +43,8 @@ def keep_offsets(
     -------
     The translations, and a note that names the first of these joints.
     """
-    joints = np.flatnonzero((skeleton.parents >= 0) & skeleton.offsets.any(axis=1))
-    for some in (frames, slice(None)):
+    joints = _list_placed(skeleton)
+    for some in (slice(1), frames, slice(None)):
         if len(joints):
             joints = joints[~translations[some][:, joints].any(axis=(0, 2))]
     if not len(joints):
@@ -52,6 +52,12 @@ def keep_offsets(
     translations = translations if translations.flags.writeable else translations.copy()
     translations[:, joints] = skeleton.offsets[joints]
     return translations, (Message("guard.empty_places", n=len(joints), joint=skeleton.names[joints[0]]),)
+
+
+@lru_cache(maxsize=64)
+def _list_placed(skeleton: Skeleton) -> IndexArray:
+    """Joints, without roots, that have an offset."""
+    return np.flatnonzero((skeleton.parents >= 0) & skeleton.offsets.any(axis=1))
 
 
 def check_body(
@@ -71,26 +77,37 @@ def check_body(
     """
     if mapped is None:
         return ()
-    extent = np.fmax.reduce(mapped.points, axis=1) - np.fmin.reduce(mapped.points, axis=1)
-    if not (extent > 0).any():
-        return (Message("guard.no_size"),)
-    recipe = mapped.chosen.recipe
-    points = mapped.points.copy()
-    known = {*recipe.sources, *recipe.estimated}
-    points[:, [row for joint, row in JOINT_INDEX.items() if joint not in known]] = np.nan
+    points, recipe = mapped.points, mapped.chosen.recipe
+    if not (points[:1] > points[:1, :1]).any():  # spares the look at every value
+        extent = np.fmax.reduce(points, axis=1) - np.fmin.reduce(points, axis=1)
+        if not (extent > 0).any():
+            return (Message("guard.no_size"),)
+    unknown = _list_unknown(recipe)
+    if unknown:
+        points = points.copy()
+        points[:, unknown] = np.nan
 
     def name(joint: str) -> str:
         return names[recipe.sources[joint][0]] if joint in recipe.sources else joint
 
-    found = [*_find_crossed(name, points), *_find_exchanged(name, points)]
+    found = [*_find_crossed(name, points)]
+    paths, loose = ((), ()) if parents is None else _follow_limbs(recipe, parents.tobytes())
+    if not paths or loose:  # limbs of a tree that hang together are of one side
+        found += _find_exchanged(name, points)
     if parents is not None and translations is not None:
-        paths, loose = _follow_limbs(recipe, parents.tobytes())
         if loose:
             joint, above = loose[0]
             roots = int(np.count_nonzero(parents < 0))
             found.append(Message("guard.loose", n=len(loose), joint=names[joint], parent=names[above], roots=roots))
         found += _find_stretched(names, paths, translations)
     return tuple(found)
+
+
+@lru_cache(maxsize=64)
+def _list_unknown(recipe: Recipe) -> list[int]:
+    """Rows of the joints that the file does not have: what others make of them is no evidence."""
+    known = {*recipe.sources, *recipe.estimated}
+    return [row for joint, row in JOINT_INDEX.items() if joint not in known]
 
 
 @lru_cache(maxsize=64)
@@ -125,6 +142,8 @@ def _find_stretched(
     """
     step = -(-len(translations) // most_frames)
     places = translations[::step, joints]
+    if not (places != places[:1]).any():  # most rigs
+        return
     bones = np.sqrt(np.einsum("tjk,tjk->jt", places, places))
     with np.errstate(invalid="ignore", divide="ignore"):
         off = np.nan_to_num(np.abs(bones / find_medians(bones.T)[:, None] - 1.0), posinf=0.0)
@@ -145,7 +164,10 @@ def _find_crossed(name: Callable[[str], str], points: FloatArray, mostly: float 
 
     Beyond 120 degrees, of which the cosine is -0.5, in most frames.
     """
-    across = points[:, _LEFT] - points[:, _RIGHT]
+    ends = points[:, _WIDTHS]  # (T, hips or shoulders, side, 3)
+    across = ends[:, :, 0] - ends[:, :, 1]
+    if np.count_nonzero(np.einsum("tk,tk->t", across[:, 0], across[:, 1]) >= 0) > (1 - mostly) * len(across):
+        return
     with np.errstate(invalid="ignore", divide="ignore"):
         across /= np.sqrt(np.einsum("tjk,tjk->tj", across, across))[..., None]
     turns = np.einsum("tk,tk->t", across[:, 0], across[:, 1])
@@ -174,7 +196,7 @@ def _find_exchanged(name: Callable[[str], str], points: FloatArray, mostly: floa
             return
 
 
-_LEFT, _RIGHT = ([JOINT_INDEX[f"{side}_{joint}"] for joint in ("hip", "shoulder")] for side in _SIDES)
+_WIDTHS = np.array([[JOINT_INDEX[f"{side}_{joint}"] for side in _SIDES] for joint in ("hip", "shoulder")])
 # By definition (own or across, bone, side): rows of the canonical joints at both ends of the bones.
 _UPPER = np.array([[[JOINT_INDEX[f"{side}_{upper}"] for side in _SIDES] for upper, _ in _BONES]] * 2)
 # By the same definition: the lower ends, of which the second are those of the other side.

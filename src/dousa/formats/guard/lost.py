@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dousa.arrays import BoolArray, FloatArray, IndexArray
+from dousa.motion.canonical.anthropometry import find_medians
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,8 +42,9 @@ def measure_cloud(positions: FloatArray, most: int = 20) -> Cloud:
         ranked = np.sort(np.where(seen[..., None], sample, np.nan), axis=1)  # NaN last
         shares = np.rint(np.multiply.outer((0.1, 0.5, 0.9), counts - 1)).astype(np.intp)
         low, middle, high = ranked[np.arange(len(sample)), shares]
-        size = float(np.median((high - low).max(axis=1))) or float(np.ptp(middle, axis=0).max())
-    return Cloud(np.median(middle, axis=0), size)
+        extents = (high - low).max(axis=1, keepdims=True)
+        *middles, size = find_medians(np.concatenate((middle, extents), axis=1)).tolist()
+    return Cloud(np.array(middles), size or float(np.ptp(middle, axis=0).max()))
 
 
 def find_lost(positions: FloatArray, *, can_rest: bool = False, body: FloatArray | None = None) -> BoolArray | None:
@@ -58,6 +60,8 @@ def find_lost(positions: FloatArray, *, can_rest: bool = False, body: FloatArray
         equal = _equal_sides(positions)
         if can_rest and equal.any():
             away: BoolArray = np.any(positions, axis=2)
+            if not away.any():  # a root that stays at the origin
+                return None
             within = np.maximum.accumulate(away, axis=0) & np.maximum.accumulate(away[::-1], axis=0)[::-1]
             equal &= within
         suspected = bool(equal.any())

@@ -7,6 +7,7 @@ They scatter more between producers, who place the same joint differently, than 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf, isnan, nan
 
 import numpy as np
 
@@ -73,28 +74,35 @@ class Proportions:
 def measure_proportions(points: FloatArray) -> Proportions:
     """Measure a body of (T, 20, 3) canonical points in any unit, axes and handedness; a few frames are enough."""
     middle = _measure_bones(points)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        left, right = middle[0:8:2], middle[1:8:2]
-        sides = np.maximum(left, right) / np.minimum(left, right)
-        thigh, shank, upper, fore = _means(left, right)
-        hips, shoulders, trunk = middle[8:]
-        leg, arm = thigh + shank, upper + fore
-        ratios = {
-            "arm_per_leg": arm / leg,
-            "trunk_per_leg": trunk / leg,
-            "thigh_per_shank": thigh / shank,
-            "upper_arm_per_forearm": upper / fore,
-            "hips_per_leg": hips / leg,
-            "shoulders_per_leg": shoulders / leg,
-        }
-    known = sides[~np.isnan(sides)]
-    return Proportions(
-        {name: float(value) for name, value in ratios.items()}, float(known.max()) if len(known) else 1.0
+    *limbs, hips, shoulders, trunk = middle.tolist()
+    pairs = list(zip(limbs[::2], limbs[1::2], strict=True))
+    thigh, shank, upper, fore = (
+        right if isnan(left) else left if isnan(right) else 0.5 * (left + right) for left, right in pairs
     )
+    leg, arm = thigh + shank, upper + fore
+    ratios = {
+        "arm_per_leg": _divide(arm, leg),
+        "trunk_per_leg": _divide(trunk, leg),
+        "thigh_per_shank": _divide(thigh, shank),
+        "upper_arm_per_forearm": _divide(upper, fore),
+        "hips_per_leg": _divide(hips, leg),
+        "shoulders_per_leg": _divide(shoulders, leg),
+    }
+    sides = (_divide(max(pair), min(pair)) for pair in pairs if not isnan(sum(pair)))
+    return Proportions(ratios, max((ratio for ratio in sides if not isnan(ratio)), default=1.0))
+
+
+def _divide(one: float, other: float) -> float:
+    return one / other if other else nan if one == 0 or isnan(one) else inf
 
 
 def walks_on_fours(
-    points: FloatArray, fore_legs: float = 0.76, across: float = -0.4, along: float = 0.6, mostly: float = 0.8
+    points: FloatArray,
+    measured: Proportions,
+    fore_legs: float = 0.76,
+    across: float = -0.4,
+    along: float = 0.6,
+    mostly: float = 0.8,
 ) -> bool:
     """Return whether a body is a four-legged animal's: fore legs as long as hind legs, and down beside them.
 
@@ -103,11 +111,12 @@ def walks_on_fours(
     Parameters
     ----------
     points : (T, 20, 3) canonical points, any unit, axes and handedness; some frames over the whole motion.
+    measured : of these points.
     fore_legs : share of the legs from which on arms may be fore legs; the arms of people are 0.55 to 0.75 of them.
     across, along : cosine between trunk and legs, and between arms and legs, from which on they go so.
     mostly : share of the frames.
     """
-    if not measure_proportions(points).ratios["arm_per_leg"] > fore_legs:
+    if not measured.ratios["arm_per_leg"] > fore_legs:
         return False
     at = {joint: points[:, index] for joint, index in JOINT_INDEX.items()}
     trunk, leg, arm = (
@@ -135,15 +144,14 @@ def find_medians(values: FloatArray) -> FloatArray:
     """Compute medians (K,) of values (T, K) without NaN, faster than ``np.nanmedian``; NaN where all are."""
     if not len(values):
         return np.full(values.shape[1], np.nan)
-    ordered, columns = np.sort(values, axis=0), np.arange(values.shape[1])  # what is missing comes last
-    seen = len(ordered) - np.isnan(ordered).sum(axis=0)
-    medians: FloatArray = 0.5 * (ordered[np.maximum(seen - 1, 0) // 2, columns] + ordered[seen // 2, columns])
+    ordered = np.sort(values, axis=0)  # what is missing comes last
+    half, odd = divmod(len(ordered), 2)
+    medians: FloatArray = ordered[half] if odd else 0.5 * (ordered[half - 1] + ordered[half])
+    if np.isnan(ordered[-1]).any():
+        columns = np.arange(values.shape[1])
+        seen = len(ordered) - np.isnan(ordered).sum(axis=0)
+        medians = 0.5 * (ordered[np.maximum(seen - 1, 0) // 2, columns] + ordered[seen // 2, columns])
     return medians
-
-
-def _means(left: FloatArray, right: FloatArray) -> FloatArray:
-    means: FloatArray = np.where(np.isnan(left), right, np.where(np.isnan(right), left, 0.5 * (left + right)))
-    return means
 
 
 TRUNK_SHARE = 0.288

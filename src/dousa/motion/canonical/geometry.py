@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from dousa.arrays import BoolArray, FloatArray
-from dousa.motion.canonical.anthropometry import stature_of_parts
+from dousa.motion.canonical.anthropometry import find_medians, stature_of_parts
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.recipes import Recipe
 from dousa.motion.types import Trajectories
@@ -53,15 +53,8 @@ def chain_height(points: FloatArray) -> float:
     The height of eq. 1 on an upright body, for (T, 20, 3) canonical points in their unit; NaN if a joint is never seen.
     """
     bones = _BONES @ points
-    return _median(np.sqrt(np.einsum("tjk,tjk->tj", bones, bones)) @ CHAIN_SHARES)
-
-
-def _median(values: FloatArray) -> float:
-    middle = float(np.median(values))
-    if not np.isnan(middle):
-        return middle
-    seen = values[~np.isnan(values)]
-    return float(np.median(seen)) if len(seen) else float("nan")
+    heights = np.sqrt(np.einsum("tjk,tjk->tj", bones, bones)) @ CHAIN_SHARES
+    return float(find_medians(heights[:, None])[0])
 
 
 @dataclass(frozen=True, slots=True)

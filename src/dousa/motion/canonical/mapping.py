@@ -14,7 +14,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from dousa.motion.canonical.anthropometry import find_medians, measure_proportions, walks_on_fours
+from dousa.arrays import FloatArray
+from dousa.motion.canonical.anthropometry import Proportions, find_medians, measure_proportions, walks_on_fours
 from dousa.motion.canonical.geometry import body_points
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
 from dousa.motion.canonical.joints import JOINT_INDEX as J
@@ -139,23 +140,27 @@ _UPPER, _LOWER = (
 _TAIL = re.compile(r"(?<![A-Za-z])tail|(?<=[a-z])Tail", re.IGNORECASE)
 
 
-def _is_animal(recipe: Recipe, sample: Trajectories) -> bool:
-    tailed = any(_TAIL.search(name) for name in sample.names)
-    points = body_points(recipe, spread_frames(sample.positions))
-    return walks_on_fours(points, fore_legs=0.6) if tailed else walks_on_fours(points)
+@lru_cache(maxsize=256)
+def _has_tail(names: tuple[str, ...]) -> bool:
+    return any(_TAIL.search(name) for name in names)
+
+
+def _is_animal(names: tuple[str, ...], points: FloatArray, measured: Proportions) -> bool:
+    return walks_on_fours(points, measured, 0.6) if _has_tail(names) else walks_on_fours(points, measured)
 
 
 def _is_person(recipe: Recipe, sample: Trajectories) -> bool:
     """Whether the bones are a person's: those of the skeleton, else those in motion (files may replace the offsets)."""
     if set(CANONICAL_JOINTS) <= set(sample.names):
         return True  # the names are a person's already
-    if _is_animal(recipe, sample):
-        return False
     points = body_points(recipe, spread_frames(sample.positions))
+    measured = measure_proportions(points)
+    if _is_animal(sample.names, points, measured):
+        return False
     rest = sample.rest_positions
     if rest is not None and _rests_as_person(recipe, rest.tobytes()):
         return True
-    return measure_proportions(points).is_person
+    return measured.is_person
 
 
 def _is_odd_person(
@@ -175,12 +180,14 @@ def _is_odd_person(
     narrowest : distance of the hips as a share of the legs; points that coincide are no hips.
     longest_arms : share of the legs; those of apes and four-legged rigs are longer.
     """
-    if recipe.table == "tree shape" or _is_animal(recipe, sample):
+    if recipe.table == "tree shape":
+        return False
+    points = body_points(recipe, spread_frames(sample.positions))
+    found = measure_proportions(points)
+    if _is_animal(sample.names, points, found):
         return False
     if sample.parents is None and recipe.estimated:
         return True
-    points = body_points(recipe, spread_frames(sample.positions))
-    found = measure_proportions(points)
     hips, arms = found.ratios["hips_per_leg"], found.ratios["arm_per_leg"]
     if (
         not hips > narrowest

@@ -294,6 +294,7 @@ def holds_limb(missing: Container[str]) -> bool:
     return any(all(f"{side}_{joint}" not in missing for joint in limb) for limb in _LIMBS for side in sides)
 
 
+@lru_cache(maxsize=256)
 def named_by_estimators(names: tuple[str, ...]) -> bool:
     """Return whether the names are those of pose estimators.
 

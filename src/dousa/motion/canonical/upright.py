@@ -177,6 +177,10 @@ def weigh_axes(
     body, trust = body_direction(points)
     centred = _find_centred(points, height)
     scores, postures = {}, {}
+    # One joint after the other in the memory: the lowest of all is found several times as fast.
+    places = np.ascontiguousarray(points.transpose(1, 2, 0)) * (1.0 / height)
+    lowest, highest = np.fmin.reduce(places), np.fmax.reduce(places)
+    seen: BoolArray = np.any(~np.isnan(places), axis=2)
     is_aligned = len(body) > 0 and float(np.abs(body.mean(axis=0)).max()) > aligned
     # Mean cosine between the body and the axis, and the logarithm of how often files are like that.
     cosines, odds = [-1.0, -0.3, 0.0, 0.3, 0.6, 0.8, 1.0], [-8.0, -6.0, -3.5, -2.5, -1.0, -0.1, 0.0]
@@ -187,11 +191,12 @@ def weigh_axes(
             postures[axis] = posture
             score += trust * float(np.interp(posture, cosines, odds))
             column = "xyz".index(axis[-1])
-            # One joint after the other in the memory: the lowest of all is found several times as fast.
-            along = np.asfortranarray(points[..., column]) * (vector[column] / height)
-            fixed = bool(centred[column])
-            score += _floor_score(along, lying=abs(posture) < lying, centred=fixed, pinned=centred.sum() > 1)
-            score += _hover_score(along)
+            ends = (lowest[column], highest[column]) if vector[column] > 0 else (-highest[column], -lowest[column])
+            if seen[_LEGS, column].any():
+                fixed = bool(centred[column])
+                score += _floor_score(*ends, lying=abs(posture) < lying, centred=fixed, pinned=centred.sum() > 1)
+            if not seen[_LEGS[:4], column].any() and seen[_TOPS, column].any():
+                score += _hover_score(places[_TOPS, column] * vector[column])
             if abs(posture) < lying and is_aligned:
                 score -= 1.5
         if rest is not None and points_along(rest, axis):
@@ -232,8 +237,21 @@ def _find_centred(points: FloatArray, height: float, near: float = 0.02) -> Bool
     return centred if len(pelvis) else np.zeros(3, bool)
 
 
+_LEGS = [J[f"{side}_{joint}"] for joint in ("knee", "ankle", "toe") for side in ("left", "right")]
+_TOPS = [J["neck"], J["left_shoulder"], J["right_shoulder"]]
+
+
+def _percentile(ordered: FloatArray, percent: float) -> float:
+    """The percentile of sorted values, as NumPy's, which takes several times as long for some hundreds."""
+    place = percent / 100 * (len(ordered) - 1)
+    below = int(place)
+    above = min(below + 1, len(ordered) - 1)
+    return float(ordered[below] + (place - below) * (ordered[above] - ordered[below]))
+
+
 def _floor_score(
-    along: FloatArray,
+    lowest: FloatArray,
+    highest: FloatArray,
     *,
     lying: bool,
     centred: bool,
@@ -248,7 +266,7 @@ def _floor_score(
 
     Parameters
     ----------
-    along : (T, 20) places along the axis.
+    lowest, highest : (T,) places of its ends along the axis, NaN in frames that show none.
     lying : whether the body is across the axis.
     centred : whether the pelvis was put to zero along it; then its level does not count, and the axis is unlikely
         to be up unless the pelvis is ``pinned`` to a place: people stand on floors.
@@ -257,15 +275,10 @@ def _floor_score(
     below : a lying body below this is on no floor.
     thin : extent of a body that lies flat.
     """
-    legs = along[:, [J[f"{side}_{joint}"] for side in ("left", "right") for joint in ("knee", "ankle", "toe")]]
-    if np.isnan(legs).all():
-        return 0.0
-    if np.isnan(along).any():
-        there = along[~np.isnan(along).all(axis=1)]
-        lowest, highest = np.nanmin(there, axis=1), np.nanmax(there, axis=1)
-    else:
-        lowest, highest = along.min(axis=1), along.max(axis=1)
-    level, scatter = float(np.percentile(lowest, 2)), float(lowest.std())
+    ordered = np.sort(lowest)
+    ordered = ordered[: len(ordered) - np.count_nonzero(np.isnan(ordered))]
+    off = ordered - ordered.sum() / len(ordered)
+    level, scatter = _percentile(ordered, 2), float(np.sqrt(off @ off / len(ordered)))
     score = 1.0 if scatter <= steady else -1.5 if scatter > unsteady else 0.0
     if centred:
         return score if pinned else score - 1.5
@@ -274,18 +287,21 @@ def _floor_score(
     if lying and level < below:  # a body on a floor is above it
         return score
     on_floor = next((value for most, value in ((0.04, 2.2), (0.1, 1.5), (0.2, 0.5)) if abs(level) <= most), 0.0)
-    flat = lying and on_floor > 0 and float(np.percentile(highest - lowest, 90)) < thin
+    flat = lying and on_floor > 0 and _percentile(np.sort(highest - lowest)[: len(ordered)], 90) < thin
     return score + on_floor + 2.0 * flat
 
 
-def _hover_score(along: FloatArray, low: float = 0.45, high: float = 0.95) -> float:
+def _hover_score(tops: FloatArray, low: float = 0.45, high: float = 0.95) -> float:
     """Score shoulders without legs by their height above zero: that of people sitting or standing."""
-    if not np.isnan(along[:, [J["left_ankle"], J["right_ankle"], J["left_knee"], J["right_knee"]]]).all():
-        return 0.0
-    tops = along[:, [J["neck"], J["left_shoulder"], J["right_shoulder"]]]
-    if np.isnan(tops).all():
-        return 0.0
     return 1.2 if low < float(np.nanmedian(tops)) < high else 0.0
+
+
+@lru_cache(maxsize=16)
+def _fit_parabola(n: int, frame_rate: float) -> FloatArray:
+    """Weights (n,) of places one after the other that give the acceleration, by least squares."""
+    times = (np.arange(n) - (n - 1) / 2) / frame_rate
+    weights: FloatArray = np.linalg.pinv(np.stack([np.ones(n), times, 0.5 * times**2], axis=1))[2]
+    return weights
 
 
 def find_fall(
@@ -316,10 +332,8 @@ def find_fall(
     if not there.any() or frame_rate < 25 or len(points) < 2 * n:
         return None
     path = points[:, there].mean(axis=1) * unit
-    times = (np.arange(n) - (n - 1) / 2) / frame_rate
-    pull = np.linalg.pinv(np.stack([np.ones(n), times, 0.5 * times**2], axis=1))[2]
     windows = np.lib.stride_tricks.sliding_window_view(path, n, axis=0)
-    acceleration = windows @ pull
+    acceleration = windows @ _fit_parabola(n, frame_rate)
     size = np.linalg.norm(acceleration, axis=1)
     falling = np.abs(size / gravity - 1) < tolerance
     # A run of windows in the air, not one moment of a landing.
