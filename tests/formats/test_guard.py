@@ -4,6 +4,7 @@ A cell of the table that is empty has a reason in ``NOT_THERE``.
 """
 
 import dataclasses
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -399,3 +400,38 @@ def test_bytes_that_a_c3d_file_has_too_many_or_too_few_are_said(tmp_path, place)
         assert {note.code for note in motion.provenance.notes} & {
             "guard.bytes_over", "guard.bytes_lacking", "guard.frame_count", "c3d.analog_count"
         }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "code"),
+    [
+        ("trc", f"\t{len(PATH.names)}\tm\t", "\t7\tm\t", "guard.point_count"),
+        ("tsv", "FREQUENCY", "NO_OF_MARKERS\t7\nFREQUENCY", "guard.point_count"),
+        ("mvnx", 'segmentCount="4"', 'segmentCount="3"', "guard.point_count"),
+        ("mvnx", "<connector1>Pelvis", "<connector1>Pelvic", "mvnx.unknown_segment"),
+        ("csv", "\n5,0.04", "\n,5,0.04", "guard.row_width"),
+        ("tsv", "\n5\t0.04", "\n5\t\t0.04", "guard.row_width"),
+    ],
+)
+def test_declared_and_found_counts_that_differ_are_said(tmp_path, name, old, new, code):
+    text = WRITERS[name](File()).decode()
+    assert old in text
+    path = tmp_path / f"x.{name}"
+    path.write_text(text.replace(old, new, 1))
+    assert code in [note.code for note in read_motion(path).provenance.notes]
+
+
+@pytest.mark.parametrize("above", ["two_parents", "circle"])
+def test_a_tree_of_mvnx_that_is_none_is_refused(tmp_path, above):
+    text = write_mvnx(File()).decode()
+    first = re.search(r"<joint label.*?</joint>", text, re.DOTALL)[0]
+    one, other = re.findall(r"<connector\d>([^/<]+)", first)
+    added = first.replace(one, "@").replace(other, one).replace("@", other)
+    if above == "two_parents":
+        third = next(label for label in re.findall(r'<segment label="(\w+)"', text) if label not in (one, other))
+        added = first.replace(one, third)
+    path = tmp_path / "x.mvnx"
+    path.write_text(text.replace(first, first + added))
+    with pytest.raises(MotionFileError) as caught:
+        read_motion(path)
+    assert caught.value.code == f"mvnx.{above}"

@@ -28,7 +28,7 @@ from dousa.formats.assembly import (
     settle_motion,
     settle_trajectories,
 )
-from dousa.formats.guard import Clock, check_memory, settle_positions
+from dousa.formats.guard import Clock, check_memory, compare_points, settle_positions
 from dousa.formats.parts import choose, distinguish
 from dousa.formats.smpl import mean_body
 from dousa.messages import Message
@@ -110,9 +110,7 @@ def read_mvnx(
     segments = segments or [ET.Element("segment", label=name) for name in names]
     if not names or len(names) > 500 or len(set(names)) != len(names):
         raise MotionFileError(path, "mvnx.segments", found=len(names))
-    declared = subject.get("segmentCount", "")
-    if declared.isdecimal() and len(declared) < 9 and int(declared) > len(names):
-        raise MotionFileError(path, "mvnx.segment_count", declared=int(declared), found=len(names))
+    notes += _compare_segments(path, subject.get("segmentCount", ""), len(names))
     frames = [node for group in _children(subject, "frames") for node in _children(group, "frame")]
     taken = [frame for frame in frames if frame.get("type", "normal") == "normal"]
     if not taken:
@@ -129,7 +127,8 @@ def read_mvnx(
             notes=(*notes, Message("mvnx.no_orientation")),
         )  # fmt: skip
     world = _read_values(path, taken, "orientation", len(names), 4)
-    order, parents = order_tree(names, _TREE | {below: above for above, _, below in _list_joints(subject)})
+    order, parents, more = _order_segments(path, subject, names)
+    notes += more
     rest = [frame for frame in frames if frame.get("type") == "identity" and _has(frame, "position")][:1]
     resting = _read_values(path, rest, "position", len(names), 3)[0] if rest else None
     if positions is None:
@@ -151,6 +150,40 @@ def read_mvnx(
         path, "mvnx", *add_ends(skeleton, rotations, translations, ends), clock,
         unit=unit, up=up, unit_in_file=1.0, up_in_file="z", notes=notes,
     )  # fmt: skip
+
+
+def _compare_segments(path: str | os.PathLike[str], declared: str, found: int) -> tuple[Message, ...]:
+    """Note fewer declared segments than names; MotionFileError for more of them."""
+    if not declared.isdecimal() or len(declared) > 8:
+        return ()
+    if int(declared) > found:
+        raise MotionFileError(path, "mvnx.segment_count", declared=int(declared), found=found)
+    return compare_points(int(declared), found)
+
+
+def _order_segments(
+    path: str | os.PathLike[str], subject: ET.Element, names: tuple[str, ...]
+) -> tuple[list[int], list[int], tuple[Message, ...]]:
+    """Order and parents of the segments as of `order_tree`, and notes on joints of others.
+
+    Raises
+    ------
+    MotionFileError : a segment with two parents, or one that is below itself.
+    """
+    parents: dict[str, str] = {}
+    joints = [(above, below) for above, _, below in _list_joints(subject)]
+    unknown = [name for joint in joints for name in joint if name not in names]
+    for above, below in joints:
+        if above in names and below in names and parents.setdefault(below, above) != above:
+            raise MotionFileError(path, "mvnx.two_parents", segment=below, one=parents[below], other=above)
+    for name in parents:
+        above = name
+        for _ in parents:
+            above = parents.get(above, "")
+        if above in parents:
+            raise MotionFileError(path, "mvnx.circle", segment=above, parent=parents[above])
+    notes = (Message("mvnx.unknown_segment", n=len(unknown), segment=unknown[0]),) if unknown else ()
+    return *order_tree(names, _TREE | parents), notes
 
 
 def _name(node: ET.Element) -> str:

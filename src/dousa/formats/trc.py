@@ -5,7 +5,7 @@ frame: frame number, time, coordinates, separated by tabs, or throughout a file 
 or ``nan`` cell is a missing value; the decimal sign is a point or, throughout a file, a comma.
 Reference: OpenSim documentation, "Marker (.trc) Files". The format does not declare the up axis.
 
-The rows count, not NumFrames and NumMarkers, which are wrong in published files (those of Pose2Sim).
+Rows and names count, not NumFrames and NumMarkers, which are wrong in published files (those of Pose2Sim): a note.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from dousa.errors import MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.assembly import declared_unit, settle_trajectories
-from dousa.formats.guard import Clock, check_points
+from dousa.formats.guard import Clock, check_points, compare_points
 from dousa.formats.optical.cells import read_lines, read_number
 from dousa.motion import Trajectories
 
@@ -59,7 +59,7 @@ def read_trc(path: str | os.PathLike[str], *, unit: float | str | None = None, u
         up_in_file=None,
         default_up="y",
         keep_values=True,
-        notes=notes,
+        notes=(*notes, *compare_points(read_number(fields.get("nummarkers")), len(names))),
     )
 
 

@@ -36,6 +36,13 @@ def check_memory(path: str | os.PathLike[str], needed: int, held: int) -> None:
         raise MotionFileError(path, "guard.memory", needed=needed / 1e6, held=held / 1e6)
 
 
+def compare_points(declared: float | None, found: int) -> tuple[Message, ...]:
+    """Note a declared number of markers or segments that is not that of their names; NaN and None declare none."""
+    if declared is None or declared == found or not declared >= 0:
+        return ()
+    return (Message("guard.point_count", declared=f"{declared:,.0f}", found=found),)
+
+
 def compare_bytes(declared: int, held: int) -> tuple[Message, ...]:
     """Note bytes that a file has beyond what its header declares, or lacks."""
     if held == declared:

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from dousa.arrays import FloatArray
+from dousa.arrays import FloatArray, IntArray
 from dousa.errors import MotionFileError
 from dousa.formats.guard import check_memory
 from dousa.messages import Message
@@ -86,7 +86,7 @@ def read_lines(
     if not rows:
         raise MotionFileError(path, "tables.no_frames", body)
     check_memory(path, 8 * width * len(rows), sum(map(len, lines)))
-    parts = []
+    parts, widths = [], []
     step = max(1, at_once // width)
     for start in range(0, len(rows), step):
         part = rows[start : start + step]
@@ -95,8 +95,21 @@ def read_lines(
             for number, row in zip(part, cells, strict=True):
                 if len(row) < width or any(cell.strip() for cell in row[width:]):
                     raise MotionFileError(path, "tables.width", number + 1, expected=width, found=len(row))
+        widths += list(map(len, cells))
         parts.append(read_rows(path, cells, [number + 1 for number in part], width))
-    return np.concatenate(parts), tuple(notes)
+    values = np.concatenate(parts)
+    return values, (*notes, *_empty_shifted(values, np.array(widths), [number + 1 for number in rows]))
+
+
+def _empty_shifted(values: FloatArray, widths: IntArray, lines: list[int], few: float = 0.1) -> tuple[Message, ...]:
+    """Empty the rows (T, C) whose number of cells is not that of all others; of more than a ``few`` it says nothing."""
+    usual = int(np.bincount(widths).argmax())
+    odd = np.flatnonzero(widths != usual)
+    if not 0 < len(odd) <= few * len(widths):
+        return ()
+    values[odd] = np.nan
+    row = int(odd[0])
+    return (Message("guard.row_width", n=len(odd), line=lines[row], found=int(widths[row]), expected=usual),)
 
 
 def _split(line: str, mark: str) -> list[str]:

@@ -17,7 +17,7 @@ from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.formats.assembly import settle_trajectories, settle_world
-from dousa.formats.guard import Clock, check_points
+from dousa.formats.guard import Clock, check_points, compare_points
 from dousa.formats.optical.cells import guess_parents, read_lines, read_number, strip_owner
 from dousa.messages import Message
 from dousa.motion import Motion, Trajectories
@@ -72,7 +72,7 @@ def read_qualisys(
     return settle_trajectories(
         path, "qualisys", tuple(names), points, clock,
         unit=unit, up=up, unit_in_file=0.001, up_in_file=None, default_up="z",
-        notes=notes,
+        notes=(*notes, *compare_points(read_number(fields.get("NO_OF_MARKERS")), len(names))),
     )  # fmt: skip
 
 
