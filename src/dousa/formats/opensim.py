@@ -20,7 +20,7 @@ from dousa.errors import JointMappingError, MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.assembly import settle_motion
 from dousa.formats.guard import Clock
-from dousa.formats.optical.cells import read_lines
+from dousa.formats.optical.cells import decode, read_lines
 from dousa.formats.smpl import mean_body
 from dousa.messages import Message
 from dousa.motion import Motion, Skeleton
@@ -175,7 +175,7 @@ def read_mot(path: str | os.PathLike[str], *, unit: float | str | None = None, u
     ------
     MotionFileError : missing, damaged, coordinates of no known model.
     """
-    lines = read_bytes(path).decode("utf-8-sig", errors="replace").replace("\r\n", "\n").split("\n")
+    lines = decode(read_bytes(path)).split("\n")
     start = next((n for n, line in enumerate(lines) if line.strip().lower() == "endheader"), None)
     if start is None or start + 1 >= len(lines):
         raise MotionFileError(path, "opensim.no_header")

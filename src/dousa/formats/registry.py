@@ -7,6 +7,7 @@ its formats by entry points of the group ``dousa.formats``, see `load_plugins`.
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import functools
 import importlib
@@ -352,7 +353,7 @@ def _run(path: str, line: Format, options: Mapping[str, Any], frame_rate: float 
         raise MotionFileError(path, error.message) from error
     except MemoryError:
         raise MotionFileError(path, "disk.too_large") from None
-    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+    except (ArithmeticError, LookupError, TypeError, ValueError, csv.Error) as error:
         raise MotionFileError(
             path, "formats.damaged", format=line.name.upper(), kind=type(error).__name__, reason=error
         ) from error

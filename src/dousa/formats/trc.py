@@ -19,7 +19,7 @@ from dousa.errors import MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.assembly import declared_unit, settle_trajectories
 from dousa.formats.guard import Clock, check_points, compare_points
-from dousa.formats.optical.cells import read_lines, read_number
+from dousa.formats.optical.cells import decode, read_lines, read_number
 from dousa.motion import Trajectories
 
 
@@ -36,10 +36,7 @@ def read_trc(path: str | os.PathLike[str], *, unit: float | str | None = None, u
     ------
     MotionFileError : missing, empty, text where numbers belong, rows of another width.
     """
-    # splitlines would also break at exotic separators inside a name
-    text = read_bytes(path).decode("utf-8-sig", errors="replace")
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    lines = _with_tabs(lines)
+    lines = _with_tabs(decode(read_bytes(path)).split("\n"))
     fields = _read_fields(path, lines)
     names, body = _read_names(path, lines)
     frames = read_number(fields.get("numframes"))

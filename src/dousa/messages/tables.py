@@ -114,10 +114,11 @@ class _Filler(string.Formatter):
             return tuple(repr(item) for item in value)
         return super().convert_field(value, conversion)
 
-    def _join(self, items: tuple[Any, ...], spec: str) -> str:
-        """Join by ``list``, ``and`` or ``or``; a format of the items may follow: ``{values:list .2f}``."""
+    def _join(self, items: tuple[Any, ...], spec: str, most: int = 40) -> str:
+        """Join ``most`` items by ``list``, ``and`` or ``or``; their format may follow: ``{values:list .2f}``."""
         kind, _, item_spec = spec.partition(" ")
         comma, both, either = _JOINTS[self._language]
-        words = [self.format_field(item, item_spec) for item in items]
+        words = [self.format_field(item, item_spec) for item in items[:most]]
+        words += [f"... (+{len(items) - most:,})"] * (len(items) > most)
         last = {"and": both, "or": either}.get(kind, comma)
         return comma.join(words) if len(words) < 2 else comma.join(words[:-1]) + last + words[-1]

@@ -82,9 +82,11 @@ def build_content(
         )  # fmt: skip
     samples = _list_samples(content, arrays)
     if samples:
-        names = distinguish(text or f"sample {number}" for number, (_, text) in enumerate(samples, 1))
-        chosen, notes = choose(path, "animation", names, animation, [len(points) for points, _ in samples])
-        points, text = samples[chosen]
+        names = distinguish(text or f"sample {number}" for number, (_, text, _) in enumerate(samples, 1))
+        chosen, notes = choose(path, "animation", names, animation, [len(points) for points, _, _ in samples])
+        points, text, declared = samples[chosen]
+        if declared > len(points):
+            notes += (Message("guard.frame_count", declared=f"{declared:,}", found=len(points)),)
         notes += (Message("arrays.text", text=text),) if text else ()
         return build_joints(path, "pkl", points, unit=unit, up=up, frame_rate=frame_rate, notes=notes)
     people = name_people(arrays)
@@ -99,17 +101,18 @@ def build_content(
     return build_joints(path, "pkl", arrays[name], unit=unit, up=up, frame_rate=rate)
 
 
-def _list_samples(content: Mapping[Any, Any], arrays: Mapping[str, NDArray[Any]]) -> list[tuple[NDArray[Any], str]]:
-    """Places (T, J, 3) and text of each sample of text-to-motion: ``motion`` (N, J, 3, T), ``lengths``, ``text``."""
+def _list_samples(
+    content: Mapping[Any, Any], arrays: Mapping[str, NDArray[Any]]
+) -> list[tuple[NDArray[Any], str, int]]:
+    """Places (T, J, 3), text, length of samples of text-to-motion: ``motion`` (N, J, 3, T), ``text``, ``lengths``."""
     motion = arrays.get("motion")
     if motion is None or motion.ndim != 4 or 3 not in motion.shape[2:]:
         return []
     if motion.shape[2] == 3 and motion.shape[3] != 3:
         motion = np.moveaxis(motion, 3, 1)
     lengths, texts = arrays.get("lengths"), content.get("text")
-    known = lengths is not None and lengths.shape == (len(motion),)
+    known = lengths is not None and lengths.shape == (len(motion),) and np.isfinite(lengths).all()
+    counts = [int(count) for count in lengths] if known and lengths is not None else [0] * len(motion)
     texts = texts if isinstance(texts, list) and len(texts) == len(motion) else [""] * len(motion)
-    return [
-        (own[: int(lengths[n])] if known and lengths is not None and lengths[n] > 0 else own, str(texts[n])[:200])
-        for n, own in enumerate(motion)
-    ]
+    rows = zip(motion, texts, counts, strict=True)
+    return [(own[:count] if count > 0 else own, str(text)[:200], count) for own, text, count in rows]

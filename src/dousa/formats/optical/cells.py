@@ -19,6 +19,13 @@ BLANK = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "--", "."})
 """What programs write for a missing number, in lower case."""
 
 
+def decode(data: bytes) -> str:
+    """Decode the text of a table, with plain ends of lines; bytes of 0 are damage, as are others that are no text."""
+    wide = data[:2] in (b"\xff\xfe", b"\xfe\xff")
+    text = data.decode("utf-16" if wide else "utf-8-sig", errors="replace")
+    return text.replace("\0", "\ufffd").replace("\r\n", "\n").replace("\r", "\n")
+
+
 def read_rows(path: str | os.PathLike[str], rows: list[list[str]], lines: Sequence[int], width: int) -> FloatArray:
     """Read (T, width) numbers; blank cells, and cells missing at the end of a row, are NaN.
 

@@ -23,7 +23,7 @@ from dousa.errors import MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.assembly import declared_unit, settle_trajectories, settle_world
 from dousa.formats.guard import Clock, check_points
-from dousa.formats.optical.cells import guess_parents, read_lines, read_number, strip_owner
+from dousa.formats.optical.cells import decode, guess_parents, read_lines, read_number, strip_owner
 from dousa.messages import Message
 from dousa.motion import Motion, Trajectories, forward_kinematics
 from dousa.motion.rotations import from_euler, normalise
@@ -56,13 +56,9 @@ def read_motive(
     ------
     MotionFileError : missing, damaged, neither bones nor labelled markers.
     """
-    lines = read_bytes(path).decode("utf-8-sig", errors="replace").replace("\0", "").replace("\r\n", "\n").split("\n")
+    lines = decode(read_bytes(path)).split("\n")
     check_points(path, max(line.count(",") for line in lines[:12]) // 7)  # numbers of a bone
-    try:
-        rows = list(csv.reader(lines[:12]))
-    except csv.Error as error:
-        raise MotionFileError(path, "motive.damaged", reason=error) from error
-    table = _read_header(path, rows)
+    table = _read_header(path, list(csv.reader(lines[:12])))
     kinds = {kind for kind, _ in table.columns}
     kind = next(
         (kind for kind in ("bone", "marker", "bonemarker", "rigidbodymarker", "rigidbody") if kind in kinds), None

@@ -18,7 +18,7 @@ from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.formats.assembly import settle_trajectories, settle_world
 from dousa.formats.guard import Clock, check_points, compare_points
-from dousa.formats.optical.cells import guess_parents, read_lines, read_number, strip_owner
+from dousa.formats.optical.cells import decode, guess_parents, read_lines, read_number, strip_owner
 from dousa.messages import Message
 from dousa.motion import Motion, Trajectories
 from dousa.motion.rotations import normalise
@@ -42,8 +42,7 @@ def read_qualisys(
     ------
     MotionFileError : missing, damaged, rigid bodies (6D) without markers.
     """
-    text = read_bytes(path).decode("utf-8-sig", errors="replace").replace("\r\n", "\n").replace("\r", "\n")
-    lines = text.split("\n")
+    lines = decode(read_bytes(path)).split("\n")
     check_points(path, max(line.count("\t") for line in lines[:40]) // 3)
     fields: dict[str, list[str]] = {}
     number = 0

@@ -18,7 +18,7 @@ from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.formats.assembly import settle_motion
 from dousa.formats.guard import Clock
-from dousa.formats.optical.cells import read_rows
+from dousa.formats.optical.cells import decode, read_rows
 from dousa.motion import Motion, Skeleton
 from dousa.motion.rotations import from_euler, identity
 
@@ -42,7 +42,7 @@ def read_angles(path: str | os.PathLike[str], *, unit: float | str | None, up: s
     tree, moved = Path(f"{stem}_hierarchy.csv"), Path(f"{stem}_pos.csv")
     if not tree.exists():
         raise MotionFileError(path, "tables.no_hierarchy", file=tree.name)
-    joints = [row for row in csv.reader(_lines(tree)[1:]) if len(row) >= 5]
+    joints = [row for row in csv.reader(decode(read_bytes(tree)).split("\n")[1:]) if len(row) >= 5]
     names = tuple(row[0].strip() for row in joints)
     above = {row[0].strip(): row[1].strip() for row in joints}
     parents = [names.index(above[joint]) if above[joint] in names else -1 for joint in names]
@@ -72,13 +72,9 @@ def read_angles(path: str | os.PathLike[str], *, unit: float | str | None, up: s
     )  # fmt: skip
 
 
-def _lines(path: str | os.PathLike[str]) -> list[str]:
-    return read_bytes(path).decode("utf-8-sig", errors="replace").splitlines()
-
-
 def _read_columns(path: str | os.PathLike[str]) -> tuple[FloatArray, dict[str, dict[str, int]]]:
     """The numbers, the times first, and of each joint the columns by axis in the order of the table."""
-    lines = _lines(path)
+    lines = decode(read_bytes(path)).split("\n")
     titles = next(csv.reader(lines[:1]), [])
     columns: dict[str, dict[str, int]] = {}
     for number, title in enumerate(titles):

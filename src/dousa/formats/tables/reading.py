@@ -27,7 +27,7 @@ from dousa.formats.guard import Clock
 from dousa.formats.guard.people import take_person
 from dousa.formats.landmarks import note_hips, refuse_pictures
 from dousa.formats.optical import read_motive, read_qualisys
-from dousa.formats.optical.cells import breaks_off, is_number, read_rows
+from dousa.formats.optical.cells import breaks_off, decode, is_number, read_rows
 from dousa.formats.parts import choose
 from dousa.formats.tables.columns import Columns, find_columns, spread_names
 from dousa.formats.tables.joint_angles import is_of_angles, read_angles
@@ -97,13 +97,6 @@ def read_table(
         return take_person(_build(path, header, numbered, unit, up, frame_rate, clip), path, person)
     numbered, notes = _choose_rows(path, header, numbered, "person", "people", person)
     return _build(path, header, numbered, unit, up, frame_rate, (*clip, *notes))
-
-
-def decode(data: bytes) -> str:
-    """Decode the text of a table, with plain ends of lines."""
-    wide = data[:2] in (b"\xff\xfe", b"\xfe\xff")
-    text = data.decode("utf-16" if wide else "utf-8-sig", errors="replace")
-    return text.replace("\0", "").replace("\r\n", "\n").replace("\r", "\n")
 
 
 def is_table(path: str | os.PathLike[str], head: bytes) -> bool:
