@@ -435,3 +435,33 @@ def test_a_tree_of_mvnx_that_is_none_is_refused(tmp_path, above):
     with pytest.raises(MotionFileError) as caught:
         read_motion(path)
     assert caught.value.code == f"mvnx.{above}"
+
+
+@pytest.mark.parametrize("key", ["rate", "points", "scale"])
+def test_a_header_of_c3d_that_its_parameters_contradict_is_said(tmp_path, key):
+    place, word = {"rate": (20, np.float32(31)), "points": (2, np.uint16(3)), "scale": (12, np.float32(0.5))}[key]
+    data = write_c3d(File())
+    path = tmp_path / "x.c3d"
+    path.write_bytes(data[:place] + word.tobytes() + data[place + word.nbytes :])
+    motion = read_motion(path)
+    assert [note.code for note in motion.provenance.notes] == ["c3d.header"]
+    np.testing.assert_allclose(motion.positions, PATH.positions, atol=1e-5)
+
+
+def test_bytes_behind_an_archive_and_a_damaged_list_of_arrays_are_said(tmp_path):
+    data, path = write_npz(File()), tmp_path / "x.npz"
+    path.write_bytes(data + b"more")
+    assert "guard.bytes_over" in [note.code for note in read_motion(path).provenance.notes]
+    end = data.rindex(b"PK\x05\x06")
+    path.write_bytes(data[: end + 12] + b"\xff\xff\xff\x7f" + data[end + 16 :])
+    with pytest.raises(MotionFileError, match="damaged"):
+        read_motion(path)
+
+
+def test_keys_of_glb_that_are_far_apart_are_questioned(tmp_path):
+    path = tmp_path / "x.glb"
+    write_motion(dataclasses.replace(BODY, frame_rate=1 / 24), path)
+    motion = read_motion(path)
+    assert motion.n_frames == FRAMES
+    assert motion.frame_rate == 24.0
+    assert "guard.rate_is_time" in [note.code for note in motion.provenance.notes]

@@ -6,6 +6,7 @@ a member is compared with a limit before unpacking, and with the data while unpa
 
 from __future__ import annotations
 
+import errno
 import io
 import lzma
 import math
@@ -69,6 +70,8 @@ def open_npz(source: str | os.PathLike[str] | bytes, fail: Fail) -> Iterator[Npz
     except _DAMAGE as error:
         raise fail(Message("npz.damaged", reason=error)) from error
     except OSError as error:
+        if isinstance(source, bytes) or error.errno == errno.EINVAL:  # the list of the arrays points before the file
+            raise fail(Message("npz.damaged", reason=Message("npz.no_list"))) from error
         raise fail(Message("npz.unreadable", reason=error)) from error
 
 
@@ -110,6 +113,16 @@ class NpzFile:
     def most(self) -> int:
         """Bytes that an array may have: those of real recordings do not shrink to a quarter."""
         return max(100_000_000, 4 * sum(member.compress_size for member in self._members.values()))
+
+    @property
+    def n_behind(self) -> int:
+        """Bytes of the file behind the end of the archive."""
+        file = self._archive.fp
+        if file is None:
+            return 0
+        members = self._archive.infolist()
+        heads = sum(46 + len(m.orig_filename.encode()) + len(m.extra) + len(m.comment) for m in members)
+        return file.seek(0, io.SEEK_END) - self._archive.start_dir - heads - 22 - len(self._archive.comment)
 
     @property
     def compressed(self) -> tuple[str, ...]:

@@ -381,6 +381,7 @@ def read_c3d(
         return _read_segments(sections, data, unit=unit, up=up)
     chosen, names = _choose_points(sections)
     positions, clock, notes = _read_positions(sections, data, chosen)
+    notes += _compare_header(sections)
     shift = [float(word) for word in " ".join(sections.texts("DOUSA:SHIFT")).split()]
     if len(shift) == 3:  # see `write_c3d`
         positions += shift
@@ -455,6 +456,25 @@ def _frame_rate(sections: Sections) -> float:
     if rate is None or not rate > 0:
         rate = sections.header.frame_rate
     return float(str(np.float32(rate)))  # 29.97, not 29.969999313354492
+
+
+def _compare_header(sections: Sections, near: float = 0.005) -> tuple[Message, ...]:
+    """Note words of the header that the parameters contradict: these count, as in other readers.
+
+    ``near`` : share by which numbers may differ. Of scales below 0 only the sign counts.
+    """
+    header, notes = sections.header, []
+    for key, word in (
+        ("POINT:USED", header.n_points),
+        ("POINT:RATE", header.frame_rate),
+        ("POINT:SCALE", header.scale),
+    ):
+        said = sections.number(key)
+        if not said or not np.isfinite([said, word]).all() or (key == "POINT:SCALE" and max(said, word) < 0):
+            continue
+        if abs(said - word) > near * abs(said):
+            notes.append(Message("c3d.header", key=key, header=word, found=said))
+    return tuple(notes)
 
 
 def _up_axis(sections: Sections) -> str | None:

@@ -22,6 +22,7 @@ bounded by the size of the file.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 from collections.abc import Callable
@@ -35,6 +36,7 @@ from dousa.errors import InvalidMotionError, MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.files.npz_arrays import NpzFile, open_npz
 from dousa.formats.arrays.joints import build_joints, find_joints, is_joint_array
+from dousa.formats.guard import compare_bytes
 from dousa.formats.smpl import build_smpl, find_poses
 from dousa.messages import Message
 from dousa.motion import Motion, Provenance, Skeleton, Trajectories
@@ -179,19 +181,36 @@ def read_any_npz(
     MotionFileError : missing, damaged, or none of these.
     """
     with open_npz(path, partial(MotionFileError, path)) as file:
-        if find_poses(file.names):
-            return build_smpl(path, lambda name: _read(file, name), file.names, unit=unit, up=up, skeleton=skeleton,
-                              frame_rate=frame_rate)  # fmt: skip
-        name = None if "format" in file else find_joints(_shapes(file))
-        if name is None:
-            return read_npz(path, unit=unit, up=up)
-        points = _read(file, name)
-        rate = frame_rate
-        for key in _RATES:
-            if rate is None and key in file:
-                given = _read(file, key)
-                rate = float(given.reshape(-1)[0]) if given is not None and given.size == 1 else None
-        names = next((file.read_texts(key) for key in ("joint_names", "names") if _is_text(file, key)), None)
+        behind = max(0, file.n_behind)
+        motion = _read_content(path, file, unit, up, skeleton, frame_rate)
+    if not behind:
+        return motion
+    source = motion.provenance or Provenance(os.fspath(path), "npz")
+    source = dataclasses.replace(source, notes=(*source.notes, *compare_bytes(0, behind)))
+    return dataclasses.replace(motion, provenance=source)
+
+
+def _read_content(
+    path: str | os.PathLike[str],
+    file: NpzFile,
+    unit: float | str | None,
+    up: str | None,
+    skeleton: str | os.PathLike[str] | None,
+    frame_rate: float | None,
+) -> Motion | Trajectories:
+    if find_poses(file.names):
+        return build_smpl(path, lambda name: _read(file, name), file.names, unit=unit, up=up, skeleton=skeleton,
+                          frame_rate=frame_rate)  # fmt: skip
+    name = None if "format" in file else find_joints(_shapes(file))
+    if name is None:
+        return read_npz(path, unit=unit, up=up)
+    points = _read(file, name)
+    rate = frame_rate
+    for key in _RATES:
+        if rate is None and key in file:
+            given = _read(file, key)
+            rate = float(given.reshape(-1)[0]) if given is not None and given.size == 1 else None
+    names = next((file.read_texts(key) for key in ("joint_names", "names") if _is_text(file, key)), None)
     return build_joints(path, "npz", points, unit=unit, up=up, frame_rate=rate, names=names)
 
 

@@ -120,6 +120,10 @@ def _slerp(start: FloatArray, end: FloatArray, share: FloatArray) -> FloatArray:
 # Hz, by the definition of docs/formats.md.
 _SLOWEST_RECORDING, _LEAST, _MOST = 10.0, 30.0, 60.0
 
+_RARE, _MANY = 0.2, 9
+"""Hz, and steps: so many even keys so far apart are frames with seconds that are wrong, by definition of
+docs/formats.md. They are kept, and `dousa.formats.guard` decides on their rate."""
+
 _USUAL = (12.5, 15, 20, 24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 125, 144, 150, 180, 200, 240, 250, 300, 480)
 """Hz, rates of cameras and of systems, by definition."""
 
@@ -133,8 +137,8 @@ def choose_times(
 ) -> tuple[FloatArray, float]:
     """Choose even times (T,) that meet the keys of all curves, and their rate in Hz.
 
-    The rate is that of the keys if these are even, else the lowest from 30 to 60 Hz at which each key falls on a frame,
-    else 60 Hz or, of more keys, theirs.
+    The rate is that of the keys if these are even, also one that no recording has; else the lowest from 30 to 60 Hz at
+    which each key falls on a frame, else 60 Hz or, of more keys, theirs.
 
     Parameters
     ----------
@@ -152,6 +156,8 @@ def choose_times(
     if len(steps) == len(finest) - 1 > 0 and (np.abs(steps * measured - 1) < even_by).all():
         # Over the whole length, as single steps are rounded to 32 bits.
         measured = len(steps) / float(finest[-1] - finest[0])
+        if measured < _RARE and len(steps) >= _MANY:
+            return finest, measured
     rate = max(measured, _MOST)
     for candidate in _list_rates(measured):
         frames = keys * candidate

@@ -51,7 +51,8 @@ def settle_positions(
     if lost is not None:
         frame, point = np.argwhere(lost)[0]
         example = " ".join(f"{number:.7g}" for number in positions[frame, point])
-        notes.append(Message("guard.lost", n=int(lost.sum()), total=lost.size, example=example))
+        first = {"name": names[point], "frame": int(frame) + 1}
+        notes.append(Message("guard.lost", n=int(lost.sum()), total=lost.size, example=example, **first))
         positions = np.where(lost[..., None], np.nan, positions)
     return positions, tuple(notes)
 
@@ -91,7 +92,8 @@ def settle_roots(
     if lost is not None:
         frame, root = np.argwhere(lost)[0]
         example = " ".join(f"{number:.7g}" for number in places[frame, root])
-        notes.append(Message("guard.lost", n=int(lost.sum()), total=lost.size, example=example))
+        first = {"name": skeleton.names[roots[root]], "frame": int(frame) + 1}
+        notes.append(Message("guard.lost", n=int(lost.sum()), total=lost.size, example=example, **first))
         translations = translations if translations.flags.writeable else translations.copy()
         translations[:, roots] = np.where(lost[..., None], np.nan, translations[:, roots])
         if rotations.flags.writeable:
