@@ -119,6 +119,9 @@ def test_damage(tmp_path):
     path = save(tmp_path / "x.csv", text.replace(place, "high", 1).encode())
     with pytest.raises(MotionFileError, match=r"x.csv:\d+: expected a number, got 'high'"):
         read_motion(path)
+    first = lines[0].split(",")
+    wide = "\n".join((",".join(first[:5] + first[6:]), *lines[1:]))  # a title is missing
+    assert code_of(save(tmp_path / "w.csv", wide.encode())) == "tables.width"
     ends = text.rstrip("\n")
     for bytes_off in (3, 200):  # in the last number, in the middle of the row
         cut = read_motion(save(tmp_path / "y.csv", ends[:-bytes_off].encode()))

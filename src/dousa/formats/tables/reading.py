@@ -45,13 +45,14 @@ _LENGTH = re.compile(r"\[?\(?(?:mm|cm|m|in|inch|inches|ft)\)?\]?", re.IGNORECASE
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Header:
-    """What stands above the rows: columns, separator, first line of the body (from 0), and declared rate and unit."""
+    """What is above the rows: columns, separator, first line of the body (from 0), declared rate and unit, titles."""
 
     columns: Columns
     mark: str
     body: int
     rate: float | None
     unit: str
+    width: int = 0
 
 
 def read_table(
@@ -90,6 +91,9 @@ def read_table(
     if is_of_angles(path):
         return take_person(read_angles(path, unit=unit, up=up), path, person)
     numbered = _list_rows(lines, start + header.body, header.mark)
+    wide = _count_cells(next(_split([numbered[0][1]], header.mark))) if numbered else 0
+    if wide > header.width:
+        raise MotionFileError(path, "tables.width", numbered[0][0], expected=header.width, found=wide)
     numbered, cut = _leave_out_cut(numbered, len(lines), header.mark)
     numbered, clip = _choose_rows(path, header, numbered, "animation", "clips", animation)
     clip = (*cut, *clip)
@@ -163,7 +167,13 @@ def _finish(lines: Sequence[str], rows: list[list[str]], number: int, columns: C
     rate, unit = _RATE.search(above), _UNITS.search(above)
     alone = [float(row[0]) for row in rows[:number] if row and _is_number(row[0]) and not any(map(str.strip, row[1:]))]
     found = float(rate[1]) if rate else alone[0] if alone else None
-    return _Header(columns, mark, body, found, units.pop() if len(units) == 1 else unit[1] if unit else "")
+    named = units.pop() if len(units) == 1 else unit[1] if unit else ""
+    return _Header(columns, mark, body, found, named, _count_cells(rows[number]))
+
+
+def _count_cells(row: Sequence[str]) -> int:
+    """The cells of a row up to the last that is not blank."""
+    return max((number for number, cell in enumerate(row, 1) if cell.strip()), default=0)
 
 
 def _is_number(cell: str) -> bool:
