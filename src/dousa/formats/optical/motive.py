@@ -38,6 +38,8 @@ class _Table:
     fields: dict[str, str]
     columns: dict[tuple[str, str], dict[str, list[int]]]
     parents: dict[str, str]
+    odd: tuple[str, ...]
+    """Assets whose columns are not X, Y, Z (and W) of a quantity."""
     body: int
 
 
@@ -72,6 +74,8 @@ def read_motive(
     values, notes = read_lines(path, lines, table.body, width, mark=",", declared=np.nan if frames is None else frames)
     rates = (read_number(table.fields.get(key)) for key in ("export frame rate", "capture frame rate"))
     clock = Clock(next((rate for rate in rates if rate is not None), None), values[:, 1], values[:, 0], frames)
+    if table.odd:
+        notes += (Message("motive.columns", n=len(table.odd), name=table.odd[0]),)
     return _build(path, table, kind, assets, values, clock, unit, up, list(notes))
 
 
@@ -129,7 +133,7 @@ def _read_header(path: str | os.PathLike[str], rows: list[list[str]]) -> _Table:
 
 def _read_columns(
     labelled: dict[str, list[str]], what: list[str], axes: list[str]
-) -> tuple[dict[tuple[str, str], dict[str, list[int]]], dict[str, str]]:
+) -> tuple[dict[tuple[str, str], dict[str, list[int]]], dict[str, str], tuple[str, ...]]:
     names, kinds = labelled["name"], labelled.get("type", [])
     columns: dict[tuple[str, str], dict[str, list[int]]] = {}
     parents: dict[str, str] = {}
@@ -142,7 +146,13 @@ def _read_columns(
         columns.setdefault((kind, names[column]), {}).setdefault(quantity, []).append(column)
         if column < len(above) and above[column] and kind == "bone":
             parents[names[column]] = above[column]
-    return columns, parents
+    odd = {
+        name: None
+        for (_, name), quantities in columns.items()
+        for found in quantities.values()
+        if "".join(axes[column].upper() for column in found) not in ("XYZ", "XYZW")
+    }
+    return columns, parents, tuple(odd)
 
 
 def _read_turns(
