@@ -21,6 +21,7 @@ from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.drawing.body import Drawable
+    from dousa.app.pipelines.projects import Project
     from dousa.formats.motion_files import ReadOptions
     from dousa.library import ClipInfo, ClipMap
     from dousa.motion import Motion, Trajectories
@@ -55,8 +56,6 @@ def info(
 
     Example: dousa info my_pose2sim_project
     """
-    from dousa.app.pipelines.projects import Project, find_project
-    from dousa.app.tables.estimation import print_project
     from dousa.app.tables.library import print_info
 
     options = reading.load()
@@ -64,20 +63,30 @@ def info(
     failed = 0
     for path in files:
         try:
-            answers.append((find_project(path) if path.is_dir() else None) or _describe(path, options))
+            answers.append(_find_project(path) or _describe(path, options))
         except DousaError as error:
             failed += 1
             fail(error)
     if json:
-        print_json([answer.to_json() if isinstance(answer, Project) else answer for answer in answers])
+        print_json([answer if isinstance(answer, dict) else answer.to_json() for answer in answers])
     else:
         for answer in answers:
-            if isinstance(answer, Project):
-                print_project(console(), answer)
-            else:
+            if isinstance(answer, dict):
                 print_info(console(), answer)
+            else:
+                from dousa.app.tables.estimation import print_project
+
+                print_project(console(), answer)
     if failed:
         raise typer.Exit(2)
+
+
+def _find_project(path: Path) -> Project | None:
+    if not path.is_dir():
+        return None
+    from dousa.app.pipelines.projects import find_project
+
+    return find_project(path)
 
 
 def count(
