@@ -119,7 +119,7 @@ def test_what_all_names_share_says_nothing(affix: str) -> None:
         spelled = [AFFIXES[affix].format(name, n=number) for number, name in enumerate(names)]
         for number, name in enumerate(names):
             if name.removesuffix("_end") in names and name.endswith("_end"):
-                spelled[number] = spelled[names.index(name.removesuffix("_end"))] + "_end"
+                spelled[number] = spelled[names.index(name.removesuffix("_end"))] + ("_end", "_End")[number % 2]
         helpers = [f"MCH-x{number}" for number in range(40)] if affix == "a rig's helpers" else []
         plain, found = match_names(tuple(names)), match_names((*spelled, *helpers))
         assert plain is not None and found is not None

@@ -102,7 +102,7 @@ def _without_affixes(names: Iterable[str]) -> list[str]:
     """Drop namespaces, running numbers, and what nearly all names begin or end with; ``_end`` of a bone's end stays."""
     bare = [re.split(r"[:|]", unicodedata.normalize("NFKC", str(name)))[-1].strip(" _-.") for name in names]
     known = set(bare)
-    ends = ["_end" if name[-4:] == "_end" and name[:-4] in known else "" for name in bare]
+    ends = [name[-4:] if name[-4:].lower() == "_end" and name[:-4] in known else "" for name in bare]
     stems = [name.removesuffix(end) for name, end in zip(bare, ends, strict=True)]
     before: list[str] = []
     while before != stems:
