@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (479, 6),
 }
 TOTALS = {
-    "lines of tests": 61_945,
+    "lines of tests": 61_946,
     "lines of JavaScript": 12_467,
     "constants": 1_016,
     "numeric constants without a source": 0,

@@ -49,8 +49,8 @@ _RULES = (
     _Rule(r"dousa studio(?: .*)?|dousa demo --studio", How.SERVED),
     # It needs the net; these need what that installs.
     _Rule(r"dousa (?:keypoints|sync|calibrate) ?.*", How.MENTIONED),
-    # tests/app/test_projects.py and test_keypoint_sources.py run these on folders that they make.
-    _Rule(r"dousa (?:info|estimate) FOLDER|dousa estimate cam01_json .*", How.MENTIONED),
+    # tests/app/test_projects.py and test_keypoint_sources.py run these on a FOLDER and folders that they make.
+    _Rule(r"dousa (?:info|estimate) \.\./shared/data/silhouette_bench|dousa estimate cam01_json .*", How.MENTIONED),
     _Rule(r"curl .*|[A-Z]+=\$\(python3 -c .*\)", How.ASKED),
     _Rule(r"dousa .*(?:--cluster|postgresql\+psycopg:).*", How.MENTIONED),  # tests/workers, tests/library start these
     _Rule(r"dousa .*", How.FOLLOWED),

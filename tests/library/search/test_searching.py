@@ -57,6 +57,7 @@ def test_training_does_not_depend_on_workers(library, moves):
     assert results[0] == results[1] == results[2]
 
 
+@pytest.mark.sqlite
 def test_search_in_a_small_library_loads_no_compiler(library_file, moves):
     heavy = "numba scipy sklearn joblib dousa.library.learning dousa.motion.synthetic".split()
     code = f"import sys; from dousa.app.cli.main import main; main(); print([m for m in {heavy} if m in sys.modules])"
