@@ -47,6 +47,8 @@ CUTS: dict[str, tuple[str, ...]] = {
     "without left arm": ("left_arm",),
     "without right leg": ("right_leg",),
     "one arm": ("left_arm", "left_leg", "right_leg"),
+    "one leg": ("left_arm", "right_arm", "right_leg"),
+    "left arm, right leg": ("right_arm", "left_leg"),
 }
 EXCHANGED = {"arms exchanged": ("arm",), "legs exchanged": ("leg",)}
 
@@ -161,7 +163,7 @@ def judge(body: Body, points: Trajectories, there: set[str]) -> str:
         limbs = [{f"{side}_{joint}" for joint in joints} for side in SIDES for joints in LIMBS.values()]
         return "refused" if any(limb <= there for limb in limbs) else "right"
     have = {joint for joint in REQUIRED_JOINTS if joint not in found.absent}
-    off = np.linalg.norm(found.positions - body.found.positions, axis=2)
+    off = np.linalg.norm(found.positions - body.found.positions[-found.n_frames :], axis=2)
     wrong = [joint for joint in have if not np.median(off[:, JOINT_INDEX[joint]]) < NEAR]
     if wrong:
         return "noted" if {note.code for note in found.warnings} - USUAL else "WRONG"
@@ -183,6 +185,7 @@ def try_all(body: Body) -> dict[str, str]:
         answers[title] = judge(body, rename(body, spell, "helpers" in title), every)
     for title, limbs in CUTS.items():
         answers[title] = judge(body, *cut(body, limbs))
+    answers["one frame alone"] = judge(body, body.points.replace(positions=body.points.positions[-1:]), every)
     for title, kinds in EXCHANGED.items():
         answers[title] = judge_exchange(exchange(body, kinds))
     if body.points.parents is not None:

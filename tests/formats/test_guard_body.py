@@ -40,11 +40,15 @@ def _body() -> Motion:
         (("shoulder", "elbow", "wrist", "hand"), ["guard.crossed"]),
         (("hip", "knee", "ankle", "toe"), ["guard.crossed"]),
         (("knee",), ["guard.exchanged"]),
+        (("knee", "ankle", "toe"), ["guard.exchanged"]),
         (("shoulder", "elbow", "wrist", "hand", "hip", "knee", "ankle", "toe"), []),  # said as mirrored, see below
     ],
 )
-def test_left_and_right_of_points(suffix, parts, code, tmp_path) -> None:
+@pytest.mark.parametrize("still", [False, True])
+def test_left_and_right_of_points(suffix, parts, code, still, tmp_path) -> None:
     body = canonicalise(walking_body()).to_trajectories()
+    if still:
+        body = body.replace(positions=np.repeat(body.positions[:1], 12, axis=0))
     path = tmp_path / f"walk.{suffix}"
     write_motion(Trajectories(_exchange(body.names, *parts), body.positions, 30.0), path)
     assert _codes(read_motion(path)) == code

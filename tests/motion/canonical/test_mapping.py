@@ -39,9 +39,9 @@ def _of(points: np.ndarray, name: str) -> np.ndarray:
          "L.Ankle.Med R.Acromium L.Acromium R.Elbow L.Elbow R.Wrist.Med R.Wrist.Lat L.Wrist.Med L.Wrist.Lat", set()),
         ("WaistLFront WaistRFront WaistLBack WaistRBack LKneeOut RKneeOut LAnkleOut RAnkleOut LShoulderTop "
          "RShoulderTop LElbowOut RElbowOut LWristOut LWristIn RWristOut RWristIn", set()),
-        ("pRightASI pLeftASI pRightCSI pLeftCSI pRightAcromion pLeftAcromion pRightArmLatEpicondyle "
-         "pLeftArmLatEpicondyle pRightRadialStyloid pLeftRadialStyloid pRightKneeLatEpicondyle pLeftKneeLatEpicondyle "
-         "pRightLatMalleolus pLeftLatMalleolus", set()),
+        ("pRightASI pLeftASI pRightCSI pLeftCSI pSacrum pRightAcromion pLeftAcromion pRightArmLatEpicondyle "
+         "pLeftArmLatEpicondyle pRightRadialStyloid pLeftRadialStyloid pRightKneeLatEpicondyle "
+         "pLeftKneeLatEpicondyle pRightLatMalleolus pLeftLatMalleolus", set()),
         ("RHJC LHJC RKJC LKJC RAJC LAJC RSJC LSJC REJC LEJC RWJC LWJC", set()),
         ("r_shoulder_study L_shoulder_study r_lelbow_study L_lelbow_study r_lwrist_study L_lwrist_study r.ASIS_study "
          "L.ASIS_study r.PSIS_study L.PSIS_study r_knee_study L_knee_study r_mknee_study L_mknee_study r_ankle_study "

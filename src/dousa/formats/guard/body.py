@@ -14,7 +14,7 @@ import numpy as np
 
 from dousa.arrays import FloatArray, IndexArray
 from dousa.messages import Message
-from dousa.motion.canonical.anthropometry import find_medians
+from dousa.motion.canonical.anthropometry import find_medians, stature_of_parts
 from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.motion.canonical.recipes import Recipe
 from dousa.motion.canonical.reference_frame import MappedBody
@@ -176,24 +176,52 @@ def _find_crossed(name: Callable[[str], str], points: FloatArray, mostly: float 
         yield Message("guard.crossed", hip=name("left_hip"), shoulder=name("left_shoulder"))
 
 
-def _find_exchanged(name: Callable[[str], str], points: FloatArray, mostly: float = 0.8) -> Iterator[Message]:
-    """Joints of one side named as the other's: the bone across is shorter in most frames, and keeps its length better.
+def _find_exchanged(
+    name: Callable[[str], str], points: FloatArray, mostly: float = 0.8, often: float = 0.05
+) -> Iterator[Message]:
+    """Joints of one side named as the other's: in most frames the bones across are shorter, and nothing else can be.
 
-    Who crosses the legs makes it shorter too, but then it changes.
+    Who crosses the limbs makes them shorter too. But then bones keep their length, and do not pass through each other
+    ``often``: more than glitches do.
     """
     bones = points[:, _LOWER] - points[:, _UPPER]  # (T, own or across, bone, side, 3)
     lengths = np.sqrt(np.einsum("twbsk,twbsk->wbst", bones, bones))
     seen = ~np.isnan(lengths).any(axis=(0, 2))
     with np.errstate(invalid="ignore"):
         nearer = (lengths[0] > lengths[1]).all(axis=1)
-    for bone in np.flatnonzero((seen.sum(axis=1) > 1) & (nearer.sum(axis=1) >= mostly * seen.sum(axis=1))):
+    for bone in np.flatnonzero((seen.sum(axis=1) > 0) & (nearer.sum(axis=1) >= mostly * seen.sum(axis=1))):
         kept = lengths[:, bone][..., seen[bone]]
         change = (kept.std(axis=2) / kept.mean(axis=2)).max(axis=1)
-        if change[1] < change[0]:
+        gaps = _measure_gaps(points[seen[bone]][:, _UPPER[0, bone]], bones[seen[bone], 0, bone])
+        through = (gaps < _SOLID * stature_of_parts(points)).mean() >= often
+        if through or (change[0] > _STRETCH and change[1] < change[0]):
             upper, lower = _BONES[bone]
             joint, other, top = (name(place) for place in (f"left_{lower}", f"right_{lower}", f"left_{upper}"))
             yield Message("guard.exchanged", joint=joint, other=other, upper=top)
             return
+
+
+_SOLID = 0.5 * 6.68 / 170.18
+"""Share of the stature that the middles of two limbs are apart at least: half the breadth of the ankle, the narrowest
+(Ross & Wilson 1974, as in `geometry`); they would touch at twice that."""
+
+
+def _measure_gaps(starts: FloatArray, bones: FloatArray) -> FloatArray:
+    """Distances (T,) of two lines of limited length, (T, 2, 3) each: where they are nearest, or at one of the ends."""
+    between = starts[:, 1] - starts[:, 0]
+    squares = np.einsum("tsk,tsk->ts", bones, bones)
+    along = np.einsum("tsk,tk->ts", bones, between)
+    dot = np.einsum("tk,tk->t", bones[:, 0], bones[:, 1])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        inner = np.nan_to_num((along[:, 0] * squares[:, 1] - along[:, 1] * dot) / (squares.prod(axis=1) - dot**2))
+        gaps = []
+        for first in (inner, np.zeros(len(dot)), np.ones(len(dot))):
+            place = np.clip(first, 0.0, 1.0)
+            other = np.clip((place * dot - along[:, 1]) / squares[:, 1], 0.0, 1.0)
+            place = np.clip((along[:, 0] + other * dot) / squares[:, 0], 0.0, 1.0)
+            gaps.append(between + other[:, None] * bones[:, 1] - place[:, None] * bones[:, 0])
+    nearest: FloatArray = np.linalg.norm(gaps, axis=2).min(axis=0)
+    return nearest
 
 
 _WIDTHS = np.array([[JOINT_INDEX[f"{side}_{joint}"] for side in _SIDES] for joint in ("hip", "shoulder")])

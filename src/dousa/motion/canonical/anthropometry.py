@@ -7,7 +7,7 @@ They scatter more between producers, who place the same joint differently, than 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf, isnan, nan
+from math import inf, isnan, log, nan
 
 import numpy as np
 
@@ -32,7 +32,14 @@ _RATIOS = {
     "upper_arm_per_forearm": (1.12, 0.2, 0.4, 2.5),
     "hips_per_leg": (0.23, 0.3, 0.04, 0.7),
     "shoulders_per_leg": (0.43, 0.2, 0.1, 1.2),
+    "left_per_right": (1.0, 0.1, 0.45, 2.2),
 }
+
+
+def score_ratio(name: str, value: float) -> float:
+    """Square the standard score of the logarithm of a ratio: how unlike a person's it is, at most 16."""
+    typical, scatter, _, _ = _RATIOS[name]
+    return min((log(max(value, 1e-3) / typical) / scatter) ** 2, 16.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +65,7 @@ class Proportions:
     @property
     def oddity(self) -> float:
         """Return the sum of squared standard scores of the logarithms: how unlike a person."""
-        terms = [
-            (np.log(max(value, 1e-3) / _RATIOS[name][0]) / _RATIOS[name][1]) ** 2
-            for name, value in self.ratios.items()
-            if not np.isnan(value)
-        ]
-        return float(sum(min(term, 16.0) for term in terms))
+        return sum(score_ratio(name, value) for name, value in self.ratios.items() if not isnan(value))
 
     @property
     def is_person(self) -> bool:

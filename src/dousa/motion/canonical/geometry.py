@@ -12,6 +12,7 @@ from dousa.arrays import BoolArray, FloatArray
 from dousa.motion.canonical.anthropometry import find_medians, stature_of_parts
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.recipes import Recipe
+from dousa.motion.canonical.tree_shape import score_sides
 from dousa.motion.types import Trajectories
 
 # The bone chain of the paper's body height: from head to toe, both legs counted half; then pelvis to the
@@ -128,8 +129,12 @@ def body_points(recipe: Recipe, positions: FloatArray, *, metres: bool = False) 
         left, right, sacrum = (positions[:, list(indices)].mean(axis=1) for indices in recipe.pelvis_markers)
         below = points[:, [J[f"{side}_{joint}"] for joint in ("knee", "ankle") for side in ("left", "right")]]
         hips = hips_from_markers(left, right, sacrum, _seen_mean(below), metres=metres)
+        middle = hips.mean(axis=1)
+        if "pelvis" in recipe.sources:  # the middle between the joints, as the file has it
+            hips += (points[:, J["pelvis"]] - middle)[:, None]
+        else:
+            points[:, J["pelvis"]] = middle
         points[:, [J["left_hip"], J["right_hip"]]] = hips
-        points[:, J["pelvis"]] = hips.mean(axis=1)
     if recipe.skin:
         move_inside(points, recipe.skin)
     return points
@@ -248,19 +253,19 @@ def move_inside(points: FloatArray, skin: frozenset[str]) -> None:
     _lower_shoulders(points, skin, stature)
     hips, shoulders = _outward(points, "hip"), _outward(points, "shoulder")
     legs, arms = _limbs(("hip", "knee", "ankle")), _limbs(("shoulder", "elbow", "wrist"))
-    hand = _handedness(points, legs, hips)
+    hand = -1.0 if score_sides(points) < 0 else 1.0
     for side, sign in (("left", 1.0), ("right", -1.0)):
         leg, arm = legs[side], arms[side]
         raw = points[:, leg].copy()
         for _ in range(2):  # the second time with the plane of a limb that is nearly in place
-            axis = _joint_axis(points, leg, sign * hips, sign * hand)
+            axis = _joint_axis(points, leg, sign * hips, sign * hand, stature * _KNEE)
             if f"{side}_knee" in skin:
                 points[:, leg[1]] = raw[:, 1] - stature * _KNEE * _bounded(axis)
             if f"{side}_ankle" in skin:
                 shank = points[:, leg[1]] - raw[:, 2]
                 points[:, leg[2]] = raw[:, 2] - stature * _ANKLE * _bounded(_across(axis, shank))
         if f"{side}_elbow" in skin:
-            axis = _joint_axis(points, arm, sign * shoulders, -sign * hand)
+            axis = _joint_axis(points, arm, sign * shoulders, -sign * hand, stature * _ELBOW)
             points[:, arm[1]] -= stature * _ELBOW * _bounded(axis)
 
 
@@ -301,32 +306,32 @@ def _outward(points: FloatArray, joint: str) -> FloatArray:
     return found
 
 
-def _normal(points: FloatArray, limb: list[int]) -> tuple[FloatArray, FloatArray]:
-    """Across the plane of a limb (T, 3), as long as the sine of its bend; and the direction of its upper bone."""
-    upper, lower = (_unit(points[:, a] - points[:, b]) for a, b in pairwise(limb))
-    return np.cross(upper, lower), upper
+def _normal(points: FloatArray, limb: list[int], off: float) -> tuple[FloatArray, FloatArray]:
+    """Across the plane of a limb (T, 3), as long as the sine of its bend; and the direction of its upper bone.
 
-
-def _handedness(points: FloatArray, legs: dict[str, list[int]], hips: FloatArray) -> float:
-    """-1 if the coordinates are left-handed: knees bend to the back and elbows to the front."""
-    total = 0.0
-    for side in ("left", "right"):
-        normal, upper = _normal(points, legs[side])
-        total += float(np.nansum(normal * _across(hips, upper)))
-    return -1.0 if total < 0 else 1.0
+    ``off`` : how far the marker may lie off the joint: it bends a straight limb to any side, which is no bend.
+    """
+    bones = [points[:, a] - points[:, b] for a, b in pairwise(limb)]
+    upper, lower = (_unit(bone) for bone in bones)
+    normal = np.cross(upper, lower)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        seeming = off * sum(1.0 / np.linalg.norm(bone, axis=1) for bone in bones)
+        surplus = np.linalg.norm(normal, axis=1) / seeming - 1.0
+    return normal * np.clip(surplus, 0.0, 1.0)[:, None], upper
 
 
 def _joint_axis(
-    points: FloatArray, limb: list[int], outward: FloatArray, sense: float, bent: float = 2.0
+    points: FloatArray, limb: list[int], outward: FloatArray, sense: float, off: float, bent: float = 2.0
 ) -> FloatArray:
     """Outward axis (T, 3) of the middle joint of a limb, longer where it is better known.
 
     Parameters
     ----------
+    off : from the marker to the joint.
     sense : 1 if the cross product of upper and lower bone points outwards, -1 if inwards.
     bent : weight of a bent limb for the axis, against the trunk's.
     """
-    normal, upper = _normal(points, limb)
+    normal, upper = _normal(points, limb, off)
     aside = _across(outward, upper)
     axis: FloatArray = np.nan_to_num(aside) + sense * bent * np.nan_to_num(normal)
     return np.where(np.isnan(upper), np.nan, axis)
@@ -341,13 +346,17 @@ def _lower_shoulders(points: FloatArray, skin: frozenset[str], stature: float) -
     width = float(np.nanmedian(np.linalg.norm(both[:, 0] - both[:, 1], axis=1))) if _seen(both) else np.nan
     if not width > 0:
         width = _BIACROMIAL * stature
-    top = points[:, J["neck"]]
-    for low in ("pelvis", "spine"):
-        down = points[:, J[low]] - top
-        if _seen(down[:, None]):
-            drop = np.nan_to_num(_SHOULDER_DROP * width * _unit(down))
-            points[:, places] += drop[:, None]
-            return
+    top, low = (
+        _first_seen(points, joints) for joints in (("neck", "left_shoulder", "right_shoulder"), ("pelvis", "spine"))
+    )
+    points[:, places] += np.nan_to_num(_SHOULDER_DROP * width * _unit(low - top))[:, None]
+
+
+def _first_seen(points: FloatArray, joints: tuple[str, ...]) -> FloatArray:
+    """The first of some joints that any frame shows (T, 3); NaN if there is none."""
+    return next(
+        (one for one in (points[:, J[joint]] for joint in joints) if _seen(one[:, None])), points[:, 0] * np.nan
+    )
 
 
 def _seen(points: FloatArray) -> bool:

@@ -75,6 +75,8 @@ def _choose(
         wide = _marks_the_skin(candidate, sample, names)
         on_skin = _can_be_on_skin(candidate, sample) if markers else wide if markers is None else False
         recipe = on_the_skin(candidate) if on_skin else candidate
+        if first is not None and recipe.table == "tree shape" and _is_odd_person(first.recipe, sample):
+            break  # the names of a whole body that stands upright say more
         if _is_person(recipe, sample):
             return ChosenMap(recipe, True, tuple(failed), markers=wide)
         first = first or ChosenMap(recipe, False, markers=wide)
@@ -91,14 +93,15 @@ def names_of_seen(names: tuple[str, ...], unseen: tuple[int, ...]) -> tuple[str,
 
 
 def _candidates(names: tuple[str, ...], sample: Trajectories, *, use_tree: bool) -> Iterator[Recipe]:
-    yield from named_recipes(names)
+    rig = sample.parents is not None  # markers are not joints of a tree
+    yield from sorted(named_recipes(names), key=lambda recipe: rig and bool(recipe.estimated))
     if use_tree and sample.parents is not None:
         with np.errstate(divide="ignore", invalid="ignore"):
             recipe = shape_recipe(sample.parents, sample.positions)
         if recipe is not None:
             yield recipe
     if not named_recipes(names):
-        yield from partial_recipes(names)
+        yield from sorted(partial_recipes(names), key=lambda recipe: rig and bool(recipe.estimated))
 
 
 def _can_be_on_skin(recipe: Recipe, sample: Trajectories) -> bool:

@@ -208,8 +208,9 @@ def normalise_names(names: Iterable[str]) -> tuple[tuple[str, str], ...]:
     """
     keys = [_split_side(_split(name)) for name in _without_affixes(names)]
     cores = frozenset(core for side, core in keys if not side)
-    marked = {core: _first_side(core, cores) for core in cores}
-    if sum(side != "" for side, _ in marked.values()) < _MOSTLY * sum(map(bool, cores)):
+    marked = {core: _first_side(core, cores) for core in cores if core[:1] in ("l", "r")}
+    twins = {core for core in marked if ("r" if core[0] == "l" else "l") + core[1:] in cores}
+    if sum(side != "" or core in twins for core, (side, _) in marked.items()) < _MOSTLY * len(marked):
         marked = {}  # L may be lateral
     return tuple(
         (side, core) if side else found if (found := marked.get(core, ("", "")))[0] else _hidden_side(core, cores)
@@ -218,12 +219,12 @@ def normalise_names(names: Iterable[str]) -> tuple[tuple[str, str], ...]:
 
 
 _MOSTLY = 0.5
-"""Share of the names without a word for the side from which on their first letter is the side, by definition."""
+"""Share of the names that begin with l or r from which on these letters are sides, by definition."""
 
 
 def _first_side(core: str, cores: frozenset[str]) -> Key:
     """The side of ``lkne`` in a set that marks sides so, if there is no ``mkne`` beside it: l could be lateral."""
-    is_side = core[:1] in ("l", "r") and core[1:] in _CORES and "m" + core[1:] not in cores
+    is_side = core[1:] in _CORES and "m" + core[1:] not in cores
     return (core[0], core[1:]) if is_side else ("", core)
 
 
@@ -253,7 +254,7 @@ def _apply_rule(rule: str, side: str, index: dict[Key, int], table: dict[str, st
 
 
 def _apply_table(name: str, table: dict[str, str], index: dict[Key, int]) -> NameMatch | None:
-    if "with" in table and _apply_rule(table["with"], "", index, table) is None:
+    if "with" in table and all(_apply_rule(table["with"], side, index, table) is None for side in ("", "l", "r")):
         return None
     sources: dict[str, tuple[int, ...]] = {}
     skin = set()

@@ -1,19 +1,20 @@
 """Canonical joints from the shape of the tree, where names are no help.
 
-A body is a tree with two forks: at the pelvis two long, equal branches; at the chest two shorter equal branches and a
-short one to the head. All pairs of forks are tried and the one with the proportions nearest to a person's is taken.
-The joints of a limb are those that split it like thigh and shank, or upper arm and forearm. Left follows from the front
-of the body.
+A body is a tree with two pairs of equal branches, the legs and the arms. All pairs of branches, split at all joints,
+are tried, and those of which the proportions of `anthropometry` make the likeliest person are taken, wherever the forks
+are. Left follows from the front of the body.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dousa.arrays import BoolArray, FloatArray
+from dousa.motion.canonical.anthropometry import score_ratio
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.recipes import Recipe, compile_recipe
@@ -167,7 +168,8 @@ class _Tree:
     """
 
     def __init__(self, parents: FloatArray, positions: FloatArray, coincident: float = 1e-3) -> None:
-        self.positions = positions
+        self.parents, self.positions = parents, positions
+        self._distances: dict[tuple[int, int], float] = {}
         self.neighbours: dict[int, dict[int, float]] = {}
         place = list(range(len(parents)))
         bones = [self.distance(j, int(p)) for j, p in enumerate(parents) if p >= 0]
@@ -186,9 +188,20 @@ class _Tree:
             self.neighbours[joint] = {home: length}
             self.neighbours[home][joint] = length
 
+    def longest_way(self) -> float:
+        """Length of the longest way from one place to another: from anywhere to the farthest, from there the same."""
+        longest = 0.0
+        for root in np.flatnonzero(self.parents < 0).tolist():
+            _, path = max((self.branch(root, first) for first in self.neighbours[root]), default=(0.0, []))
+            end = path[-1] if path else root
+            longest = max([longest, *(self.branch(end, first)[0] for first in self.neighbours[end])])
+        return longest
+
     def distance(self, a: int, b: int) -> float:
-        offset = self.positions[:, a] - self.positions[:, b]
-        return float(np.median(np.sqrt((offset * offset).sum(axis=1))))
+        if (a, b) not in self._distances:
+            offset = self.positions[:, a] - self.positions[:, b]
+            self._distances[a, b] = float(np.median(np.sqrt((offset * offset).sum(axis=1))))
+        return self._distances[a, b]
 
     def branch(self, start: int, first: int) -> tuple[float, list[int]]:
         """Length and places of the longest path that leaves ``start`` through ``first``."""
@@ -217,83 +230,126 @@ class _Tree:
         return sum(self.neighbours[a][b] for a, b in pairwise(path))
 
 
-class _Fork:
-    """A place with its branches, longest path each."""
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    """Two branches of a fork, split at three joints like legs or arms.
 
-    def __init__(self, tree: _Tree, node: int) -> None:
-        self.node = node
-        self.branches = {first: tree.branch(node, first) for first in tree.neighbours[node]}
-
-    def pairs(self, without: int, most_unequal: float = 0.12) -> list[tuple[float, float, list[int], list[int]]]:
-        """Pairs of branches of nearly equal length: (mean length, inequality as a share of the sum, path, path)."""
-        found = []
-        others = [branch for first, branch in self.branches.items() if first != without]
-        for (a, path_a), (b, path_b) in combinations(others, 2):
-            unequal = abs(a - b) / (a + b)
-            if unequal < most_unequal and min(len(path_a), len(path_b)) >= 3:
-                found.append((0.5 * (a + b), unequal, path_a, path_b))
-        return found
-
-
-_Body = tuple[float, list[int], list[list[int]], list[list[int]]]
-
-
-def _judge(
-    tree: _Tree,
-    pelvis: _Fork,
-    chest: _Fork,
-    leg_per_trunk: tuple[float, float] = (2.9, 0.35),
-    arm_per_leg: tuple[float, float] = (0.72, 0.2),
-) -> _Body | None:
-    """The cheapest reading of two forks as pelvis and chest: (cost, trunk, legs, arms).
-
-    ``leg_per_trunk``, ``arm_per_leg`` : a person's proportions, and how much their logarithms scatter over skeletons.
+    Parameters
+    ----------
+    fork : where they meet.
+    paths : places of both, without the fork.
+    joints : positions in the paths of hip, knee, ankle, or of shoulder, elbow, wrist.
+    bones : lengths of the upper bones, left and right, then of the lower ones.
+    inside : joints within the bones.
     """
-    trunk = tree.path(pelvis.node, chest.node)
-    if len(trunk) < 2:
-        return None
-    size = tree.length(trunk)
+
+    fork: int
+    paths: tuple[list[int], list[int]]
+    joints: tuple[int, int, int]
+    bones: tuple[float, ...]
+    inside: int
+
+    @property
+    def upper(self) -> float:
+        return 0.5 * (self.bones[0] + self.bones[1])
+
+    @property
+    def lower(self) -> float:
+        return 0.5 * (self.bones[2] + self.bones[3])
+
+    def ends(self, which: int) -> tuple[int, int]:
+        """The two places of one of the three joints."""
+        return self.paths[0][self.joints[which]], self.paths[1][self.joints[which]]
+
+
+def _list_pairs(tree: _Tree, most_unequal: float = 0.12, shortest: float = 0.08, longest: int = 12) -> list[_Pair]:
+    """All pairs of branches that may be limbs, split in every way.
+
+    Parameters
+    ----------
+    most_unequal : difference of the branches as a share of their sum.
+    shortest : share of the longest way through the tree; arms of people are 0.15 of it.
+    longest : places of a branch that are looked at.
+    """
+    found = []
+    whole = tree.longest_way()
+    for fork, neighbours in tree.neighbours.items():
+        if len(neighbours) < 3:
+            continue
+        branches = [tree.branch(fork, first) for first in neighbours]
+        for (a, one), (b, other) in combinations(branches, 2):
+            if abs(a - b) > most_unequal * (a + b) or 0.5 * (a + b) < shortest * whole:
+                continue
+            for joints in combinations(range(min(len(one), len(other), longest)), 3):
+                upper, lower = (
+                    tuple(tree.distance(path[a], path[b]) for path in (one, other)) for a, b in pairwise(joints)
+                )
+                bones = upper + lower
+                if min(bones) > 0 and sum(bones) > 2 * shortest * whole:
+                    found.append(_Pair(fork, (one, other), joints, bones, joints[2] - joints[0] - 2))
+    return found
+
+
+_Body = tuple[float, _Pair, _Pair]
+
+
+def _find_body(tree: _Tree, most_cost: float = 30.0, tried: int = 6) -> _Body | None:
+    """The two pairs of branches that are most like a person's legs and arms: (cost, legs, arms).
+
+    Parameters
+    ----------
+    most_cost : as of `Proportions.is_person`.
+    tried : ways to split two branches that are tried with others, those most like the limb first.
+    """
+    pairs = _list_pairs(tree)
+    legs, arms = (_best_splits(pairs, ratio, tried) for ratio in ("thigh_per_shank", "upper_arm_per_forearm"))
     best: _Body | None = None
-    up = tree.positions[:, chest.node] - tree.positions[:, pelvis.node]
-    for leg, leg_unequal, *legs in pelvis.pairs(without=trunk[1]):
-        tips = 0.5 * (tree.positions[:, legs[0][-1]] + tree.positions[:, legs[1][-1]])
-        down = tips - tree.positions[:, pelvis.node]
-        cosine = np.median((up * down).sum(axis=1) / np.sqrt((up * up).sum(axis=1) * (down * down).sum(axis=1)))
-        for arm, arm_unequal, *arms in chest.pairs(without=trunk[-2]):
-            cost = (np.log(leg / size / leg_per_trunk[0]) / leg_per_trunk[1]) ** 2
-            cost += (np.log(arm / leg / arm_per_leg[0]) / arm_per_leg[1]) ** 2
-            cost += 5.0 * (leg_unequal + arm_unequal) + (1.0 + cosine)
-            cost += 0.5 * (len(chest.branches) < 4) + 0.2 * (len(pelvis.branches) > 3)
-            if best is None or cost < best[0]:
-                best = (float(cost), trunk, legs, arms)
+    for leg in legs:
+        for arm in arms:
+            if (best is None or leg[0] + arm[0] < best[0]) and _are_apart(tree, leg[1], arm[1]):
+                cost = leg[0] + arm[0] + _judge(tree, leg[1], arm[1])
+                if cost < (most_cost if best is None else best[0]):
+                    best = (cost, leg[1], arm[1])
     return best
 
 
-def _find_body(tree: _Tree, most_cost: float = 4.0) -> _Body | None:
-    forks = [_Fork(tree, node) for node, neighbours in tree.neighbours.items() if len(neighbours) >= 3]
-    bodies = [_judge(tree, a, b) for a in forks for b in forks if a is not b]
-    found = [body for body in bodies if body is not None and body[0] < most_cost]
-    return min(found, key=lambda body: body[0]) if found else None
+def _best_splits(pairs: list[_Pair], ratio: str, tried: int, inside: float = 1.0) -> list[tuple[float, _Pair]]:
+    """Pairs with their own cost: bones of a person's ratio, equal on both sides, and without joints in them."""
+    groups: dict[tuple[int, int, int], list[tuple[float, _Pair]]] = {}
+    for pair in pairs:
+        cost = score_ratio(ratio, pair.upper / pair.lower) + inside * pair.inside
+        cost += sum(score_ratio("left_per_right", one / other) for one, other in (pair.bones[:2], pair.bones[2:]))
+        groups.setdefault((pair.fork, pair.paths[0][0], pair.paths[1][0]), []).append((cost, pair))
+    return [one for group in groups.values() for one in sorted(group, key=lambda one: one[0])[:tried]]
 
 
-def _split_limbs(tree: _Tree, limbs: list[list[int]], ratio: float) -> tuple[int, int, int]:
-    """Positions in both limbs of a pair of hip, knee and ankle, or of shoulder, elbow and wrist."""
-    best, best_cost = (0, 1, 2), np.inf
-    for indices in combinations(range(min(map(len, limbs))), 3):
-        cost = sum(_split_cost(tree, [limb[i] for i in indices], tree.length(limb), ratio) for limb in limbs)
-        # No joint should lie inside the two long bones.
-        cost += 0.2 * (indices[2] - indices[0] - 2)
-        if cost < best_cost:
-            best, best_cost = indices, cost
-    return best
+def _are_apart(tree: _Tree, legs: _Pair, arms: _Pair) -> bool:
+    """Whether no limb is on the way to the others."""
+    firsts = [path[0] for pair in (legs, arms) for path in pair.paths]
+    if legs.fork == arms.fork:
+        return len(set(firsts)) == 4
+    trunk = tree.path(legs.fork, arms.fork)
+    return len(trunk) > 1 and trunk[1] not in firsts[:2] and trunk[-2] not in firsts[2:]
 
 
-def _split_cost(tree: _Tree, joints: list[int], whole: float, ratio: float) -> float:
-    """Cost of two long bones of a limb: they should be of similar length and most of the limb."""
-    upper, lower = tree.distance(joints[0], joints[1]), tree.distance(joints[1], joints[2])
-    if upper <= 0 or lower <= 0:
-        return np.inf
-    return float(np.log(upper / lower / ratio) ** 2 + 0.3 * np.log((upper + lower) / whole) ** 2)
+def _judge(tree: _Tree, legs: _Pair, arms: _Pair) -> float:
+    """How unlike a person's the limbs are to each other, and whether the legs lead away from the arms."""
+    leg = legs.upper + legs.lower
+    hips, shoulders, feet = (
+        0.5 * (tree.positions[:, one] + tree.positions[:, other])
+        for one, other in (legs.ends(0), arms.ends(0), legs.ends(2))
+    )
+    up, down = shoulders - hips, feet - hips
+    trunk, fall = (np.sqrt(np.einsum("tk,tk->t", vectors, vectors)) for vectors in (up, down))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cosine = float(np.median(np.einsum("tk,tk->t", up, down) / (trunk * fall)))
+    ratios = {
+        "arm_per_leg": arms.upper + arms.lower,
+        "trunk_per_leg": float(np.median(trunk)),
+        "hips_per_leg": tree.distance(*legs.ends(0)),
+        "shoulders_per_leg": tree.distance(*arms.ends(0)),
+    }
+    return 1.0 + cosine + sum(score_ratio(name, length / leg) for name, length in ratios.items())
 
 
 def _tip(tree: _Tree, limb: list[int], last: int, share: float) -> int | None:
@@ -304,39 +360,37 @@ def _tip(tree: _Tree, limb: list[int], last: int, share: float) -> int | None:
     return min(inner, key=lambda j: abs(tree.distance(j, limb[last]) - share * bone)) if rest else None
 
 
-def _limb_sources(
-    tree: _Tree, limbs: list[list[int]], joints: tuple[str, ...], ratio: float, share: float
-) -> list[dict[str, int]]:
+def _limb_sources(tree: _Tree, pair: _Pair, joints: tuple[str, ...], share: float) -> list[dict[str, int]]:
     """The four canonical joints of both limbs of a pair; the tip only if there is one."""
-    indices = _split_limbs(tree, limbs, ratio)
     found = []
-    for limb in limbs:
-        sources = {joint: limb[i] for joint, i in zip(joints, indices, strict=False)}
-        tip = _tip(tree, limb, indices[-1], share)
+    for limb in pair.paths:
+        sources = {joint: limb[place] for joint, place in zip(joints, pair.joints, strict=False)}
+        tip = _tip(tree, limb, pair.joints[-1], share)
         found.append(sources if tip is None else sources | {joints[-1]: tip})
     return found
 
 
-def _trunk_sources(tree: _Tree, body: _Body, shoulders: list[int], spine_share: float = 0.38) -> dict[str, int]:
+def _trunk_sources(tree: _Tree, legs: _Pair, arms: _Pair, spine_share: float = 0.38) -> dict[str, int]:
     """The joints of the trunk; the spine is the one nearest to a share of the way from pelvis to neck."""
-    _, trunk, _, arms = body
+    trunk = tree.path(legs.fork, arms.fork)
     chest = trunk[-1]
-    used = {trunk[-2], arms[0][0], arms[1][0]}
+    used = {*trunk, *(path[0] for pair in (legs, arms) for path in pair.paths)}
     heads = [tree.branch(chest, n) for n in tree.neighbours[chest] if n not in used]
     upper = [chest, *max(heads)[1]] if heads else [chest]
-    middle = tree.positions[:, shoulders].mean(axis=1)
-    width = tree.distance(*shoulders)
+    hips, shoulders = (tree.positions[:, list(pair.ends(0))].mean(axis=1) for pair in (legs, arms))
 
-    def off(node: int) -> float:
+    def off(node: int, middle: FloatArray = shoulders) -> float:
         gap = tree.positions[:, node] - middle
         return float(np.median(np.sqrt((gap * gap).sum(axis=1))))
 
     # The chest fork may itself lie between the shoulders; else the neck is the joint nearest to there.
-    neck = chest if off(chest) < 0.3 * width else min(upper[:-1] or upper, key=off)
+    neck = chest if off(chest) < 0.3 * tree.distance(*arms.ends(0)) else min(upper[:-1] or upper, key=off)
     spine = [*trunk, *upper[1 : upper.index(neck) + 1]]
     whole = tree.length(spine)
     inner = spine[1:-1]
-    sources = {"pelvis": trunk[0], "neck": neck}
+    sources = {"neck": neck}
+    if trunk[0] != neck and off(trunk[0], hips) < off(trunk[0]):  # not where limbs and head meet in the chest
+        sources["pelvis"] = trunk[0]
     if inner:
         sources["spine"] = min(inner, key=lambda j: abs(tree.length(spine[: spine.index(j) + 1]) - spine_share * whole))
     if upper[-1] != neck:
@@ -361,16 +415,15 @@ def shape_sources(parents: ArrayLike, positions: FloatArray) -> dict[str, tuple[
     body = _find_body(tree)
     if body is None:
         return None
-    _, _, legs, arms = body
-    # A person's: thigh per shank and toe per shank, upper arm per forearm and hand per forearm.
-    legs_found = _limb_sources(tree, legs, ("hip", "knee", "ankle", "toe"), ratio=1.0, share=0.35)
-    arms_found = _limb_sources(tree, arms, ("shoulder", "elbow", "wrist", "hand"), ratio=1.2, share=0.8)
-    shoulders = [arm["shoulder"] for arm in arms_found]
-    hips = [leg["hip"] for leg in legs_found]
+    _, legs, arms = body
+    # A person's: toe per shank, hand per forearm.
+    legs_found = _limb_sources(tree, legs, ("hip", "knee", "ankle", "toe"), share=0.35)
+    arms_found = _limb_sources(tree, arms, ("shoulder", "elbow", "wrist", "hand"), share=0.8)
+    hips, shoulders = legs.ends(0), arms.ends(0)
     across = (seen[:, hips[0]] - seen[:, hips[1]]) * (seen[:, shoulders[0]] - seen[:, shoulders[1]])
     if across.sum() < 0:
         arms_found.reverse()
-    central = _trunk_sources(tree, body, shoulders)
+    central = _trunk_sources(tree, legs, arms)
     sources = _with_sides(central, legs_found, arms_found)
     if score_sides(compile_recipe("tree shape", sources).apply(seen)) < 0:
         sources = _with_sides(central, legs_found[::-1], arms_found[::-1])
