@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_599, 111),
+    "app": (25_601, 111),
     "estimation": (15_756, 65),
     "evaluation": (12_631, 44),
     "experiments": (1_809, 10),
@@ -26,14 +26,14 @@ ROOMS = {
     "formats": (12_736, 70),
     "library": (15_679, 55),
     "messages": (235, 3),
-    "motion": (6_438, 34),
+    "motion": (6_502, 34),
     "retrieval": (13_491, 46),
     "workers": (479, 6),
 }
 TOTALS = {
-    "lines of tests": 61_946,
+    "lines of tests": 61_965,
     "lines of JavaScript": 12_467,
-    "constants": 1_017,
+    "constants": 1_018,
     "numeric constants without a source": 0,
     "functions over 60 lines": 20,
     "files over 650 lines": 0,

@@ -9,10 +9,11 @@ from dousa.errors import JointMappingError
 from dousa.formats import read_character
 from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import Motion, Skeleton, Trajectories, canonicalise, compute_trajectories, retarget
+from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.motion.kinematics import forward_kinematics
 from dousa.motion.retargeting import find_contacts, measure_directions, measure_skating
 from dousa.motion.retargeting.planting import Foot, bend, lower_pelvis, plan_foot, share_moves
-from dousa.motion.retargeting.rig import build_rig
+from dousa.motion.retargeting.rig import LIMB_NAMES, build_rig
 from dousa.motion.rotations import conjugate, multiply, rotate
 from dousa.motion.runs import find_runs
 from dousa.motion.synthetic import draw_performer, make_motion
@@ -234,10 +235,31 @@ def test_the_pelvis_goes_down_where_a_foot_is_out_of_reach():
     hips[..., 1] = 1.0
     feet = np.zeros((30, 2, 3))
     feet[15, 0, 0] = 0.6
-    down = lower_pelvis(hips, feet, np.array([1.0, 1.0]), 30.0)
+    down = lower_pelvis(hips, feet, np.array([1.0, 1.0]), np.ones((30, 2)), 30.0)
     assert 0.19 < down[15] < 0.25
     assert (down >= -1e-12).all()
     assert np.abs(np.diff(down)).max() < 0.1
+    grounded = np.ones((30, 2))
+    grounded[10:20, 0] = 0.0  # in the air it is not reached for
+    assert lower_pelvis(hips, feet, np.array([1.0, 1.0]), grounded, 30.0)[15] < 0.01
+
+
+@pytest.mark.parametrize("name", ["kickLFront1Reps/HDM_dg_kickLFront1Reps_013_120", "hopBothLegs1hops/HDM_dg"])
+@pytest.mark.parametrize("other", sorted(set(CHARACTERS) - {"smpl"}))
+def test_a_leg_in_the_air_points_as_the_source_s(shared_data, name, other):
+    """Standing feet are held; a foot that is kicked or leaps goes with the body."""
+    path = sorted(shared_data("hdm05").glob(f"{name}*.amc"))[0]
+    source, character = read_motion(path), read_character(shared_data("foreign") / CHARACTERS[other])
+    made = retarget(source, character)
+    points = canonicalise(source, whole=True).positions[..., 1]
+    away = directions(source, made.motion)
+    for side in ("left", "right"):
+        ankle, toe = (points[:, JOINT_INDEX[f"{side}_{joint}"]] for joint in ("ankle", "toe"))
+        air = (ankle > np.percentile(ankle, 5) + 0.15) & (toe > np.percentile(toe, 5) + 0.10)
+        legs = [LIMB_NAMES.index(f"{side}_{segment}") for segment in ("thigh", "shank")]
+        assert away[air][:, legs].max(initial=0.0) < 5
+    assert made.worst.angle == pytest.approx(np.radians(away.max()), abs=1e-3)
+    assert made.skating < 0.02
 
 
 def test_key_frames_are_no_motion(shared_data):

@@ -276,9 +276,11 @@ def _put_onto(
             n=made.motion.n_frames,
             skating=1000 * made.skating,
             angle=fit["direction_error_deg"],
+            worst=made.worst.describe(),
         )
     )
-    return made.motion, {**fit, "scale": made.scale}
+    worst = {"limb": made.worst.limb, "angle_deg": math.degrees(made.worst.angle), "frame": made.worst.frame + 1}
+    return made.motion, {**fit, "worst": worst, "scale": made.scale}
 
 
 def _put_onto_smpl(

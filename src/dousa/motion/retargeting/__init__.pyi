@@ -1,4 +1,4 @@
 from .contacts import find_contacts
-from .retarget import Retargeted, measure_directions, measure_skating, retarget
+from .retarget import LimbError, Retargeted, measure_directions, measure_skating, retarget
 
-__all__ = ["Retargeted", "find_contacts", "measure_directions", "measure_skating", "retarget"]
+__all__ = ["LimbError", "Retargeted", "find_contacts", "measure_directions", "measure_skating", "retarget"]

@@ -85,23 +85,26 @@ def lower_pelvis(
     hips: FloatArray,
     wanted: FloatArray,
     lengths: FloatArray,
+    grounded: FloatArray,
     frame_rate: float,
     bent: float = 0.999,
     over: float = 0.08,
 ) -> FloatArray:
-    """Compute how far down (T,) m the pelvis must go so that all feet are within reach, smooth over time.
+    """Compute how far down (T,) m the pelvis must go so that feet on the floor are within reach, smooth over time.
 
     Parameters
     ----------
     hips, wanted : (T, 2, 3) m, hip joints, and places for the ankles.
     lengths : (2,) m of the legs.
+    grounded : (T, 2) 1 for a foot on the floor, 0 for one in the air.
+    frame_rate : Hz.
     bent : share of the length of a leg, so that knees keep a little bend.
     over : s, in which the pelvis gives way.
     """
     gap = hips - wanted
     beside = np.square(gap[..., 0]) + np.square(gap[..., 2])
     highest = np.sqrt(np.maximum(np.square(bent * lengths) - beside, 0.0))
-    needed = np.maximum(gap[..., 1] - highest, 0.0).max(axis=1)
+    needed = (grounded * np.maximum(gap[..., 1] - highest, 0.0)).max(axis=1)
     return _widen(needed, max(1, round(over * frame_rate)))
 
 
@@ -139,11 +142,13 @@ class FootPlan:
     turns : (T, 4) of the foot in the world.
     moves : (T, 3) m, of the ankle.
     stands : (T,) whether it is held.
+    grounded : (T,) 1 where it is held, 0 where it is in the air and goes with the body.
     """
 
     turns: FloatArray
     moves: FloatArray
     stands: BoolArray
+    grounded: FloatArray
 
 
 def plan_foot(source: Foot, made: Foot, scale: float, floor: float, frame_rate: float, size: float) -> FootPlan:
@@ -179,8 +184,7 @@ def plan_foot(source: Foot, made: Foot, scale: float, floor: float, frame_rate: 
         own = weight[start:end]
         moves[start:end] -= np.average(moves[start:end], axis=0, weights=own)
         moves[start:end, 1] += np.average(heights[start:end] - moves[start:end, 1], weights=own)
-    _swing(moves, stretches)
-    return FootPlan(turns, moves, near)
+    return FootPlan(turns, moves, near, _swing(moves, source.ankle / size, stretches, frame_rate))
 
 
 def level_foot(
@@ -309,14 +313,40 @@ def _height_over(
     return lifts
 
 
-def _swing(moves: FloatArray, stretches: list[tuple[int, int]]) -> None:
-    """Interpolate smoothly between places where a foot stands; hold the ends."""
+def _swing(
+    moves: FloatArray,
+    points: FloatArray,
+    stretches: list[tuple[int, int]],
+    frame_rate: float,
+    away: tuple[float, float] = (0.0, 0.1),
+    ease: float = 0.08,
+) -> FloatArray:
+    """Interpolate moves between places where a foot stands; return how far it is grounded, (T,) 1 to 0.
+
+    Parameters
+    ----------
+    moves : (T, 3) m; changed in place.
+    points : (T, 3) of the source's ankle, in bodies of 1.6 m.
+    stretches : where it stands.
+    frame_rate : Hz.
+    away : m from where it left the floor, or comes down; farther than the second it is in the air.
+    ease : s, over which it is let go of or taken.
+    """
+    grounded = np.zeros(len(moves))
     if not stretches:
-        return
+        return grounded
     first, last = stretches[0][0], stretches[-1][1]
     moves[:first] = moves[first]
     moves[last:] = moves[last - 1]
+    for start, end in stretches:
+        grounded[start:end] = 1.0
+    for (_, end), (start, _) in pairwise([(0, 0), *stretches, (len(moves), len(moves))]):
+        swing = slice(end, start)
+        for place in [end - 1] * (end > 0) + [start] * (start < len(moves)):
+            near = 1 - ramp(np.linalg.norm(points[swing] - points[place], axis=1), *away)
+            grounded[swing] = np.maximum(grounded[swing], near)
     for (_, end), (start, _) in pairwise(stretches):
         share = (np.arange(end, start) - end + 1)[:, None] / (start - end + 1)
         share = share * share * (3 - 2 * share)
         moves[end:start] = (1 - share) * moves[end - 1] + share * moves[start]
+    return smooth(grounded, max(1, round(ease * frame_rate)))

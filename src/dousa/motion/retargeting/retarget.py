@@ -3,12 +3,13 @@
 Every joint of the character turns as its counterpart does from a reference pose in which both stand the same way (the
 rest pose, or a frame where that is not a person's). Then each limb is aligned with the source's. The pelvis moves in
 proportion to the length of the legs. Feet that stand are held in place by moving the pelvis and bending hip and knee,
-which changes the direction of the legs where the proportions differ.
+which changes the direction of the legs where the proportions differ; a foot in the air goes with the pelvis.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,11 +23,32 @@ from dousa.motion.canonical.recipes import JointMap
 from dousa.motion.kinematics import forward_kinematics
 from dousa.motion.retargeting.contacts import body_size, find_contacts
 from dousa.motion.retargeting.planting import Foot, FootPlan, bend, level_foot, lower_pelvis, plan_foot, share_moves
-from dousa.motion.retargeting.rig import LIMBS, SIDES, Rig, body_axes, build_rig
+from dousa.motion.retargeting.rig import LIMB_NAMES, LIMBS, SIDES, Rig, body_axes, build_rig
 from dousa.motion.retargeting.transfer import Poses, Transfer, find_floor
 from dousa.motion.rotations import conjugate, multiply, normalise, rotate
 from dousa.motion.runs import find_runs
 from dousa.motion.types import Motion, Trajectories, freeze
+
+
+@dataclass(frozen=True, slots=True)
+class LimbError:
+    """Where a limb of the character points furthest beside that of the source.
+
+    Parameters
+    ----------
+    limb : ``"left_shank"`` or another segment.
+    angle : rad.
+    frame : of the motion, from 0.
+    """
+
+    limb: str
+    angle: float
+    frame: int
+
+    def describe(self) -> Message:
+        """Return it for the user; frames count from 1."""
+        limb = Message(f"body_segments.{self.limb}")
+        return Message("retarget.worst", limb=limb, angle=math.degrees(self.angle), frame=self.frame + 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +61,7 @@ class Retargeted:
     contacts : (T, 2) when the left and the right foot of the source stand.
     skating : m, 95th percentile of the distance of standing feet of the character from their places.
     direction_error : rad, mean angle between the limbs of the source and of the character.
+    worst : the limb and frame of the greatest.
     scale : length of the character's legs over that of the source's.
     warnings : for the user.
     """
@@ -47,6 +70,7 @@ class Retargeted:
     contacts: BoolArray
     skating: float
     direction_error: float
+    worst: LimbError
     scale: float
     warnings: tuple[Message, ...] = ()
 
@@ -99,8 +123,11 @@ def retarget(
     warnings = list(canonical.warnings)
     if target_canonical.mapping.sides == "disagree":
         warnings.append(Message("retarget.mirrored"))
-    error = float(measure_directions(canonical, places, target.joints).mean())
-    return Retargeted(result, contacts, skating, error, target.leg / source.leg, tuple(warnings))
+    errors = measure_directions(canonical, places, target.joints)
+    frame, limb = divmod(int(errors.argmax()), errors.shape[1])
+    worst = LimbError(LIMB_NAMES[limb], float(errors[frame, limb]), frame)
+    mean, scale = float(errors.mean()), target.leg / source.leg
+    return Retargeted(result, contacts, skating, mean, worst, scale, tuple(warnings))
 
 
 def measure_directions(canonical: CanonicalMotion, places: FloatArray, joints: dict[str, int]) -> FloatArray:
@@ -143,10 +170,12 @@ def _plant(poses: Poses, rig: Rig, source: Rig, canonical: CanonicalMotion, scal
         )
         for side in SIDES
     ])  # fmt: skip
-    wanted = ankles + moves
-    pelvis = poses.pelvis + shared
-    pelvis[:, 1] -= lower_pelvis(hips + shared[:, None], wanted, lengths, poses.frame_rate)
-    moved = Poses(poses.world, pelvis, poses.frame_rate)
+    grounded = np.stack([plan.grounded for plan in plans], axis=1)
+    body = shared.copy()
+    body[:, 1] -= lower_pelvis(hips + shared[:, None], ankles + moves, lengths, grounded, poses.frame_rate)
+    # A foot in the air goes with the body: its leg points as the source's.
+    wanted = ankles + body[:, None] + grounded[..., None] * (moves - body[:, None])
+    moved = Poses(poses.world, poses.pelvis + body, poses.frame_rate)
     for column, side in enumerate(SIDES):
         moved = _bend_limb(moved, rig, [f"{side}_{joint}" for joint in ("hip", "knee", "ankle")], wanted[:, column])
         foot = rig.joints[f"{side}_ankle"]

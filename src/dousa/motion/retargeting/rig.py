@@ -20,6 +20,11 @@ LIMBS: tuple[tuple[str, str], ...] = tuple(
 )
 """Bones whose direction is kept exactly: from joint to joint."""
 
+LIMB_NAMES: tuple[str, ...] = tuple(
+    f"{side}_{segment}" for side in SIDES for segment in ("upper_arm", "forearm", "thigh", "shank")
+)
+"""Their names."""
+
 TIPS: tuple[tuple[str, str], ...] = tuple(
     (f"{side}_{start}", f"{side}_{end}") for side in SIDES for start, end in (("wrist", "hand"), ("ankle", "toe"))
 )
