@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dousa.arrays import Image, Mask
 from dousa.estimation import (
     BodyModel,
     Camera,
@@ -27,6 +28,9 @@ from dousa.estimation import (
 )
 from dousa.estimation.body.kinematics import compute_points, point_names
 from dousa.estimation.raster.rasteriser import draw_body
+from dousa.estimation.silhouettes.images import fit_frame
+from dousa.estimation.silhouettes.silhouettes import WrappedSilhouettes
+from dousa.estimation.silhouettes.video import VideoFile
 from dousa.estimation.tracking.settings import Estimate
 from dousa.formats.registry import read_motion
 from dousa.motion import CANONICAL_JOINTS, CanonicalMotion, canonicalise
@@ -162,9 +166,26 @@ def draw_pictures(
     """An overlay video and a contact sheet."""
     from dousa.app.pictures.overlay import write_overlay
     from dousa.app.pictures.overlay_sheet import draw_overlay_sheet
-    from dousa.app.pipelines.estimation_views import pictures_of
 
     target.parent.mkdir(parents=True, exist_ok=True)
-    images = pictures_of(videos, silhouettes, 0)
-    write_overlay(found, silhouettes, cameras, target.with_suffix(".mp4"), images=images)
-    draw_overlay_sheet(found, silhouettes, cameras, target.with_suffix(".png"), images=images, n_frames=6)
+    with _OverVideos(silhouettes, videos) as shown:
+        write_overlay(found, shown, cameras, target.with_suffix(".mp4"))
+        draw_overlay_sheet(found, shown, cameras, target.with_suffix(".png"), n_frames=6)
+
+
+class _OverVideos(WrappedSilhouettes):
+    """Silhouettes that were kept, with the pictures of their videos, which have the same rate."""
+
+    def __init__(self, inner: PackedSilhouettes, videos: Sequence[Path]) -> None:
+        super().__init__(inner)
+        self._files = [VideoFile(video) for video in videos]
+
+    def read(self, frame: int) -> tuple[Mask | None, ...]:
+        return self._inner.read(frame)
+
+    def look(self, frame: int) -> tuple[Image | None, ...]:
+        images = [file.read(min(frame, file.n_frames - 1)) for file in self._files]
+        return tuple(
+            None if image is None else image[fit_frame(file.size, size, image)]
+            for file, size, image in zip(self._files, self.sizes, images, strict=True)
+        )

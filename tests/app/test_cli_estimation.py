@@ -416,16 +416,18 @@ class TestSources:
         assert "a body height of 1.72 m is assumed" in err
 
     def test_pictures_are_those_of_the_frames(self, sources):
-        from dousa.app.pipelines.estimation_views import VideoPictures
-
-        pictures = VideoPictures([sources / "view1.mp4", sources / "view2.mp4"], [(160, 120), (80, 60)], 15.0, 1)
-        large, small = pictures(1)
-        assert large.shape == (120, 160, 3) and small.shape == (60, 80, 3)
         import cv2
 
+        from dousa.app.pipelines.doubts import MirroredSilhouettes, WatchedSilhouettes
+        from dousa.estimation import open_silhouettes
+
+        films, sizes = [sources / "view1.mp4", sources / "view2.mp4"], [(160, 120), (80, 60)]
+        with open_silhouettes(films, kind="video", sizes=sizes) as views:
+            large, small = WatchedSilhouettes(views, 3, 6).look(1)
+            assert np.array_equal(MirroredSilhouettes(views).look(4)[0], large[:, ::-1])
+        assert large.shape == (120, 160, 3) and small.shape == (60, 80, 3)
         mask = cv2.imread(str(sources / "view1" / "004.png"), cv2.IMREAD_GRAYSCALE) > 127
         assert ((large[..., 0] > 127) == mask).mean() > 0.98
-        pictures.close()
 
     def test_mistakes(self, dousa, tracked, sources, tmp_path):
         (tmp_path / "view1.mp4").write_bytes(b"no video at all")

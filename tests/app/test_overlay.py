@@ -173,10 +173,10 @@ def test_lost_frames_bear_the_word_and_a_frame(made):
     lost = np.arange(N_FRAMES) == 3
     page = _Page(dataclasses.replace(estimate, lost=lost), silhouettes, cameras)
     height = page._grid_height
-    marked = [near(page.paint(k, (None, None))[:height], ALARM, 4).sum() for k in range(N_FRAMES)]
+    marked = [near(page.paint(k)[:height], ALARM, 4).sum() for k in range(N_FRAMES)]
     assert marked[3] > 2000 and sum(marked) == marked[3]
     # The caption alone tells it too, not only the frame round the picture.
-    assert near(page.paint(3, (None, None))[: page._cells[0].top], ALARM, 4).sum() > 300
+    assert near(page.paint(3)[: page._cells[0].top], ALARM, 4).sum() > 300
 
 
 def test_a_view_without_an_image_is_hatched_and_said(made, body):
@@ -262,11 +262,11 @@ def test_a_sheet_reads_each_frame_once_in_rising_order(made, tmp_path):
             asked.append(frame)
             return silhouettes.read(frame)
 
-    def images(frame):
-        looked.append(frame)
-        return (None, None)
+        def look(self, frame):
+            looked.append(frame)
+            return (None, None)
 
-    draw_overlay_sheet(estimate, Watched(), cameras, tmp_path / "a.png", images=images, n_frames=4)
+    draw_overlay_sheet(estimate, Watched(), cameras, tmp_path / "a.png", n_frames=4)
     assert asked == looked == sorted(set(asked)) and len(asked) == 4
 
 

@@ -21,7 +21,6 @@ from dousa.app.pictures.overlay_view import (
     DARK,
     HALF_DARK,
     WHITE,
-    ReadImages,
     ViewPainter,
     check_views,
     draw_lines,
@@ -50,10 +49,9 @@ def write_overlay(
     cameras: Sequence[Camera],
     path: str | os.PathLike[str],
     *,
-    images: ReadImages | None = None,
     progress: ProgressCallback | None = None,
 ) -> None:
-    """Write a video of the estimate over the silhouettes, all views side by side.
+    """Write a video of the estimate over the silhouettes and the pictures behind them, all views side by side.
 
     Parameters
     ----------
@@ -61,7 +59,6 @@ def write_overlay(
     silhouettes : what it was made from, V views; at least T frames.
     cameras : (V,) the views.
     path : of the video, .mp4, .mkv or .avi.
-    images : frame -> (V,) images (H, W, 3) blue, green, red, or None; without, the silhouettes are shown.
     progress : called with (frames done, frames, what).
 
     Raises
@@ -75,8 +72,7 @@ def write_overlay(
 
     def paint() -> Iterator[Image]:
         for frame in range(n_frames):
-            pictures = images(frame) if images is not None else (None,) * len(cameras)
-            yield page.paint(frame, pictures)
+            yield page.paint(frame)
             if progress is not None and (frame % 5 == 0 or frame == n_frames - 1):
                 progress(frame + 1, n_frames, Message("pictures.overlay_video"))
 
@@ -173,12 +169,12 @@ class _Page:
             for camera, cell in zip(cameras, self._cells, strict=True)
         ]
 
-    def paint(self, frame: int, images: Sequence[Image | None]) -> Image:
+    def paint(self, frame: int) -> Image:
         """The whole picture of one frame."""
         estimate = self._estimate
         canvas = np.full((self.size[1], self.size[0], 3), 255, np.uint8)
         lost = bool(estimate.lost[frame])
-        masks = self._silhouettes.read(frame)
+        masks, images = self._silhouettes.read(frame), self._silhouettes.look(frame)
         for view, (cell, painter) in enumerate(zip(self._cells, self._painters, strict=True)):
             picture = painter.paint(estimate.poses[frame], masks[view], images[view], estimate.occluded[frame])
             rows, columns = slice(cell.top, cell.top + cell.height), slice(cell.left, cell.left + cell.width)

@@ -29,7 +29,6 @@ from dousa.app.pictures.overlay_view import (
     HALF_DARK,
     PALE,
     WHITE,
-    ReadImages,
     ViewPainter,
     check_views,
     draw_lines,
@@ -147,7 +146,6 @@ def draw_overlay_sheet(
     cameras: Sequence[Camera],
     path: str | os.PathLike[str],
     *,
-    images: ReadImages | None = None,
     n_frames: int = 9,
     title: str = "",
 ) -> None:
@@ -159,7 +157,6 @@ def draw_overlay_sheet(
     silhouettes : what it was made from, V views; at least T frames.
     cameras : (V,) the views.
     path : of the picture, .png, .svg or .pdf.
-    images : frame -> (V,) images (H, W, 3) blue, green, red, or None; without, the silhouettes are shown.
     n_frames : most frames to show, 1 to 24.
     title : what it is, above.
 
@@ -176,8 +173,7 @@ def draw_overlay_sheet(
     cuts = [_CutOut(estimate, camera, [mask[view] for mask in masks], frames) for view, camera in enumerate(cameras)]
     pictures: list[list[Image]] = [[] for _ in cameras]
     for number, frame in enumerate(frames):
-        shown = images(frame) if images is not None else (None,) * len(cameras)
-        for line, cut, mask, image in zip(pictures, cuts, masks[number], shown, strict=True):
+        for line, cut, mask, image in zip(pictures, cuts, masks[number], silhouettes.look(frame), strict=True):
             line.append(cut.paint(number, frame, mask, image))
     present = [[mask is not None for mask in views] for views in masks]
     sheet = _Sheet(estimate, silhouettes.names, frames, worst, present)

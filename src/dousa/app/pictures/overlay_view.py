@@ -6,7 +6,7 @@ red as OpenCV has them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from dousa.estimation.cameras.camera import Camera
     from dousa.estimation.silhouettes.silhouettes import Silhouettes
     from dousa.estimation.tracking.settings import Estimate
-
-ReadImages = Callable[[int], Sequence[Image | None]]
-"""Frame -> (V,) images (H, W, 3) blue, green, red, or None."""
 
 Colour = tuple[int, int, int]
 Points = NDArray[np.float64]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +24,6 @@ from dousa.app.pipelines.estimation_views import (
     Watcher,
     choose_cameras,
     open_views,
-    pictures_of,
     read_known_stature,
 )
 from dousa.app.pipelines.film_scene import (
@@ -34,7 +32,6 @@ from dousa.app.pipelines.film_scene import (
     has_models,
     is_films,
     open_films,
-    open_pictures,
     shows_masks,
     with_outputs,
 )
@@ -160,8 +157,7 @@ def estimate_files(
             raise SilhouetteError("estimate.sources", sources=request.sources, problem=error.located) from error
         notes += [*([kept.problem] if kept.problem else []), *views.warnings, *views.describe(), *estimate.warnings]
         notes += describe_doubts(estimate, body, views.names, cameras)
-        pictures = partial(pictures_of, request.sources, views, first, request.mirrored)
-        written = write_outputs(request.outputs, estimate, views, cameras, pictures, report)
+        written = write_outputs(request.outputs, estimate, views, cameras, report)
     kept.remove()
     resumed, warnings = 0 if done is None else len(done.poses), tuple(dict.fromkeys(notes))
     return Estimation(estimate, views.names, body_words, start_words, first, resumed, written, warnings)
@@ -400,7 +396,7 @@ def estimate_person(
         sex=request.sex,
         progress=report,
     )
-    silhouettes = PersonSilhouettes(films, person.members)
+    silhouettes = PersonSilhouettes(films, person.members, request.sources)
     cameras = silhouettes.fit_cameras(films.cameras)
     estimate = add_overlap(fit.estimate, silhouettes, cameras)
     warnings = [*films.warnings, *notes, *describe_fit(fit, films.cameras, request.stature is not None)]
@@ -408,14 +404,8 @@ def estimate_person(
     if watcher is not None:
         watcher.begin(Scene(films.names, cameras, films.frame_rate, estimate.n_frames, 0))
         watcher.end(estimate)
-    written = write_outputs(
-        request.outputs,
-        estimate,
-        silhouettes,
-        cameras,
-        lambda: open_pictures(request.sources, silhouettes),
-        report,
-    )
+    with silhouettes:
+        written = write_outputs(request.outputs, estimate, silhouettes, cameras, report)
     words = _body_words(request, estimate.body)
     return Estimation(estimate, films.names, words, Message("estimate.start_keypoints"), films.first_frame, 0, written,
                       tuple(dict.fromkeys(warnings)))  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,6 @@ from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
-    from dousa.app.pipelines.estimation_views import VideoPictures
     from dousa.app.requests.estimation import Outputs
     from dousa.estimation import Camera, Silhouettes
     from dousa.estimation.tracking.settings import Estimate
@@ -98,7 +97,6 @@ def write_outputs(
     estimate: Estimate,
     views: Silhouettes,
     cameras: Sequence[Camera],
-    open_pictures: Callable[[], VideoPictures | None],
     report: ProgressCallback,
 ) -> tuple[Path, ...]:
     """Write the files, those first that are most worth having if the disk is full.
@@ -107,7 +105,6 @@ def write_outputs(
     ----------
     outputs : what to write.
     estimate, views, cameras : what was found, from what.
-    open_pictures : gives the pictures behind the silhouettes, if there are any; called for the drawings.
     report : called with (done, total, what is being done).
 
     Returns
@@ -123,7 +120,7 @@ def write_outputs(
         if kind == "angles":
             write_angles(estimate, path)
         elif kind in ("sheet", "overlay"):
-            _draw(kind, path, estimate, views, cameras, open_pictures(), report)
+            _draw(kind, path, estimate, views, cameras, report)
         else:
             _write_motion(estimate, path)
     return tuple(path for _, path in outputs.named)
@@ -142,20 +139,15 @@ def _draw(
     estimate: Estimate,
     views: Silhouettes,
     cameras: Sequence[Camera],
-    pictures: VideoPictures | None,
     report: ProgressCallback,
 ) -> None:
     from dousa.app.pictures.overlay import write_overlay
     from dousa.app.pictures.overlay_sheet import draw_overlay_sheet
 
-    try:
-        if kind == "sheet":
-            draw_overlay_sheet(estimate, views, cameras, path, images=pictures)
-        else:
-            write_overlay(estimate, views, cameras, path, images=pictures, progress=report)
-    finally:
-        if pictures is not None:
-            pictures.close()
+    if kind == "sheet":
+        draw_overlay_sheet(estimate, views, cameras, path)
+    else:
+        write_overlay(estimate, views, cameras, path, progress=report)
 
 
 def canonical_points(estimate: Estimate) -> Trajectories:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from dousa.app.pipelines.doubts import parse_frames
-from dousa.app.pipelines.estimation_views import VideoPictures, check_count, read_view_cameras
+from dousa.app.pipelines.estimation_views import check_count, read_view_cameras
 from dousa.arrays import FloatArray, Image, IndexArray, Mask
 from dousa.errors import CalibrationError, KeypointError, OptionError, SilhouetteError
 from dousa.estimation.silhouettes.silhouettes import Silhouettes
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from dousa.app.requests.estimation import EstimationRequest
     from dousa.estimation import Camera, PersonMasks, PersonTrack, ViewKeypoints
     from dousa.estimation.keypoints.pose_models import LandmarkModel
+    from dousa.estimation.silhouettes.video import VideoFile
     from dousa.estimation.sync.sound import Sound
 
 
@@ -423,16 +424,19 @@ class PersonSilhouettes(Silhouettes):
     ----------
     films : on one clock.
     members : (V,) numbers of the people of each view who are the person.
+    sources : (V,) films, whose pictures lie behind the masks; there are none if any of them holds keypoints.
     """
 
-    def __init__(self, films: FilmScene, members: Sequence[Sequence[int]]) -> None:
+    def __init__(self, films: FilmScene, members: Sequence[Sequence[int]], sources: Sequence[Path] = ()) -> None:
         from dousa.estimation.silhouettes.video import reduce_size
 
         self.names, self.frame_rate = films.names, films.frame_rate
         self.n_frames = len(films.moments)
         self.sizes = tuple(reduce_size(view.size) for view in films.found)
         self._found = films.found
-        self.frames = [nearest_frames(view.times, films.moments + offset)
+        self._sources = () if any(map(is_keypoints, sources)) else tuple(sources)
+        self._files: list[VideoFile] = []
+        self._frames = [nearest_frames(view.times, films.moments + offset)
                         for view, offset in zip(films.found, films.offsets, strict=True)]  # fmt: skip
         self._masks: list[list[PersonMasks]] = [
             [masks for number in numbers if (masks := view.people[number].masks) is not None]
@@ -448,40 +452,34 @@ class PersonSilhouettes(Silhouettes):
         """The masks (height, width) of all views in one frame; None where a view has no image then."""
         masks: list[Mask | None] = []
         for view, found in enumerate(self._found):
-            place = int(self.frames[view][frame])
+            place = int(self._frames[view][frame])
             drawn = (person.read(place, self.sizes[view], of=found.size) for person in self._masks[view])
             masks.append(next((mask for mask in drawn if mask is not None), None))
         return tuple(masks)
 
+    def look(self, frame: int) -> tuple[Image | None, ...]:
+        """The films' pictures (height, width, 3), as large as the masks; None where there is none."""
+        from dousa.estimation.silhouettes.video import VideoFile
+        from dousa.extras import cv2
+
+        if not self._sources:
+            return super().look(frame)
+        self._files = self._files or [VideoFile(path) for path in self._sources]
+        pictures: list[Image | None] = []
+        for file, places, size in zip(self._files, self._frames, self.sizes, strict=True):
+            image = file.read(min(int(places[frame]), file.n_frames - 1))
+            small = None if image is None else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+            pictures.append(None if small is None else np.asarray(small))
+        return tuple(pictures)
+
+    def close(self) -> None:
+        """Close the films; looking opens them again."""
+        for file in self._files:
+            file.close()
+
     def fit_cameras(self, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
         """Cameras (V,) of the films' pictures for pictures of the masks' size."""
         return tuple(camera.resized(*size) for camera, size in zip(cameras, self.sizes, strict=True))
-
-
-class ScenePictures(VideoPictures):
-    """The films' pictures at the common moments, as large as the masks.
-
-    Parameters
-    ----------
-    sources : (V,) films.
-    silhouettes : of a person in them.
-    """
-
-    def __init__(self, sources: Sequence[Path], silhouettes: PersonSilhouettes) -> None:
-        super().__init__(sources, silhouettes.sizes, silhouettes.frame_rate, 0)
-        self._places = silhouettes.frames
-
-    def _read(self, view: int, frame: int) -> Image | None:
-        from dousa.extras import cv2
-
-        file = self._files[view]
-        image = file.read(min(int(self._places[view][frame]), file.n_frames - 1))
-        return None if image is None else np.asarray(cv2.resize(image, self._sizes[view], interpolation=cv2.INTER_AREA))
-
-
-def open_pictures(sources: Sequence[Path], silhouettes: PersonSilhouettes) -> ScenePictures | None:
-    """The pictures behind a person's masks; None where sources are keypoints."""
-    return None if any(is_keypoints(path) for path in sources) else ScenePictures(sources, silhouettes)
 
 
 def nearest_frames(times: FloatArray, moments: FloatArray) -> IndexArray:
