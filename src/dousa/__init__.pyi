@@ -1,29 +1,14 @@
-from .formats.registry import read_motion, write_motion
-from .library import Library
-from .motion import (
-    CANONICAL_JOINTS,
-    CanonicalMotion,
-    Motion,
-    Skeleton,
-    Trajectories,
-    canonicalise,
-    compute_trajectories,
-)
-from .retrieval import MotionForest, compute_clip_features
+from .formats.registry import read_motion as read_motion
+from .formats.registry import write_motion as write_motion
+from .library import Library as Library
+from .motion import CANONICAL_JOINTS as CANONICAL_JOINTS
+from .motion import CanonicalMotion as CanonicalMotion
+from .motion import Motion as Motion
+from .motion import Skeleton as Skeleton
+from .motion import Trajectories as Trajectories
+from .motion import canonicalise as canonicalise
+from .motion import compute_trajectories as compute_trajectories
+from .retrieval import MotionForest as MotionForest
+from .retrieval import compute_clip_features as compute_clip_features
 
 __version__: str
-
-__all__ = [
-    "CANONICAL_JOINTS",
-    "CanonicalMotion",
-    "Library",
-    "Motion",
-    "MotionForest",
-    "Skeleton",
-    "Trajectories",
-    "canonicalise",
-    "compute_clip_features",
-    "compute_trajectories",
-    "read_motion",
-    "write_motion",
-]

@@ -1,107 +1,70 @@
-from .body.body import BodyModel
-from .body.body_file import read_body, write_body
-from .body.human import make_human
-from .body.posing import fit_pose, fit_poses, standing_state
-from .body.skeleton_body import body_from_motion, fit_body
-from .calibration.board import Board, calibrate_from_board, calibrate_lens, find_board, parse_board
-from .calibration.person import CalibratedView, Calibration, calibrate_from_person
-from .cameras.camera import Camera, fit_cameras, make_ring, make_view, match_cameras
-from .cameras.camera_files import read_cameras, write_cameras
-from .cameras.camera_formats import cameras_to_arrays
-from .keypoints.keypoint_files import read_keypoints, write_keypoints
-from .keypoints.keypoint_search import find_keypoints
-from .keypoints.keypoints import MEDIAPIPE_NAMES, PersonMasks, PersonTrack, ViewKeypoints
-from .multiview.keypoint_fit import KeypointFit, fit_keypoints
-from .multiview.people import MatchedPerson, match_people, repair_sides
-from .multiview.triangulation import Triangulated, triangulate
-from .raster.rendering import poses_from_motion, render, spoil
-from .silhouettes.cleaning import clean_mask, describe_mask
-from .silhouettes.mask_npz import read_silhouettes, write_silhouettes
-from .silhouettes.repairs import (
-    ExcludedPart,
-    MaskStroke,
-    RepairedSilhouettes,
-    find_part,
-    follow_part,
-)
-from .silhouettes.silhouette_files import open_silhouettes
-from .silhouettes.silhouettes import PackedSilhouettes, Silhouettes
-from .sync.sound import Sound, read_sound
-from .sync.synchronise import Synchronisation, read_offsets, sync, write_offsets
-from .tracking.person_size import fit_girths
-from .tracking.settings import EVIDENCES, PAPER, READINGS, Estimate, TrackedFrame, TrackerSettings
-from .tracking.start import find_start
-from .tracking.tracker import PartialTrack, estimate
-
-__all__ = [
-    "EVIDENCES",
-    "MEDIAPIPE_NAMES",
-    "PAPER",
-    "READINGS",
-    "Board",
-    "BodyModel",
-    "CalibratedView",
-    "Calibration",
-    "Camera",
-    "Estimate",
-    "ExcludedPart",
-    "KeypointFit",
-    "MaskStroke",
-    "MatchedPerson",
-    "PackedSilhouettes",
-    "PartialTrack",
-    "PersonMasks",
-    "PersonTrack",
-    "RepairedSilhouettes",
-    "Silhouettes",
-    "Sound",
-    "Synchronisation",
-    "TrackedFrame",
-    "TrackerSettings",
-    "Triangulated",
-    "ViewKeypoints",
-    "body_from_motion",
-    "calibrate_from_board",
-    "calibrate_from_person",
-    "calibrate_lens",
-    "cameras_to_arrays",
-    "clean_mask",
-    "describe_mask",
-    "estimate",
-    "find_board",
-    "find_keypoints",
-    "find_part",
-    "find_start",
-    "fit_body",
-    "fit_cameras",
-    "fit_girths",
-    "fit_keypoints",
-    "fit_pose",
-    "fit_poses",
-    "follow_part",
-    "make_human",
-    "make_ring",
-    "make_view",
-    "match_cameras",
-    "match_people",
-    "open_silhouettes",
-    "parse_board",
-    "poses_from_motion",
-    "read_body",
-    "read_cameras",
-    "read_keypoints",
-    "read_offsets",
-    "read_silhouettes",
-    "read_sound",
-    "render",
-    "repair_sides",
-    "spoil",
-    "standing_state",
-    "sync",
-    "triangulate",
-    "write_body",
-    "write_cameras",
-    "write_keypoints",
-    "write_offsets",
-    "write_silhouettes",
-]
+from .body.body import BodyModel as BodyModel
+from .body.body_file import read_body as read_body
+from .body.body_file import write_body as write_body
+from .body.human import make_human as make_human
+from .body.posing import fit_pose as fit_pose
+from .body.posing import fit_poses as fit_poses
+from .body.posing import standing_state as standing_state
+from .body.skeleton_body import body_from_motion as body_from_motion
+from .body.skeleton_body import fit_body as fit_body
+from .calibration.board import Board as Board
+from .calibration.board import calibrate_from_board as calibrate_from_board
+from .calibration.board import calibrate_lens as calibrate_lens
+from .calibration.board import find_board as find_board
+from .calibration.board import parse_board as parse_board
+from .calibration.person import CalibratedView as CalibratedView
+from .calibration.person import Calibration as Calibration
+from .calibration.person import calibrate_from_person as calibrate_from_person
+from .cameras.camera import Camera as Camera
+from .cameras.camera import fit_cameras as fit_cameras
+from .cameras.camera import make_ring as make_ring
+from .cameras.camera import make_view as make_view
+from .cameras.camera import match_cameras as match_cameras
+from .cameras.camera_files import read_cameras as read_cameras
+from .cameras.camera_files import write_cameras as write_cameras
+from .cameras.camera_formats import cameras_to_arrays as cameras_to_arrays
+from .keypoints.keypoint_files import read_keypoints as read_keypoints
+from .keypoints.keypoint_files import write_keypoints as write_keypoints
+from .keypoints.keypoint_search import find_keypoints as find_keypoints
+from .keypoints.keypoints import MEDIAPIPE_NAMES as MEDIAPIPE_NAMES
+from .keypoints.keypoints import PersonMasks as PersonMasks
+from .keypoints.keypoints import PersonTrack as PersonTrack
+from .keypoints.keypoints import ViewKeypoints as ViewKeypoints
+from .multiview.keypoint_fit import KeypointFit as KeypointFit
+from .multiview.keypoint_fit import fit_keypoints as fit_keypoints
+from .multiview.people import MatchedPerson as MatchedPerson
+from .multiview.people import match_people as match_people
+from .multiview.people import repair_sides as repair_sides
+from .multiview.triangulation import Triangulated as Triangulated
+from .multiview.triangulation import triangulate as triangulate
+from .raster.rendering import poses_from_motion as poses_from_motion
+from .raster.rendering import render as render
+from .raster.rendering import spoil as spoil
+from .silhouettes.cleaning import clean_mask as clean_mask
+from .silhouettes.cleaning import describe_mask as describe_mask
+from .silhouettes.mask_npz import read_silhouettes as read_silhouettes
+from .silhouettes.mask_npz import write_silhouettes as write_silhouettes
+from .silhouettes.repairs import ExcludedPart as ExcludedPart
+from .silhouettes.repairs import MaskStroke as MaskStroke
+from .silhouettes.repairs import RepairedSilhouettes as RepairedSilhouettes
+from .silhouettes.repairs import find_part as find_part
+from .silhouettes.repairs import follow_part as follow_part
+from .silhouettes.silhouette_files import open_silhouettes as open_silhouettes
+from .silhouettes.silhouettes import PackedSilhouettes as PackedSilhouettes
+from .silhouettes.silhouettes import Silhouettes as Silhouettes
+from .sync.sound import Sound as Sound
+from .sync.sound import read_sound as read_sound
+from .sync.synchronise import Synchronisation as Synchronisation
+from .sync.synchronise import read_offsets as read_offsets
+from .sync.synchronise import sync as sync
+from .sync.synchronise import write_offsets as write_offsets
+from .tracking.person_size import fit_girths as fit_girths
+from .tracking.settings import EVIDENCES as EVIDENCES
+from .tracking.settings import PAPER as PAPER
+from .tracking.settings import READINGS as READINGS
+from .tracking.settings import Estimate as Estimate
+from .tracking.settings import TrackedFrame as TrackedFrame
+from .tracking.settings import TrackerSettings as TrackerSettings
+from .tracking.start import find_start as find_start
+from .tracking.tracker import PartialTrack as PartialTrack
+from .tracking.tracker import estimate as estimate

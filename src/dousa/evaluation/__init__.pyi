@@ -1,131 +1,78 @@
-from .advice.advice import Advice, advise, describe_advice, praise
-from .advice.directions import Correction
-from .advice.progress import Attempt, Progress, compare_attempts, read_attempt
-from .alignment.correspondence import Line, compute_correlation_matrix, find_lines, find_path
-from .alignment.lines import Lapse
-from .beats.accents import ACCENTS, Accent, find_accents
-from .beats.beats import Beats, BeatTiming, TimedAccent, assess_timing, find_beats, read_beats, to_beats
-from .exercises.range_of_motion import (
-    ANGLE_NAMES,
-    ANGLES,
-    PAIRED_ANGLES,
-    RangeOfMotion,
-    compute_joint_angles,
-    compute_symmetry_index,
-)
-from .exercises.repetitions import (
-    AssessedRepetition,
-    RepetitionsAssessment,
-    Trend,
-    assess_repetitions,
-    describe_exercise,
-    describe_trends,
-    estimate_trend,
-)
-from .exercises.split import Repetition, RepetitionSplit, find_repetitions
-from .figures.eigenspace import (
-    Eigenspace,
-    compute_distance_from_space,
-    compute_distance_to_path,
-    compute_distance_within,
-    compute_segment_residuals,
-    fit_eigenspace,
-)
-from .figures.furi import Furi, find_furi, fit_furi_eigenspaces, format_furi, read_furi, write_furi
-from .grade.assessment import ABOUT_REFERENCES, AdjustableAssessment, assess
-from .grade.result import Assessment, ErrorEvent, FuriAssessment, describe_assessment
-from .live.assessor import FrameState, IncrementalAssessor
-from .posture.posture import (
-    LIMBS,
-    MIRRORED_SEGMENTS,
-    SEGMENT_JOINTS,
-    SEGMENTS,
-    PostureSequence,
-    compute_postures,
-    compute_segments,
-    mirror_postures,
-    read_weights,
-)
-from .posture.yaw import compute_complex_correlation, estimate_robust_yaw, estimate_yaw, rotate_yaw
-from .words import describe_event, describe_heading, describe_lapse, describe_segments
-
-__all__ = [
-    "ABOUT_REFERENCES",
-    "ACCENTS",
-    "ANGLES",
-    "ANGLE_NAMES",
-    "LIMBS",
-    "MIRRORED_SEGMENTS",
-    "PAIRED_ANGLES",
-    "SEGMENTS",
-    "SEGMENT_JOINTS",
-    "Accent",
-    "AdjustableAssessment",
-    "Advice",
-    "AssessedRepetition",
-    "Assessment",
-    "Attempt",
-    "BeatTiming",
-    "Beats",
-    "Correction",
-    "Eigenspace",
-    "ErrorEvent",
-    "FrameState",
-    "Furi",
-    "FuriAssessment",
-    "IncrementalAssessor",
-    "Lapse",
-    "Line",
-    "PostureSequence",
-    "Progress",
-    "RangeOfMotion",
-    "Repetition",
-    "RepetitionSplit",
-    "RepetitionsAssessment",
-    "TimedAccent",
-    "Trend",
-    "advise",
-    "assess",
-    "assess_repetitions",
-    "assess_timing",
-    "compare_attempts",
-    "compute_complex_correlation",
-    "compute_correlation_matrix",
-    "compute_distance_from_space",
-    "compute_distance_to_path",
-    "compute_distance_within",
-    "compute_joint_angles",
-    "compute_postures",
-    "compute_segment_residuals",
-    "compute_segments",
-    "compute_symmetry_index",
-    "describe_advice",
-    "describe_assessment",
-    "describe_event",
-    "describe_exercise",
-    "describe_heading",
-    "describe_lapse",
-    "describe_segments",
-    "describe_trends",
-    "estimate_robust_yaw",
-    "estimate_trend",
-    "estimate_yaw",
-    "find_accents",
-    "find_beats",
-    "find_furi",
-    "find_lines",
-    "find_path",
-    "find_repetitions",
-    "fit_eigenspace",
-    "fit_furi_eigenspaces",
-    "format_furi",
-    "mirror_postures",
-    "praise",
-    "read_attempt",
-    "read_beats",
-    "read_furi",
-    "read_weights",
-    "rotate_yaw",
-    "to_beats",
-    "write_furi",
-]
+from .advice.advice import Advice as Advice
+from .advice.advice import advise as advise
+from .advice.advice import describe_advice as describe_advice
+from .advice.advice import praise as praise
+from .advice.directions import Correction as Correction
+from .advice.progress import Attempt as Attempt
+from .advice.progress import Progress as Progress
+from .advice.progress import compare_attempts as compare_attempts
+from .advice.progress import read_attempt as read_attempt
+from .alignment.correspondence import Line as Line
+from .alignment.correspondence import compute_correlation_matrix as compute_correlation_matrix
+from .alignment.correspondence import find_lines as find_lines
+from .alignment.correspondence import find_path as find_path
+from .alignment.lines import Lapse as Lapse
+from .beats.accents import ACCENTS as ACCENTS
+from .beats.accents import Accent as Accent
+from .beats.accents import find_accents as find_accents
+from .beats.beats import Beats as Beats
+from .beats.beats import BeatTiming as BeatTiming
+from .beats.beats import TimedAccent as TimedAccent
+from .beats.beats import assess_timing as assess_timing
+from .beats.beats import find_beats as find_beats
+from .beats.beats import read_beats as read_beats
+from .beats.beats import to_beats as to_beats
+from .exercises.range_of_motion import ANGLE_NAMES as ANGLE_NAMES
+from .exercises.range_of_motion import ANGLES as ANGLES
+from .exercises.range_of_motion import PAIRED_ANGLES as PAIRED_ANGLES
+from .exercises.range_of_motion import RangeOfMotion as RangeOfMotion
+from .exercises.range_of_motion import compute_joint_angles as compute_joint_angles
+from .exercises.range_of_motion import compute_symmetry_index as compute_symmetry_index
+from .exercises.repetitions import AssessedRepetition as AssessedRepetition
+from .exercises.repetitions import RepetitionsAssessment as RepetitionsAssessment
+from .exercises.repetitions import Trend as Trend
+from .exercises.repetitions import assess_repetitions as assess_repetitions
+from .exercises.repetitions import describe_exercise as describe_exercise
+from .exercises.repetitions import describe_trends as describe_trends
+from .exercises.repetitions import estimate_trend as estimate_trend
+from .exercises.split import Repetition as Repetition
+from .exercises.split import RepetitionSplit as RepetitionSplit
+from .exercises.split import find_repetitions as find_repetitions
+from .figures.eigenspace import Eigenspace as Eigenspace
+from .figures.eigenspace import compute_distance_from_space as compute_distance_from_space
+from .figures.eigenspace import compute_distance_to_path as compute_distance_to_path
+from .figures.eigenspace import compute_distance_within as compute_distance_within
+from .figures.eigenspace import compute_segment_residuals as compute_segment_residuals
+from .figures.eigenspace import fit_eigenspace as fit_eigenspace
+from .figures.furi import Furi as Furi
+from .figures.furi import find_furi as find_furi
+from .figures.furi import fit_furi_eigenspaces as fit_furi_eigenspaces
+from .figures.furi import format_furi as format_furi
+from .figures.furi import read_furi as read_furi
+from .figures.furi import write_furi as write_furi
+from .grade.assessment import ABOUT_REFERENCES as ABOUT_REFERENCES
+from .grade.assessment import AdjustableAssessment as AdjustableAssessment
+from .grade.assessment import assess as assess
+from .grade.result import Assessment as Assessment
+from .grade.result import ErrorEvent as ErrorEvent
+from .grade.result import FuriAssessment as FuriAssessment
+from .grade.result import describe_assessment as describe_assessment
+from .live.assessor import FrameState as FrameState
+from .live.assessor import IncrementalAssessor as IncrementalAssessor
+from .posture.posture import LIMBS as LIMBS
+from .posture.posture import MIRRORED_SEGMENTS as MIRRORED_SEGMENTS
+from .posture.posture import SEGMENT_JOINTS as SEGMENT_JOINTS
+from .posture.posture import SEGMENTS as SEGMENTS
+from .posture.posture import PostureSequence as PostureSequence
+from .posture.posture import compute_postures as compute_postures
+from .posture.posture import compute_segments as compute_segments
+from .posture.posture import mirror_postures as mirror_postures
+from .posture.posture import read_weights as read_weights
+from .posture.yaw import compute_complex_correlation as compute_complex_correlation
+from .posture.yaw import estimate_robust_yaw as estimate_robust_yaw
+from .posture.yaw import estimate_yaw as estimate_yaw
+from .posture.yaw import rotate_yaw as rotate_yaw
+from .words import describe_event as describe_event
+from .words import describe_heading as describe_heading
+from .words import describe_lapse as describe_lapse
+from .words import describe_segments as describe_segments

@@ -1,22 +1,12 @@
-from .annotated.scores import AnnotatedTakesResult
-from .annotated.trial import run_annotated_takes_experiment
-from .metrics import Scores, compute_scores
-from .recognition import ExperimentResult, run_experiment
-from .runner import Split, leave_performer_out, split_half
-from .table import ResultTable
-from .takes import TakesResult, run_takes_experiment
-
-__all__ = [
-    "AnnotatedTakesResult",
-    "ExperimentResult",
-    "ResultTable",
-    "Scores",
-    "Split",
-    "TakesResult",
-    "compute_scores",
-    "leave_performer_out",
-    "run_annotated_takes_experiment",
-    "run_experiment",
-    "run_takes_experiment",
-    "split_half",
-]
+from .annotated.scores import AnnotatedTakesResult as AnnotatedTakesResult
+from .annotated.trial import run_annotated_takes_experiment as run_annotated_takes_experiment
+from .metrics import Scores as Scores
+from .metrics import compute_scores as compute_scores
+from .recognition import ExperimentResult as ExperimentResult
+from .recognition import run_experiment as run_experiment
+from .runner import Split as Split
+from .runner import leave_performer_out as leave_performer_out
+from .runner import split_half as split_half
+from .table import ResultTable as ResultTable
+from .takes import TakesResult as TakesResult
+from .takes import run_takes_experiment as run_takes_experiment

@@ -1,66 +1,34 @@
-from .annotations.tags import CHECKED, FAVOURITE, SavedSearch
-from .care.clip_map import ClipMap
-from .care.compact import CompactReport
-from .care.damage import CheckReport, Damage
-from .care.review import DuplicateGroup, LabelDoubt, LabelReview
-from .export import ExportReport
-from .history.journal import JournalEntry
-from .label_rules import parse_label_rule
-from .library import Library
-from .results import (
-    AddReport,
-    Classification,
-    ClipInfo,
-    Duplicate,
-    FindResult,
-    Hit,
-    LabelledTake,
-    LibraryStats,
-    Place,
-    SearchResult,
-    Skipped,
-    TakeAnnotation,
-    TakeSegment,
-    TrainReport,
-    Verdict,
-)
-from .search.text import TextHit, TextMatches, TextResult
-from .store.engine import choose_jobs
-from .store.selection import UNCHANGED
-
-__all__ = [
-    "CHECKED",
-    "FAVOURITE",
-    "UNCHANGED",
-    "AddReport",
-    "CheckReport",
-    "Classification",
-    "ClipInfo",
-    "ClipMap",
-    "CompactReport",
-    "Damage",
-    "Duplicate",
-    "DuplicateGroup",
-    "ExportReport",
-    "FindResult",
-    "Hit",
-    "JournalEntry",
-    "LabelDoubt",
-    "LabelReview",
-    "LabelledTake",
-    "Library",
-    "LibraryStats",
-    "Place",
-    "SavedSearch",
-    "SearchResult",
-    "Skipped",
-    "TakeAnnotation",
-    "TakeSegment",
-    "TextHit",
-    "TextMatches",
-    "TextResult",
-    "TrainReport",
-    "Verdict",
-    "choose_jobs",
-    "parse_label_rule",
-]
+from .annotations.tags import CHECKED as CHECKED
+from .annotations.tags import FAVOURITE as FAVOURITE
+from .annotations.tags import SavedSearch as SavedSearch
+from .care.clip_map import ClipMap as ClipMap
+from .care.compact import CompactReport as CompactReport
+from .care.damage import CheckReport as CheckReport
+from .care.damage import Damage as Damage
+from .care.review import DuplicateGroup as DuplicateGroup
+from .care.review import LabelDoubt as LabelDoubt
+from .care.review import LabelReview as LabelReview
+from .export import ExportReport as ExportReport
+from .history.journal import JournalEntry as JournalEntry
+from .label_rules import parse_label_rule as parse_label_rule
+from .library import Library as Library
+from .results import AddReport as AddReport
+from .results import Classification as Classification
+from .results import ClipInfo as ClipInfo
+from .results import Duplicate as Duplicate
+from .results import FindResult as FindResult
+from .results import Hit as Hit
+from .results import LabelledTake as LabelledTake
+from .results import LibraryStats as LibraryStats
+from .results import Place as Place
+from .results import SearchResult as SearchResult
+from .results import Skipped as Skipped
+from .results import TakeAnnotation as TakeAnnotation
+from .results import TakeSegment as TakeSegment
+from .results import TrainReport as TrainReport
+from .results import Verdict as Verdict
+from .search.text import TextHit as TextHit
+from .search.text import TextMatches as TextMatches
+from .search.text import TextResult as TextResult
+from .store.engine import choose_jobs as choose_jobs
+from .store.selection import UNCHANGED as UNCHANGED

@@ -1,45 +1,26 @@
-from .canonical.canonicalise import (
-    CanonicalMotion,
-    JointMapping,
-    canonicalise,
-    mirror_canonical,
-    mirror_positions,
-)
-from .canonical.fitting import fit_motion
-from .canonical.joints import CANONICAL_JOINTS, CANONICAL_PARENTS, JOINT_INDEX, MIRRORED_JOINTS
-from .canonical.recipes import read_joint_map
-from .canonical.reference_frame import ReferenceFrame
-from .kinematics import compute_rest_positions, compute_trajectories, forward_kinematics
-from .repetitions import RepetitionCount, count_repetitions
-from .resampling import fill_gaps, resample, thin
-from .retargeting.retarget import Retargeted, retarget
-from .types import Motion, Provenance, Skeleton, Trajectories
-
-__all__ = [
-    "CANONICAL_JOINTS",
-    "CANONICAL_PARENTS",
-    "JOINT_INDEX",
-    "MIRRORED_JOINTS",
-    "CanonicalMotion",
-    "JointMapping",
-    "Motion",
-    "Provenance",
-    "ReferenceFrame",
-    "RepetitionCount",
-    "Retargeted",
-    "Skeleton",
-    "Trajectories",
-    "canonicalise",
-    "compute_rest_positions",
-    "compute_trajectories",
-    "count_repetitions",
-    "fill_gaps",
-    "fit_motion",
-    "forward_kinematics",
-    "mirror_canonical",
-    "mirror_positions",
-    "read_joint_map",
-    "resample",
-    "retarget",
-    "thin",
-]
+from .canonical.canonicalise import CanonicalMotion as CanonicalMotion
+from .canonical.canonicalise import JointMapping as JointMapping
+from .canonical.canonicalise import canonicalise as canonicalise
+from .canonical.canonicalise import mirror_canonical as mirror_canonical
+from .canonical.canonicalise import mirror_positions as mirror_positions
+from .canonical.fitting import fit_motion as fit_motion
+from .canonical.joints import CANONICAL_JOINTS as CANONICAL_JOINTS
+from .canonical.joints import CANONICAL_PARENTS as CANONICAL_PARENTS
+from .canonical.joints import JOINT_INDEX as JOINT_INDEX
+from .canonical.joints import MIRRORED_JOINTS as MIRRORED_JOINTS
+from .canonical.recipes import read_joint_map as read_joint_map
+from .canonical.reference_frame import ReferenceFrame as ReferenceFrame
+from .kinematics import compute_rest_positions as compute_rest_positions
+from .kinematics import compute_trajectories as compute_trajectories
+from .kinematics import forward_kinematics as forward_kinematics
+from .repetitions import RepetitionCount as RepetitionCount
+from .repetitions import count_repetitions as count_repetitions
+from .resampling import fill_gaps as fill_gaps
+from .resampling import resample as resample
+from .resampling import thin as thin
+from .retargeting.retarget import Retargeted as Retargeted
+from .retargeting.retarget import retarget as retarget
+from .types import Motion as Motion
+from .types import Provenance as Provenance
+from .types import Skeleton as Skeleton
+from .types import Trajectories as Trajectories

@@ -1,117 +1,68 @@
-from .explain.explanation import Explainer, Explanation, Likeness, Reason, SharedReason, explain, explain_pair
-from .features.channels import CHANNELS, compute_channels
-from .features.feature_sets import (
-    DEFAULT_FEATURE_SET,
-    FEATURE_SETS,
-    FeatureSet,
-    FeatureTrack,
-    compute_interval_means,
-    compute_track,
-    get_feature_set,
-    integrate,
-    list_tests,
-)
-from .features.pose_features import (
-    FEATURE_NAMES,
-    FEATURES,
-    Feature,
-    compute_clip_features,
-    compute_pose_features,
-)
-from .features.posed_motion import LabelledClip
-from .features.sensor_noise import reduce_noise
-from .forest.calibration import Assessor, Calibration, Verdicts, guess_performers, learn_calibration
-from .forest.forest import Decision, MotionForest
-from .forest.growth import Growth, StandingClips, grow_forest
-from .ranking.ranking import (
-    DEFAULT_RANKING,
-    RANKINGS,
-    RankedClips,
-    Ranking,
-    RankingQuery,
-    compute_pose_sequence,
-    compute_window_poses,
-    rank_by_fusion,
-    rank_by_histogram,
-    rank_by_leaves,
-    rank_by_pose,
-    rank_clips,
-)
-from .ranking.templates import RELATIONAL_FEATURES, MotionTemplates, compute_relational_features
-from .takes.find import Found, TakeQuery, describe_query, find_in_takes
-from .takes.label import Segment, TakeLabeller, Timeline, label_take, write_timeline_csv
-from .takes.labeller_training import train_labeller
-from .takes.live import LiveAnswer, LiveLabeller, read_live_frames
-from .takes.repetitions import count_clip
-from .takes.windows import TakeWindows, WindowGrid, choose_grid, describe_take
-
-__all__ = [
-    "CHANNELS",
-    "DEFAULT_FEATURE_SET",
-    "DEFAULT_RANKING",
-    "FEATURES",
-    "FEATURE_NAMES",
-    "FEATURE_SETS",
-    "RANKINGS",
-    "RELATIONAL_FEATURES",
-    "Assessor",
-    "Calibration",
-    "Decision",
-    "Explainer",
-    "Explanation",
-    "Feature",
-    "FeatureSet",
-    "FeatureTrack",
-    "Found",
-    "Growth",
-    "LabelledClip",
-    "Likeness",
-    "LiveAnswer",
-    "LiveLabeller",
-    "MotionForest",
-    "MotionTemplates",
-    "RankedClips",
-    "Ranking",
-    "RankingQuery",
-    "Reason",
-    "Segment",
-    "SharedReason",
-    "StandingClips",
-    "TakeLabeller",
-    "TakeQuery",
-    "TakeWindows",
-    "Timeline",
-    "Verdicts",
-    "WindowGrid",
-    "choose_grid",
-    "compute_channels",
-    "compute_clip_features",
-    "compute_interval_means",
-    "compute_pose_features",
-    "compute_pose_sequence",
-    "compute_relational_features",
-    "compute_track",
-    "compute_window_poses",
-    "count_clip",
-    "describe_query",
-    "describe_take",
-    "explain",
-    "explain_pair",
-    "find_in_takes",
-    "get_feature_set",
-    "grow_forest",
-    "guess_performers",
-    "integrate",
-    "label_take",
-    "learn_calibration",
-    "list_tests",
-    "rank_by_fusion",
-    "rank_by_histogram",
-    "rank_by_leaves",
-    "rank_by_pose",
-    "rank_clips",
-    "read_live_frames",
-    "reduce_noise",
-    "train_labeller",
-    "write_timeline_csv",
-]
+from .explain.explanation import Explainer as Explainer
+from .explain.explanation import Explanation as Explanation
+from .explain.explanation import Likeness as Likeness
+from .explain.explanation import Reason as Reason
+from .explain.explanation import SharedReason as SharedReason
+from .explain.explanation import explain as explain
+from .explain.explanation import explain_pair as explain_pair
+from .features.channels import CHANNELS as CHANNELS
+from .features.channels import compute_channels as compute_channels
+from .features.feature_sets import DEFAULT_FEATURE_SET as DEFAULT_FEATURE_SET
+from .features.feature_sets import FEATURE_SETS as FEATURE_SETS
+from .features.feature_sets import FeatureSet as FeatureSet
+from .features.feature_sets import FeatureTrack as FeatureTrack
+from .features.feature_sets import compute_interval_means as compute_interval_means
+from .features.feature_sets import compute_track as compute_track
+from .features.feature_sets import get_feature_set as get_feature_set
+from .features.feature_sets import integrate as integrate
+from .features.feature_sets import list_tests as list_tests
+from .features.pose_features import FEATURE_NAMES as FEATURE_NAMES
+from .features.pose_features import FEATURES as FEATURES
+from .features.pose_features import Feature as Feature
+from .features.pose_features import compute_clip_features as compute_clip_features
+from .features.pose_features import compute_pose_features as compute_pose_features
+from .features.posed_motion import LabelledClip as LabelledClip
+from .features.sensor_noise import reduce_noise as reduce_noise
+from .forest.calibration import Assessor as Assessor
+from .forest.calibration import Calibration as Calibration
+from .forest.calibration import Verdicts as Verdicts
+from .forest.calibration import guess_performers as guess_performers
+from .forest.calibration import learn_calibration as learn_calibration
+from .forest.forest import Decision as Decision
+from .forest.forest import MotionForest as MotionForest
+from .forest.growth import Growth as Growth
+from .forest.growth import StandingClips as StandingClips
+from .forest.growth import grow_forest as grow_forest
+from .ranking.ranking import DEFAULT_RANKING as DEFAULT_RANKING
+from .ranking.ranking import RANKINGS as RANKINGS
+from .ranking.ranking import RankedClips as RankedClips
+from .ranking.ranking import Ranking as Ranking
+from .ranking.ranking import RankingQuery as RankingQuery
+from .ranking.ranking import compute_pose_sequence as compute_pose_sequence
+from .ranking.ranking import compute_window_poses as compute_window_poses
+from .ranking.ranking import rank_by_fusion as rank_by_fusion
+from .ranking.ranking import rank_by_histogram as rank_by_histogram
+from .ranking.ranking import rank_by_leaves as rank_by_leaves
+from .ranking.ranking import rank_by_pose as rank_by_pose
+from .ranking.ranking import rank_clips as rank_clips
+from .ranking.templates import RELATIONAL_FEATURES as RELATIONAL_FEATURES
+from .ranking.templates import MotionTemplates as MotionTemplates
+from .ranking.templates import compute_relational_features as compute_relational_features
+from .takes.find import Found as Found
+from .takes.find import TakeQuery as TakeQuery
+from .takes.find import describe_query as describe_query
+from .takes.find import find_in_takes as find_in_takes
+from .takes.label import Segment as Segment
+from .takes.label import TakeLabeller as TakeLabeller
+from .takes.label import Timeline as Timeline
+from .takes.label import label_take as label_take
+from .takes.label import write_timeline_csv as write_timeline_csv
+from .takes.labeller_training import train_labeller as train_labeller
+from .takes.live import LiveAnswer as LiveAnswer
+from .takes.live import LiveLabeller as LiveLabeller
+from .takes.live import read_live_frames as read_live_frames
+from .takes.repetitions import count_clip as count_clip
+from .takes.windows import TakeWindows as TakeWindows
+from .takes.windows import WindowGrid as WindowGrid
+from .takes.windows import choose_grid as choose_grid
+from .takes.windows import describe_take as describe_take

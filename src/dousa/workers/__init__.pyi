@@ -1,4 +1,3 @@
-from .cluster import Cluster
-from .current import current_cluster, use_cluster
-
-__all__ = ["Cluster", "current_cluster", "use_cluster"]
+from .cluster import Cluster as Cluster
+from .current import current_cluster as current_cluster
+from .current import use_cluster as use_cluster

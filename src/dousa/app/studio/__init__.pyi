@@ -1,5 +1,4 @@
-from .core.workspace import Settings
-from .server import create_app, serve
-from .shared import find_share_address
-
-__all__ = ["Settings", "create_app", "find_share_address", "serve"]
+from .core.workspace import Settings as Settings
+from .server import create_app as create_app
+from .server import serve as serve
+from .shared import find_share_address as find_share_address

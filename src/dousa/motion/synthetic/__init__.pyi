@@ -1,16 +1,11 @@
-from .dance import Dance, DanceFigure, Mistake, make_dance, make_mistakes
-from .performers import CATEGORIES, Performer, draw_performer, make_library, make_motion, make_skeleton
-
-__all__ = [
-    "CATEGORIES",
-    "Dance",
-    "DanceFigure",
-    "Mistake",
-    "Performer",
-    "draw_performer",
-    "make_dance",
-    "make_library",
-    "make_mistakes",
-    "make_motion",
-    "make_skeleton",
-]
+from .dance import Dance as Dance
+from .dance import DanceFigure as DanceFigure
+from .dance import Mistake as Mistake
+from .dance import make_dance as make_dance
+from .dance import make_mistakes as make_mistakes
+from .performers import CATEGORIES as CATEGORIES
+from .performers import Performer as Performer
+from .performers import draw_performer as draw_performer
+from .performers import make_library as make_library
+from .performers import make_motion as make_motion
+from .performers import make_skeleton as make_skeleton
