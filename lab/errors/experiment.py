@@ -22,7 +22,7 @@ import numpy as np
 
 from dousa.errors import DousaError, OptionError
 from dousa.evaluation.grade.result import ErrorEvent
-from dousa.experiments.runner import Progress, Steps, check_at_least, check_choice, check_some, run_tasks
+from dousa.experiments.runner import Progress, Steps, check_at_least, check_choice, check_some
 from dousa.messages import Message
 from dousa.motion.canonical.canonicalise import CanonicalMotion
 from lab.errors.results import (
@@ -43,6 +43,7 @@ from lab.injection.injection import (
     inject_many,
     simulate_performer,
 )
+from lab.tasks import run_tasks
 
 Assess = Callable[[Sequence[CanonicalMotion], CanonicalMotion], Any]
 

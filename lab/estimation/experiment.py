@@ -21,7 +21,7 @@ import numpy as np
 
 from dousa.errors import DousaError, OptionError
 from dousa.estimation.tracking.settings import Estimate, TrackerSettings
-from dousa.experiments.runner import Progress, check_choice, run_tasks
+from dousa.experiments.runner import Progress, check_choice
 from dousa.experiments.table import Cell, Result, ResultTable, show
 from dousa.files.json_values import to_json_value
 from dousa.messages import Message
@@ -40,6 +40,7 @@ from lab.estimation.clips import (
     take_part,
 )
 from lab.estimation.metrics import LOSS_BOUND, mean_of
+from lab.tasks import run_tasks
 
 METHODS: tuple[str, ...] = ("estimate", "frozen", "constant_velocity")
 """What is compared: the tracker; the first pose held; what the first two true poses predict."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import OptionError
 from dousa.estimation.tracking.settings import EVIDENCES, READINGS, Evidence, Reading, TrackerSettings
-from dousa.experiments.runner import Progress, check_some, run_tasks
+from dousa.experiments.runner import Progress, check_some
 from dousa.experiments.table import Cell, Result, ResultTable, show
 from dousa.messages import Message
 from dousa.motion import rotations as rot
@@ -28,6 +28,7 @@ from lab.estimation.clips import (
     take_part,
 )
 from lab.estimation.experiment import Track
+from lab.tasks import run_tasks
 
 if TYPE_CHECKING:
     from dousa.estimation.body.body import BodyModel

@@ -19,7 +19,6 @@ from dousa.estimation.raster.rasteriser import draw_body, pack_bits
 from dousa.estimation.silhouettes.silhouettes import PackedSilhouettes
 from dousa.estimation.tracking.settings import PAPER, READINGS, Estimate, TrackerSettings
 from dousa.estimation.tracking.tracker import estimate
-from dousa.experiments.runner import run_tasks
 from dousa.messages import Message
 from dousa.motion import rotations as rot
 from lab.estimation.clips import (
@@ -40,6 +39,7 @@ from lab.estimation.readings import (
     run_reading_table,
     search_plainly,
 )
+from lab.tasks import run_tasks
 
 BODY = make_human(STATURE)
 DEGREES = math.radians(1.0)

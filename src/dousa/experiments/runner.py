@@ -1,15 +1,11 @@
-"""How every trial is run: options and clips checked, clips divided, tasks done in order, steps counted.
-
-Answers do not depend on the number of workers: they come in the order of the tasks, and whatever is drawn at random
-is drawn from the seed and the number of the task.
-"""
+"""How every trial is run: options and clips checked, clips divided, steps counted."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +13,6 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import OptionError, TrainingError
 from dousa.messages import Message
-from dousa.workers.current import current_cluster
-from dousa.workers.threads import yield_answers
 
 if TYPE_CHECKING:
     from dousa.retrieval.features.feature_sets import FeatureSet
@@ -29,9 +23,6 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int, Message], None]
 """Called with the steps done, their total, and what comes next or was done."""
-
-_Task = TypeVar("_Task")
-_Answer = TypeVar("_Answer")
 
 
 class Steps:
@@ -49,50 +40,6 @@ class Steps:
         """Tell that all is done."""
         self.done = self.total
         self.say(Message("trial_progress.done"))
-
-
-def run_tasks(
-    work: Callable[[_Task], _Answer],
-    tasks: Sequence[_Task],
-    name: Callable[[_Task], Message],
-    *,
-    n_jobs: int | None,
-    progress: Progress | None,
-    in_processes: bool = False,
-) -> Iterator[_Answer]:
-    """Answers in the order of the tasks.
-
-    Parameters
-    ----------
-    work : what is done to each.
-    tasks : any number.
-    name : what the progress callback is told of a task.
-    n_jobs : workers; None for one.
-    progress : called with (done, total, name); first with the name of the first task.
-    in_processes : processes instead of threads: for work that holds Python's lock. Compiled kernels let go of it.
-
-    Raises
-    ------
-    OptionError : no workers.
-    """
-    if n_jobs == 0:
-        raise OptionError("trials.workers")
-    answers: Iterable[_Answer]
-    cluster = current_cluster()
-    if cluster is not None and len(tasks) > 1:
-        answers = cluster.map(work, tasks, most=1)
-    elif n_jobs in (None, 1) or len(tasks) < 2:
-        answers = map(work, tasks)
-    else:
-        how = None if in_processes else "threads"
-        answers = yield_answers(work, tasks, n_jobs, prefer=how, batch_size=1)
-    steps = Steps(progress, len(tasks))
-    if tasks:
-        steps.say(name(tasks[0]))
-    for task, answer in zip(tasks, answers, strict=True):
-        steps.done += 1
-        steps.say(name(task))
-        yield answer
 
 
 def check_at_least(**numbers: tuple[float, float]) -> None:
