@@ -18,8 +18,6 @@ try:
 except ImportError:  # elsewhere each makes its own
     fcntl = None
 
-__all__ = ["learn_labellers_once", "make_once"]
-
 
 def make_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:
     """A folder that ``make`` has filled, the same for all workers of a run.

@@ -9,8 +9,6 @@ try:
 except ImportError:  # elsewhere each compiles for itself
     fcntl = None
 
-__all__ = ["compile_in_turns"]
-
 
 def compile_in_turns(folder: Path) -> None:
     """From now on a kernel that is kept in a cache is compiled by whoever comes first; others wait, and find it there.

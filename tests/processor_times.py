@@ -10,8 +10,6 @@ from pathlib import Path
 
 import pytest
 
-__all__ = ["ProcessorTimes"]
-
 _NAME = "processor seconds"
 _SYSTEM = Path("/proc")
 

@@ -19,8 +19,6 @@ from typing import Any, overload
 
 import numpy as np
 
-__all__ = ["compile_always", "is_worth_compiling", "kernel", "load_compiler", "part"]
-
 
 class _Effort:
     """What this process does without compiled code, in numbers of 0.2 us each (``python -m lab.benchmarks.first_run``).

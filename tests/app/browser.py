@@ -14,8 +14,6 @@ import pytest
 
 from patience import PATIENCE
 
-__all__ = ["Page", "open_browser"]
-
 _FLAGS = (
     "--headless=new",
     "--no-sandbox",  # CI runs as root

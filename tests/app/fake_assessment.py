@@ -17,8 +17,6 @@ from dousa.motion import JOINT_INDEX, canonicalise
 from dousa.motion.canonical.joints import CANONICAL_PARENTS
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 
-__all__ = ["HOSTILE_WORDS", "make_assessment"]
-
 HOSTILE_WORDS = '</script><img src=x onerror="window.hacked=1"> & \u2028 \' " ${1} `'
 
 _FIGURES = ("raise_hands", "squat", "wave_right", "side_bend", "raise_hands", "kick_left", "arm_circles")

@@ -11,8 +11,6 @@ from app.browser import Page
 from dousa.app.player.data import format_player_data, read_player_script, read_player_style
 from dousa.motion.canonical.tree_shape import compute_forward
 
-__all__ = ["decode", "heading_of", "picture", "positions_of", "write_miniatures_page", "write_player_page"]
-
 _PAGE = """<!doctype html>
 <html lang="{language}"><head><meta charset="utf-8">
 <meta http-equiv="Content-Security-Policy"

@@ -11,8 +11,6 @@ import numpy as np
 
 from dousa.evaluation import Assessment
 
-__all__ = ["UNUSUAL", "PageReader", "change", "page_data"]
-
 _VOID = {"meta", "img", "br", "link", "input", "col", "hr"}
 
 

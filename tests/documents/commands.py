@@ -5,8 +5,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["PAGES", "ROOT", "Command", "collect", "read_page", "unread_lines"]
-
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = tuple(  # a translation (tutorial.ja.md) has the commands of its original: test_site.py
     path.relative_to(ROOT).as_posix()

@@ -25,8 +25,6 @@ from dousa.motion import CANONICAL_JOINTS, Trajectories, canonicalise, compute_t
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 from lab.trials.exercise_sets import join_repetitions
 
-__all__ = ["DONE_BEFORE", "MATERIAL", "RECORDED", "make_material", "make_readme_libraries"]
-
 _CATEGORIES = ("bow", "clap", "kick_left", "walk")
 _PERFORMERS = ("aa", "bb", "cc")
 _SIZE, _N_FILMED, _GREY, _DARK = ((160, 120), 8, 150, 40)  # px, frames, grey levels of the room and of the person

@@ -9,8 +9,6 @@ from typing import Any
 
 from documents.commands import ROOT, Command
 
-__all__ = ["BENCHMARKS", "How", "check_options", "choose_rule", "fill_in", "is_mention", "make_small"]
-
 
 class How(enum.Enum):
     """What is done with a command."""

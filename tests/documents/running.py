@@ -15,8 +15,6 @@ from typing import Any
 
 import joblib
 
-__all__ = ["Outcome", "run_line", "run_program", "run_python"]
-
 _SHELL_SIGNS = ("|", ">")
 
 

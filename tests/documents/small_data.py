@@ -14,8 +14,6 @@ import numpy as np
 from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import Trajectories
 
-__all__ = ["link_data", "make_small_data"]
-
 _BENCH_FRAMES, _MASK_FRAMES = 12, 20
 _FILM_FRAMES = 20  # of films and of what they are compared with
 _TRC_HEAD = 5  # lines before the first frame

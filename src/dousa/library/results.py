@@ -15,24 +15,6 @@ if TYPE_CHECKING:
     from dousa.retrieval.forest.calibration import Calibration
     from dousa.retrieval.takes.label import Timeline
 
-__all__ = [
-    "AddReport",
-    "Classification",
-    "ClipInfo",
-    "Duplicate",
-    "FindResult",
-    "Hit",
-    "LabelledTake",
-    "LibraryStats",
-    "Place",
-    "SearchResult",
-    "Skipped",
-    "TakeAnnotation",
-    "TakeSegment",
-    "TrainReport",
-    "Verdict",
-]
-
 # Many motions equal their mirror image, which must thus be clearly better: share of the votes, distance ratio, score.
 MIRROR_VOTES, MIRROR_DISTANCE, MIRROR_SCORE = 0.1, 0.95, 0.02
 

@@ -5,8 +5,6 @@ from pathlib import Path
 
 from app.browser import Page
 
-__all__ = ["AXE", "find_faults"]
-
 ROOT = Path(__file__).resolve().parents[3]
 AXE = Path(os.environ.get("DOUSA_AXE", ROOT / "build" / "node_modules" / "axe-core" / "axe.min.js"))
 

@@ -4,8 +4,6 @@ from pathlib import Path
 
 import numpy as np
 
-__all__ = ["write_films", "write_scene"]
-
 
 def write_scene(path: Path, n_frames: int) -> Path:
     """Write an npz of silhouettes: jumping jacks forth and back, two views of 160 x 120."""

@@ -7,8 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-__all__ = ["keep", "upload", "write_dances"]
-
 _TAKES = 3
 _MOST = 20
 

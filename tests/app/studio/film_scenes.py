@@ -18,8 +18,6 @@ from dousa.estimation.multiview.landmarks import place_landmarks
 from dousa.estimation.multiview.pose_residuals import place_points
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 
-__all__ = ["LATE", "N_FRAMES", "RATE", "SIZE", "write_film_scene"]
-
 RATE, N_FRAMES, LATE = 30.0, 80, 12
 SIZE = (320, 240)
 

@@ -15,8 +15,6 @@ import pytest
 
 from patience import PATIENCE
 
-__all__ = ["Firefox", "open_firefox"]
-
 
 class Firefox:
     """One page of a Firefox.

@@ -23,8 +23,6 @@ from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any
 
-__all__ = ["use_forks"]
-
 _N_FILES = 4  # standard input, output, errors, and where is told what becomes of it
 _ROOMS = ("app.studio.work", "app.pipelines", "library", "retrieval", "estimation", "formats", "motion")
 

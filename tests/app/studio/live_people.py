@@ -11,8 +11,6 @@ from dousa.estimation.multiview.landmarks import place_landmarks
 from dousa.estimation.multiview.pose_residuals import place_points
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 
-__all__ = ["record_landmarks", "replay"]
-
 _STAND_INS = {"foot_index": "toe", "index": "hand", "pinky": "hand", "thumb": "hand"}
 
 

@@ -17,8 +17,6 @@ from app.studio.firefox import Firefox
 from dousa.app.studio.core.guard import with_headers
 from patience import PATIENCE
 
-__all__ = ["Address", "run_app"]
-
 _EMPTY = HTMLResponse("<!doctype html><html lang=en><title>nothing</title><link rel=icon href=data:,>")
 _NOTHING = "/nothing-of-the-tests"
 

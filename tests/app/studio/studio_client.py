@@ -8,8 +8,6 @@ from typing import Any
 
 from patience import PATIENCE
 
-__all__ = ["Client"]
-
 
 class Client:
     """A program with the token.

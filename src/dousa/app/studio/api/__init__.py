@@ -15,8 +15,6 @@ from dousa.app.studio.api import (
     uploads,
 )
 
-__all__ = ["ROUTERS"]
-
 ROUTERS = (
     *(uploads.general, uploads.router, clips.router, clips.journal_router, search.router, motions.router, takes.router),
     *(evaluation.router, evaluation.companions_router, estimation.router, estimation.masks_router, live.router),
