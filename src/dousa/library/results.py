@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from dousa.formats.motion_files import Skipped as Skipped  # a result too
+from dousa.formats.motion_files import Skipped as Skipped  # noqa: PLC0414 - a result of the library too
 from dousa.messages import Message
 from dousa.motion.annotation import Stretch, lay_out
 
