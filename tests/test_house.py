@@ -23,15 +23,15 @@ ROOMS = {
     "evaluation": (12_578, 44),
     "experiments": (1_746, 10),
     "files": (899, 7),
-    "formats": (12_736, 70),
+    "formats": (12_801, 70),
     "library": (15_629, 55),
     "messages": (235, 3),
-    "motion": (6_480, 34),
+    "motion": (6_481, 34),
     "retrieval": (13_442, 46),
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 61_919,
+    "lines of tests": 61_948,
     "lines of JavaScript": 12_467,
     "constants": 1_018,
     "numeric constants without a source": 0,
@@ -39,7 +39,7 @@ TOTALS = {
     "files over 650 lines": 0,
     "folders with more than 15 files": 0,
     "lines with words that a native reader stumbles over": 47,
-    "hand-written runs of a mask": 3,
+    "hand-written runs of a mask": 4,
     "commands": 30,
     "options": 222,
 }

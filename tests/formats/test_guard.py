@@ -411,6 +411,7 @@ def test_bytes_that_a_c3d_file_has_too_many_or_too_few_are_said(tmp_path, place)
         ("mvnx", "<connector1>Pelvis", "<connector1>Pelvic", "mvnx.unknown_segment"),
         ("csv", "\n5,0.04", "\n,5,0.04", "guard.row_width"),
         ("tsv", "\n5\t0.04", "\n5\t\t0.04", "guard.row_width"),
+        ("trc", "\n5\t0.04", "\n5\t\t0.04", "guard.row_width"),
         ("csv", f",{PATH.names[3]},", ",", "motive.columns"),
         ("csv", f",{PATH.names[3]},", ",Hid,", "motive.columns"),
     ],

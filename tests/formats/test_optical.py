@@ -19,7 +19,7 @@ from formats.made_files import refused, save
 
 def test_motive_markers(tmp_path):
     motion = read_motion(save(tmp_path / "x.csv", made.make_motive()))
-    assert (motion.names, motion.frame_rate, motion.provenance.unit) == (("WaistL", "Head"), 120.0, 0.001)
+    assert (motion.names, motion.frame_rate, motion.provenance.unit) == (("Bob:WaistL", "Bob:Head"), 120.0, 0.001)
     np.testing.assert_allclose(motion.positions[0], [[0.001, 1, 0.003], [0.004, 1.7, 0.006]])
     assert np.isnan(motion.positions[1, 1]).all()
 
@@ -107,7 +107,7 @@ def test_qualisys_damage(tmp_path):
     refused(path, b"a\tb\n", "tables.no_points")
     refused(path, good.replace(b"FREQUENCY\t100", b"FREQUENCY\t0"), "guard.rate")
     refused(path, good.partition(b"1\t2\t900")[0], "tables.no_frames")
-    refused(path, good.replace(b"\tRASI", b"\tRASI\tSACR"), "qualisys.width")
+    refused(path, good.replace(b"\tRASI", b"\tRASI\tSACR"), "tables.width")
     refused(path, good.replace(b"MARKER_NAMES", b"BODY_NAMES"), "qualisys.bodies")
     refused(path, good.replace(b"MARKER_NAMES\tLASI\tRASI\n", b""), "qualisys.no_names")
 

@@ -1,5 +1,7 @@
 """Several people, or several animations, in one file: one is taken and the others named, in every format."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -51,6 +53,42 @@ def test_one_of_several_people_is_taken_and_all_are_named(tmp_path, form):
     with pytest.raises(MotionFileError) as caught:
         read_motion(path, person="Carol")
     assert caught.value.code == "parts.no_person" and caught.value.message.values["known"] == tuple(names)
+
+
+def write_titles(motion, path):
+    """A table with a header."""
+    titles = ["time", *(f"{name}_{axis}" for name in motion.names for axis in "xyz")]
+    rows = np.column_stack((np.arange(motion.n_frames) / 30, motion.positions.reshape(motion.n_frames, -1)))
+    path.write_text("\n".join(",".join(map(str, row)) for row in (titles, *rows.tolist())))
+
+
+def write_qualisys(motion, path):
+    """Markers in mm, Z up."""
+    points = (1000 * motion.positions[..., [0, 2, 1]] * (1, -1, 1)).reshape(motion.n_frames, -1)
+    head = ("NO_OF_FRAMES\t20", "FREQUENCY\t30", "MARKER_NAMES\t" + "\t".join(motion.names))
+    path.write_text("\n".join((*head, *("\t".join(map(str, row)) for row in points.tolist()))))
+
+
+@pytest.mark.parametrize("mark", [":", "_"])
+@pytest.mark.parametrize("form", ["trc", "c3d", "npz", "csv", "bones", "titles", "tsv", "bvh"])
+def test_the_owner_of_all_names_is_the_person(tmp_path, form, mark):
+    """Names stay as they are, and are mapped as those without an owner."""
+    path = tmp_path / f"x.{ {'titles': 'csv', 'bones': 'csv'}.get(form, form) }"
+    skeleton = dataclasses.replace(
+        made.BEN.skeleton, names=tuple(f"Ben{mark}{name}" for name in made.BEN.skeleton.names)
+    )
+    motion = dataclasses.replace(made.BEN, skeleton=skeleton)
+    points = compute_trajectories(motion)
+    write = {"titles": write_titles, "tsv": write_qualisys}.get(form, write_motion)
+    write(motion if form in ("bvh", "bones") else points, path)
+    for asked in (None, "Ben", "1"):
+        found = read_motion(path, person=asked)
+        names = found.skeleton.names if isinstance(found, Motion) else found.names
+        assert set(names) >= {name for name in skeleton.names if "_end" not in name}
+        np.testing.assert_allclose(place(found), place(made.BEN), atol=2e-3)
+    with pytest.raises(MotionFileError) as caught:
+        read_motion(path, person="Ann")
+    assert (caught.value.code, caught.value.message.values["known"]) == ("parts.no_person", ("Ben",))
 
 
 @pytest.mark.parametrize("form", ["bvh", "glb"])

@@ -167,7 +167,7 @@ def test_whatever_a_reader_meets_the_file_is_named(tmp_path, monkeypatch, proble
     def fail(*_, **__):
         raise problem
 
-    monkeypatch.setattr("dousa.formats.trc.read_trc", fail)
+    monkeypatch.setattr("dousa.formats.tables.read_trc", fail)
     with pytest.raises(MotionFileError, match=r"damaged\.trc: ") as caught:
         read_motion(tmp_path / "damaged.trc")
     assert type(caught.value) is MotionFileError

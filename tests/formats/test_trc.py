@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dousa.errors import MotionFileError, MotionWriteError
-from dousa.formats.trc import read_trc, write_trc
+from dousa.formats.tables.trc import read_trc, write_trc
 from dousa.motion import Trajectories
 
 HEADER = (

@@ -289,7 +289,7 @@ def settle_trajectories(
     ----------
     path, format_name : for the provenance and the messages.
     names : (K,) of the points.
-    positions : (T, K, 3) in the file's unit and axes, NaN where missing.
+    positions : (T, K, 3) in the file's unit and axes, NaN where missing; the caller's no longer.
     clock : all that the file says of time; the rate in Hz where it says no more.
     unit, up : given by the caller, or None.
     unit_in_file, up_in_file : declared in the file, or None.
@@ -304,8 +304,9 @@ def settle_trajectories(
     known_unit = None if unit is None else parse_unit(unit)
     known_up = None if up is None else parse_up(up)
     timeline = settle_clock(path, clock, len(positions), positions)
-    values = timeline.place(positions)
-    positions, lost = settle_positions(path, names, values)
+    positions = timeline.place(positions)
+    values = freeze(positions) if keep_values else None
+    positions, lost = settle_positions(path, names, positions)
     notes = (*timeline.join(notes), *lost)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300
@@ -321,11 +322,11 @@ def settle_trajectories(
                     whole=lambda: raw,
                 )
 
-            raw = Trajectories(names, positions, timeline.rate)
+            raw = Trajectories(names, freeze(positions), timeline.rate)
             frame = infer()
             shift = find_shift(positions, frame.unit)
             if shift is not None:
-                raw = Trajectories(names, positions - shift, timeline.rate)
+                raw = Trajectories(names, freeze(positions - shift), timeline.rate)
                 frame, notes = infer(), (*notes, note_shift(shift))
             settled = to_reference_frame(raw, frame)
     except InvalidMotionError as error:
@@ -337,7 +338,7 @@ def settle_trajectories(
         frame.unit_source,
         frame.up,
         frame.up_source,
-        values=freeze(values) if keep_values else None,
+        values=values,
         read=(settled.positions,) if keep_values else (),
         notes=(*notes, *check_body(names, frame.body), *frame.notes),
         shift=_to_metres(shift, frame),

@@ -403,7 +403,7 @@ def read_c3d(
 
 def _read_segments(sections: Sections, data: bytes, *, unit: float | str | None, up: str | None) -> Motion:
     """The motion of the 4 x 4 matrices of the ROTATION group."""
-    from dousa.formats.optical.theia import ITEMS, build_segments
+    from dousa.formats.theia import ITEMS, build_segments
 
     labels = sections.texts("ROTATION:LABELS")[: max(0, int(sections.number("ROTATION:USED") or 0))]
     start = max(0, int(sections.number("ROTATION:DATA_START") or sections.header.data_block) - 1) * BLOCK

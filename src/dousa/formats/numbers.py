@@ -276,6 +276,20 @@ def read_plain_rows(data: bytes, start: int, columns: int, most: int) -> FloatAr
     return values if np.isfinite(values).all() else None
 
 
+def scan_numbers(
+    data: bytes, start: int, columns: int, rows: int
+) -> tuple[FloatArray, int, int, int, tuple[int, Message] | None]:
+    """Scan at most so many rows of numbers: values (rows, C), and what `scan_rows` and `settle` say.
+
+    Returns (values, status, position, numbers read, what is no finite number).
+    """
+    values = np.empty((rows, columns))
+    notes = np.empty((rows * columns, 2), np.int64)
+    flat = values.reshape(-1)
+    status, position, filled, noted = scan_rows(np.frombuffer(data, np.uint8), start, len(data), columns, flat, notes)
+    return values, status, position, filled, settle(data, notes[:noted], flat)
+
+
 def scannable(data: bytes) -> bytes:
     """The bytes, with white space at the end as the kernels need it."""
     return data if data[-1:].isspace() else data + b"\n"

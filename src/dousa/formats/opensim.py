@@ -20,8 +20,8 @@ from dousa.errors import JointMappingError, MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.assembly import settle_motion
 from dousa.formats.guard import Clock
-from dousa.formats.optical.cells import decode, read_lines
 from dousa.formats.smpl import mean_body
+from dousa.formats.tables.cells import decode, find_rows, list_lines
 from dousa.messages import Message
 from dousa.motion import Motion, Skeleton
 from dousa.motion.kinematics import compute_rest_positions
@@ -175,7 +175,8 @@ def read_mot(path: str | os.PathLike[str], *, unit: float | str | None = None, u
     ------
     MotionFileError : missing, damaged, coordinates of no known model.
     """
-    lines = decode(read_bytes(path)).split("\n")
+    text = decode(read_bytes(path))
+    lines = list_lines(text, 1000)
     start = next((n for n, line in enumerate(lines) if line.strip().lower() == "endheader"), None)
     if start is None or start + 1 >= len(lines):
         raise MotionFileError(path, "opensim.no_header")
@@ -184,10 +185,10 @@ def read_mot(path: str | os.PathLike[str], *, unit: float | str | None = None, u
     known = list_coordinates()
     if not {"time", "hip_flexion_r", "hip_flexion_l", "knee_angle_r", "knee_angle_l"} <= set(titles):
         raise MotionFileError(path, "opensim.no_coordinates", start + 2)
-    lines[start + 2 :] = ["\t".join(line.split()) for line in lines[start + 2 :]]
     rows = re.search(r"nRows\s*=\s*(\d{1,9})\s*$", head, re.IGNORECASE | re.MULTILINE)
     frames = float(rows[1]) if rows else None
-    values, cut = read_lines(path, lines, start + 2, len(titles), declared=frames or np.nan, whole=True)
+    body_rows, cut = find_rows(path, text, start + 2, " ", (len(titles), len(titles)), declared=frames)
+    (values,) = body_rows.read(range(len(titles)))
     columns = dict(zip(titles, values.T, strict=True))
     unit_of_angle = 1.0 if re.search(r"inDegrees\s*=\s*no", head, re.IGNORECASE) else np.pi / 180
     body = body_at_rest()

@@ -31,9 +31,8 @@ from dousa.formats.numbers import (
     line_number,
     parse_number,
     read_plain_rows,
-    scan_rows,
+    scan_numbers,
     scannable,
-    settle,
 )
 from dousa.messages import Message
 from dousa.motion.types import Motion, Skeleton
@@ -439,11 +438,7 @@ def _scan(data: bytes, start: int, columns: int, rows: int) -> tuple[FloatArray,
     plain = read_plain_rows(data, start, columns, rows)
     if plain is not None:
         return plain, DONE, len(data), plain.size
-    values = np.empty((rows, columns))
-    tokens = np.empty((rows * columns, 2), np.int64)
-    flat = values.reshape(-1)
-    status, position, filled, noted = scan_rows(np.frombuffer(data, np.uint8), start, len(data), columns, flat, tokens)
-    bad = settle(data, tokens[:noted], flat)
+    values, status, position, filled, bad = scan_numbers(data, start, columns, rows)
     if bad is not None:
         raise BvhSyntaxError(*bad)
     return values, status, position, filled

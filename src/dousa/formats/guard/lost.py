@@ -122,7 +122,8 @@ def _jumps(
     n_frames = len(positions)
     seen = ~equal & np.isfinite(positions).all(axis=2)
     count = seen.sum(axis=1)
-    middles = np.where(seen[..., None], positions, 0.0).sum(axis=1) / np.maximum(count, 1)[:, None]
+    middles = np.stack([np.where(seen, positions[..., axis], 0.0).sum(axis=1) for axis in range(3)], axis=1)
+    middles /= np.maximum(count, 1)[:, None]
     middles[count == 0] = np.nan
     columns, where = np.unique(points, return_inverse=True)
     shown = seen[:, columns]

@@ -29,7 +29,7 @@ def take_person(
     """
     people = list_people(motion)
     if len(people) < 2:
-        return motion
+        return motion if wanted is None else _name_one(motion, path, wanted)
     lengths = {name: _count_seen(motion, indices) for name, indices in people.items()}
     still = tuple(name for name, frames in lengths.items() if not frames)
     names = [name for name, frames in lengths.items() if frames] or list(people)
@@ -37,6 +37,16 @@ def take_person(
     if 0 < len(still) < len(people):
         notes += (Message("parts.still", read=names[chosen], others=still),)
     return _take(motion, path, people[names[chosen]], notes)
+
+
+def _name_one(motion: Motion | Trajectories, path: str | os.PathLike[str], wanted: str) -> Motion | Trajectories:
+    """The motion of a single person, with a note about the owner of all names, if there is one, who was asked for."""
+    owner = shared_owner(motion.skeleton.names if isinstance(motion, Motion) else motion.names)
+    if not owner:
+        return motion
+    origin = motion.provenance or Provenance(os.fspath(path), "")
+    notes = (*choose(path, "person", [owner], wanted)[1], *origin.notes)
+    return dataclasses.replace(motion, provenance=dataclasses.replace(origin, notes=notes))
 
 
 def list_people(motion: Motion | Trajectories) -> dict[str, IndexArray]:

@@ -37,7 +37,7 @@ def settle_positions(
     Parameters
     ----------
     path, names : of the file and of its points (K,), for the messages.
-    positions : (T, K, 3) in any unit, NaN where missing; not changed.
+    positions : (T, K, 3) in any unit, NaN where missing; changed in place if they can be written to.
 
     Raises
     ------
@@ -53,7 +53,8 @@ def settle_positions(
         example = " ".join(f"{number:.7g}" for number in positions[frame, point])
         first = {"name": names[point], "frame": int(frame) + 1}
         notes.append(Message("guard.lost", n=int(lost.sum()), total=lost.size, example=example, **first))
-        positions = np.where(lost[..., None], np.nan, positions)
+        positions = positions if positions.flags.writeable else positions.copy()
+        positions[lost] = np.nan
     return positions, tuple(notes)
 
 

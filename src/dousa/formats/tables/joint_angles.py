@@ -6,7 +6,6 @@ The angles are degrees in the order of the columns (``Hips.z, Hips.x, Hips.y``),
 
 from __future__ import annotations
 
-import csv
 import os
 import re
 from pathlib import Path
@@ -18,7 +17,8 @@ from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.formats.assembly import settle_motion
 from dousa.formats.guard import Clock
-from dousa.formats.optical.cells import decode, read_rows
+from dousa.formats.tables.cells import count_cells, decode, find_rows, list_lines, split_rows
+from dousa.messages import Message
 from dousa.motion import Motion, Skeleton
 from dousa.motion.rotations import from_euler, identity
 
@@ -42,14 +42,16 @@ def read_angles(path: str | os.PathLike[str], *, unit: float | str | None, up: s
     tree, moved = Path(f"{stem}_hierarchy.csv"), Path(f"{stem}_pos.csv")
     if not tree.exists():
         raise MotionFileError(path, "tables.no_hierarchy", file=tree.name)
-    joints = [row for row in csv.reader(decode(read_bytes(tree)).split("\n")[1:]) if len(row) >= 5]
+    text = decode(read_bytes(tree))
+    rows, _ = find_rows(tree, text, 1, ",", (5, text.partition("\n")[0].count(",") + 1))
+    joints = split_rows(rows.text.split("\n"), ",")
     names = tuple(row[0].strip() for row in joints)
     above = {row[0].strip(): row[1].strip() for row in joints}
     parents = [names.index(above[joint]) if above[joint] in names else -1 for joint in names]
     if not names or any(parent >= n for n, parent in enumerate(parents)):
         raise MotionFileError(tree, "tables.no_tree")
-    offsets = read_rows(tree, [row[2:5] for row in joints], range(2, len(joints) + 2), 3)
-    values, turns = _read_columns(path)
+    (offsets,) = rows.read((2, 3, 4))
+    values, turns, notes = _read_columns(path)
     lacking = tuple(joint for joint in names if joint in above.values() and sorted(turns.get(joint, {})) != list("xyz"))
     if lacking:
         raise MotionFileError(path, "tables.no_angles", joints=lacking)
@@ -60,7 +62,8 @@ def read_angles(path: str | os.PathLike[str], *, unit: float | str | None, up: s
             rotations[:, number] = from_euler(np.radians(values[:, list(own.values())]), "".join(own).upper())
     translations = np.tile(offsets, (len(values), 1, 1))
     if moved.exists():
-        places, columns = _read_columns(moved)
+        places, columns, more = _read_columns(moved)
+        notes += more
         own = columns.get(names[0], {})
         if len(places) != len(values) or sorted(own) != list("xyz"):
             raise MotionFileError(moved, "tables.other_frames", expected=len(values), found=len(places), joint=names[0])
@@ -68,20 +71,20 @@ def read_angles(path: str | os.PathLike[str], *, unit: float | str | None, up: s
     ends = np.array([joint not in turns for joint in names])
     return settle_motion(
         path, "csv", Skeleton(names, np.array(parents), offsets, ends), rotations, translations,
-        Clock(None, values[:, 0], assumed=30.0), unit=unit, up=up, default_up="y",
+        Clock(None, values[:, 0], assumed=30.0), unit=unit, up=up, default_up="y", notes=notes,
     )  # fmt: skip
 
 
-def _read_columns(path: str | os.PathLike[str]) -> tuple[FloatArray, dict[str, dict[str, int]]]:
-    """The numbers, the times first, and of each joint the columns by axis in the order of the table."""
-    lines = decode(read_bytes(path)).split("\n")
-    titles = next(csv.reader(lines[:1]), [])
+def _read_columns(
+    path: str | os.PathLike[str],
+) -> tuple[FloatArray, dict[str, dict[str, int]], tuple[Message, ...]]:
+    """The numbers, the times first, of each joint the columns by axis in the order of the table, and notes."""
+    text = decode(read_bytes(path))
+    (titles,) = split_rows(list_lines(text, 1), ",")
     columns: dict[str, dict[str, int]] = {}
     for number, title in enumerate(titles):
         joint, dot, axis = title.strip().rpartition(".")
         if dot and axis.lower() in ("x", "y", "z"):
             columns.setdefault(joint, {})[axis.lower()] = number
-    rows = [(number, row) for number, row in enumerate(csv.reader(lines[1:]), 2) if any(row)]
-    if not rows:
-        raise MotionFileError(path, "tables.no_frames", 1)
-    return read_rows(path, [row for _, row in rows], [number for number, _ in rows], len(titles)), columns
+    rows, notes = find_rows(path, text, 1, ",", count_cells(titles))
+    return rows.read(range(len(titles)))[0], columns, notes

@@ -8,17 +8,16 @@ anipose, DeepLabCut 3D; and tables with a row for every point of a frame (``fram
 
 from __future__ import annotations
 
-import csv
+import dataclasses
 import datetime
 import os
 import re
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from dousa.arrays import FloatArray, IndexArray
+from dousa.arrays import FloatArray, IntArray
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.formats.arrays.joints import BODY_OF, list_layouts, name_joints
@@ -26,11 +25,12 @@ from dousa.formats.assembly import declared_unit
 from dousa.formats.guard import Clock
 from dousa.formats.guard.people import take_person
 from dousa.formats.landmarks import note_hips, refuse_pictures
-from dousa.formats.optical import read_motive, read_qualisys
-from dousa.formats.optical.cells import breaks_off, decode, is_number, read_rows
 from dousa.formats.parts import choose
+from dousa.formats.tables.cells import Rows, count_cells, decode, find_rows, is_number, list_lines, split_rows
 from dousa.formats.tables.columns import Columns, find_columns, spread_names
 from dousa.formats.tables.joint_angles import is_of_angles, read_angles
+from dousa.formats.tables.motive import read_motive
+from dousa.formats.tables.qualisys import read_qualisys
 from dousa.messages import Message
 from dousa.motion import Motion, Trajectories
 from dousa.motion.canonical.naming import holds_limb, match_names
@@ -45,14 +45,14 @@ _LENGTH = re.compile(r"\[?\(?(?:mm|cm|m|in|inch|inches|ft)\)?\]?", re.IGNORECASE
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Header:
-    """What is above the rows: columns, separator, first line of the body (from 0), declared rate and unit, titles."""
+    """What is above the rows: columns, separator, number of lines, declared rate and unit, cells of the titles."""
 
     columns: Columns
     mark: str
     body: int
     rate: float | None
     unit: str
-    width: int = 0
+    cells: tuple[int, int] = (0, 0)
 
 
 def read_table(
@@ -82,25 +82,19 @@ def read_table(
     text = decode(read_bytes(path))
     for sign, read in ((r'\A\s*"?Format Version', read_motive), (r"^\s*NO_OF_FRAMES", read_qualisys)):
         if re.search(sign, text[:4096], re.MULTILINE | re.IGNORECASE):
-            return take_person(read(path, unit=unit, up=up), path, person)
-    lines = text.split("\n")
-    start = _find_section(lines)
-    header = find_header(lines[start : start + _MOST_TITLES])
+            return take_person(read(path, text, unit=unit, up=up), path, person)
+    header = _find_titles(text)
     if header is None or not header.columns.points:
         raise MotionFileError(path, "tables.flat" if header else "tables.no_points")
     if is_of_angles(path):
         return take_person(read_angles(path, unit=unit, up=up), path, person)
-    numbered = _list_rows(lines, start + header.body, header.mark)
-    wide = _count_cells(next(_split([numbered[0][1]], header.mark))) if numbered else 0
-    if wide > header.width:
-        raise MotionFileError(path, "tables.width", numbered[0][0], expected=header.width, found=wide)
-    numbered, cut = _leave_out_cut(numbered, len(lines), header.mark)
-    numbered, clip = _choose_rows(path, header, numbered, "animation", "clips", animation)
-    clip = (*cut, *clip)
-    if "people" not in header.columns.roles:
-        return take_person(_build(path, header, numbered, unit, up, frame_rate, clip), path, person)
-    numbered, notes = _choose_rows(path, header, numbered, "person", "people", person)
-    return _build(path, header, numbered, unit, up, frame_rate, (*clip, *notes))
+    rows, notes = find_rows(path, text, header.body, header.mark, header.cells)
+    del text
+    for kind, role, wanted in (("animation", "clips", animation), ("person", "people", person)):
+        rows, more = _choose_rows(path, header, rows, kind, role, wanted)
+        notes += more
+    motion = _build(path, header, rows, unit, up, frame_rate, notes)
+    return motion if "people" in header.columns.roles else take_person(motion, path, person)
 
 
 def is_table(path: str | os.PathLike[str], head: bytes) -> bool:
@@ -108,32 +102,34 @@ def is_table(path: str | os.PathLike[str], head: bytes) -> bool:
 
     ``head`` : the first bytes of the file.
     """
-    lines = decode(head).split("\n")
-    start = _find_section(lines)
-    header = find_header(lines[start : start + _MOST_TITLES])
+    text = decode(head)
+    header = _find_titles(text)
     if header is None or not header.columns.points or is_of_angles(path):
         return False
     names = tuple(header.columns.points)
     labels = header.columns.roles.get("labels")
     if names == ("",) and labels is not None:  # a row for every point: the last line may be cut
-        numbered = _list_rows(lines[:-1], start + header.body, header.mark)
-        names = tuple(dict.fromkeys(_column(numbered, header.mark, labels)))
+        lines = text.split("\n")[header.body : -1]
+        names = tuple(dict.fromkeys(row[labels].strip() for row in split_rows(lines, header.mark) if len(row) > labels))
     if header.columns.counted:
         return any(len(layout.names) == len(names) for layout in list_layouts())
     match = match_names(names)
     return match is not None and holds_limb(match.missing)
 
 
-def _find_section(lines: Sequence[str]) -> int:
-    """Line of the section ``Trajectories`` of Vicon Nexus; 0 of other files."""
-    return next((n for n, line in enumerate(lines) if line[:12] == "Trajectories" and not line[12:].strip(' ,;\t"')), 0)
+def _find_titles(text: str) -> _Header | None:
+    """The titles of a table, below the line ``Trajectories`` of Vicon Nexus if there is one."""
+    found = re.search(r"^Trajectories[ ,;\t\"']*$", text, re.MULTILINE)
+    start = found.start() if found else 0
+    header = find_header(list_lines(text[start:], _MOST_TITLES))
+    return header and dataclasses.replace(header, body=header.body + text.count("\n", 0, start))
 
 
 def find_header(lines: Sequence[str]) -> _Header | None:
     """Find the titles of points among the first lines of a table; None if there are none, in space or in a picture."""
     flat = None
     for mark in _MARKS:
-        rows = [next(_split([line], mark), []) for line in lines]
+        rows = split_rows(lines, mark)
         for number, titles in enumerate(rows):
             columns = _name_columns(rows, number)
             if columns.points:
@@ -168,73 +164,17 @@ def _finish(lines: Sequence[str], rows: list[list[str]], number: int, columns: C
     alone = [float(row[0]) for row in rows[:number] if row and _is_number(row[0]) and not any(map(str.strip, row[1:]))]
     found = float(rate[1]) if rate else alone[0] if alone else None
     named = units.pop() if len(units) == 1 else unit[1] if unit else ""
-    return _Header(columns, mark, body, found, named, _count_cells(rows[number]))
-
-
-def _count_cells(row: Sequence[str]) -> int:
-    """The cells of a row up to the last that is not blank."""
-    return max((number for number, cell in enumerate(row, 1) if cell.strip()), default=0)
+    return _Header(columns, mark, body, found, named, count_cells(rows[number]))
 
 
 def _is_number(cell: str) -> bool:
     return is_number(cell.replace(",", "."))
 
 
-def _split(lines: Sequence[str], mark: str) -> Iterator[list[str]]:
-    if mark == " ":
-        return (line.split() for line in lines)
-    return csv.reader((line.strip("\r\n") for line in lines), delimiter=mark)
-
-
-def _list_rows(lines: list[str], body: int, mark: str) -> list[tuple[int, str]]:
-    """The lines of the body with their numbers, up to a blank one that other text follows (the next section)."""
-    numbered = []
-    for number in range(body, len(lines)):
-        line = lines[number]
-        if line.strip(f'{mark} "\t'):
-            numbered.append((number + 1, line))
-        elif numbered:
-            following = next((later for later in lines[number + 1 :] if later.strip(f'{mark} "\t')), "")
-            if not any(map(_is_number, next(_split([following], mark), [""]))):
-                break
-    return numbered
-
-
-def _leave_out_cut(
-    numbered: list[tuple[int, str]], last: int, mark: str
-) -> tuple[list[tuple[int, str]], tuple[Message, ...]]:
-    """Rows without one at the end that breaks off, and a note about it; the ``last`` line of the file has no end."""
-    rows = [line for _, line in numbered]
-    width, own = (len(next(_split(some, mark), [])) for some in (rows, rows[-1:]))
-    open_end = len(rows) > 1 and numbered[-1][0] == last
-    if own >= width and not (open_end and breaks_off(rows, width, mark)):
-        return numbered, ()
-    return numbered[:-1], (Message("guard.cut_off", line=numbered[-1][0]),)
-
-
-def _read_cells(
-    path: str | os.PathLike[str], numbered: list[tuple[int, str]], mark: str, wanted: list[int], chunk: int = 200_000
-) -> FloatArray:
-    """(rows, wanted columns) numbers; so many cells are held as text at a time."""
-    body = numbered
-    if mark != "," and any("," in line for _, line in numbered) and not any("." in line for _, line in numbered):
-        body = [(number, line.replace(",", ".")) for number, line in numbered]
-    width = max(wanted) + 1
-    step, parts = max(1, chunk // width), []
-    for start in range(0, len(body), step):
-        part = body[start : start + step]
-        rows = [
-            [row[column] if column < len(row) else "" for column in wanted]
-            for row in _split([line for _, line in part], mark)
-        ]
-        parts.append(read_rows(path, rows, [number for number, _ in part], len(wanted)))
-    return np.concatenate(parts)
-
-
 def _build(
     path: str | os.PathLike[str],
     header: _Header,
-    numbered: list[tuple[int, str]],
+    rows: Rows,
     unit: float | str | None,
     up: str | None,
     frame_rate: float | None,
@@ -242,30 +182,29 @@ def _build(
 ) -> Trajectories:
     columns = header.columns
     triples = {name: own for name, own in columns.points.items() if name} or columns.points
-    if not numbered:
-        raise MotionFileError(path, "tables.no_frames", header.body)
+    names, order = tuple(triples), None
     if "" in triples:
-        numbered, more = _choose_kind(columns, numbered, header.mark)
+        rows, more = _choose_kind(columns, rows)
         notes += more
-        names, rows = _spread_points(path, columns, numbered, header.mark)
-    else:
-        names, rows = tuple(triples), None
-    scores = [columns.scores.get(name) for name in triples]
-    wanted = [column for own in triples.values() for column in own] + [s for s in scores if s is not None]
-    timed: list[str] = [role for role in ("times", "numbers", "parts") if role in columns.roles]
-    times = {role: read_times(_column(numbered, header.mark, columns.roles[role])) for role in timed}
-    values = _read_cells(path, numbered, header.mark, wanted)
-    points = values[:, : 3 * len(triples)].reshape(len(values), len(triples), 3)
-    sure = np.ones(points.shape[:2])
-    sure[:, [n for n, s in enumerate(scores) if s is not None]] = values[:, 3 * len(triples) :]
-    points = np.where((sure > 0)[..., None], points, np.nan)
-    if rows is not None:
-        first = np.unique(rows[0], return_index=True)[1]
+        names, order = _spread_points(path, columns, rows)
+    scored = {n: columns.scores[name] for n, name in enumerate(triples) if name in columns.scores}
+    clock = {role: column for role, column in columns.roles.items() if role in ("times", "numbers", "parts")}
+    times, counted = _read_times(rows, clock)
+    places = [column for own in triples.values() for column in own]
+    values, scores, plain = rows.read(places, [*scored.values()], [*counted.values()], loose=[*counted.values()])
+    del rows
+    times |= dict(zip(counted, plain.T, strict=True))
+    points = values.reshape(len(values), len(triples), 3)
+    for place, column in enumerate(scored):
+        points[~(scores[:, place] > 0), column] = np.nan
+    if order is not None:
+        frames, numbers = order
+        first = np.flatnonzero(np.diff(np.maximum.accumulate(frames), prepend=-1))
         times = {role: column[first] for role, column in times.items()}
         spread = np.full((len(first), len(names), 3), np.nan)
-        spread[rows] = points[:, 0]
-        points, sure = spread, np.ones(spread.shape[:2])
-    refuse_pictures(path, np.concatenate((points, sure[..., None]), axis=2))
+        spread[frames, numbers] = points[:, 0]
+        points = spread
+    refuse_pictures(path, points)
     if columns.counted and points.shape[1] in BODY_OF:
         points = points[:, : BODY_OF[points.shape[1]]]
     notes += note_hips(points)
@@ -276,74 +215,70 @@ def _build(
     )  # fmt: skip
 
 
-def _column(numbered: list[tuple[int, str]], mark: str, column: int) -> list[str]:
-    return [row[column].strip() if column < len(row) else "" for row in _split([line for _, line in numbered], mark)]
-
-
 def _choose_rows(
     path: str | os.PathLike[str],
     header: _Header,
-    numbered: list[tuple[int, str]],
+    rows: Rows,
     kind: str,
     role: str,
     wanted: str | None,
     most: int = 1000,
-) -> tuple[list[tuple[int, str]], tuple[Message, ...]]:
+) -> tuple[Rows, tuple[Message, ...]]:
     """Rows of one of several parts that a column tells apart: ``most``, and each of two rows or more on average."""
     column = header.columns.roles.get(role)
-    owners = ["1"] * len(numbered) if column is None else _column(numbered, header.mark, column)
-    counts = Counter(owners)
-    if len(counts) > min(most, len(owners) // 2):  # it counts rows
-        owners, counts = ["1"] * len(numbered), Counter({"1": len(numbered)})
-    if not counts or (column is None and wanted is None):
-        return numbered, ()
-    chosen, notes = choose(path, kind, [*counts], wanted, [*counts.values()])
-    name = [*counts][chosen]
-    return [row for row, owner in zip(numbered, owners, strict=True) if owner == name], notes
+    if column is None:
+        return rows, () if wanted is None or kind == "person" else choose(path, kind, ["1"], wanted)[1]
+    names, owners = rows.find_texts(column)
+    if len(names) > min(most, len(owners) // 2):  # it counts rows
+        names, owners = ["1"], np.zeros_like(owners)
+    counts = np.bincount(owners, minlength=len(names)) * np.array([bool(name) for name in names])
+    known = [name for name in names if name]
+    if not known:
+        return rows, ()
+    chosen, notes = choose(path, kind, known, wanted, counts[counts > 0].tolist())
+    return rows.take(owners == names.index(known[chosen])), notes
 
 
-def _choose_kind(
-    columns: Columns, numbered: list[tuple[int, str]], mark: str
-) -> tuple[list[tuple[int, str]], tuple[Message, ...]]:
+def _choose_kind(columns: Columns, rows: Rows) -> tuple[Rows, tuple[Message, ...]]:
     """Of a table with a row for every point and a column of kinds (FreeMoCap's ``model``): the rows of the first."""
     if "kinds" not in columns.roles:
-        return numbered, ()
-    kinds = _column(numbered, mark, columns.roles["kinds"])
-    kept = [row for row, kind in zip(numbered, kinds, strict=True) if kind == kinds[0]]
-    others = tuple(dict.fromkeys(kind for kind in kinds if kind != kinds[0]))
-    return kept, (Message("tables.kinds", read=kinds[0], others=others),) if others else ()
+        return rows, ()
+    (first, *others), kinds = rows.find_texts(columns.roles["kinds"])
+    return rows.take(kinds == 0), (Message("tables.kinds", read=first, others=tuple(others)),) if others else ()
 
 
 def _spread_points(
-    path: str | os.PathLike[str], columns: Columns, numbered: list[tuple[int, str]], mark: str
-) -> tuple[tuple[str, ...], tuple[IndexArray, IndexArray]]:
+    path: str | os.PathLike[str], columns: Columns, rows: Rows
+) -> tuple[tuple[str, ...], tuple[IntArray, IntArray]]:
     """Of a table with a row for every point: the names, and (frames, points) of its rows."""
     labels = columns.roles.get("labels")
     clock = columns.roles.get("numbers", columns.roles.get("times"))
     if labels is None or clock is None:
         raise MotionFileError(path, "tables.no_points")
-    frames, names = _column(numbered, mark, clock), _column(numbered, mark, labels)
-    keys = dict.fromkeys(zip(frames, names, strict=True))
-    if len(keys) < len(numbered):
-        raise MotionFileError(path, "tables.twice", numbered[0][0], found=len(numbered) - len(keys))
-    order = {frame: n for n, frame in enumerate(dict.fromkeys(frames))}
-    known = {name: n for n, name in enumerate(dict.fromkeys(names))}
-    rows = (np.array([order[frame] for frame in frames]), np.array([known[name] for name in names]))
-    columns.counted = list(known) == [str(n) for n in range(len(known))]
-    return tuple(known), rows
+    names, points = rows.find_texts(labels)
+    frames = rows.find_texts(clock)[1]
+    twice = int(np.count_nonzero(np.diff(np.sort(frames * len(names) + points)) == 0))
+    if twice:
+        raise MotionFileError(path, "tables.twice", int(rows.lines[0]), found=twice)
+    columns.counted = names == [str(n) for n in range(len(names))]
+    return tuple(names), (frames, points)
 
 
-def read_times(cells: Sequence[str]) -> FloatArray:
-    """Read times or numbers of frames: numbers, dates and times of day in seconds, numbers in names (``img_012.png``).
-
-    NaN for anything else: a clock goes on without it.
-    """
-    if all(map(_is_number, filter(None, cells[:2]))):
-        return np.array([float(cell.replace(",", ".")) if _is_number(cell) else np.nan for cell in cells])
-    return np.array([_read_time(cell) for cell in cells])
+def _read_times(rows: Rows, columns: dict[str, int]) -> tuple[dict[str, FloatArray], dict[str, int]]:
+    """Times and frames by role that are texts: dates, times of day, numbers in names; the columns of plain numbers."""
+    head = split_rows(list_lines(rows.text, 2), rows.mark)
+    times, plain = {}, {}
+    for role, column in columns.items():
+        if all(is_number(row[column]) for row in head if column < len(row) and row[column].strip()):
+            plain[role] = column
+        else:
+            texts, numbers = rows.find_texts(column)
+            times[role] = np.array([_read_time(text) for text in texts])[numbers]
+    return times, plain
 
 
 def _read_time(cell: str) -> float:
+    """The seconds of a date or a time of day, or the number in a name (``img_012.png``); NaN for anything else."""
     clock = re.search(r"(\d+):(\d+):(\d+(?:[.,]\d+)?)", cell)
     if clock is None:
         number = re.search(r"(\d{1,15})\D*$", cell)

@@ -313,10 +313,11 @@ def _change_frame(moving: _Moving, scale: float, rotation: FloatArray) -> _Movin
 
 def _turn(points: FloatArray, scale: float, rotation: FloatArray) -> FloatArray:
     """Scale points (..., 3) and turn them by a signed permutation of the axes, exact but for the scale."""
-    turned = points * scale
-    if not np.array_equal(rotation, np.eye(3)):
-        columns = np.abs(rotation).argmax(axis=1)
-        turned = np.ascontiguousarray(turned[..., columns]) * rotation[range(3), columns]
+    if np.array_equal(rotation, np.eye(3)):
+        return freeze(points * scale)
+    turned: FloatArray = np.empty_like(points)
+    for axis, column in enumerate(np.abs(rotation).argmax(axis=1)):  # a long recording takes a copy, not three
+        np.multiply(points[..., column], scale * rotation[axis, column], out=turned[..., axis])
     return freeze(turned)
 
 

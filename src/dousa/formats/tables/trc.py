@@ -13,13 +13,11 @@ from __future__ import annotations
 import os
 import re
 
-import numpy as np
-
 from dousa.errors import MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.assembly import declared_unit, settle_trajectories
 from dousa.formats.guard import Clock, check_points, compare_points
-from dousa.formats.optical.cells import decode, read_lines, read_number
+from dousa.formats.tables.cells import decode, find_rows, list_lines, read_number
 from dousa.motion import Trajectories
 
 
@@ -36,20 +34,20 @@ def read_trc(path: str | os.PathLike[str], *, unit: float | str | None = None, u
     ------
     MotionFileError : missing, empty, text where numbers belong, rows of another width.
     """
-    lines = _with_tabs(decode(read_bytes(path)).split("\n"))
+    text = decode(read_bytes(path))
+    lines, mark = _with_tabs(list_lines(text))
     fields = _read_fields(path, lines)
     names, body = _read_names(path, lines)
-    frames = read_number(fields.get("numframes"))
-    if any("," in line for line in lines[body:]) and not any("." in line for line in lines[body:]):
-        lines[body:] = [line.replace(",", ".") for line in lines[body:]]
-    width = 2 + 3 * len(names)
-    values, notes = read_lines(path, lines, body, width, declared=np.nan if frames is None else frames, whole=True)
+    frames, width = read_number(fields.get("numframes")), 2 + 3 * len(names)
+    rows, notes = find_rows(path, text, body, mark, (width, width), declared=frames)
+    counted, values = rows.read((0, 1), range(2, width))
+    del text, rows
     return settle_trajectories(
         path,
         "trc",
         names,
-        values[:, 2:].reshape(len(values), -1, 3),
-        Clock(read_number(fields.get("datarate")), values[:, 1], values[:, 0], frames),
+        values.reshape(len(values), -1, 3),
+        Clock(read_number(fields.get("datarate")), counted[:, 1], counted[:, 0], frames),
         unit=unit,
         up=up,
         unit_in_file=declared_unit(fields.get("units", "")),
@@ -60,19 +58,19 @@ def read_trc(path: str | os.PathLike[str], *, unit: float | str | None = None, u
     )
 
 
-def _with_tabs(lines: list[str]) -> list[str]:
-    """Replace the separators of the lines with tabs."""
+def _with_tabs(lines: list[str]) -> tuple[list[str], str]:
+    """Replace the separators of the first lines with tabs; that of the rows."""
     header = next((line for line in lines[:20] if line.lstrip().lower().startswith("datarate")), "")
     if "\t" in header:
-        return lines
+        return lines, "\t"
     mark = next((mark for mark in ",;" if mark in header), None)
     if mark is not None:
-        return [line.replace(mark, "\t") for line in lines]
+        return [line.replace(mark, "\t") for line in lines], mark
     start = next((n for n, line in enumerate(lines) if line.lstrip().lower().startswith("frame")), len(lines))
     if start < len(lines) and "\t" in lines[start]:
-        return lines
+        return lines, "\t"
     # Blanks cannot mark an empty cell: the names stand one after the other.
-    return lines[:start] + ["\t".join(line.split()) for line in lines[start:]]
+    return lines[:start] + ["\t".join(line.split()) for line in lines[start:]], " "
 
 
 def _cells(line: str) -> list[str]:

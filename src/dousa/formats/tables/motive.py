@@ -20,10 +20,11 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError, MotionWriteError
-from dousa.files.disk import atomic_write, read_bytes
+from dousa.files.disk import atomic_write
 from dousa.formats.assembly import declared_unit, settle_trajectories, settle_world
 from dousa.formats.guard import Clock, check_points
-from dousa.formats.optical.cells import decode, guess_parents, read_lines, read_number, strip_owner
+from dousa.formats.tables.cells import count_cells, find_rows, list_lines, read_number
+from dousa.formats.tables.usual_trees import guess_parents
 from dousa.messages import Message
 from dousa.motion import Motion, Trajectories, forward_kinematics
 from dousa.motion.rotations import from_euler, normalise
@@ -40,17 +41,20 @@ class _Table:
     parents: dict[str, str]
     odd: tuple[str, ...]
     """Assets whose columns are not X, Y, Z (and W) of a quantity."""
+    cells: tuple[int, int]
+    """Titles of the columns, as `count_cells` has it."""
     body: int
 
 
 def read_motive(
-    path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None
+    path: str | os.PathLike[str], text: str, *, unit: float | str | None = None, up: str | None = None
 ) -> Motion | Trajectories:
     """Read a CSV file that Motive exported: bones or markers.
 
     Parameters
     ----------
     path : the file.
+    text : of the file.
     unit : metres per unit; by default that of the header.
     up : axis that points up; by default Y unless the body stands along another.
 
@@ -58,9 +62,9 @@ def read_motive(
     ------
     MotionFileError : missing, damaged, neither bones nor labelled markers.
     """
-    lines = decode(read_bytes(path)).split("\n")
-    check_points(path, max(line.count(",") for line in lines[:12]) // 7)  # numbers of a bone
-    table = _read_header(path, list(csv.reader(lines[:12])))
+    lines = list_lines(text, 12)
+    check_points(path, max(line.count(",") for line in lines) // 7)  # numbers of a bone
+    table = _read_header(path, list(csv.reader(lines)))
     kinds = {kind for kind, _ in table.columns}
     kind = next(
         (kind for kind in ("bone", "marker", "bonemarker", "rigidbodymarker", "rigidbody") if kind in kinds), None
@@ -69,49 +73,34 @@ def read_motive(
     assets = [(name, c) for name, c in assets if len(c.get("position", [])) == 3 and not _UNLABELLED.fullmatch(name)]
     if kind is None or not assets:
         raise MotionFileError(path, "motive.nothing")
-    width = 1 + max(max(columns["position"] + columns.get("rotation", [])) for _, columns in assets)
     frames = read_number(table.fields.get("total exported frames"))
-    values, notes = read_lines(path, lines, table.body, width, mark=",", declared=np.nan if frames is None else frames)
+    rows, notes = find_rows(path, text, table.body, ",", table.cells, declared=frames)
+    names = [name for name, _ in assets]
+    given = {
+        child: parent if parent in names else f"{child.rpartition(':')[0]}:{parent}"
+        for child, parent in table.parents.items()
+    }
+    parents = given or guess_parents(names)
+    turning = _find_turns(table.fields, assets) if kind == "bone" and any(p in names for p in parents.values()) else []
+    places = [column for _, columns in assets for column in columns["position"]]
+    counted, positions, turns = rows.read((0, 1), places, turning)
+    positions = positions.reshape(len(positions), len(names), 3)
     rates = (read_number(table.fields.get(key)) for key in ("export frame rate", "capture frame rate"))
-    clock = Clock(next((rate for rate in rates if rate is not None), None), values[:, 1], values[:, 0], frames)
+    clock = Clock(next((rate for rate in rates if rate is not None), None), counted[:, 1], counted[:, 0], frames)
     if table.odd:
         notes += (Message("motive.columns", n=len(table.odd), name=table.odd[0]),)
-    return _build(path, table, kind, assets, values, clock, unit, up, list(notes))
-
-
-def _build(
-    path: str | os.PathLike[str],
-    table: _Table,
-    kind: str,
-    assets: list[tuple[str, dict[str, list[int]]]],
-    values: FloatArray,
-    clock: Clock,
-    unit: float | str | None,
-    up: str | None,
-    notes: list[Message],
-) -> Motion | Trajectories:
-    names = strip_owner([name for name, _ in assets])
-    positions = values[:, [columns["position"] for _, columns in assets]]
     unit_in_file = declared_unit(table.fields.get("length units", ""))
+    del text, rows
     # Rigid bodies and bones that are not solved are blank; markers of older versions lie at the origin.
-    given = table.parents
-    if not any(":" in name for name in names):  # of one person
-        given = {child.rpartition(":")[2]: parent.rpartition(":")[2] for child, parent in given.items()}
-    parents = given or guess_parents(names)
-    turns = (
-        _read_turns(table.fields, assets, values)
-        if kind == "bone" and any(p in names for p in parents.values())
-        else None
-    )
-    if turns is None:
+    if not turning:
         return settle_trajectories(
             path, "motive", tuple(names), positions, clock,
-            unit=unit, up=up, unit_in_file=unit_in_file, up_in_file=None, default_up="y", notes=tuple(notes),
+            unit=unit, up=up, unit_in_file=unit_in_file, up_in_file=None, default_up="y", notes=notes,
         )  # fmt: skip
     return settle_world(
-        path, "motive", names, parents, turns, positions, clock,
+        path, "motive", names, parents, _read_turns(table.fields, turns, len(names)), positions, clock,
         are_local=table.fields.get("coordinate space", "global").lower() == "local",
-        unit=unit, up=up, unit_in_file=unit_in_file, default_up="y", notes=tuple(notes),
+        unit=unit, up=up, unit_in_file=unit_in_file, default_up="y", notes=notes,
     )  # fmt: skip
 
 
@@ -127,7 +116,8 @@ def _read_header(path: str | os.PathLike[str], rows: list[list[str]]) -> _Table:
         elif cells and cells[0].lower() == "frame":
             if "name" not in labelled:
                 break
-            return _Table(fields, *_read_columns(labelled, [c.strip() for c in rows[number - 1]], cells), number + 1)
+            what = [cell.strip() for cell in rows[number - 1]]
+            return _Table(fields, *_read_columns(labelled, what, cells), count_cells(cells), number + 1)
     raise MotionFileError(path, "motive.no_names")
 
 
@@ -155,21 +145,27 @@ def _read_columns(
     return columns, parents, tuple(odd)
 
 
-def _read_turns(
-    fields: dict[str, str], assets: list[tuple[str, dict[str, list[int]]]], values: FloatArray
-) -> FloatArray | None:
-    """(T, J, 4) unit quaternions in the world; None if the file has other rotations, or none."""
-    kind = fields.get("rotation type", "quaternion").upper()
-    width = 4 if kind == "QUATERNION" else 3
+def _turn_order(fields: dict[str, str]) -> str:
+    return fields.get("rotation type", "quaternion").upper()
+
+
+def _find_turns(fields: dict[str, str], assets: list[tuple[str, dict[str, list[int]]]]) -> list[int]:
+    """The columns of the rotations; none if the file has other rotations than are known, or lacks some."""
+    order = _turn_order(fields)
+    width = 4 if order == "QUATERNION" else 3 if sorted(order) == ["X", "Y", "Z"] else 0
     if any(len(columns.get("rotation", [])) != width for _, columns in assets):
-        return None
-    numbers = values[:, [columns["rotation"] for _, columns in assets]]
-    if width == 4:
+        return []
+    return [column for _, columns in assets for column in columns.get("rotation", [])]
+
+
+def _read_turns(fields: dict[str, str], turns: FloatArray, count: int) -> FloatArray:
+    """(T, J, 4) unit quaternions in the world."""
+    order = _turn_order(fields)
+    numbers = turns.reshape(len(turns), count, -1)
+    if order == "QUATERNION":
         return normalise(numbers[..., [3, 0, 1, 2]])
-    if sorted(kind) != ["X", "Y", "Z"]:
-        return None
     # The columns are X, Y, Z, whatever the order of the turns.
-    return from_euler(np.radians(numbers[..., ["XYZ".index(letter) for letter in kind]]), kind)
+    return from_euler(np.radians(numbers[..., ["XYZ".index(letter) for letter in order]]), order)
 
 
 def write_motive(motion: Motion | Trajectories, path: str | os.PathLike[str]) -> None:

@@ -15,10 +15,10 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
-from dousa.files.disk import read_bytes
 from dousa.formats.assembly import settle_trajectories, settle_world
 from dousa.formats.guard import Clock, check_points, compare_points
-from dousa.formats.optical.cells import decode, guess_parents, read_lines, read_number, strip_owner
+from dousa.formats.tables.cells import find_rows, list_lines, read_number
+from dousa.formats.tables.usual_trees import guess_parents
 from dousa.messages import Message
 from dousa.motion import Motion, Trajectories
 from dousa.motion.rotations import normalise
@@ -28,13 +28,14 @@ _SEGMENT = ["X", "Y", "Z", "QX", "QY", "QZ", "QW"]
 
 
 def read_qualisys(
-    path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None
+    path: str | os.PathLike[str], text: str, *, unit: float | str | None = None, up: str | None = None
 ) -> Motion | Trajectories:
     """Read markers or a skeleton from a TSV file that Qualisys Track Manager exported.
 
     Parameters
     ----------
     path : the file.
+    text : of the file.
     unit : metres per unit; by default millimetres.
     up : axis that points up; by default Z unless the body stands along another.
 
@@ -42,8 +43,8 @@ def read_qualisys(
     ------
     MotionFileError : missing, damaged, rigid bodies (6D) without markers.
     """
-    lines = decode(read_bytes(path)).split("\n")
-    check_points(path, max(line.count("\t") for line in lines[:40]) // 3)
+    lines = list_lines(text, 42)
+    check_points(path, max(line.count("\t") for line in lines) // 3)
     fields: dict[str, list[str]] = {}
     number = 0
     while number < min(len(lines), 40):
@@ -58,16 +59,15 @@ def read_qualisys(
     if "BODY_NAMES" in fields and "MARKER_NAMES" not in fields:
         raise MotionFileError(path, "qualisys.bodies")
     if "MARKER_NAMES" not in fields:
-        return _read_skeleton(path, fields, titles, lines, first, unit, up)
+        return _read_skeleton(path, fields, titles, text, first, unit, up)
     names = [name for name in fields["MARKER_NAMES"] if name]
     leading = next((index for index, title in enumerate(titles) if title not in ("Frame", "Time")), 0)
     width = leading + 3 * len(names)
-    cells = lines[first].split("\t") if first < len(lines) else []
-    if not names or 1 < len(cells) < width:
-        raise MotionFileError(path, "qualisys.width", first + 1, expected=width, found=len(cells))
-    values, clock, notes = _read_values(path, fields, titles[:leading], lines, first, width)
-    points = values[:, leading:].reshape(len(values), len(names), 3)
-    points = np.where((points == 0).all(axis=2, keepdims=True), np.nan, points)  # by the definition of the format
+    if not names:
+        raise MotionFileError(path, "qualisys.no_names")
+    values, clock, notes = _read_values(path, fields, titles[:leading], text, first, (width, width))
+    points = values.reshape(len(values), len(names), 3)
+    points[~points.any(axis=2)] = np.nan  # by the definition of the format
     return settle_trajectories(
         path, "qualisys", tuple(names), points, clock,
         unit=unit, up=up, unit_in_file=0.001, up_in_file=None, default_up="z",
@@ -79,14 +79,15 @@ def _read_values(
     path: str | os.PathLike[str],
     fields: dict[str, list[str]],
     titles: list[str],
-    lines: list[str],
+    text: str,
     first: int,
-    width: int,
+    width: tuple[int, int],
 ) -> tuple[FloatArray, Clock, tuple[Message, ...]]:
-    """Numbers (T, width) of the rows, what the file says of time, and notes."""
+    """Numbers (T, columns) of the rows without what is under the titles, what the file says of time, and notes."""
     frames = read_number(fields.get("NO_OF_FRAMES"))
-    values, notes = read_lines(path, lines, first, width, declared=np.nan if frames is None else frames)
-    numbers, times = (values[:, titles.index(t)] if t in titles else None for t in ("Frame", "Time"))
+    rows, notes = find_rows(path, text, first, "\t", width, declared=frames)
+    counted, values = rows.read(range(len(titles)), range(len(titles), width[0]))
+    numbers, times = (counted[:, titles.index(t)] if t in titles else None for t in ("Frame", "Time"))
     return values, Clock(read_number(fields.get("FREQUENCY")), times, numbers, frames), notes
 
 
@@ -94,18 +95,18 @@ def _read_skeleton(
     path: str | os.PathLike[str],
     fields: dict[str, list[str]],
     titles: list[str],
-    lines: list[str],
+    text: str,
     first: int,
     unit: float | str | None,
     up: str | None,
 ) -> Motion | Trajectories:
     starts = [i for i in range(len(titles)) if [t.upper() for t in titles[i + 1 : i + 8]] == _SEGMENT]
-    names = strip_owner([titles[index] for index in starts])
+    names = [titles[index] for index in starts]
     if not names:
         raise MotionFileError(path, "qualisys.no_names")
     leading = titles[: starts[0]]
-    values, clock, notes = _read_values(path, fields, leading, lines, first, starts[-1] + 8)
-    blocks: FloatArray = np.stack([values[:, start + 1 : start + 8] for start in starts], axis=1)
+    values, clock, notes = _read_values(path, fields, leading, text, first, (starts[-1] + 8, len(titles)))
+    blocks: FloatArray = np.stack([values[:, start - starts[0] + 1 :][:, :7] for start in starts], axis=1)
     positions, world = blocks[..., :3], normalise(blocks[..., [6, 3, 4, 5]])
     parents = guess_parents(names)
     if not parents:
