@@ -17,13 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.errors import OptionError
-from dousa.experiments.metrics import (
-    TimelineCounts,
-    TimelineScores,
-    TrueSegment,
-    add_counts,
-    compare_timeline,
-)
+from dousa.experiments.metrics import TimelineCounts, TimelineScores, TrueSegment, add_counts, compare_timeline
 from dousa.experiments.runner import (
     Progress,
     Steps,

@@ -14,14 +14,7 @@ import numpy as np
 
 from dousa.app.pictures.canvas import BLUE, GREEN, PURPLE, VERMILLION
 from dousa.app.pictures.overlay import write_video
-from dousa.app.pictures.overlay_view import (
-    DARK,
-    WHITE,
-    draw_lines,
-    find_outlines,
-    to_bgr,
-    write_text,
-)
+from dousa.app.pictures.overlay_view import DARK, WHITE, draw_lines, find_outlines, to_bgr, write_text
 from dousa.arrays import FloatArray, Image
 from dousa.errors import OptionError
 from dousa.files.disk import atomic_write

@@ -19,13 +19,7 @@ from dousa.app.pipelines.estimation_body import (
     read_start,
 )
 from dousa.app.pipelines.estimation_output import check_outputs, write_outputs
-from dousa.app.pipelines.estimation_views import (
-    Scene,
-    Watcher,
-    choose_cameras,
-    open_views,
-    read_known_stature,
-)
+from dousa.app.pipelines.estimation_views import Scene, Watcher, choose_cameras, open_views, read_known_stature
 from dousa.app.pipelines.film_scene import (
     FilmScene,
     PersonSilhouettes,

@@ -405,12 +405,7 @@ def has_models() -> bool:
     """Whether keypoints can be found: models and the packages that run them are installed."""
     from importlib.util import find_spec
 
-    from dousa.estimation.keypoints.pose_models import (
-        DETECTOR,
-        check_pose_model,
-        choose_pose_model,
-        get_pose_model,
-    )
+    from dousa.estimation.keypoints.pose_models import DETECTOR, check_pose_model, choose_pose_model, get_pose_model
 
     packages = all(find_spec(name) is not None for name in ("ai_edge_litert", "av", "cv2"))
     names = (DETECTOR, choose_pose_model()) if packages else ()

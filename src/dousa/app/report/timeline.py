@@ -26,16 +26,7 @@ from dousa.app.drawing.charts import (
     x_labels,
     y_labels,
 )
-from dousa.app.drawing.markup import (
-    Svg,
-    build_terms,
-    draw_mark,
-    element,
-    escape,
-    format_grade,
-    format_number,
-    trace,
-)
+from dousa.app.drawing.markup import Svg, build_terms, draw_mark, element, escape, format_grade, format_number, trace
 from dousa.app.report.curves import build_details, build_table, format_optional
 from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.correspondence import compute_correlation_matrix

@@ -21,13 +21,7 @@ from dousa.arrays import FloatArray
 from dousa.estimation.body.body import BodyModel
 from dousa.estimation.body.kinematics import pose_difference, step_poses
 from dousa.estimation.multiview.landmarks import SHIFTS, Landmarks
-from dousa.estimation.multiview.pose_residuals import (
-    Terms,
-    image_weights,
-    normal_equations,
-    place_points,
-    point_slopes,
-)
+from dousa.estimation.multiview.pose_residuals import Terms, image_weights, normal_equations, place_points, point_slopes
 from dousa.estimation.multiview.triangulation import project_slope
 
 

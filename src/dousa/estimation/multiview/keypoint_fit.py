@@ -23,14 +23,7 @@ from dousa.estimation.body.posing import fit_poses
 from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.keypoints.keypoints import PersonTrack
 from dousa.estimation.multiview.body_fit import BodyParameters, fit_body_parameters, fit_trajectory
-from dousa.estimation.multiview.landmarks import (
-    BREADTHS,
-    SHIFTS,
-    Landmarks,
-    SeenLandmarks,
-    gather,
-    place_landmarks,
-)
+from dousa.estimation.multiview.landmarks import BREADTHS, SHIFTS, Landmarks, SeenLandmarks, gather, place_landmarks
 from dousa.estimation.multiview.people import repair_sides
 from dousa.estimation.multiview.pose_residuals import Terms, place_points, point_slopes
 from dousa.estimation.multiview.triangulation import pixels_per_metre, reduce_known, triangulate

@@ -20,13 +20,7 @@ from dousa.estimation.silhouettes.background import (
     subtract_background,
 )
 from dousa.estimation.silhouettes.cleaning import clean_mask, count_people
-from dousa.estimation.silhouettes.images import (
-    fit_frame,
-    is_stretched,
-    quiet_opencv,
-    read_colour_image,
-    resize_mask,
-)
+from dousa.estimation.silhouettes.images import fit_frame, is_stretched, quiet_opencv, read_colour_image, resize_mask
 from dousa.estimation.silhouettes.silhouettes import View, checked_frame, checked_rate
 from dousa.extras import cv2
 from dousa.messages import Message, Progress

@@ -17,13 +17,7 @@ from dousa.evaluation.alignment.lines import Lapse
 from dousa.evaluation.figures.furi import Furi
 from dousa.evaluation.grade.result import Assessment, ErrorEvent, FuriAssessment
 from dousa.evaluation.posture.posture import SEGMENTS, PostureSequence
-from dousa.evaluation.words import (
-    format_moment,
-    name_parts,
-    say_size,
-    say_timing,
-    say_where,
-)
+from dousa.evaluation.words import format_moment, name_parts, say_size, say_timing, say_where
 from dousa.files.json_values import round_number
 from dousa.messages import Message
 from dousa.motion.runs import find_runs

@@ -10,13 +10,7 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.dynamic_programming import follow_lag
 from dousa.evaluation.errors.evidence import LAG_CHANGE, Evidence, fit_gain
-from dousa.evaluation.errors.explain import (
-    BODY,
-    Finding,
-    measure_excess,
-    measure_severity,
-    measure_shrinking,
-)
+from dousa.evaluation.errors.explain import BODY, Finding, measure_excess, measure_severity, measure_shrinking
 from dousa.evaluation.errors.judge import Suspect
 
 _EDGE, _LEAST_KEPT = 0.3, 0.5  # of the lag; of the span

@@ -27,13 +27,7 @@ from dousa.evaluation.exercises.range_of_motion import (
 )
 from dousa.evaluation.exercises.split import Repetition, find_reference_repetitions, find_repetitions
 from dousa.evaluation.figures.furi import Furi, find_furi
-from dousa.evaluation.grade.assessment import (
-    check_importance,
-    check_seen,
-    check_takes,
-    compute_all_postures,
-    judge,
-)
+from dousa.evaluation.grade.assessment import check_importance, check_seen, check_takes, compute_all_postures, judge
 from dousa.evaluation.grade.references import ReferenceTakes, prepare_references
 from dousa.evaluation.grade.result import Assessment
 from dousa.evaluation.grade.score import round_grade

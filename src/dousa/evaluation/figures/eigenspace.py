@@ -15,12 +15,7 @@ from numpy.typing import ArrayLike
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation.posture.posture import SEGMENTS, check_segments
-from dousa.evaluation.posture.yaw import (
-    compute_complex_correlation,
-    estimate_robust_yaw,
-    estimate_yaw,
-    rotate_yaw,
-)
+from dousa.evaluation.posture.yaw import compute_complex_correlation, estimate_robust_yaw, estimate_yaw, rotate_yaw
 
 _WIDTH = 3 * len(SEGMENTS)  # of a posture, by definition
 

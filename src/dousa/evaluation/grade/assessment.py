@@ -16,12 +16,7 @@ from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation.alignment.lines import find_lapses
 from dousa.evaluation.alignment.pairing import Pairing, find_resembled, pair_motions, turn_takes
-from dousa.evaluation.errors.evidence import (
-    Evidence,
-    Tolerance,
-    gather_evidence,
-    refine_lag,
-)
+from dousa.evaluation.errors.evidence import Evidence, Tolerance, gather_evidence, refine_lag
 from dousa.evaluation.errors.explain import Finding
 from dousa.evaluation.figures.curves import Curves, compute_curves
 from dousa.evaluation.figures.eigenspace import Eigenspace

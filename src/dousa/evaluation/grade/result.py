@@ -18,14 +18,7 @@ from dousa.evaluation.figures.eigenspace import Eigenspace
 from dousa.evaluation.figures.furi import Furi
 from dousa.evaluation.grade.references import Comparison, ReferenceTakes
 from dousa.evaluation.grade.score import is_unlike, share_weights
-from dousa.evaluation.posture.posture import (
-    LIMBS,
-    SEGMENTS,
-    PostureSequence,
-    Working,
-    mirror_postures,
-    thin_postures,
-)
+from dousa.evaluation.posture.posture import LIMBS, SEGMENTS, PostureSequence, Working, mirror_postures, thin_postures
 from dousa.evaluation.posture.yaw import Offset, rotate_yaw
 from dousa.evaluation.words import date, describe_event, describe_heading, format_time, group_segments
 from dousa.files.json_values import round_number, to_json_value

@@ -12,13 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.experiments.metrics import (
-    Confusion,
-    TimelineCounts,
-    TimelineScores,
-    add_counts,
-    compare_timeline,
-)
+from dousa.experiments.metrics import Confusion, TimelineCounts, TimelineScores, add_counts, compare_timeline
 from dousa.experiments.table import Cell, Result, ResultTable, show
 from dousa.messages import Message
 from dousa.retrieval.features.posed_motion import AnnotatedTake

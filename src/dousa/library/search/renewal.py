@@ -29,13 +29,7 @@ from dousa.library.search.leaf_index import (
     renew_lacking,
 )
 from dousa.library.search.parts import ClipPart, SparseVotes, count_part, pick_clips, read_part
-from dousa.library.search.side_file import (
-    find_place,
-    read_side_file,
-    read_side_rows,
-    renumber_votes,
-    write_side_file,
-)
+from dousa.library.search.side_file import find_place, read_side_file, read_side_rows, renumber_votes, write_side_file
 from dousa.library.store import schema
 from dousa.library.store.engine import Database, next_clip_id, read_revision
 from dousa.library.store.forests import StoredForest

@@ -21,14 +21,7 @@ from dousa.retrieval.features.channels import count_samples, sample_positions
 from dousa.retrieval.features.posed_motion import AnnotatedTake, LabelledClip, PosedMotion, check_motion
 from dousa.retrieval.takes.label import SHORT_GAP, TakeLabeller
 from dousa.retrieval.takes.labeller_tuning import STRANGE, UNCOUNTED, Trial, calibrate, calibrate_places, choose_weights
-from dousa.retrieval.takes.made_takes import (
-    JoinedTake,
-    Piece,
-    disturb,
-    join_clips,
-    join_with_rests,
-    shuffle_into_takes,
-)
+from dousa.retrieval.takes.made_takes import JoinedTake, Piece, disturb, join_clips, join_with_rests, shuffle_into_takes
 from dousa.retrieval.takes.moment_model import (
     HOP,
     N_VALUES,
@@ -44,15 +37,7 @@ from dousa.retrieval.takes.moment_model import (
     sum_moments,
 )
 from dousa.retrieval.takes.repetitions import count_part, find_phases
-from dousa.retrieval.takes.sequence import (
-    FLOOR,
-    N_PHASES,
-    PHASE_FRAMES,
-    Run,
-    SequenceWeights,
-    fit_lengths,
-    join_phases,
-)
+from dousa.retrieval.takes.sequence import FLOOR, N_PHASES, PHASE_FRAMES, Run, SequenceWeights, fit_lengths, join_phases
 from dousa.retrieval.takes.windows import TAKE_RATE
 from dousa.workers.threads import limit_blas, map_pieces
 

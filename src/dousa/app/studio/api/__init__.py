@@ -2,18 +2,7 @@
 
 from __future__ import annotations
 
-from dousa.app.studio.api import (
-    clips,
-    estimation,
-    evaluation,
-    jobs,
-    live,
-    motions,
-    search,
-    share,
-    takes,
-    uploads,
-)
+from dousa.app.studio.api import clips, estimation, evaluation, jobs, live, motions, search, share, takes, uploads
 
 ROUTERS = (
     *(uploads.general, uploads.router, clips.router, clips.journal_router, search.router, motions.router, takes.router),

@@ -12,13 +12,7 @@ from pydantic import Field
 from starlette.responses import FileResponse, Response
 
 from dousa.app.studio.content.companions import Companion, Kind
-from dousa.app.studio.content.evaluations import (
-    Adjustment,
-    EvaluationRequest,
-    Language,
-    describe,
-    format_weights,
-)
+from dousa.app.studio.content.evaluations import Adjustment, EvaluationRequest, Language, describe, format_weights
 from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import FILE, Answer, RefusedError, StrictModel, give_files, say
 from dousa.app.studio.jobs.board import Job

@@ -27,14 +27,7 @@ from numpy.typing import NDArray
 
 from dousa.app.pipelines.estimation_views import Scene
 from dousa.app.player.figures import encode_array
-from dousa.app.studio.content.film_record import (
-    SIZES,
-    FilmRecord,
-    encode_jpeg,
-    encode_mask,
-    read_records,
-    shrink,
-)
+from dousa.app.studio.content.film_record import SIZES, FilmRecord, encode_jpeg, encode_mask, read_records, shrink
 from dousa.app.studio.core.answers import RefusedError
 from dousa.app.studio.jobs.board import JobBoard, OpenedJobs
 from dousa.arrays import Image, Mask

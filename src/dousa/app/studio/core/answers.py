@@ -19,14 +19,7 @@ from urllib.parse import quote
 from pydantic import BaseModel, ConfigDict
 from starlette.responses import JSONResponse, Response
 
-from dousa.errors import (
-    DousaError,
-    LibraryError,
-    LibraryLockedError,
-    MissingExtraError,
-    NotTrainedError,
-    TrainingError,
-)
+from dousa.errors import DousaError, LibraryError, LibraryLockedError, MissingExtraError, NotTrainedError, TrainingError
 from dousa.files.json_values import to_json_value
 from dousa.messages import LANGUAGES, Message
 from dousa.messages.tables import load_table
