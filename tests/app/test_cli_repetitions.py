@@ -53,7 +53,7 @@ def test_brief_is_the_answer_without_the_table(dousa, files):
     lines = brief.splitlines()
     assert lines[0].startswith("3 repetitions, 1 incomplete")
     assert lines[1].startswith("grade ")
-    assert "repetition 2 was broken off" in brief and "no trend" in lines[-1]
+    assert "repetition 2: broken off" in brief and "no trend" in lines[-1]
     assert set(lines) < set(full.splitlines())
     assert "no. " in full and "no. " not in brief
 

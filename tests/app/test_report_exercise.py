@@ -71,7 +71,7 @@ def test_what_it_says_is_what_was_measured(
     scores = [one.score for one in done.complete]
     assert re.findall(r'<span class="number">(.*?)</span>', page)[:2] == ["3", f"{np.median(scores):.0f}"]
     assert f"grade {np.median(scores):.0f} of 100 in the median" in reader.text
-    assert "repetition 2 was broken off" in reader.text and "and 1 broken off" in reader.text
+    assert "repetition 2: broken off" in reader.text and "and 1 broken off" in reader.text
     rows = re.findall(r"<tr( class=.incomplete-row.)?><th scope=.row.>(\d)</th>(.*?)</tr>", page)[:4]
     assert [bool(incomplete) for incomplete, *_ in rows] == [False, True, False, False]
     for (_, _, cells), one in zip(rows, done.repetitions, strict=True):

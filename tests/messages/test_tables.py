@@ -46,6 +46,7 @@ FOUND_BY_NAME = (
     "advice_parts.",
     "advice_corrections.",
     "joint_angles.",
+    "fault_joint.",
     "exercise_table.",
     "offset_ways.",
 )

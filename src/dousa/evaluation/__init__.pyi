@@ -22,6 +22,7 @@ from .beats.beats import assess_timing as assess_timing
 from .beats.beats import find_beats as find_beats
 from .beats.beats import read_beats as read_beats
 from .beats.beats import to_beats as to_beats
+from .exercises.faults import Fault as Fault
 from .exercises.range_of_motion import ANGLE_NAMES as ANGLE_NAMES
 from .exercises.range_of_motion import ANGLES as ANGLES
 from .exercises.range_of_motion import PAIRED_ANGLES as PAIRED_ANGLES
@@ -30,14 +31,14 @@ from .exercises.range_of_motion import compute_joint_angles as compute_joint_ang
 from .exercises.range_of_motion import compute_symmetry_index as compute_symmetry_index
 from .exercises.repetitions import AssessedRepetition as AssessedRepetition
 from .exercises.repetitions import RepetitionsAssessment as RepetitionsAssessment
-from .exercises.repetitions import Trend as Trend
 from .exercises.repetitions import assess_repetitions as assess_repetitions
-from .exercises.repetitions import describe_exercise as describe_exercise
-from .exercises.repetitions import describe_trends as describe_trends
-from .exercises.repetitions import estimate_trend as estimate_trend
 from .exercises.split import Repetition as Repetition
 from .exercises.split import RepetitionSplit as RepetitionSplit
 from .exercises.split import find_repetitions as find_repetitions
+from .exercises.summary import describe_exercise as describe_exercise
+from .exercises.summary import describe_trends as describe_trends
+from .exercises.trends import Trend as Trend
+from .exercises.trends import estimate_trend as estimate_trend
 from .figures.eigenspace import Eigenspace as Eigenspace
 from .figures.eigenspace import compute_distance_from_space as compute_distance_from_space
 from .figures.eigenspace import compute_distance_to_path as compute_distance_to_path

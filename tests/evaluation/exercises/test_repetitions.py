@@ -15,27 +15,32 @@ from hypothesis import strategies as st
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation import (
     ANGLES,
+    PAIRED_ANGLES,
     AssessedRepetition,
+    Fault,
     RangeOfMotion,
     Repetition,
     RepetitionsAssessment,
     Trend,
     assess,
     assess_repetitions,
+    compute_joint_angles,
+    compute_postures,
     find_repetitions,
 )
-from dousa.evaluation.exercises.repetitions import (
-    adjust_for_many,
+from dousa.evaluation.exercises.faults import describe_fault, describe_repetition, find_faults
+from dousa.evaluation.exercises.split import find_reference_repetitions
+from dousa.evaluation.exercises.summary import (
     choose_angles,
     choose_pair,
     compute_median,
     describe_exercise,
     describe_trends,
-    estimate_trend,
 )
-from dousa.evaluation.exercises.split import find_reference_repetitions
+from dousa.evaluation.exercises.trends import adjust_for_many, estimate_trend
 from dousa.formats.motion_files import ReadOptions, read_canonical
 from dousa.motion import CanonicalMotion, canonicalise, compute_trajectories, mirror_canonical
+from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.motion.synthetic import draw_performer, make_motion
 from dousa.motion.synthetic.scores import SCORES
 from lab.trials.exercise_sets import ExerciseSet, join_repetitions
@@ -320,17 +325,26 @@ def test_the_adjustment_by_hand() -> None:
 
 NAN = float("nan")
 KNEES = {"left_knee_flexion": 90.0, "right_knee_flexion": 90.0}
+LEFT_KNEE = Fault("left_knee_flexion", "short", "lowest", 1.0, 60.0, 95.0, 2.0)
+RIGHT_KNEE = dataclasses.replace(LEFT_KNEE, angle="right_knee_flexion", degrees=62.0)
+TRUNK = Fault("trunk_forward_lean", "compensation", "there", 1.0, 30.0, 10.0, 2.5)
+FAINT = dataclasses.replace(TRUNK, degrees=-4.0, expected=3.0, severity=0.7)
 
 
 def make_repetition(
-    start_s: float, score: float, ranges: Mapping[str, float], *, seconds: float = 2.0, extent: float = 1.0
+    start_s: float,
+    score: float,
+    ranges: Mapping[str, float] = KNEES,
+    *faults: Fault,
+    seconds: float = 2.0,
+    extent: float = 1.0,
 ) -> AssessedRepetition:
     frames = round(30 * start_s), round(30 * (start_s + seconds))
     found = Repetition(*frames, start_s, start_s + seconds, extent, extent >= 0.65)
     angles = tuple(RangeOfMotion(name, 0.0, ranges.get(name, 5.0), KNEES.get(name, 5.0)) for name in ANGLES)
     left, right = (ranges.get(f"{side}_knee_flexion", 90.0) for side in ("left", "right"))
     uneven = 200.0 * (left - right) / (left + right)
-    return AssessedRepetition(found, seconds / 2.0, score, angles, {"knee_flexion": uneven}, NAN)
+    return AssessedRepetition(found, seconds / 2.0, score, angles, {"knee_flexion": uneven}, NAN, faults=faults)
 
 
 def make_exercise(repetitions: Sequence[AssessedRepetition]) -> RepetitionsAssessment:
@@ -340,61 +354,116 @@ def make_exercise(repetitions: Sequence[AssessedRepetition]) -> RepetitionsAsses
     return RepetitionsAssessment(tuple(repetitions), tuple(KNEES), expected, 2.0, 1, trends, 30.0, 60.0)
 
 
-def say(*repetitions: AssessedRepetition) -> list[str]:
-    return [message.render("en") for message in describe_exercise(make_exercise(repetitions))]
+BENT = "the left knee is bent by 60 deg at the lowest point, in the references by 95 deg"
+LEANS = "compensation: the trunk leans forward by 30 deg on the way there, in the references by 10 deg"
+BACK = "compensation: the trunk leans back by 4 deg on the way there, in the references by -3 deg"
 
 
-def test_as_the_reference() -> None:
-    assert say(make_repetition(1, 91, KNEES), make_repetition(4, 89, KNEES)) == [
-        "grade 90 of 100 in the median (89 to 91)",
-        "the joints go as far as in the reference (85 to 120 % of its range)",
-    ]
+@pytest.mark.parametrize(
+    ("faults", "said"),
+    [
+        ([[], []], []),
+        ([[FAINT]], [f"no joint goes otherwise than in people who do it well; furthest off: {BACK}"]),
+        ([[LEFT_KNEE]], [f"repetition 1: {BENT}"]),
+        ([[LEFT_KNEE]] * 4, [f"every repetition: {BENT}"]),
+        ([[LEFT_KNEE]] * 4 + [[], [LEFT_KNEE]], [f"repetitions 1 to 4 and 6: {BENT}"]),
+        ([[LEFT_KNEE], [LEFT_KNEE], []], [f"repetitions 1 and 2: {BENT}"]),
+        ([[TRUNK, FAINT], [LEFT_KNEE]], [f"repetition 1: {LEANS}", f"repetition 2: {BENT}"]),
+        (
+            [[LEFT_KNEE, RIGHT_KNEE], [FAINT]],
+            ["repetition 1: both knees are bent by 61 deg at the lowest point, in the references by 95 deg"],
+        ),
+    ],
+)
+def test_faults_in_words(faults: Sequence[Sequence[Fault]], said: list[str]) -> None:
+    done = make_exercise([make_repetition(3 * k, 90, KNEES, *some) for k, some in enumerate(faults)])
+    assert [message.render("en") for message in describe_exercise(done)][1:] == said
+    for message in describe_exercise(done):
+        assert not set(message.render("ja")) & set("{}_")
 
 
-def test_going_further_and_slower() -> None:
-    more = dict.fromkeys(KNEES, 120.0)
-    said = say(*(make_repetition(start, 80, more, seconds=3.0) for start in (1, 6)))
-    assert said[1] == "left knee flexion: 120 deg in the median, further than the reference's 90 deg (133 %)"
-    assert said[-1] == "slower than the reference: 3.0 s in the median instead of 2.0 s"
+@pytest.mark.parametrize(
+    ("repetitions", "said"),
+    [
+        ([make_repetition(1, 91), make_repetition(4, 89)], ["grade 90 of 100 in the median (89 to 91)"]),
+        (
+            [make_repetition(start, 80, seconds=3.0) for start in (1, 6)],
+            ["grade 80 of 100", "slower than the reference: 3.0 s in the median instead of 2.0 s"],
+        ),
+        (
+            [make_repetition(3 * k, 70 if k == 1 else 90) for k in range(4)],
+            ["grade 90 of 100 in the median (70 to 90); the weakest is repetition 2"],
+        ),
+        (
+            [make_repetition(k, 90 if k % 2 else NAN, extent=1.0 if k % 2 else 0.1 * k) for k in range(2, 6)],
+            ["grade 90 of 100", "repetitions 1 and 3: broken off, reaching 40 % of the movement at most"],
+        ),
+        (
+            [make_repetition(3 * k, 90, extent=0.67 if k < 4 else 1.0) for k in range(5)],
+            ["grade 90 of 100", "repetitions 1 to 4: reaching 67 % of the movement"],
+        ),
+        (
+            [make_repetition(1, 80, KNEES | {"right_knee_flexion": 60.0})] * 2,
+            ["grade 80 of 100", "knee flexion: the left goes 40 % further than the right in the median"],
+        ),
+    ],
+)
+def test_the_summary_in_words(repetitions: Sequence[AssessedRepetition], said: list[str]) -> None:
+    assert [message.render("en") for message in describe_exercise(make_exercise(repetitions))] == said
 
 
-def test_the_weakest_is_named_where_it_stands_out() -> None:
-    said = say(*(make_repetition(3 * k, 70 if k == 1 else 90, KNEES) for k in range(4)))
-    assert said[0] == "grade 90 of 100 in the median (70 to 90); the weakest is repetition 2"
-
-
-def test_numbers_count_what_was_broken_off_too() -> None:
-    half = {name: 40.0 for name in KNEES}
-    said = say(
-        make_repetition(0, 90, KNEES),
-        make_repetition(3, NAN, half, extent=0.4),
-        make_repetition(6, 60, KNEES),
-        make_repetition(9, NAN, half, extent=0.5),
-        make_repetition(12, 90, KNEES),
+def find_own_faults(motion: CanonicalMotion, model: CanonicalMotion, n_people: int = 3) -> tuple[Fault, ...]:
+    one, other = (
+        describe_repetition(compute_postures(some), compute_joint_angles(some), 0, some.n_frames)
+        for some in (motion, model)
     )
-    assert said[0].endswith("the weakest is repetition 3")
-    assert said[1] == "repetitions 2 and 4 were broken off: they reach 50 % of the movement at most"
+    return find_faults(one, [other], n_people)
 
 
-def test_one_knee_that_bends_too_little() -> None:
-    less = KNEES | {"right_knee_flexion": 60.0}
-    said = say(make_repetition(1, 80, less), make_repetition(4, 80, less))
-    assert said[1:] == [
-        "right knee flexion: 60 deg in the median, 67 % of the reference's 90 deg",
-        "knee flexion: the left goes 40 % further than the right in the median",
-    ]
+def test_a_squat_that_is_not_deep_is_short_in_the_knees_and_hips_at_the_lowest_point() -> None:
+    model = make_clips("squat", 1)[0]
+    start = model.positions[:1]
+    shallow = dataclasses.replace(model, positions=start + 0.5 * (model.positions - start))
+    faults = find_own_faults(shallow, model)
+    knee = next(one for one in faults if one.joint == "right_knee")
+    assert (knee.kind, knee.phase, knee.angle) == ("short", "lowest", "right_knee_flexion")
+    assert knee.degrees < knee.expected - 20
+    assert find_own_faults(shallow, model, 1)[0].severity < faults[0].severity
+    assert find_own_faults(model, model) == ()
+
+
+def test_an_arm_that_is_still_in_the_references_compensates() -> None:
+    model = make_clips("squat", 1)[0]
+    still = model.positions.copy()
+    arm = [JOINT_INDEX[f"left_{name}"] for name in ("elbow", "wrist", "hand")]
+    reach = np.linalg.norm(still[:1, arm] - still[:1, [JOINT_INDEX["left_shoulder"]]], axis=2, keepdims=True)
+    still[:, arm] = still[:, [JOINT_INDEX["left_shoulder"]]] - reach * [0.0, 1.0, 0.0]
+    raised = still.copy()
+    share = np.radians(60.0) * np.sin(np.linspace(0.0, np.pi, model.n_frames))[:, None]
+    way = np.stack([np.sin(share), -np.cos(share), 0.0 * share], axis=-1)
+    raised[:, arm] = still[:, [JOINT_INDEX["left_shoulder"]]] + reach * way
+    quiet, moved = (dataclasses.replace(model, positions=one) for one in (still, raised))
+    found = {one.joint: one.kind for one in find_own_faults(moved, quiet)}
+    assert found == {"left_shoulder": "compensation"}
+
+
+@pytest.mark.parametrize("angle", [*ANGLES, *(f"both_{name}" for name in PAIRED_ANGLES)])
+def test_every_fault_has_words(angle: str) -> None:
+    for language, degrees in itertools.product(("en", "ja"), (5.0, -5.0)):
+        if degrees > 0 or not angle.endswith(("elbow_flexion", "knee_flexion", "elevation", "trunk_lean")):
+            assert "fault" not in describe_fault(angle, "far", "back", degrees, 0.0).render(language)
 
 
 @pytest.mark.parametrize("falls", [True, False])
 def test_the_trend_is_said_if_there_is_one(falls: bool) -> None:
     scores = [95, 93, 91, 86, 84, 82, 77, 72] if falls else [90, 93, 88, 91, 90, 92, 89, 91]
-    done = make_exercise([make_repetition(3 * k, score, KNEES) for k, score in enumerate(scores)])
+    done = make_exercise([make_repetition(3 * k, score) for k, score in enumerate(scores)])
     (message,) = describe_trends(done)
     assert message.code == ("exercise_table.trend_points" if falls else "exercise_table.no_trend")
 
 
 def test_what_is_shown_is_what_moves() -> None:
-    done = make_exercise([make_repetition(1, 90, KNEES)])
+    done = make_exercise([make_repetition(1, 90)])
     assert choose_angles(done) == tuple(KNEES)
     assert choose_pair(done) == "knee_flexion"
 

@@ -158,7 +158,7 @@ def _evaluate_exercise(
             file.write(to_repetitions_csv(assessment))
     if picture is not None:
         from dousa.app.pictures.charts import draw_repetitions
-        from dousa.evaluation.exercises.repetitions import choose_angles
+        from dousa.evaluation.exercises.summary import choose_angles
 
         draw_repetitions(assessment, done.motion, picture, choose_angles(assessment))
     page = None

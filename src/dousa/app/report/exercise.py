@@ -32,16 +32,16 @@ from dousa.app.report.curves import build_details, build_table
 from dousa.app.report.page import collect_text, embed_font, fill_page, fill_slots, font_rule, read_file, write_files
 from dousa.arrays import FloatArray
 from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES, ANGLES, MOVING_DEG, compute_joint_angles
-from dousa.evaluation.exercises.repetitions import (
+from dousa.evaluation.exercises.repetitions import AssessedRepetition, RepetitionsAssessment
+from dousa.evaluation.exercises.summary import (
     PAIR_NAMES,
     SHORT,
-    AssessedRepetition,
-    RepetitionsAssessment,
     choose_angles,
     choose_pair,
     compute_median,
     describe_exercise,
     describe_trends,
+    describe_worst,
 )
 from dousa.evaluation.words import check_language, format_time
 from dousa.messages import load_section
@@ -234,6 +234,8 @@ def _say_grade(one: AssessedRepetition, words: Mapping[str, str]) -> str:
 
 
 def _say_range(one: AssessedRepetition, angle: str, words: Mapping[str, str], language: str) -> str:
+    if one.faults and one.faults[0].is_clear:
+        return one.faults[0].message.render(language)
     ranged = one.get_range(angle)
     return words["item_range"].format(
         angle=ANGLE_NAMES[angle].render(language),
@@ -243,7 +245,7 @@ def _say_range(one: AssessedRepetition, angle: str, words: Mapping[str, str], la
 
 
 def _explain(done: RepetitionsAssessment, words: Mapping[str, str]) -> str:
-    names = ("grade", "tempo", "range", "sides", "incomplete", "trend")
+    names = ("grade", "tempo", "range", "sides", "worst", "incomplete", "trend")
     pairs = ((element("b", None, words[f"read_{name}_term"]), escape(words[f"read_{name}"])) for name in names)
     note = words["read_mirrored"] if done.side == "mirrored" else words["read_own_sides"]
     note += " " + words["read_tempo_same" if done.tempo == "same" else "read_tempo_free"]
@@ -269,11 +271,14 @@ def build_repetitions_table(done: RepetitionsAssessment, words: Mapping[str, str
         for name in angles
     ]
     heads += [words["col_sides"].format(angle=PAIR_NAMES[name].render(language)) for name in pairs]
-    rows = (_row(number, one, angles, words) for number, one in enumerate(done.repetitions, 1))
+    heads.append(words["col_worst"])
+    rows = (_row(number, one, angles, words, language) for number, one in enumerate(done.repetitions, 1))
     return frame_table(words["table_title"], [build_heads(heads)], rows, "repetition-table")
 
 
-def _row(number: int, one: AssessedRepetition, angles: tuple[str, ...], words: Mapping[str, str]) -> str:
+def _row(
+    number: int, one: AssessedRepetition, angles: tuple[str, ...], words: Mapping[str, str], language: str
+) -> str:
     found = one.repetition
     grade = format_grade(one.score)
     if not found.complete:
@@ -295,6 +300,7 @@ def _row(number: int, one: AssessedRepetition, angles: tuple[str, ...], words: M
         cells += element("td", {"class": "short-range" if short else None}, inner=element("span", None, text))
     for value in one.symmetry.values():
         cells += element("td", None, f"{value:+.0f} %" if math.isfinite(value) else "–")
+    cells += element("td", None, describe_worst(one).render(language))
     return element("tr", {"class": None if found.complete else "incomplete-row"}, inner=cells)
 
 
@@ -323,6 +329,7 @@ def to_repetitions_csv(assessment: RepetitionsAssessment) -> bytes:
     names = ["number", "complete", "start_s", "end_s", "duration_s", "pause_s", "extent", "tempo", "score"]
     names += [f"{angle}_{what}" for angle in ANGLES for what in ("least_deg", "most_deg", "range_deg", "reference_deg")]
     names += [f"{pair}_symmetry_percent" for pair in pairs]
+    names += ["worst_angle", "worst_kind", "worst_s", "worst_deg", "worst_expected_deg", "worst_severity"]
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(names)
@@ -334,7 +341,11 @@ def to_repetitions_csv(assessment: RepetitionsAssessment) -> bytes:
         for ranged in one.ranges:
             values = (ranged.least_deg, ranged.most_deg, ranged.range_deg, ranged.reference_deg)
             row += [_cell(value, 1) for value in values]
-        writer.writerow(row + [_cell(one.symmetry[pair], 1) for pair in pairs])
+        row += [_cell(one.symmetry[pair], 1) for pair in pairs]
+        for worst in one.faults[:1]:
+            row += [worst.angle, worst.kind, _cell(worst.time_s, 3), _cell(worst.degrees, 1)]
+            row += [_cell(worst.expected, 1), _cell(worst.severity, 2)]
+        writer.writerow(row + [""] * (len(names) - len(row)))
     return text.getvalue().encode()
 
 

@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING
 
 from dousa.app.tables.lines import make_table, print_line, to_cell
 from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES
-from dousa.evaluation.exercises.repetitions import choose_angles, choose_pair, describe_exercise, describe_trends
+from dousa.evaluation.exercises.summary import (
+    choose_angles,
+    choose_pair,
+    describe_exercise,
+    describe_trends,
+    describe_worst,
+)
 from dousa.evaluation.grade.score import round_grade
 from dousa.evaluation.words import KINDS, LAPSE_KINDS, format_time, group_segments
 from dousa.messages import Message
@@ -135,7 +141,7 @@ def print_repetitions(out: Console, assessment: RepetitionsAssessment, detail: s
 
 
 def _make_table(assessment: RepetitionsAssessment) -> Table:
-    angles = choose_angles(assessment)
+    angles = choose_angles(assessment, 2)
     sides = choose_pair(assessment)
     headings = [Message(f"exercise_table.{name}") for name in ("number", "time", "duration", "tempo", "grade")]
     for name in angles:
@@ -143,6 +149,7 @@ def _make_table(assessment: RepetitionsAssessment) -> Table:
         headings.append(Message("exercise_table.range", angle=ANGLE_NAMES[name], degrees=degrees))
     if sides is not None:
         headings.append(Message("exercise_table.symmetry"))
+    headings.append(Message("exercise_table.worst"))
     table = make_table(*headings, right=headings)
     for number, one in enumerate(assessment.repetitions, 1):
         table.add_row(*map(to_cell, _row(number, one, angles, sides)))
@@ -162,7 +169,7 @@ def _row(number: int, one: AssessedRepetition, angles: tuple[str, ...], sides: s
         cells.append(str(text) if math.isfinite(ranged.percent) else _number(ranged.range_deg, 0))
     if sides is not None:
         cells.append(f"{one.symmetry[sides]:+.0f}" if math.isfinite(one.symmetry[sides]) else "–")
-    return cells
+    return [*cells, str(describe_worst(one))]
 
 
 def _number(value: float, digits: int) -> str:

@@ -1,22 +1,19 @@
-"""A recording of several repetitions against its reference: each graded and measured, with trends and a summary."""
+"""A recording of several repetitions against its reference: each graded and measured, and how they develop."""
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError
+from dousa.evaluation.exercises.faults import DescribedRepetition, Fault, describe_repetition, find_faults
 from dousa.evaluation.exercises.range_of_motion import (
-    ANGLE_NAMES,
     ANGLES,
     MOVING_DEG,
     PAIRED_ANGLES,
@@ -26,101 +23,16 @@ from dousa.evaluation.exercises.range_of_motion import (
     measure_ranges,
 )
 from dousa.evaluation.exercises.split import Repetition, find_reference_repetitions, find_repetitions
+from dousa.evaluation.exercises.trends import Trend, adjust_for_many, estimate_trend
 from dousa.evaluation.figures.furi import Furi, find_furi
 from dousa.evaluation.grade.assessment import check_importance, check_seen, check_takes, compute_all_postures, judge
 from dousa.evaluation.grade.references import ReferenceTakes, prepare_references
 from dousa.evaluation.grade.result import Assessment
-from dousa.evaluation.grade.score import round_grade
-from dousa.evaluation.posture.posture import compute_postures, spread_weights
+from dousa.evaluation.posture.posture import PostureSequence, compute_postures, spread_weights
 from dousa.files.json_values import round_number
 from dousa.messages import Message
 from dousa.motion import CanonicalMotion
 from dousa.motion.canonical.canonicalise import mirror_canonical
-
-LEVEL = 0.05
-"""Two-sided probability below which a trend is called distinguishable from none: the convention of R. A. Fisher,
-"Statistical Methods for Research Workers", 1925."""
-
-
-@dataclass(frozen=True, slots=True)
-class Trend:
-    """How one measure changes over the repetitions."""
-
-    slope: float  # per repetition, in the unit of the measure; nan with fewer than two values
-    p_value: float  # of Mann and Kendall's test against no trend, two-sided; nan with fewer than two values
-    n: int  # number of values
-    # the same probability where several measures were tested at once, see `adjust_for_many`
-    adjusted_p: float = math.nan
-
-    @property
-    def distinguishable(self) -> bool:
-        """Whether the trend is distinguishable from none; with four repetitions or fewer it never can."""
-        return (self.p_value if math.isnan(self.adjusted_p) else self.adjusted_p) < LEVEL
-
-
-def estimate_trend(values: ArrayLike) -> Trend:
-    """Estimate the median of the slopes between all pairs, and the exact test of it.
-
-    Parameters
-    ----------
-    values : (N,) of one measure, in order of the repetitions; nan is left out and keeps its place.
-
-    Source: P. K. Sen, "Estimates of the regression coefficient based on Kendall's tau", J. American Statistical
-    Association 63, 1379-1389, 1968; H. B. Mann, "Nonparametric tests against trend", Econometrica 13, 245-259, 1945.
-    """
-    array = np.asarray(values, np.float64)
-    places = np.flatnonzero(np.isfinite(array))
-    if len(places) < 2:
-        return Trend(math.nan, math.nan, len(places))
-    pairs = [(array[j] - array[i], j - i) for i, j in itertools.combinations(places.tolist(), 2)]
-    slope = float(np.median([rise / run for rise, run in pairs]))
-    score = int(sum(np.sign(rise) for rise, _ in pairs))
-    return Trend(slope, _compute_p_value(score, array[places]), len(places))
-
-
-def adjust_for_many(trends: Mapping[str, Trend]) -> dict[str, Trend]:
-    """Adjust the probabilities of trends to the number of measures: one chance finding in twenty recordings.
-
-    Source: S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian J. Statistics 6, 65-70,
-    1979.
-    """
-    tested = sorted((name for name in trends if not math.isnan(trends[name].p_value)), key=lambda n: trends[n].p_value)
-    adjusted, reached = dict(trends), 0.0
-    for place, name in enumerate(tested):
-        reached = max(reached, min(1.0, (len(tested) - place) * trends[name].p_value))
-        adjusted[name] = dataclasses.replace(trends[name], adjusted_p=reached)
-    return adjusted
-
-
-def _compute_p_value(score: int, values: np.ndarray, *, exact_up_to: int = 40) -> float:
-    # exact_up_to: values without ties; of more, and with ties, the normal approximation
-    n = len(values)
-    ties = np.unique(values, return_counts=True)[1]
-    if n <= exact_up_to and ties.max() == 1:
-        counts = _count_orders(n)
-        total = math.factorial(n)
-        most = n * (n - 1) // 2
-        # A score of most - 2 d has d pairs out of order.
-        tail = sum(counts[: (most - abs(score)) // 2 + 1])
-        return min(1.0, 2.0 * tail / total)
-    variance = (n * (n - 1) * (2 * n + 5) - float((ties * (ties - 1) * (2 * ties + 5)).sum())) / 18.0
-    if variance <= 0:
-        return 1.0
-    return math.erfc(max(abs(score) - 1, 0) / math.sqrt(2.0 * variance))
-
-
-@lru_cache
-def _count_orders(n: int) -> tuple[int, ...]:
-    """Number of orders of n values by how many pairs are out of order."""
-    counts = [1]
-    for size in range(2, n + 1):
-        wider = [0] * (len(counts) + size - 1)
-        for place, count in enumerate(counts):
-            for more in range(size):
-                wider[place + more] += count
-        counts = wider
-    return tuple(counts)
-
 
 _NAN = float("nan")
 
@@ -140,6 +52,7 @@ class AssessedRepetition:
     pause_s : from its end to the beginning of the next one; nan for the last.
     assessment : what the grade comes from, its times counted from ``first_s``; None without a grade.
     first_s : s of the recording at which what was graded begins: a moment before the repetition.
+    faults : what was wrong, the worst joint first; it stands alone where people who do it well differ by as much.
     """
 
     repetition: Repetition
@@ -150,6 +63,7 @@ class AssessedRepetition:
     pause_s: float
     assessment: Assessment | None = None
     first_s: float = _NAN
+    faults: tuple[Fault, ...] = ()
 
     def get_range(self, angle: str) -> RangeOfMotion:
         """The range of one angle of `ANGLES`."""
@@ -203,7 +117,7 @@ class RepetitionsAssessment:
         return {
             "count": self.count,
             "n_incomplete": len(self.repetitions) - self.count,
-            "repetitions": [_describe(one, number) for number, one in enumerate(self.repetitions, 1)],
+            "repetitions": [_describe(one, number, language) for number, one in enumerate(self.repetitions, 1)],
             "angles": list(self.angles),
             "reference_range_deg": {name: round_number(value, 1) for name, value in self.reference_ranges.items()},
             "reference_s": round_number(self.reference_s, 3),
@@ -307,14 +221,17 @@ def _measure(
     side: str,
     grading: _Grading,
 ) -> RepetitionsAssessment:
-    expected = _measure_examples(examples)
+    takes = {id(take): _Measured.of(take) for take, _ in examples}
+    good = [(takes[id(take)], span) for take, span in examples]
+    expected = _measure_ranges(good)
+    models = [take.describe(*span) for take, span in good]
     moving = tuple(name for name in ANGLES if expected[name] >= MOVING_DEG)
     reference_s = _median([_seconds(take, span) for take, span in examples])
-    angles = compute_joint_angles(played)
+    measured = _Measured.of(played)
     pairs = _find_pairs(expected)
     assessed = []
     for number, one in enumerate(found):
-        ranges = measure_ranges(angles, one.start, one.end, played.frame_rate, expected)
+        ranges = measured.measure(one.start, one.end, expected)
         graded = grading.assess(_cut(played, one.start, one.end)) if one.complete else None
         assessed.append(
             AssessedRepetition(
@@ -326,6 +243,7 @@ def _measure(
                 pause_s=found[number + 1].start_s - one.end_s if number + 1 < len(found) else _NAN,
                 assessment=graded,
                 first_s=max(one.start - _count_margin(played), 0) / played.frame_rate,
+                faults=find_faults(measured.describe(one.start, one.end), models, len(takes)),
             )
         )
     complete = [one for one in assessed if one.repetition.complete]
@@ -352,14 +270,31 @@ def _median(values: Sequence[float]) -> float:
     return float(np.median(np.asarray(values, np.float64)))
 
 
-def _measure_examples(examples: Sequence[_Example]) -> dict[str, float]:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Measured:
+    """A recording with its postures and joint angles."""
+
+    motion: CanonicalMotion
+    postures: PostureSequence
+    angles: Mapping[str, FloatArray]
+
+    @classmethod
+    def of(cls, motion: CanonicalMotion) -> _Measured:
+        return cls(motion, compute_postures(motion), compute_joint_angles(motion))
+
+    def measure(self, start: int, end: int, expected: Mapping[str, float] = {}) -> tuple[RangeOfMotion, ...]:
+        return measure_ranges(self.angles, start, end, self.motion.frame_rate, expected)
+
+    def describe(self, start: int, end: int) -> DescribedRepetition:
+        margin = _count_margin(self.motion)
+        first, last = max(start - margin, 0), min(end + margin, self.motion.n_frames)
+        return describe_repetition(self.postures, self.angles, first, last)
+
+
+def _measure_ranges(examples: Sequence[tuple[_Measured, tuple[int, int]]]) -> dict[str, float]:
     """Range of every angle, median of the repetitions of the reference, degrees."""
-    angles = {id(take): compute_joint_angles(take) for take in {id(take): take for take, _ in examples}.values()}
-    found: dict[str, list[float]] = {name: [] for name in ANGLES}
-    for take, (start, end) in examples:
-        for one in measure_ranges(angles[id(take)], start, end, take.frame_rate):
-            found[one.angle].append(one.range_deg)
-    return {name: _median(values) for name, values in found.items()}
+    ranges = [[one.range_deg for one in take.measure(*span)] for take, span in examples]
+    return {name: _median(values) for name, values in zip(ANGLES, zip(*ranges, strict=True), strict=True)}
 
 
 def _choose_examples(examples: Sequence[_Example], typical_s: float, *, most_takes: int = 5) -> list[_Example]:
@@ -423,7 +358,7 @@ def _warn(complete: Sequence[AssessedRepetition], *, fewest_for_trend: int = 6) 
     return tuple(warnings)
 
 
-def _describe(one: AssessedRepetition, number: int) -> dict[str, Any]:
+def _describe(one: AssessedRepetition, number: int, language: str | None) -> dict[str, Any]:
     return {
         "number": number,
         "complete": one.repetition.complete,
@@ -440,165 +375,6 @@ def _describe(one: AssessedRepetition, number: int) -> dict[str, Any]:
         "range_percent": {
             ranged.angle: round_number(ranged.percent, 1) for ranged in one.ranges if math.isfinite(ranged.percent)
         },
+        "faults": [fault.to_json(language) for fault in one.faults],
         "symmetry_percent": {name: round_number(value, 1) for name, value in one.symmetry.items()},
     }
-
-
-PAIR_NAMES: Mapping[str, Message] = {name: Message(f"exercise_table.{name}") for name in PAIRED_ANGLES}
-"""Angle of both sides -> its name."""
-
-SHORT, FAR = 85.0, 120.0
-"""Percent of the reference's range: a joint that goes less far, or further, is reported."""
-_SLOWER, _FASTER = 1.2, 1 / 1.2  # of the reference's duration
-_MOST_ANGLES = 4  # that a table has room for
-
-
-def choose_angles(assessment: RepetitionsAssessment, most: int = _MOST_ANGLES) -> tuple[str, ...]:
-    """Choose the joint angles that move most in the reference, in the order of `ANGLES`: one of each joint.
-
-    A shoulder that is raised has an elevation, a flexion and an abduction; the one that moves most stands for it, the
-    same on both sides.
-    """
-    ranges = {name: value if math.isfinite(value) else 0.0 for name, value in assessment.reference_ranges.items()}
-    kinds: dict[str, tuple[float, str]] = {}
-    for name in ANGLES:
-        kind = _drop_side(name)
-        joint = kind.split("_")[0]
-        kinds[joint] = max(kinds.get(joint, (-1.0, "")), (ranges[name], kind))
-    chosen = {kind for _, kind in kinds.values()}
-    mine = [name for name in ANGLES if _drop_side(name) in chosen]
-    moving = [name for name in mine if name in assessment.angles] or mine[:1]
-    kept = sorted(moving, key=lambda name: -ranges[name])[:most]
-    return tuple(name for name in ANGLES if name in kept)
-
-
-def choose_pair(assessment: RepetitionsAssessment) -> str | None:
-    """Choose the angle of both sides that moves most in the reference; None if no angle moves on both."""
-    pairs = [name for name in PAIRED_ANGLES if assessment.complete and name in assessment.complete[0].symmetry]
-    return max(pairs, key=lambda name: assessment.reference_ranges[f"left_{name}"], default=None)
-
-
-def describe_exercise(assessment: RepetitionsAssessment) -> tuple[Message, ...]:
-    """Describe the repetitions, the most important first; at least one must be complete.
-
-    Returns the grade; what was broken off; the joints that go less than `SHORT` or more than `FAR` percent as far as in
-    the reference in the median; tempo and sides where they are clearly different. See `describe_trends` for trends.
-    """
-    said = [*_say_grade(assessment), *_say_broken_off(assessment), *_say_ranges(assessment)]
-    return (*said, *_say_tempo(assessment), *_say_sides(assessment))
-
-
-def describe_trends(assessment: RepetitionsAssessment, *, uneven_change: float = 0.5) -> tuple[Message, ...]:
-    """Describe the trends that are distinguishable from chance, or say that there are none.
-
-    Of the joints those of `choose_angles` and `choose_pair`; all others are in ``assessment.trends``.
-    """
-    # uneven_change: percent a repetition: a slower change of the sides is of no use
-    reported = {"duration_s", "score", "pause_s", "extent", *choose_angles(assessment)}
-    pair = choose_pair(assessment)
-    uneven = f"symmetry_{pair}"
-    found = [
-        _say_trend(name, trend)
-        for name, trend in assessment.trends.items()
-        if trend.distinguishable and (name in reported or (name == uneven and abs(trend.slope) >= uneven_change))
-    ]
-    return tuple(found) or (Message("exercise_table.no_trend"),)
-
-
-def compute_median(values: Sequence[float]) -> float:
-    """Compute the median of the finite values; nan if there are none."""
-    known = [value for value in values if math.isfinite(value)]
-    return float(np.median(known)) if known else math.nan
-
-
-def _drop_side(angle: str) -> str:
-    return angle.removeprefix("left_").removeprefix("right_")
-
-
-def _say_grade(assessment: RepetitionsAssessment, *, weak: float = 5.0) -> list[Message]:
-    # weak: points below the median from which a repetition is named
-    graded = [(one.score, number) for number, one in enumerate(assessment.repetitions, 1) if math.isfinite(one.score)]
-    if not graded:
-        return [Message("exercise_summary.no_grade")]
-    scores = [score for score, _ in graded]
-    below = compute_median(scores) - min(scores)
-    median, low, high = (round_grade(score) for score in (compute_median(scores), min(scores), max(scores)))
-    if low == high:
-        return [Message("exercise_summary.grade_even", score=median)]
-    if below < weak:
-        return [Message("exercise_summary.grade", median=median, low=low, high=high)]
-    return [Message("exercise_summary.grade_weakest", median=median, low=low, high=high, number=min(graded)[1])]
-
-
-def _say_broken_off(assessment: RepetitionsAssessment) -> list[Message]:
-    broken = [
-        (number, 100.0 * one.repetition.extent)
-        for number, one in enumerate(assessment.repetitions, 1)
-        if not one.repetition.complete
-    ]
-    if not broken:
-        return []
-    if len(broken) == 1:
-        number, percent = broken[0]
-        return [Message("exercise_summary.broken_off", number=number, percent=percent)]
-    numbers = [str(number) for number, _ in broken]
-    return [Message("exercise_summary.several_broken_off", numbers=numbers, percent=max(one for _, one in broken))]
-
-
-def _say_ranges(assessment: RepetitionsAssessment) -> list[Message]:
-    said = []
-    compared = 0
-    for name in choose_angles(assessment):
-        degrees = compute_median([one.get_range(name).range_deg for one in assessment.complete])
-        expected = assessment.reference_ranges[name]
-        percent = compute_median([one.get_range(name).percent for one in assessment.complete])
-        compared += math.isfinite(percent)
-        if percent < SHORT or percent > FAR:
-            code = "exercise_summary.short" if percent < SHORT else "exercise_summary.far"
-            values = {"degrees": degrees, "expected": expected, "percent": percent}
-            said.append(Message(code, angle=ANGLE_NAMES[name], **values))
-    if not said and compared:
-        return [Message("exercise_summary.full_range", short=SHORT, far=FAR)]
-    return said
-
-
-def _say_tempo(assessment: RepetitionsAssessment) -> list[Message]:
-    tempo = compute_median([one.tempo for one in assessment.complete])
-    seconds = compute_median([one.repetition.duration_s for one in assessment.complete])
-    if tempo >= _SLOWER or tempo <= _FASTER:
-        code = "exercise_summary.slower" if tempo >= _SLOWER else "exercise_summary.faster"
-        return [Message(code, seconds=seconds, expected=assessment.reference_s)]
-    return []
-
-
-def _say_sides(
-    assessment: RepetitionsAssessment, *, unlike_reference: float = 10.0, least_uneven: float = 15.0
-) -> list[Message]:
-    # least_uneven: percent, symmetry index that is reported
-    # unlike_reference: and by how much it must be beyond the reference's own
-    pair = choose_pair(assessment)
-    if pair is None:
-        return []
-    uneven = compute_median([one.symmetry[pair] for one in assessment.complete])
-    left, right = (assessment.reference_ranges[f"{side}_{pair}"] for side in ("left", "right"))
-    own = compute_symmetry_index(left, right)
-    if not (abs(uneven) >= least_uneven and abs(uneven - own) >= unlike_reference):
-        return []
-    code = "exercise_summary.left_further" if uneven > 0 else "exercise_summary.right_further"
-    return [Message(code, angle=PAIR_NAMES[pair], percent=abs(uneven))]
-
-
-def _say_trend(name: str, trend: Trend) -> Message:
-    code, slope = "exercise_table.trend_degrees", trend.slope
-    if name in ("duration_s", "pause_s"):
-        code, what = "exercise_table.trend_seconds", Message(f"exercise_table.measure_{name.removesuffix('_s')}")
-    elif name == "score":
-        code, what = "exercise_table.trend_points", Message("exercise_table.measure_score")
-    elif name == "extent":
-        code, what, slope = "exercise_table.trend_percent", Message("exercise_table.measure_extent"), 100 * slope
-    elif name.startswith("symmetry_"):
-        angle = PAIR_NAMES[name.removeprefix("symmetry_")]
-        code, what = "exercise_table.trend_percent", Message("exercise_table.measure_symmetry", angle=angle)
-    else:
-        what = ANGLE_NAMES[name]
-    return Message(code, what=what, slope=slope, p=trend.adjusted_p)
