@@ -18,9 +18,9 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_436, 111),
+    "app": (25_452, 111),
     "estimation": (15_692, 65),
-    "evaluation": (12_543, 44),
+    "evaluation": (12_861, 47),
     "experiments": (1_734, 10),
     "files": (899, 7),
     "formats": (12_801, 70),
@@ -31,9 +31,9 @@ ROOMS = {
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 61_948,
+    "lines of tests": 62_018,
     "lines of JavaScript": 12_467,
-    "constants": 1_018,
+    "constants": 1_030,
     "numeric constants without a source": 0,
     "functions over 60 lines": 20,
     "files over 650 lines": 0,

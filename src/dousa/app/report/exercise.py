@@ -276,9 +276,7 @@ def build_repetitions_table(done: RepetitionsAssessment, words: Mapping[str, str
     return frame_table(words["table_title"], [build_heads(heads)], rows, "repetition-table")
 
 
-def _row(
-    number: int, one: AssessedRepetition, angles: tuple[str, ...], words: Mapping[str, str], language: str
-) -> str:
+def _row(number: int, one: AssessedRepetition, angles: tuple[str, ...], words: Mapping[str, str], language: str) -> str:
     found = one.repetition
     grade = format_grade(one.score)
     if not found.complete:

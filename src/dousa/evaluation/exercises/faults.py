@@ -1,7 +1,7 @@
 """What was wrong with a repetition: which joint, by how much, in which phase, beside repetitions done well.
 
 Joint angles are compared along the path of best correspondence with each repetition of the references, with the
-posture in which either begins and ends taken off: how somebody is built, or stands, is no error. What three quarters
+posture in which either begins and ends taken off: the build of a body, or how it stands, is no error. What three quarters
 of them agree on counts, so that no single one makes a fault or hides one, and counts in multiples of what people differ
 by who do the exercise well, with what the sensor trembles by. A joint that is still in the references and moves here
 is compensation.
@@ -25,6 +25,7 @@ from dousa.evaluation.posture.posture import PostureSequence
 from dousa.messages import Message
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.resampling import smooth_gaussian
+from dousa.motion.runs import find_equal_runs
 
 _RATE = 15.0  # Hz at which repetitions are compared; 10 do as well: measured by lab/trials/exercise_faults.py
 _LASTING_S = 0.3  # for which a difference must last; also at either end what is the own posture (lab/trials/)
@@ -56,7 +57,7 @@ def drop_side(angle: str) -> str:
     return angle.removeprefix("left_").removeprefix("right_")
 
 
-_JOINTS = [name.partition(drop_side(name))[0] + drop_side(name).split("_")[0] for name in ANGLES]
+_JOINTS = {name: name.partition(drop_side(name))[0] + drop_side(name).split("_")[0] for name in ANGLES}  # by definition
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +86,7 @@ class Fault:
     @property
     def joint(self) -> str:
         """Such as ``left_knee``, or ``trunk``."""
-        return _JOINTS[ANGLES.index(self.angle)]
+        return _JOINTS[self.angle]
 
     @property
     def is_clear(self) -> bool:
@@ -241,7 +242,7 @@ def _compare(one: DescribedRepetition, reference: DescribedRepetition) -> tuple[
 def _follow(values: FloatArray, path: IndexArray) -> FloatArray:
     """Values of the second motion of a path at each frame of the first, of several the one furthest from 0: who stops
     short is there while the other goes on to the end and comes back."""
-    starts = np.flatnonzero(np.diff(path[:, 0], prepend=-1))
+    starts = find_equal_runs(path[:, 0])[:, 0]
     most, least = (reduce.reduceat(values[path[:, 1]], starts) for reduce in (np.maximum, np.minimum))
     return np.asarray(np.where(most >= -least, most, least))
 

@@ -85,29 +85,22 @@ def _accumulate(cost, outside, stay, skip, entry):  # type: ignore[no-untyped-de
     return total, origin, from_pass
 
 
-@kernel(linear=True, allocates=True)
-def _trace(origin, from_pass, in_pass):  # type: ignore[no-untyped-def]
+def _trace(origin: NDArray[np.int8], from_pass: BoolArray, in_pass: bool) -> IntArray:
     """(R, 2) bounds of the passes on the cheapest chain."""
-    n_frames, n = origin.shape[0], origin.shape[1] - 1
-    bounds = np.empty((n_frames, 2), np.int64)
-    count = 0
-    j = n if in_pass else 0
-    end = n_frames
-    for t in range(n_frames - 1, -1, -1):
-        if j == 0:
-            if t > 0 and from_pass[t]:
-                j, end = n, t
-            continue
-        way = origin[t, j]
-        if way == 0:
-            bounds[count, 0], bounds[count, 1] = t, end
-            count += 1
-            j = 0
-            if t > 0 and from_pass[t]:
-                j, end = n, t
-        elif way > 1:
-            j -= way - 1
-    return bounds[:count][::-1].copy()
+    n = origin.shape[1] - 1
+    bounds: list[tuple[int, int]] = []
+    place, end = n if in_pass else 0, len(origin)
+    for t in range(len(origin) - 1, -1, -1):
+        if place:
+            way = int(origin[t, place])
+            if way:
+                place -= way - 1
+                continue
+            bounds.append((t, end))
+            place = 0
+        if t > 0 and from_pass[t]:
+            place, end = n, t
+    return np.array(bounds[::-1], np.int64).reshape(-1, 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,30 +136,11 @@ def _follow_heading(working: Working, n_frames: int, *, heading_s: float = 0.5) 
     return np.interp(np.arange(n_frames), places, smooth)
 
 
-def find_rests(curve: PostureCurve, *, still: float = 0.6, one_rest: float = 0.35, most_rests: int = 6) -> FloatArray:
-    """Find postures in which the body often is and hardly moves, the most frequent one first.
-
-    Returns
-    -------
-    (K, 27), K from 2 to 8: where the recording begins and ends are among them.
-    """
-    # still: chord a second below which a body is at rest; one_rest: chord within which two postures are of one rest
+def find_rests(curve: PostureCurve) -> FloatArray:
+    """(3, 27): where a repetition may begin: the first and the last posture, and the median of the quieter half."""
     points = curve.coarse
-    speed = np.linalg.norm(np.gradient(points, axis=0), axis=1) * curve.rate if len(points) > 1 else np.zeros(1)
-    calm = 1.0 / (1.0 + (speed / still) ** 2)
-    some = points[:: max(1, len(points) // 400)]
-    near = np.exp(-0.5 * _squared(some, points) / one_rest**2) * calm
-    rests: list[FloatArray] = [points[0], points[-1]]  # who starts at once, or stops at once, is nowhere long
-    left = np.ones(len(points))
-    while len(rests) < most_rests + 2:
-        weight = near @ left
-        best = int(weight.argmax())
-        if weight[best] < 0.3 * curve.rate:
-            break
-        share = near[best] * left
-        rests.append((share @ points) / max(share.sum(), 1e-9))
-        left = left * (1.0 - np.exp(-0.5 * _squared(rests[-1][None], points)[0] / (2 * one_rest) ** 2))
-    return np.array(rests)
+    speed = np.linalg.norm(np.gradient(points, axis=0), axis=1) if len(points) > 1 else np.zeros(1)
+    return np.stack([points[0], points[-1], np.median(points[speed <= np.median(speed)], axis=0)])
 
 
 def _squared(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -476,18 +450,10 @@ def _broken_off(
 
 
 def _bound(away: FloatArray, span: tuple[int, int], peak: int, between: tuple[int, int]) -> tuple[int, int]:
-    """Frames, half-open, where the movement of a pass begins and ends: `_ONSET` of the way from the nearest rest."""
-    low, high = between
+    """Frames, half-open, where the movement of a pass begins and ends: `_ONSET` of the way from the lowest place."""
     slack = (span[1] - span[0]) // 3
-    first, last = max(low, span[0] - slack), min(high + 1, span[1] + slack)
-    start, end = span
-    before, after = away[first : peak + 1], away[peak:last]
-    if len(before) > 1:
-        level = before.min() + _ONSET * (away[peak] - before.min())
-        leaves = first + np.flatnonzero((before[:-1] <= level) & (before[1:] > level))
-        start = int(leaves[np.abs(leaves - span[0]).argmin()]) if len(leaves) else start
-    if len(after) > 1:
-        level = after.min() + _ONSET * (away[peak] - after.min())
-        returns = peak + 1 + np.flatnonzero((after[:-1] > level) & (after[1:] <= level))
-        end = int(returns[np.abs(returns + 1 - span[1]).argmin()]) + 1 if len(returns) else end
-    return start, end
+    first, last = max(between[0], span[0] - slack), min(between[1] + 1, span[1] + slack)
+    rise, fall = away[first : peak + 1], away[peak:last]
+    begun = np.flatnonzero(rise <= rise.min() + _ONSET * (away[peak] - rise.min()))[-1]
+    ended = np.flatnonzero(fall <= fall.min() + _ONSET * (away[peak] - fall.min()))[0]
+    return first + int(begun), peak + int(ended) + 1

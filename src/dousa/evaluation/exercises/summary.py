@@ -20,7 +20,7 @@ PAIR_NAMES: Mapping[str, Message] = {name: Message(f"exercise_table.{name}") for
 """Angle of both sides -> its name."""
 
 SHORT = 85.0
-"""Percent of the reference's range, or of its reach, below which a joint or a repetition is marked as short."""
+"""Percent of the reference's range or reach below which a joint or a repetition is short, see docs/exercises.md."""
 _SLOWER, _FASTER = 1.2, 1 / 1.2  # of the reference's duration
 _MOST_ANGLES = 4  # that a table has room for
 
@@ -169,7 +169,9 @@ def _say_faults(assessment: RepetitionsAssessment, *, most: int = 3) -> list[Mes
         groups.append((sum(one.severity for one in some), Message("exercise_summary.fault", who=who, what=what)))
     if groups:
         return [message for _, message in sorted(groups, key=lambda group: -group[0])[:most]]
-    worst = max((fault for one in assessment.repetitions for fault in one.faults), key=lambda f: f.severity, default=None)
+    worst = max(
+        (fault for one in assessment.repetitions for fault in one.faults), key=lambda f: f.severity, default=None
+    )
     if worst is None:
         return []
     return [Message("exercise_summary.as_reference", worst=worst.message)]
