@@ -1,10 +1,10 @@
 """What was wrong with a repetition: which joint, by how much, in which phase, beside repetitions done well.
 
 Joint angles are compared along the path of best correspondence with each repetition of the references, with the
-posture in which either begins and ends taken off: the build of a body, or how it stands, is no error. What three quarters
-of them agree on counts, so that no single one makes a fault or hides one, and counts in multiples of what people differ
-by who do the exercise well, with what the sensor trembles by. A joint that is still in the references and moves here
-is compensation.
+posture in which either begins and ends taken off: the build of a body, or how it stands, is no error. What three
+quarters of them agree on counts, so that no single one makes a fault or hides one, and counts in multiples of what
+people differ by who do the exercise well, with what the sensor trembles by. A joint that is still in the references
+and moves here is compensation.
 
 Chosen on UI-PRMD, people left out: ``python -m lab.trials.exercise_faults``, see docs/exercises.md.
 """
