@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_452, 111),
+    "app": (25_461, 111),
     "estimation": (15_692, 65),
     "evaluation": (12_861, 47),
     "experiments": (1_734, 10),
@@ -31,8 +31,8 @@ ROOMS = {
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_018,
-    "lines of JavaScript": 12_467,
+    "lines of tests": 62_030,
+    "lines of JavaScript": 12_482,
     "constants": 1_030,
     "numeric constants without a source": 0,
     "functions over 60 lines": 20,

@@ -58,6 +58,17 @@ def test_it_is_what_the_command_says(ask, exercise):
     assert [one["score"] for one in other["repetitions"]] != [one["score"] for one in said["repetitions"]]
 
 
+def test_counting_needs_no_reference(studio, exercise):
+    from dousa.formats.motion_files import ReadOptions, read_canonical
+    from dousa.motion import count_repetitions
+
+    (kicks,) = upload(studio, exercise[1])
+    answer = studio.get("/api/motions/count", params=kicks)
+    found = count_repetitions(read_canonical(exercise[1], ReadOptions())[0]).to_json()
+    assert {name: answer.json()[name] for name in found} == found
+    assert studio.get("/api/motions/count", params={"motion": "clip:999999"}).status_code == 404
+
+
 def test_report_and_files(studio, ask):
     place = f"/api/evaluations/{ask()['id']}"
     english, japanese = (studio.get(f"{place}/exercise?language={language}").json() for language in ("en", "ja"))
@@ -108,6 +119,7 @@ def test_from_files_to_repetitions(show, running, exercise):
     page.find("#repetitions").click()
     assert page.run("return document.querySelector('#tempo-free').checked")
     assert "repetitions=1" in page.run("return location.search")
+    page.wait("return document.querySelector('#performance-count').textContent.startsWith('3 repetitions, certainty')")
     page.find("#grade").click()
     page.wait("return document.querySelectorAll('.event[data-repetition]').length === 4")
     page.run("document.querySelectorAll('.event[data-repetition]')[2].click()")

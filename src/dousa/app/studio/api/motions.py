@@ -79,6 +79,15 @@ def _describe_clip(studio: Studio, clip: int | None) -> dict[str, Any]:
     return {"clip_id": clip, "kind": info.kind, "performer": info.performer, "path": info.path}
 
 
+@router.get("/motions/count", summary="How often a movement is repeated")
+def get_count(studio: StudioNow, asked: Annotated[MotionPart, Query()]) -> Answer:
+    """The repetitions in a motion, as ``dousa count --json``: no reference is needed."""
+    from dousa.motion import count_repetitions
+
+    named = studio.motions.get(asked.ref())
+    return Answer({"motion": asked.motion, "name": named.name, **count_repetitions(named.motion).to_json()})
+
+
 @router.get("/motions/player", summary="A figure for the 3D player")
 def get_player(studio: StudioNow, asked: Annotated[ShownMotion, Query()]) -> Answer:
     """What ``dousa.createPlayer`` of the pages is given."""

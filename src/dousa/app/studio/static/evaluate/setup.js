@@ -159,6 +159,7 @@ export class Setup {
       if (more.length) this.add(more);
     };
     this.performance = h("ul", { class: "motions", id: "performance-list" });
+    this.count = h("p", { class: "note", id: "performance-count", role: "status" });
     this.references = h("ol", { class: "motions", id: "reference-list" });
     this.suggestion = h("p", { class: "note", role: "status" });
     const button = (id, word, act) => h("button", { type: "button", id, onclick: act }, t(word));
@@ -172,6 +173,7 @@ export class Setup {
     $("#performance").append(
       h("p", { class: "note" }, t("performance_hint")),
       this.performance,
+      this.count,
       zone("performance-file", "drop_performance", takeOne, button("performance-pick", "pick_one", pickOne)),
     );
     $("#references").append(
@@ -213,6 +215,19 @@ export class Setup {
     this.button.disabled = !this.isReady();
     this.needs.hidden = this.isReady();
     this.suggestButton.disabled = !performance;
+    this.sayCount(repetitions && performance ? plain(performance) : null);
+  }
+
+  /** How often an exercise is repeated needs no reference: it stands below the performance. */
+  async sayCount(asked) {
+    const key = asked && JSON.stringify(asked);
+    if (key === this.counted) return;
+    this.counted = key;
+    this.count.textContent = asked ? t("loading") : "";
+    const found = asked && (await attempt(() => get("/motions/count", asked)));
+    if (key !== this.counted) return;
+    const times = (found?.repetitions ?? []).map((one) => `${formatSeconds(one.start_s)}–${formatSeconds(one.end_s)}`).join(", ");
+    this.count.textContent = found ? t(found.count ? "counted" : "counted_none", { count: found.count, certainty: Math.round(100 * found.certainty), times }) : "";
   }
 
   referenceRow(ref, place) {
