@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, FloatArray, IntArray
-from dousa.evaluation.posture.posture import PostureSequence, Working, compute_postures, thin_postures
+from dousa.evaluation.posture.posture import PostureSequence, compute_postures, thin_postures
 from dousa.evaluation.posture.yaw import rotate_yaw
 from dousa.kernels import kernel
 from dousa.motion import CanonicalMotion
@@ -27,35 +27,8 @@ from dousa.motion.repetitions import find_spans, fold_poses, trace_movement
 from dousa.motion.resampling import smooth_gaussian
 from dousa.motion.runs import find_runs
 
-STAY, SKIP = 0.2, 0.2
-"""Price of a frame during which the template waits, and of every frame of the template that is left out."""
-
-Matrix = NDArray[np.float64]
-
-
-def parse_passes(
-    cost: Matrix, outside: NDArray[np.float64], *, entry: float = 0.03
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Find the cheapest reading of a recording as passes through a template and the time between them.
-
-    Parameters
-    ----------
-    cost : (T, n) of pairing a frame of the recording with one of the template.
-    outside : (T,) cost of a frame that belongs to no pass.
-    entry : price of beginning a repetition, as a share of the template's frames.
-
-    Returns
-    -------
-    passes : (R, 2) first frame and frame after the last of each pass, in order.
-    prices : (R,) of each pass, a frame.
-    """
-    if len(cost) == 0 or cost.shape[1] == 0:
-        return np.zeros((0, 2), np.int64), np.zeros(0)
-    total, origin, from_pass = _accumulate(cost, outside, STAY, SKIP, entry * cost.shape[1])
-    bounds = _trace(origin, from_pass, total[-1, -1] < total[-1, 0])
-    before = np.array([total[start - 1, [0, -1]].min() if start else 0.0 for start, _ in bounds])
-    prices = (total[bounds[:, 1] - 1, -1] - before) / np.maximum(bounds[:, 1] - bounds[:, 0], 1)
-    return bounds, prices
+_STAY, _SKIP = 0.2, 0.2  # price of a frame during which the template waits, of each of its frames left out: lab/trials/
+_ENTRY = 0.03  # price of beginning a pass, as a share of the template's frames: lab/trials/count_repetitions.py
 
 
 @kernel(linear=True, allocates=True)
@@ -112,38 +85,29 @@ class PostureCurve:
     coarse: FloatArray  # (U, 27) the same at about 15 Hz
     stride: int  # frames of ``fine`` in one of ``coarse``
 
-    @property
-    def rate(self) -> float:
-        """Hz of ``coarse``."""
-        return self.fine_rate / self.stride
 
-
-def compute_curve(postures: PostureSequence, *, smooth_s: float = 0.06, coarse_rate: float = 15.0) -> PostureCurve:
+def _compute_curve(
+    postures: PostureSequence, *, heading_s: float = 0.5, smooth_s: float = 0.06, coarse_rate: float = 15.0
+) -> PostureCurve:
     """Take the heading off, which turns slowly, and smooth what a sensor adds."""
-    # coarse_rate: Hz at which repetitions are looked for; their bounds are found at the full rate
-    rate = postures.frame_rate
-    heading = _follow_heading(thin_postures(postures), postures.n_frames)
+    # heading_s, smooth_s: standard deviations; coarse_rate: Hz at which repetitions are looked for
+    rate, working = postures.frame_rate, thin_postures(postures)
+    slow = smooth_gaussian(working.heading, heading_s * working.frame_rate)
+    heading = np.interp(np.arange(postures.n_frames), np.arange(working.n_frames) * working.stride, slow)
     turned = rotate_yaw(postures.segments, -heading).reshape(postures.n_frames, -1)
     fine = smooth_gaussian(turned, max(smooth_s * rate, 0.3))
     stride = max(1, round(rate / coarse_rate))
     return PostureCurve(fine, rate, np.ascontiguousarray(fine[::stride]), stride)
 
 
-def _follow_heading(working: Working, n_frames: int, *, heading_s: float = 0.5) -> FloatArray:
-    # heading_s: standard deviation: who turns on the way turns slowly
-    smooth = smooth_gaussian(working.heading, heading_s * working.frame_rate)
-    places = np.arange(working.n_frames) * working.stride
-    return np.interp(np.arange(n_frames), places, smooth)
-
-
-def find_rests(curve: PostureCurve) -> FloatArray:
+def _find_rests(curve: PostureCurve) -> FloatArray:
     """(3, 27): where a repetition may begin: the first and the last posture, and the median of the quieter half."""
     points = curve.coarse
     speed = np.linalg.norm(np.gradient(points, axis=0), axis=1) if len(points) > 1 else np.zeros(1)
     return np.stack([points[0], points[-1], np.median(points[speed <= np.median(speed)], axis=0)])
 
 
-def _squared(a: FloatArray, b: FloatArray) -> FloatArray:
+def _compute_squares(a: FloatArray, b: FloatArray) -> FloatArray:
     """(N, M) squared distances of (N, D) and (M, D)."""
     sums = (a * a).sum(axis=1)[:, None] + (b * b).sum(axis=1)[None] - 2.0 * (a @ b.T)
     return np.asarray(np.maximum(sums, 0.0))
@@ -154,7 +118,6 @@ LEAST_EXCURSION = 0.25
 _OTHER = 2.0  # mean squared residual, a share of the template's power, of other motion: by definition, two unrelated
 # motions of equal power differ by twice it
 _ONSET = 0.12  # share of the displacement at which a repetition has begun, see docs/exercises.md
-_SHORTEST_S, _LONGEST_S = 0.4, 20.0
 _ALIKE = 1.0  # misfit, a share of the template's power, from which on a pass is another motion, see docs/exercises.md
 COMPLETE = 0.65
 """Share of the displacement of the template, or of the usual repetition if that is more; see docs/exercises.md."""
@@ -193,15 +156,9 @@ class RepetitionSplit:
     Parameters
     ----------
     repetitions : in order of time, incomplete ones among them.
-    frame_rate : Hz, of the recording.
-    n_frames : of the recording.
-    guided : whether a reference said what a repetition is.
     """
 
     repetitions: tuple[Repetition, ...]
-    frame_rate: float
-    n_frames: int
-    guided: bool
 
     @property
     def complete(self) -> tuple[Repetition, ...]:
@@ -216,31 +173,24 @@ class RepetitionSplit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Template:
-    """One repetition as displacements (n, D) from its rest; the furthest one, and the mean square."""
+    """One repetition as displacements (n, D) from its rest, the length of the furthest one, and the mean square."""
 
     path: FloatArray
-    peak: FloatArray
+    reach: float
     power: float
-
-    @property
-    def reach(self) -> float:
-        return float(np.linalg.norm(self.peak))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Parse:
-    """Passes (R, 2) through a template in frames of the coarse curve, the rest they start from, and each one's mean
-    squared difference from the template as a share of its power (R,)."""
+    """Passes (R, 2) through a template in frames of the coarse curve, and the rest that they start from; the frames in
+    them, each counting less the less it is like the template."""
 
-    template: _Template
     rest: FloatArray
     passes: IntArray
-    misfits: FloatArray
+    likeness: float
 
 
-def find_repetitions(
-    motion: CanonicalMotion | PostureSequence, references: Sequence[CanonicalMotion | PostureSequence] = ()
-) -> RepetitionSplit:
+def find_repetitions(motion: CanonicalMotion, references: Sequence[CanonicalMotion] = ()) -> RepetitionSplit:
     """Find and count the repetitions of an exercise in one recording.
 
     Parameters
@@ -258,13 +208,16 @@ def find_repetitions(
     ------
     InvalidMotionError : no frame, another shape, or infinite positions.
     """
-    postures = _to_postures(motion)
-    curve = compute_curve(postures)
+    postures = compute_postures(motion)
+    curve = _compute_curve(postures)
     if not references:
-        return RepetitionSplit(tuple(_find_alone(postures, curve)), curve.fine_rate, len(curve.fine), False)
-    templates = [template for reference in references for template in _templates_of(_to_postures(reference))]
-    found = _describe(curve, _follow(curve, _pick_template(templates))) if templates else []
-    return RepetitionSplit(tuple(found), curve.fine_rate, len(curve.fine), True)
+        return RepetitionSplit(tuple(_find_alone(postures, curve)))
+    templates = [template for reference in references for template in _list_templates(reference)]
+    if not templates:
+        return RepetitionSplit(())
+    # Of middle reach: neither the best nor the worst repetition of the references is the measure.
+    template = sorted(templates, key=lambda one: one.reach)[len(templates) // 2]
+    return RepetitionSplit(tuple(_describe(curve, template, _follow(curve, template))))
 
 
 def _find_alone(postures: PostureSequence, curve: PostureCurve) -> list[Repetition]:
@@ -281,10 +234,6 @@ def _find_alone(postures: PostureSequence, curve: PostureCurve) -> list[Repetiti
     ]
 
 
-def _to_postures(motion: CanonicalMotion | PostureSequence) -> PostureSequence:
-    return motion if isinstance(motion, PostureSequence) else compute_postures(motion)
-
-
 # Templates
 
 
@@ -296,25 +245,25 @@ def _trim(points: FloatArray) -> tuple[int, int]:
     return first, last
 
 
-def _make_template(points: FloatArray, rest: FloatArray) -> _Template:
-    """A repetition (n, D), without the waiting before and after it."""
+def _make_template(points: FloatArray) -> _Template:
+    """A repetition (n, D) of displacements, without the waiting before and after it."""
     first, last = _trim(points)
-    path = points[first:last] - rest
-    size = np.linalg.norm(path, axis=1)
-    return _Template(path, path[int(size.argmax())], max(float((size**2).mean()), 1e-9))
+    sizes = np.linalg.norm(points[first:last], axis=1)
+    return _Template(points[first:last], float(sizes.max()), max(float((sizes**2).mean()), 1e-9))
 
 
-def find_reference_repetitions(reference: CanonicalMotion | PostureSequence) -> tuple[tuple[int, int], ...]:
+def find_reference_repetitions(reference: CanonicalMotion) -> tuple[tuple[int, int], ...]:
     """Find the frames, half-open, of the repetitions in a take of the reference.
 
     A take that begins and ends in about the same pose, and repeats nothing, is one repetition. Empty without movement.
     """
-    return tuple(_split_reference(_to_postures(reference))[1])
+    return tuple(_split_reference(reference)[1])
 
 
-def _split_reference(postures: PostureSequence) -> tuple[PostureCurve, list[tuple[int, int]]]:
+def _split_reference(reference: CanonicalMotion) -> tuple[PostureCurve, list[tuple[int, int]]]:
     """The curve, and the spans of repetitions in frames."""
-    curve = compute_curve(postures)
+    postures = compute_postures(reference)
+    curve = _compute_curve(postures)
     points = curve.coarse
     if len(points) < 2:
         return curve, []
@@ -328,31 +277,16 @@ def _split_reference(postures: PostureSequence) -> tuple[PostureCurve, list[tupl
     return curve, [(first * curve.stride, min(last * curve.stride, len(curve.fine)))]
 
 
-def _templates_of(postures: PostureSequence) -> list[_Template]:
-    """The repetitions of a reference."""
-    curve, spans = _split_reference(postures)
+def _list_templates(reference: CanonicalMotion) -> list[_Template]:
+    """The repetitions of a reference that go anywhere."""
+    curve, spans = _split_reference(reference)
     step = curve.stride
     parts = [curve.coarse[start // step : -(-end // step) + 1] for start, end in spans]
-    return [_make_template(part, part[0]) for part in parts]
-
-
-def _pick_template(templates: Sequence[_Template]) -> _Template:
-    """The one of middle reach among those of all takes: neither the best nor the worst repetition is the measure."""
-    return sorted(templates, key=lambda one: one.reach)[len(templates) // 2]
+    templates = [_make_template(part - part[0]) for part in parts]
+    return [one for one in templates if one.reach >= LEAST_EXCURSION]
 
 
 # With a template
-
-
-def _list_spans(mask: BoolArray, gap: int = 0) -> list[tuple[int, int]]:
-    """Runs of True, half-open; those at most ``gap`` apart are one."""
-    spans: list[tuple[int, int]] = []
-    for start, end in find_runs(mask).tolist():
-        if spans and start - spans[-1][1] <= gap:
-            spans[-1] = spans[-1][0], end
-        else:
-            spans.append((start, end))
-    return spans
 
 
 def _follow(curve: PostureCurve, template: _Template) -> _Parse:
@@ -361,90 +295,75 @@ def _follow(curve: PostureCurve, template: _Template) -> _Parse:
     How the body of this recording stands is not known beforehand: the rest that explains most is taken. A person
     repeats themselves better than a reference: what was surely found is looked for in turn.
     """
-    rests = find_rests(curve)
     scale = _OTHER * template.power
-    tried = [_keep_alike(_parse(curve, template, rest, scale), _ALIKE) for rest in rests]
-    found = max(tried, key=_likeness)
+    found = max((_parse(curve, template, rest, scale) for rest in _find_rests(curve)), key=lambda one: one.likeness)
     if not len(found.passes):
         return found
-    moved = curve.coarse - found.rest
-    own = [_make_template(moved[start:end], np.zeros(moved.shape[1])) for start, end in found.passes]
-    again = max((_keep_alike(_parse(curve, one, found.rest, scale), _ALIKE) for one in own), key=_likeness)
-    kept = [(int(start), int(end)) for start, end in again.passes]
-    kept += [(int(a), int(b)) for a, b in found.passes if all(b <= start or a >= end for start, end in again.passes)]
-    return dataclasses.replace(found, passes=np.array(sorted(kept)))
+    own = [_make_template(curve.coarse[start:end] - found.rest) for start, end in found.passes]
+    again = max((_parse(curve, one, found.rest, scale) for one in own), key=lambda one: one.likeness)
+    apart = [(again.passes[:, 1] <= start) | (again.passes[:, 0] >= end) for start, end in found.passes]
+    kept = np.concatenate([again.passes, found.passes[[bool(one.all()) for one in apart]]])
+    return dataclasses.replace(found, passes=kept[kept[:, 0].argsort()])
 
 
 def _parse(curve: PostureCurve, template: _Template, rest: FloatArray, scale: float) -> _Parse:
+    """The cheapest reading of a recording as passes through a template and the time between them; without passes
+    that differ from the template by its own power or more."""
     moved = curve.coarse - rest
-    cost = _squared(moved, template.path) / scale
+    cost = _compute_squares(moved, template.path) / scale
     outside = np.minimum((moved * moved).sum(axis=1) / scale, 1.0)
-    passes, prices = parse_passes(cost, outside)
-    return _Parse(template, rest, passes, prices * scale / template.power)
-
-
-def _keep_alike(parse: _Parse, limit: float) -> _Parse:
-    """The passes that differ from the template by less than so much of its power."""
-    kept = parse.misfits <= limit
-    return dataclasses.replace(parse, passes=parse.passes[kept], misfits=parse.misfits[kept])
-
-
-def _likeness(parse: _Parse) -> float:
-    """Frames in passes, each counting less the less it is like the template."""
-    return float(((parse.passes[:, 1] - parse.passes[:, 0]) * (_ALIKE - parse.misfits)).sum())
+    total, origin, from_pass = _accumulate(cost, outside, _STAY, _SKIP, _ENTRY * cost.shape[1])
+    passes = _trace(origin, from_pass, bool(total[-1, -1] < total[-1, 0]))
+    before = np.array([total[start - 1, [0, -1]].min() if start else 0.0 for start, _ in passes])
+    frames = passes[:, 1] - passes[:, 0]
+    misfits = (total[passes[:, 1] - 1, -1] - before) / np.maximum(frames, 1) * scale / template.power
+    kept = misfits <= _ALIKE
+    return _Parse(rest, passes[kept], float((frames[kept] * (_ALIKE - misfits[kept])).sum()))
 
 
 # From passes to repetitions
 
 
-def _describe(curve: PostureCurve, parse: _Parse) -> list[Repetition]:
+def _describe(curve: PostureCurve, template: _Template, parse: _Parse) -> list[Repetition]:
     """Repetitions with bounds at the full rate, and those that were broken off between them."""
     moved = curve.fine - parse.rest
     away = np.linalg.norm(moved, axis=1)
+    rate = curve.fine_rate
     spans = [(int(a) * curve.stride, min(int(b) * curve.stride, len(moved))) for a, b in parse.passes]
-    reaches = [float(away[a:b].max()) for a, b in spans]
-    usual = float(np.median(reaches)) if reaches else 0.0
-    measure = parse.template.reach
-    least = COMPLETE * max(1.0, usual / measure) if measure > 0 else COMPLETE
-    if measure < LEAST_EXCURSION:
-        return []
-    spans = sorted(spans + _broken_off(moved, parse.template, spans, measure, curve.fine_rate))
-    peaks = [a + int(away[a:b].argmax()) for a, b in spans]
+    usual = float(np.median([away[a:b].max() for a, b in spans])) if spans else 0.0
+    least = COMPLETE * max(1.0, usual / template.reach)
+    spans = sorted(spans + _find_broken_off(moved, template, spans, rate))
+    peaks = [0, *(a + int(away[a:b].argmax()) for a, b in spans), len(moved) - 1]
     found = []
-    for number, (a, b) in enumerate(spans):
-        left = peaks[number - 1] if number else 0
-        right = peaks[number + 1] if number + 1 < len(peaks) else len(moved) - 1
-        start, end = _bound(away, (a, b), peaks[number], (left, right))
-        extent = float(away[peaks[number]]) / measure
-        rate = curve.fine_rate
+    for (a, b), before, peak, after in zip(spans, peaks, peaks[1:], peaks[2:], strict=False):
+        start, end = _bound(away, (a, b), peak, (before, after))
+        extent = float(away[peak]) / template.reach
         found.append(Repetition(start, end, start / rate, end / rate, round(extent, 3), extent >= least))
     return found
 
 
-def _broken_off(
+def _find_broken_off(
     moved: FloatArray,
     template: _Template,
     spans: Sequence[tuple[int, int]],
-    measure: float,
     rate: float,
     *,
     incomplete: float = 0.25,
     beside_share: float = 0.5,
+    shortest_s: float = 0.2,
 ) -> list[tuple[int, int]]:
     """Excursions outside the passes that follow the exercise's path, and not to its end."""
     # beside_share: share of its displacement by which a broken-off repetition may be beside the exercise's path
     # incomplete: share below which it is not even tried
-    free = np.ones(len(moved), bool)
+    away = np.linalg.norm(moved, axis=1)
+    free = away > incomplete * template.reach
     for start, end in spans:
         free[start:end] = False
-    away = np.linalg.norm(moved, axis=1)
     found = []
-    for start, end in _list_spans(free & (away > incomplete * measure)):
+    for start, end in find_runs(free).tolist():
         peak = start + int(away[start:end].argmax())
         beside = float(np.linalg.norm(template.path - moved[peak], axis=1).min())
-        long_enough = _SHORTEST_S * 0.5 <= (end - start) / rate <= _LONGEST_S
-        apart = all(end <= a or start >= b for a, b in spans)
-        if long_enough and apart and away[peak] < measure and beside <= beside_share * away[peak]:
+        if end - start >= shortest_s * rate and away[peak] < template.reach and beside <= beside_share * away[peak]:
             found.append((start, end))
     return found
 
