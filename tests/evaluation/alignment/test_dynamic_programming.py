@@ -1,5 +1,7 @@
 """The compiled loops find the cheapest of all courses, known courses, and the smallest inputs."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -22,7 +24,6 @@ from dousa.evaluation.alignment.dynamic_programming import (
     extend_lines,
     find_ends,
     follow_lag,
-    follow_lines,
     join_steps,
     switch_on,
     trace_lines,
@@ -42,7 +43,14 @@ def draw_cost(data: st.DataObject, most_frames: int, most_columns: int) -> np.nd
 
 
 def follow(cost: np.ndarray, jump: float, pause: float, outside: float) -> np.ndarray:
-    return follow_lines([cost], cost.shape[1], jump, pause, outside)
+    return carry_on([cost], jump, pause, outside)
+
+
+def carry_on(blocks: Sequence[np.ndarray], jump: float, pause: float, outside: float, kept: int = 0) -> np.ndarray:
+    """The course of the kept frames, carried on block by block."""
+    best, away = np.full(blocks[0].shape[1], np.inf), np.zeros(2)
+    steps = join_steps([extend_lines(block, best, away, jump, pause, outside) for block in blocks], kept)
+    return trace_lines(best, away, steps)
 
 
 @given(data=st.data(), slope=PRICES)
@@ -122,11 +130,9 @@ def test_lines_that_are_carried_on_are_those_of_the_whole(cuts: tuple[int, ...])
     cost[np.arange(32, 55), np.arange(20, 43)] = 0.02
     blocks = np.split(cost, cuts)
     whole = follow(cost, 5.0, 1e9, 0.75)
-    np.testing.assert_array_equal(follow_lines(blocks, 50, 5.0, 1e9, 0.75), whole)
     # A course is traced through the frames that are kept; it does not depend on those before.
-    best, outside = np.full(50, np.inf), np.zeros(2)
-    steps = join_steps([extend_lines(block, best, outside, 5.0, 1e9, 0.75) for block in blocks], 40)
-    np.testing.assert_array_equal(trace_lines(best, outside, steps), whole[-40:])
+    for kept in (0, 40):
+        np.testing.assert_array_equal(carry_on(blocks, 5.0, 1e9, 0.75, kept), whole[-kept:])
 
 
 def similarity_of(seed: int, n: int) -> np.ndarray:

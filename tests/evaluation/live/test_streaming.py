@@ -20,7 +20,7 @@ from lab.injection.injection import inject_many, simulate_performer
 KINDS = ("shift", "incomplete", "partial", "global")
 DANCE = "bandai_dance/dataset-1_dance-short_normal_001.bvh"
 SEEDS = range(1)
-LOOK_AHEAD_S, HOP_S = 2.0, 1.0
+LOOK_AHEAD_S, HOP_S = 1.2, 2.0
 
 
 @cache
@@ -54,7 +54,7 @@ def overlap(one: ErrorEvent, other: ErrorEvent) -> float:
 
 
 def count_found(those: tuple[ErrorEvent, ...], among: tuple[ErrorEvent, ...]) -> int:
-    return sum(any(one.kind == two.kind and overlap(one, two) >= 0.7 for two in among) for one in those)
+    return sum(any(one.kind == two.kind and overlap(one, two) >= 0.5 for two in among) for one in those)
 
 
 def check_equal(one: Assessment, other: Assessment) -> None:

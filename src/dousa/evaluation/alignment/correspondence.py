@@ -103,15 +103,6 @@ class Correlation:
                 job.result()
         return matrix
 
-    def compare_pairs(self, rows: IndexArray, columns: IndexArray, *, tile: int = 64) -> Matrix:
-        """(N,) cells of the matrix."""
-        found = []
-        for first in range(0, len(rows), tile):
-            ours, theirs = self.a[rows[first : first + tile]], self.b[:, columns[first : first + tile]]
-            some = Correlation(ours, np.ascontiguousarray(theirs))
-            found.append(np.diagonal(some.compare(0, len(ours))))
-        return np.concatenate(found)
-
 
 def check_sequence(values: ArrayLike, what: str) -> FloatArray:
     """Check postures over time (T, 9, 3); ``what`` names the argument in the error.

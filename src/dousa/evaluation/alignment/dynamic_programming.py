@@ -232,19 +232,6 @@ def trace_lines(best: FloatArray, outside_costs: FloatArray, steps: Steps) -> ND
     return path
 
 
-def follow_lines(
-    costs: Iterable[FloatArray], n_reference: int, jump: float, pause: float, outside: float
-) -> NDArray[np.int32]:
-    """Find the reference frame of every performance frame on the cheapest sequence of lines.
-
-    The costs are blocks of rows (n, U) of performance frames against reference frames, 0 to 1; prices are those of
-    `extend_lines`. Returns (T,) reference frames; -1 before the first and after the last line.
-    """
-    best, outside_costs = np.full(n_reference, np.inf), np.zeros(2)
-    steps = join_steps([extend_lines(cost, best, outside_costs, jump, pause, outside) for cost in costs])
-    return trace_lines(best, outside_costs, steps)
-
-
 @kernel
 def _warp(
     a: Matrix,

@@ -8,18 +8,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
+from dousa.evaluation.alignment.dynamic_programming import Steps, extend_lines, join_steps, trace_lines
 from dousa.evaluation.posture.posture import Working
 from dousa.evaluation.words import date, describe_lapse
 from dousa.messages import Message
-
-if TYPE_CHECKING:
-    from dousa.evaluation.alignment.correspondence import Correlation
 
 COARSE_RATE = 10.0  # Hz, see docs/evaluation.md
 _SMALL = 1.0 - np.cos(np.radians(8.0))  # dissimilarity of the same pose taken twice, see docs/evaluation.md
@@ -64,12 +61,19 @@ def align(reference: Working, performance: Working, tempo: str, weights: FloatAr
     rate = performance.frame_rate / step
     # Performance frame of each row; its fractions matter only where the tempo is another.
     clock = np.arange(0, performance.n_frames, step, dtype=np.float64)
-    pairs, course = _follow(reference, performance, clock, step, tempo, weights)
+    coarse = reference.segments[::step]
+
+    def follow() -> NDArray[np.int32]:
+        search = Course(coarse, rate, tempo, weights)
+        search.extend(performance.segments[_find_rows(clock, performance)])
+        return search.trace()
+
+    course = follow()
     if tempo == "free":
         # A pose that is held tells no tempo: it is crossed at the tempo of the rest.
         slope = _measure_slope(course)
         clock = np.arange(0.0, performance.n_frames, step / slope)
-        pairs, course = _follow(reference, performance, clock, step, tempo, weights)
+        course = follow()
         course = np.where(find_pauses(course, rate), -1, course)
     runs = find_runs(course, rate)
     starts = [int(np.ceil(clock[run.start])) for run in runs]
@@ -88,8 +92,12 @@ def align(reference: Working, performance: Working, tempo: str, weights: FloatAr
     ends = edges[1:]
     final = tuple(Run(start, end, float(frames[start] - start)) for start, end in zip(starts, ends, strict=True))
     on_clock = np.interp(clock, np.arange(performance.n_frames), frames) / step
-    mismatch = _measure_mismatch(on_clock, pairs)
+    mismatch = _measure_mismatch(on_clock, performance.segments[_find_rows(clock, performance)], coarse, weights)
     return Alignment(frames, final, mismatch, _measure_tempo(frames, final))
+
+
+def _find_rows(clock: FloatArray, performance: Working) -> NDArray[np.intp]:
+    return np.minimum(np.rint(clock).astype(np.intp), performance.n_frames - 1)
 
 
 def _hangs_by_an_end(frames: FloatArray, n_reference: int, rate: float) -> bool:
@@ -112,28 +120,135 @@ def _keep_whole(reference: Working, performance: Working, weights: FloatArray) -
     return np.arange(performance.n_frames, dtype=np.float64) + float(np.median(path[:, 0] - path[:, 1]))
 
 
-def _follow(
-    reference: Working,
-    performance: Working,
-    clock: FloatArray,
-    step: int,
-    tempo: str,
-    weights: FloatArray,
-    *,
-    at_once: int = 500_000,
-) -> tuple[Correlation, np.ndarray]:
-    """The performance at ``clock`` against every ``step``-th reference frame, and the cheapest lines."""
-    from dousa.evaluation.alignment.correspondence import Correlation
-    from dousa.evaluation.alignment.dynamic_programming import follow_lines
+class Course:
+    """The cheapest sequence of lines through a reference, carried on as poses come.
 
-    # at_once: pairs of poses whose costs are held at a time
-    rows = np.minimum(np.rint(clock).astype(np.intp), performance.n_frames - 1)
-    pairs = Correlation.of(performance.segments[rows], reference.segments[::step], weights)
-    n_reference = pairs.b.shape[1]
-    size = max(1, at_once // n_reference)
-    costs = (to_cost(pairs.compare(first, first + size)) for first in range(0, len(rows), size))
-    jump = JUMP_S * (performance.frame_rate / step)
-    return pairs, follow_lines(costs, n_reference, jump, PAUSE[tempo], OUTSIDE)
+    Parameters
+    ----------
+    reference : (U, 9, 3) poses, at about `COARSE_RATE`.
+    rate : Hz, of those and of the performance's poses.
+    tempo, weights : as for `align`.
+    kept : poses of the performance for which the course may still change; 0: all.
+    """
+
+    def __init__(self, reference: FloatArray, rate: float, tempo: str, weights: FloatArray, kept: int = 0) -> None:
+        self._reference, self._weights, self._kept = reference, weights, kept
+        self._prices = JUMP_S * rate, PAUSE[tempo], OUTSIDE
+        self.best = np.full(len(reference), np.inf)  # (U,) price of the cheapest sequence that ends at each pose
+        self._outside = np.zeros(2)
+        self._steps: list[Steps] = []
+
+    def extend(self, segments: FloatArray, *, at_once: int = 500_000) -> None:
+        """Take the next poses (n, 9, 3)."""
+        from dousa.evaluation.alignment.correspondence import Correlation
+
+        # at_once: pairs of poses whose costs are held at a time
+        size = max(1, at_once // len(self._reference))
+        pairs = Correlation.of(segments, self._reference, self._weights)
+        for first in range(0, len(segments), size):
+            cost = to_cost(pairs.compare(first, first + size))
+            self._steps.append(extend_lines(cost, self.best, self._outside, *self._prices))
+        if self._kept and self._steps:
+            self._steps = [join_steps(self._steps, self._kept)]
+
+    def trace(self) -> NDArray[np.int32]:
+        """Reference pose (n,) of each pose so far, or of those that are kept; -1 without a line."""
+        if not self._steps:
+            return np.empty(0, np.int32)
+        return trace_lines(self.best, self._outside, join_steps(self._steps))
+
+
+class LineFollower:
+    """The lines of a performance that is still going on.
+
+    Parameters
+    ----------
+    reference : at the working rate.
+    tempo, weights : as for `align`.
+    offset : reference frame at performance frame 0, if it is known; then nothing is searched.
+    kept_s : s of the past that may still change.
+    """
+
+    def __init__(
+        self, reference: Working, tempo: str, weights: FloatArray, offset: float | None, *, kept_s: float = 30.0
+    ) -> None:
+        self._reference, self._tempo, self._weights, self._offset = reference, tempo, weights, offset
+        self._step = max(1, round(reference.frame_rate / COARSE_RATE))
+        self._rate, self._kept_s = reference.frame_rate / self._step, kept_s
+        kept = round(kept_s * self._rate)
+        self._search = Course(reference.segments[:: self._step], self._rate, tempo, weights, kept)
+        self._course = np.empty(0, np.int32)
+        self._coarse_runs: list[Run] = []
+        self.runs = [Run(0, 0, offset or 0.0)]  # lines so far in working frames, the last one going on
+        self.known = offset is not None  # whether one line is clearly better than all others
+
+    def update(self, performance: Working) -> None:
+        """Take all poses so far, at the working rate."""
+        count, step = performance.n_frames, self._step
+        if self._offset is not None:
+            self.runs = [Run(0, count, self._offset)]
+            return
+        rows = np.arange(len(self._course) * step, count, step)
+        self._search.extend(performance.segments[rows])
+        traced = self._search.trace()
+        # What is older than the kept part stays as it was.
+        self._course = np.concatenate([self._course[: len(self._course) + len(rows) - len(traced)], traced])
+        course = self._course
+        if self._tempo == "free":
+            course = np.where(find_pauses(course, self._rate), -1, course)
+        self._coarse_runs = self._choose_runs(course)
+        known = {(run.start, round(run.offset / step)): run for run in self.runs[:-1]}
+        starts = [0, *(run.start * step for run in self._coarse_runs[1:])]
+        self.runs = []
+        for run, (start, end) in zip(self._coarse_runs, pairwise([*starts, count]), strict=True):
+            before = known.get((start, round(run.offset)))
+            if before is not None and before.end == end:
+                self.runs.append(before)
+                continue
+            offset = run.offset * step
+            if self._tempo == "same":
+                late = Run(max(run.start, run.end - round(self._kept_s * self._rate)), run.end, run.offset)
+                offset = _refine(late, step, self._reference, performance, self._weights, growing=True)
+            self.runs.append(Run(start, end, offset))
+        self._shown = course
+
+    def locate(self, first: int, last: int) -> FloatArray:
+        """Reference frames (fractional) of the working frames first to last, which may lie ahead."""
+        frames = np.arange(first, last, dtype=np.float64)
+        there = frames + self.runs[-1].offset
+        for number, run in enumerate(self.runs):
+            end = last if number == len(self.runs) - 1 else run.end
+            here = (frames >= run.start) & (frames < end)
+            if not here.any():
+                continue
+            there[here] = frames[here] + run.offset
+            if self._tempo == "free" and self._offset is None and run.end > run.start:
+                there[here] = self._follow_tempo(self._coarse_runs[number], frames[here])
+        return there
+
+    def _choose_runs(
+        self, course: NDArray[np.int32], *, clear: float = 5.0, other_s: float = 1.0, latest_s: float = 15.0
+    ) -> list[Run]:
+        """The lines of the course; while no line is clear the one from the beginning, if it is as good."""
+        # clear: coarse frames of complete mismatch by which a line must beat every other to be known
+        # other_s: s; nearer lines are the same line; latest_s: s after which the best line is accepted
+        best, count = self._search.best, len(course)
+        if not self.known:
+            place = int(best.argmin())
+            others = np.abs(np.arange(len(best)) - place) > other_s * self._rate
+            margin = (best[others].min() if others.any() else np.inf) - best[place]
+            self.known = bool(margin >= clear and count >= 2.0 * self._rate) or count >= latest_s * self._rate
+            zero = min(count, len(best)) - 1
+            if not self.known and best[max(zero - 3, 0) : zero + 4].min() <= best[place] + clear:
+                return [Run(0, count, 0.0)]
+        return find_runs(course, self._rate)
+
+    def _follow_tempo(self, run: Run, frames: FloatArray, *, trend_s: float = 40.0) -> FloatArray:
+        begin = max(run.start, run.end - round(trend_s * self._rate))
+        on = np.flatnonzero(self._shown[begin : run.end] >= 0)
+        offset = float(self._shown[begin + on[0]] - begin - on[0]) if len(on) else run.offset
+        trend = smooth_course(self._shown, Run(begin, run.end, offset), self._rate)
+        return extrapolate(frames, np.arange(begin, run.end, dtype=np.float64) * self._step, trend * self._step)
 
 
 def _measure_slope(course: np.ndarray, *, fewest_for_tempo: int = 12) -> float:
@@ -181,12 +296,12 @@ def to_cost(similarity: NDArray[np.floating], *, large: float = 25.0 * _SMALL) -
     return cost
 
 
-def _measure_mismatch(frames: FloatArray, pairs: Correlation) -> float:
+def _measure_mismatch(frames: FloatArray, segments: FloatArray, reference: FloatArray, weights: FloatArray) -> float:
     """Mean cost where the lines run inside the reference; of everything if that is too little to tell."""
-    n_frames, n_reference = len(frames), pairs.b.shape[1]
+    n_frames, n_reference = len(frames), len(reference)
     inside = (frames >= -0.5) & (frames <= n_reference - 0.5)
     columns = np.clip(np.rint(frames).astype(np.intp), 0, n_reference - 1)
-    along = np.where(inside, to_cost(pairs.compare_pairs(np.arange(n_frames), columns)), OUTSIDE)
+    along = np.where(inside, to_cost(pair_similarity(segments, reference[columns], weights)), OUTSIDE)
     enough = inside.sum() >= 0.5 * min(n_frames, n_reference)
     return float(along[inside].mean() if enough else along.mean())
 
@@ -236,45 +351,40 @@ def _leaves_off(earlier: Run, course: np.ndarray, later: Run) -> float:
 
 
 def _refine(
-    run: Run, step: int, reference: Working, performance: Working, weights: FloatArray, *, in_step: float = 1.4
+    run: Run,
+    step: int,
+    reference: Working,
+    performance: Working,
+    weights: FloatArray,
+    *,
+    growing: bool = False,
+    in_step: float = 1.4,
+    refined_on: int = 900,
 ) -> float:
     """Offset at the working rate: the shift with the least mean cost, to a fraction of a frame."""
+    # growing: the performance still goes on; refined_on: frames of the run, evenly spread: 30 s
     # in_step: motions of equal length begin together, unless another offset is so much better
     start, end = run.start * step, min(run.end * step, performance.n_frames)
-    middle = round(run.offset * step)
-    reach = step + 1
-    equal_length = abs(reference.n_frames - performance.n_frames) <= 0.02 * performance.n_frames + 1
-    shifts = np.arange(middle - reach, middle + reach + 1)
-    costs = _diagonal_costs(reference, performance, start, end, shifts, weights)
+    middle, count = round(run.offset * step), performance.n_frames
+    over = count - reference.n_frames
+    equal_length = (over if growing else abs(over)) <= 0.02 * count + 1
+    frames = np.unique(np.linspace(start, end - 1, min(end - start, refined_on)).astype(np.intp))
+    shifts = np.array([*range(middle - step - 1, middle + step + 2), 0])
+    there = frames + shifts[:, None]
+    inside = (there >= 0) & (there < reference.n_frames)
+    theirs = reference.segments[np.clip(there, 0, reference.n_frames - 1)]
+    cost = to_cost(pair_similarity(performance.segments[frames], theirs, weights))
+    costs = np.where(inside.any(axis=1), np.where(inside, cost, OUTSIDE).mean(axis=1), np.inf)
+    costs, zero = costs[:-1], costs[-1]
     best = int(np.argmin(costs))
-    if equal_length and end - start > 0.6 * performance.n_frames:
-        zero = _diagonal_costs(reference, performance, start, end, np.array([0]), weights)[0]
-        if zero <= in_step * costs[best] + 0.02:
-            return 0.0
+    if equal_length and end - start > 0.6 * count and zero <= in_step * costs[best] + 0.02:
+        return 0.0
     shift = float(shifts[best])
     if 0 < best < len(costs) - 1 and np.isfinite(costs[best - 1 : best + 2]).all():
         left, here, right = costs[best - 1 : best + 2]
         bend = left - 2 * here + right
         shift += 0.5 * (left - right) / bend if bend > 1e-12 else 0.0
     return shift
-
-
-def _diagonal_costs(
-    reference: Working, performance: Working, start: int, end: int, shifts: np.ndarray, weights: FloatArray
-) -> FloatArray:
-    """Mean cost of the frames on each diagonal."""
-    frames = np.arange(start, end)
-    costs = np.full(len(shifts), np.inf)
-    for i, shift in enumerate(shifts):
-        there = frames + shift
-        inside = (there >= 0) & (there < reference.n_frames)
-        if inside.any():
-            similarity = pair_similarity(
-                performance.segments[frames[inside]], reference.segments[there[inside]], weights
-            )
-            total = to_cost(similarity).sum() + OUTSIDE * (~inside).sum()
-            costs[i] = total / len(frames)
-    return costs
 
 
 def pair_similarity(a: FloatArray, b: FloatArray, weights: FloatArray) -> FloatArray:

@@ -54,6 +54,7 @@ _PER_WINDOW = (
     "time_spread",
 )
 _LAG = _PER_WINDOW.index("lag")
+_USUAL = [_PER_WINDOW.index(name) for name in ("own", "best", "lag", "path")]
 _SLIGHT = 0.03  # rad, so that nothing is divided by 0: the judge of lab/training/train_judge.py is fitted with it
 _FLIP = np.array([-1.0, 1.0, 1.0])  # mirror image by definition: x negated
 _SORTED = ("own", "best", "at_body", "path", "left_by_gain", "gain", "lag_beside_body")
@@ -66,6 +67,7 @@ class Descriptors:
     frames: NDArray[np.intp]  # (N,) working frames
     limbs: NDArray[np.float32]  # (N, 5, F) float32, of each limb
     body: NDArray[np.float32]  # (N, G) float32, of all limbs in common
+    usual: FloatArray  # (N, 5, 4) of each limb, of which the medians over all moments are usual in this performance
 
 
 def choose_stride(rate: float, *, moments_a_second: float = 15.0) -> int:
@@ -98,6 +100,8 @@ def describe_moments(
     n_references: int,
     findings: Sequence[Finding],
     *,
+    wanted: slice = slice(None),
+    before: FloatArray | None = None,
     at_once: int = 1024,
 ) -> Iterator[Descriptors]:
     """Describe a performance, some moments at a time.
@@ -108,24 +112,30 @@ def describe_moments(
     time_spread : (T,) s, how much the timing of the takes of the reference differs there; 0 of one take.
     n_references : takes.
     findings : of the closed explanations, see `dousa.evaluation.errors.explain`.
+    wanted : moments to describe.
+    before : (n, 5, 4) ``usual`` of earlier moments, which count too in what is usual of this performance.
     at_once : moments.
     """
     deviations, rate = evidence.deviations, evidence.rate
-    frames = np.arange(0, len(deviations.judged), choose_stride(rate))
-    limb_table, body_table = _measure_windows(evidence, time_spread, frames)
-    clip = _summarise(limb_table)
+    frames = np.arange(0, len(deviations.judged), choose_stride(rate))[wanted]
+    blocks = [_measure_windows(evidence, time_spread, frames[some]) for some in iterate_blocks(len(frames), at_once)]
+    if not blocks:
+        return
+    limb_table, body_table = (np.concatenate(tables) for tables in zip(*blocks, strict=True))
+    usual = np.abs(limb_table[:, :, 0, _USUAL])
+    clip = np.median(usual if before is None else np.concatenate([before, usual]), axis=0)
     length_s = max(len(deviations.judged) / rate, 0.5)
     constants = np.array([np.log(length_s), min(n_references, 6)])
     marks = mark_findings(findings, len(deviations.judged))[frames]
     courses = _follow_lags(evidence)[frames]
     for some in iterate_blocks(len(frames), at_once):
         limbs, body = _join_features(limb_table[some], body_table[some], clip, constants, marks[some], courses[some])
-        yield Descriptors(frames[some], limbs, body)
+        yield Descriptors(frames[some], limbs, body, usual[some])
 
 
 def join_descriptors(descriptors: Iterable[Descriptors]) -> Descriptors:
     """Join the features of moments one after the other."""
-    blocks = [(one.frames, one.limbs, one.body) for one in descriptors]
+    blocks = [(one.frames, one.limbs, one.body, one.usual) for one in descriptors]
     return Descriptors(*(np.concatenate(arrays) for arrays in zip(*blocks, strict=True)))
 
 
@@ -172,24 +182,28 @@ def _measure_windows(
     # farthest: squared chord of opposite directions
     deviations, rate = evidence.deviations, evidence.rate
     reach = min(round(reach_s * rate), deviations.center)
+    halves = [max(1, round(0.5 * seconds * rate)) for seconds in windows_s]
+    # The frames around these moments are all that matters to them.
+    first = max(int(frames[0]) - max(halves) - reach - 1, 0)
+    frames, here = frames - first, slice(first, int(frames[-1]) + max(halves) + reach + 2)
+    deviations, time_spread = deviations.cut(here), time_spread[here]
     squared = deviations.squared[:, deviations.center - reach : deviations.center + reach + 1]
     # What has no weight, or is never seen, is as it should be.
     counts = evidence.ratio.find_weighing()
     theirs = np.ascontiguousarray(deviations.reference)
     ours = np.ascontiguousarray(np.where(counts[:, None], deviations.performance, theirs))
-    halves = [max(1, round(0.5 * seconds * rate)) for seconds in windows_s]
     windows = [_Window(frames, half, len(ours)) for half in halves]
     lags = _Lags(max(1, round(sharp_s * rate)), lateness_price / rate)
     limbs, body = np.zeros((len(frames), N_LIMBS, len(windows), 21)), np.zeros((len(frames), len(windows), 15))
 
-    common = _pool_body(squared, counts)
+    pooled = _pool_limbs(squared, counts)
+    common = _pool_body(pooled)
     covered = [_cover(common)]
     total = _accumulate(common)
     at = np.empty((len(windows), len(frames), N_LIMBS + 1), np.intp)
     for w, window in enumerate(windows):
         body[:, w, :4], at[w, :, N_LIMBS] = lags.find(total, window)
-    for number, segments in enumerate(_LIMB_SEGMENTS):
-        limb = _pool_limb(squared, counts, segments)
+    for number, limb in enumerate(pooled):
         covered.insert(number, _cover(limb))
         total = _accumulate(limb)
         for w, window in enumerate(windows):
@@ -300,9 +314,10 @@ def _follow_lags(evidence: Evidence, *, beside_s: tuple[float, float] = (1.0, 2.
     result = np.empty((count, N_LIMBS + 1, 8))
     trend: FloatArray = np.zeros(count)
     together: FloatArray = trend
+    groups = [*_LIMB_SEGMENTS, np.arange(len(SEGMENTS))]
+    costs = evidence.ratio.sum_up(groups)
     for limb in range(N_LIMBS, -1, -1):
-        segments = np.flatnonzero(limb == LIMB_OF) if limb < N_LIMBS else np.arange(len(SEGMENTS))
-        cost = evidence.ratio.sum_up(segments)
+        segments, cost = groups[limb], costs[limb]
         share = len(segments) / len(SEGMENTS)
         course = follow_lag(cost + share * prices, share * change).astype(np.intp)
         lag: FloatArray = np.asarray((evidence.center - course) * step_s, np.float64)
@@ -340,13 +355,6 @@ def _find_trend(values: FloatArray, *, trend_rounds: int = 8) -> FloatArray:
     return middle + slope * x
 
 
-def _summarise(limb_table: FloatArray) -> FloatArray:
-    """(5, 4) what is usual of each limb in this performance: medians over all moments."""
-    names = ("own", "best", "lag", "path")
-    columns = [np.abs(limb_table[:, :, 0, _PER_WINDOW.index(name)]) for name in names]
-    return np.stack([np.median(column, axis=0) for column in columns], axis=1)
-
-
 def _describe_others(limb_table: FloatArray) -> FloatArray:
     """(N, 5, 2 * W) how far the other limbs are: the farthest and the middle one, windows of own-time deviation."""
     own = limb_table[:, :, :, _PER_WINDOW.index("own")]
@@ -357,26 +365,18 @@ def _describe_others(limb_table: FloatArray) -> FloatArray:
     return result
 
 
-def _pool_limb(
-    squared: FloatArray, counts: NDArray[np.bool_], segments: NDArray[np.intp], *, cap: float = 1.3
-) -> FloatArray:
-    """(T, K) mean squared chord of some segments that count, of (T, K, 9)."""
+def _pool_limbs(squared: FloatArray, counts: NDArray[np.bool_], *, cap: float = 1.3) -> FloatArray:
+    """(L, T, K) mean squared chord of the segments of each limb that count, of (T, K, 9)."""
     # cap: squared chord of 70 deg: further away says no more
-    total = np.zeros(squared.shape[:2])
-    for segment in segments:
-        total += np.minimum(squared[:, :, segment] * counts[segment], cap)
-    total /= len(segments)
-    return total
+    shares = _MEMBERS[:N_LIMBS] / _MEMBERS[:N_LIMBS].sum(axis=1, keepdims=True)
+    pooled = np.minimum(squared * counts, cap) @ shares.T
+    return np.ascontiguousarray(np.moveaxis(pooled, 2, 0))
 
 
-def _pool_body(squared: FloatArray, counts: NDArray[np.bool_], *, most: float = 0.19) -> FloatArray:
+def _pool_body(limbs: FloatArray, *, most: float = 0.19) -> FloatArray:
     """(T, K) mean of the limbs, each with a limited say."""
     # most: of 25 deg: one limb alone does not decide the body's lag
-    total = np.zeros(squared.shape[:2])
-    for segments in _LIMB_SEGMENTS:
-        total += np.minimum(_pool_limb(squared, counts, segments), most)
-    total /= N_LIMBS
-    return total
+    return np.asarray(np.minimum(limbs, most).mean(axis=0))
 
 
 def _accumulate(values: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,18 @@ class Deviations:
     center: int  # column of no lag
     step_s: float  # s from column to column
     spread: FloatArray  # (T, 9) rad, how much takes of the reference differ at each moment; 0 of one take
+
+    def cut(self, frames: slice) -> Deviations:
+        """Those of some frames."""
+        return replace(self, **{name: getattr(self, name)[frames] for name in _BY_FRAME})
+
+    def extend(self, more: Deviations) -> Deviations:
+        """These, and those of the frames after them."""
+        parts: dict[str, Any] = {name: np.concatenate([getattr(self, name), getattr(more, name)]) for name in _BY_FRAME}
+        return replace(self, **parts)
+
+
+_BY_FRAME = ("squared", "yaw", "judged", "performance", "reference", "spread")  # arrays with a row a frame
 
 
 def compute_deviations(reference: Working, performance: Working, frames: FloatArray, weights: FloatArray) -> Deviations:
@@ -435,14 +448,15 @@ class Ratios:
         squared = self.deviations.squared[first : first + len(course)]
         return self._weigh(squared[np.arange(len(course)), course], squared[:, self.deviations.center])
 
-    def sum_up(self, segments: NDArray[np.intp], *, at_once: int = 1024) -> FloatArray:
-        """(T, K) sums over some segments."""
-        # at_once: frames: their memory
-        total = np.empty(self.deviations.squared.shape[:2])
-        for first in range(0, len(total), at_once):
-            part = self.of(first, first + at_once)
-            total[first : first + at_once] = part[:, :, segments].sum(axis=2)
-        return total
+    def sum_up(self, groups: Sequence[NDArray[np.intp]], *, at_once: int = 256) -> FloatArray:
+        """(G, T, K) sums over the segments of each group."""
+        # at_once: frames: they stay in the cache
+        totals = np.empty((len(groups), *self.deviations.squared.shape[:2]))
+        members = np.array([np.isin(np.arange(9), group) for group in groups], np.float64)
+        for first in range(0, totals.shape[1], at_once):
+            part = self.of(first, first + at_once) @ members.T
+            totals[:, first : first + at_once] = np.moveaxis(part, 2, 0)
+        return totals
 
     def find_weighing(self) -> NDArray[np.bool_]:
         """(9,) segments that weigh anything at any moment."""
@@ -502,7 +516,7 @@ def gather_evidence(
     """
     rate = 1.0 / deviations.step_s
     ratio, center = Ratios(deviations, tolerance, weights), deviations.center
-    cost = ratio.sum_up(GROUPS["body"])
+    cost = ratio.sum_up([GROUPS["body"]])[0]
     slack = min(max(1, round(slack_s * rate)), center)
     change = LAG_CHANGE * 30.0 / rate
     prices = LAG_PRICE * np.abs(np.arange(cost.shape[1]) - center) * (30.0 / rate)

@@ -120,9 +120,10 @@ class _Hypothesis:
     fit: GainFit | None = None  # of a gain
 
 
-def explain_all(evidence: Evidence) -> list[Finding]:
-    """Find all errors of a performance by the rules, in order of time."""
-    return [found for start, end in find_stretches(evidence) for found in explain(evidence, start, end)]
+def explain_all(evidence: Evidence, first: int = 0, last: float = np.inf) -> list[Finding]:
+    """Find all errors of a performance by the rules, in order of time; those of stretches that touch some frames."""
+    stretches = [one for one in find_stretches(evidence) if one[0] < last and one[1] > first]
+    return [found for start, end in stretches for found in explain(evidence, start, end)]
 
 
 def explain(

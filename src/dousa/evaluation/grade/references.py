@@ -267,11 +267,23 @@ def choose_tolerance(deviations: Deviations, *, wider_by_spread: float = 2.0) ->
     return Tolerance(np.maximum(own.angle, wider_by_spread * np.median(deviations.spread, axis=0)), own.lag_s)
 
 
-def describe(references: ReferenceTakes, frames: FloatArray, evidence: Evidence) -> Iterator[Descriptors]:
-    """Describe a performance along reference frames (T,) for the judge, some moments at a time."""
+def describe(
+    references: ReferenceTakes,
+    frames: FloatArray,
+    evidence: Evidence,
+    wanted: slice = slice(None),
+    before: FloatArray | None = None,
+) -> Iterator[Descriptors]:
+    """Describe a performance along reference frames (T,) for the judge, some moments at a time.
+
+    ``wanted`` are the moments to describe, ``before`` is what was usual earlier, see `describe_moments`.
+    """
     clock = np.arange(len(references.time_spread))
     time_spread = np.interp(frames, clock, references.time_spread)
-    return describe_moments(evidence, time_spread, len(references.working), explain_all(evidence))
+    first, last, _ = (edge * choose_stride(evidence.rate) for edge in wanted.indices(len(frames)))
+    found = explain_all(evidence, first, last)
+    takes = len(references.working)
+    return describe_moments(evidence, time_spread, takes, found, wanted=wanted, before=before)
 
 
 def find_errors(references: ReferenceTakes, frames: FloatArray, evidence: Evidence) -> list[Finding]:

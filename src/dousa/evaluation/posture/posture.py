@@ -67,8 +67,8 @@ _JOINTS_OF[range(len(SEGMENTS)), _ENDS] = True
 _JOINTS_OF[0] = [name in ("left_hip", "right_hip", "neck") for name in CANONICAL_JOINTS]
 
 # A segment that is never seen is by definition drawn hanging, the trunk upright.
-_REST = np.tile([0.0, -1.0, 0.0], (len(SEGMENTS), 1))
-_REST[0, 1] = 1.0
+REST = np.tile([0.0, -1.0, 0.0], (len(SEGMENTS), 1))
+REST[0, 1] = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -225,7 +225,7 @@ def _fill(segments: FloatArray, seen: NDArray[np.bool_]) -> None:
         known = frames[seen[:, number]]
         lost = frames[~seen[:, number]]
         if len(known) == 0:
-            segments[:, number] = _REST[number]
+            segments[:, number] = REST[number]
             continue
         for axis in range(3):
             segments[lost, number, axis] = np.interp(lost, known, segments[known, number, axis])
