@@ -237,13 +237,26 @@ def test_getting_smaller_and_slower_shows_as_a_trend() -> None:
     assert knee.slope < 0
 
 
-def test_a_mirror_image_is_found_with_mirror(squats: tuple[CanonicalMotion, ExerciseSet]) -> None:
+@pytest.mark.parametrize("side", ["mirrored", "auto"])
+def test_a_mirror_image_is_found(squats: tuple[CanonicalMotion, ExerciseSet], side: str) -> None:
     kick, *clips = make_clips("kick_left", 5)
     truth = join_repetitions(clips, np.random.default_rng(2))
-    mirrored = mirror_canonical(truth.motion)
-    done = assess_repetitions(kick, mirrored, side="mirrored")
-    assert done.count == len(truth.spans)
+    done = assess_repetitions(kick, mirror_canonical(truth.motion), side=side)
+    assert (done.count, done.side) == (len(truth.spans), "mirrored")
     assert done.complete[0].get_range("left_hip_flexion").range_deg > 40
+    assert ("exercises.mirrored" in done.to_json()["warning_codes"]) == (side == "auto")
+    assert assess_repetitions(kick, truth.motion, side="auto").side == "same"
+
+
+def test_what_is_broken_off_alone_is_measured_and_not_graded() -> None:
+    reference, *clips = make_clips("squat", 4)
+    done = assess_repetitions(reference, join_repetitions(clips, np.random.default_rng(1), broken_off=[0, 1, 2]).motion)
+    assert (done.count, len(done.repetitions)) == (0, 3)
+    said = [message.render("en") for message in describe_exercise(done)]
+    assert said[0] == "no repetition could be graded"
+    assert said[1].startswith("repetitions 1 to 3: broken off, reaching ")
+    assert "knee" in " ".join(said[2:])
+    json.dumps(done.to_json(), allow_nan=False)
 
 
 @pytest.mark.parametrize("exercise", ["g2", "g4", "g6"])

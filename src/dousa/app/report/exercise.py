@@ -189,9 +189,9 @@ def _build_figures(done: RepetitionsAssessment, words: Mapping[str, str]) -> str
             words["calibrated" if calibrated else "uncalibrated"].format(n=done.n_references),
         ),
         (
-            f"{compute_median([one.repetition.duration_s for one in done.complete]):.1f}",
+            format_number(compute_median([one.repetition.duration_s for one in done.complete]), 1),
             words["figure_seconds"],
-            words["figure_tempo"].format(tempo=f"{tempo:.2f}", seconds=f"{done.reference_s:.1f}"),
+            words["figure_tempo"].format(tempo=format_number(tempo, 2), seconds=f"{done.reference_s:.1f}"),
         ),
     ]
     cells = []

@@ -110,7 +110,7 @@ class EvaluationRequest:
 
     def choose_judging(self) -> dict[str, Any]:
         """``side``, ``tempo``, ``weights`` and ``importance`` of `dousa.evaluation.assess`; the weights are read."""
-        judging: dict[str, Any] = {"side": "mirrored" if self.mirror else "same"}
+        judging: dict[str, Any] = {"side": "mirrored" if self.mirror else "auto" if self.repetitions else "same"}
         judging["tempo"] = choose_tempo(self.tempo, repetitions=self.repetitions)
         if self.weights == _EQUAL:
             return {**judging, "weights": None, "importance": "equal"}

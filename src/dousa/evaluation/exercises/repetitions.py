@@ -156,38 +156,46 @@ def assess_repetitions(
     ----------
     references : the exercise done well: one take or several, each of one or several repetitions.
     performance : any frame rate, place, heading and stature; pauses, and walking into place, may come with it.
-    side : ``"mirrored"`` for a person who did the reference's mirror image.
+    side : ``"mirrored"`` for a person who did the reference's mirror image; ``"auto"``: found by itself, and said.
     tempo : ``"free"``: a repetition may be slower or faster than the reference's; the tempo is beside the grade.
         ``"same"``: being late costs points.
     weights, importance : of segments for the grade, as in `dousa.evaluation.assess`.
 
     Raises
     ------
-    InvalidMotionError : no repetition of the exercise in the performance, no movement in the references, a motion
+    InvalidMotionError : no repetition of the exercise, and no part of one, in the performance, no movement in the references, a motion
         shorter than half a second or hardly seen, no reference.
     OptionError : an unknown side, tempo, importance or segment.
     """
     takes = [references] if isinstance(references, CanonicalMotion) else list(references)
-    check_takes(takes, performance, side, tempo)
+    check_takes(takes, performance, "same" if side == "auto" else side, tempo)
     check_importance(importance)
     shares = spread_weights(weights)
     for motion in (*takes, performance):
         check_seen(compute_postures(motion), is_reference=motion is not performance)
-    played = mirror_canonical(performance) if side == "mirrored" else performance
     examples = [(take, span) for take in takes for span in find_reference_repetitions(take)]
     if not examples:
         raise InvalidMotionError("exercises.still_reference")
     reference_s = _median([_seconds(take, span) for take, span in examples])
-    found = find_repetitions(played, takes).repetitions
-    if not any(one.complete for one in found):
-        raise InvalidMotionError(
-            "exercises.no_repetition",
-            duration=played.duration,
-            reference_s=reference_s,
-            n_incomplete=len(found),
-        )
+    chosen, played, found = _find_side(performance, takes, side)
+    if not found:
+        raise InvalidMotionError("exercises.no_repetition", duration=played.duration, reference_s=reference_s)
     models = [_cut(take, *span) for take, span in _choose_examples(examples, reference_s)]
-    return _measure(examples, played, found, side, _Grading(models, tempo, shares, importance))
+    done = _measure(examples, played, found, chosen, _Grading(models, tempo, shares, importance))
+    if chosen == side or chosen == "same":
+        return done
+    return dataclasses.replace(done, warnings=(*done.warnings, Message("exercises.mirrored")))
+
+
+def _find_side(
+    performance: CanonicalMotion, takes: Sequence[CanonicalMotion], side: str, *, clearly: float = 0.7
+) -> tuple[str, CanonicalMotion, tuple[Repetition, ...]]:
+    """The side, the performance as it was mirrored, and its repetitions."""
+    # clearly: share of the likeness of the mirror image that the performance itself must have, as in `find_side`
+    turned = {"same": performance, "mirrored": mirror_canonical(performance)}
+    found = {name: find_repetitions(turned[name], takes) for name in (turned if side == "auto" else (side,))}
+    chosen = max(found, key=lambda name: found[name].likeness * (1.0 if name == "same" else clearly))
+    return chosen, turned[chosen], found[chosen].repetitions
 
 
 _Example = tuple[CanonicalMotion, tuple[int, int]]

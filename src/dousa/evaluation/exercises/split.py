@@ -156,9 +156,11 @@ class RepetitionSplit:
     Parameters
     ----------
     repetitions : in order of time, incomplete ones among them.
+    likeness : s of the recording in them, each counting less the less it is like the reference's; 0 without one.
     """
 
     repetitions: tuple[Repetition, ...]
+    likeness: float = 0.0
 
     @property
     def complete(self) -> tuple[Repetition, ...]:
@@ -217,7 +219,8 @@ def find_repetitions(motion: CanonicalMotion, references: Sequence[CanonicalMoti
         return RepetitionSplit(())
     # Of middle reach: neither the best nor the worst repetition of the references is the measure.
     template = sorted(templates, key=lambda one: one.reach)[len(templates) // 2]
-    return RepetitionSplit(tuple(_describe(curve, template, _follow(curve, template))))
+    parse = _follow(curve, template)
+    return RepetitionSplit(tuple(_describe(curve, template, parse)), parse.likeness * curve.stride / curve.fine_rate)
 
 
 def _find_alone(postures: PostureSequence, curve: PostureCurve) -> list[Repetition]:

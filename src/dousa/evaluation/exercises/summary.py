@@ -51,7 +51,7 @@ def choose_pair(assessment: RepetitionsAssessment) -> str | None:
 
 
 def describe_exercise(assessment: RepetitionsAssessment) -> tuple[Message, ...]:
-    """Describe the repetitions, the most important first; at least one must be complete.
+    """Describe the repetitions, the most important first.
 
     Returns the grade; what was broken off or reaches less than `SHORT` percent; what was wrong in which repetitions;
     tempo and sides where they are clearly different. See `describe_trends` for trends.

@@ -393,7 +393,7 @@ def assess_exercise(
         done = assess_repetitions(
             takes,
             performance,
-            side=request.side,
+            side="auto" if request.side == "same" else request.side,
             tempo=request.pace,
             weights=request.weights,
             importance=request.importance,
@@ -411,7 +411,7 @@ def assess_exercise(
         "says": [message.render(request.language) for message in said],
         "says_codes": [message.code for message in said],
         "names": {"references": list(names[:-1]), "performance": names[-1]},
-        "options": {"side": request.side, "tempo": request.pace, "repetitions": True},
+        "options": {"side": done.side, "tempo": request.pace, "repetitions": True},
     }
 
 
