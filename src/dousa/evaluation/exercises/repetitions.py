@@ -163,8 +163,8 @@ def assess_repetitions(
 
     Raises
     ------
-    InvalidMotionError : no repetition of the exercise, and no part of one, in the performance, no movement in the references, a motion
-        shorter than half a second or hardly seen, no reference.
+    InvalidMotionError : no repetition of the exercise, and no part of one, in the performance, no movement in the
+        references, a motion shorter than half a second or hardly seen, no reference.
     OptionError : an unknown side, tempo, importance or segment.
     """
     takes = [references] if isinstance(references, CanonicalMotion) else list(references)
@@ -182,7 +182,7 @@ def assess_repetitions(
         raise InvalidMotionError("exercises.no_repetition", duration=played.duration, reference_s=reference_s)
     models = [_cut(take, *span) for take, span in _choose_examples(examples, reference_s)]
     done = _measure(examples, played, found, chosen, _Grading(models, tempo, shares, importance))
-    if chosen == side or chosen == "same":
+    if chosen in (side, "same"):
         return done
     return dataclasses.replace(done, warnings=(*done.warnings, Message("exercises.mirrored")))
 
