@@ -18,20 +18,20 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_461, 111),
+    "app": (25_492, 111),
     "estimation": (15_692, 65),
     "evaluation": (12_565, 46),
     "experiments": (1_734, 10),
     "files": (899, 7),
     "formats": (12_801, 70),
-    "library": (15_623, 55),
+    "library": (15_650, 55),
     "messages": (235, 3),
     "motion": (6_481, 34),
     "retrieval": (13_427, 46),
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_051,
+    "lines of tests": 62_100,
     "lines of JavaScript": 12_482,
     "constants": 1_030,
     "numeric constants without a source": 0,
@@ -41,7 +41,7 @@ TOTALS = {
     "lines with words that a native reader stumbles over": 47,
     "hand-written runs of a mask": 4,
     "commands": 30,
-    "options": 222,
+    "options": 227,
 }
 
 _LONG_FUNCTION, _LONG_FILE, _LARGE_FOLDER = 60, 650, 15

@@ -71,6 +71,25 @@ def test_words_and_labels_filter_what_a_motion_finds(dousa, library):
         assert {hit["category"] for hit in json.loads(out)["results"]} == {"kick_left"}
 
 
+def test_words_and_levels_choose_clips_of_every_command(dousa, library, tmp_path):
+    """The folder is kick_left: a level begins so, its name has the letters, its words say so."""
+    for words in (("--category", "kick*"), ("--text", "kick"), ("--category", "kick_left", "--text", "kick")):
+        code, out, err = dousa("list", library, *words, "--json")
+        assert code == 0, err
+        assert {clip["category"] for clip in json.loads(out)["clips"]} == {"kick_left"}
+    code, out, _ = dousa("export", library, "--text", "kick", "-o", tmp_path / "kicks", "--json")
+    assert code == 0 and len(json.loads(out)["written"]) == 3
+    code, out, _ = dousa("tag", library, "--text", "kick", "+fight", "--json")
+    assert code == 0 and len(json.loads(out)["tagged"]) == 3
+    code, out, _ = dousa("relabel", library, "--text", "kick", "--where-category", "clap", "--category", "x", "--json")
+    assert code == 2
+    code, out, _ = dousa("relabel", library, "--text", "kick", "--category", "kick_left", "--json")
+    assert code == 0 and len(json.loads(out)["relabelled"]) == 3
+    assert dousa("list", library, "--category", "kick")[2].count("kick_left") == 1
+    code, _, err = dousa("list", library, "--text", "xqzzv")
+    assert code == 2 and "xqzzv" in err
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

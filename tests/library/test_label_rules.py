@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from dousa.errors import OptionError
 from dousa.library import Library
-from dousa.library.label_rules import parse_label_rule
+from dousa.library.label_rules import fits_category, parse_label_rule
 
 ROOT = Path("/data")
 
@@ -125,6 +125,27 @@ def test_labels_that_not_every_database_keeps(library, moves, tmp_path, label, m
         with pytest.raises(OptionError, match=message):
             call()
     assert library.clips() == before
+
+
+@pytest.mark.parametrize(
+    ("wanted", "fitting"),
+    [
+        ("kick", "kick kick/left hdm05/kick"),
+        ("kick/", "kick kick/left"),
+        ("hdm05/", "hdm05/kick hdm05/kickLFront1Reps"),
+        ("hdm05/kick", "hdm05/kick"),
+        ("kick*", "kick kick/left kickboxing hdm05/kick hdm05/kickLFront1Reps"),
+        ("*/kick*", "hdm05/kick hdm05/kickLFront1Reps"),
+        ("left", "kick/left"),
+        ("[x]", "[x]"),
+        ("/", ""),
+        ("", ""),
+    ],
+)
+def test_levels_of_a_category(wanted, fitting):
+    names = "kick kick/left kickboxing hdm05/kick hdm05/kickLFront1Reps [x]".split()
+    assert " ".join(name for name in names if fits_category(name, wanted)) == fitting
+    assert not fits_category(None, wanted)
 
 
 def test_words_that_are_no_text(library, tmp_path, moves):

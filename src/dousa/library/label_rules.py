@@ -15,6 +15,7 @@ A rule is written as a short text:
 from __future__ import annotations
 
 import csv
+import fnmatch
 import io
 import os
 import re
@@ -170,3 +171,18 @@ def _rows(reader: Reader, path: Path, file: int, label: int) -> Iterator[tuple[i
             expected = max(file, label) + 1
             raise OptionError("label_rules.too_few_columns", path=path, line=line, expected=expected, found=len(row))
         yield line, row[file].strip(), row[label].strip() or None
+
+
+def fits_category(category: str | None, wanted: str) -> bool:
+    """Whether a category is the wanted one, is below it, or has it among its levels.
+
+    ``walk`` fits ``walk``, ``walk/active`` and ``hdm05/walk``; ``hdm05/`` all below it, from the top; ``kick*`` a level
+    that begins so (``*``, ``?`` and ``[...]`` as in names of files).
+    """
+    if category is None or category == wanted:
+        return category is not None
+    if wanted.endswith("/"):
+        return f"{category}/".startswith(wanted)
+    levels, n_levels = category.split("/"), wanted.count("/") + 1
+    runs = ("/".join(levels[start : start + n_levels]) for start in range(len(levels) - n_levels + 1))
+    return any(fnmatch.fnmatchcase(run, wanted) for run in runs)

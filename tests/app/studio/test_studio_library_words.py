@@ -70,7 +70,16 @@ def test_a_level_stands_for_all_below_it(studio):
     library.relabel(category="a/b/c", where_category="squat")
     library.relabel(category="a/b", where_category="walk")
     library.relabel(category="ab", where_category="wave_right")
-    for asked, count in (("a/", 12), ("a/b/", 12), ("a/b", 6), ("a/b/c", 6), ("a/b/c/", 6), ("b/", 0), ("ab/", 6)):
+    for asked, count in (
+        ("a/", 12),
+        ("a/b/", 12),
+        ("a/b", 12),
+        ("b", 12),
+        ("a/b/c", 6),
+        ("a/b/c/", 6),
+        ("b/", 0),
+        ("ab/", 6),
+    ):
         assert studio.get("/api/clips", params={"category": asked}).json()["total"] == count
     studio.post("/api/searches", json={"name": "below", "asked": {"category": ["a/"]}})
     assert len(library.searches.find("below")) == 12

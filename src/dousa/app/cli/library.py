@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -75,6 +75,24 @@ def choose_saved(library: Library, name: str) -> list[int | str]:
     if not found:
         raise LibraryError("library_searches.empty", library=library.name, name=name)
     return found
+
+
+def choose_clips(
+    library: Library, clips: Sequence[int | str], select: str | None, where: TaggedLabels
+) -> tuple[list[int | str], dict[str, Any]]:
+    """The clips that are named, saved or described by words (empty for all), and the labels that they must have."""
+    labels: dict[str, Any] = asdict(where)
+    text = labels.pop("text")
+    chosen = [*clips, *(choose_saved(library, select) if select is not None else [])]
+    if text is None:
+        return chosen, labels
+    found = [hit.clip_id for hit in library.search_text(text, None).results]
+    if chosen:
+        among = {clip.id for clip in library.clips(chosen)}
+        found = [number for number in found if number in among]
+    if not found:
+        raise LibraryError("library_clips.none_of_text", library=library.name, text=text)
+    return [*found], labels
 
 
 def print_changed(key: str, changed: Sequence[str], code: str, *, json: bool) -> None:
@@ -342,7 +360,7 @@ def list_clips(
     ] = None,
     json: Json = False,
 ) -> None:
-    """List what is in a library: its categories, or with --clips (or a category, performer or tag) every clip and take.
+    """List what is in a library: its categories, or with --clips (or a filter) every clip and take.
 
     Example: dousa list moves.dousa --category walk
     """
@@ -356,9 +374,9 @@ def list_clips(
             opened.searches.save(save, asked)
     with open_to_read(library) as opened:
         stats = opened.stats()
-        saved = None if select is None else choose_saved(opened, select)
-        wanted = bool(asked) or clips or json or saved is not None
-        rows = opened.clips(saved, **asdict(where)) if wanted else []
+        wanted = bool(asked) or clips or json or select is not None
+        chosen, labels = choose_clips(opened, (), select, where)
+        rows = opened.clips(chosen or None, **labels) if wanted else []
     if json:
         print_json({**stats.to_json(), "clips": [clip.to_json() for clip in rows]})
     elif rows:
@@ -397,11 +415,11 @@ def export(
     """
     options = reading.load()
     with open_to_read(library) as opened, progress_bar() as progress:
-        chosen = _selection(clips) + (choose_saved(opened, select) if select is not None else [])
+        chosen, labels = choose_clips(opened, _selection(clips), select, where)
         report = opened.export(
             output,
             chosen or None,
-            **asdict(where),
+            **labels,
             to=to,
             **asdict(character),
             options=options,
@@ -437,7 +455,8 @@ def remove(
     Example: dousa remove moves.dousa recordings/broken.bvh
     """
     with open_library(library) as opened:
-        removed = opened.remove(_selection(clips), **asdict(where), for_good=for_good)
+        chosen, labels = choose_clips(opened, _selection(clips), None, where)
+        removed = opened.remove(chosen, **labels, for_good=for_good)
     print_changed("removed", removed, "library_cli.removed", json=json)
 
 
@@ -446,9 +465,14 @@ def relabel(
     clips: Clips = None,
     category: Annotated[str | None, typer.Option("--category", help="The new category; '' for none.")] = None,
     performer: Annotated[str | None, typer.Option("--performer", help="The new performer; '' for none.")] = None,
-    where_category: Annotated[str | None, typer.Option("--where-category", help="Only clips of this category.")] = None,
+    where_category: Annotated[
+        str | None, typer.Option("--where-category", help="Only clips of this category: walk, hdm05/, kick*.")
+    ] = None,
     where_performer: Annotated[
         str | None, typer.Option("--where-performer", help="Only clips of this performer.")
+    ] = None,
+    text: Annotated[
+        str | None, typer.Option("--text", "-t", help="Only clips that these words describe (see dousa search).")
     ] = None,
     json: Json = False,
 ) -> None:
@@ -461,8 +485,9 @@ def relabel(
     if category is None and performer is None:
         raise OptionError("library_cli.nothing_to_change")
     with open_library(library) as opened:
+        chosen, _ = choose_clips(opened, _selection(clips), None, TaggedLabels(text=text))
         changed = opened.relabel(
-            _selection(clips),
+            chosen,
             category=UNCHANGED if category is None else category or None,
             performer=UNCHANGED if performer is None else performer or None,
             where_category=where_category,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from functools import partial
 from typing import Annotated
 
@@ -10,7 +9,7 @@ import typer
 
 from dousa.app.cli.library import (
     Select,
-    choose_saved,
+    choose_clips,
     clip_or_path,
     open_library,
     open_to_learn,
@@ -172,9 +171,7 @@ def tag(
         return
     with open_library(library) as opened:
         named, given, taken = split_tags(clips or ())
-        chosen: list[int | str] = [clip_or_path(clip) for clip in named]
-        if select is not None:
-            chosen += choose_saved(opened, select)
-        filters = {f"where_{name}": label for name, label in asdict(where).items()}
+        chosen, labels = choose_clips(opened, [clip_or_path(clip) for clip in named], select, where)
+        filters = {f"where_{name}": label for name, label in labels.items()}
         changed = opened.tag(chosen, add=given, remove=taken, **filters)
     print_changed("tagged", changed, "library_tags.tagged", json=json)

@@ -122,13 +122,19 @@ class SearchRequest:
 class Labels:
     """Clips of one category or performer."""
 
-    category: Annotated[str | None, typer.Option("--category", help="Only clips of this category.")] = None
+    category: Annotated[
+        str | None, typer.Option("--category", help="Only clips of this category: walk, hdm05/ (all below it), kick*.")
+    ] = None
     performer: Annotated[str | None, typer.Option("--performer", help="Only clips of this performer.")] = None
 
 
 @dataclass(frozen=True, slots=True)
 class TaggedLabels(Labels):
-    """Clips of one category, performer or tag."""
+    """Clips of one category, performer or tag, or that words describe."""
+
+    text: Annotated[
+        str | None, typer.Option("--text", "-t", help="Only clips that these words describe (see dousa search).")
+    ] = None
 
     tag: Annotated[str | None, typer.Option("--tag", help="Only clips with this tag.")] = None
 

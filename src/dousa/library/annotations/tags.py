@@ -14,7 +14,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from dousa.errors import LibraryError, OptionError
-from dousa.library.label_rules import check_text
+from dousa.library.label_rules import check_text, fits_category
 from dousa.library.results import Answer
 from dousa.library.store import schema
 from dousa.library.store.checksums import SEARCHES, seal_rows
@@ -161,11 +161,11 @@ def _check(name: str, asked: Mapping[str, Any]) -> SavedSearch:
 
 
 def _fits(clip: Any, asked: Mapping[str, Any]) -> bool:
-    for name in ("category", "performer"):
-        wanted = _as_list(asked.get(name))
-        label, below = getattr(clip, name) or "", tuple(one for one in wanted if one.endswith("/"))
-        if wanted and label not in wanted and not (below and f"{label}/".startswith(below)):
-            return False
+    categories, performers = _as_list(asked.get("category")), _as_list(asked.get("performer"))
+    if categories and not any(fits_category(clip.category or "", one) for one in categories):
+        return False
+    if performers and (clip.performer or "") not in performers:
+        return False
     tags = _as_list(asked.get("tag"))
     if tags and not (set(tags) & set(clip.tags) or ("" in tags and not clip.tags)):
         return False

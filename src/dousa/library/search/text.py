@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import OptionError
+from dousa.library.label_rules import fits_category
 from dousa.library.results import Answer
 from dousa.library.search.text_store import load_relations
 from dousa.library.store import schema
@@ -252,11 +253,12 @@ def _check_text(text: str, *, most: int = 500) -> None:
 
 def _choose(entries: Sequence[_Entry], category: str | None, performer: str | None, kind: str | None) -> IndexArray:
     """Return the places of the motions with these labels."""
-    asked = {"category": category, "performer": performer, "kind": kind}
-    wanted = [(name, value) for name, value in asked.items() if value is not None]
-    if not wanted:
-        return np.arange(len(entries))
-    fits = [all(getattr(entry.row, name) == value for name, value in wanted) for entry in entries]
+    fits = [
+        (category is None or fits_category(entry.row.category, category))
+        and performer in (None, entry.row.performer)
+        and kind in (None, entry.row.kind)
+        for entry in entries
+    ]
     return np.flatnonzero(np.array(fits, bool))
 
 
@@ -346,17 +348,19 @@ def _find(
 ) -> tuple[IndexArray, FloatArray, IndexArray]:
     """Return places, scores and best alternatives of the motions that fit, the best first, equals by path.
 
-    A label or name that contains the query letter by letter has the score ``literal``, unless its words have more.
+    A label or name that contains the query letter by letter fits; it has the score ``literal``, unless its words have
+    more.
     """
     alternatives, letters = np.stack([index.columns.score(one) for one in matchers]), _literal(text)
     fitting, scores = alternatives.argmax(axis=0), alternatives.max(axis=0)
+    called = np.zeros(len(scores), bool)
     if len(letters) >= 3:
-        weak = chosen[scores[chosen] < literal]
-        scores[[row for row in weak.tolist() if letters in index.entries[row].literal]] = literal
+        called[chosen] = [letters in index.entries[row].literal for row in chosen.tolist()]
+        scores[called] = np.maximum(scores[called], literal)
     found = chosen[scores[chosen] >= LEAST_SCORE]
     found = found[np.argsort(-np.round(scores[found], 3), kind="stable")]
     best = scores[found[0]] if len(found) else 0.0
-    found = found[scores[found] >= LEAST_OF_BEST * best]
+    found = found[called[found] | (scores[found] >= LEAST_OF_BEST * best)]
     return found, scores[found], fitting[found]
 
 

@@ -12,6 +12,7 @@ import sqlalchemy as sa
 
 from dousa.errors import LibraryError, OptionError
 from dousa.formats.motion_files import is_unicode
+from dousa.library.label_rules import fits_category
 from dousa.library.results import ClipInfo, LibraryStats
 from dousa.library.store import schema
 from dousa.library.store.checksums import LABELS, NUMBERS, TAGS, seal_rows, update_rows
@@ -47,7 +48,7 @@ def select_ids(
     OptionError if nothing is chosen at all; LibraryError for a number or path that fits no clip.
 
     ``selection`` : clips; if empty, all clips of the given labels.
-    ``category``, ``performer``, ``tag`` : only clips of this label, with this tag.
+    ``category`` : only clips of it, as `fits_category` reads it; ``performer``, ``tag`` : of this label, with this tag.
     """
     items = [selection] if isinstance(selection, int | str | os.PathLike) else list(selection)
     if not items and category is None and performer is None and tag is None:
@@ -55,7 +56,8 @@ def select_ids(
     table = schema.clips.c
     query = sa.select(table.id)
     if category is not None:
-        query = query.where(table.category == category)
+        names = connection.execute(sa.select(table.category).distinct()).scalars()
+        query = query.where(table.category.in_([category, *(name for name in names if fits_category(name, category))]))
     if performer is not None:
         query = query.where(table.performer == performer)
     tagged = None if tag is None else {number for number, tags in read_tags(connection).items() if tag in tags}
@@ -67,7 +69,7 @@ def select_ids(
     if not items:
         found = find()
         if not found:
-            raise _none_of(where, category, performer, tag)
+            raise _none_of(connection, where, category, performer, tag)
         return sorted(found)
     numbers = [item for item in items if isinstance(item, int) and schema.is_id(item)]
     known = {number for some in portions(numbers) for number in find(table.id.in_(some))}
@@ -82,11 +84,16 @@ def select_ids(
     return sorted(chosen)
 
 
-def _none_of(where: str, category: str | None, performer: str | None, tag: str | None) -> LibraryError:
+def _none_of(
+    connection: sa.Connection, where: str, category: str | None, performer: str | None, tag: str | None, most: int = 5
+) -> LibraryError:
     if tag is not None:
         return LibraryError("library_tags.none_of_tag", library=where, tag=tag)
     if performer is None:
-        return LibraryError("library_clips.none_of_category", library=where, category=category)
+        names = connection.execute(sa.select(schema.clips.c.category).distinct()).scalars()
+        near = sorted(name for name in names if name is not None and str(category).casefold() in name.casefold())
+        code = "none_of_category" if not near else "part_of_category"
+        return LibraryError(f"library_clips.{code}", library=where, category=category, near=tuple(near[:most]))
     if category is None:
         return LibraryError("library_clips.none_of_performer", library=where, performer=performer)
     return LibraryError("library_clips.none_of_both", library=where, category=category, performer=performer)

@@ -32,6 +32,7 @@ from dousa.app.studio.core.workspace import write_file
 from dousa.arrays import Mask
 from dousa.errors import DousaError, InvalidMotionError, LibraryDamagedError, LibraryError
 from dousa.files.npz_arrays import open_npz
+from dousa.library.label_rules import fits_category
 from dousa.library.store.selection import KnownClips
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ class ClipQuery:
     ----------
     text : as `read_text` understands it.
     labels : ``category``, ``performer``, ``kind`` or ``tag`` to the names that fit, `NO_LABEL` for none; all if empty.
-        A category that ends with a slash stands for all below it.
+        A category is read by `fits_category`.
     min_s, max_s : shortest length, and the length that is too long, s; None for any.
     batch : only clips of this batch of uploads.
     sort : order of the list.
@@ -200,8 +201,10 @@ class Snapshot:
     def _labelled(self, label: str, wanted: Sequence[str]) -> Mask | None:
         if not wanted:
             return None
-        names, below = frozenset(wanted), tuple(name for name in wanted if name.endswith("/"))
-        fits = [name in names or (bool(below) and f"{name}/".startswith(below)) for name in self._names[label]]
+        if label == "category":
+            fits = [any(fits_category(name, one) for one in wanted) for name in self._names[label]]
+        else:
+            fits = [name in wanted for name in self._names[label]]
         known = np.array(fits, bool)
         found = known[self._codes[label]] if len(known) else np.zeros(0, bool)
         return found & self._are_clips if label == "category" else found  # a take does not lack one
