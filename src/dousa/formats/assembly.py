@@ -36,6 +36,9 @@ from dousa.motion.canonical.reference_frame import (
 from dousa.motion.rotations import conjugate, identity, multiply, rotate
 from dousa.motion.types import freeze
 
+LONGEST = 20_000
+"""Frames, by definition, that are looked at for the up axis: some minutes, in which a body stands or sits."""
+
 
 def settle_motion(
     path: str | os.PathLike[str],
@@ -319,7 +322,7 @@ def settle_trajectories(
                     declared_unit=unit_in_file,
                     declared_up=up_in_file,
                     default_up=default_up,
-                    whole=lambda: raw,
+                    whole=lambda: raw.replace(positions=raw.positions[:LONGEST]),
                 )
 
             raw = Trajectories(names, freeze(positions), timeline.rate)

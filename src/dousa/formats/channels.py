@@ -9,7 +9,7 @@ import numpy as np
 
 from dousa.arrays import FloatArray, IntArray
 from dousa.errors import MotionFileError
-from dousa.formats.assembly import settle_motion
+from dousa.formats.assembly import LONGEST, settle_motion
 from dousa.formats.guard import Clock
 from dousa.kernels import is_worth_compiling, kernel, part
 from dousa.motion.types import Motion, Skeleton, freeze
@@ -165,5 +165,5 @@ def build_motion(
         rotations, translations = compute_poses(program, rows)
     return settle_motion(
         path, format_name, program.skeleton, rotations, translations, clock,
-        most_frames=20_000, damaged="channels.no_motion", **settings,
+        most_frames=LONGEST, damaged="channels.no_motion", **settings,
     )  # fmt: skip

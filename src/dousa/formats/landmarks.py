@@ -28,13 +28,14 @@ from dousa.arrays import FloatArray
 from dousa.errors import DousaError, MotionFileError
 from dousa.files.disk import read_bytes
 from dousa.files.frame_files import list_frame_files, natural_key, number_frames
+from dousa.files.json_arrays import parse_arrays
 from dousa.formats.arrays.bodies import gather_people, list_bodies
 from dousa.formats.arrays.joints import BODY_OF, list_layouts, name_joints
 from dousa.formats.arrays.pickles import build_content
 from dousa.formats.guard import Clock, check_memory
 from dousa.formats.parts import choose
 from dousa.messages import Message
-from dousa.motion import Motion, Trajectories
+from dousa.motion import Motion, Trajectories, thin
 from dousa.motion.canonical.naming import match_names
 
 WORLD_KEYS = (
@@ -71,7 +72,8 @@ class Person:
 
     Parameters
     ----------
-    points : (K, 4) x, y, z, confidence; NaN where missing; no rows where there are only points in a picture.
+    points : (K, 3) x, y, z, or (K, 4) with the confidence; NaN where missing; no rows where there are only points in a
+        picture.
     key : name of the points in the file, "" of bare lists.
     names : (K,) of the points, if any; else empty.
     number : of the person by the program, else None.
@@ -104,11 +106,11 @@ def list_frames(content: Any, most: int = 2_000_000) -> Recording:
     if isinstance(content, Mapping):
         rate, names = _find_rate(content), _find_names(content)
         content = _find_frames(content)
-    if not isinstance(content, list) or not content:
+    if not isinstance(content, _LISTS) or not len(content):
         raise FormError("landmarks.unknown")
     if len(content) > most:
         raise FormError("landmarks.frames", most=most, found=len(content))
-    if all(isinstance(entry, Mapping) and "image_id" in entry for entry in content):
+    if isinstance(content, list) and all(isinstance(entry, Mapping) and "image_id" in entry for entry in content):
         return Recording(_group_by_image(content, most), rate, names)
     if _is_person(content):  # the points of a single frame
         content = [content]
@@ -147,13 +149,13 @@ def _find_names(content: Mapping[str, Any]) -> tuple[str, ...]:
 def _find_frames(content: Mapping[str, Any]) -> Any:
     """List of frames of an object: under a usual name, or the arrays of a single take."""
     for key in _FRAME_KEYS:
-        if isinstance(content.get(key), list):
+        if isinstance(content.get(key), _LISTS):
             # ``people`` at the top is a file of one frame; ``frames`` are frames, and so are arrays.
-            bare = _depth(content[key]) == 3 and isinstance(content[key][0][0], list)
+            bare = _depth(content[key]) == 3 and isinstance(content[key][0][0], _LISTS)
             return [content] if key in _PEOPLE_KEYS and not bare else content[key]
     for key in _POINT_KEYS:
         found = content.get(key)
-        if isinstance(found, list) and found:
+        if isinstance(found, _LISTS) and len(found):
             return [{key: frame} for frame in found] if _depth(found) == 3 else [content]
     by_name = {name: rows for name, rows in content.items() if _depth(rows) == 2}
     if len(by_name) > 2 and len({len(rows) for rows in by_name.values()}) == 1:  # a path for each joint
@@ -166,7 +168,7 @@ def _depth(value: Any, deepest: int = 6) -> int:
     depth = 0
     while isinstance(value, list) and value and depth < deepest:
         value, depth = value[0], depth + 1
-    return depth + isinstance(value, Mapping)
+    return depth + (value.ndim if isinstance(value, np.ndarray) else isinstance(value, Mapping))
 
 
 def _group_by_image(entries: Sequence[Mapping[str, Any]], most: int) -> list[list[Person]]:
@@ -184,13 +186,13 @@ def list_people(node: Any, key: str = "", depth: int = 0, deepest: int = 6, most
 
     FormError if it is none, nested deeper than ``deepest``, or has more than ``most`` people.
     """
-    if node is None or node in ([], {}):
+    if node is None or (not isinstance(node, np.ndarray) and node in ([], {})):
         return []
     if depth > deepest:
         raise FormError("landmarks.unknown")
     if isinstance(node, Mapping):
         return _list_in_object(node, depth)
-    if not isinstance(node, list):
+    if not isinstance(node, _LISTS):
         raise FormError("landmarks.unknown")
     if _is_person(node):
         return [Person(*_read_points(node, key))]
@@ -203,12 +205,12 @@ def _list_in_object(node: Mapping[str, Any], depth: int) -> list[Person]:
     for key in _POINT_KEYS:
         found = node.get(key)
         # OpenPose writes an empty list of 3D points beside those in the picture.
-        if isinstance(found, list | Mapping) and found:
+        if isinstance(found, (*_LISTS, Mapping)) and len(found):
             people = list_people(found, key, depth + 1)
-            scores = next((node[name] for name in _SCORE_KEYS if isinstance(node.get(name), list)), None)
+            scores = next((node[name] for name in _SCORE_KEYS if isinstance(node.get(name), _LISTS)), None)
             number = _read_number(node)
             return [_finish(person, scores, number) for person in people]
-    if isinstance(node.get(FLAT_KEY), list):
+    if isinstance(node.get(FLAT_KEY), _LISTS):
         return [Person(np.empty((0, 4)), FLAT_KEY, (), _read_number(node))]
     for key in (*_PEOPLE_KEYS, *_POINT_KEYS):
         if key in node:
@@ -219,12 +221,11 @@ def _list_in_object(node: Mapping[str, Any], depth: int) -> list[Person]:
 
 
 def _finish(person: Person, scores: Any, number: int | None) -> Person:
-    if scores is not None and len(scores) == 1 and isinstance(scores[0], list):
+    if scores is not None and len(scores) == 1 and isinstance(scores[0], _LISTS):
         scores = scores[0]
     points = person.points
     if scores is not None and len(scores) >= len(points) and all(map(_is_number, scores)):
-        points = points.copy()
-        points[:, 3] = np.array(scores[: len(points)], np.float64)
+        points = np.column_stack((points[:, :3], np.array(scores[: len(points)], np.float64)))
     return Person(points, person.key, person.names, person.number if number is None else number)
 
 
@@ -239,7 +240,7 @@ def _is_value(value: Any) -> bool:
 def _is_landmark(entry: Any) -> bool:
     if isinstance(entry, Mapping):
         return _is_value(entry.get("x", "")) and _is_value(entry.get("y", ""))
-    return entry is None or (isinstance(entry, list) and 2 <= len(entry) <= 5 and all(map(_is_value, entry)))
+    return entry is None or (isinstance(entry, _LISTS) and 2 <= len(entry) <= 5 and all(map(_is_value, entry)))
 
 
 def _is_named_points(node: Mapping[str, Any]) -> bool:
@@ -250,27 +251,31 @@ def _counts() -> set[int]:
     return {len(layout.names) for layout in list_layouts()}
 
 
-def _flat_width(node: list[Any]) -> int:
+def _flat_width(node: list[Any] | FloatArray) -> int:
     """Number of values per point in a flat list of numbers; 0 if it is none."""
-    if len(node) < 6 or not all(map(_is_value, node)):
+    flat = node.ndim == 1 if isinstance(node, np.ndarray) else all(map(_is_value, node))
+    if len(node) < 6 or not flat:
         return 0
     known = _counts() | set(BODY_OF)
     return next((width for width in (4, 3) if len(node) % width == 0 and len(node) // width in known), 0)
 
 
-def _is_person(node: list[Any]) -> bool:
+def _is_person(node: list[Any] | FloatArray) -> bool:
     """Whether a list holds the points of one person, one after the other or as a flat list of numbers."""
     if _flat_width(node):
         return True
+    if isinstance(node, np.ndarray):
+        return node.ndim == 2 and len(node) > 2 and 2 <= node.shape[1] <= 5
     return len(node) > 2 and any(entry is not None for entry in node) and all(map(_is_landmark, node))
 
 
-def _read_points(node: list[Any], key: str) -> tuple[FloatArray, str, tuple[str, ...]]:
+def _read_points(node: list[Any] | FloatArray, key: str) -> tuple[FloatArray, str, tuple[str, ...]]:
     width = _flat_width(node)
     names: tuple[str, ...] = ()
     if width:
-        values = np.array(node, np.float64).reshape(-1, width)
-        points = np.concatenate((values, np.ones((len(values), 4 - width))), axis=1)
+        points = np.array(node, np.float64).reshape(-1, width)
+    elif isinstance(node, np.ndarray):
+        points = np.insert(node, 2, np.nan, axis=1) if node.shape[1] == 2 else node[:, :4]
     else:
         points = np.array([_read_landmark(entry) for entry in node])
         if all(isinstance(entry, Mapping) and isinstance(entry.get("name"), str) for entry in node):
@@ -287,6 +292,7 @@ def _read_landmark(entry: Any) -> tuple[float, float, float, float]:
         sure = next((entry[key] for key in _SURE_KEYS if _is_number(entry.get(key))), 1.0)
         values = [entry["x"], entry["y"], entry.get("z"), sure]
     else:
+        entry = [*entry]
         values = [*entry[:4], *(None, 1.0)[len(entry) - 2 :]] if len(entry) < 4 else entry[:4]
     x, y, z, sure = (np.nan if value is None else float(value) for value in values)
     return x, y, z, sure
@@ -301,6 +307,8 @@ def _read_number(node: Mapping[str, Any]) -> int | None:
             return value
     return None
 
+
+_LISTS = (list, np.ndarray)
 
 _LANDMARKS, _HIPS = 33, (23, 24)  # of MediaPipe's definition
 
@@ -342,15 +350,18 @@ def read_landmarks(
         people, notes = _choose_person(path, recording, person)
     except FormError as error:
         raise MotionFileError(path, error.message) from error
-    points = _stack(path, people)
-    refuse_pictures(path, points, {person.key for person in people if person is not None})
-    places = points[..., :3].copy()
-    places[~(points[..., 3] > 0) | (places == 0).all(axis=2)] = np.nan
+    places, sure = _stack(path, people)
+    refuse_pictures(path, places, {person.key for person in people if person is not None})
+    places[~(sure > 0) | ~places.any(axis=2)] = np.nan
     if not np.isfinite(places).any():
         raise MotionFileError(path, "landmarks.nobody")
-    clock = Clock(recording.rate, recording.times, recording.numbers)
+    clock, names = (
+        Clock(recording.rate, recording.times, recording.numbers),
+        _name_points(recording, people, places.shape[1]),
+    )
+    del content, poses, recording, people  # of a long recording they are as large as its points
     return name_joints(
-        path, "landmarks", places, _name_points(recording, people, points.shape[1]), unit=unit, up=up,
+        path, "landmarks", places, names, unit=unit, up=up,
         frame_rate=frame_rate, clock=clock, notes=(*notes, *note_hips(places)),
     )  # fmt: skip
 
@@ -361,11 +372,11 @@ def _parse(path: str | os.PathLike[str]) -> Any:
     try:
         text = data.decode("utf-8-sig")
         try:
-            return json.loads(text)
+            return parse_arrays(text)
         except json.JSONDecodeError as error:
             if "Extra data" not in error.msg:
                 raise
-            return [json.loads(line) for line in text.splitlines() if line.strip()]  # a frame in each line
+            return [parse_arrays(line) for line in text.splitlines() if line.strip()]  # a frame in each line
     except (ValueError, RecursionError) as error:
         raise MotionFileError(path, "landmarks.broken", reason=str(error)[:200]) from error
 
@@ -419,19 +430,21 @@ def _choose_person(
     return [found[place] if place < len(found) else None for found in frames], notes
 
 
-def _stack(path: str | os.PathLike[str], people: list[Person | None]) -> FloatArray:
-    """(T, K, 4) of the person, NaN in frames without."""
+def _stack(path: str | os.PathLike[str], people: list[Person | None]) -> tuple[FloatArray, FloatArray]:
+    """Points (T, K, 3) of the person, NaN in frames without, and their confidences (T, K)."""
     sizes = Counter(len(person.points) for person in people if person is not None)
     count = max(sizes, key=lambda size: sizes[size])
     if len(sizes) > 1:
         raise MotionFileError(path, "landmarks.uneven", found=tuple(sorted(sizes)))
     if count * len(people) > 100_000_000:
         raise MotionFileError(path, "disk.too_large")
-    points = np.full((len(people), count, 4), np.nan)
+    places, sure = np.full((len(people), count, 3), np.nan), np.ones((len(people), count))
     for frame, person in enumerate(people):
         if person is not None:
-            points[frame] = person.points
-    return points
+            places[frame] = person.points[:, :3]
+            if person.points.shape[1] > 3:
+                sure[frame] = person.points[:, 3]
+    return places, sure
 
 
 def refuse_pictures(
@@ -440,16 +453,19 @@ def refuse_pictures(
     keys: Collection[str] = (),
     pixels: float = 3.0,
     off_origin: float = 0.15,
+    most: int = 5000,
 ) -> None:
     """Raise MotionFileError for points in a picture.
 
     Parameters
     ----------
-    points : (T, K, 4) x, y, z, confidence.
+    points : (T, K, 3).
     keys : names of the points in the file.
     pixels : coordinates beyond this, beside confidences from 0 to 1, are places in a picture.
     off_origin : m from the middle of the hips of world landmarks.
+    most : frames that are looked at, spread evenly.
     """
+    points = thin(points, min(most, len(points)))
     seen = points[np.isfinite(points[..., :2]).all(axis=2)]
     depth = seen[np.isfinite(seen[:, 2]), 2]
     landmarks = points.shape[1] == _LANDMARKS

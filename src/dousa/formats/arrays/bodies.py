@@ -98,7 +98,7 @@ def _gather_frames(content: Mapping[Any, Any]) -> Mapping[Any, Any] | None:
     ordered = [content[key] for key in sorted(content, key=lambda key: natural_key(str(key)))]
     named = []
     for frame in ordered:
-        tracks = next((frame[name] for name in _TRACKS if isinstance(frame.get(name), list)), ())
+        tracks = next((frame[name] for name in _TRACKS if isinstance(frame.get(name), list | np.ndarray)), ())
         named.append([{"id": who, **pose} for who, pose in zip(tracks, frame["smpl"], strict=False)])
     return gather_people(named)
 

@@ -199,7 +199,7 @@ def _build(
         points[~(scores[:, place] > 0), column] = np.nan
     if order is not None:
         frames, numbers = order
-        first = np.flatnonzero(np.diff(np.maximum.accumulate(frames), prepend=-1))
+        first = np.unique(frames, return_index=True)[1]
         times = {role: column[first] for role, column in times.items()}
         spread = np.full((len(first), len(names), 3), np.nan)
         spread[frames, numbers] = points[:, 0]
