@@ -2,8 +2,8 @@
 
 ``python -m lab.reliability.file_damage [--copies 4000] [--formats glb c3d ...]`` makes small files of every format and
 damages copies of them. A copy is *silent* if it is read without an error and without a note that the good file does not
-have, and yet is another motion. Values are the numbers of the frames, and in GLB those of nodes at rest; structure is
-all else. What is inserted is random bytes, or in every second copy a piece of the file itself.
+have, and yet is another motion. Values are the numbers of the frames, in BVH those of OFFSET too, in GLB those of nodes
+at rest; structure is all else. What is inserted is random bytes, or in every second copy a piece of the file itself.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ _BODY = {
     "npz": rb"rotations\.npy",
 }
 _SPANS = {
+    "bvh": rb"OFFSET([^\r\n]*)",
     "mvnx": rb"<(?:orientation|position)>([^<]*)",
     "glb": rb'"(?:translation|rotation|scale|matrix|min|max)":(\[[^]]*\])',
 }
@@ -96,7 +97,7 @@ def list_values(suffix: str, data: bytes) -> Iterator[tuple[int, int]]:
         yield 20 + int.from_bytes(data[12:16], "little") + 8, len(data)
     elif suffix == "c3d":
         yield 512 * (int.from_bytes(data[16:18], "little") - 1), len(data)
-    elif suffix in _BODY:
+    if suffix in _BODY:
         found = re.search(_BODY[suffix], data)
         assert found is not None
         yield found.end() + (128 if suffix == "npz" else 0), data.rindex(b"PK\1\2") if suffix == "npz" else len(data)

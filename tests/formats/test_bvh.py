@@ -227,6 +227,7 @@ DAMAGE = [
     (lambda t: t.replace("CHANNELS 3 Y", "CHANNELS Y"), 9, "expected a number of channels"),
     (lambda t: t.replace("CHANNELS 3 Yrot", "CHANNELS 3 Wrot"), 9, "unknown channel 'Wrotation'"),
     (lambda t: t.replace("6 Xposition", "6 Yposition"), 5, "'Yposition' is there twice"),
+    (lambda t: t.replace("Xrotation", "Zrotation", 1), 5, "'Zrotation' is there twice"),
     (lambda t: t.replace("OFFSET 0 20.5 0", "SIZE 3"), 8, "got 'SIZE 3'"),
     (lambda t: "hello\n" + t, 1, "expected HIERARCHY"),
     (lambda t: "HIERARCHY\nMOTION\nFrames: 1\nFrame Time: 1\n1\n", 1, "expected a ROOT joint"),

@@ -330,3 +330,10 @@ def test_segments_of_a_file_that_ends_early(foreign, saved):
 def test_events_and_other_bytes_of_the_header_do_not_matter(saved):
     noisy = patched(GOOD, 298, struct.pack("<H", 60_000))  # a number of events that has no room
     assert read_c3d(saved(noisy)).n_frames == 5
+
+
+def test_of_two_scales_the_body_decides(foreign):
+    """The parameter of this file makes a person of 0.7 m, the header one of 1.9 m."""
+    motion = read_c3d(foreign("c3d_org/MACsample.c3d"))
+    assert [note.code for note in motion.provenance.notes] == ["c3d.scale_of_header"]
+    assert 1.4 < np.nanmax(motion.positions[..., 1]) < 2

@@ -414,6 +414,9 @@ def test_bytes_that_a_c3d_file_has_too_many_or_too_few_are_said(tmp_path, place)
         ("trc", "\n5\t0.04", "\n5\t\t0.04", "guard.row_width"),
         ("csv", f",{PATH.names[3]},", ",", "motive.columns"),
         ("csv", f",{PATH.names[3]},", ",Hid,", "motive.columns"),
+        ("csv", ",Name,", ",Name,,", "motive.header"),
+        ("mvnx", 'type="normal"', 'type="norlal"', "mvnx.frame_type"),
+        ("mvnx", 'segmentCount="4"', 'segmentCount="4" jointCount="9"', "guard.point_count"),
     ],
 )
 def test_declared_and_found_counts_that_differ_are_said(tmp_path, name, old, new, code):

@@ -31,7 +31,8 @@ from dousa.files.disk import atomic_write, read_bytes
 from dousa.formats.assembly import declared_unit, settle_trajectories
 from dousa.formats.guard import EXACT, Clock, check_points, compare_bytes, find_shift
 from dousa.messages import Message
-from dousa.motion import Motion, Trajectories
+from dousa.motion import Motion, Trajectories, thin
+from dousa.motion.canonical.reference_frame import infer_reference_frame
 
 BLOCK = 512
 """Bytes of a block, by the definition of the format (user guide)."""
@@ -386,6 +387,9 @@ def read_c3d(
     if len(shift) == 3:  # see `write_c3d`
         positions += shift
     units = sections.texts("POINT:UNITS")
+    unit_in_file = declared_unit(units[0]) if units else None
+    if any(note.values.get("key") == "POINT:SCALE" for note in notes if note.code == "c3d.header"):
+        positions, notes = _choose_scale(sections, names, positions, unit_in_file, notes)
     return settle_trajectories(
         path,
         "c3d",
@@ -394,7 +398,7 @@ def read_c3d(
         clock,
         unit=unit,
         up=up,
-        unit_in_file=declared_unit(units[0]) if units else None,
+        unit_in_file=unit_in_file,
         up_in_file=_up_axis(sections),
         default_up=None,
         notes=notes,
@@ -475,6 +479,29 @@ def _compare_header(sections: Sections, near: float = 0.005) -> tuple[Message, .
         if abs(said - word) > near * abs(said):
             notes.append(Message("c3d.header", key=key, header=word, found=said))
     return tuple(notes)
+
+
+def _choose_scale(
+    sections: Sections,
+    names: tuple[str, ...],
+    positions: FloatArray,
+    unit: float | None,
+    notes: tuple[Message, ...],
+) -> tuple[FloatArray, tuple[Message, ...]]:
+    """Positions by the header's scale if by that of the parameters, and not by it, a body has no person's stature."""
+    said, word = sections.number("POINT:SCALE") or 0.0, sections.header.scale
+    if said <= 0 or word <= 0 or unit is None:
+        return positions, notes
+    whole = Trajectories(names, thin(positions, min(10, len(positions))), 1.0)
+    bodies = [
+        infer_reference_frame(whole.replace(positions=whole.positions * k), declared_unit=unit)
+        for k in (1, word / said)
+    ]
+    odd = [any(note.code in ("units.odd_body", "units.other_unit") for note in body.notes) for body in bodies]
+    if odd != [True, False]:
+        return positions, notes
+    kept = tuple(note for note in notes if note.values.get("key") != "POINT:SCALE")
+    return positions * (word / said), (*kept, Message("c3d.scale_of_header", header=word, found=said))
 
 
 def _up_axis(sections: Sections) -> str | None:

@@ -51,6 +51,8 @@ SEGMENTS = (
 )  # fmt: skip
 """The segments in the order of MVN (user manual, "MVNX"), for files that leave them out."""
 
+_CALIBRATION = ("identity", "tpose", "tpose-isb", "npose")
+
 _SIDES = ("Left", "Right")
 _CHAINS = (
     "Pelvis L5 L3 T12 T8 Neck Head",
@@ -110,11 +112,9 @@ def read_mvnx(
     segments = segments or [ET.Element("segment", label=name) for name in names]
     if not names or len(names) > 500 or len(set(names)) != len(names):
         raise MotionFileError(path, "mvnx.segments", found=len(names))
-    notes += _compare_segments(path, subject.get("segmentCount", ""), len(names))
-    frames = [node for group in _children(subject, "frames") for node in _children(group, "frame")]
-    taken = [frame for frame in frames if frame.get("type", "normal") == "normal"]
-    if not taken:
-        raise MotionFileError(path, "mvnx.no_frames")
+    notes += _compare_counts(path, subject, len(names))
+    frames, taken, more = _list_frames(path, subject)
+    notes += more
     clock = _read_clock(subject, taken)
     held = {_name(node) for node in taken[0]} & {"orientation", "position"}
     if not held:
@@ -152,13 +152,31 @@ def read_mvnx(
     )  # fmt: skip
 
 
-def _compare_segments(path: str | os.PathLike[str], declared: str, found: int) -> tuple[Message, ...]:
-    """Note fewer declared segments than names; MotionFileError for more of them."""
-    if not declared.isdecimal() or len(declared) > 8:
-        return ()
-    if int(declared) > found:
-        raise MotionFileError(path, "mvnx.segment_count", declared=int(declared), found=found)
-    return compare_points(int(declared), found)
+def _compare_counts(path: str | os.PathLike[str], subject: ET.Element, found: int) -> tuple[Message, ...]:
+    """Note declared numbers of segments and joints that are not there; MotionFileError for more segments than names."""
+    notes: tuple[Message, ...] = ()
+    joints = sum(1 for _ in _list_joints(subject))
+    for node in (subject, *_children(subject, "frames")):
+        for key, count in (("segmentCount", found), ("jointCount", joints)):
+            said = node.get(key, "")
+            if not said.isdecimal() or len(said) > 8 or not count:
+                continue
+            if key == "segmentCount" and int(said) > found:
+                raise MotionFileError(path, "mvnx.segment_count", declared=int(said), found=found)
+            notes += compare_points(int(said), count)
+    return notes[:1]
+
+
+def _list_frames(
+    path: str | os.PathLike[str], subject: ET.Element
+) -> tuple[list[ET.Element], list[ET.Element], tuple[Message, ...]]:
+    """All frames, those that are no calibration, and a note about frames of another kind."""
+    frames = [node for group in _children(subject, "frames") for node in _children(group, "frame")]
+    taken = [frame for frame in frames if frame.get("type", "normal") == "normal"]
+    if not taken:
+        raise MotionFileError(path, "mvnx.no_frames")
+    strange = [kind for frame in frames if (kind := frame.get("type", "normal")) not in ("normal", *_CALIBRATION)]
+    return frames, taken, (Message("mvnx.frame_type", n=len(strange), found=strange[0][:40]),) if strange else ()
 
 
 def _order_segments(

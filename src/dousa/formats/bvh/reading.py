@@ -226,7 +226,8 @@ def _parse_channels(words: list[bytes], position: int) -> tuple[str, ...]:
         kind = _KINDS.get(name.decode("ascii", "replace").lower())
         if kind is None:
             raise BvhSyntaxError(position, "bvh.unknown_channel", found=_shown(name), known=CHANNEL_NAMES)
-        if kind < 3 and kind in kinds:
+        # Two turns about one axis, one after the other, are one turn.
+        if kind in kinds if kind < 3 else kinds[-1:] == [kind]:
             raise BvhSyntaxError(position, "bvh.channel_twice", found=_shown(name))
         kinds.append(kind)
     return tuple(CHANNEL_NAMES[kind] for kind in kinds)

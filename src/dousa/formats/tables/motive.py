@@ -39,8 +39,8 @@ class _Table:
     fields: dict[str, str]
     columns: dict[tuple[str, str], dict[str, list[int]]]
     parents: dict[str, str]
-    odd: tuple[str, ...]
-    """Assets whose columns are not X, Y, Z (and W) of a quantity."""
+    notes: tuple[Message, ...]
+    """Of assets whose columns are not X, Y, Z (and W) of a quantity, and of rows of other widths in the header."""
     cells: tuple[int, int]
     """Titles of the columns, as `count_cells` has it."""
     body: int
@@ -87,8 +87,7 @@ def read_motive(
     positions = positions.reshape(len(positions), len(names), 3)
     rates = (read_number(table.fields.get(key)) for key in ("export frame rate", "capture frame rate"))
     clock = Clock(next((rate for rate in rates if rate is not None), None), counted[:, 1], counted[:, 0], frames)
-    if table.odd:
-        notes += (Message("motive.columns", n=len(table.odd), name=table.odd[0]),)
+    notes += table.notes
     unit_in_file = declared_unit(table.fields.get("length units", ""))
     del text, rows
     # Rigid bodies and bones that are not solved are blank; markers of older versions lie at the origin.
@@ -117,13 +116,18 @@ def _read_header(path: str | os.PathLike[str], rows: list[list[str]]) -> _Table:
             if "name" not in labelled:
                 break
             what = [cell.strip() for cell in rows[number - 1]]
-            return _Table(fields, *_read_columns(labelled, what, cells), count_cells(cells), number + 1)
+            columns, parents, notes = _read_columns(labelled, what, cells)
+            uneven = [(n, len(row)) for n, row in enumerate(rows[1:number], 2) if len(row) not in (0, len(cells))]
+            if uneven:
+                line, found = uneven[0]
+                notes += (Message("motive.header", line=line, found=found, expected=len(cells)),)
+            return _Table(fields, columns, parents, notes, count_cells(cells), number + 1)
     raise MotionFileError(path, "motive.no_names")
 
 
 def _read_columns(
     labelled: dict[str, list[str]], what: list[str], axes: list[str]
-) -> tuple[dict[tuple[str, str], dict[str, list[int]]], dict[str, str], tuple[str, ...]]:
+) -> tuple[dict[tuple[str, str], dict[str, list[int]]], dict[str, str], tuple[Message, ...]]:
     names, kinds = labelled["name"], labelled.get("type", [])
     columns: dict[tuple[str, str], dict[str, list[int]]] = {}
     parents: dict[str, str] = {}
@@ -142,7 +146,8 @@ def _read_columns(
         for found in quantities.values()
         if "".join(axes[column].upper() for column in found) not in ("XYZ", "XYZW")
     }
-    return columns, parents, tuple(odd)
+    notes = (Message("motive.columns", n=len(odd), name=next(iter(odd))),) if odd else ()
+    return columns, parents, notes
 
 
 def _turn_order(fields: dict[str, str]) -> str:
