@@ -18,30 +18,30 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_492, 111),
+    "app": (25_731, 111),
     "estimation": (15_692, 65),
     "evaluation": (12_565, 46),
     "experiments": (1_734, 10),
-    "files": (1_002, 8),
+    "files": (1_090, 8),
     "formats": (12_871, 70),
-    "library": (15_650, 55),
+    "library": (16_061, 57),
     "messages": (235, 3),
     "motion": (6_481, 34),
     "retrieval": (13_427, 46),
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_111,
-    "lines of JavaScript": 12_482,
-    "constants": 1_035,
+    "lines of tests": 62_359,
+    "lines of JavaScript": 12_483,
+    "constants": 1_041,
     "numeric constants without a source": 0,
     "functions over 60 lines": 20,
     "files over 650 lines": 0,
     "folders with more than 15 files": 0,
     "lines with words that a native reader stumbles over": 47,
     "hand-written runs of a mask": 3,
-    "commands": 30,
-    "options": 227,
+    "commands": 32,
+    "options": 229,
 }
 
 _LONG_FUNCTION, _LONG_FILE, _LARGE_FOLDER = 60, 650, 15

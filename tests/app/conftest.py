@@ -31,6 +31,7 @@ def dousa(monkeypatch, capsys):
 
     def run(*words):
         monkeypatch.setattr(sys, "argv", ["dousa", *map(str, words)])
+        monkeypatch.setattr(sys, "warnoptions", ["error"])  # they fail the test, though no user sees them
         try:
             main()
             code = 0

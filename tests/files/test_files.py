@@ -111,7 +111,7 @@ def test_a_disk_that_fails_while_writing(tmp_path, monkeypatch, number, message)
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
 def test_a_full_disk_on_closing(tmp_path, monkeypatch):
     """Bytes still in the buffer fail once more when the file is closed; that must not hide the reason."""
-    monkeypatch.setattr("dousa.files.disk.create_beside", lambda _: open("/dev/full", "wb"))  # noqa: SIM115
+    monkeypatch.setattr("dousa.files.disk._open_part", lambda _, alone: open("/dev/full", "wb"))  # noqa: SIM115
     removed = []
     monkeypatch.setattr(os, "unlink", removed.append)
     with pytest.raises(MotionWriteError, match="disk is full"), atomic_write(tmp_path / "a.trc") as file:

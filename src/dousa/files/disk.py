@@ -6,8 +6,11 @@ import errno
 import os
 import secrets
 import stat
+import sys
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import IO
 
 from dousa.errors import MotionFileError, MotionWriteError
@@ -89,14 +92,105 @@ def write_error(path: str | os.PathLike[str], error: OSError) -> MotionWriteErro
     return MotionWriteError(path, code) if code else MotionWriteError(path, "disk.unwritable", reason=error)
 
 
-def create_beside(target: str) -> IO[bytes]:
-    """Create a file in the target's folder, with the target's permissions or those of a new file."""
+TAKEN = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
+"""What the system answers where another program has the lock."""
+
+
+def lock_file(file: IO[bytes]) -> None:
+    """Lock a file until it is closed or the program ends; OSError at once if another has locked it."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def sync_folder(folder: str | os.PathLike[str]) -> None:
+    """Wait until the names in a folder are on the disk."""
+    with suppress(OSError):  # some systems cannot open folders
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def remove_left_overs(folder: Path) -> int:
+    """Delete the hidden files below a folder that killed programs left half-written; return their bytes."""
+    size = 0
+    for path in folder.rglob(".*.part"):
+        with suppress(OSError), open(path, "r+b") as file:
+            lock_file(file)  # fails for what is being written
+            size += os.fstat(file.fileno()).st_size
+            path.unlink()
+    return size
+
+
+def _open_part(target: str, *, alone: bool) -> IO[bytes] | None:
+    """Open a hidden file beside a target, empty and locked; None if it must be ``alone``, with a name that follows from
+    the target, and another program has it or the disk has no locks.
+    """
     folder, name = os.path.split(target)
-    temporary = os.path.join(folder, f".{name[:32]}.{secrets.token_hex(6)}.part")
-    file = open(temporary, "xb")  # noqa: SIM115 - its name is the path, which os.fdopen would not keep
-    with suppress(OSError):  # a new target, or a disk without permissions
-        os.chmod(temporary, stat.S_IMODE(os.stat(target).st_mode))
-    return file
+    mark = f"{zlib.crc32(os.fsencode(name)):08x}" if alone else secrets.token_hex(6)
+    part = os.path.join(folder, f".{name[:32]}.{mark}.part")
+    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0)
+    try:
+        file = open(part, "r+b", opener=lambda path, _: os.open(path, flags, 0o666))  # noqa: SIM115 - by its caller
+    except PermissionError:
+        if alone and os.path.lexists(part):  # of another user
+            return None
+        raise
+    with suppress(OSError):
+        lock_file(file)
+        if os.path.samestat(os.fstat(file.fileno()), os.stat(part)):  # not renamed in between
+            file.truncate(0)
+            return file
+    if not alone:
+        return file
+    file.close()
+    return None
+
+
+@contextmanager
+def _finishing(file: IO[bytes], target: str, *, sync: bool) -> Iterator[IO[bytes]]:
+    """Rename a hidden file to its target when the block ends well, and delete it when it does not."""
+    try:
+        with suppress(OSError):  # a new target, or a disk without permissions
+            os.chmod(file.name, stat.S_IMODE(os.stat(target).st_mode))
+        yield file
+        file.flush()
+        if sync:
+            os.fsync(file.fileno())
+        if sys.platform == "win32":  # Windows cannot rename an open file; elsewhere it stays locked until it has
+            file.close()
+        os.replace(file.name, target)
+        if sync:
+            sync_folder(os.path.dirname(target) or ".")
+    except BaseException:
+        with suppress(OSError):  # closing flushes, which fails again on a full disk
+            file.close()
+        with suppress(OSError):
+            os.unlink(file.name)
+        raise
+    file.close()
+
+
+@contextmanager
+def create_alone(path: str | os.PathLike[str]) -> Iterator[IO[bytes] | None]:
+    """Write a file as ``atomic_write``, but not where another program is writing it: then None comes.
+
+    For what can be made again: it may be lost when the power fails.
+    """
+    target = os.fspath(path)
+    file = _open_part(target, alone=True)
+    if file is None:
+        yield None
+    else:
+        with _finishing(file, target, sync=False):
+            yield file
 
 
 @contextmanager
@@ -104,7 +198,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
     """Write a file so that it appears whole or not at all.
 
     The bytes go to a hidden file beside the target. It replaces the target when the block ends well and is removed when
-    it does not (Ctrl-C included). Links are kept.
+    it does not (Ctrl-C included); what a killed program left of it is written over by the next. Links are kept.
 
     Parameters
     ----------
@@ -122,22 +216,15 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
         target = os.path.realpath(path)
         if os.path.isdir(target):
             raise MotionWriteError(path, "disk.target_folder")
-        file = create_beside(target)
+        # Where another program writes it as well, the last one stays.
+        file = _open_part(target, alone=True) or _open_part(target, alone=False)
     except OSError as error:
         raise write_error(path, error) from error
     except ValueError as error:  # a zero byte in the name
         raise MotionWriteError(path, "disk.no_name", reason=error) from error
+    assert file is not None
     try:
-        yield file
-        file.flush()
-        os.fsync(file.fileno())
-        file.close()
-        os.replace(file.name, target)
-    except BaseException as error:
-        with suppress(OSError):  # closing flushes, which fails again on a full disk
-            file.close()
-        with suppress(OSError):
-            os.unlink(file.name)
-        if isinstance(error, OSError):
-            raise write_error(path, error) from error
-        raise
+        with _finishing(file, target, sync=True):
+            yield file
+    except OSError as error:
+        raise write_error(path, error) from error

@@ -4,30 +4,31 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from dousa.messages import Message
 
 
-def to_json_value(value: Any) -> Any:
+def to_json_value(value: Any, infinite: Callable[[float], Any] = lambda value: None) -> Any:
     """Convert a value: numbers that are not finite to None, arrays and tuples to lists, messages to text.
 
     Parameters
     ----------
     value : of dictionaries, sequences, numpy arrays and numbers, messages, objects with ``to_json()``, dataclasses;
         anything else is kept.
+    infinite : called with infinite numbers; returns what stands for them, or raises.
     """
     if isinstance(value, Message):
         return str(value)
     if isinstance(value, float):
-        return value if math.isfinite(value) else None
+        return value if math.isfinite(value) else None if math.isnan(value) else infinite(value)
     if isinstance(value, list | tuple):
-        return [to_json_value(item) for item in value]
+        return [to_json_value(item, infinite) for item in value]
     plain = _simplify(value)
     if isinstance(plain, Mapping):
-        return {str(key): to_json_value(item) for key, item in plain.items()}
-    return plain if plain is value else to_json_value(plain)
+        return {str(key): to_json_value(item, infinite) for key, item in plain.items()}
+    return plain if plain is value else to_json_value(plain, infinite)
 
 
 def round_number(value: float | None, digits: int) -> float | None:

@@ -1,6 +1,7 @@
 from .annotations.tags import CHECKED as CHECKED
 from .annotations.tags import FAVOURITE as FAVOURITE
 from .annotations.tags import SavedSearch as SavedSearch
+from .care.backup import BackupReport as BackupReport
 from .care.clip_map import ClipMap as ClipMap
 from .care.compact import CompactReport as CompactReport
 from .care.damage import CheckReport as CheckReport

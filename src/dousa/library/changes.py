@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from dousa.library.store.engine import next_revision
 from dousa.library.store.selection import UNCHANGED, Selection, Unchanged, select_ids
 
 if TYPE_CHECKING:
+    from dousa.library.care.backup import BackupReport
     from dousa.library.care.compact import CompactReport
     from dousa.library.care.damage import CheckReport
     from dousa.library.history.journal import JournalEntry
@@ -253,12 +255,13 @@ class LibraryChanges(LibraryContents):
 
         Parameters
         ----------
-        number : of a change, by default the last one in force.
+        number : of a change, by default the last one in force that this user made on this machine.
         n_jobs : takes described at a time, as in ``add``.
 
         Raises
         ------
-        LibraryError : there is nothing to undo, or the same clips were changed since; nothing changes.
+        LibraryError : there is nothing to undo but changes of others, or the same clips were changed since; nothing
+            changes.
 
         >>> removed = library.remove(category="squat")
         >>> library.undo().is_undone, len(library.clips())
@@ -337,3 +340,52 @@ class LibraryChanges(LibraryContents):
         from dousa.library.care.compact import compact_library
 
         return compact_library(self.database, fragments, progress)
+
+    def backup(self, to: str | os.PathLike[str], *, progress: Progress | None = None) -> BackupReport:
+        """Copy the library as of one moment to a new file, with fragments beside it where this one has some.
+
+        Others may write meanwhile. The copy is a library itself, also that of a library on a server. It gets its name
+        after everything in it was compared with its checksums; if interrupted, call it again.
+
+        Parameters
+        ----------
+        to : path of a new file.
+        progress : called with (pages or rows done, all, message about the step).
+
+        Raises
+        ------
+        LibraryError : there is a file already, or no room; LibraryDamagedError if something in the library is damaged.
+
+        >>> library.backup("copy.dousa").n_clips
+        12
+        """
+        from dousa.library.care.backup import back_up
+
+        return back_up(self.database, to, progress)
+
+    @staticmethod
+    def restore(
+        backup: str | os.PathLike[str], to: str | os.PathLike[str], *, progress: Progress | None = None
+    ) -> BackupReport:
+        """Put a copy of a library in the place of a library, which is kept in a folder, or into an empty database.
+
+        No other program may have that library open.
+
+        Parameters
+        ----------
+        backup : path of ``backup``, or of any library file; it stays as it is.
+        to : path of a library or of none yet; or the URL of an empty database, where the arrays of fragments go to
+            rows.
+        progress : as in ``backup``.
+
+        Raises
+        ------
+        LibraryError : the copy is missing or damaged, the library is in use, or the database is not empty.
+
+        >>> copied = library.backup("copy.dousa")
+        >>> Library.restore("copy.dousa", "moves again.dousa").n_clips
+        12
+        """
+        from dousa.library.care.backup import restore
+
+        return restore(backup, to, progress)

@@ -1,7 +1,8 @@
 """Export of many clips of a library as files, in any format, optionally retargeted to a character.
 
 Writes a folder per category and a ``manifest.csv`` with the labels, in a folder, or a ZIP file made from a hidden
-folder beside it. Files of an earlier run are kept if nothing has changed, so that an interrupted export goes on.
+folder beside it. Files of an earlier run are kept if nothing has changed, so that an interrupted export goes on: the
+manifest names all files before the first is written, and says of each when it is whole.
 """
 
 from __future__ import annotations
@@ -16,13 +17,14 @@ import os
 import re
 import shutil
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from dousa.errors import DousaError, MotionWriteError, OptionError
-from dousa.files.disk import NO_ROOM, atomic_write, read_bytes, write_error
+from dousa.files.disk import NO_ROOM, atomic_write, read_bytes, remove_left_overs, write_error
 from dousa.formats.motion_files import ReadOptions, Skipped, describe_problem, read_with
 from dousa.formats.parts import file_of, split_address
 from dousa.formats.registry import WRITERS
@@ -51,10 +53,12 @@ class Destination:
             raise OptionError("export.no_folder", path=path)
 
     def open(self) -> Rows:
-        """Read the manifest of an earlier run; OptionError if it is not one of dousa."""
+        """Read the manifest of an earlier run, removing what a killed one left; OptionError if it is not ours."""
         rows = read_manifest(self.folder / MANIFEST)
         if not rows and _holds_text(self.folder / MANIFEST):
             raise OptionError("export.other_manifest", path=self.folder / MANIFEST)
+        if rows:
+            remove_left_overs(self.folder)
         return {name: row for name, row in rows.items() if (self.folder / name).is_file()}
 
     def prepare(self, name: str) -> Path:
@@ -70,20 +74,24 @@ class Destination:
         """Return whether a file of this name exists that no export wrote, such as a recording itself."""
         return name not in rows and (self.folder / name).exists()
 
-    def remove(self, name: str) -> None:
-        """Delete a file that was written."""
-        (self.folder / name).unlink(missing_ok=True)
+    def write_manifest(self, rows: Iterable[Mapping[str, str]], *, to_come: bool = False) -> None:
+        """Write rows as the manifest, sorted by name; none if it is empty.
 
-    def write_manifest(self, rows: Rows) -> None:
-        """Write the manifest, sorted by name; none if it is empty."""
-        if not rows:
-            return
-        text = io.StringIO()
-        table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-        table.writeheader()
-        table.writerows(row for name, row in sorted(rows.items()) if (self.folder / name).is_file())
-        with atomic_write(self.folder / MANIFEST) as file:
-            file.write(text.getvalue().encode())
+        Files that are missing are left out, or are ``to_come``.
+        """
+        there = [row for row in rows if to_come or (self.folder / row["file"]).is_file()]
+        if there:
+            with atomic_write(self.prepare(MANIFEST)) as file:
+                file.write(_write_rows(sorted(there, key=lambda row: row["file"]), heading=True))
+
+    def note(self, row: Mapping[str, str]) -> None:
+        """Add to the manifest that a file is whole."""
+        path = self.folder / MANIFEST
+        try:
+            with open(path, "ab") as file:
+                file.write(_write_rows([row]))
+        except OSError as error:
+            raise write_error(path, error) from error
 
     def close(self, extras: tuple[str, ...] = ()) -> None:
         """Finish, with files besides those of the manifest."""
@@ -114,9 +122,12 @@ class ZipDestination(Destination):
             with zipfile.ZipFile(self.path) as archive:
                 if MANIFEST not in archive.namelist():
                     raise OptionError("export.other_zip", path=self.path)
+                inside = os.path.realpath(self.folder)
                 for name in archive.namelist():
-                    if not name.endswith("/") and not (self.folder / name).exists():
-                        archive.extract(name, self.folder)  # removes .. and disk roots
+                    path = os.path.realpath(self.folder / name)
+                    if path.startswith(f"{inside}{os.sep}") and not name.endswith("/") and not os.path.exists(path):
+                        with archive.open(name) as packed, atomic_write(self.prepare(name)) as file:
+                            shutil.copyfileobj(packed, file)
         except (OSError, zipfile.BadZipFile, EOFError, RuntimeError, ValueError, NotImplementedError) as error:
             raise OptionError("export.other_zip", path=self.path) from error
 
@@ -128,6 +139,15 @@ class ZipDestination(Destination):
                 for name in (MANIFEST, *sorted(set(names))):
                     archive.write(self.folder / name, name)
         shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _write_rows(rows: Iterable[Mapping[str, str]], *, heading: bool = False) -> bytes:
+    text = io.StringIO()
+    table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    if heading:
+        table.writeheader()
+    table.writerows(rows)
+    return text.getvalue().encode()
 
 
 def _holds_text(path: Path) -> bool:
@@ -240,22 +260,33 @@ def export_clips(
     destination = ZipDestination(target) if is_zip else Destination(target)
     job = _Export(library, destination, form, options or ReadOptions())
     try:
-        for number, clip in enumerate(clips):
+        planned = job.plan(clips)
+        for number, one in enumerate(planned):
             if progress is not None:
-                progress(number, len(clips), os.path.basename(clip.path))
-            job.run(clip)
+                progress(number, len(clips), os.path.basename(one.clip.path))
+            job.run(one)
         if progress is not None:
             progress(len(clips), len(clips), "")
-    except MotionWriteError as error:
-        job.list_what_fits()
+    except BaseException as error:
+        with suppress(MotionWriteError):  # what is in it serves as well
+            destination.write_manifest({**job.to_come, **job.rows}.values())
+        if not isinstance(error, MotionWriteError):
+            raise
         done = len(job.written) + len(job.kept)
         raise MotionWriteError(path, "export.no_room", reason=error.message, done=done, total=len(clips)) from error
-    except BaseException:  # interrupted: list the finished files
-        destination.write_manifest(job.rows)
-        raise
-    destination.write_manifest(job.rows)
+    destination.write_manifest(job.rows.values())
     destination.close(tuple(job.skeletons))
     return ExportReport(tuple(job.written), tuple(job.kept), tuple(job.skipped))
+
+
+@dataclass(frozen=True, slots=True)
+class _Planned:
+    """A clip, the row of its file in the manifest, its content, and whether the file is there already."""
+
+    clip: ClipInfo
+    row: dict[str, str]
+    content: str
+    is_there: bool
 
 
 class _Export:
@@ -273,25 +304,41 @@ class _Export:
         recipe |= {"rate": form.frame_rate, "read": options.describe(), "skeleton": str(options.skeleton or "")}
         self.recipe = json.dumps(recipe, sort_keys=True)
         self.rows = destination.open()
+        self.to_come: Rows = {}
         self.written: list[str] = []
         self.kept: list[str] = []
         self.skipped: list[Skipped] = []
         self.skeletons: list[str] = []
 
-    def run(self, clip: ClipInfo) -> None:
-        suffix = _suffix_of(file_of(_file_of(clip))) if self.form.to == ORIGINAL else list_formats()[self.form.to]
-        name = self._choose_name(clip, suffix)
-        content = self.library.contents([clip.id]).get(clip.id, "")
-        made_of = hashlib.sha256(f"{self.recipe} {content} {clip.start_s} {clip.end_s}".encode()).hexdigest()[:16]
-        known = self.rows.get(name)
-        row = _describe(clip, name, made_of, known["from"] if known else "file")
-        if known is not None and known["made_of"] == made_of:
+    def plan(self, clips: Sequence[ClipInfo]) -> list[_Planned]:
+        """Choose the names of all files, and list those to be written before the first of them is."""
+        names: dict[str, str] = {name: row["id"] for name, row in self.rows.items()}
+        planned = []
+        for clip in clips:
+            suffix = _suffix_of(file_of(_file_of(clip))) if self.form.to == ORIGINAL else list_formats()[self.form.to]
+            name = self._choose_name(clip, suffix, names)
+            names[name] = str(clip.id)
+            content = self.library.contents([clip.id]).get(clip.id, "")
+            made_of = hashlib.sha256(f"{self.recipe} {content} {clip.start_s} {clip.end_s}".encode()).hexdigest()[:16]
+            known = self.rows.get(name)
+            row = _describe(clip, name, made_of, known["from"] if known else "file")
+            planned.append(_Planned(clip, row, content, known is not None and known["made_of"] == made_of))
+        self.to_come = {one.row["file"]: {**one.row, "made_of": ""} for one in planned if not one.is_there}
+        if self.to_come:
+            self.destination.write_manifest({**self.rows, **self.to_come}.values(), to_come=True)
+        return planned
+
+    def run(self, planned: _Planned) -> None:
+        """Write a file, unless it is there."""
+        clip, row, name = planned.clip, planned.row, planned.row["file"]
+        if planned.is_there:
             self._copy_skeleton(clip, name)
             self.rows[name] = row
             self.kept.append(name)
             return
         try:
-            row["from"] = self._write(clip, name, content)
+            row["from"] = self._write(clip, name, planned.content)
+            self.destination.note(row)
         except DousaError as error:
             self.rows.pop(name, None)
             if isinstance(error, MotionWriteError) and error.code in NO_ROOM:
@@ -301,23 +348,11 @@ class _Export:
         self.rows[name] = row
         self.written.append(name)
 
-    def list_what_fits(self) -> None:
-        """Write the manifest on a full disk, deleting the last files to make room."""
-        while True:
-            try:
-                self.destination.write_manifest(self.rows)
-            except MotionWriteError:
-                if not self.written:
-                    return
-                name = self.written.pop()
-                del self.rows[name]
-                self.destination.remove(name)
-            else:
-                return
-
-    def _choose_name(self, clip: ClipInfo, suffix: str) -> str:
+    def _choose_name(self, clip: ClipInfo, suffix: str, names: Mapping[str, str]) -> str:
         """Return category and name of the source; with the clip's number if the name is, or may be, another clip's, or
         is that of a file that no export wrote.
+
+        ``names`` : numbers of clips by the names of their files.
         """
         parts = [_safe(part) for part in (clip.category or "").split("/") if part]
         file, chosen = split_address(_file_of(clip))
@@ -328,8 +363,7 @@ class _Export:
         if clip.take_id is not None:
             stem = f"{stem}_{clip.start_s or 0.0:.2f}s"
         name = "/".join((*parts, stem + suffix))
-        other = self.rows.get(name)
-        if name == MANIFEST or (other is not None and other["id"] != str(clip.id)) or self._is_foreign(name):
+        if name == MANIFEST or names.get(name, str(clip.id)) != str(clip.id) or self._is_foreign(name):
             name = "/".join((*parts, f"{stem}_{clip.id}{suffix}"))
         numbers = itertools.count(2)
         while self._is_foreign(name):

@@ -11,6 +11,7 @@ import pytest
 from app.studio.conftest import wait_for
 from app.studio.evaluation_cases import upload
 from app.studio.studio_client import Client
+from dousa.app.studio.jobs.lanes import Reader
 from dousa.evaluation import Beats
 
 
@@ -47,7 +48,13 @@ def film(tmp_path_factory):
 
 
 @pytest.fixture
-def beats(monkeypatch):
+def reads_here(monkeypatch):
+    """Files are read in this process, whose functions the tests replace."""
+    monkeypatch.setattr(Reader, "run", lambda self, work, *given, seconds=0: work(*given))
+
+
+@pytest.fixture
+def beats(monkeypatch, reads_here):
     """Beats every half second, without the beat tracker; how often they were looked for."""
     import dousa.evaluation
 
@@ -127,7 +134,7 @@ def test_beats_are_found_once_and_stand_in_the_report(studio, job, beats):
     assert ('id="beats"' in page) == bool(found["timing"])
 
 
-def test_without_the_beat_tracker_the_pip_line_is_told(studio, job, monkeypatch):
+def test_without_the_beat_tracker_the_pip_line_is_told(studio, job, monkeypatch, reads_here):
     import dousa.evaluation
     from dousa.errors import MissingExtraError
 

@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 import zipfile
+from contextlib import ExitStack, suppress
 
 import pytest
 
@@ -14,6 +15,7 @@ from app.studio.conftest import TOKEN, list_below, send
 from dousa.app.studio import Settings
 from dousa.app.studio.core.answers import Gate, RefusedError, status_of
 from dousa.app.studio.jobs import lanes
+from dousa.app.studio.server import PatientProtocol
 from patience import PATIENCE
 
 GOOD = b"HIERARCHY\nROOT Hips\n"
@@ -84,7 +86,6 @@ def caller(library_copy):
     import uvicorn
 
     from dousa.app.studio import create_app
-    from dousa.app.studio.server import PatientProtocol
 
     with socket.socket(proto=socket.IPPROTO_TCP) as listener:
         listener.bind(("127.0.0.1", 0))
@@ -120,6 +121,21 @@ def test_a_request_that_is_not_ended_is_given_up(caller, monkeypatch):
         assert read_all(good).startswith(b"HTTP/1.1 200")
         assert read_all(silent) == b""
         assert read_all(slow) == b""
+
+
+def test_half_open_connections_keep_nobody_out(caller):
+    call, port = caller
+    with ExitStack() as opened:
+        for _ in range(250):
+            connection = opened.enter_context(call())
+            with suppress(OSError):  # given up already
+                connection.sendall(b"GET /api/info HTTP/1.1\r\nX: ")
+        good = opened.enter_context(call())
+        head = f"GET /api/info HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nAuthorization: Bearer {TOKEN}"
+        start = time.monotonic()
+        good.sendall(f"{head}\r\nConnection: close\r\n\r\n".encode())
+        assert read_all(good).startswith(b"HTTP/1.1 200")
+        assert time.monotonic() - start < PatientProtocol.patience_s  # it waited for none of them
 
 
 def test_an_upload_that_stands_still_is_given_up(caller, tmp_path, monkeypatch):

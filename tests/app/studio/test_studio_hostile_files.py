@@ -19,6 +19,7 @@ from dousa.app.studio.core.answers import status_of
 from dousa.app.studio.jobs import lanes
 from dousa.app.studio.work.worker import JOBS, QUESTIONS, load_work
 from dousa.errors import DousaError, LibraryError, MotionWriteError
+from dousa.formats import read_motion
 from dousa.motion import CANONICAL_JOINTS
 from patience import PATIENCE
 
@@ -241,6 +242,23 @@ def test_a_motion_whose_file_is_gone_is_told(studio):
     with pytest.raises(DousaError, match="not there any more"):
         motions._from_file(library_gone := studio.app.state.studio.workspace.root / "x.bvh", MotionRef(motion="clip:1"))
     assert not library_gone.exists()
+
+
+@pytest.mark.parametrize(
+    ("work", "code"),
+    [
+        ((np.ones, 10**9), "studio_jobs.no_memory"),
+        ((time.sleep, PATIENCE), "studio_jobs.took_long"),
+        ((os._exit, 1), "studio_jobs.no_answer"),
+        ((read_motion, "nowhere.bvh"), "disk.missing"),
+    ],
+)
+def test_what_a_file_does_to_its_reader_does_not_reach_the_studio(studio, work, code):
+    reader = studio.app.state.studio.reader
+    with pytest.raises(DousaError) as caught:
+        reader.run(*work, seconds=1.0 if code.endswith("long") else PATIENCE)
+    assert caught.value.code == code
+    assert reader.run(len, "goes on") == 7
 
 
 def test_every_kind_of_work_is_there():

@@ -404,6 +404,14 @@ def test_files_of_jobs_are_read_once(tmp_path, monkeypatch):
     assert mentioned.list() == set()
 
 
+def test_a_backup_lies_beside_the_library(studio, wait_job, library_copy):
+    done = run(studio, wait_job, "backup")
+    (copy,) = library_copy.with_name(f"{library_copy.stem}.backups").iterdir()
+    assert done["result"]["library"] == str(copy) and f"dousa restore {copy}" in done["notes"][-1]
+    with Library.open(copy) as again, Library.open(library_copy) as library:
+        assert again.clips() == library.clips()
+
+
 @pytest.mark.plain_workers
 def test_arrays_are_moved_to_fragments(studio, wait_job, library_copy):
     asked = {"query": {"motion": "clip:1"}}

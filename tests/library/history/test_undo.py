@@ -227,6 +227,25 @@ def test_what_others_changed_since_is_left_alone(library, library_file):
     assert caught.value.code == "journal.no_change"
 
 
+def test_each_takes_back_their_own_change(library, monkeypatch):
+    library.relabel([1], category="a")
+    mine = library.journal()[0]
+    assert "@" in mine.made_by
+    with monkeypatch.context() as patch:
+        patch.setattr("getpass.getuser", lambda: "bob")
+        library.tag([4], add=["fight"])
+    theirs = library.journal()[0]
+    assert theirs.made_by.startswith("bob@")
+    assert library.undo().number == mine.number
+    with monkeypatch.context() as patch:
+        patch.setattr("getpass.getuser", lambda: "eve")
+        with pytest.raises(LibraryError, match=r"by bob@.*tags \+fight") as caught:
+            library.undo()
+        assert caught.value.code == "journal.of_another"
+    assert library.redo().number == mine.number
+    assert library.undo(theirs.number).number == theirs.number
+
+
 def test_a_name_that_is_taken_again_is_not_overwritten(library, moves):
     clip = library.clips(category="wave")[0]
     library.remove([clip.id])

@@ -9,7 +9,10 @@ from __future__ import annotations
 
 import atexit
 import gc
+import os
+import signal
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Annotated, Any
@@ -32,7 +35,7 @@ from dousa.errors import DousaError, OptionError
 from dousa.messages import Message
 from dousa.workers.current import use_cluster
 
-FAILED, INTERRUPTED = 2, 130
+FAILED, INTERRUPTED, TERMINATED = 2, 130, 143
 
 
 class Application(typer.Typer):
@@ -47,7 +50,7 @@ COMMANDS: dict[str, dict[str, str]] = {
     "Files": {"files": "info convert plot"},
     "Library": {
         "library": "add train search classify export remove relabel list_clips",
-        "upkeep": "tag undo check compact review",
+        "upkeep": "tag undo check backup restore compact review",
         "takes": "find label",
     },
     "Estimation": {"estimation": "estimate render sync calibrate keypoints"},
@@ -127,18 +130,45 @@ def main() -> None:
     """Run the command line of dousa."""
     # What is left at the end is not looked through for cycles, which takes a quarter of the time of a search.
     atexit.register(gc.freeze)
+    # Warnings of libraries are for programmers: what a user should know is a message, and infinite results are errors.
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
+        os.environ["PYTHONWARNINGS"] = "ignore"  # of workers too
     run_application(make_application(sys.argv[1:]))
 
 
 def run_application(application: typer.Typer) -> None:
-    """Run an application; the exit code is 0, 2 after an error that can be put right, 130 after Ctrl-C."""
+    """Run an application; the exit code is 0, 2 after an error that can be put right, 130 after Ctrl-C.
+
+    SIGTERM, as of ``docker stop`` or of a machine that is shut down, stops like Ctrl-C, with the exit code 143.
+    """
     # Loading SQLAlchemy and numba makes very many objects that all stay; to look through them for cycles again
     # and again would take a tenth of the time of a search.
     gc.set_threshold(300_000)
     survive_narrow_encodings()
+    terminated: list[int] = []
+
+    def terminate(number: int, frame: object) -> None:
+        terminated.append(number)
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        code = _run(application)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    if code == INTERRUPTED:  # Typer turns Ctrl-C into this exit code and says nothing
+        fail(Message("cli.interrupted"))
+    if terminated:
+        code = TERMINATED
+    if code:
+        sys.exit(code)
+
+
+def _run(application: typer.Typer) -> int | None:
     try:
         choose_language(sys.argv[1:])
-        code = application(standalone_mode=False)
+        code: int | None = application(standalone_mode=False)
     except UsageError as error:
         described = describe_usage(error)
         if described is not None:
@@ -168,10 +198,7 @@ def run_application(application: typer.Typer) -> None:
         if not isinstance(cause, KeyboardInterrupt):
             raise
         code = INTERRUPTED
-    if code == INTERRUPTED:  # Typer turns Ctrl-C into this exit code and says nothing
-        fail(Message("cli.interrupted"))
-    if code:
-        sys.exit(code)
+    return code
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Commands that look after a library: check, compact, review, undo, tag."""
+"""Commands that look after a library: check, backup, restore, compact, review, undo, tag."""
 
 from __future__ import annotations
 
@@ -49,6 +49,43 @@ def check(
     print_answer(report, print_messages, json=json)
     if not report.is_sound:
         raise typer.Exit(2)
+
+
+def backup(
+    library: LibraryPath,
+    to: Annotated[str, typer.Argument(metavar="TO", help="The new file.")],
+    json: Json = False,
+) -> None:
+    """Copy a library to a new file and compare the copy with its checksums. Other programs may write meanwhile.
+
+    The copy is a library, also that of a database server; where fragments lie beside it, they belong to it.
+
+    Example: dousa backup moves.dousa backups/monday.dousa
+    """
+    from dousa.app.tables.library import print_messages
+
+    with open_to_read(library) as opened, progress_bar() as progress:
+        report = opened.backup(to, progress=progress)
+    print_answer(report, print_messages, json=json)
+
+
+def restore(
+    backup: Annotated[str, typer.Argument(metavar="BACKUP", help="A file of dousa backup, or any library file.")],
+    library: LibraryPath,
+    json: Json = False,
+) -> None:
+    """Put a backup in the place of a library. The library that is there is kept in a folder beside it.
+
+    No other program may have it open. A database server needs an empty database.
+
+    Example: dousa restore backups/monday.dousa moves.dousa
+    """
+    from dousa.app.tables.library import print_messages
+    from dousa.library import Library
+
+    with progress_bar() as progress:
+        report = Library.restore(backup, library, progress=progress)
+    print_answer(report, print_messages, json=json)
 
 
 def compact(
@@ -111,16 +148,17 @@ def undo(
     library: LibraryPath,
     number: Annotated[
         int | None,
-        typer.Argument(metavar="[NUMBER]", help="A change (see --list).", show_default="the last one"),
+        typer.Argument(metavar="[NUMBER]", help="A change (see --list).", show_default="your last one"),
     ] = None,
     redo: Annotated[bool, typer.Option("--redo", help="Do again what was undone.")] = False,
     show: Annotated[bool, typer.Option("--list", help="List the changes, and change nothing.")] = False,
     json: Json = False,
 ) -> None:
-    """Undo the last change of a library: labels, tags, removed and added clips, labels of takes.
+    """Undo your last change of a library: labels, tags, removed and added clips, labels of takes.
 
-    Works after a restart too, and one change after the other. Removed clips are kept until dousa compact, and at most
-    1 GB of them. A change whose clips were changed since is left alone. What a forest has learned stays.
+    A change that another user made, or another machine, is undone by its number only. Works after a restart too, and
+    one change after the other. Removed clips are kept until dousa compact, and at most 1 GB of them. A change whose
+    clips were changed since is left alone. What a forest has learned stays.
 
     Example: dousa undo moves.dousa
     """

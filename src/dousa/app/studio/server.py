@@ -14,7 +14,7 @@ from dataclasses import replace
 from functools import cache
 from ipaddress import IPv4Address
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import h11
 from fastapi import FastAPI, Request
@@ -336,29 +336,59 @@ class PatientProtocol(H11Protocol):
 
     Attributes
     ----------
-    patience_s : for the first line and the headers of a request; uvicorn itself waits for ever. With more, connections
-        that say nothing keep others out for longer.
+    patience_s : for the first line and the headers of a request, and in every such time a body must go on; uvicorn
+        itself waits for ever.
+    most_waiting : connections of one address without a request under way: of more the oldest is closed, so that those
+        that say nothing do not keep others out. Browsers have six at a time.
     """
 
-    patience_s = 10.0
+    patience_s = 5.0
+    most_waiting = 40
+    _waiting: ClassVar[dict[str, dict[PatientProtocol, None]]] = {}  # by address, the oldest first
+    _peer = ""
     _deadline: asyncio.TimerHandle | None = None
     _n_bytes = 0  # of a body since it was looked at
 
     def connection_made(self, transport: Any) -> None:
         """Start the time limit."""
         super().connection_made(transport)
+        self._peer = str((transport.get_extra_info("peername") or ("",))[0])
+        self._queue()
         self._watch()
 
     def data_received(self, data: bytes) -> None:
         """Count the bytes; a few bytes do not extend the time limit."""
         self._n_bytes += len(data)
         super().data_received(data)
+        if self.conn.their_state is not h11.IDLE:
+            self._leave_queue()
         self._watch()
+
+    def on_response_complete(self) -> None:
+        """Wait for the next request."""
+        super().on_response_complete()
+        if self.conn.their_state is h11.IDLE:
+            self._queue()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop the time limit."""
         self._rest()
+        self._leave_queue()
         super().connection_lost(exc)
+
+    def _queue(self) -> None:
+        waiting = self._waiting.setdefault(self._peer, {})
+        waiting[self] = None
+        if len(waiting) > self.most_waiting:
+            oldest = next(iter(waiting))
+            oldest._leave_queue()
+            oldest.transport.abort()
+
+    def _leave_queue(self) -> None:
+        waiting = self._waiting.get(self._peer, {})
+        waiting.pop(self, None)
+        if not waiting:
+            self._waiting.pop(self._peer, None)
 
     def _watch(self) -> None:
         if self.conn.their_state not in (h11.IDLE, h11.SEND_BODY):

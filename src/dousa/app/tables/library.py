@@ -218,6 +218,8 @@ def print_journal(out: Console, entries: Sequence[JournalEntry]) -> None:
         when = datetime.fromisoformat(entry.made_at).astimezone().strftime("%Y-%m-%d %H:%M")
         values = {"number": entry.number, "when": when, "what": entry.what}
         line = str(Message("journal.line_undone" if entry.is_undone else "journal.line", **values))
+        if entry.made_by:
+            line += str(Message("journal.line_by", who=entry.made_by))
         if entry.kept_bytes:
             line += str(Message("journal.line_kept", megabytes=entry.kept_bytes / 1e6))
         print_line(out, line)

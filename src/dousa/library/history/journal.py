@@ -8,6 +8,9 @@ needed, windows of takes at once.
 from __future__ import annotations
 
 import base64
+import getpass
+import os
+import socket
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -38,6 +41,7 @@ class JournalEntry(Answer):
     what : description.
     is_undone : whether it was undone and can be redone.
     kept_bytes : of removed clips that are kept for it.
+    made_by : user and machine, as ``name_writer``; empty if an older dousa made it.
     """
 
     number: int
@@ -47,6 +51,26 @@ class JournalEntry(Answer):
     what: Message
     is_undone: bool
     kept_bytes: int
+    made_by: str
+
+
+WRITER = "by"
+"""The value of a change that names its writer."""
+
+
+def name_writer() -> str:
+    """Return the user and the machine, such as ``ann@desk``."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # a user without a name, as in a container
+        user = str(os.getuid())
+    return f"{user}@{socket.gethostname()}"
+
+
+def _read_values(row: Any) -> dict[str, Any]:
+    """Return the values of the message about a change, and its writer; none of a damaged row."""
+    values = row._mapping[schema.journal.c.told]
+    return values if isinstance(values, dict) else {}
 
 
 def read_row(connection: sa.Connection, number: int) -> Any:
@@ -57,15 +81,17 @@ def read_row(connection: sa.Connection, number: int) -> Any:
     return row
 
 
-def find_next(connection: sa.Connection, *, undone: bool) -> int | None:
-    """Return the number of the next change to undo or redo."""
+def find_next(connection: sa.Connection, *, undone: bool) -> tuple[int | None, int | None]:
+    """Return the number of the next change of this writer to undo or redo, and that of anybody."""
     table = schema.journal.c
+    query = sa.select(*JOURNAL.columns)
     if undone:
-        query = sa.select(table.number).where(table.undone.is_not(None)).order_by(table.undone.desc(), table.number)
+        query = query.where(table.undone.is_not(None)).order_by(table.undone.desc(), table.number)
     else:
-        query = sa.select(table.number).where(table.undone.is_(None)).order_by(table.number.desc())
-    number = connection.execute(query.limit(1)).scalar()
-    return None if number is None else int(number)
+        query = query.where(table.undone.is_(None)).order_by(table.number.desc())
+    rows = [(int(row.number), _read_values(row).get(WRITER)) for row in connection.execute(query)]
+    own = (number for number, by in rows if by in (None, name_writer()))
+    return next(own, None), next((number for number, _ in rows), None)
 
 
 def list_entries(connection: sa.Connection, numbers: Sequence[int] | None = None) -> list[JournalEntry]:
@@ -81,9 +107,10 @@ def list_entries(connection: sa.Connection, numbers: Sequence[int] | None = None
     entries = []
     for row in connection.execute(query).all():
         JOURNAL.check(connection, row)
-        what = describe(row.kind, row.n_clips, row.told)
+        what = describe(row.kind, row.n_clips, _read_values(row))
         size = int(sizes.get(row.number, 0))
-        entries.append(JournalEntry(row.number, row.made_at, row.kind, row.n_clips, what, row.undone is not None, size))
+        writer, undone = _read_values(row).get(WRITER, ""), row.undone is not None
+        entries.append(JournalEntry(row.number, row.made_at, row.kind, row.n_clips, what, undone, size, writer))
     return entries
 
 

@@ -17,6 +17,7 @@ import sqlalchemy as sa
 
 from dousa.errors import LibraryError
 from dousa.library.history.journal import (
+    WRITER,
     JournalEntry,
     bring_back,
     find_next,
@@ -24,6 +25,7 @@ from dousa.library.history.journal import (
     keep_within_bounds,
     list_entries,
     list_kept,
+    name_writer,
     pack_ids,
     put_away,
     read_row,
@@ -169,7 +171,7 @@ def _begin(connection: sa.Connection, number: int, kind: str, values: dict[str, 
         "made_at": datetime.now(UTC).isoformat(timespec="seconds"),
         "kind": kind,
         "n_clips": 0,
-        schema.journal.c.told.name: values,
+        schema.journal.c.told.name: {**values, WRITER: name_writer()},
         "changes": Changes().to_json(),
         "undone": None,
     }
@@ -232,7 +234,13 @@ def step(database: Database, number: int | None, *, redo: bool) -> JournalEntry:
     """Undo or redo a change in one transaction, as ``Library.undo`` and ``Library.redo``."""
     with database.writing() as connection:
         revision = next_revision(connection)
-        wanted = find_next(connection, undone=redo) if number is None else number
+        own, last = find_next(connection, undone=redo)
+        wanted = own if number is None else number
+        if wanted is None and last is not None:
+            entry = list_entries(connection, [last])[0]
+            raise LibraryError(
+                "journal.of_another", library=database.where, number=last, who=entry.made_by, what=entry.what
+            )
         row = None if wanted is None else read_row(connection, wanted)
         if row is None or (row.undone is not None) != redo:
             raise _no_such(database.where, number, row, redo)

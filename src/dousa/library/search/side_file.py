@@ -12,10 +12,9 @@ import json
 import mmap
 import os
 import struct
-import sys
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
@@ -25,6 +24,7 @@ import sqlalchemy as sa
 from numpy.typing import NDArray
 
 from dousa.arrays import IndexArray, IntArray
+from dousa.files.disk import create_alone
 from dousa.library.search.kernels import copy_runs, recode
 from dousa.library.search.leaf_index import Base, IndexedRows, LeafIndex, ReadClips, make_index
 from dousa.library.search.parts import ClipPart, SparseVotes, choose_code, order_table
@@ -196,47 +196,6 @@ def write_side_file(path: Path, stored: StoredForest, index: ReadClips, base: Ba
 
 def _place_later(path: Path) -> Path:
     return path.with_name(f"{path.name}-later")
-
-
-@contextmanager
-def create_alone(path: Path) -> Iterator[IO[bytes] | None]:
-    """Open an empty temporary file, renamed to ``path`` at the end; None if another program has locked it.
-
-    Its name is fixed, so the remains of a killed program are overwritten.
-    """
-    temporary = path.with_name(f"{path.name}.part")
-    with open(os.open(temporary, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666), "r+b") as file:
-        try:
-            _lock(file)
-            alone = os.path.samestat(os.fstat(file.fileno()), os.stat(temporary))  # not renamed in between
-        except OSError:
-            alone = False
-        if not alone:
-            yield None
-            return
-        file.truncate(0)
-        try:
-            yield file
-            file.flush()
-            if sys.platform == "win32":  # Windows cannot rename an open file
-                file.close()
-            os.replace(temporary, path)
-        except BaseException:
-            with suppress(OSError):
-                os.unlink(temporary)
-            raise
-
-
-def _lock(file: IO[bytes]) -> None:
-    """Lock a file until it is closed; OSError if another program has locked it."""
-    if sys.platform == "win32":
-        import msvcrt
-
-        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-    else:
-        import fcntl
-
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _write_file(

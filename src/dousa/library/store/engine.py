@@ -13,7 +13,7 @@ import sqlite3
 import stat
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from json import JSONDecodeError
 from pathlib import Path
@@ -25,6 +25,7 @@ from sqlalchemy import event, exc
 
 from dousa.errors import LibraryDamagedError, LibraryError, LibraryLockedError, OptionError
 from dousa.library.store.checksums import LIBRARY_NAME, STATE, update_rows
+from dousa.library.store.log_marks import check_log, leave_mark
 from dousa.library.store.schema import APPLICATION_ID, library_state
 
 BESIDE = "dousa_beside"
@@ -110,31 +111,30 @@ def _check_place(path: Path, create: bool) -> None:
         raise LibraryError("library_file.missing", library=path, name=path.name)
     if not os.path.isdir(path.parent):
         raise LibraryError("library_file.no_folder", library=path, folder=path.parent)
-    if os.path.exists(path) and _is_something_else(path):
-        # SQLite would treat a file of a few bytes as an empty database and overwrite it.
-        raise LibraryDamagedError("library_file.not_a_library", library=path)
+    if os.path.exists(path):
+        check_log(path, lambda: _read_mark(path))
 
 
-def _is_something_else(path: Path) -> bool:
-    """Return whether a file is no database, by opening it in SQLite.
+def _read_mark(path: Path) -> int | None:
+    """Return the mark in a file without its log, None if that cannot be read; LibraryDamagedError if it is no database.
+
+    SQLite would treat a file of a few bytes as an empty database and overwrite it.
 
     On POSIX, closing a file drops all locks that the program has on it, those of its other connections too. SQLite
     knows that and closes later; otherwise another program would believe these connections gone and delete their log.
     """
-    if not os.path.isfile(path):
-        return True  # reading a pipe would block
+    is_file = os.path.isfile(path)  # reading a pipe would block
     size = os.path.getsize(path)
-    if size < _LEAST_BYTES:
-        return size > 0
+    if is_file and not size:
+        return 0
     try:
-        connection = sqlite3.connect(_name_for_sqlite(path, "mode=ro&immutable=1"), uri=True)
-        try:
-            connection.execute("PRAGMA schema_version").fetchone()
-        finally:
-            connection.close()
+        if is_file and size >= _LEAST_BYTES:
+            with closing(sqlite3.connect(_name_for_sqlite(path, "mode=ro&immutable=1"), uri=True)) as connection:
+                return int(connection.execute("PRAGMA user_version").fetchone()[0])
     except sqlite3.Error as error:
-        return getattr(error, "sqlite_errorname", "") == "SQLITE_NOTADB"  # else connecting reports the error
-    return False
+        if getattr(error, "sqlite_errorname", "") != "SQLITE_NOTADB":
+            return None  # connecting reports the error
+    raise LibraryDamagedError("library_file.not_a_library", library=path)
 
 
 def _name_for_sqlite(path: Path, options: str) -> str:
@@ -172,8 +172,8 @@ def _connect_as(path: Path, options: str, timeout: float) -> sqlite3.Connection:
     try:
         connection.execute("SELECT count(*) FROM sqlite_master")
         connection.execute("PRAGMA foreign_keys = ON")
-        # With WAL this survives a killed program; a power cut may lose the last commits, never the file.
-        connection.execute("PRAGMA synchronous = NORMAL")
+        # A change that was answered outlives a power cut, for a wait for the disk each: docs/reliability.md.
+        connection.execute("PRAGMA synchronous = FULL")
     except sqlite3.Error:
         connection.close()
         raise
@@ -253,6 +253,8 @@ class Database:
                 if self.engine.dialect.name == "postgresql":
                     # One writer at a time, as with a file: a server would let all begin, and some would fail.
                     connection.execute(sa.select(sa.func.pg_advisory_xact_lock(APPLICATION_ID)))
+                elif self.engine.dialect.name == "sqlite":
+                    leave_mark(connection)
                 yield connection
 
     def _begin_writing(self, connection: sa.Connection) -> sa.RootTransaction:

@@ -22,6 +22,7 @@ import sqlalchemy as sa
 
 from dousa.errors import LibraryDamagedError, LibraryError
 from dousa.extras import require
+from dousa.files.disk import sync_folder
 from dousa.library.store import schema
 from dousa.library.store.checksums import FEATURES, LIBRARY_NAME, STORE
 from dousa.library.store.engine import BESIDE
@@ -76,7 +77,7 @@ class FolderFragments:
                 file.flush()
                 os.fsync(file.fileno())
             if is_new:
-                _sync_folder(self.folder)
+                sync_folder(self.folder)
         return list(_lay_out(name, end, blocks))
 
     def _choose(self) -> str:
@@ -192,15 +193,6 @@ def _lay_out(name: str, start: int, blocks: Sequence[bytes]) -> Iterator[Place]:
     for block in blocks:
         yield Place(name, start, len(block))
         start += len(block)
-
-
-def _sync_folder(folder: Path) -> None:
-    with suppress(OSError):  # some systems cannot open folders
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
 
 
 def _list_client_errors() -> tuple[type[Exception], ...]:

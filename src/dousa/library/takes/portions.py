@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IndexArray, IntArray
+from dousa.files.disk import create_alone
 from dousa.library.search.kernels import encode_leaves, find_owners
 from dousa.library.search.parts import order_table
-from dousa.library.search.side_file import create_alone
 from dousa.retrieval.takes.find import cost_windows
 from dousa.retrieval.takes.windows import N_PARTS, N_SMALL, TakeWindows, WindowGrid, count_windows, hop_of
 

@@ -6,7 +6,6 @@ Those of many takes are also in files (``takes.portions``), which are found and 
 from __future__ import annotations
 
 import os
-import time
 import zlib
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING
 import sqlalchemy as sa
 
 from dousa.errors import DousaError, LibraryDamagedError
+from dousa.files.disk import remove_left_overs
 from dousa.library.search.side_file import find_place, name_forest
 from dousa.library.store import schema
 from dousa.library.store.engine import Database, choose_jobs
@@ -139,25 +139,23 @@ def sweep_files(database: Database) -> int:
 
 
 def _sweep(
-    folder: Path, portions: Sequence[Portion], places: Mapping[int, tuple[int, int]], *, unfinished: float = 86_400.0
+    folder: Path, portions: Sequence[Portion], places: Mapping[int, tuple[int, int]]
 ) -> tuple[list[Portion], int]:
-    """Delete files of other forests, files with at most half of their takes in use, and abandoned ones.
+    """Delete files of other forests, files with at most half of their takes in use, and those of killed programs.
 
-    These were begun so many seconds ago and are still unfinished: a newer one may be in use by another program. Return
-    the files that are left, and the bytes of those that are deleted.
+    Return the files that are left, and the bytes of those that are deleted.
     """
     alive = [0] * len(portions)
     for portion, _ in places.values():
         alive[portion] += 1
     kept = [one for one, count in zip(portions, alive, strict=True) if 2 * count > len(one.ids)]
     names = {one.path for one in kept}
-    size = 0
-    for path in (*folder.glob(f"*{SUFFIX}"), *folder.glob(f"*{SUFFIX}.part")):
+    size = remove_left_overs(folder)
+    for path in folder.glob(f"*{SUFFIX}"):
         with suppress(OSError):
-            state = path.stat()
-            if path not in names and (path.suffix == SUFFIX or time.time() - state.st_mtime > unfinished):
+            if path not in names:
+                size += path.stat().st_size
                 path.unlink()
-                size += state.st_size
     return kept, size
 
 

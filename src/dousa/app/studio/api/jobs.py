@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query
@@ -76,6 +77,15 @@ def review(studio: StudioNow) -> Answer:
 def check(studio: StudioNow, wanted: CheckRequest) -> Answer:
     """A job; its notes and its result list what is damaged, and what was or can be done."""
     return Answer(studio.jobs.submit("check", wanted.model_dump(), studio.settings.library.name).to_json(), 202)
+
+
+@router.post("/jobs/backup", status_code=202, summary="Copy the library to a file in a folder beside it")
+def backup(studio: StudioNow) -> Answer:
+    """A job, as dousa backup; its notes and its result say where the file is."""
+    library = studio.settings.library.absolute()
+    name = f"{library.stem}_{datetime.now():%Y-%m-%d_%H%M%S}{library.suffix}"
+    asked = {"to": str(library.with_name(f"{library.stem}.backups") / name)}
+    return Answer(studio.jobs.submit("backup", asked, studio.settings.library.name).to_json(), 202)
 
 
 @router.post("/jobs/compact", status_code=202, summary="Forget removed clips, and make the library file smaller")

@@ -20,13 +20,12 @@ from dousa.app.studio.content.motions import (
     MotionRef,
     Named,
     Seconds,
-    make_file,
+    describe_character,
     name_file,
 )
 from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import FILE, Answer, RefusedError, attachment, say
 from dousa.formats.parts import file_of
-from dousa.formats.registry import read_character
 from dousa.library.export import ORIGINAL, ExportFormat, list_formats
 from dousa.messages import Message
 
@@ -143,8 +142,7 @@ def get_bvh(studio: StudioNow, asked: Annotated[_Download, Query()]) -> Response
 def _answer_file(
     studio: Studio, named: Named, ref: MotionRef, suffix: str, onto: Path | None, keep_reach: bool = False
 ) -> Response:
-    character = None if onto is None else read_character(onto)
-    content = make_file(named, studio.motions.path(ref), ref, suffix, character, keep_reach)
+    content = studio.motions.make_file(named, ref, suffix, onto, keep_reach)
     headers = {"content-disposition": attachment(name_file(named, ref, suffix))}
     return Response(content, media_type="application/octet-stream", headers=headers)
 
@@ -187,22 +185,11 @@ def get_formats() -> Answer:
 @export_router.get("/export/character", summary="Whether motions can be put onto a character")
 def get_character(studio: StudioNow, motion: Annotated[_Character, Query()]) -> Answer:
     """Its name and body; refused if it has no skeleton of a person. An upload is kept from now on."""
-    from dousa.motion import canonicalise
-
     path = _find_character(studio, motion)
-    character = read_character(path)
-    body = canonicalise(character, any_skeleton=True, whole=True)
+    described = studio.reader.run(describe_character, path)
     _keep_upload(studio, motion)
-    return Answer(
-        {
-            "motion": motion,
-            "name": path.name,
-            "suffix": Path(file_of(path)).suffix.lower(),
-            "n_joints": len(character.skeleton.names),
-            "height_m": body.height,
-            "notes": [say(note) for note in body.warnings],
-        }
-    )
+    suffix = Path(file_of(path)).suffix.lower()
+    return Answer({"motion": motion, "name": path.name, "suffix": suffix, **described})
 
 
 @export_router.post("/jobs/export", status_code=202, summary="Export clips as a ZIP file")

@@ -12,14 +12,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from dousa.app.studio.core.answers import Gate, RefusedError
+from dousa.app.studio.core.answers import RefusedError
 from dousa.app.studio.core.uploads import SOUNDS, VIDEOS
 from dousa.app.studio.core.workspace import Workspace, write_file
-from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.studio.content.motions import MotionRef, Motions
     from dousa.app.studio.jobs.board import Job, JobBoard
+    from dousa.app.studio.jobs.lanes import Reader
     from dousa.evaluation import Beats, BeatTiming
 
 Kind = Literal["film", "music"]
@@ -40,9 +40,8 @@ class Companion:
 class Companions:
     """The companions of all evaluations, stored in the folders of their jobs."""
 
-    def __init__(self, workspace: Workspace, board: JobBoard, motions: Motions) -> None:
-        self._workspace, self._board, self._motions = workspace, board, motions
-        self._gate = Gate(1, 6, Message("studio_evaluation.busy"))
+    def __init__(self, workspace: Workspace, board: JobBoard, motions: Motions, reader: Reader) -> None:
+        self._workspace, self._board, self._motions, self._reader = workspace, board, motions, reader
 
     def get(self, job: Job) -> dict[str, Companion]:
         """Return the companions of an evaluation by kind."""
@@ -95,8 +94,7 @@ class Companions:
             stored = json.loads(kept.read_bytes())
             if stored["of"] == [music.batch, music.name]:
                 return Beats(stored["times_s"])
-        with self._gate.enter():  # others whose beats are looked for
-            beats = find_beats(self.path(job, "music"))
+        beats = self._reader.run(find_beats, self.path(job, "music"), seconds=180.0)
         write_file(kept, json.dumps({"of": [music.batch, music.name], "times_s": beats.times.tolist()}).encode())
         return beats
 

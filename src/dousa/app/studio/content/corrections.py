@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
-from dousa.app.studio.content.motions import Address, MotionRef, Named, make_file
+from dousa.app.studio.content.motions import Address, MotionRef, Named
 from dousa.app.studio.core.answers import RefusedError, say
 from dousa.app.studio.core.workspace import write_file
 from dousa.errors import LibraryError, LibraryLockedError
@@ -338,7 +338,7 @@ def _check_category(category: str) -> str:
 def _write_clip(studio: Studio, named: Named, ref: MotionRef, batch: str, category: str) -> Path:
     stem = "".join(character if character.isalnum() or character in "_-" else "_" for character in _stem(named))
     path = studio.workspace.place(batch, f"{stem[:50]}_{ref.start_s or 0:.2f}s.bvh")
-    path.write_bytes(make_file(named, studio.motions.path(ref), ref, ".bvh"))
+    path.write_bytes(studio.motions.make_file(named, ref, ".bvh"))
     table = io.StringIO()
     csv.writer(table).writerows([("file", "category"), (path.name, category)])
     path.with_name(_LABELS).write_text(table.getvalue(), encoding="utf-8")

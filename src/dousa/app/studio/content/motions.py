@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from dousa.app.studio.core.answers import Gate, RefusedError, StrictModel
+from dousa.app.studio.core.answers import RefusedError, StrictModel, say
 from dousa.arrays import BoolArray
 from dousa.errors import DousaError
-from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.studio.core.workspace import Workspace
     from dousa.app.studio.jobs.board import JobBoard
+    from dousa.app.studio.jobs.lanes import Reader
     from dousa.library import Library
     from dousa.motion import CanonicalMotion, Motion
 
@@ -135,12 +135,12 @@ class Motions:
     ----------
     library : returns the open library.
     workspace, board : with uploads and estimates.
+    reader : reads files.
     """
 
-    def __init__(self, library: Callable[[], Library], workspace: Workspace, board: JobBoard) -> None:
-        self._library, self._workspace, self._board = library, workspace, board
+    def __init__(self, library: Callable[[], Library], workspace: Workspace, board: JobBoard, reader: Reader) -> None:
+        self._library, self._workspace, self._board, self._reader = library, workspace, board, reader
         self._lock = threading.Lock()
-        self._reading = Gate(2, 12, Message("studio_motions.busy_reading"))
         self._kept: OrderedDict[tuple[Any, ...], Named] = OrderedDict()
 
     def get(self, ref: MotionRef) -> Named:
@@ -187,12 +187,15 @@ class Motions:
         kept = self._look(key)
         if kept is not None:
             return kept
-        with self._reading.enter():
-            kept = self._look(key)  # read for another request meanwhile
-            if kept is None:
-                kept = _read(path, ref)
-                self._keep(key, kept)
+        kept = self._reader.run(_read, path, ref)
+        self._keep(key, kept)
         return kept
+
+    def make_file(
+        self, named: Named, ref: MotionRef, suffix: str, character: Path | None = None, keep_reach: bool = False
+    ) -> bytes:
+        """Write a motion that was found as a file, as `make_file`."""
+        return self._reader.run(make_file, named, self.path(ref), ref, suffix, character, keep_reach, seconds=180.0)
 
     def _look(self, key: tuple[Any, ...]) -> Named | None:
         with self._lock:
@@ -271,8 +274,6 @@ def _cut(whole: Named, ref: MotionRef) -> Named:
 EXPORTED = "export.zip"
 """What an export of clips writes into the folder of its job."""
 
-_gate = Gate(2, 6, Message("studio_motions.busy_writing"))  # an hour takes half a minute
-
 
 def name_file(named: Named, ref: MotionRef, suffix: str) -> str:
     """Name the download of a motion or a part."""
@@ -286,14 +287,13 @@ def make_file(
     source: Path,
     ref: MotionRef,
     suffix: str,
-    character: Motion | None = None,
+    character: Path | None = None,
     keep_reach: bool = False,
 ) -> bytes:
     """Write a motion as a file and return its bytes.
 
     If the source still holds this motion as rotations, all its joints are written; else a body of the canonical joints
-    is fitted. Raises RefusedError if many others wait, JointMappingError if the joints of the character are not
-    recognised.
+    is fitted. Raises JointMappingError if the joints of the character are not recognised.
 
     Parameters
     ----------
@@ -301,19 +301,19 @@ def make_file(
     source : the file from which it came; it may be gone or changed.
     ref : the part, and how to read the file.
     suffix : of the format.
-    character : skeleton to retarget onto.
+    character : file with a skeleton to retarget onto.
     keep_reach : keep the places that hands reach, instead of arm directions.
     """
-    from dousa.formats.registry import write_motion
+    from dousa.formats.registry import read_character, write_motion
     from dousa.motion import fit_motion
     from dousa.motion.retargeting import retarget
 
-    with _gate.enter(), tempfile.TemporaryDirectory(prefix="dousa-") as folder:
+    with tempfile.TemporaryDirectory(prefix="dousa-") as folder:
         path = Path(folder) / f"motion{suffix}"
         original = _read_original(named, source, ref)
         motion = fit_motion(named.motion) if original is None else original
         if character is not None:
-            motion = retarget(motion, character, keep_reach=keep_reach).motion
+            motion = retarget(motion, read_character(character), keep_reach=keep_reach).motion
         write_motion(motion, path)
         return path.read_bytes()
 
@@ -336,6 +336,17 @@ def _read_original(named: Named, source: Path, ref: MotionRef) -> Motion | None:
         return motion if _is_same(motion, named, ref) else None
     except (DousaError, OSError):
         return None  # what the library keeps serves as well
+
+
+def describe_character(path: Path) -> dict[str, Any]:
+    """Describe the body of a character; errors as `read_character`, and if it is no person."""
+    from dousa.formats.registry import read_character
+    from dousa.motion import canonicalise
+
+    character = read_character(path)
+    body = canonicalise(character, any_skeleton=True, whole=True)
+    joints = len(character.skeleton.names)
+    return {"n_joints": joints, "height_m": body.height, "notes": [say(note) for note in body.warnings]}
 
 
 def _is_same(motion: Motion, named: Named, ref: MotionRef) -> bool:

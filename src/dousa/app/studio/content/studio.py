@@ -22,6 +22,7 @@ from dousa.app.studio.content.motions import Motions
 from dousa.app.studio.core.answers import Gate
 from dousa.app.studio.core.workspace import MentionedBatches, Settings, Workspace
 from dousa.app.studio.jobs.board import JobBoard, Lane
+from dousa.app.studio.jobs.lanes import Reader
 from dousa.errors import LibraryError
 from dousa.messages import Message
 
@@ -82,9 +83,10 @@ class Studio:
         self.workspace = Workspace(settings.folder)
         self.held = self.workspace.hold()  # before the jobs are read, as those of another studio are not interrupted
         self.jobs = JobBoard(self.workspace, make_lanes(self))
-        self.motions = Motions(self.get_library, self.workspace, self.jobs)
+        self.reader = Reader(settings.most_memory)
+        self.motions = Motions(self.get_library, self.workspace, self.jobs, self.reader)
         self.evaluations = Evaluations(self.motions, self.jobs)
-        self.companions = Companions(self.workspace, self.jobs, self.motions)
+        self.companions = Companions(self.workspace, self.jobs, self.motions, self.reader)
         self.listing = Listing(self.get_library, self.workspace.root / "files")
         self.map = KeptMap(self.workspace.root, self.get_library, self.listing)
         self.meanings = Meanings(self.get_library)
@@ -128,6 +130,7 @@ class Studio:
         if self.sharing is not None:
             self.sharing.end()
         self.jobs.close()
+        self.reader.close()
         self.meanings.close()
         with self._opening:
             if self._library is not None:

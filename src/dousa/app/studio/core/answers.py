@@ -114,6 +114,7 @@ _CONFLICTS = frozenset(
         "journal.not_kept",
         "journal.nothing_to_redo",
         "journal.nothing_to_undo",
+        "journal.of_another",
         "journal.undone_already",
     }
 )

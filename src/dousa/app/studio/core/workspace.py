@@ -6,13 +6,11 @@ lock is the operating system's, so that it ends with the process.
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import re
 import secrets
 import shutil
-import sys
 import threading
 import time
 import unicodedata
@@ -26,12 +24,10 @@ from urllib import request
 
 from dousa.app.studio.core.answers import RefusedError
 from dousa.errors import OptionError
-from dousa.files.disk import atomic_write
+from dousa.files.disk import TAKEN, atomic_write, lock_file, remove_left_overs
 from dousa.formats.asf_amc.reading import TOP
 
 LOCK, RUNNING = "studio.lock", "studio.json"
-TAKEN = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
-"""What the system answers where another process has the lock."""
 
 
 class HomeTakenError(OptionError):
@@ -81,18 +77,6 @@ def open_private(path: Path) -> IO[bytes]:
     return os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o600), "r+b")
 
 
-def lock_file(file: IO[bytes]) -> None:
-    """Lock a file until it is closed or the process ends; OSError at once if another process has locked it."""
-    if sys.platform == "win32":
-        import msvcrt
-
-        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-    else:
-        import fcntl
-
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
 def _read_note(home: Path) -> dict[str, Any]:
     with suppress(OSError, ValueError):
         note = json.loads((home / RUNNING).read_bytes())
@@ -138,6 +122,7 @@ class Settings:
     most_bytes : of one uploaded file.
     most_unpacked_bytes : of all files of one zip archive, and of one batch of uploads.
     most_files : of one batch of uploads.
+    most_memory : bytes of a process that reads an upload.
     """
 
     library: Path
@@ -149,6 +134,7 @@ class Settings:
     most_bytes: int = 500_000_000
     most_unpacked_bytes: int = 4_000_000_000
     most_files: int = 20_000
+    most_memory: int = 2_000_000_000
 
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
@@ -400,9 +386,7 @@ class Workspace:
 
     def _clear_stale(self, *, stale_s: float = 7 * 86_400.0) -> None:
         # stale_s: after which other batches are cleared away when a studio starts
-        for part in self.root.rglob(".*.part"):  # of what ended with its studio
-            with suppress(OSError):
-                part.unlink()
+        remove_left_overs(self.root)
         for folder, age, used in self._list_batches(""):
             if used is None and age > stale_s:
                 shutil.rmtree(folder, ignore_errors=True)

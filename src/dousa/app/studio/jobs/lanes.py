@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, TypeVar
 
 from dousa.app.studio.core.answers import Gate, RefusedError, read_message, say_packed, to_message
 from dousa.app.studio.core.workspace import Settings
@@ -24,6 +25,9 @@ from dousa.messages import Message, get_language
 
 if TYPE_CHECKING:
     from dousa.library import Library
+
+READING = b"read\n"
+"""Sent to a process that reads on request; pickled questions follow, and pickled answers come back."""
 
 _WORKER = "dousa.app.studio.work.worker"  # the module that a process runs
 READY = '{"ready": true}\n'
@@ -92,14 +96,104 @@ def start_worker(
         "library": str(settings.library),
         "home": str(settings.folder),
     }
-    process = subprocess.Popen(
+    return _start(errors), json.dumps(task).encode() + b"\n"
+
+
+def _start(errors: IO[bytes] | int) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
         [sys.executable, "-m", _WORKER],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=errors,
         start_new_session=True,  # Ctrl-C in the terminal reaches the studio, which stops its work itself
     )
-    return process, json.dumps(task).encode() + b"\n"
+
+
+Result = TypeVar("Result")
+
+
+class Reader:
+    """Processes that read files from elsewhere, with limits of memory and time: one ends, and the studio does not.
+
+    Each is started when it is needed, and used again.
+
+    Parameters
+    ----------
+    memory : bytes that a process may have.
+    """
+
+    def __init__(self, memory: int) -> None:
+        self._memory = memory
+        self._gate = Gate(2, 12, Message("studio_motions.busy_reading"))
+        self._lock = threading.Lock()
+        self._idle: list[subprocess.Popen[bytes]] = []
+
+    def run(self, function: Callable[..., Result], *args: Any, seconds: float = 60.0) -> Result:
+        """Return the result of a function of a module, or raise its error.
+
+        Raises RefusedError if it takes longer than ``seconds`` or too much memory, or if too many others wait.
+        """
+        with self._gate.enter():
+            with self._lock:
+                alive = [process for process in self._idle if process.poll() is None]
+                process = alive.pop() if alive else None
+                self._idle = alive
+            if process is None:
+                process = self._begin()
+            ran_out = threading.Event()
+
+            def end(process: subprocess.Popen[bytes] = process) -> None:
+                ran_out.set()
+                kill(process)
+
+            timer = threading.Timer(seconds, end)
+            timer.start()
+            try:
+                done, answer = _converse(process, (get_language(), seconds, function, args))
+            except (OSError, EOFError, pickle.UnpicklingError):
+                if ran_out.is_set():
+                    raise RefusedError(422, "studio_jobs.took_long", seconds=seconds) from None
+                raise RefusedError(422, "studio_jobs.no_answer") from None
+            finally:
+                timer.cancel()
+            with self._lock:
+                self._idle.append(process)
+        if not done:
+            raise answer
+        result: Result = answer
+        return result
+
+    def _begin(self) -> subprocess.Popen[bytes]:
+        process = _start(subprocess.DEVNULL)
+        assert process.stdin is not None and process.stdout is not None
+        process.stdout.readline()  # READY
+        with suppress(OSError):
+            process.stdin.write(READING)
+            pickle.dump(self._memory, process.stdin)
+            process.stdin.flush()
+        return process
+
+    def close(self) -> None:
+        """End the processes."""
+        with self._lock:
+            for process in self._idle:
+                kill(process)
+                _end(process)
+            self._idle = []
+
+
+def _converse(process: subprocess.Popen[bytes], question: Any) -> tuple[bool, Any]:
+    """Ask a process; a process that fails, or that is left in the middle, is ended."""
+    assert process.stdin is not None and process.stdout is not None
+    try:
+        pickle.dump(question, process.stdin)
+        process.stdin.flush()
+        answer: tuple[bool, Any] = pickle.load(process.stdout)
+    except BaseException:
+        kill(process)
+        _end(process)
+        raise
+    return answer
 
 
 def run_in_process(settings: Settings) -> Callable[[Job, JobBoard, threading.Event], dict[str, Any]]:

@@ -213,6 +213,17 @@ def check(request: dict[str, Any], context: Context) -> dict[str, Any]:
     return report.to_json()
 
 
+def backup(request: dict[str, Any], context: Context) -> dict[str, Any]:
+    """Copy the library, as `dousa backup`; ``request``: to."""
+    to = Path(request["to"])
+    to.parent.mkdir(mode=0o700, exist_ok=True)
+    with context.open_library() as library:
+        report = library.backup(to, progress=context.progress)
+    for line in (*report.to_messages(), Message("studio_jobs.restore", backup=to, library=library.name)):
+        context.tell(line)
+    return report.to_json()
+
+
 def compact(request: dict[str, Any], context: Context) -> dict[str, Any]:
     """Forget removed clips and shrink the file, as `dousa compact`; ``request``: fragments."""
     with context.open_library() as library:

@@ -4,7 +4,9 @@ progress and the answer go out as lines."""
 from __future__ import annotations
 
 import json
+import math
 import os
+import pickle
 import signal
 import sys
 import threading
@@ -14,13 +16,14 @@ from contextlib import nullcontext, suppress
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, cast
 
-from dousa.app.studio.core.answers import Answer, describe_disk, name_error, pack, to_message
-from dousa.app.studio.core.workspace import TAKEN, lock_file, open_private
+from dousa.app.studio.core.answers import Answer, RefusedError, describe_disk, name_error, pack, to_message
+from dousa.app.studio.core.workspace import open_private
 from dousa.app.studio.jobs.board import Lane
-from dousa.app.studio.jobs.lanes import READY, Context, run_in_process, run_in_thread
+from dousa.app.studio.jobs.lanes import READING, READY, Context, run_in_process, run_in_thread
 from dousa.errors import DousaError
+from dousa.files.disk import TAKEN, lock_file
 from dousa.messages import Message, use_language
 
 if TYPE_CHECKING:
@@ -40,6 +43,7 @@ JOBS = {
     "map": ("library.map_clips", "review", False),
     "export": ("library.export", "export", True),
     "check": ("library.check", "library", False),
+    "backup": ("library.backup", "library", True),
     "compact": ("library.compact", "library", True),
     "estimate": ("estimation.estimate", "estimation", True),
     "masks": ("estimation.prepare_masks", "masks", False),
@@ -72,7 +76,8 @@ _LOCK = "work.lock"  # in the folder of a job
 def main() -> None:
     """Read the task, run it, answer and exit."""
     # A studio that a script started in the background ignores Ctrl-C, and so would we: it is how work is stopped.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    for stop in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(stop, signal.default_int_handler)
     # What libraries print must not come between our lines: they get standard error.
     out = os.fdopen(os.dup(1), "w", encoding="utf-8", errors="replace", buffering=1)
     os.dup2(2, 1)
@@ -80,7 +85,10 @@ def main() -> None:
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(200_000_000))  # read when OpenCV is loaded
     _stand_back()
     out.write(READY)  # from here on Ctrl-C is heard
-    line = sys.stdin.readline()
+    line = sys.stdin.buffer.readline()
+    if line == READING:
+        _read_on_request(sys.stdin.buffer, cast("IO[bytes]", out.buffer))
+        return
     if not line:  # stopped before there was anything to do
         return
     task = json.loads(line)
@@ -88,6 +96,35 @@ def main() -> None:
     with _wait_for_predecessor(Path(task["folder"]) / _LOCK) if task["is_job"] else nullcontext():
         answer = _do(task, out)
     _say(out, answer)
+
+
+def _read_on_request(questions: IO[bytes], answers: IO[bytes]) -> None:
+    """Answer questions of a `Reader` until it is gone."""
+    _limit_memory(pickle.load(questions))
+    with suppress(EOFError):
+        while True:
+            language, seconds, function, args = pickle.load(questions)
+            use_language(language)
+            if hasattr(signal, "alarm"):  # where the studio is gone, which would end us
+                signal.alarm(math.ceil(seconds) + 1)
+            try:
+                answer = True, function(*args)
+            except MemoryError:
+                answer = False, RefusedError(422, "studio_jobs.no_memory")
+            except Exception as error:
+                answer = False, error
+            if hasattr(signal, "alarm"):
+                signal.alarm(0)
+            pickle.dump(answer, answers)
+            answers.flush()
+
+
+def _limit_memory(most: int) -> None:
+    """Let no more memory be taken; it is in vain where the system does not count it."""
+    with suppress(ImportError, OSError, ValueError):
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_DATA, (most, most))
 
 
 def _wait_for_predecessor(path: Path, *, patience_s: float = 2 * _PATIENCE) -> IO[bytes]:

@@ -90,7 +90,7 @@ document.addEventListener("pointerdown", (event) => {
   for (const menu of document.querySelectorAll("details.menu[open]")) if (!menu.contains(event.target)) menu.open = false;
 });
 
-const UPKEEP = ["check", "compact"]; // what they found is said in the tray, and nowhere else
+const UPKEEP = ["backup", "check", "compact"]; // what they found is said in the tray, and nowhere else
 const canBeRepaired = ({ kind, state, codes }) => kind === "check" && state === "done" && codes.notes.at(-1)?.code === "library_check.damaged" && !codes.notes.some(({ code }) => code === "studio_jobs.repair_closed");
 
 function describeJob(job) {
@@ -170,11 +170,12 @@ async function showSpace(answer = null) {
   const sure = () => (compact.dataset.sure ? start("compact", {}) : ((compact.dataset.sure = "1"), (compact.textContent = t("space_forget_sure"))));
   const compact = button("compact", t("space_forget_title"), t("space_forget", { size: size(now.removed_bytes) }), sure);
   const check = button("check", t("space_check_title"), t("space_check"), () => start("check", {}));
+  const backup = button("backup", t("space_backup_title"), t("space_backup"), () => start("backup", {}));
   const move = button("fragments", t("space_fragments_title"), t("space_fragments"), () => start("compact", { fragments: true }));
   const act = button("free", t("space_free_title"), t("space_free", { size: size(now.can_be_freed_bytes) }), () => free());
   const old = button("old", t("space_old_title", { days: now.oldest_days }), t("space_old", { size: size(now.old_bytes) }), () => free("?older_days=30"));
   const kept = size(now.uploads_bytes + now.jobs_bytes);
-  space.replaceChildren(h("p", {}, t("space", { library: size(now.library_bytes), kept, free: size(now.disk_free_bytes) })), ...(now.can_be_freed_bytes > 0 ? [act] : []), ...(now.old_bytes > 0 ? [old] : []), ...(now.removed_bytes > 0 ? [compact] : []), ...(now.library_bytes > LARGE && !now.has_fragments ? [move] : []), check);
+  space.replaceChildren(h("p", {}, t("space", { library: size(now.library_bytes), kept, free: size(now.disk_free_bytes) })), ...(now.can_be_freed_bytes > 0 ? [act] : []), ...(now.old_bytes > 0 ? [old] : []), ...(now.removed_bytes > 0 ? [compact] : []), ...(now.library_bytes > LARGE && !now.has_fragments ? [move] : []), backup, check);
 }
 
 /** Which job of the tray has the focus, and which of its buttons; the tray itself has none. */

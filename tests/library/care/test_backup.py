@@ -1,0 +1,113 @@
+"""Copies of libraries: made while others write, compared before they count, put back; and logs of other files."""
+
+import shutil
+import subprocess
+import sys
+from contextlib import closing
+
+import pytest
+
+from dousa.errors import LibraryDamagedError, LibraryError, LibraryLockedError
+from dousa.library import Library
+from library.database_server import WANTED, address
+
+_CRASH = """
+import os, sys
+from dousa.library import Library
+library = Library.open(sys.argv[1])
+library.relabel([1, 2], category="lost")
+library.tag([3], add=["crash"])
+os.kill(os.getpid(), 9)
+"""
+
+
+def say(library):
+    """What a library says, without dates."""
+    clips = [(clip.id, clip.path, clip.category, clip.tags, clip.predicted_category) for clip in library.clips()]
+    joints = {number: motion.positions.tobytes() for number, motion in library.iterate_trajectories([1, 2])}
+    return clips, joints, [hit.path for hit in library.search(1, 5).results], [one.number for one in library.journal()]
+
+
+@pytest.mark.parametrize("in_fragments", [False, True])
+def test_a_backup_is_a_library_and_comes_back(library, library_file, tmp_path, in_fragments):
+    if in_fragments:
+        library.compact(fragments=str(tmp_path / "elsewhere") if WANTED else "")
+    library.remove([4])  # kept for an undo
+    before = say(library)
+    report = library.backup(tmp_path / "copy.dousa")
+    assert report.n_clips == len(library.clips()) and report.replaced is None
+    assert (tmp_path / "copy.dousa.fragments").exists() == in_fragments
+    with closing(Library.open(tmp_path / "copy.dousa", read_only=True)) as copy:
+        assert say(copy) == before
+    library.relabel([1], category="changed")
+    if WANTED:
+        target = address(tmp_path / "new.dousa", create=True)
+    else:
+        with pytest.raises(LibraryLockedError, match="open"):
+            Library.restore(tmp_path / "copy.dousa", library_file)
+        library.close()
+        target = library_file
+    report = Library.restore(tmp_path / "copy.dousa", target)
+    with closing(Library.open(target)) as again:
+        assert say(again) == before
+        again.undo()
+        assert len(again.clips()) == len(before[0]) + 1
+    if not WANTED:
+        assert report.replaced == f"{library_file}.replaced"
+        with closing(Library.open(f"{report.replaced}/{library_file.name}")) as old:
+            assert old.clips([1])[0].category == "changed"
+    assert not list(tmp_path.rglob("*.part"))
+
+
+@pytest.mark.sqlite
+def test_others_write_while_a_backup_is_made(library, library_file, tmp_path):
+    def write(done, total, what):
+        with Library.open(library_file) as other:
+            other.tag([1], add=[f"t{done}-{total}"])
+
+    library.backup(tmp_path / "copy.dousa", progress=write)
+    with Library.open(tmp_path / "copy.dousa") as copy:
+        assert copy.check().is_sound
+    assert library.tags()
+
+
+@pytest.mark.sqlite
+def test_the_log_of_another_file_is_refused(library, library_file, tmp_path):
+    """A copy is put over a library whose program was killed: its log would go over the copy."""
+    library.close()
+    shutil.copy(library_file, tmp_path / "night.dousa")
+    with Library.open(library_file) as opened:
+        opened.tag([1], add=["day"])
+    subprocess.run([sys.executable, "-c", _CRASH, library_file], check=False)
+    log = library_file.with_name(f"{library_file.name}-wal")
+    kept = log.read_bytes()
+    with Library.open(library_file) as opened:  # its own log is taken in
+        assert opened.tags() == {"crash": 1, "day": 1}
+    shutil.copy(tmp_path / "night.dousa", library_file)
+    log.write_bytes(kept)
+    for visit in (Library.open, lambda path: Library.open(path, read_only=True)):
+        with pytest.raises(LibraryDamagedError) as caught:
+            visit(library_file)
+        assert caught.value.code == "library_file.other_log"
+    Library.restore(tmp_path / "night.dousa", library_file)
+    assert not log.exists()
+    with Library.open(library_file) as opened:
+        assert opened.tags() == {} and opened.check().is_sound
+
+
+@pytest.mark.sqlite
+def test_what_cannot_be_copied_is_said(library, library_file, tmp_path):
+    taken = tmp_path / "taken.dousa"
+    taken.write_bytes(b"mine")
+    with pytest.raises(LibraryError, match="a file of that name"):
+        library.backup(taken)
+    assert taken.read_bytes() == b"mine"
+    with pytest.raises(LibraryError, match="the library itself"):
+        Library.restore(library_file, library_file)
+    with pytest.raises(LibraryError, match="no library at"):
+        Library.restore(tmp_path / "none.dousa", library_file)
+    with library.database.alone() as connection:
+        connection.execute("UPDATE clips SET category = 'x' WHERE id = 1")
+    with pytest.raises(LibraryDamagedError, match="labels"):
+        library.backup(tmp_path / "copy.dousa")
+    assert not (tmp_path / "copy.dousa").exists() and not list(tmp_path.rglob("*.part"))
