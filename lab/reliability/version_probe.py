@@ -426,7 +426,7 @@ def evaluation(room: Room) -> None:
         dousa.write_motion(pupil.to_trajectories(), performance)
     with room.record.probe("evaluate"):
         _evaluate(room, "two dances", [reference], performance)
-        _evaluate(room, "mirrored", [reference], performance, "--mirror", language="ja")
+        _evaluate(room, "mirrored", [reference], performance, "--mirror", "yes", language="ja")
         weights = room.work / "weights.txt"
         weights.write_text("arms = 2\nleft_shank = 0\n")
         _evaluate(room, "free", [reference], performance, "--tempo", "free", "--weights", weights)

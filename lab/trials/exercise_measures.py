@@ -8,10 +8,11 @@ references by its own person, but for the column "own". Nothing is fitted. Later
 mirror image too, as two people do some with the left.
 
 Joints are centred, turned to face one way, of unit height. ``rms``: evenly in time; ``DTW``: along the path of dynamic
-time warping. ``displacement``: from the own first pose; ``centred``: from the own mean pose. ``lines``: of directions
-of twelve parts of the body along the path, with the mean difference taken off: as root mean square of the parts, as
-mean, and as mean logarithm above what the sensor trembles by (``dousa.evaluation.grade.movement``), alone and with
-range and posture. References are pooled by the least, the mean or, part by part, the median.
+time warping. ``displacement``: from the own first pose; ``centred``: from the own mean pose. ``d#`` and ``d*`` are the
+paper's, of an eigenspace of each reference, along the path. References are pooled by the least, the mean or the median.
+The last rows are what the grade is made of (`dousa.evaluation.grade.movement.PARTS`), their sum, and the grade itself,
+for which none is 0. ``cannot tell``: by how much the share of repetitions that are judged rightly (correct ones above
+the best limit) rises if the three in ten nearest to that limit are left out.
 """
 
 from __future__ import annotations
@@ -25,15 +26,20 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.evaluation import compute_joint_angles, compute_postures
+from dousa.evaluation.alignment.correspondence import find_path
+from dousa.evaluation.figures.eigenspace import Eigenspace, fit_eigenspace
 from dousa.evaluation.grade.movement import (
-    STILL_DEG,
+    PARTS,
     Difference,
     Movement,
     compare_movements,
     describe_movement,
     find_agreement,
-    find_distances,
+    find_coverage,
+    find_extent,
+    find_parts,
 )
+from dousa.evaluation.grade.score import compute_grade, load_model
 from dousa.motion import CanonicalMotion, mirror_canonical
 from lab.exams.exercises.baselines import measure_warping, normalise_joints
 from lab.exams.exercises.material import MOVEMENTS, SENSORS, draw_others, draw_own, find_area, read_uiprmd
@@ -48,6 +54,7 @@ class Seen:
     joints: FloatArray
     ranges: FloatArray
     movement: Movement
+    space: Eigenspace
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +69,8 @@ def see(motion: CanonicalMotion) -> Seen:
     """Prepare a motion."""
     angles = compute_joint_angles(motion).values()
     ranges = np.array([np.ptp(one[np.isfinite(one)]) if np.isfinite(one).any() else 0.0 for one in angles])
-    return Seen(normalise_joints(motion), ranges, describe_movement(compute_postures(motion)))
+    movement = describe_movement(compute_postures(motion))
+    return Seen(normalise_joints(motion), ranges, movement, fit_eigenspace(movement.segments))
 
 
 def compare(one: Seen, reference: Seen) -> Pair:
@@ -73,13 +81,12 @@ def compare(one: Seen, reference: Seen) -> Pair:
     plain["displacement DTW"] = measure_warping(a - a[:3].mean(axis=0), b - b[:3].mean(axis=0))
     plain["centred DTW"] = measure_warping(a - a.mean(axis=0), b - b.mean(axis=0))
     plain["ranges"] = float(np.abs(one.ranges - reference.ranges).mean())
-    plain["ranges, what is missing"] = float(np.maximum(reference.ranges - one.ranges, 0.0).mean())
-    plain["ranges, what is too much"] = float(np.maximum(one.ranges - reference.ranges, 0.0).mean())
+    space, ours, theirs = reference.space, one.movement.segments, reference.movement.segments
+    path = find_path(ours, theirs)
+    ours, theirs = space.align(ours)[path[:, 0]], space.align(theirs)[path[:, 1]]
+    plain["d#"] = float(np.linalg.norm(space.residual(ours), axis=1).mean())
+    plain["d*"] = float(np.linalg.norm(space.project(ours) - space.project(theirs), axis=1).mean())
     return Pair(plain, compare_movements(reference.movement, one.movement))
-
-
-def _get_rms(one: Difference) -> FloatArray:
-    return np.sqrt(np.nanmean(one.path**2, axis=0))
 
 
 Measure = Callable[[Sequence[Pair], FloatArray], float]
@@ -91,38 +98,42 @@ def make_measures() -> dict[str, Measure]:
     def pool(name: str, find: Callable) -> Measure:
         return lambda pairs, _: float(find([one.plain[name] for one in pairs]))
 
-    names = ("joints rms", "joints DTW", "displacement rms", "displacement DTW", "centred DTW", "ranges")
+    names = ("joints rms", "joints DTW", "displacement rms", "displacement DTW", "centred DTW", "ranges", "d#", "d*")
     measures = {f"{name}, {how.__name__}": pool(name, how) for name in names for how in (min, np.mean, np.median)}
-    for name in ("ranges, what is missing", "ranges, what is too much"):
-        measures[f"{name}, mean"] = pool(name, np.mean)
 
-    def by_part(find: Callable[[Difference], FloatArray], mean: Callable) -> Measure:
-        return lambda pairs, _: float(mean(np.nanmedian([find(one.difference) for one in pairs], axis=0)))
+    def find(pairs: Sequence[Pair], agreement: FloatArray) -> tuple[FloatArray, float]:
+        differences = [one.difference for one in pairs]
+        return find_parts(differences, agreement, EQUAL), find_extent(differences, EQUAL)
 
-    root = lambda x: np.sqrt(np.nanmean(x**2))  # noqa: E731
-    still = np.radians(STILL_DEG)
-    measures["lines, rms of the parts"] = by_part(_get_rms, root)
-    measures["lines, mean of the parts"] = by_part(_get_rms, np.nanmean)
-    measures["lines, trunk alone"] = by_part(lambda one: _get_rms(one)[:1], np.nanmean)
-    measures["lines, mean logarithm"] = by_part(lambda one: np.log1p(_get_rms(one) / still), np.nanmean)
-    above = lambda one: np.log1p(_get_rms(one) / one.scale)  # noqa: E731
-    measures["above trembling"] = by_part(above, np.nanmean)
-    measures["above trembling, nine segments"] = by_part(lambda one: above(one)[:9], np.nanmean)
-    measures["range alone"] = by_part(lambda one: one.ranges, np.nanmean)
-    measures["above trembling + range"] = by_part(lambda one: above(one) + 0.5 * one.ranges, np.nanmean)
+    def find_one(number: int) -> Measure:
+        return lambda pairs, agreement: float(find(pairs, agreement)[0][number])
 
-    def all_three(pairs: Sequence[Pair], agreement: FloatArray) -> float:
-        found = find_distances([one.difference for one in pairs], agreement, EQUAL)
-        return float(np.log1p(found / [STILL_DEG, 1.0, 1.0]) @ [1.0, 0.5, 0.3])
+    def find_sum(pairs: Sequence[Pair], agreement: FloatArray) -> float:
+        return load_model().find_distance(*find(pairs, agreement))
 
-    measures["above trembling + range + posture"] = all_three
-    return measures
+    def find_grade(pairs: Sequence[Pair], agreement: FloatArray) -> float:
+        coverage = find_coverage([one.difference for one in pairs], EQUAL)
+        return -float(np.nan_to_num(compute_grade(*find(pairs, agreement), coverage, len(pairs)).score))
+
+    measures |= {name: find_one(number) for number, name in enumerate(PARTS)}
+    return measures | {"all parts": find_sum, "grade": find_grade}
+
+
+def find_lift(good: Sequence[float], bad: Sequence[float], *, left_out: float = 0.3) -> float:
+    """How much more is judged rightly if those nearest to the best limit are left out."""
+    values, correct = np.array([*good, *bad]), np.repeat([True, False], [len(good), len(bad)])
+    limits = np.unique(values)
+    right = [np.mean((values >= limit) == correct) for limit in limits]
+    limit = limits[int(np.argmax(right))]
+    sure = np.argsort(np.abs(values - limit))[round(left_out * len(values)) :]
+    return float(np.mean((values[sure] >= limit) == correct[sure]) - max(right))
 
 
 def examine(options: argparse.Namespace, sensor: str, count: int, own: bool) -> dict[str, list[float]]:
     """Measure -> AUROC of each movement, the mean of the draws."""
     measures = make_measures()
     areas: dict[str, list[float]] = {name: [] for name in measures}
+    lifts: list[float] = []
     for movement in MOVEMENTS:
         repetitions = read_uiprmd(options.data, sensor, movement, 1)
         seen = {id(one): see(one.motion) for one in repetitions}
@@ -151,9 +162,10 @@ def examine(options: argparse.Namespace, sensor: str, count: int, own: bool) -> 
                     values[name][not one.correct].append(-measure(pairs, agreement))
             for name in measures:
                 found[name].append(find_area(*values[name]))
+            lifts.append(find_lift(*values["grade"]))
         for name in measures:
             areas[name].append(float(np.mean(found[name])))
-    return areas
+    return areas | {"cannot tell": lifts}
 
 
 def main() -> None:
@@ -170,11 +182,11 @@ def main() -> None:
         for count, own in [*((count, False) for count in options.references), (3, True)]:
             columns[f"{sensor} {'own ' if own else ''}{count}"] = examine(options, sensor, count, own)
     print(f"{'':36}" + "".join(f"{name:>14}" for name in columns))
-    for name in make_measures():
+    for name in (*make_measures(), "cannot tell"):
         cells = (f"{np.mean(one[name]):.3f} / {np.min(one[name]):.2f}" for one in columns.values())
         print(f"{name:36}" + "".join(f"{cell:>14}" for cell in cells))
     for title, one in columns.items():
-        best = one["above trembling + range + posture"]
+        best = one["grade"]
         print(f"{title}: " + ", ".join(f"{m} {area:.2f}" for m, area in zip(MOVEMENTS, best, strict=True)))
 
 

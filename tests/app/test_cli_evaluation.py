@@ -62,7 +62,7 @@ def test_the_table_tells_grade_errors_and_order(dousa, takes, asked):
     ((references, performance, options),) = asked.assess
     assert len(references) == 1 and performance.n_frames > 10
     assert options.pop("names") == ["t0.bvh", "pupil.bvh"]
-    assert options == {"furi": None, "side": "same", "tempo": "same", "weights": None, "importance": "learned"}
+    assert options == {"furi": None, "side": "auto", "tempo": "same", "weights": None}
     assert asked.report == []
 
 
@@ -84,7 +84,7 @@ def test_json_alone_is_on_standard_output(dousa, takes, asked, tmp_path):
 def test_options_reach_the_assessment(dousa, takes, asked, tmp_path):
     weights = tmp_path / "weights"
     weights.write_text("arms = 2\n")
-    words = ("--mirror", "--tempo", "free", "--weights", weights, "-o", tmp_path / "out")
+    words = ("--mirror", "yes", "--tempo", "free", "--weights", weights, "-o", tmp_path / "out")
     code, out, _ = dousa("--lang", "ja", "evaluate", takes / "takes", "-p", takes / "pupil.bvh", *words)
     assert code == 0
     options = asked.assess[0][2]
@@ -285,10 +285,3 @@ def test_progress_over_something_else(dousa, tmp_path, content, says):
         file.write_text(content)
     code, out, err = dousa("progress", file, file)
     assert code == 2 and out == "" and says in err and len(err.splitlines()) == 1
-
-
-def test_equal_weights_are_no_file(dousa, takes, asked):
-    code, _, _ = dousa("evaluate", takes / "takes/t0.bvh", "-p", takes / "pupil.bvh", "--weights", "equal")
-    assert code == 0
-    options = asked.assess[0][2]
-    assert options["importance"] == "equal" and options["weights"] is None

@@ -112,23 +112,6 @@ def test_weights_change_the_grade(studio, job):
     assert quick["assessment"]["score"] == pytest.approx(exact["assessment"]["score"], abs=5)
 
 
-def test_importance_changes_what_segments_count(studio, job):
-    learned = job["result"]["segment_weights"]
-    assert job["result"]["importance"] == "learned" and len(set(learned.values())) > 1
-    quick = _adjust(studio, job, importance="equal", precision="quick").json()
-    exact = _adjust(studio, job, importance="equal").json()
-    assert quick["exact"] and quick["assessment"] == exact["assessment"]
-    assert exact["assessment"]["importance"] == "equal"
-    assert set(exact["assessment"]["segment_weights"].values()) == {1.0}
-    assert exact["assessment"]["events"] == job["result"]["events"]
-    assert "All segments count alike" in exact["parts"]["segments"] == quick["parts"]["segments"]
-    kept = studio.get(f"/api/evaluations/{job['id']}/report").json()["assessment"]
-    assert kept["importance"] == "equal"
-    file = studio.get(f"/api/evaluations/{job['id']}/weights.toml").text
-    assert "--importance equal" in file
-    assert _adjust(studio, job, importance="some").status_code == 422
-
-
 def _cut(start, end, label="A"):
     return {"start_s": start, "end_s": end, "label": label}
 

@@ -109,13 +109,6 @@ def test_the_report_follows_cuts_and_weights(show, address):
     assert shown == pytest.approx(_score(page), abs=0.6)
     # Beside the sliders stands what the report says that the segments count.
     _compare_counts(page)
-    page.find("#learned-importance").click()
-    page.wait(
-        "return document.querySelector('[data-counts=segment-trunk]').textContent === 'counts × 1.00'", seconds=60
-    )
-    _settled(page)
-    _compare_counts(page)
-    assert "all segments alike" in page.run("return document.querySelector('#adjust-changed').textContent")
     # Nothing that counts is refused in words, and the report stays.
     for limb in ("trunk", "legs"):
         _slide(page, f"limb-{limb}", 0)

@@ -53,7 +53,7 @@ def test_it_is_what_the_command_says(ask, exercise):
     assert {name: job["result"][name] for name in said} == said
     assert job["result"]["says_codes"][1] == "exercise_summary.broken_off"
     assert job["result"]["options"] == {"side": "same", "tempo": "free", "repetitions": True}
-    other = ask(tempo="same", importance="equal", weights={"legs": 2.0})["result"]
+    other = ask(tempo="same", weights={"legs": 2.0})["result"]
     assert other["tempo"] == "same"
     assert [one["score"] for one in other["repetitions"]] != [one["score"] for one in said["repetitions"]]
 

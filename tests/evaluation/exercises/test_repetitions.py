@@ -175,7 +175,7 @@ def test_the_assessment_measures_each_repetition(squats: tuple[CanonicalMotion, 
 
 def test_the_grade_is_that_of_assess_with_the_same_options(squats: tuple[CanonicalMotion, ExerciseSet]) -> None:
     reference, truth = squats
-    options = {"tempo": "same", "importance": "equal", "weights": {"legs": 2.0}}
+    options = {"tempo": "same", "weights": {"legs": 2.0}}
     done = assess_repetitions(reference, truth.motion, **options)
     assert done.tempo == "same" == done.to_json()["tempo"]
     one = done.complete[0]
@@ -199,7 +199,7 @@ def test_being_slower_costs_points_only_if_asked() -> None:
 
 
 def test_wrong_options_are_told(squats: tuple[CanonicalMotion, ExerciseSet]) -> None:
-    for option in ({"tempo": "slow"}, {"importance": "some"}, {"side": "left"}):
+    for option in ({"tempo": "slow"}, {"side": "left"}):
         with pytest.raises(OptionError, match=next(iter(option))):
             assess_repetitions(squats[0], squats[1].motion, **option)
 

@@ -94,28 +94,3 @@ def test_what_cannot_be_is_said(motions, adjustable):
         adjustable.preview((Furi(0, 10_000, "A"),))
     with pytest.raises(InvalidMotionError, match="at least one reference"):
         AdjustableAssessment([], performance)
-
-
-@pytest.mark.parametrize("weights", [None, {"arms": 2.0}])
-def test_equal_importance_is_that_of_a_fresh_assessment(motions, adjustable, weights):
-    takes, performance = motions
-    learned, equal = (adjustable.assess(None, weights, importance=name) for name in ("learned", "equal"))
-    _is_same(equal, assess(takes, performance, weights=weights, importance="equal"))
-    assert equal.score != learned.score
-    assert [event.says for event in equal.events] == [event.says for event in learned.events]
-    quick, is_exact = adjustable.preview(None, weights, importance="equal")
-    assert is_exact
-    _is_same(quick, equal)
-
-
-def test_importance_counts_in_a_preview_of_new_weights(adjustable):
-    adjustable.assess()
-    quick, is_exact = adjustable.preview(None, {"legs": 3.0}, importance="equal")
-    assert not is_exact
-    np.testing.assert_allclose(quick.weights[5:] / quick.weights[0], 3.0)
-
-
-def test_an_unknown_importance_is_told(adjustable):
-    for ask in (adjustable.assess, adjustable.preview):
-        with pytest.raises(OptionError, match="importance: expected 'learned' or 'equal'"):
-            ask(importance="some")

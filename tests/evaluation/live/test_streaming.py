@@ -260,15 +260,6 @@ def test_another_frame_rate() -> None:
     assert count_found(over, assessor.settled) >= len(over) - 1
 
 
-def test_equal_importance_is_that_of_the_whole() -> None:
-    reference, performance = make_trial(2, 8.0)
-    assessor = IncrementalAssessor(reference, 30.0, importance="equal")
-    play(assessor, performance)
-    whole = assess(reference, performance, importance="equal")
-    check_equal(assessor.finish(), whole)
-    assert whole.score != assess(reference, performance).score
-
-
 @pytest.mark.slow
 def test_several_references() -> None:
     reference, performance = make_trial(3)
@@ -377,8 +368,6 @@ def test_wrong_options_are_told() -> None:
         IncrementalAssessor(reference, 30.0, offset_s=float("nan"))
     with pytest.raises(OptionError, match="side"):
         IncrementalAssessor(reference, 30.0, side="left")
-    with pytest.raises(OptionError, match="importance"):
-        IncrementalAssessor(reference, 30.0, importance="some")
     with pytest.raises(InvalidMotionError, match="at least one reference"):
         IncrementalAssessor([], 30.0)
 

@@ -83,7 +83,7 @@ def evaluate_files(
     options : how they are read.
     furi_file : cuts of the figures, in frames of the first reference; by default they are found.
     progress : called with (steps done, steps, what is being done).
-    judging : ``side``, ``tempo``, ``weights`` and ``importance`` of `dousa.evaluation.assess`.
+    judging : ``side``, ``tempo`` and ``weights`` of `dousa.evaluation.assess`.
 
     Raises
     ------

@@ -11,9 +11,7 @@ import typer
 from dousa.errors import OptionError
 
 Tempo = Literal["same", "free"]
-Importance = Literal["learned", "equal"]
-
-_EQUAL = Path("equal")  # as --weights
+Mirrored = Literal["auto", "yes", "no"]
 
 
 def choose_tempo(tempo: Tempo | None, *, repetitions: bool) -> Tempo:
@@ -34,8 +32,13 @@ class EvaluationRequest:
         ),
     ] = None
     mirror: Annotated[
-        bool, typer.Option("--mirror", help="The performer faced the reference and danced its mirror image.")
-    ] = False
+        Mirrored,
+        typer.Option(
+            "--mirror",
+            help="Whether the performer faced the reference and danced its mirror image: yes, no, or auto, which "
+            "finds out.",
+        ),
+    ] = "auto"
     tempo: Annotated[
         Tempo | None,
         typer.Option(
@@ -50,17 +53,9 @@ class EvaluationRequest:
         typer.Option(
             "--weights",
             metavar="FILE",
-            help="Weights: lines such as 'arms = 2', 'left_shank = 0', multiplied with what matters in the reference. "
-            "equal, instead of a file: as --importance equal.",
+            help="Weights in the grade: lines such as 'arms = 2', 'left_shank = 0'.",
         ),
     ] = None
-    importance: Annotated[
-        Importance,
-        typer.Option(
-            "--importance",
-            help="learned: in the grade segments count as they matter in the reference; equal: all count the same.",
-        ),
-    ] = "learned"
     repetitions: Annotated[
         bool,
         typer.Option(
@@ -109,12 +104,10 @@ class EvaluationRequest:
             raise OptionError("beats.start_with")
 
     def choose_judging(self) -> dict[str, Any]:
-        """``side``, ``tempo``, ``weights`` and ``importance`` of `dousa.evaluation.assess`; the weights are read."""
-        judging: dict[str, Any] = {"side": "mirrored" if self.mirror else "auto" if self.repetitions else "same"}
+        """``side``, ``tempo`` and ``weights`` of `dousa.evaluation.assess`; the weights are read."""
+        judging: dict[str, Any] = {"side": {"auto": "auto", "yes": "mirrored", "no": "same"}[self.mirror]}
         judging["tempo"] = choose_tempo(self.tempo, repetitions=self.repetitions)
-        if self.weights == _EQUAL:
-            return {**judging, "weights": None, "importance": "equal"}
         from dousa.evaluation import read_weights
 
         weights = None if self.weights is None else read_weights(self.weights)
-        return {**judging, "weights": weights, "importance": self.importance}
+        return {**judging, "weights": weights}

@@ -25,7 +25,7 @@ from dousa.evaluation.exercises.range_of_motion import (
 from dousa.evaluation.exercises.split import Repetition, find_reference_repetitions, find_repetitions
 from dousa.evaluation.exercises.trends import Trend, adjust_for_many, estimate_trend
 from dousa.evaluation.figures.furi import Furi, find_furi
-from dousa.evaluation.grade.assessment import check_importance, check_seen, check_takes, compute_all_postures, judge
+from dousa.evaluation.grade.assessment import check_seen, check_takes, compute_all_postures, judge
 from dousa.evaluation.grade.references import ReferenceTakes, prepare_references
 from dousa.evaluation.grade.result import Assessment
 from dousa.evaluation.posture.posture import PostureSequence, compute_postures, spread_weights
@@ -148,7 +148,6 @@ def assess_repetitions(
     side: str = "same",
     tempo: str = "free",
     weights: Mapping[str, float] | None = None,
-    importance: str = "learned",
 ) -> RepetitionsAssessment:
     """Split a recording into repetitions and measure each against the reference.
 
@@ -159,17 +158,16 @@ def assess_repetitions(
     side : ``"mirrored"`` for a person who did the reference's mirror image; ``"auto"``: found by itself, and said.
     tempo : ``"free"``: a repetition may be slower or faster than the reference's; the tempo is beside the grade.
         ``"same"``: being late costs points.
-    weights, importance : of segments for the grade, as in `dousa.evaluation.assess`.
+    weights : of segments for the grade, as in `dousa.evaluation.assess`.
 
     Raises
     ------
     InvalidMotionError : no repetition of the exercise, and no part of one, in the performance, no movement in the
         references, a motion shorter than half a second or hardly seen, no reference.
-    OptionError : an unknown side, tempo, importance or segment.
+    OptionError : an unknown side, tempo or segment.
     """
     takes = [references] if isinstance(references, CanonicalMotion) else list(references)
     check_takes(takes, performance, "same" if side == "auto" else side, tempo)
-    check_importance(importance)
     shares = spread_weights(weights)
     for motion in (*takes, performance):
         check_seen(compute_postures(motion), is_reference=motion is not performance)
@@ -181,7 +179,7 @@ def assess_repetitions(
     if not found:
         raise InvalidMotionError("exercises.no_repetition", duration=played.duration, reference_s=reference_s)
     models = [_cut(take, *span) for take, span in _choose_examples(examples, reference_s)]
-    done = _measure(examples, played, found, chosen, _Grading(models, tempo, shares, importance))
+    done = _measure(examples, played, found, chosen, _Grading(models, tempo, shares))
     if chosen in (side, "same"):
         return done
     return dataclasses.replace(done, warnings=(*done.warnings, Message("exercises.mirrored")))
@@ -204,9 +202,9 @@ _Example = tuple[CanonicalMotion, tuple[int, int]]
 class _Grading:
     """Grades repetitions, as `assess` does, by the same ones of the reference, which are prepared once."""
 
-    def __init__(self, models: Sequence[CanonicalMotion], tempo: str, weights: FloatArray, importance: str) -> None:
+    def __init__(self, models: Sequence[CanonicalMotion], tempo: str, weights: FloatArray) -> None:
         self.tempo = tempo
-        self._models, self._weights, self._importance = models, weights, importance
+        self._models, self._weights = models, weights
         self._ready: tuple[ReferenceTakes, tuple[Furi, ...]] | None = None
 
     def assess(self, cut: CanonicalMotion) -> Assessment | None:
@@ -216,7 +214,7 @@ class _Grading:
         except InvalidMotionError:
             return None
         if self._ready is None:
-            references = prepare_references(postures, self.tempo, self._weights, importance=self._importance)
+            references = prepare_references(postures, self.tempo, self._weights)
             self._ready = references, find_furi(references.postures)
         references, figures = self._ready
         return judge(references, figures, played, tempo=self.tempo, weights=self._weights)

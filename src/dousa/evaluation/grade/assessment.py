@@ -29,7 +29,6 @@ from dousa.evaluation.grade.references import (
     compare,
     find_errors,
     prepare_references,
-    set_importance,
 )
 from dousa.evaluation.grade.result import (
     Assessment,
@@ -39,7 +38,7 @@ from dousa.evaluation.grade.result import (
     describe_offset,
     describe_warnings,
 )
-from dousa.evaluation.grade.score import grade_performance, share_weights
+from dousa.evaluation.grade.score import grade_performance, is_unlike
 from dousa.evaluation.posture.posture import (
     SEGMENTS,
     PostureSequence,
@@ -66,7 +65,6 @@ def assess(
     tempo: str = "same",
     weights: Mapping[str, float] | None = None,
     names: Sequence[str] = (),
-    importance: str = "learned",
 ) -> Assessment:
     """Say what differs between a performance and its reference, where, and by how much.
 
@@ -81,8 +79,6 @@ def assess(
         few seconds is.
     weights : of segments, limbs, ``arms`` or ``legs``; 1 for those not named.
     names : of the references and, last, of the performance.
-    importance : ``"learned"``: in the grade segments count as much as they matter in the reference;
-        ``"equal"``: they all count the same. The weights are multiplied with it.
 
     Returns
     -------
@@ -98,15 +94,22 @@ def assess(
     """
     takes = [reference] if isinstance(reference, CanonicalMotion) else list(reference)
     shares = spread_weights(weights)
-    check_importance(importance)
+    postures, played, side = settle_side(takes, performance, side=side, tempo=tempo, names=names)
+    shares = leave_out(shares, postures, played)
+    references = prepare_references(postures, tempo, shares)
+    figures = scale_furi(furi, takes[0], references.postures) if furi else find_furi(references.postures)
+    return judge(references, figures, played, side=side, tempo=tempo, weights=shares)
+
+
+def settle_side(
+    takes: Sequence[CanonicalMotion], performance: CanonicalMotion, *, side: str, tempo: str, names: Sequence[str] = ()
+) -> tuple[list[PostureSequence], PostureSequence, str]:
+    """`compute_all_postures`, and ``"same"`` or ``"mirrored"``, found by itself if the side is ``"auto"``."""
     asked = "same" if side == "auto" else side
     postures, played = compute_all_postures(takes, performance, side=asked, tempo=tempo, names=names)
     if side == "auto" and find_side(postures, played) == "mirrored":
-        played, asked = mirror_postures(played), "mirrored"
-    shares = leave_out(shares, postures, played)
-    references = prepare_references(postures, tempo, shares, importance=importance)
-    figures = scale_furi(furi, takes[0], references.postures) if furi else find_furi(references.postures)
-    return judge(references, figures, played, side=asked, tempo=tempo, weights=shares)
+        return postures, mirror_postures(played), "mirrored"
+    return postures, played, asked
 
 
 def compute_all_postures(
@@ -253,8 +256,7 @@ def look_at_figures(
         facing=curves.facing,
         furi_index=curves.furi_index,
     )
-    shares = share_weights(references, weights)
-    grade = grade_performance(references, comparison, shares)
+    grade = grade_performance(references, comparison.movement, weights)
     return Assessment(
         frame_rate=performance.frame_rate,
         reference=references.postures,
@@ -271,7 +273,7 @@ def look_at_figures(
         residual=curves.residual,
         residual_limit=tolerance.angle,
         path=_make_path(matched, references.postures),
-        furi=_assess_furi(furi, spaces, curves, comparison, references, performance, working, shares),
+        furi=_assess_furi(furi, spaces, curves, comparison, references, performance, working, weights),
         events=events,
         lapses=lapses,
         score=grade.score,
@@ -281,12 +283,23 @@ def look_at_figures(
         tempo=comparison.alignment.tempo,
         coverage=grade.coverage,
         score_interval=grade.interval,
-        weights=shares,
+        weights=weights,
         offset_deg=comparison.offset.degrees,
         gaps=describe_gaps(performance),
         not_judged=tuple(SEGMENTS[index] for index in np.flatnonzero(comparison.offset.missing)),
         warnings=(
-            *describe_warnings(references, furi, performance, working, comparison, curves, tempo, weights, side),
+            *describe_warnings(
+                references,
+                furi,
+                performance,
+                working,
+                comparison,
+                curves,
+                tempo,
+                weights,
+                side,
+                unlike=is_unlike(grade),
+            ),
             *describe_offset(comparison.offset, references.working[0]),
         ),
         side=side,
@@ -366,7 +379,7 @@ def _assess_furi(
     for number, one in enumerate(furi):
         spans = find_runs(curves.furi_index == number).tolist()
         longest = max(spans, key=lambda span: span[1] - span[0], default=None)
-        score = grade_performance(references, comparison, weights, thinned == number).score
+        score = grade_performance(references, comparison.movement, weights, thinned == number).score
         result.append(
             FuriAssessment(
                 start_s=longest[0] / rate if longest else np.nan,
@@ -406,12 +419,6 @@ def check_takes(takes: Sequence[CanonicalMotion], performance: CanonicalMotion, 
                 rate=motion.frame_rate,
                 duration=motion.duration,
             )
-
-
-def check_importance(importance: str) -> None:
-    """Say what can be chosen."""
-    if importance not in ("learned", "equal"):
-        raise OptionError("evaluation.importance", importance=importance)
 
 
 def check_seen(postures: PostureSequence, *, is_reference: bool) -> None:
@@ -480,10 +487,10 @@ class AdjustableAssessment:
         tempo: str = "same",
         names: Sequence[str] = (),
     ) -> None:
-        self._postures, self._performance = compute_all_postures(
+        self._postures, self._performance, self._side = settle_side(
             takes, performance, side=side, tempo=tempo, names=names
         )
-        self._side, self._tempo, self._take = side, tempo, takes[0]
+        self._tempo, self._take = tempo, takes[0]
         self._prepared: OrderedDict[bytes, _Prepared] = OrderedDict()
         self._found: tuple[Furi, ...] = find_furi(self._postures[0])
 
@@ -520,25 +527,19 @@ class AdjustableAssessment:
         self,
         furi: Sequence[Furi] | None = None,
         weights: Mapping[str, float] | None = None,
-        *,
-        importance: str = "learned",
     ) -> Assessment:
-        """Assess with these figures, weights and importance, as `dousa.evaluation.assess`.
+        """Assess with these figures and weights, as `dousa.evaluation.assess`.
 
         Figures are in frames of the first take at its own rate; None for those that are found. Raises OptionError for
-        figures outside the reference, impossible weights or an unknown importance.
+        figures outside the reference or impossible weights.
         """
-        check_importance(importance)
         prepared = self._prepare(spread_weights(weights))
-        references = set_importance(prepared.references, importance)
-        return self._look(prepared, references, prepared.weighed, furi)
+        return self._look(prepared, prepared.weighed, furi)
 
     def preview(
         self,
         furi: Sequence[Furi] | None = None,
         weights: Mapping[str, float] | None = None,
-        *,
-        importance: str = "learned",
     ) -> tuple[Assessment, bool]:
         """Assess in a fraction of the time; the second result is whether the answer is exact.
 
@@ -547,16 +548,14 @@ class AdjustableAssessment:
 
         Parameters
         ----------
-        furi, weights, importance : as in `assess`.
+        furi, weights : as in `assess`.
         """
-        check_importance(importance)
         shares = spread_weights(weights)
         if shares.tobytes() in self._prepared or not self._prepared:
-            return self.assess(furi, weights, importance=importance), True
+            return self.assess(furi, weights), True
         prepared = next(reversed(self._prepared.values()))
-        references = set_importance(prepared.references, importance)
-        weighed = reweigh(prepared.weighed, references, prepared.performance, shares)
-        return self._look(prepared, references, weighed, furi), False
+        weighed = reweigh(prepared.weighed, prepared.references, prepared.performance, shares)
+        return self._look(prepared, weighed, furi), False
 
     def _prepare(self, shares: FloatArray, *, most_weights: int = 3) -> _Prepared:
         # most_weights: sets of weights whose comparison is kept: those found first, and the last ones tried
@@ -574,10 +573,10 @@ class AdjustableAssessment:
     def _look(
         self,
         prepared: _Prepared,
-        references: ReferenceTakes,
         weighed: Weighed,
         furi: Sequence[Furi] | None,
     ) -> Assessment:
+        references = prepared.references
         figures = scale_furi(furi, self._take, references.postures) if furi else self._found
         return look_at_figures(
             references,

@@ -10,6 +10,7 @@ Measured by ``python -m lab.trials.exercise_measures``, which has the plainer ca
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -85,12 +86,21 @@ class Difference:
     """A movement against one reference, along the path of best correspondence."""
 
     rows: IndexArray  # (K,) frames of the performance at the working rate
-    path: FloatArray  # (K, 12) rad, distance of each part with the mean difference taken off; nan where not danced
-    posture: FloatArray  # (12,) rad, that mean difference
-    scale: FloatArray  # (12,) rad, of both sensors, of standing still and of the reference's own movement
-    ranges: FloatArray  # (12,) absolute logarithm of how many times as far each part moves
+    there: IndexArray  # (K,) moments of the reference
+    ours: FloatArray  # (K, 12, 3) the performer's lines less what they differ by throughout; nan where not danced
+    theirs: FloatArray  # (K, 12, 3) the reference's
+    posture: FloatArray  # (12,) rad, what they differ by throughout
+    noise: FloatArray  # (12,) rad, of both sensors and of standing still
+    spread: FloatArray  # (12,) rad, how far the reference moves
+    late: FloatArray  # (U,) s, how much later than at an even tempo each moment of the reference comes
+    tempo: float  # seconds of the performance for one of the reference
     asked: FloatArray  # (U, 12) rad, how far the reference moves around each of its moments, beyond noise
     danced: NDArray[np.bool_]  # (U,) moments of the reference at which the performer moved along
+
+    @property
+    def scale(self) -> FloatArray:
+        """(12,) rad: a difference of this size is one."""
+        return self.noise + _OF_RANGE * self.spread
 
 
 def compare_movements(
@@ -111,7 +121,8 @@ def compare_movements(
     shares = np.nan_to_num(noise[:9] ** -2.0)
     path = find_path(performance.segments, reference.segments, shares if shares.any() else None)
     there = np.arange(len(reference.lines))
-    follows = np.rint(_follow(path, len(there))).astype(np.intp)
+    course = _follow(path, len(there))
+    follows = np.rint(course).astype(np.intp)
     steps = np.stack([_measure_steps(reference.lines, there), _measure_steps(performance.lines, follows)])
     asked, done = np.where(np.isfinite(steps).all(axis=0), np.maximum(steps - noise, 0.0), 0.0)
     moved, danced = (one.sum(axis=1) >= hardly * asked.sum(axis=1) for one in (done, np.minimum(done, asked)))
@@ -120,18 +131,31 @@ def compare_movements(
         lapsed = end - start >= lapse_s * RATE  # everybody pauses
         moved[max(start - half, 0) if lapsed else start : end + half if lapsed else end] = not lapsed
     ours, theirs = performance.lines[path[:, 0]], reference.lines[path[:, 1]]
-    apart = np.where((moved | ~moved.any())[path[:, 1], None, None], ours - theirs, np.nan)
-    known = np.where(np.isnan(apart), np.nan, 1.0)
-    spreads = [
-        _measure_spread((lines * known)[np.unique(frames, return_index=True)[1]]) + noise
-        for lines, frames in ((ours, path[:, 0]), (theirs, path[:, 1]))
-    ]
-    mean = _average(apart)
-    distance = np.sqrt(((apart - mean) ** 2).sum(axis=2))
-    posture = np.sqrt((mean**2).sum(axis=1))
-    ranges = np.abs(np.log(spreads[0] / spreads[1]))
-    scale = noise + _OF_RANGE * (spreads[1] - noise)
-    return Difference(performance.rows[path[:, 0]], distance, posture, scale, ranges, asked, danced)
+    known = (moved | ~moved.any())[path[:, 1], None, None] & np.isfinite(ours + theirs)
+    ours, theirs = (np.where(known, one, np.nan) for one in (ours, theirs))
+    mean = _average(ours - theirs)
+    late, tempo = _measure_lateness(course, asked.sum(axis=1))
+    return Difference(
+        performance.rows[path[:, 0]],
+        path[:, 1],
+        ours - mean,
+        theirs,
+        np.sqrt((mean**2).sum(axis=1)),
+        noise,
+        _measure_spread(reference.lines),
+        late,
+        tempo,
+        asked,
+        danced,
+    )
+
+
+def _measure_lateness(course: FloatArray, motion: FloatArray) -> tuple[FloatArray, float]:
+    """(U,) s later than at the tempo that fits best where there is motion, and that tempo."""
+    line = np.column_stack([np.arange(len(course)), np.ones(len(course))])
+    shares = np.sqrt(motion + 1e-3 * max(float(motion.mean()), 1e-6))  # rad: where nothing moves nothing is told
+    slope = np.linalg.lstsq(line * shares[:, None], course * shares, rcond=None)[0]
+    return (course - line @ slope) / RATE, max(float(slope[0]), 0.05)
 
 
 def _follow(path: IndexArray, count: int) -> FloatArray:
@@ -180,7 +204,7 @@ def find_side(takes: Sequence[PostureSequence], performance: PostureSequence, *,
     equal, nothing = np.ones(len(SEGMENTS)), find_agreement(())
     references = [describe_movement(take) for take in takes]
     path, turned = (
-        find_distances([compare_movements(one, ours) for one in references], nothing, equal)[0]
+        find_parts([compare_movements(one, ours) for one in references], nothing, equal)[0]
         for ours in (describe_movement(performance), describe_movement(mirror_postures(performance)))
     )
     return "mirrored" if turned < clearly * path else "same"
@@ -191,51 +215,92 @@ def find_agreement(differences: Sequence[Difference]) -> FloatArray:
     usual = np.full(N_PARTS, np.radians(BODIES_DEG))
     if not differences:
         return usual
-    apart = _find_median(np.array([one.posture for one in differences]))
+    apart = _find_quantile(np.array([one.posture for one in differences]), 0.5)
     return np.where(np.isfinite(apart), apart, usual)
 
 
-def find_distances(
+PARTS: tuple[str, ...] = ("path", "range", "posture", "lag", "strayed")
+"""How far the parts of the body are off their way, deg, as if no sensor trembled; by what share their range is more or
+less; how far they are held otherwise throughout, in multiples of what references differ by; how unevenly late, s; the
+share of all movement that was another one."""
+
+_AGREE = 0.25  # share of the references that decide: measured by lab/trials/exercise_measures.py
+_TREMBLING = 0.5  # of its square, taken off what was another movement: measured there
+_PACE_S = 0.1  # s of lag that a tempo e times as slow counts: measured there
+_LEAST_EXTENT = 0.2  # of a reference that stands still, by choice
+_RELATED = 0.5  # rad to rad, extent of usual movements, for which `find_extent` is 1: measured there
+
+
+def find_parts(
     differences: Sequence[Difference],
     agreement: FloatArray,
     weights: FloatArray,
     frames: NDArray[np.bool_] | None = None,
+    *,
+    tempo: str = "same",
 ) -> FloatArray:
-    """(3,) how far a movement is from its references, 0 or above; nan where nothing is compared.
+    """(5,) values of `PARTS`, 0 or above; nan where nothing is compared.
 
-    Each part of the body is held against every reference; the median of them counts, so that no single reference
-    decides.
+    Each part of the body is held against every reference; what a quarter of them are nearer than counts, so that no
+    odd one decides.
 
     Parameters
     ----------
     differences : from each reference.
     agreement : (12,) of `find_agreement`.
     weights : (9,) of the segments; hips, shoulders and neck have that of the trunk.
-    frames : (T,) of the working frames, those to look at; range and posture are not measured then.
-
-    Returns
-    -------
-    How far parts are off their way, deg, as if no sensor trembled; by what share the range is more or less; how far
-    they are held otherwise, in multiples of what the references differ by. All are geometric means over the parts.
+    frames : (T,) of the working frames, those to look at; posture is not measured then.
+    tempo : ``"same"``: being slower or faster counts; ``"free"``.
     """
-    paths, ranges, postures = [], [], []
+    logs, late, strayed = [], [], []
+    parts = spread_over_parts(weights)
     for one in differences:
         here = slice(None) if frames is None else frames[np.minimum(one.rows, len(frames) - 1)]
-        paths.append(np.log1p(np.sqrt(_average(one.path[here] ** 2)) / one.scale))
-        ranges.append(one.ranges)
-        postures.append(np.log1p(one.posture / (one.scale + _DISAGREE * agreement)))
-    logs = [_find_median(np.array(some)) for some in (paths, ranges, postures)]
-    shares = np.where(np.isfinite(logs[0]), spread_over_parts(weights), 0.0)
+        rows, there, ours, theirs = one.rows[here], one.there[here], one.ours[here], one.theirs[here]
+        apart = _average(((ours - theirs) ** 2).sum(axis=2))
+        mine, its = (  # who waits for the other is counted once
+            _measure_spread(lines[np.unique(moments, return_index=True)[1]])
+            for lines, moments in ((ours, rows), (theirs, there))
+        )
+        posture = one.posture / (one.scale + _DISAGREE * agreement)
+        range_ = np.abs(np.log((mine + one.noise) / (its + one.noise)))
+        logs.append([np.log1p(np.sqrt(apart) / one.scale), range_, np.log1p(posture) * (frames is None)])
+        lag, motion = one.late[there], one.asked.sum(axis=1)[there] + 1e-6
+        pace = _PACE_S * abs(np.log(one.tempo)) * (tempo == "same")
+        late.append(np.sqrt((lag**2 * motion).sum() / motion.sum()) + pace if len(lag) else np.nan)
+        other = np.maximum(apart - _TREMBLING * one.noise**2, 0.0)
+        strayed.append(np.nansum(other * parts) / max(np.nansum((mine**2 + its**2) * parts), 1e-9))
+    nearest = _find_quantile(np.array(logs).reshape(-1, 3, N_PARTS), _AGREE)
+    shares = np.where(np.isfinite(nearest[0]), parts, 0.0)
     if not shares.any():
-        return np.full(3, np.nan)
-    path, extent, posture = (float(np.expm1((np.nan_to_num(one) * shares).sum() / shares.sum())) for one in logs)
-    return np.array([STILL_DEG * path, extent, posture] if frames is None else [STILL_DEG * path, 0.0, 0.0])
+        return np.full(len(PARTS), np.nan)
+    path, extent, posture = np.expm1((np.nan_to_num(nearest) * shares).sum(axis=1) / shares.sum())
+    rest = _find_quantile(np.array([late, strayed]).T, _AGREE)
+    return np.array([STILL_DEG * path, extent, posture, *rest])
 
 
-def _find_median(values: FloatArray) -> FloatArray:
-    """Median over the first axis of what is known; nan where nothing is."""
-    known = np.isfinite(values)
-    found = np.full(values.shape[1:], np.nan)
-    some = known.any(axis=0)
-    found[some] = np.nanmedian(values[:, some], axis=0)
-    return found
+def find_extent(differences: Sequence[Difference], weights: FloatArray) -> float:
+    """Find how much moves, of which much is off: 1 for usual movements.
+
+    Two people who do the same lie the further apart the more parts of the body move, and the further. It is the
+    geometric mean of the share of the parts that move (mean over root mean square) and of how far a performer would be
+    who moved without any relation to the reference.
+    """
+    found = []
+    for one in differences:
+        shares = np.where(np.isfinite(one.spread), spread_over_parts(weights), 0.0)
+        shares /= max(shares.sum(), 1e-9)
+        spread = np.nan_to_num(one.spread)
+        share = (spread @ shares) / max(np.sqrt(spread**2 @ shares), 1e-9)
+        unrelated = np.nan_to_num(np.log1p(np.sqrt(2.0) * one.spread / one.scale)) @ shares
+        found.append(np.sqrt(share * unrelated / _RELATED))
+    return float(max(np.median(found), _LEAST_EXTENT))
+
+
+def _find_quantile(values: FloatArray, share: float) -> FloatArray:
+    """What such a share over the first axis are below, of what is known; nan where nothing is."""
+    rows = values.reshape(len(values), math.prod(values.shape[1:]))
+    found = np.full(rows.shape[1], np.nan)
+    some = np.isfinite(rows).any(axis=0)
+    found[some] = np.nanquantile(rows[:, some], share, axis=0)
+    return found.reshape(values.shape[1:])

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -22,13 +23,20 @@ from dousa.evaluation.errors.evidence import (
 from dousa.evaluation.errors.explain import Finding, explain_all
 from dousa.evaluation.errors.findings import measure_suspects
 from dousa.evaluation.errors.judge import load_judge
-from dousa.evaluation.grade.movement import Difference, Movement, describe_movement
-from dousa.evaluation.grade.parts import PARTS, Measured, learn_importance, measure_parts
+from dousa.evaluation.grade.movement import (
+    PARTS,
+    Difference,
+    Movement,
+    compare_movements,
+    describe_movement,
+    find_agreement,
+    find_parts,
+)
 from dousa.evaluation.posture.posture import PostureSequence, Working, interpolate_segments, thin_postures
 from dousa.evaluation.posture.yaw import Offset, estimate_offset, find_missing, learn_between, take_out
 
-MOST_MISMATCH, MOST_DEVIATION = 0.85, 26.0
-"""Along the lines (0 to 1), and degrees at the best times: motions that differ more have nothing in common."""
+MOST_MISMATCH, MOST_STRAYED = 0.85, 0.6
+"""Along the lines (0 to 1), and share of all movement: motions that differ more have nothing in common."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,11 +52,10 @@ class ReferenceTakes:
     clock: FloatArray
     time_spread: FloatArray  # (U,) s, how much the takes' timing differs there
     between: FloatArray  # (9,) rad, root mean square of what bodies differ by
+    movements: tuple[Movement, ...]  # of all takes, those left out too
+    agreement: FloatArray  # (12,) rad, how much their postures differ, see `find_agreement`
+    tempo: str  # ``"same"`` or ``"free"``
     left_out: tuple[int, ...] = ()  # numbers, from 1, of takes that are not like the first
-    measured: tuple[Measured, ...] = ()  # of each of the further ones against all others
-    # (9,) weights of the segments in the grade, see `learn_importance`
-    importance: FloatArray = field(default_factory=lambda: np.ones(9))
-    movements: tuple[Movement, ...] = ()  # of all takes, those left out too
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,13 +65,10 @@ class Comparison:
     alignment: Alignment  # lines
     deviations: Deviations  # from the nearest take
     offset: Offset  # of the performer's body against the first take's, taken out of all of them
-    measured: Measured  # what the grade is made of
-    movement: tuple[Difference, ...] = ()  # from each take of the reference: whether the performer moves along
+    movement: tuple[Difference, ...] = ()  # from each take of the reference: what the grade is made of
 
 
-def prepare_references(
-    takes: Sequence[PostureSequence], tempo: str, weights: FloatArray, *, importance: str = "learned"
-) -> ReferenceTakes:
+def prepare_references(takes: Sequence[PostureSequence], tempo: str, weights: FloatArray) -> ReferenceTakes:
     """Warp the takes that are like the first onto it, and learn what is tolerated from how they differ.
 
     Parameters
@@ -72,44 +76,27 @@ def prepare_references(
     takes : at one frame rate, one or more.
     tempo : of the performance's comparison; the takes are held to the same.
     weights : (9,) of the segments, those above 0 of mean 1.
-    importance : ``"learned"`` or ``"equal"``: what the segments count in the grade besides.
     """
     first = takes[0]
     clock = (thin_postures(first),)
     unwarped = [thin_postures(take) for take in takes[1:]]
     alone = [compare(clock, take, tempo, weights) for take in unwarped]
-    # Takes without common timing are takes all the same: what counts is their similarity at the best times.
-    shapes = [one.measured.find_parts(weights)[PARTS.index("shape")] for one in alone]
+    # Takes without common timing are takes all the same: what counts is whether they make the same movement.
+    movements = tuple(describe_movement(take) for take in takes)
+    apart = [compare_movements(*pair) for pair in combinations(movements, 2)]  # the first pairs are with the first take
+    agreement = find_agreement(apart)
+    strayed = [find_parts([one], agreement, weights)[PARTS.index("strayed")] for one in apart[: len(unwarped)]]
     like = [
         i
-        for i, (one, angle) in enumerate(zip(alone, shapes, strict=True))
-        if one.alignment.mismatch <= MOST_MISMATCH and angle <= MOST_DEVIATION
+        for i, (one, share) in enumerate(zip(alone, strayed, strict=True))
+        if one.alignment.mismatch <= MOST_MISMATCH and share <= MOST_STRAYED
     ]
     paths = [_follow_take(first, takes[i + 1], weights) for i in like]
     warped = tuple(_warp(first, takes[i + 1], path) for i, path in zip(like, paths, strict=True))
     working, common, time_spread = _keep_common_clock((*clock, *(thin_postures(take) for take in warped)), first, paths)
     left_out = tuple(i + 2 for i in range(len(unwarped)) if i not in like)
     between = learn_between([alone[i].offset for i in like])
-    held = _compare_takes(working, [unwarped[i] for i in like], tempo, weights, between)
-    measured = tuple(one.measured for one in held)
-    references = ReferenceTakes(
-        first,
-        working,
-        warped,
-        common,
-        time_spread,
-        between,
-        left_out,
-        measured,
-        learn_importance(working, measured),
-        tuple(describe_movement(take) for take in takes),
-    )
-    return set_importance(references, importance)
-
-
-def set_importance(references: ReferenceTakes, importance: str) -> ReferenceTakes:
-    """Set the importance: with ``"equal"`` all segments count the same in the grade, with ``"learned"`` as learned."""
-    return references if importance == "learned" else replace(references, importance=np.ones(9))
+    return ReferenceTakes(first, working, warped, common, time_spread, between, movements, agreement, tempo, left_out)
 
 
 def _follow_take(first: PostureSequence, take: PostureSequence, weights: FloatArray) -> FloatArray:
@@ -209,8 +196,7 @@ def compare(
         for reference, ours in zip(references, bare, strict=True)
     ]
     deviations = merge_takes(takes)
-    measured = measure_parts(references, bare[0], deviations, alignment.frames)
-    return Comparison(alignment, deviations, bodies[0], measured)
+    return Comparison(alignment, deviations, bodies[0])
 
 
 _TURN, _LATE = 0.05, 0.005  # prices of 0.1 s more or less, and of being late at all, in frames with nothing in common
@@ -246,17 +232,6 @@ def _pair_poses(
     pairs = np.column_stack([there[np.arange(len(rows)), course], rows])
     known: IndexArray = pairs[inside[np.arange(len(rows)), course]]
     return known
-
-
-def _compare_takes(
-    working: Sequence[Working], takes: Sequence[Working], tempo: str, weights: FloatArray, between: FloatArray | None
-) -> list[Comparison]:
-    """Each of the further takes against all others."""
-    comparisons = []
-    for number, take in enumerate(takes, start=1):
-        others = [other for index, other in enumerate(working) if index != number]
-        comparisons.append(compare(others, take, tempo, weights, between))
-    return comparisons
 
 
 def choose_tolerance(deviations: Deviations, *, wider_by_spread: float = 2.0) -> Tolerance:

@@ -17,7 +17,6 @@ from dousa.evaluation.figures.curves import Curves
 from dousa.evaluation.figures.eigenspace import Eigenspace
 from dousa.evaluation.figures.furi import Furi
 from dousa.evaluation.grade.references import Comparison, ReferenceTakes
-from dousa.evaluation.grade.score import is_unlike, share_weights
 from dousa.evaluation.posture.posture import LIMBS, SEGMENTS, PostureSequence, Working, mirror_postures, thin_postures
 from dousa.evaluation.posture.yaw import Offset, rotate_yaw
 from dousa.evaluation.words import date, describe_event, describe_heading, format_time, group_segments
@@ -428,6 +427,7 @@ def describe_warnings(
     weights: FloatArray,
     side: str,
     *,
+    unlike: bool,
     mirror_better: float = 0.6,
     most_unlike: float = 0.3,
 ) -> tuple[Message, ...]:
@@ -436,7 +436,6 @@ def describe_warnings(
     first, mismatch = references.working[0], comparison.alignment.mismatch
     found = [Message("assessment.sides")] if side == "mirrored" else []
     found += [Message("assessment.left_out", number=number) for number in references.left_out]
-    unlike = is_unlike(comparison, share_weights(references, weights))
     if unlike:
         found.append(Message("assessment.unlike", mismatch=mismatch))
     if mismatch > most_unlike:

@@ -33,11 +33,11 @@ from dousa.evaluation.errors.findings import measure_suspects
 from dousa.evaluation.errors.judge import decode, load_judge
 from dousa.evaluation.figures.curves import take_off_median
 from dousa.evaluation.figures.furi import Furi, find_furi, fit_furi_eigenspaces, pool_takes, scale_furi
-from dousa.evaluation.grade.assessment import FEWEST_FRAMES, SHORTEST_S, check_importance, check_takes, judge
-from dousa.evaluation.grade.parts import measure_parts
-from dousa.evaluation.grade.references import Comparison, choose_tolerance, describe, prepare_references
+from dousa.evaluation.grade.assessment import FEWEST_FRAMES, SHORTEST_S, check_takes, judge
+from dousa.evaluation.grade.movement import compare_movements, describe_movement
+from dousa.evaluation.grade.references import choose_tolerance, describe, prepare_references
 from dousa.evaluation.grade.result import Assessment, ErrorEvent, describe_findings
-from dousa.evaluation.grade.score import grade_performance, share_weights
+from dousa.evaluation.grade.score import grade_performance
 from dousa.evaluation.live.pose import FigureMeter, LagWatcher
 from dousa.evaluation.posture.posture import (
     MIRRORED_SEGMENTS,
@@ -105,7 +105,7 @@ class IncrementalAssessor:
 
     Parameters
     ----------
-    reference, furi, side, tempo, weights, importance : as for `assess`; the side is not found by itself.
+    reference, furi, side, tempo, weights : as for `assess`; the side is not found by itself.
     frame_rate : Hz, of the frames that will come.
     look_ahead_s : s, 1 or more, after which a moment is judged. With ``tempo="free"`` the line bends for 3 s after a
         moment, so that a shorter look-ahead is less accurate.
@@ -132,7 +132,6 @@ class IncrementalAssessor:
         side: str = "same",
         tempo: str = "same",
         weights: Mapping[str, float] | None = None,
-        importance: str = "learned",
         look_ahead_s: float = 1.2,
         offset_s: float | None = None,
     ) -> None:
@@ -141,12 +140,11 @@ class IncrementalAssessor:
         if not takes:
             raise InvalidMotionError("evaluation.no_reference")
         check_takes(takes, takes[0], side, tempo)
-        check_importance(importance)
         self._weights = spread_weights(weights)
         self._rate, self._tempo, self._model = float(frame_rate), tempo, takes[0]
         self._mirrored = side == "mirrored"
         postures = [compute_postures(take, self._rate) for take in takes]
-        self._references = prepare_references(postures, tempo, self._weights, importance=importance)
+        self._references = prepare_references(postures, tempo, self._weights)
         first, working = self._references.postures, self._references.working
         self._furi = scale_furi(furi, takes[0], first) if furi else find_furi(first)
         spaces = fit_furi_eigenspaces(first, self._furi, more=pool_takes(self._references.warped, self._furi))
@@ -476,14 +474,23 @@ class _Window:
         """Grade of what is kept, as that of a furi."""
         if self._parts is None:
             return np.nan
-        of, parts = self._of, self._parts
-        alignment = Alignment(self.frames, (Run(0, len(self.frames), 0.0),), 0.0, 1.0)
-        bare = take_out(of._performance(self.first, self.first + len(self.frames)), of._offset)
-        measured = measure_parts(of._references.working, bare, parts, self.frames)
-        comparison = Comparison(alignment, parts, of._offset, measured)
-        shares = share_weights(of._references, of._weights)
+        of, references = self._of, self._of._references
+        low, high = (round(edge * of._stride) for edge in (max(self.frames.min(), 0.0), self.frames.max() + 1.0))
+        takes = [_cut(one, low, high) for one in (references.postures, *references.warped)]
+        if takes[0].n_frames < FEWEST_FRAMES * of._stride:
+            return np.nan
+        ours = describe_movement(of._read_postures(self.first * of._stride))
+        found = [compare_movements(describe_movement(take), ours) for take in takes]
         everywhere = np.ones(len(self.frames), np.bool_)
-        return float(grade_performance(of._references, comparison, shares, everywhere).score)
+        return float(grade_performance(references, found, of._weights, everywhere).score)
+
+
+def _cut(postures: PostureSequence, start: int, end: int) -> PostureSequence:
+    """Some frames of a take."""
+    span = slice(start, end)
+    return replace(
+        postures, segments=postures.segments[span], seen=postures.seen[span], positions=postures.positions[span]
+    )
 
 
 _ORDER = ("stop", "skip", "repeat")  # lapses that are no end

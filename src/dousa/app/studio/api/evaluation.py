@@ -249,7 +249,7 @@ def _write(name: str, studio: Studio, job_id: str, language: Language) -> str | 
         figures = ready.to_furi(adjustment.furi) or ready.assessment.found
         return format_furi(figures, ready.assessment.frame_rate)
     if name == "weights.toml":
-        return format_weights(adjustment.weights, adjustment.importance)
+        return format_weights(adjustment.weights)
     assessment = ready.assess(adjustment)
     if name == "report.html":
         notes, timing = studio.evaluations.read_notes(job_id), None
@@ -319,7 +319,7 @@ def get_beats(studio: StudioNow, job_id: str, language: _Language = "en") -> Ans
     from dousa.app.report.timeline import build_beats
 
     job = studio.evaluations.find_job(job_id)
-    performance = EvaluationRequest.model_validate(job.request).performance
+    performance = EvaluationRequest.read(job).performance
     beats = studio.companions.find_beats(job)
     if beats is None:
         return Answer({"times_s": None, "tempo_bpm": None, "timing": None, "section": "", "problem": None})

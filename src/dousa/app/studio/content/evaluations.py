@@ -44,7 +44,7 @@ class Cut(StrictModel):
     label: str = Field(min_length=1, max_length=100, description="equal figures have equal labels")
 
 
-class Adjustment(derive_model(evaluation.EvaluationRequest, ("importance",))):  # type: ignore[misc]
+class Adjustment(StrictModel):
     """What a user may change of an evaluation."""
 
     weights: Annotated[dict[_Name, _Weight], Field(max_length=20)] = Field(
@@ -63,8 +63,13 @@ class EvaluationRequest(Adjustment, derive_model(evaluation.EvaluationRequest, (
 
     references: Annotated[list[MotionRef], Field(min_length=1, max_length=50)]
     performance: MotionRef
-    side: Literal["same", "mirrored"] = "same"
+    side: Literal["auto", "same", "mirrored"] = "auto"
     language: Language = "en"
+
+    @classmethod
+    def read(cls, job: Job) -> EvaluationRequest:
+        """The request of a job, without fields that an earlier version had."""
+        return cls.model_validate({name: one for name, one in job.request.items() if name in cls.model_fields})
 
     @property
     def pace(self) -> str:
@@ -97,7 +102,7 @@ class Ready:
         with self.lock:
             if self.last is None or self.last[0] != key:
                 furi = self.to_furi(adjustment.furi)
-                found = self.assessment.assess(furi, adjustment.weights, importance=adjustment.importance)
+                found = self.assessment.assess(furi, adjustment.weights)
                 self.last = (key, _add_page_warnings(found))
             return self.last[1]
 
@@ -105,7 +110,7 @@ class Ready:
         """Assess quickly, and tell whether the result is exact; see `dousa.evaluation.AdjustableAssessment`."""
         with self.lock:
             furi = self.to_furi(adjustment.furi)
-            found, is_exact = self.assessment.preview(furi, adjustment.weights, importance=adjustment.importance)
+            found, is_exact = self.assessment.preview(furi, adjustment.weights)
         return _add_page_warnings(found), is_exact
 
     def to_furi(self, cuts: Sequence[Cut] | None) -> list[Furi] | None:
@@ -182,7 +187,7 @@ class Evaluations:
             with making:
                 ready = self._ready.get(job.id)
                 if ready is None:
-                    ready = make_ready(EvaluationRequest.model_validate(job.request), self._motions.get)
+                    ready = make_ready(EvaluationRequest.read(job), self._motions.get)
                     self.put(job.id, ready)
             with self._lock:
                 self._making.pop(job.id, None)
@@ -194,8 +199,8 @@ class Evaluations:
         with suppress(OSError, ValueError):
             kept: Adjustment = Adjustment.model_validate_json((self._board.folder(job) / _ADJUSTED).read_bytes())
             return kept
-        asked = EvaluationRequest.model_validate(job.request)
-        return Adjustment(weights=asked.weights, furi=asked.furi, importance=asked.importance)
+        asked = EvaluationRequest.read(job)
+        return Adjustment(weights=asked.weights, furi=asked.furi)
 
     def write_adjustment(self, job_id: str, adjustment: Adjustment) -> None:
         """Store an adjustment for all pages and files of the evaluation."""
@@ -396,7 +401,6 @@ def assess_exercise(
             side="auto" if request.side == "same" else request.side,
             tempo=request.pace,
             weights=request.weights,
-            importance=request.importance,
         )
     files = {"repetitions.csv": to_repetitions_csv(done)}
     for language in LANGUAGES:
@@ -462,7 +466,6 @@ def describe(ready: Ready, assessment: Assessment, adjustment: Adjustment, langu
         "furi_used": furi,
         "furi_found": found,
         "weights": dict(adjustment.weights),
-        "importance": adjustment.importance,
     }
 
 
@@ -476,9 +479,7 @@ def _add_page_warnings(assessment: Assessment) -> Assessment:
     return replace(assessment, warnings=tuple(warnings))
 
 
-def format_weights(weights: Mapping[str, float], importance: str = "learned") -> str:
-    """Format weights for ``dousa evaluate --weights``; a comment names the option for another importance."""
+def format_weights(weights: Mapping[str, float]) -> str:
+    """Format weights for ``dousa evaluate --weights``."""
     lines = [f"{name} = {value:g}" for name, value in weights.items()]
-    if importance != "learned":
-        lines.insert(0, f"# use it with --importance {importance}")
     return "\n".join(["# weights of segments and limbs; what is not named weighs 1", *lines]) + "\n"

@@ -35,19 +35,13 @@ function describeWeights(values, names) {
 class Weights {
   constructor(element, { names, onChange }) {
     Object.assign(this, { values: SEGMENTS.map(() => 1), counts: null, onChange, sliders: [] });
-    this.learned = h("input", { type: "checkbox", id: "learned-importance", checked: "" });
-    this.learned.addEventListener("change", () => this.onChange(this.values, true));
     const limbs = Object.entries(LIMBS).map(([limb, members]) => this.makeSlider(t(limb), members, `limb-${limb}`));
     const single = SEGMENTS.map((name, k) => this.makeSlider(names[k], [k], `segment-${name}`));
-    const start = () => {
-      this.learned.checked = true;
-      this.take(SEGMENTS.map(() => 1), true);
-    };
+    const start = () => this.take(SEGMENTS.map(() => 1), true);
     const reset = h("button", { type: "button", class: "small", id: "reset-weights", onclick: start }, t("reset_weights"));
     element.append(
       h("header", { class: "row" }, h("h3", {}, t("weights")), h("span", { class: "push" }), reset),
       h("p", { class: "note" }, t("weights_hint")),
-      h("label", { class: "choice" }, this.learned, h("span", {}, t("learned_importance"))),
       h("div", { class: "sliders" }, ...limbs),
       h("details", { class: "each" }, h("summary", {}, t("each_segment")), h("div", { class: "sliders" }, ...single)),
     );
@@ -73,17 +67,12 @@ class Weights {
     this.onChange(values, done);
   }
 
-  show(values, importance) {
+  show(values) {
     this.values = [...values];
-    this.learned.checked = importance !== "equal";
     this.draw();
   }
 
-  get importance() {
-    return this.learned.checked ? "learned" : "equal";
-  }
-
-  /** What the segments count in the grade, {segment: number}: the weights times what matters in the reference. */
+  /** What the segments count in the grade, {segment: number}: the weights, of mean 1. */
   showCounts(weights) {
     this.counts = SEGMENTS.map((name) => weights[name]);
     this.draw();
@@ -154,7 +143,7 @@ class Steps {
   }
 }
 
-/** onChange({weights, importance, furi}, done), onSeek(s of the reference); names: of the nine segments */
+/** onChange({weights, furi}, done), onSeek(s of the reference); names: of the nine segments */
 export class Adjust {
   constructor(assessment, names, { onChange, onSeek }) {
     Object.assign(this, { found: assessment.furi_found, names, onChange, first: null });
@@ -174,7 +163,7 @@ export class Adjust {
     });
     this.weights = new Weights(weights, { names, onChange: (_, done) => this.tell(done) });
     this.cuts.show(assessment.furi_used);
-    this.weights.show(spread(assessment.weights), assessment.importance);
+    this.weights.show(spread(assessment.weights));
     this.take({ assessment, exact: true, kept: true });
     this.steps.begin();
   }
@@ -183,10 +172,10 @@ export class Adjust {
     const button = (name, by) => h("button", { type: "button", class: "quiet small icon", id: `adjust-${name}`, "aria-label": t(name), title: t(name), disabled: true, onclick: () => this.steps.go(by) }, icon("undo"));
     const buttons = { undo: button("undo", -1), redo: button("redo", 1) };
     this.steps = new Steps({
-      read: () => ({ figures: this.cuts.figures.map((one) => ({ ...one })), values: [...this.weights.values], importance: this.weights.importance }),
-      show: ({ figures, values, importance }) => {
+      read: () => ({ figures: this.cuts.figures.map((one) => ({ ...one })), values: [...this.weights.values] }),
+      show: ({ figures, values }) => {
         this.cuts.show(figures);
-        this.weights.show(values, importance);
+        this.weights.show(values);
         this.tell(true);
       },
       changed: ({ back, forth }) => {
@@ -199,7 +188,7 @@ export class Adjust {
 
   values() {
     const { figures } = this.cuts;
-    return { weights: gather(this.weights.values), importance: this.weights.importance, furi: isSameFigures(figures, this.found) ? null : figures };
+    return { weights: gather(this.weights.values), furi: isSameFigures(figures, this.found) ? null : figures };
   }
 
   tell(done) {
@@ -242,7 +231,6 @@ export class Adjust {
     }
     const list = describeWeights(this.weights.values, this.names);
     if (list) said.push(t("changed_weights", { list }));
-    if (this.weights.importance === "equal") said.push(t("equal_importance"));
     this.changed.textContent = said.join(" · ") || t("as_found");
     this.changed.classList.toggle("is-changed", said.length > 0);
     this.cuts.reset.disabled = isSameFigures(figures, this.found);

@@ -32,7 +32,7 @@ export function readAddress() {
     compare: asked.has("compare") ? asked.get("compare").split(",").filter(Boolean) : null,
     performance: motion ? { motion, start_s: toNumber(asked.get("start_s")), end_s: toNumber(asked.get("end_s")) } : null,
     references: splitNames(asked.get("references")).map(whole),
-    side: asked.get("mirror") === "1" ? "mirrored" : "same",
+    side: asked.get("mirror") === "1" ? "mirrored" : "auto",
     tempo: asked.get("tempo") === "free" ? "free" : "same",
     repetitions: asked.get("repetitions") === "1",
   };
@@ -186,7 +186,7 @@ export class Setup {
   }
 
   buildOptions() {
-    this.mirrored = h("input", { type: "checkbox", id: "mirrored", onchange: () => this.change({ side: this.mirrored.checked ? "mirrored" : "same" }) });
+    this.mirrored = h("input", { type: "checkbox", id: "mirrored", onchange: () => this.change({ side: this.mirrored.checked ? "mirrored" : "auto" }) });
     // Each repetition is graded at its own tempo, unless somebody wants it otherwise.
     this.repetitions = h("input", { type: "checkbox", id: "repetitions", onchange: () => this.change({ repetitions: this.repetitions.checked, tempo: this.repetitions.checked ? "free" : "same" }) });
     const tempo = (value) => {
