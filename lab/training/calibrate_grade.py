@@ -166,10 +166,10 @@ def find_middle(trials: Sequence[Trial], kind: str, percent: float) -> float:
 
 
 def fit_model(trials: Sequence[Trial]) -> GradeModel:
-    """Put the grades where they belong: 90 the median of another take, 80 of another person, 20 of another motion."""
+    """Put the grades where they belong: 90 the median of another take, 80 of another person; most other motions get none."""
     same, other, low, lowest = (
         find_middle(trials, kind, percent)
-        for kind, percent in (("same", 50.0), ("other", 50.0), ("different", 50.0), ("different", 90.0))
+        for kind, percent in (("same", 50.0), ("other", 50.0), ("different", 30.0), ("different", 75.0))
     )
     doubt = []
     for count in N_REFERENCES:

@@ -153,7 +153,7 @@ def compare_movements(
 def _measure_lateness(course: FloatArray, motion: FloatArray) -> tuple[FloatArray, float]:
     """(U,) s later than at the tempo that fits best where there is motion, and that tempo."""
     line = np.column_stack([np.arange(len(course)), np.ones(len(course))])
-    shares = np.sqrt(motion + 1e-3 * max(float(motion.mean()), 1e-6))  # rad: where nothing moves nothing is told
+    shares = np.sqrt(motion + 1e-3 * max(float(motion.mean()), 1e-6))  # rad: a held pose tells no time
     slope = np.linalg.lstsq(line * shares[:, None], course * shares, rcond=None)[0]
     return (course - line @ slope) / RATE, max(float(slope[0]), 0.05)
 
@@ -225,10 +225,6 @@ less; how far they are held otherwise throughout, in multiples of what reference
 share of all movement that was another one."""
 
 _AGREE = 0.25  # share of the references that decide: measured by lab/trials/exercise_measures.py
-_TREMBLING = 0.5  # of its square, taken off what was another movement: measured there
-_PACE_S = 0.1  # s of lag that a tempo e times as slow counts: measured there
-_LEAST_EXTENT = 0.2  # of a reference that stands still, by choice
-_RELATED = 0.5  # rad to rad, extent of usual movements, for which `find_extent` is 1: measured there
 
 
 def find_parts(
@@ -238,6 +234,8 @@ def find_parts(
     frames: NDArray[np.bool_] | None = None,
     *,
     tempo: str = "same",
+    trembling: float = 0.5,
+    pace_s: float = 0.1,
 ) -> FloatArray:
     """(5,) values of `PARTS`, 0 or above; nan where nothing is compared.
 
@@ -251,6 +249,8 @@ def find_parts(
     weights : (9,) of the segments; hips, shoulders and neck have that of the trunk.
     frames : (T,) of the working frames, those to look at; posture is not measured then.
     tempo : ``"same"``: being slower or faster counts; ``"free"``.
+    trembling : of its square, taken off what was another movement.
+    pace_s : lag that a tempo e times as slow counts.
     """
     logs, late, strayed = [], [], []
     parts = spread_over_parts(weights)
@@ -266,9 +266,9 @@ def find_parts(
         range_ = np.abs(np.log((mine + one.noise) / (its + one.noise)))
         logs.append([np.log1p(np.sqrt(apart) / one.scale), range_, np.log1p(posture) * (frames is None)])
         lag, motion = one.late[there], one.asked.sum(axis=1)[there] + 1e-6
-        pace = _PACE_S * abs(np.log(one.tempo)) * (tempo == "same")
+        pace = pace_s * abs(np.log(one.tempo)) * (tempo == "same")
         late.append(np.sqrt((lag**2 * motion).sum() / motion.sum()) + pace if len(lag) else np.nan)
-        other = np.maximum(apart - _TREMBLING * one.noise**2, 0.0)
+        other = np.maximum(apart - trembling * one.noise**2, 0.0)
         strayed.append(np.nansum(other * parts) / max(np.nansum((mine**2 + its**2) * parts), 1e-9))
     nearest = _find_quantile(np.array(logs).reshape(-1, 3, N_PARTS), _AGREE)
     shares = np.where(np.isfinite(nearest[0]), parts, 0.0)
@@ -279,12 +279,20 @@ def find_parts(
     return np.array([STILL_DEG * path, extent, posture, *rest])
 
 
-def find_extent(differences: Sequence[Difference], weights: FloatArray) -> float:
+def find_extent(
+    differences: Sequence[Difference], weights: FloatArray, *, usual: float = 0.5, least: float = 0.2
+) -> float:
     """Find how much moves, of which much is off: 1 for usual movements.
 
     Two people who do the same lie the further apart the more parts of the body move, and the further. It is the
     geometric mean of the share of the parts that move (mean over root mean square) and of how far a performer would be
     who moved without any relation to the reference.
+
+    Parameters
+    ----------
+    differences, weights : as in `find_parts`.
+    usual : the product of both, of usual movements.
+    least : of a reference that stands still.
     """
     found = []
     for one in differences:
@@ -293,8 +301,8 @@ def find_extent(differences: Sequence[Difference], weights: FloatArray) -> float
         spread = np.nan_to_num(one.spread)
         share = (spread @ shares) / max(np.sqrt(spread**2 @ shares), 1e-9)
         unrelated = np.nan_to_num(np.log1p(np.sqrt(2.0) * one.spread / one.scale)) @ shares
-        found.append(np.sqrt(share * unrelated / _RELATED))
-    return float(max(np.median(found), _LEAST_EXTENT))
+        found.append(np.sqrt(share * unrelated / usual))
+    return float(max(np.median(found), least))
 
 
 def _find_quantile(values: FloatArray, share: float) -> FloatArray:
