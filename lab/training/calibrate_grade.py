@@ -166,7 +166,7 @@ def find_middle(trials: Sequence[Trial], kind: str, percent: float) -> float:
 
 
 def fit_model(trials: Sequence[Trial]) -> GradeModel:
-    """Put the grades where they belong: 90 the median of another take, 80 of another person; most other motions get none."""
+    """Put the grades where they belong: 90 the median of another take, 80 of another person; no other motion any."""
     same, other, low, lowest = (
         find_middle(trials, kind, percent)
         for kind, percent in (("same", 50.0), ("other", 50.0), ("different", 30.0), ("different", 75.0))
