@@ -18,9 +18,9 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_731, 111),
+    "app": (25_725, 111),
     "estimation": (15_692, 65),
-    "evaluation": (12_565, 46),
+    "evaluation": (12_312, 46),
     "experiments": (1_734, 10),
     "files": (1_090, 8),
     "formats": (12_871, 70),
@@ -31,8 +31,8 @@ ROOMS = {
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_359,
-    "lines of JavaScript": 12_483,
+    "lines of tests": 62_281,
+    "lines of JavaScript": 12_471,
     "constants": 1_041,
     "numeric constants without a source": 0,
     "functions over 60 lines": 20,
@@ -41,7 +41,7 @@ TOTALS = {
     "lines with words that a native reader stumbles over": 47,
     "hand-written runs of a mask": 3,
     "commands": 32,
-    "options": 229,
+    "options": 228,
 }
 
 _LONG_FUNCTION, _LONG_FILE, _LARGE_FOLDER = 60, 650, 15

@@ -393,6 +393,9 @@ BACK = "compensation: the trunk leans back by 4 deg on the way there, in the ref
 def test_faults_in_words(faults: Sequence[Sequence[Fault]], said: list[str]) -> None:
     done = make_exercise([make_repetition(3 * k, 90, KNEES, *some) for k, some in enumerate(faults)])
     assert [message.render("en") for message in describe_exercise(done)][1:] == said
+    poor = make_exercise([make_repetition(3 * k, 59, KNEES, *some) for k, some in enumerate(faults)])
+    codes = [message.code for message in describe_exercise(poor)]
+    assert "exercise_summary.as_reference" not in codes
     for message in describe_exercise(done):
         assert not set(message.render("ja")) & set("{}_")
 

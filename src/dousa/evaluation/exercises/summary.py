@@ -22,6 +22,7 @@ PAIR_NAMES: Mapping[str, Message] = {name: Message(f"exercise_table.{name}") for
 SHORT = 85.0
 """Percent of the reference's range or reach below which a joint or a repetition is short, see docs/exercises.md."""
 _SLOWER, _FASTER = 1.2, 1 / 1.2  # of the reference's duration
+_WELL = 80.0  # the grade of another person who does it well: by definition of the scale, see docs/evaluation.md
 _MOST_ANGLES = 4  # that a table has room for
 
 
@@ -174,6 +175,8 @@ def _say_faults(assessment: RepetitionsAssessment, *, most: int = 3) -> list[Mes
     )
     if worst is None:
         return []
+    if compute_median([one.score for one in assessment.complete]) < _WELL:
+        return [Message("exercise_summary.furthest", worst=worst.message)]
     return [Message("exercise_summary.as_reference", worst=worst.message)]
 
 
