@@ -18,20 +18,20 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_725, 111),
+    "app": (25_716, 111),
     "estimation": (15_692, 65),
-    "evaluation": (12_312, 46),
+    "evaluation": (12_320, 46),
     "experiments": (1_734, 10),
     "files": (1_090, 8),
     "formats": (12_871, 70),
     "library": (16_061, 57),
     "messages": (235, 3),
     "motion": (6_481, 34),
-    "retrieval": (13_427, 46),
+    "retrieval": (13_404, 46),
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_281,
+    "lines of tests": 62_271,
     "lines of JavaScript": 12_471,
     "constants": 1_041,
     "numeric constants without a source": 0,

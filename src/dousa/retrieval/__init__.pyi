@@ -61,7 +61,6 @@ from .takes.labeller_training import train_labeller as train_labeller
 from .takes.live import LiveAnswer as LiveAnswer
 from .takes.live import LiveLabeller as LiveLabeller
 from .takes.live import read_live_frames as read_live_frames
-from .takes.repetitions import count_clip as count_clip
 from .takes.windows import TakeWindows as TakeWindows
 from .takes.windows import WindowGrid as WindowGrid
 from .takes.windows import choose_grid as choose_grid

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from oracles.short_actions import ACTIONS, make_clip, make_library
 
-from dousa.errors import InvalidMotionError
 from dousa.experiments.annotated.trial import learn_clip_judge
 from dousa.motion.canonical.canonicalise import mirror_positions
 from dousa.retrieval.forest.forest_file import pack_arrays
 from dousa.retrieval.takes.label import TakeLabeller, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
 from dousa.retrieval.takes.made_takes import join_clips
-from dousa.retrieval.takes.repetitions import Chosen, count_all, count_clip, divide_cycles, find_phases, lay_mirrored
+from dousa.retrieval.takes.repetitions import Chosen, count_all, divide_cycles, find_phases, lay_mirrored
 
 EVIDENCE = np.ones(1)
 BOWS = [make_clip("bow", 1, trial) for trial in range(3)]
@@ -118,15 +117,6 @@ def test_a_labeller_that_knows_no_phases_counts_too(labeller):
     assert before.phases == ()
     take = join_clips([make_clip("bow", 5, k) for k in range(4)], np.random.default_rng(1))
     assert [one.repetitions for one in label_take(before, take, threshold=0.0).segments] == [4]
-
-
-def test_a_whole_clip_is_counted_at_any_frame_rate():
-    often = join_clips([make_clip("kick", 1, k) for k in range(5)], np.random.default_rng(3))
-    twice = replace(often, positions=np.repeat(often.positions, 2, axis=0), frame_rate=60.0)
-    alike = [make_clip("kick", person) for person in (2, 3, 4)]
-    assert [count_clip(often, alike), count_clip(twice, alike), count_clip(alike[0])] == [5, 5, 1]
-    with pytest.raises(InvalidMotionError, match="shape"):
-        count_clip(replace(often, positions=often.positions[:, :4]))
 
 
 def test_a_labeller_of_an_earlier_version_has_tallies_and_is_read_without_them(labeller):

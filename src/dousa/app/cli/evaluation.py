@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from dousa.app.pipelines.evaluate import Evaluation
-    from dousa.evaluation import Assessment, RepetitionsAssessment
+    from dousa.evaluation import Assessment
     from dousa.formats.motion_files import ReadOptions
 
 _REPORT_FILES, _EXERCISE_FILES = ("report.html", "curves.csv", "events.csv"), ("report.html", "repetitions.csv")
@@ -146,6 +146,7 @@ def _evaluate_exercise(
     from dousa.app.pipelines.evaluate import evaluate_repetitions
     from dousa.app.report.exercise import to_repetitions_csv, write_exercise_report
     from dousa.app.tables.evaluation import print_repetitions
+    from dousa.evaluation.exercises.summary import choose_angles, to_answer
 
     csv, picture = request.csv, request.picture
     check_targets({"--csv": csv, "--picture": picture}, (*references, performance, request.weights), REPETITIONS)
@@ -158,7 +159,6 @@ def _evaluate_exercise(
             file.write(to_repetitions_csv(assessment))
     if picture is not None:
         from dousa.app.pictures.charts import draw_repetitions
-        from dousa.evaluation.exercises.summary import choose_angles
 
         draw_repetitions(assessment, done.motion, picture, choose_angles(assessment))
     page = None
@@ -177,20 +177,13 @@ def _evaluate_exercise(
             "picture": None if picture is None else str(picture),
             "report": None if page is None else str(page),
         }
-        print_json({**assessment.to_json(), **_describe_exercise(assessment), **files})
+        print_json({**to_answer(assessment), **files})
         return
     print_repetitions(console(), assessment, detail)
     outputs = (("exercise_table.csv", csv), ("exercise_table.picture", picture), ("evaluation_cli.report", page))
     for code, written in outputs:
         if written is not None:
             say(Message(code, path=written))
-
-
-def _describe_exercise(assessment: RepetitionsAssessment) -> dict[str, Any]:
-    from dousa.evaluation import describe_exercise, describe_trends
-
-    messages = (*describe_exercise(assessment), *describe_trends(assessment))
-    return {"says": [str(message) for message in messages], "says_codes": [message.code for message in messages]}
 
 
 def progress(

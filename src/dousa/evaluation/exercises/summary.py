@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -59,6 +60,13 @@ def describe_exercise(assessment: RepetitionsAssessment) -> tuple[Message, ...]:
     """
     said = [*_say_grade(assessment), *_say_broken_off(assessment), *_say_reach(assessment), *_say_faults(assessment)]
     return (*said, *_say_tempo(assessment), *_say_sides(assessment))
+
+
+def to_answer(assessment: RepetitionsAssessment, language: str | None = None) -> dict[str, Any]:
+    """Return its JSON with what `describe_exercise` and `describe_trends` say, as the command and the studio answer."""
+    said = (*describe_exercise(assessment), *describe_trends(assessment))
+    sentences = [message.render(language) for message in said]
+    return {**assessment.to_json(language), "says": sentences, "says_codes": [message.code for message in said]}
 
 
 def describe_worst(one: AssessedRepetition) -> Message:

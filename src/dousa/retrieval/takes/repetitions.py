@@ -10,30 +10,8 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.motion.repetitions import count_cycles, fold_poses
-from dousa.retrieval.features.channels import sample_positions
-from dousa.retrieval.features.posed_motion import PosedMotion, check_motion
 from dousa.retrieval.takes.made_takes import SERIES
 from dousa.retrieval.takes.windows import TAKE_RATE
-
-
-def count_clip(motion: PosedMotion, alike: Sequence[PosedMotion] = ()) -> int:
-    """Count the repetitions of the action of a whole clip.
-
-    Parameters
-    ----------
-    motion : of any frame rate.
-    alike : clips of the same action, which define one repetition: a cycle, or two if nearly all clips show two (a step
-        left, a step right). Without any it is a cycle.
-
-    Raises
-    ------
-    InvalidMotionError : another shape than (n, 20, 3), positions that are not finite, no body height.
-    """
-    return divide_cycles(_count(motion), find_phases([_count(one) for one in alike]))
-
-
-def _count(motion: PosedMotion) -> int:
-    return count_part(sample_positions(check_motion(motion), motion.frame_rate))
 
 
 def count_part(sampled: FloatArray) -> int:

@@ -391,7 +391,8 @@ def assess_exercise(
     `make_ready`, and if the performance has no repetition.
     """
     from dousa.app.report.exercise import build_exercise, build_exercise_page, to_repetitions_csv
-    from dousa.evaluation import assess_repetitions, describe_exercise, describe_trends
+    from dousa.evaluation import assess_repetitions
+    from dousa.evaluation.exercises.summary import to_answer
 
     names, takes, performance = read_motions(request, find, progress)
     with _naming(names, takes):
@@ -409,11 +410,8 @@ def assess_exercise(
         files[f"exercise-{language}.json"] = json.dumps(build_exercise(done, performance, language, names[-1])).encode()
     for name, content in files.items():
         write_file(folder / name, content)
-    said = (*describe_exercise(done), *describe_trends(done))
     return {
-        **done.to_json(request.language),
-        "says": [message.render(request.language) for message in said],
-        "says_codes": [message.code for message in said],
+        **to_answer(done, request.language),
         "names": {"references": list(names[:-1]), "performance": names[-1]},
         "options": {"side": done.side, "tempo": request.pace, "repetitions": True},
     }
