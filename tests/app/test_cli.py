@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import sqlite3
 import subprocess
 import sys
@@ -416,17 +417,19 @@ def test_an_output_that_cannot_be_written_is_one_line(motions, words):
     assert done.stderr.splitlines() == ["dousa: the answer cannot be written: the disk is full"]
 
 
-def test_ctrl_c_is_a_word_not_a_traceback(dousa, motions, tmp_path, monkeypatch):
-    from dousa.library.store import ingest
+@pytest.mark.parametrize(("number", "expected"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_stop_is_a_word_not_a_traceback(dousa, trained, tmp_path, monkeypatch, number, expected):
+    from dousa.library import export
 
-    def interrupt(task):
-        raise KeyboardInterrupt
+    def stop(path):
+        signal.raise_signal(number)
 
-    monkeypatch.setattr(ingest, "read_clip", interrupt)
-    code, _, err = dousa("--jobs", 1, "add", tmp_path / "a.dousa", motions)
-    assert code == 130
+    monkeypatch.setattr(export, "read_bytes", stop)
+    code, _, err = dousa("export", trained, "-o", tmp_path / "out.zip")
+    assert code == expected
     assert "interrupted" in err and "Traceback" not in err
-    monkeypatch.undo()
+    assert not list(tmp_path.rglob("*.part")) and not (tmp_path / "out.zip").exists()
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
 def test_check_of_a_file_that_cannot_be_read_sends_nobody_to_itself(dousa, trained, tmp_path):

@@ -167,8 +167,6 @@ def _finishing(file: IO[bytes], target: str, *, sync: bool) -> Iterator[IO[bytes
         if sys.platform == "win32":  # Windows cannot rename an open file; elsewhere it stays locked until it has
             file.close()
         os.replace(file.name, target)
-        if sync:
-            sync_folder(os.path.dirname(target) or ".")
     except BaseException:
         with suppress(OSError):  # closing flushes, which fails again on a full disk
             file.close()

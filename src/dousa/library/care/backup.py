@@ -159,6 +159,11 @@ def _prepare(path: Path) -> Iterator[Path]:
     """Make the folder to prepare a library in, alone; without the remains of a killed program."""
     folder = path.with_name(f"{path.name}.part")
     with _disk_errors(path):
+        for other in path.parent.glob("*.part/lock"):  # of programs that were killed at another copy
+            with suppress(OSError), open(other, "r+b") as lock:
+                lock_file(lock)
+                (other.parent / "old").rmdir()  # fails with a library in it
+                shutil.rmtree(other.parent)
         (folder / "old").mkdir(parents=True, exist_ok=True)
         with open(folder / "lock", "wb") as lock:
             try:
@@ -226,6 +231,7 @@ def _copy_file(source: Database, new: Path, tell: Count) -> None:
                     file.write(store.read([Place(name, first, min(2**24, size - first))])[0])
                 file.flush()
                 os.fsync(file.fileno())
+        sync_folder(new.with_name(f"{new.name}.fragments"))
 
 
 def _copy_rows(source: Database, target: Database, tell: Count) -> None:
