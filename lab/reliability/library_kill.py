@@ -14,7 +14,7 @@ the beginning of a program.
 
 With ``--power`` the power is cut so many times: strace records what a program writes, waits for and renames, and its
 disk is made as it may be at a random moment of that: what was waited for, and any part of what was not. The library
-must be sound, and have every change that the program had been answered.
+must be sound, and have every change that the program had been answered. It also prints what the waiting costs.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from collections.abc import Callable
 from contextlib import closing, suppress
 from functools import partial
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from dousa.errors import LibraryError
@@ -413,6 +414,23 @@ def cut_power(folder: Path, base: Path, n_cuts: int, chance: random.Random) -> l
     return faults
 
 
+def time_changes(base: Path, path: Path, n_changes: int = 200) -> None:
+    """Print what a small change takes that waits for the disk, and one that does not, in turns."""
+    copy_library(base, path)
+    taken: dict[str, list[float]] = {"FULL": [], "NORMAL": []}
+    with Library.open(path) as library:
+        for number in range(n_changes):
+            level = ("FULL", "NORMAL")[number % 2]
+            with library.database.alone() as connection:  # the one that all changes use
+                connection.execute(f"PRAGMA synchronous = {level}")
+            start = time.perf_counter()
+            names = [f"tag {number % 2}"]
+            library.tag([1], add=names) if number % 4 < 2 else library.tag([1], remove=names)
+            taken[level].append(time.perf_counter() - start)
+    for level, seconds in taken.items():
+        print(f"synchronous = {level}: {1e3 * median(seconds):.1f} ms a change (median of {len(seconds)})")
+
+
 def find_loss(path: Path, answers: list[list[Any]]) -> str | None:
     """What is damaged in a library, or which answered change it lacks."""
     try:
@@ -445,6 +463,7 @@ def main() -> int:
         write_motion(make_motion(KINDS[1], draw_performer(50), seed=50), folder / "take.bvh")
         bases = [make_base(folder, in_fragments=kind) for kind in (False, True)]
         if options.power:
+            time_changes(bases[0], folder / "work" / "moves.dousa")
             return bool(cut_power(folder, bases[0], options.power, chance))
         cases = []
         for base in bases:
