@@ -235,7 +235,7 @@ def find_parts(
     *,
     tempo: str = "same",
     trembling: float = 0.5,
-    pace_s: float = 0.1,
+    pace_s: float = 0.2,
 ) -> FloatArray:
     """(5,) values of `PARTS`, 0 or above; nan where nothing is compared.
 

@@ -89,6 +89,7 @@ def compute_grade(
     *,
     model: GradeModel | None = None,
     same_length: float = 0.05,
+    least: float = 10.0,
 ) -> Grade:
     """Compute the grade of a performance.
 
@@ -100,22 +101,23 @@ def compute_grade(
     n_references : takes of the reference.
     model : other numbers than those of the package.
     same_length : share of the reference that may be missing.
+    least : grade below which it is another motion.
     """
     calibrated = n_references >= 3
     model = model or load_model()
     distance = model.find_distance(parts, extent)
+    danced = min(1.0, coverage + same_length)
+    quality = model.find_grade(distance)
     why = None
     if not math.isfinite(distance):
         why = Message("grade.nothing")
     elif coverage < LEAST_DANCED:
         why, coverage = Message("grade.hardly"), 0.0
-    elif distance > model.unlike:
+    elif distance > model.unlike or danced * quality < least:
         why = Message("grade.unlike")
     if why is not None:
         return Grade(math.nan, (math.nan, math.nan), coverage, why, calibrated)
-    danced = min(1.0, coverage + same_length)
     doubt = _MOSTLY * model.find_doubt(n_references)
-    quality = model.find_grade(distance)
     # Rounded, so that rounding errors in angles do not keep the same motion from 100.
     score = round(danced * quality, 3)
     interval = (danced * model.find_grade(distance + doubt), danced * model.find_grade(max(distance - doubt, 0.0)))

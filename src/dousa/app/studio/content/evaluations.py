@@ -459,7 +459,7 @@ def describe(ready: Ready, assessment: Assessment, adjustment: Adjustment, langu
             "references": [ref.model_dump(exclude_none=True) for ref in request.references],
             "performance": request.performance.model_dump(exclude_none=True),
         },
-        "options": {"side": request.side, "tempo": request.pace},
+        "options": {"side": assessment.side, "tempo": request.pace},
         "reference_duration_s": round(take.n_frames / take.frame_rate, 4),
         "furi_used": furi,
         "furi_found": found,
