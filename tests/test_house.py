@@ -20,7 +20,7 @@ SOURCE = ROOT / "src" / "dousa"
 ROOMS = {
     "app": (25_716, 111),
     "estimation": (15_692, 65),
-    "evaluation": (12_320, 46),
+    "evaluation": (12_317, 46),
     "experiments": (1_734, 10),
     "files": (1_088, 8),
     "formats": (12_871, 70),

@@ -38,7 +38,7 @@ from dousa.evaluation.grade.result import (
     describe_offset,
     describe_warnings,
 )
-from dousa.evaluation.grade.score import grade_performance, is_unlike
+from dousa.evaluation.grade.score import grade_performance
 from dousa.evaluation.posture.posture import (
     SEGMENTS,
     PostureSequence,
@@ -298,7 +298,7 @@ def look_at_figures(
                 tempo,
                 weights,
                 side,
-                unlike=is_unlike(grade),
+                unlike=grade.formula.code == "grade.unlike",
             ),
             *describe_offset(comparison.offset, references.working[0]),
         ),

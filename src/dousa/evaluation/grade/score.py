@@ -132,11 +132,6 @@ def compute_grade(
     return Grade(score, interval, coverage, formula, calibrated)
 
 
-def is_unlike(grade: Grade) -> bool:
-    """Whether there is no grade because it is another motion."""
-    return grade.formula.code == "grade.unlike"
-
-
 def grade_performance(
     references: ReferenceTakes,
     differences: Sequence[Difference],
