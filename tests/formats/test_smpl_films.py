@@ -7,6 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dousa.files.pickles import load_pickle
+from dousa.formats.arrays import pickles
+from dousa.formats.parts import are_all, list_untaken
 from dousa.formats.registry import is_motion_file, read_motion
 from dousa.motion import Motion, canonicalise, compute_trajectories
 from formats import made_files as made
@@ -164,6 +166,20 @@ def test_samples_of_mdm(tmp_path):
     alone = read_motion(save(tmp_path / "motion.npy", made.make_npy(motion)), unit="m", up="y", animation=2)
     np.testing.assert_allclose(alone.positions, joints[::-1])
     assert [str(note.values["text"]) for note in read.provenance.notes if note.code == "arrays.text"] == ["a walk"]
+
+
+def test_many_samples_are_loaded_once(tmp_path, monkeypatch):
+    """Each names its neighbours, which is enough to see whether all are there."""
+    joints, _ = points.make_points("HumanML3D")
+    motion = np.moveaxis(np.repeat(joints[None], 30, axis=0), 1, 3)
+    path, loads = save(tmp_path / "results.pkl", pickle.dumps({"motion": motion})), []
+    monkeypatch.setattr(pickles, "load_pickle", lambda file: [loads.append(file), load_pickle(file)][1])
+    addresses = list_untaken(path, read_motion(path).provenance.notes)
+    notes = {one: read_motion(one).provenance.notes for one in addresses}
+    assert (len(notes), len(loads), are_all(notes)) == (30, 2, True)
+    assert not are_all({one: notes[one] for one in addresses[:-1]})
+    save(path, pickle.dumps({"motion": motion[:, :, :, :20]}))
+    assert read_motion(addresses[3]).n_frames == 20
 
 
 def test_scores_and_points_of_more_than_the_body(tmp_path):

@@ -12,10 +12,14 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import lru_cache
+from typing import Any, TypeVar, cast
 
 from dousa.errors import MotionFileError
 from dousa.messages import Message
+
+_T = TypeVar("_T")
 
 KINDS = ("animation", "person")
 
@@ -88,8 +92,31 @@ def choose(
             raise MotionFileError(path, missing, found=wanted[:60], known=tuple(names))
     if len(names) < 2:
         return chosen, () if wanted is None else (Message("parts.alone", read=names[chosen]),)
-    others = (*names[:chosen], *names[chosen + 1 :])
+    if wanted is None or len(names) <= _MANY:
+        others = (*names[:chosen], *names[chosen + 1 :])
+    else:  # each part names its neighbours in a ring: where no neighbour lacks, all are there
+        others = (names[chosen - 1], names[(chosen + 1) % len(names)])
     return chosen, (Message(taken if wanted is None else asked, read=names[chosen], others=others),)
+
+
+_MANY = 20  # parts of which each names all others in its note, by choice: n notes of n names are n squared
+
+
+def load_once(load: Callable[[Any], _T], path: str | os.PathLike[str], part: str | None) -> _T:
+    """Load the content of a file; that of the last file of which a ``part`` was asked for is kept for the next part.
+
+    It is loaded again when size or time of the file have changed.
+    """
+    try:
+        stat = os.stat(path) if part is not None else None
+    except OSError:  # the reader says what is wrong
+        stat = None
+    return load(path) if stat is None else cast(_T, _load_once(load, os.fspath(path), stat.st_size, stat.st_mtime_ns))
+
+
+@lru_cache(maxsize=1)
+def _load_once(load: Callable[[Any], object], path: str, size: int, changed: int) -> object:
+    return load(path)
 
 
 def check_chosen(path: str | os.PathLike[str], kind: str, wanted: str, notes: Iterable[Message]) -> None:

@@ -15,6 +15,7 @@ from dousa.files.pickles import load_pickle
 from dousa.formats.arrays.features import FEATURES, MOTION_X, recover_joints
 from dousa.formats.arrays.joints import build_joints, is_joint_array
 from dousa.formats.arrays.pickles import build_content
+from dousa.formats.parts import load_once
 from dousa.formats.smpl import build_smpl
 from dousa.motion import Motion, Trajectories
 
@@ -48,7 +49,7 @@ def read_npy(
     ------
     MotionFileError : missing, damaged, another shape, an unknown number of joints, objects that are no plain values.
     """
-    content, array = _load(path)
+    content, array = load_once(_load, path, person or animation)
     options: dict[str, Any] = {"unit": unit, "up": up, "frame_rate": frame_rate}
     if content is not None:
         return build_content(path, content, skeleton=skeleton, person=person, animation=animation, **options)

@@ -13,7 +13,7 @@ from dousa.errors import MotionFileError
 from dousa.files.pickles import load_pickle
 from dousa.formats.arrays.bodies import as_array, list_bodies, name_people
 from dousa.formats.arrays.joints import build_joints, find_joints, is_joint_array
-from dousa.formats.parts import choose, distinguish
+from dousa.formats.parts import choose, distinguish, load_once
 from dousa.formats.smpl import AIST_RATE, build_smpl, read_rate
 from dousa.messages import Message
 from dousa.motion import Motion, Trajectories
@@ -43,8 +43,8 @@ def read_pickle(
     MotionFileError : missing, damaged, something other than arrays, no poses, no such person.
     """
     return build_content(
-        path, load_pickle(path), unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate, person=person,
-        animation=animation,
+        path, load_once(load_pickle, path, person or animation), unit=unit, up=up, skeleton=skeleton,
+        frame_rate=frame_rate, person=person, animation=animation,
     )  # fmt: skip
 
 

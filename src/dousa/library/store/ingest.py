@@ -9,6 +9,7 @@ import hashlib
 import os
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -220,15 +221,21 @@ def _read_clip(task: ReadTask) -> ClipRecord | FileRecord | Several:
 
 
 def _hash_content(state: SourceState, path: str, options: ReadOptions) -> str:
-    digest = hashlib.sha256()
-    for file in state.files:
-        with open(file, "rb") as stream:
-            digest.update(stream.read())
+    digest = _hash_files(state.files, state.fingerprint).copy()
     # The same bytes read with other options make another clip, and so does another part of them.
     digest.update(options.describe().encode())
     if parts := split_address(path)[1]:
         digest.update(join_address("", parts).encode())
     return digest.hexdigest()
+
+
+@lru_cache(maxsize=1)  # the parts of a file follow each other
+def _hash_files(files: tuple[str, ...], _fingerprint: str) -> hashlib._Hash:
+    digest = hashlib.sha256()
+    for file in files:
+        with open(file, "rb") as stream:
+            digest.update(stream.read())
+    return digest
 
 
 def make_record(motion: CanonicalMotion, name: str, kind: str) -> ClipRecord:
