@@ -18,22 +18,22 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_716, 111),
-    "estimation": (15_692, 65),
+    "app": (25_788, 111),
+    "estimation": (15_697, 65),
     "evaluation": (12_317, 46),
     "experiments": (1_734, 10),
     "files": (1_088, 8),
-    "formats": (12_871, 70),
-    "library": (16_067, 57),
+    "formats": (12_899, 70),
+    "library": (16_074, 57),
     "messages": (235, 3),
     "motion": (6_481, 34),
     "retrieval": (13_404, 46),
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_274,
+    "lines of tests": 62_322,
     "lines of JavaScript": 12_471,
-    "constants": 1_041,
+    "constants": 1_044,
     "numeric constants without a source": 0,
     "functions over 60 lines": 20,
     "files over 650 lines": 0,

@@ -99,7 +99,7 @@ def choose(
     return chosen, (Message(taken if wanted is None else asked, read=names[chosen], others=others),)
 
 
-_MANY = 20  # parts of which each names all others in its note, by choice: n notes of n names are n squared
+_MANY = 20  # by definition: parts of which each names all others in its note; n notes of n names are n squared
 
 
 def load_once(load: Callable[[Any], _T], path: str | os.PathLike[str], part: str | None) -> _T:

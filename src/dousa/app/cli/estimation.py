@@ -194,7 +194,7 @@ def sync(
     request = SynchronisationRequest(tuple(films), **given)
     check_targets({"--output": output}, (*films, request.cameras), SYNC)
     with progress_bar() as progress:
-        names, found = sync_films(request, progress)
+        names, found = sync_films(request, progress, warn)
     for note in found.warnings:
         warn(note)
     if output is not None:
@@ -253,7 +253,7 @@ def calibrate(
     for path in targets.values():
         check_targets({"--output": path}, (*films, request.cameras, request.offsets), CAMERAS)
     with progress_bar() as progress:
-        found, times = calibrate_films(request, progress)
+        found, times = calibrate_films(request, progress, warn)
     notes = (*(times.warnings if times is not None else ()), *found.warnings)
     for note in notes:
         warn(note)

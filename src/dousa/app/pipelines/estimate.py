@@ -241,9 +241,7 @@ def estimate_sources(
     ------
     DousaError : what can be put right by the person who reads it.
     """
-    request, notes = take_project(request)
-    for note in notes if tell is not None else ():
-        tell(note)  # type: ignore[misc]
+    request = take_project(request, tell)
     if _takes_keypoints(request, tell):
         return estimate_films(request, progress)
     for option, given in (("--person", request.person != 1), ("--everybody", request.everybody)):

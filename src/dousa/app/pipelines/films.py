@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +11,7 @@ import numpy as np
 
 from dousa.app.pipelines.estimation_views import read_view_cameras
 from dousa.app.pipelines.film_scene import name_films, open_keypoints, read_sounds
+from dousa.app.pipelines.projects import take_project
 from dousa.app.targets import KEYPOINTS, check_targets
 from dousa.errors import OptionError
 from dousa.extras import require
@@ -23,9 +24,9 @@ if TYPE_CHECKING:
 
 
 def calibrate_films(
-    request: CalibrationRequest, progress: ProgressCallback
+    request: CalibrationRequest, progress: ProgressCallback, tell: Callable[[Message], None] | None = None
 ) -> tuple[Calibration, Synchronisation | None]:
-    """Find where the cameras of films stand.
+    """Find where the cameras of films, or of those of a project's folder, stand; ``tell`` takes what was taken of it.
 
     Returns
     -------
@@ -37,6 +38,7 @@ def calibrate_films(
     """
     from dousa.estimation import calibrate_from_board, calibrate_from_person, find_board, parse_board
 
+    request = take_project(request, tell)
     if (request.stature is None) == (request.board is None):
         raise OptionError("calibration.person_or_board")
     if len(request.films) < 2:
@@ -80,8 +82,10 @@ def _find_offsets(
     return found.offsets.tolist(), found
 
 
-def sync_films(request: SynchronisationRequest, progress: ProgressCallback) -> tuple[tuple[str, ...], Synchronisation]:
-    """Find the time offsets of films.
+def sync_films(
+    request: SynchronisationRequest, progress: ProgressCallback, tell: Callable[[Message], None] | None = None
+) -> tuple[tuple[str, ...], Synchronisation]:
+    """Find the time offsets of films, or of those of a project's folder; ``tell`` takes what was taken of it.
 
     Returns
     -------
@@ -93,6 +97,7 @@ def sync_films(request: SynchronisationRequest, progress: ProgressCallback) -> t
     """
     from dousa.estimation import sync
 
+    request = take_project(request, tell)
     if len(request.films) < 2:
         raise OptionError("sync.one_film")
     views = open_keypoints(request.films, None, progress, request)

@@ -11,17 +11,17 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from dousa.errors import CalibrationError, OptionError
 from dousa.files.frame_files import natural_key
 from dousa.messages import Message
 
 if TYPE_CHECKING:
-    from dousa.app.requests.estimation import EstimationRequest
+    from dousa.app.requests.estimation import CalibrationRequest, EstimationRequest, SynchronisationRequest
 
 _FILM = r"[^/]+\.(?:mp4|avi|mov|mkv|m4v|webm)"
 _POINTS = r"[^/]+(?:\.json|\.csv|\.npz|/)"  # a folder ends in a slash
@@ -298,40 +298,67 @@ def _quote(path: object) -> str:
     return shlex.quote(str(path))
 
 
-def take_project(request: EstimationRequest) -> tuple[EstimationRequest, list[Message]]:
+_Request = TypeVar("_Request", bound="EstimationRequest | CalibrationRequest | SynchronisationRequest")
+
+
+def take_project(request: _Request, tell: Callable[[Message], None] | None = None) -> _Request:
     """Replace the folder of a project by what is in it; what was given goes before, other requests stay as they are.
 
-    Keypoints come before films, whose rate they have; the notes say what was taken.
+    Keypoints come before films, whose rate they have; ``tell`` is called with what was taken.
 
     Raises
     ------
     OptionError : several takes, or settings that cannot be read.
     CalibrationError : a calibration that cannot be read.
     """
-    if len(request.sources) != 1 or request.kind == "mask" or request.backgrounds:
-        return request, []
-    project = find_project(request.sources[0])
+    given: tuple[Path, ...] = getattr(request, "sources" if hasattr(request, "sources") else "films")
+    if len(given) != 1 or getattr(request, "kind", None) == "mask" or getattr(request, "backgrounds", ()):
+        return request
+    project = find_project(given[0])
     if project is None:
-        return request, []
+        return request
     if len(project.takes) > 1:
         names = tuple(take.name for take in project.takes)
         raise OptionError("project.takes", path=project.folder, takes=names)
+    (take,) = project.takes
+    by_film = getattr(request, "cues", None) == "silhouettes" or getattr(request, "board", None)
+    request, notes = complete_request(request, project, take, () if by_film else take.keypoints)
+    for note in notes if tell is not None else ():
+        tell(note)  # type: ignore[misc]
+    return request
+
+
+def complete_request(
+    request: _Request, project: Project, take: Take, sources: tuple[Path, ...]
+) -> tuple[_Request, list[Message]]:
+    """Complete a request by what a project knows of some sources of a take, by default its films.
+
+    That is the calibration, the rate, the person's stature, and that they start together.
+
+    Raises
+    ------
+    CalibrationError : a calibration that cannot be read.
+    """
     if project.problem is not None and request.cameras is None:
         raise CalibrationError("text.verbatim", text=project.problem)
-    (take,) = project.takes
-    by_points = bool(take.keypoints) and request.cues != "silhouettes"
-    rate = request.rate or (project.rate or _read_rate(take.films) if by_points else None)
-    sources = take.keypoints if by_points else take.films
-    together = request.offsets == "auto" and all(_SYNCHRONISED.search(path.as_posix()) for path in sources)
-    changed = replace(
-        request,
-        sources=sources,
-        offsets="none" if together else request.offsets,
-        cameras=request.cameras or project.calibration,
-        rate=rate,
-        stature=request.stature if request.stature is not None or request.body is not None else project.stature,
+    sources = sources or take.films
+    by_points = sources[0] in take.keypoints
+    values: dict[str, Any] = {"sources": sources, "films": sources}
+    values["rate"] = request.rate or (project.rate or _read_rate(take.films) if by_points else None)
+    together = getattr(request, "offsets", "") == "auto" and all(
+        _SYNCHRONISED.search(path.as_posix()) for path in sources
     )
-    return changed, list(_describe_taken(project, changed, by_points, together))
+    if together:
+        values["offsets"] = "none"
+    if getattr(request, "board", None) is None:
+        values["stature"] = getattr(request, "stature", None)
+        if values["stature"] is None and getattr(request, "body", None) is None:
+            values["stature"] = project.stature
+        if getattr(request, "focal", None) is None:
+            values["cameras"] = request.cameras or project.calibration
+    fields = {key: value for key, value in values.items() if hasattr(request, key)}
+    changed = replace(request, **fields)
+    return changed, list(_describe_taken(project, changed, sources, by_points, together))
 
 
 def _read_rate(films: Sequence[Path]) -> float | None:
@@ -350,16 +377,17 @@ def _read_rate(films: Sequence[Path]) -> float | None:
         return None
 
 
-def _describe_taken(project: Project, request: EstimationRequest, by_points: bool, together: bool) -> Iterator[Message]:
-    count = len(request.sources)
+def _describe_taken(
+    project: Project, request: Any, sources: tuple[Path, ...], by_points: bool, together: bool
+) -> Iterator[Message]:
     code = "project.takes_keypoints" if by_points else "project.takes_films"
-    place = request.sources[0].parent
-    yield Message(code, path=project.folder, n=count, place=place)
+    yield Message(code, path=project.folder, n=len(sources), place=sources[0].parent)
     if by_points and request.rate is not None:
         yield Message("project.takes_rate", rate=request.rate)
-    if together and len(request.sources) > 1:
+    if together and len(sources) > 1:
         yield Message("project.takes_times")
     if request.cameras is not None:
         yield Message("project.takes_calibration", path=request.cameras)
-    if request.stature is not None and request.stature == project.stature:
-        yield Message("project.takes_stature", stature=request.stature)
+    stature = getattr(request, "stature", None)
+    if stature is not None and stature == project.stature:
+        yield Message("project.takes_stature", stature=stature)

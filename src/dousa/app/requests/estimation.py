@@ -32,7 +32,7 @@ Films = Annotated[
     typer.Argument(
         metavar="FILM...",
         help="A film for each camera, or its keypoints: .npz, .json of OpenPose, AlphaPose, MMPose, RTMPose or COCO, a "
-        "folder of .json files, .csv of DeepLabCut.",
+        "folder of .json files, .csv of DeepLabCut; or the folder of a project.",
     ),
 ]
 Rate = Annotated[

@@ -196,7 +196,8 @@ def _find_starts(
 ) -> list[_Start]:
     """Return at most ``most`` sets of offsets for which the movements agree, best first, more than ``same`` s apart.
 
-    The best stands alone if its score is twice the next one's and ``clear`` for each pair of films.
+    The best stands alone if its score is twice the next one's and ``clear`` for each pair of films. Else films that
+    start together, as those that a program has cut do, are one more: periodic or shaky movement may not show it.
     """
     step = choose_step([track for some in tracks for track in some])
     movements = [[describe_movement(track, step) for track in some] for some in tracks]
@@ -217,7 +218,8 @@ def _find_starts(
     n_pairs = len(tracks) * (len(tracks) - 1) / 2
     if len(different) > 1 and different[0].score > max(clear * n_pairs, 2.0 * different[1].score):
         return different[:1]
-    return different[:most]
+    everybody = dict.fromkeys(start.people for start in different[:most])
+    return [*different[:most], *(_Start(np.zeros(len(tracks)), people, 0.0) for people in everybody)]
 
 
 def _grow(
@@ -326,9 +328,12 @@ def _answer(
     by_sound: FloatArray,
     names: Sequence[str],
     differs: float = 0.06,
+    usual: float = 0.4,
 ) -> Synchronisation:
-    """Put the answer together; sound that is more than ``differs`` s off is a note."""
+    """Put the answer together; sound more than ``differs`` s off, and a misfit beyond what is ``usual``, are notes."""
     notes = []
+    if best.misfit > usual:
+        notes.append(Message("sync.misfit", misfit=best.misfit, usual=usual))
     if other is not None:
         worst = int(np.argmax(np.abs(other.offsets - best.offsets)))
         values = {"offset": best.offsets[worst], "other": other.offsets[worst]}

@@ -27,6 +27,7 @@ VIDEOS = frozenset({".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"})
 PICTURES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"})
 SOUNDS = frozenset({".wav", ".mp3", ".flac", ".ogg", ".opus", ".m4a", ".aac"})
 TABLES = frozenset({".toml", ".xml", ".yaml", ".yml", ".json", ".csv", ".txt"})
+CALIBRATIONS = frozenset({".xcp", ".calib", ".pickle"})  # a pickle is read, not run: see `dousa.files.pickles`
 LABELS = frozenset({".eaf", ".textgrid"})
 _ARCHIVE = ".zip"
 
@@ -117,7 +118,9 @@ def motion_suffixes() -> frozenset[str]:
 
 def _check_suffix(name: str) -> str:
     suffix = Path(name).suffix.lower()
-    if suffix not in motion_suffixes() | SKELETONS | VIDEOS | SOUNDS | PICTURES | TABLES | LABELS | {_ARCHIVE}:
+    if suffix not in motion_suffixes() | SKELETONS | VIDEOS | SOUNDS | PICTURES | TABLES | CALIBRATIONS | LABELS | {
+        _ARCHIVE
+    }:
         if suffix:
             raise RefusedError(415, "studio_files.other_kind", suffix=suffix)
         raise RefusedError(415, "studio_files.no_suffix")
@@ -153,7 +156,9 @@ def _check_content(path: Path, name: str) -> None:
         ".wav": head[:4] in (b"RIFF", b"RF64") and head[8:12] == b"WAVE",
         ".flac": head[:4] == b"fLaC",
         **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), head.startswith((b"#usda", b"PXR-USDC", b"PK"))),
-        **dict.fromkeys((".dae", ".mvnx", ".eaf"), is_markup),
+        **dict.fromkeys((".dae", ".mvnx", ".eaf", ".xcp"), is_markup),
+        ".calib": is_text,
+        ".pickle": head[:1] == b"\x80" or is_text,
         **dict.fromkeys((".glb", ".vrm", ".vrma"), is_glb),
         **dict.fromkeys((".jpg", ".jpeg"), head[:2] == b"\xff\xd8"),
         **dict.fromkeys((".tif", ".tiff"), head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")),

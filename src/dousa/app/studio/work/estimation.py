@@ -13,6 +13,7 @@ import numpy as np
 
 from dousa.app.pipelines.doubts import WatchedSilhouettes, parse_frames
 from dousa.app.pipelines.estimation_views import choose_cameras, open_bare_views, open_views, read_known_stature
+from dousa.app.pipelines.projects import complete_request
 from dousa.app.studio.content.film_record import SIZES, encode_jpeg, encode_mask, shrink
 from dousa.app.studio.content.footage import MASK, PICTURE, FootageWriter, SeenWriter
 from dousa.app.studio.content.masks import CAMERAS, EXPORTED, MEASURES, SCENE, StoredMasks, export_masks
@@ -20,7 +21,7 @@ from dousa.app.studio.content.motions import Address
 from dousa.app.studio.core.answers import RefusedError, shorten, to_message
 from dousa.app.studio.core.workspace import safe_parts
 from dousa.app.studio.jobs.lanes import Context
-from dousa.app.studio.work.materials import Material, pair_backgrounds, sort_materials
+from dousa.app.studio.work.materials import Material, open_batch, pair_backgrounds, sort_materials, sort_project
 from dousa.arrays import Image, Mask
 from dousa.errors import CalibrationError, OptionError
 from dousa.estimation.silhouettes.cleaning import measure_mask
@@ -129,7 +130,9 @@ def list_materials(request: dict[str, Any], context: Context) -> tuple[Material,
     """List the files of the batch and their default roles."""
     folder = _batch_folder(request, context)
     files = [path for path in folder.rglob("*") if path.is_file() and not path.name.startswith(".")]
-    return sort_materials(folder, [path.relative_to(folder).as_posix() for path in files])
+    names = [path.relative_to(folder).as_posix() for path in files]
+    opened = open_batch(folder)
+    return sort_materials(folder, names) if opened is None else sort_project(folder, names, *opened)
 
 
 def make_request(request: dict[str, Any], context: Context, outputs: Outputs) -> EstimationRequest:
@@ -173,7 +176,12 @@ def make_request(request: dict[str, Any], context: Context, outputs: Outputs) ->
         "person": None,  # of films, by tracks: see `dousa.app.studio.work.films`
         **{name: said.get(name) for name in ("joint_map", "unit", "up")},
     }
-    return EstimationRequest.from_dict({**request, **named})
+    asked = EstimationRequest.from_dict({**request, **named})
+    opened = open_batch(_batch_folder(request, context))
+    if opened is None or not set(sources) <= {*opened[1].films, *opened[1].keypoints}:
+        return asked
+    cameras = asked.cameras  # a calibration that was taken away stays away
+    return dataclasses.replace(complete_request(asked, *opened, tuple(sources))[0], cameras=cameras)
 
 
 def _find(folder: Path, name: str) -> Path:

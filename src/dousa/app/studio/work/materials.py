@@ -5,16 +5,17 @@ from __future__ import annotations
 import re
 import zipfile
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from dousa.app.studio.core.uploads import PICTURES, VIDEOS
-from dousa.errors import CalibrationError
+from dousa.app.pipelines.projects import Project, Take, find_project
+from dousa.app.studio.core.uploads import CALIBRATIONS, PICTURES, VIDEOS
+from dousa.errors import CalibrationError, OptionError
 from dousa.estimation.keypoints.keypoint_files import holds_keypoints
 from dousa.files.frame_files import natural_key
 
 ROLES = ("source", "cameras", "background", "body", "start", "unused")
-_CALIBRATIONS = frozenset({".toml", ".xml", ".yaml", ".yml", ".json", ".txt", ".xcp", ".calib", ".pickle"})
+_CALIBRATIONS = frozenset({".toml", ".xml", ".yaml", ".yml", ".json", ".txt", *CALIBRATIONS})
 _MOTIONS = frozenset({".bvh", ".amc", ".c3d", ".trc"})
 _PLATE = re.compile(r"background|backdrop|plate|empty|(^|[/_ -])bg([/_ .-]|$)|背景", re.IGNORECASE)
 _PERSON = re.compile(rb"^\s*(stature\s*=|\[\[part\]\]|\[measures\])", re.MULTILINE)
@@ -55,6 +56,33 @@ def sort_materials(folder: Path, names: Iterable[str]) -> tuple[Material, ...]:
         found += _sort_pictures(place, inside, has_videos)
     order = {role: number for number, role in enumerate(ROLES)}
     return tuple(sorted(_settle(found), key=lambda item: (order[item.role], natural_key(item.name))))
+
+
+def open_batch(folder: Path) -> tuple[Project, Take] | None:
+    """Find the project of a known program that was uploaded, or is the one folder of the batch, and its first take."""
+    inside = [path for path in folder.iterdir() if not path.name.startswith(".")]
+    for place in (*(inside if len(inside) == 1 and inside[0].is_dir() else ()), folder):
+        try:
+            project = find_project(place)
+        except OptionError:  # settings that cannot be read
+            continue
+        if project is not None and project.program:
+            return project, project.takes[0]
+    return None
+
+
+def sort_project(folder: Path, names: Iterable[str], project: Project, take: Take) -> tuple[Material, ...]:
+    """Give the files of a project their roles: one take is estimated, of keypoints if there are any."""
+    sources = take.keypoints or take.films
+    roles = dict.fromkeys(sources, "source") | ({project.calibration: "cameras"} if project.calibration else {})
+    used = {path.relative_to(folder).as_posix(): role for path, role in roles.items()}
+    rest = [name for name in names if not any(name == one or name.startswith(f"{one}/") for one in used)]
+    kinds = {"cameras": "table", "source": "keypoints" if take.keypoints else "video"}
+    found = [
+        Material(name, role, kinds[role], sum(1 for _ in path.iterdir()) if (path := folder / name).is_dir() else 1)
+        for name, role in used.items()
+    ]
+    return (*found, *(replace(item, role="unused") for item in sort_materials(folder, rest)))
 
 
 def _look_at(folder: Path, name: str, suffix: str) -> Material:
