@@ -23,10 +23,10 @@ ROOMS = {
     "evaluation": (12_317, 46),
     "experiments": (1_734, 10),
     "files": (1_088, 8),
-    "formats": (12_899, 70),
+    "formats": (12_924, 70),
     "library": (16_074, 57),
     "messages": (235, 3),
-    "motion": (6_481, 34),
+    "motion": (6_482, 34),
     "retrieval": (13_404, 46),
     "workers": (478, 6),
 }

@@ -1,10 +1,11 @@
-"""Reading BVH and AMC: file to Motion (quaternions, metres), one core.
+"""Reading BVH, AMC and C3D: file to Motion or Trajectories (metres), one core.
 
     python -m lab.benchmarks.reading [DATA_FOLDER]     # default ../shared/data
 
 200 files of DATA_FOLDER/bandai and takes of hdm05 and cmu86. Peers: NumPy's own splitting of a file's numbers
 (``loadtxt``), which gives neither skeleton nor rotations; upc-pymotion and bvhio, on every tenth file; of AMC the
-loop that everybody writes, which stops at the values. Ours are compared with Python's ``float()`` to the last bit.
+loop that everybody writes, which stops at the values; of small C3D ezc3d, which does not look for unit, axes and body.
+Ours are compared with Python's ``float()`` to the last bit.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from dousa.files.disk import read_bytes
 from dousa.formats.asf_amc.reading import parse_frames, parse_header, read_amc
 from dousa.formats.asf_amc.skeleton import AsfSkeleton, read_asf
 from dousa.formats.bvh.reading import read_bvh
+from dousa.formats.c3d import read_c3d
 from dousa.formats.numbers import scannable
 from lab.benchmarks.timing import Row, run, take_turns
 from lab.places import SHARED_DATA
@@ -112,6 +114,11 @@ def benchmark(options: argparse.Namespace) -> Iterator[Row]:
             check_amc(path, options.folder)
         some, plain = amc[:: max(1, len(amc) // 40)], {"a plain Python loop, numbers only": read_amc_plainly}
         yield from compare("AMC to Motion", some, read_amc, plain, options.repeats)
+    c3d = sorted((options.folder / "utd_mhad/skeleton").rglob("*.c3d"))[:N_FILES]
+    if c3d:
+        ezc3d = importlib.import_module("ezc3d")
+        peer = {"ezc3d": lambda path: ezc3d.c3d(str(path))}
+        yield from compare("C3D to Trajectories", c3d, read_c3d, peer, options.repeats)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

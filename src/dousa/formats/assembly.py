@@ -322,7 +322,7 @@ def settle_trajectories(
                     declared_unit=unit_in_file,
                     declared_up=up_in_file,
                     default_up=default_up,
-                    whole=lambda: raw.replace(positions=raw.positions[:LONGEST]),
+                    whole=lambda: raw.replace(positions=raw.positions[:LONGEST]) if raw.n_frames > LONGEST else raw,
                 )
 
             raw = Trajectories(names, freeze(positions), timeline.rate)

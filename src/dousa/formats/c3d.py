@@ -17,10 +17,12 @@ view; the tests compare with ezc3d, value by value.
 
 from __future__ import annotations
 
+import math
 import os
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,8 +107,13 @@ class Sections:
 
     def number(self, key: str) -> float | None:
         """Return the first value of a numeric parameter, None if there is none."""
-        values = self.numbers(key)
-        return float(values[0]) if len(values) else None
+        if key not in self.parameters:
+            return None
+        parameter = self._checked(key)
+        values = Parameter(
+            parameter.item_size, (), (parameter.data or b"")[: max(1, parameter.item_size)], self.processor
+        )
+        return next(iter(values.numbers().tolist()), None)
 
     def numbers(self, key: str) -> FloatArray:
         """Return all values of a numeric parameter."""
@@ -426,7 +433,7 @@ def _read_segments(sections: Sections, data: bytes, *, unit: float | str | None,
 
 def _n_points(sections: Sections) -> int:
     used = sections.number("POINT:USED")
-    count = sections.header.n_points if used is None or not np.isfinite(used) else int(used)
+    count = sections.header.n_points if used is None or not math.isfinite(used) else int(used)
     if count <= 0:
         raise MotionFileError(sections.path, "c3d.no_points")
     check_points(sections.path, count)
@@ -459,7 +466,17 @@ def _frame_rate(sections: Sections) -> float:
     rate = sections.number("POINT:RATE")
     if rate is None or not rate > 0:
         rate = sections.header.frame_rate
-    return float(str(np.float32(rate)))  # 29.97, not 29.969999313354492
+    return _shorten(float(rate))
+
+
+@lru_cache(maxsize=64)
+def _shorten(rate: float) -> float:
+    """29.97, not 29.969999313354492; most files of a folder have one rate."""
+    return float(str(np.float32(rate)))
+
+
+def _are_finite(*numbers: float) -> bool:
+    return all(map(math.isfinite, numbers))
 
 
 def _compare_header(sections: Sections, near: float = 0.005) -> tuple[Message, ...]:
@@ -474,7 +491,7 @@ def _compare_header(sections: Sections, near: float = 0.005) -> tuple[Message, .
         ("POINT:SCALE", header.scale),
     ):
         said = sections.number(key)
-        if not said or not np.isfinite([said, word]).all() or (key == "POINT:SCALE" and max(said, word) < 0):
+        if not said or not _are_finite(said, word) or (key == "POINT:SCALE" and max(said, word) < 0):
             continue
         if abs(said - word) > near * abs(said):
             notes.append(Message("c3d.header", key=key, header=word, found=said))
@@ -515,7 +532,7 @@ def _read_positions(
 ) -> tuple[FloatArray, Clock, tuple[Message, ...]]:
     """Positions (T, K, 3) of the chosen points in file units, NaN where the residual is negative; time, and notes."""
     scale = sections.number("POINT:SCALE") or sections.header.scale
-    if scale == 0 or not np.isfinite(scale):
+    if scale == 0 or not math.isfinite(scale):
         raise MotionFileError(sections.path, "c3d.scale", scale=scale)
     width = 4 * _n_points(sections)
     item_size = 4 if scale < 0 else 2
@@ -554,14 +571,13 @@ def _measure_rows(sections: Sections, width: int, items: int, slack: int) -> tup
     The data fill whole blocks, so the right row leaves less than a block over. Some programs write the number of analog
     channels in place of the number of their samples, which would misplace every frame but the first.
     """
-    held = {}
-    for count in _analog_counts(sections):
+    held, counts = {}, _analog_counts(sections)
+    for count in counts:
         try:
             frames = _count_frames(sections, items // (width + count))
         except MotionFileError:
             continue
         held[count] = items - frames * (width + count)
-    counts = _analog_counts(sections)
     if not held:
         frames = items // (width + counts[0])
         declared = _declared_frames(sections)
@@ -581,7 +597,7 @@ def _analog_counts(sections: Sections) -> list[int]:
     used, rate = sections.number("ANALOG:USED"), sections.number("ANALOG:RATE")
     points_rate = sections.number("POINT:RATE")
     counts = [header.n_analog]
-    if used and rate and points_rate and np.isfinite([used, rate, points_rate]).all():
+    if used and rate and points_rate and _are_finite(used, rate, points_rate):
         samples = max(1, round(min(abs(rate / points_rate), 1e6)))
         # Some programs leave the header word empty.
         counts.insert(0 if header.n_analog == 0 else 1, int(used) * samples)
@@ -618,12 +634,12 @@ def _declared_frames(sections: Sections) -> list[int]:
     declared = [header.last_frame - header.first_frame + 1]
     for key in ("POINT:FRAMES", "POINT:LONG_FRAMES"):
         number = sections.number(key)
-        if number is not None and np.isfinite(number):
+        if number is not None and math.isfinite(number):
             declared.append(int(number))
     first, last = sections.numbers("TRIAL:ACTUAL_START_FIELD"), sections.numbers("TRIAL:ACTUAL_END_FIELD")
-    if len(first) >= 2 and len(last) >= 2 and np.isfinite([*first[:2], *last[:2]]).all():
-        words = np.array([1.0, 65_536.0])
-        declared.append(int(last[:2] @ words - first[:2] @ words) + 1)
+    ends = [*last[:2].tolist(), *first[:2].tolist()]
+    if len(ends) == 4 and _are_finite(*ends):
+        declared.append(int(ends[0] + 65_536 * ends[1] - ends[2] - 65_536 * ends[3]) + 1)
     if max(declared) > _FULL_COUNTER:
         declared = [count for count in declared if count > _FULL_COUNTER]  # the others overflowed
     return [count for count in declared if count > 0]

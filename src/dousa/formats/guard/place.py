@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
-from dousa.arrays import FloatArray
+from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import MotionFileError
 from dousa.formats.guard.lost import find_lost
 from dousa.messages import Message
@@ -83,11 +84,12 @@ def settle_roots(
     ------
     MotionFileError : infinite places, or such as double precision cannot place.
     """
-    with np.errstate(over="ignore", invalid="ignore"):
-        if not abs(float(translations.sum())) < _EARTH:  # spares the look at every value
-            check_place(path, skeleton.names, translations)
-    roots = np.flatnonzero(skeleton.parents < 0)
+    if not abs(float(translations.sum())) < _EARTH:  # spares the look at every value
+        check_place(path, skeleton.names, translations)
+    roots = _list_roots(skeleton)
     places = translations[:, :1] if len(roots) == 1 and roots[0] == 0 else translations[:, roots]
+    if not (np.abs(places[..., 0]) == np.abs(places[..., 1])).any():  # nearly every file
+        return translations, ()
     lost = find_lost(places, can_rest=True, body=some)
     notes = []
     if lost is not None:
@@ -101,6 +103,11 @@ def settle_roots(
             frames = np.flatnonzero(lost.all(axis=1))
             rotations[frames[(np.abs(rotations[frames, :, 0]) == 1.0).all(axis=1)]] = np.nan
     return translations, tuple(notes)
+
+
+@lru_cache(maxsize=64)
+def _list_roots(skeleton: Skeleton) -> IndexArray:
+    return np.flatnonzero(skeleton.parents < 0)
 
 
 def check_place(path: str | os.PathLike[str], names: Sequence[str], positions: FloatArray) -> None:

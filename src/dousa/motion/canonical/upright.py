@@ -181,6 +181,7 @@ def weigh_axes(
     places = np.ascontiguousarray(points.transpose(1, 2, 0)) * (1.0 / height)
     lowest, highest = np.fmin.reduce(places), np.fmax.reduce(places)
     seen: BoolArray = np.any(~np.isnan(places), axis=2)
+    feet, knees, tops = (seen[rows].any(axis=0).tolist() for rows in (_LEGS, _LEGS[:4], _TOPS))
     is_aligned = len(body) > 0 and float(np.abs(body.mean(axis=0)).max()) > aligned
     # Mean cosine between the body and the axis, and the logarithm of how often files are like that.
     cosines, odds = [-1.0, -0.3, 0.0, 0.3, 0.6, 0.8, 1.0], [-8.0, -6.0, -3.5, -2.5, -1.0, -0.1, 0.0]
@@ -192,10 +193,10 @@ def weigh_axes(
             score += trust * float(np.interp(posture, cosines, odds))
             column = "xyz".index(axis[-1])
             ends = (lowest[column], highest[column]) if vector[column] > 0 else (-highest[column], -lowest[column])
-            if seen[_LEGS, column].any():
+            if feet[column]:
                 fixed = bool(centred[column])
                 score += _floor_score(*ends, lying=abs(posture) < lying, centred=fixed, pinned=centred.sum() > 1)
-            if not seen[_LEGS[:4], column].any() and seen[_TOPS, column].any():
+            if not knees[column] and tops[column]:
                 score += _hover_score(places[_TOPS, column] * vector[column])
             if abs(posture) < lying and is_aligned:
                 score -= 1.5
