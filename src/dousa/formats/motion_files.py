@@ -186,8 +186,11 @@ def read_canonical(
     from dousa.motion import compute_trajectories
 
     options = options or ReadOptions()
-    # The rotations of a long recording are not held on to while its joints are mapped.
-    motion = compute_trajectories(read_with(path, options))
+    # Of a long recording neither the file's own numbers nor, while its joints are mapped, its rotations are held.
+    motion = read_with(path, options)
+    if motion.provenance is not None:
+        motion = dataclasses.replace(motion, provenance=motion.provenance.derive())
+    motion = compute_trajectories(motion)
     canonical = map_joints(path, motion, options, whole=whole)
     return canonical, motion.provenance.format if motion.provenance else ""
 

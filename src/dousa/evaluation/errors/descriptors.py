@@ -365,7 +365,7 @@ def _describe_others(limb_table: FloatArray) -> FloatArray:
     return result
 
 
-def _pool_limbs(squared: FloatArray, counts: NDArray[np.bool_], *, cap: float = 1.3) -> FloatArray:
+def _pool_limbs(squared: NDArray[np.float32], counts: NDArray[np.bool_], *, cap: float = 1.3) -> FloatArray:
     """(L, T, K) mean squared chord of the segments of each limb that count, of (T, K, 9)."""
     # cap: squared chord of 70 deg: further away says no more
     shares = _MEMBERS[:N_LIMBS] / _MEMBERS[:N_LIMBS].sum(axis=1, keepdims=True)

@@ -33,7 +33,7 @@ class Deviations:
 
     # (T, K, 9) squared chord between the segments of the performance at t and of the reference at the same time + lag
     # column, turned by the common yaw; 0 where either is not seen, and only there
-    squared: FloatArray
+    squared: NDArray[np.float32]
     yaw: FloatArray  # (T,) rad that turn the reference of the same time onto the performance
     judged: NDArray[np.bool_]  # (T, 9) both seen, and inside the reference
     # (T, 9, 3) unit vectors at the same time, the reference turned onto the performance, and both turned so that the
@@ -122,7 +122,7 @@ def _take_median(values: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
     return np.asarray(np.nanmedian(np.where(known, values, np.nan), axis=0))
 
 
-def take_nearest(mine: FloatArray, its: FloatArray) -> FloatArray:
+def take_nearest(mine: NDArray[np.float32], its: NDArray[np.float32]) -> NDArray[np.float32]:
     """Take the smaller of two squared deviations; 0 means none."""
     return np.where((its > 0.0) & ((its < mine) | (mine == 0.0)), its, mine)
 
@@ -185,7 +185,7 @@ def measure_deviations(
     weights: FloatArray,
     half: int,
     scale: float,
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[NDArray[np.float32], FloatArray]:
     """Measure squared chords at every lag after a common yaw that changes slowly and that no wrong limb bends.
 
     Parameters
@@ -199,19 +199,20 @@ def measure_deviations(
 
     Returns
     -------
-    squared : (T, K, 9), 0 where either is not seen, and only there.
+    squared : (T, K, 9) float32, 0 where either is not seen, and only there.
     yaw : (T,) rad, that turns the reference onto the performance at the middle lag.
     """
     n_frames, n_lags = len(ours), len(theirs) - len(ours) + 1
     ours, theirs = np.ascontiguousarray(ours), np.ascontiguousarray(theirs)
-    squared, yaw = np.empty((n_frames, n_lags, 9)), np.zeros(n_frames)
+    squared, yaw = np.empty((n_frames, n_lags, 9), np.float32), np.zeros(n_frames)
     room, total = np.empty((n_frames, 4, 9)), np.empty((n_frames + 1, 2))
     far, turn = np.empty((n_frames, 9)), np.empty((n_frames, 2))
     for k in range(n_lags):
         seen = ours_seen & theirs_seen[k : k + n_frames]
         there = theirs[k : k + n_frames]
         _measure_lag_column(ours, there, np.where(seen, weights, 0.0), half, float(scale), room, total, far, turn)
-        squared[:, k] = np.where(seen, np.maximum(far, _SMALLEST_SEEN), 0.0)
+        np.maximum(far, _SMALLEST_SEEN, out=far)
+        squared[:, k] = far if seen.all() else np.where(seen, far, 0.0)
         if k == n_lags // 2:
             yaw = np.arctan2(turn[:, 1], turn[:, 0])
     return squared, yaw
@@ -448,10 +449,10 @@ class Ratios:
         squared = self.deviations.squared[first : first + len(course)]
         return self._weigh(squared[np.arange(len(course)), course], squared[:, self.deviations.center])
 
-    def sum_up(self, groups: Sequence[NDArray[np.intp]], *, at_once: int = 256) -> FloatArray:
+    def sum_up(self, groups: Sequence[NDArray[np.intp]], *, at_once: int = 256) -> NDArray[np.float32]:
         """(G, T, K) sums over the segments of each group."""
         # at_once: frames: they stay in the cache
-        totals = np.empty((len(groups), *self.deviations.squared.shape[:2]))
+        totals = np.empty((len(groups), *self.deviations.squared.shape[:2]), np.float32)
         members = np.array([np.isin(np.arange(9), group) for group in groups], np.float64)
         for first in range(0, totals.shape[1], at_once):
             part = self.of(first, first + at_once) @ members.T
@@ -463,7 +464,7 @@ class Ratios:
         judged: NDArray[np.bool_] = np.any(self.deviations.squared[:, self.deviations.center] > 0.0, axis=0)
         return judged & (self.weights > 0.0)
 
-    def _weigh(self, squared: FloatArray, same: FloatArray) -> FloatArray:
+    def _weigh(self, squared: NDArray[np.float32], same: NDArray[np.float32]) -> FloatArray:
         ratio, here = (np.minimum(values / self.tolerance**2, CAP) * self.weights for values in (squared, same))
         unseen, unjudged = squared == 0.0, same == 0.0
         if unseen.any():

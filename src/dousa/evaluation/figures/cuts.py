@@ -33,7 +33,7 @@ class Repeat:
     score: float  # height that the alignment climbed to
 
 
-def coarsen(segments: FloatArray, frame_rate: float, *, most_rate: float = 10.0, most_poses: int = 4000) -> Coarse:
+def coarsen(segments: FloatArray, frame_rate: float, *, most_rate: float = 10.0, most_poses: int = 3000) -> Coarse:
     """Reduce a motion to a coarse rate and compute its self-correlation matrix.
 
     Parameters
@@ -41,7 +41,7 @@ def coarsen(segments: FloatArray, frame_rate: float, *, most_rate: float = 10.0,
     segments : (T, 9, 3), at least one frame.
     frame_rate : Hz.
     most_rate : Hz, the coarse rate at most.
-    most_poses : coarse poses of a very long take: 64 MB a matrix.
+    most_poses : coarse poses of a very long take: 36 MB a matrix.
     """
     block = max(1, int(np.ceil(frame_rate / most_rate - 1e-9)), -(-len(segments) // most_poses))
     starts = np.arange(0, len(segments), block)
