@@ -188,9 +188,8 @@ def read_canonical(
     options = options or ReadOptions()
     # Of a long recording neither the file's own numbers nor, while its joints are mapped, its rotations are held.
     motion = read_with(path, options)
-    if motion.provenance is not None:
-        motion = dataclasses.replace(motion, provenance=motion.provenance.derive())
-    motion = compute_trajectories(motion)
+    source = motion.provenance and motion.provenance.derive()
+    motion = compute_trajectories(dataclasses.replace(motion, provenance=source))
     canonical = map_joints(path, motion, options, whole=whole)
     return canonical, motion.provenance.format if motion.provenance else ""
 

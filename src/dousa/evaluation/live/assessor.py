@@ -364,8 +364,7 @@ class _Window:
         self._moments = choose_stride(self._rate)  # working frames from one to the next
         self.first, self.frames = 0, np.empty(0)  # first working frame that is kept; reference frames of those kept
         self._parts: Deviations | None = None
-        self._history: list[Deviations] = []
-        self._counted, self._measured = 0, 0
+        self._history, self._counted, self._measured = list[Deviations](), 0, 0
         self.tolerance = Tolerance(np.full(9, np.radians(21.6)))  # until a second was seen: the least steady one's
         self.lapses: list[Lapse] = []
         # Log probabilities of the moments from one on, and what was usual in them.
