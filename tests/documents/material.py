@@ -229,6 +229,7 @@ DONE_BEFORE: dict[tuple[str, str], tuple[str, ...]] = {
     ),
     ("docs/formats.md", "dousa export moves.dousa --category walk"): ("dousa add moves.dousa recordings",),
     ("docs/libraries.md", "dousa check moves.dousa"): ("dousa add moves.dousa recordings",),
+    ("docs/reliability.md", "dousa backup moves.dousa"): ("dousa add moves.dousa recordings",),
     ("docs/evaluation.md", "from dousa.evaluation import IncrementalAssessor"): (
         "teacher_1, teacher_2 = (read(f'teacher_{take}.bvh') for take in (1, 2))",
         "frames = read('pupil.bvh').positions",
