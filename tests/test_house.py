@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_788, 111),
+    "app": (25_790, 111),
     "estimation": (15_697, 65),
     "evaluation": (12_317, 46),
     "experiments": (1_734, 10),
@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_322,
+    "lines of tests": 62_323,
     "lines of JavaScript": 12_471,
     "constants": 1_044,
     "numeric constants without a source": 0,

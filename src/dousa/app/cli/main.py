@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import atexit
 import gc
+import logging
 import os
 import signal
 import sys
@@ -134,6 +135,7 @@ def main() -> None:
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
         os.environ["PYTHONWARNINGS"] = "ignore"  # of workers too
+        logging.lastResort = None  # what libraries log about a connection that Ctrl-C closed
     run_application(make_application(sys.argv[1:]))
 
 
