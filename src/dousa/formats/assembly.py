@@ -84,44 +84,21 @@ def settle_motion(
     ------
     MotionFileError : arrays that make no motion, such as infinite positions.
     """
-    from dousa.motion.kinematics import forward_kinematics  # numba
-
-    known_unit = unit_in_file if unit is None else parse_unit(unit)
-    known_up = up_in_file if up is None else parse_up(up)
+    known = {
+        "unit": unit_in_file if unit is None else parse_unit(unit),
+        "up": up_in_file if up is None else parse_up(up),
+        "declared_unit": declared_unit,
+        "default_up": default_up,
+    }
     timeline = settle_clock(path, clock, len(rotations), rotations)
     rotations, translations = timeline.place(rotations), timeline.place(translations)
     values = None if values is None else timeline.place(values)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300
             rest = _place_rest(skeleton) if rest_in_world else None
-
-            def place(frames: IndexArray | slice) -> Trajectories:
-                positions, _ = forward_kinematics(skeleton.parents, rotations[frames], translations[frames])
-                return Trajectories(skeleton.names, freeze(positions), timeline.rate, skeleton.parents, rest)
-
-            count = min(len(rotations), 16)
-            some = np.arange(count) * (len(rotations) - 1) // max(count - 1, 1)
-            translations, emptied = keep_offsets(skeleton, translations, some)
-
-            def infer(sample: Trajectories) -> ReferenceFrame:
-                return infer_reference_frame(
-                    sample,
-                    unit=known_unit,
-                    up=known_up,
-                    declared_unit=declared_unit,
-                    default_up=default_up,
-                    whole=(lambda: place(slice(0, most_frames))) if most_frames else None,
-                )
-
-            sample = place(some)
-            translations, lost = settle_roots(path, skeleton, rotations, translations, sample.positions)
-            frame, notes = infer(place(some) if lost else sample), (*timeline.join(notes), *lost)
-            roots = np.flatnonzero(skeleton.parents < 0)
-            shift = find_shift(translations[:, roots], frame.unit)
-            if shift is not None:
-                translations = translations.copy()
-                translations[:, roots] -= shift
-                frame, notes = infer(place(some)), (*notes, note_shift(shift))
+            translations, frame, shift, found = _settle_places(
+                path, skeleton, rotations, translations, timeline.rate, rest, most_frames, known
+            )
             doubts = check_body(skeleton.names, frame.body, skeleton.parents, translations)
             settled = change_arrays(skeleton, rotations, translations, frame.unit, frame.rotation)
             provenance = Provenance(
@@ -134,12 +111,48 @@ def settle_motion(
                 layout,
                 values,
                 () if values is None else (settled[0].offsets, *settled[1:]),
-                (*notes, *emptied, *doubts, *frame.notes),
+                (*timeline.join(notes), *found, *doubts, *frame.notes),
                 _to_metres(shift, frame),
             )
             return Motion(*settled, timeline.rate, provenance)
     except InvalidMotionError as error:
         raise MotionFileError(path, damaged, reason=error) from error
+
+
+def _settle_places(
+    path: str | os.PathLike[str],
+    skeleton: Skeleton,
+    rotations: FloatArray,
+    translations: FloatArray,
+    rate: float,
+    rest: FloatArray | None,
+    most_frames: int,
+    known: dict[str, Any],
+) -> tuple[FloatArray, ReferenceFrame, FloatArray | None, tuple[Message, ...]]:
+    """The translations without lost and far places, unit and axes, the shift, and notes; ``known`` of both."""
+    from dousa.motion.kinematics import forward_kinematics  # numba
+
+    def place(frames: IndexArray | slice) -> Trajectories:
+        positions, _ = forward_kinematics(skeleton.parents, rotations[frames], translations[frames])
+        return Trajectories(skeleton.names, freeze(positions), rate, skeleton.parents, rest)
+
+    def infer(sample: Trajectories) -> ReferenceFrame:
+        whole = (lambda: place(slice(0, most_frames))) if most_frames else None
+        return infer_reference_frame(sample, whole=whole, **known)
+
+    count = min(len(rotations), 16)
+    some = np.arange(count) * (len(rotations) - 1) // max(count - 1, 1)
+    translations, emptied = keep_offsets(skeleton, translations, some)
+    sample = place(some)
+    translations, lost = settle_roots(path, skeleton, rotations, translations, sample.positions)
+    frame, notes = infer(place(some) if lost else sample), (*emptied, *lost)
+    roots = np.flatnonzero(skeleton.parents < 0)
+    shift = find_shift(translations[:, roots], frame.unit)
+    if shift is not None:
+        translations = translations.copy()
+        translations[:, roots] -= shift
+        frame, notes = infer(place(some)), (*notes, note_shift(shift))
+    return translations, frame, shift, notes
 
 
 @lru_cache(maxsize=64)
