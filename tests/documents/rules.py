@@ -131,6 +131,7 @@ BENCHMARKS = {
     "benchmarks.forest": "--clips 60 --classes 3 --repeats 1",
     "benchmarks.in_turns": f"--before '{ROOT}' --rounds 1 --command 'correlation_matrix --frames 200 --repeats 1'",
     "reliability.file_damage": "--copies 4",
+    "reliability.dense_files": "--megabytes 1",
     "reliability.library_flips": "--flips 4",
     "reliability.library_kill": "--kills 2 --only tag",
     "benchmarks.library_add": "../shared/data/bandai/run --jobs 1 --repeats 1 --files 1",
