@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_323,
+    "lines of tests": 62_324,
     "lines of JavaScript": 12_471,
     "constants": 1_044,
     "numeric constants without a source": 0,
