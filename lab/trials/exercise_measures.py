@@ -11,8 +11,8 @@ Joints are centred, turned to face one way, of unit height. ``rms``: evenly in t
 time warping. ``displacement``: from the own first pose; ``centred``: from the own mean pose. ``d#`` and ``d*`` are the
 paper's, of an eigenspace of each reference, along the path. References are pooled by the least, the mean or the median.
 The last rows are what the grade is made of (`dousa.evaluation.grade.movement.PARTS`), their sum, and the grade itself,
-for which none is 0. ``cannot tell``: by how much the share of repetitions that are judged rightly (correct ones above
-the best limit) rises if the three in ten nearest to that limit are left out.
+for which none is 0. ``cannot tell``: by how much the share of repetitions that are judged rightly (correct ones graded
+75 or more) rises if the three in ten nearest to that limit are left out.
 """
 
 from __future__ import annotations
@@ -119,14 +119,12 @@ def make_measures() -> dict[str, Measure]:
     return measures | {"all parts": find_sum, "grade": find_grade}
 
 
-def find_lift(good: Sequence[float], bad: Sequence[float], *, left_out: float = 0.3) -> float:
-    """How much more is judged rightly if those nearest to the best limit are left out."""
+def find_lift(good: Sequence[float], bad: Sequence[float], *, limit: float = 75.0, left_out: float = 0.3) -> float:
+    """How much more is judged rightly by a limit of the grade if those nearest to it are left out."""
     values, correct = np.array([*good, *bad]), np.repeat([True, False], [len(good), len(bad)])
-    limits = np.unique(values)
-    right = [np.mean((values >= limit) == correct) for limit in limits]
-    limit = limits[int(np.argmax(right))]
+    right = (values >= limit) == correct
     sure = np.argsort(np.abs(values - limit))[round(left_out * len(values)) :]
-    return float(np.mean((values[sure] >= limit) == correct[sure]) - max(right))
+    return float(right[sure].mean() - right.mean())
 
 
 def examine(options: argparse.Namespace, sensor: str, count: int, own: bool) -> dict[str, list[float]]:

@@ -123,8 +123,8 @@ def compare_movements(
     there = np.arange(len(reference.lines))
     course = _follow(path, len(there))
     follows = np.rint(course).astype(np.intp)
-    steps = np.stack([_measure_steps(reference.lines, there), _measure_steps(performance.lines, follows)])
-    asked, done = np.where(np.isfinite(steps).all(axis=0), np.maximum(steps - noise, 0.0), 0.0)
+    steps = np.stack([_measure_steps(reference.lines, there), _measure_steps(performance.lines, follows)]) - noise
+    asked, done = np.where(np.isfinite(steps).all(axis=0), np.maximum(steps, 0.0), 0.0)
     moved, danced = (one.sum(axis=1) >= hardly * asked.sum(axis=1) for one in (done, np.minimum(done, asked)))
     half = round(_AROUND_S * RATE)
     for start, end in find_runs(~moved).tolist():
@@ -297,9 +297,9 @@ def find_extent(
     found = []
     for one in differences:
         shares = np.where(np.isfinite(one.spread), spread_over_parts(weights), 0.0)
-        shares /= max(shares.sum(), 1e-9)
+        shares = shares / max(float(shares.sum()), 1e-9)
         spread = np.nan_to_num(one.spread)
-        share = (spread @ shares) / max(np.sqrt(spread**2 @ shares), 1e-9)
+        share = float(spread @ shares) / max(float(np.sqrt(spread**2 @ shares)), 1e-9)
         unrelated = np.nan_to_num(np.log1p(np.sqrt(2.0) * one.spread / one.scale)) @ shares
         found.append(np.sqrt(share * unrelated / usual))
     return float(max(np.median(found), least))
