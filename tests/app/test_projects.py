@@ -10,9 +10,7 @@ from oracles.made_films import film as make_film
 
 from app.test_keypoint_sources import to_rows, write_openpose
 from dousa.app.pipelines.film_scene import name_films
-from dousa.app.pipelines.projects import complete_request, find_project
-from dousa.app.requests.estimation import EstimationRequest
-from dousa.app.studio.work.materials import open_batch, sort_project
+from dousa.app.pipelines.projects import find_project
 from dousa.estimation import write_cameras
 from dousa.estimation.keypoints.keypoint_json import HALPE_26
 from dousa.formats.registry import read_motion
@@ -123,23 +121,6 @@ def test_times_and_cameras_of_a_project(dousa, tmp_path):
     assert json.loads(out)["films"][1]["offset"] == pytest.approx(0.2, abs=0.03)
     code, out, error = dousa("calibrate", tmp_path, "-o", tmp_path / "made.toml", "--json")
     assert code == 0 and "1.68" in error and len(json.loads(out)["cameras"]) == 2, error
-
-
-@pytest.mark.parametrize("inside", ["", "trial/"])
-def test_the_studio_opens_a_project(tmp_path, inside):
-    """By the files of a batch: keypoints and calibration are used, what the program made of them is not."""
-    folder, cameras = tmp_path / inside, make_cameras(2)
-    make_pose2sim(folder, cameras)
-    for camera in cameras:
-        view = make_film(Performance(("punch",)), camera, 0.0, 0.2, RATE)
-        write_openpose(folder / "pose" / camera.name, to_rows(view, HALPE_26))
-    names = [path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()]
-    opened = open_batch(tmp_path)
-    found = {item.name: item.role for item in sort_project(tmp_path, names, *opened) if item.role != "unused"}
-    used = {f"{inside}pose/{camera.name}_json": "source" for camera in cameras}
-    assert found == used | {f"{inside}calibration/Calib_qualisys.toml": "cameras"}
-    asked, _ = complete_request(EstimationRequest(()), *opened, opened[1].keypoints)
-    assert (asked.rate, asked.stature, len(asked.sources)) == (RATE, 1.68, 2)
 
 
 def test_the_shared_folder_of_pose2sim(shared_data):

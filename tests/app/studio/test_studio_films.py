@@ -10,15 +10,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from oracles import made_films
 
 from app.studio.conftest import ask_directly, wait_for
 from app.studio.film_scenes import LATE, N_FRAMES, RATE, write_film_scene
 from app.studio.test_studio_estimate import look, look_here, upload
+from app.test_keypoint_sources import to_rows, write_openpose
+from app.test_projects import RATE as PROJECT_RATE
+from app.test_projects import make_pose2sim
 from dousa.app.studio.content.film_record import FilmPictures, choose_stride, name_pictures, write_pictures
 from dousa.app.studio.work.films import choose_person, choose_who_places, leave_out, pair_films
 from dousa.app.studio.work.materials import sort_materials
 from dousa.errors import OptionError
 from dousa.estimation import read_keypoints
+from dousa.estimation.keypoints.keypoint_json import HALPE_26
 
 pytest.importorskip("av", reason="the reader of films is not installed: pip install 'dousa[film]'")
 
@@ -104,6 +109,28 @@ class TestBefore:
 
 
 class TestMaterials:
+    @pytest.mark.parametrize("inside", ["", "trial/"])
+    def test_a_project_is_opened(self, client, tmp_path, inside):
+        """Keypoints, calibration, rate and stature are used, also as the page names them; what was made is not."""
+        cameras = made_films.make_cameras(2)
+        make_pose2sim(tmp_path, cameras)
+        (tmp_path / "pose-3d" / "walk_0-99.trc").write_text("PathFileType 4 (X/Y/Z) walk.trc")
+        (tmp_path / "calibration" / "cam.pickle").write_bytes(b"\x80\x04}.")
+        for camera in cameras:
+            view = made_films.film(made_films.Performance(("punch",)), camera, 0.0, 0.2, PROJECT_RATE)
+            write_openpose(tmp_path / "pose" / camera.name, to_rows(view, HALPE_26))
+        files = [path for path in sorted(tmp_path.rglob("*")) if path.is_file() and path.stat().st_size]
+        named = [(f"{inside}{path.relative_to(tmp_path).as_posix()}", path.read_bytes()) for path in files]
+        batch = upload(client, *named)
+        found = look_here(client, batch=batch)
+        roles = {item["name"]: item["role"] for item in found["files"] if item["role"] != "unused"}
+        sources = [f"{inside}pose/{camera.name}_json" for camera in cameras]
+        calibration = f"{inside}calibration/Calib_qualisys.toml"
+        assert roles == dict.fromkeys(sources, "source") | {calibration: "cameras"}
+        for answer in (found, look_here(client, batch=batch, sources=sources, cameras=calibration)):
+            assert (answer["missing"], answer["frame_rate"], len(answer["views"])) == (None, PROJECT_RATE, 2)
+            assert "168" in answer["body"] or "1.68" in answer["body"]
+
     def test_keypoints_are_views(self, scene):
         names = [path.name for path in scene.iterdir() if path.is_file()]
         roles = {item.name: (item.role, item.kind) for item in sort_materials(scene, names)}

@@ -122,18 +122,20 @@ def walks_on_fours(
         return False
     at = {joint: points[:, index] for joint, index in JOINT_INDEX.items()}
     trunk, leg, arm = (
-        _unit(at["neck"] - at["pelvis"]),
-        _unit(at["left_ankle"] + at["right_ankle"] - at["left_hip"] - at["right_hip"]),
-        _unit(at["left_wrist"] + at["right_wrist"] - at["left_shoulder"] - at["right_shoulder"]),
+        find_directions(at["neck"] - at["pelvis"]),
+        find_directions(at["left_ankle"] + at["right_ankle"] - at["left_hip"] - at["right_hip"]),
+        find_directions(at["left_wrist"] + at["right_wrist"] - at["left_shoulder"] - at["right_shoulder"]),
     )
     fours = ((trunk * leg).sum(axis=1) > across) & ((arm * leg).sum(axis=1) > along)
     return bool(fours.mean() > mostly)
 
 
-def _unit(vectors: FloatArray) -> FloatArray:
+def find_directions(vectors: FloatArray) -> FloatArray:
+    """Return vectors (..., 3) of length 1; NaN for those of no length."""
+    size = np.linalg.norm(vectors, axis=-1, keepdims=True)
     with np.errstate(invalid="ignore"):
-        units: FloatArray = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-    return units
+        directions: FloatArray = vectors / np.where(size > 0, size, np.nan)
+    return directions
 
 
 def _measure_bones(points: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from dousa.arrays import BoolArray, FloatArray
-from dousa.motion.canonical.anthropometry import find_medians, stature_of_parts
+from dousa.motion.canonical.anthropometry import find_directions, find_medians, stature_of_parts
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.recipes import Recipe
 from dousa.motion.canonical.tree_shape import score_sides
@@ -273,16 +273,9 @@ def _limbs(joints: tuple[str, ...]) -> dict[str, list[int]]:
     return {side: [J[f"{side}_{joint}"] for joint in joints] for side in ("left", "right")}
 
 
-def _unit(vectors: FloatArray) -> FloatArray:
-    size = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    with np.errstate(invalid="ignore"):
-        units: FloatArray = vectors / np.where(size > 0, size, np.nan)
-    return units
-
-
 def _across(vectors: FloatArray, axis: FloatArray) -> FloatArray:
     """The part of vectors (T, 3) across an axis (T, 3), not normalised."""
-    along = _unit(axis)
+    along = find_directions(axis)
     across: FloatArray = vectors - (vectors * along).sum(axis=1, keepdims=True) * along
     return across
 
@@ -299,7 +292,10 @@ def _bounded(axis: FloatArray, sure: float = 0.25) -> FloatArray:
 
 def _outward(points: FloatArray, joint: str) -> FloatArray:
     """Unit vectors (T, 3) from the right to the left of a pair; of the other pair where it is missing."""
-    pairs = [_unit(points[:, J[f"left_{one}"]] - points[:, J[f"right_{one}"]]) for one in (joint, "hip", "shoulder")]
+    pairs = [
+        find_directions(points[:, J[f"left_{one}"]] - points[:, J[f"right_{one}"]])
+        for one in (joint, "hip", "shoulder")
+    ]
     found = pairs[0]
     for other in pairs[1:]:
         found = np.where(np.isnan(found), other, found)
@@ -312,7 +308,7 @@ def _normal(points: FloatArray, limb: list[int], off: float) -> tuple[FloatArray
     ``off`` : how far the marker may lie off the joint: it bends a straight limb to any side, which is no bend.
     """
     bones = [points[:, a] - points[:, b] for a, b in pairwise(limb)]
-    upper, lower = (_unit(bone) for bone in bones)
+    upper, lower = (find_directions(bone) for bone in bones)
     normal = np.cross(upper, lower)
     with np.errstate(invalid="ignore", divide="ignore"):
         seeming = off * sum(1.0 / np.linalg.norm(bone, axis=1) for bone in bones)
@@ -349,7 +345,7 @@ def _lower_shoulders(points: FloatArray, skin: frozenset[str], stature: float) -
     top, low = (
         _first_seen(points, joints) for joints in (("neck", "left_shoulder", "right_shoulder"), ("pelvis", "spine"))
     )
-    points[:, places] += np.nan_to_num(_SHOULDER_DROP * width * _unit(low - top))[:, None]
+    points[:, places] += np.nan_to_num(_SHOULDER_DROP * width * find_directions(low - top))[:, None]
 
 
 def _first_seen(points: FloatArray, joints: tuple[str, ...]) -> FloatArray:

@@ -171,8 +171,11 @@ def _split_side(words: list[str]) -> Key:
     return "", "".join(words)
 
 
-def _hidden_side(core: str, cores: frozenset[str]) -> Key:
-    """Side of a name of one word: ``lfemur`` beside ``rfemur``, or a remainder in the tables."""
+def _hidden_side(core: str, cores: frozenset[str], letters: bool) -> Key:
+    """Side of a name of one word: ``lfemur`` beside ``rfemur``, or a remainder in the tables.
+
+    ``letters`` : whether first letters are sides in this file; else ``lkne`` may be the lateral marker of a knee.
+    """
     for mark, other, side in (
         ("left", "right", "l"),
         ("right", "left", "r"),
@@ -181,7 +184,8 @@ def _hidden_side(core: str, cores: frozenset[str]) -> Key:
     ):
         if core.startswith(mark) and len(core) > len(mark) + 1:
             rest = core[len(mark) :]
-            if other + rest in cores or (rest in _CORES and core not in _CORES):
+            is_side = core not in _CORES or (letters and "m" + rest not in cores)
+            if other + rest in cores or (rest in _CORES and is_side):
                 return side, rest
         if core.endswith(mark) and len(core) > len(mark) + 1 and core[: -len(mark)] + other in cores:
             return side, core[: -len(mark)]
@@ -208,24 +212,17 @@ def normalise_names(names: Iterable[str]) -> tuple[tuple[str, str], ...]:
     """
     keys = [_split_side(_split(name)) for name in _without_affixes(names)]
     cores = frozenset(core for side, core in keys if not side)
-    marked = {core: _first_side(core, cores) for core in cores if core[:1] in ("l", "r")}
-    twins = {core for core in marked if ("r" if core[0] == "l" else "l") + core[1:] in cores}
-    if sum(side != "" or core in twins for core, (side, _) in marked.items()) < _MOSTLY * len(marked):
-        marked = {}  # L may be lateral
-    return tuple(
-        (side, core) if side else found if (found := marked.get(core, ("", "")))[0] else _hidden_side(core, cores)
-        for side, core in keys
-    )
+    letters = _mark_sides(cores)
+    return tuple((side, core) if side else _hidden_side(core, cores, letters) for side, core in keys)
 
 
-_MOSTLY = 0.5
-"""Share of the names that begin with l or r from which on these letters are sides, by definition."""
-
-
-def _first_side(core: str, cores: frozenset[str]) -> Key:
-    """The side of ``lkne`` in a set that marks sides so, if there is no ``mkne`` beside it: l could be lateral."""
-    is_side = core[1:] in _CORES and "m" + core[1:] not in cores
-    return (core[0], core[1:]) if is_side else ("", core)
+def _mark_sides(cores: frozenset[str], mostly: float = 0.5) -> bool:
+    """Whether l and r as first letters are sides: ``mostly`` the other side is there too, or the rest is known."""
+    lettered = [core for core in cores if core[:1] in ("l", "r")]
+    other = {"l": "r", "r": "l"}
+    known = (core[1:] in _CORES and "m" + core[1:] not in cores for core in lettered)
+    twins = (other[core[0]] + core[1:] in cores for core in lettered)
+    return sum(map(max, known, twins)) >= mostly * len(lettered)
 
 
 def _find(term: str, side: str, index: dict[Key, int], table: dict[str, str]) -> tuple[int, ...] | None:
