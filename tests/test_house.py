@@ -26,14 +26,14 @@ ROOMS = {
     "formats": (12_939, 70),
     "library": (16_074, 57),
     "messages": (235, 3),
-    "motion": (6_482, 34),
+    "motion": (6_477, 34),
     "retrieval": (13_404, 46),
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_324,
+    "lines of tests": 62_332,
     "lines of JavaScript": 12_471,
-    "constants": 1_044,
+    "constants": 1_043,
     "numeric constants without a source": 0,
     "functions over 60 lines": 20,
     "files over 650 lines": 0,
