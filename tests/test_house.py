@@ -24,7 +24,7 @@ ROOMS = {
     "experiments": (1_734, 10),
     "files": (1_088, 8),
     "formats": (12_939, 70),
-    "library": (16_074, 57),
+    "library": (16_075, 57),
     "messages": (235, 3),
     "motion": (6_477, 34),
     "retrieval": (13_404, 46),

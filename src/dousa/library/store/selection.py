@@ -92,8 +92,9 @@ def _none_of(
     if performer is None:
         names = connection.execute(sa.select(schema.clips.c.category).distinct()).scalars()
         near = sorted(name for name in names if name is not None and str(category).casefold() in name.casefold())
-        code = "none_of_category" if not near else "part_of_category"
-        return LibraryError(f"library_clips.{code}", library=where, category=category, near=tuple(near[:most]))
+        if near:
+            return LibraryError("library_clips.part_of_category", library=where, category=category, near=near[:most])
+        return LibraryError("library_clips.none_of_category", library=where, category=category)
     if category is None:
         return LibraryError("library_clips.none_of_performer", library=where, performer=performer)
     return LibraryError("library_clips.none_of_both", library=where, category=category, performer=performer)
