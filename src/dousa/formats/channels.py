@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from dousa.arrays import FloatArray, IntArray
-from dousa.errors import MotionFileError
 from dousa.formats.assembly import LONGEST, settle_motion
-from dousa.formats.guard import Clock
+from dousa.formats.guard import Clock, check_memory
 from dousa.kernels import is_worth_compiling, kernel, part
 from dousa.motion.types import Motion, Skeleton, freeze
 
@@ -141,8 +141,6 @@ def build_motion(
     program: ChannelProgram,
     rows: FloatArray,
     clock: Clock | float,
-    *,
-    largest: int = 50_000_000,
     **settings: Any,
 ) -> Motion:
     """Build a motion, in metres with Y up, from channel values; the sources of unit and axis are in its provenance.
@@ -151,16 +149,14 @@ def build_motion(
     ----------
     rows : (T, C) channel values.
     clock : all that the file says of time.
-    largest : joints times frames, about 3 GB, beyond which a file must hold a sixteenth as many values.
     settings : of `settle_motion`.
 
     Raises
     ------
-    MotionFileError : values that make no motion, such as positions beyond the largest float.
+    MotionFileError : values that make no motion, such as positions beyond the largest float; poses that take far more
+        memory than the file.
     """
-    n_joints = program.skeleton.n_joints
-    if len(rows) * n_joints > max(largest, 16 * rows.size):
-        raise MotionFileError(path, "channels.too_few", frames=len(rows), joints=n_joints, channels=rows.shape[1])
+    check_memory(path, 56 * len(rows) * program.skeleton.n_joints, os.path.getsize(path))  # a quaternion and a place
     with np.errstate(over="ignore", invalid="ignore"):
         rotations, translations = compute_poses(program, rows)
     return settle_motion(
