@@ -23,7 +23,7 @@ ROOMS = {
     "evaluation": (12_317, 46),
     "experiments": (1_734, 10),
     "files": (1_088, 8),
-    "formats": (12_939, 70),
+    "formats": (12_935, 70),
     "library": (16_075, 57),
     "messages": (235, 3),
     "motion": (6_477, 34),
