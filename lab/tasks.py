@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TypeVar
 
 from dousa.errors import OptionError
-from dousa.experiments.runner import Progress, Steps
-from dousa.messages import Message
+from dousa.experiments.runner import Steps
+from dousa.messages import Message, Progress
 from dousa.workers.current import current_cluster
 from dousa.workers.threads import yield_answers
 

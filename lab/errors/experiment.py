@@ -22,8 +22,8 @@ import numpy as np
 
 from dousa.errors import DousaError, OptionError
 from dousa.evaluation.grade.result import ErrorEvent
-from dousa.experiments.runner import Progress, Steps, check_at_least, check_choice, check_some
-from dousa.messages import Message
+from dousa.experiments.runner import Steps, check_at_least, check_choice, check_some
+from dousa.messages import Message, Progress
 from dousa.motion.canonical.canonicalise import CanonicalMotion
 from lab.errors.results import (
     ErrorExperimentResult,

@@ -21,10 +21,10 @@ import numpy as np
 
 from dousa.errors import DousaError, OptionError
 from dousa.estimation.tracking.settings import Estimate, TrackerSettings
-from dousa.experiments.runner import Progress, check_choice
+from dousa.experiments.runner import check_choice
 from dousa.experiments.table import Cell, Result, ResultTable, show
 from dousa.files.json_values import to_json_value
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 from lab.estimation.clips import (
     VARIANTS,
     BenchClip,

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import OptionError
 from dousa.estimation.tracking.settings import EVIDENCES, READINGS, Evidence, Reading, TrackerSettings
-from dousa.experiments.runner import Progress, check_some
+from dousa.experiments.runner import check_some
 from dousa.experiments.table import Cell, Result, ResultTable, show
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 from dousa.motion import rotations as rot
 from lab.estimation.clips import (
     BenchClip,

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from dousa.app.pictures.canvas import BLUE, FAINT, GREEN, GREY, PURPLE, new_figure, save_figure, write
 from dousa.app.pictures.overlay_view import ViewPainter, to_rgb
 from dousa.app.requests.estimation import Outputs
+from dousa.arrays import FloatArray
 from dousa.estimation import Estimate
 from dousa.evaluation import assess
 from dousa.motion import CANONICAL_JOINTS, CANONICAL_PARENTS
@@ -34,7 +35,6 @@ from lab.places import DOCS
 FIGURES = DOCS / "figures"
 DATA, KEPT = DOCS.parents[1] / "shared/data/utd_mhad", DOCS.parent / "chain-output"
 
-FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _N_MOMENTS = 6

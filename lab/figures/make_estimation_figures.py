@@ -32,6 +32,7 @@ from dousa.app.pictures.overlay_sheet import draw_overlay_sheet
 from dousa.app.pictures.overlay_view import ViewPainter, to_rgb
 from dousa.app.pictures.sheets import draw_poses
 from dousa.app.pipelines.render import ring_around
+from dousa.arrays import FloatArray
 from dousa.estimation import (
     PAPER,
     BodyModel,
@@ -62,7 +63,6 @@ from lab.places import DOCS
 
 FIGURES = DOCS / "figures"
 
-FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _ARMS, _LEGS, _GIRTH = 1.06, 0.95, 1.07  # of the performers, as shares of what the model has

@@ -7,18 +7,17 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dousa.app.drawing.body import THREE_QUARTER, Figurine, extent, to_figurine
 from dousa.app.pictures.canvas import BLUE, FAINT, GREY, INK, new_figure, save_figure, write
 from dousa.app.pictures.sheets import draw_poses
+from dousa.arrays import FloatArray
 from dousa.motion import canonicalise
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 from dousa.retrieval.features.feature_sets import FEATURE_SETS, compute_track
 from lab.places import DOCS
 
 FIGURES = DOCS / "figures"
-FloatArray = NDArray[np.float64]
 
 CATEGORY = "pick_up"
 PERFORMERS = ((3, 0.0, "a quick performer"), (6, 1.6, "a slow one who waits first"))  # seed, s of waiting

@@ -14,8 +14,8 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dousa.arrays import FloatArray
 from dousa.estimation import Camera, ViewKeypoints, find_keypoints, fit_cameras, fit_keypoints, read_cameras
 from dousa.estimation.body.kinematics import compute_points, point_names
 from dousa.estimation.keypoints.pose_models import check_pose_model, get_pose_model
@@ -31,8 +31,6 @@ POINTS = {"nose": "Nose"} | {
                          ("shoulder", "Shoulder"), ("elbow", "Elbow"), ("wrist", "Wrist"))
 }  # fmt: skip
 """Our landmark -> the reference's marker."""
-
-FloatArray = NDArray[np.float64]
 
 
 def measure_films(folder: Path, models: Sequence[str], n_views: Sequence[int]) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dousa.arrays import FloatArray
 from dousa.estimation import (
     BodyModel,
     Camera,
@@ -46,8 +47,6 @@ CAMERA = Camera(
 HANDS = ("left_wrist", "right_wrist", "left_hand", "right_hand")
 FEET = ("left_ankle", "right_ankle", "left_toe", "right_toe")
 METHODS = ("estimate", "frozen", "constant velocity")
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.arrays import Image, Mask
+from dousa.arrays import FloatArray, Image, Mask
 from dousa.estimation import (
     BodyModel,
     Camera,
@@ -39,7 +39,6 @@ from lab.estimation.metrics import compare_in_images, compare_with_truth, comput
 
 LAGS = range(-4, 5)
 
-FloatArray = NDArray[np.float64]
 Reference = dict[str, FloatArray]
 
 

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from dousa.errors import TrainingError
 from dousa.experiments.runner import (
-    Progress,
     Split,
     Steps,
     check_at_least,
@@ -30,7 +29,7 @@ from dousa.experiments.runner import (
     split_half,
 )
 from dousa.experiments.table import Cell, Result, ResultTable, show
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 from dousa.retrieval.features.feature_sets import DEFAULT_FEATURE_SET, FeatureSet, get_feature_set
 from dousa.retrieval.features.posed_motion import LabelledClip
 from dousa.retrieval.forest.calibration import Assessor, learn_calibration

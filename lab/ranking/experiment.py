@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from dousa.errors import TrainingError
 from dousa.experiments.runner import (
-    Progress,
     Split,
     Steps,
     check_at_least,
@@ -30,7 +29,7 @@ from dousa.experiments.runner import (
     make_folds,
 )
 from dousa.experiments.table import Cell, Result, ResultTable, show
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 from dousa.retrieval.features.feature_sets import DEFAULT_FEATURE_SET, get_feature_set
 from dousa.retrieval.features.posed_motion import LabelledClip
 from lab.ranking.metrics import RANKING_SCORES, Interval, bootstrap_interval, score_ranking

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.experiments.runner import Progress, Steps, describe_copies, fit_forest, make_forest
-from dousa.messages import Message
+from dousa.experiments.runner import Steps, describe_copies, fit_forest, make_forest
+from dousa.messages import Message, Progress
 from dousa.retrieval.ranking.ranking import RANKINGS, RankedClips, RankingQuery, rank_clips
 
 if TYPE_CHECKING:

@@ -24,8 +24,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dousa.arrays import FloatArray
 from dousa.errors import CalibrationError, KeypointError
 from dousa.estimation import (
     Camera,
@@ -43,8 +43,6 @@ from dousa.estimation.calibration.rig_search import triangulate
 from dousa.estimation.calibration.sightings import choose_moments, list_limbs, make_track, read_sightings
 from dousa.estimation.sync.synchronise import rig_of
 from lab.places import SHARED_DATA
-
-FloatArray = NDArray[np.float64]
 
 _SHARED = SHARED_DATA / "pose2sim"
 _STATURE, _RATE, _LEAST = 1.72, 60.0, 20

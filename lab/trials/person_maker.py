@@ -15,9 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dousa.arrays import FloatArray
 from dousa.estimation import Camera
-
-FloatArray = NDArray[np.float64]
 
 N_BODY = 13380  # vertices of the skin; helpers follow
 _EYES = slice(14598, 14742)

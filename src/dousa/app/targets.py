@@ -11,7 +11,7 @@ from dousa.errors import DousaError, OptionError
 
 DATABASE_HEAD = b"SQLite format 3\0"
 
-_PICTURES = (".png", ".svg", ".pdf")
+PICTURES = (".png", ".svg", ".pdf")
 
 # How the files begin that dousa writes, by their suffix; the name of its first array shows what an npz holds.
 _BEGINNINGS = {
@@ -79,8 +79,8 @@ def check_targets(
 def find_picture_format(path: str | os.PathLike[str]) -> str:
     """The format of a picture by its suffix; OptionError if it is not .png, .svg or .pdf."""
     suffix = os.path.splitext(os.fspath(path))[1].lower()
-    if suffix not in _PICTURES:
-        raise OptionError("pictures.suffix", path=path, expected=_PICTURES, found=suffix)
+    if suffix not in PICTURES:
+        raise OptionError("pictures.suffix", path=path, expected=PICTURES, found=suffix)
     return suffix[1:]
 
 

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from dousa.errors import TrainingError
 from dousa.experiments.metrics import Confusion, Scores, compute_scores, list_confusions
 from dousa.experiments.runner import (
-    Progress,
     Split,
     Steps,
     check_at_least,
@@ -32,7 +31,7 @@ from dousa.experiments.runner import (
     make_forest,
 )
 from dousa.experiments.table import Cell, Result, ResultTable, show
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 from dousa.retrieval.features.feature_sets import FeatureSet, get_feature_set
 from dousa.retrieval.features.posed_motion import LabelledClip
 from dousa.retrieval.forest.calibration import Copies

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.errors import OptionError, TrainingError
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 
 if TYPE_CHECKING:
     from dousa.retrieval.features.feature_sets import FeatureSet
@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from dousa.retrieval.forest.calibration import Copies
     from dousa.retrieval.forest.forest import MotionForest
     from dousa.retrieval.forest.stretches import StretchJudge
-
-Progress = Callable[[int, int, Message], None]
-"""Called with the steps done, their total, and what comes next or was done."""
 
 
 class Steps:

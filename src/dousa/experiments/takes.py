@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from dousa.errors import OptionError
 from dousa.experiments.metrics import TimelineCounts, TimelineScores, TrueSegment, add_counts, compare_timeline
 from dousa.experiments.runner import (
-    Progress,
     Steps,
     check_at_least,
     describe_copies,
@@ -29,7 +28,7 @@ from dousa.experiments.runner import (
     make_forest,
 )
 from dousa.experiments.table import Cell, Result, ResultTable, show
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 from dousa.motion.runs import find_equal_runs
 from dousa.retrieval.features.feature_sets import DEFAULT_FEATURE_SET, FeatureSet, get_feature_set
 from dousa.retrieval.features.posed_motion import LabelledClip

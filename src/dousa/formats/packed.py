@@ -16,7 +16,7 @@ from typing import IO
 from dousa.errors import MotionFileError
 from dousa.files.disk import read_bytes
 
-_DAMAGE = (
+DAMAGE = (
     zipfile.BadZipFile, zlib.error, lzma.LZMAError, NotImplementedError, RuntimeError, EOFError, OSError, ValueError,
 )  # fmt: skip
 
@@ -41,7 +41,7 @@ def unpack(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iterator[st
                     _copy(path, source, inner, most)
             else:
                 inner = _unpack_zip(path, data, folder, suffixes, most)
-        except _DAMAGE as error:
+        except DAMAGE as error:
             raise MotionFileError(path, "packed.damaged", reason=error) from error
         yield inner
 

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from dousa.app.studio.core.workspace import Workspace, lock_file, open_private
+from dousa.app.studio.core.workspace import Workspace, open_private
 from dousa.app.studio.work import worker
+from dousa.files.disk import lock_file
 from fuzzing import count_tries
 from patience import PATIENCE
 

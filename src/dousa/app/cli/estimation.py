@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,18 +12,21 @@ import typer
 from dousa.app.cli.usage import Json
 from dousa.app.output import console, print_json, progress_bar, say, warn
 from dousa.app.requests.estimation import (
+    Backgrounds,
     CalibrationRequest,
     EstimationRequest,
     Films,
     KeypointRequest,
     Outputs,
     RenderRequest,
+    SettingsFile,
+    Sources,
     SynchronisationRequest,
     parse_size,
     read_settings,
 )
 from dousa.app.requests.reading import Reading
-from dousa.app.targets import CAMERAS, SYNC, check_targets
+from dousa.app.targets import CAMERAS, PICTURES, SYNC, check_targets
 from dousa.errors import OptionError
 from dousa.messages import Message
 
@@ -39,14 +43,7 @@ _STATES = {"installed": "models.state_installed", "missing": "models.state_missi
 
 
 def estimate(
-    sources: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="SOURCE...",
-            help="One npz of silhouettes (all views and the cameras in it), or for each view a folder of masks, a "
-            "video, or its keypoints as another program wrote them (.json, a folder of .json, .csv).",
-        ),
-    ],
+    sources: Sources,
     *,
     output: Annotated[
         list[Path] | None,
@@ -61,22 +58,9 @@ def estimate(
     angles: Annotated[
         Path | None, typer.Option("--angles", metavar="OUT", help="Write the joint angles as CSV too.")
     ] = None,
-    backgrounds: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--background", metavar="FILE", help="Background picture without the person; one per video, in order."
-        ),
-    ] = None,
+    backgrounds: Backgrounds = None,
     given: Annotated[dict[str, Any], EstimationRequest],
-    settings: Annotated[
-        Path | None,
-        typer.Option(
-            "--settings",
-            metavar="FILE",
-            help="What is rarely changed (.toml): method = 'paper', reading, evidence, beam, smoothing and all others "
-            "of the tracker; sex, bones, kind, background_method, model.",
-        ),
-    ] = None,
+    settings: SettingsFile = None,
     reading: Reading,
     json: Json = False,
 ) -> None:
@@ -243,15 +227,9 @@ def calibrate(
     from dousa.app.pipelines.films import calibrate_films
 
     request = CalibrationRequest(tuple(films), **given)
-    targets: dict[bool, Path] = {}
-    for path in output or ():
-        kind = path.suffix.lower() in (".png", ".svg", ".pdf")
-        if kind in targets:
-            raise OptionError("outputs.two_of_a_kind", path=path, other=targets[kind])
-        targets[kind] = path
-    table, picture = targets.get(False), targets.get(True)
-    for path in targets.values():
-        check_targets({"--output": path}, (*films, request.cameras, request.offsets), CAMERAS)
+    table, picture = _tell_apart(output or ())
+    for target in (table, picture):
+        check_targets({"--output": target}, (*films, request.cameras, request.offsets), CAMERAS)
     with progress_bar() as progress:
         found, times = calibrate_films(request, progress, warn)
     notes = (*(times.warnings if times is not None else ()), *found.warnings)
@@ -274,8 +252,20 @@ def calibrate(
         values |= {"share": 100 * view.share, "degrees": math.degrees(view.turn)}
         say(Message("calibration.row", camera=camera.name, **values))
     say(Message("calibration.parallax", degrees=math.degrees(found.parallax)))
-    for key in sorted(targets):
-        say(Message("estimated.wrote", path=targets[key]))
+    for target in (table, picture):
+        if target is not None:
+            say(Message("estimated.wrote", path=target))
+
+
+def _tell_apart(output: Iterable[Path]) -> tuple[Path | None, Path | None]:
+    """The file for the cameras, and that for the picture of them."""
+    targets: dict[bool, Path] = {}
+    for path in output:
+        kind = path.suffix.lower() in PICTURES
+        if kind in targets:
+            raise OptionError("outputs.two_of_a_kind", path=path, other=targets[kind])
+        targets[kind] = path
+    return targets.get(False), targets.get(True)
 
 
 def _describe(

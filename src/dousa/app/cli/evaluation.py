@@ -71,20 +71,12 @@ def evaluate(
 
     Example: dousa evaluate squat.trc --performance squats.trc --repetitions --csv squats.csv
     """
-    from dousa.app.pipelines.evaluate import check_folder, find_references
+    from dousa.app.pipelines.evaluate import find_references
 
     if performance is None:
         raise OptionError("evaluation_cli.no_performance")
     request.check()
-    if notes is not None and request.repetitions:
-        raise OptionError("exercises.not_with", option="--notes")
-    if notes is not None and output is None:
-        raise OptionError("evaluation_cli.notes_without_output")
-    if output is not None:
-        check_folder(output)
-        inputs = (*reference, performance, request.furi, request.weights)
-        for name in _EXERCISE_FILES if request.repetitions else _REPORT_FILES:
-            check_targets({"--output": output / name}, inputs, REPORT)
+    _check_report(output, notes, (*reference, performance), request)
     if not performance.exists():
         raise OptionError("evaluation_cli.performance_not_found", path=performance)
     files = find_references(reference)
@@ -93,6 +85,19 @@ def evaluate(
         _evaluate_exercise(files, performance, options, request, detail, output=output, json=json)
     else:
         _evaluate_dance(files, performance, options, request, detail, output=output, notes=notes or "", json=json)
+
+
+def _check_report(output: Path | None, notes: str | None, motions: Sequence[Path], request: EvaluationRequest) -> None:
+    from dousa.app.pipelines.evaluate import check_folder
+
+    if notes is not None and request.repetitions:
+        raise OptionError("exercises.not_with", option="--notes")
+    if notes is not None and output is None:
+        raise OptionError("evaluation_cli.notes_without_output")
+    if output is not None:
+        check_folder(output)
+        for name in _EXERCISE_FILES if request.repetitions else _REPORT_FILES:
+            check_targets({"--output": output / name}, (*motions, request.furi, request.weights), REPORT)
 
 
 def _evaluate_dance(

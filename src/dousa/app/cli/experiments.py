@@ -50,32 +50,24 @@ def experiment(
     kind = _choose_kind(request, take_labels)
     _check_options(kind, request, rules, figure)
     check_targets({"--figure": figure}, reading.files)
-    systems = [str(name) for name in dict.fromkeys(request.system or SystemName)]
-    shared: dict[str, Any] = {
-        "feature_set": request.features or kind.usual_features,
-        "n_trees": request.trees,
-        "random_state": request.seed,
-        "n_jobs": context.obj or -1,
-    }
     files: dict[str, Any] = {"performer_from": rules.performer_from, "options": reading.load()}
     notes: list[tuple[str, Message]] = []
     files["note"] = lambda path, message: notes.append((path, message))
     result: Result
     with progress_bar() as progress:
-        shared["progress"] = progress
+        shared: dict[str, Any] = {"random_state": request.seed, "n_jobs": context.obj or -1, "progress": progress}
         files |= {"n_jobs": context.obj, "progress": progress}
         if kind is _Kind.ANNOTATED:
             from dousa.experiments import run_annotated_takes_experiment
 
             takes, skipped = read_annotated_takes(path, take_labels.labels or "", take_labels.tier, **files)
-            no_forest = {name: shared[name] for name in ("random_state", "n_jobs", "progress")}
-            result = run_annotated_takes_experiment(takes, **no_forest)
+            result = run_annotated_takes_experiment(takes, **shared)
         else:
             files["category_from"] = rules.category_from
             clips, skipped = read_labelled_clips(path, **files)
             tested, more = read_labelled_clips(request.test, **files) if request.test else (None, [])
             refuse_clips_in_both(clips, tested or [])
-            result = _run_trial(kind, clips, tested, request, systems, shared)
+            result = _run_trial(kind, clips, tested, request, shared)
             skipped += more
     warn_skipped(skipped)
     answer = {**result.to_json(), "skipped": [item.to_json() for item in skipped]}
@@ -146,7 +138,6 @@ def _run_trial(
     clips: list[LabelledClip],
     tested: list[LabelledClip] | None,
     request: ExperimentRequest,
-    systems: list[str],
     shared: dict[str, Any],
 ) -> Result:
     """Classify clips, or label takes.
@@ -155,8 +146,9 @@ def _run_trial(
     """
     from dousa import experiments
 
+    forest: dict[str, Any] = {"feature_set": request.features or kind.usual_features, "n_trees": request.trees}
     if kind is _Kind.TAKES:
-        return experiments.run_takes_experiment(clips, **shared)
+        return experiments.run_takes_experiment(clips, **forest, **shared)
     share = request.train_share
     return experiments.run_experiment(
         clips,
@@ -164,7 +156,8 @@ def _run_trial(
         split=None if tested else "half" if share is not None else request.split or "half",
         train_share=0.5 if share is None else share,
         repeats=request.repeats,
-        systems=systems,
+        systems=[str(name) for name in dict.fromkeys(request.system or SystemName)],
+        **forest,
         **shared,
     )
 

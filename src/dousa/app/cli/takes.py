@@ -30,6 +30,24 @@ if TYPE_CHECKING:
 
 _STANDARD_INPUT = "-"
 
+TakeOrFrames = Annotated[
+    str,
+    typer.Argument(
+        metavar="TAKE",
+        help="A recording: a file, the number of a take, or - for frames as JSON lines on standard input.",
+    ),
+]
+Height = Annotated[
+    float | None,
+    typer.Option(
+        "--height",
+        min=0.1,
+        max=10,
+        help="Body height in m, as shown by dousa info; only with -.",
+        show_default="estimated from the first second",
+    ),
+]
+
 
 def find(
     context: typer.Context,
@@ -83,13 +101,7 @@ def find(
 def label(
     context: typer.Context,
     library: LibraryPath,
-    take: Annotated[
-        str,
-        typer.Argument(
-            metavar="TAKE",
-            help="A recording: a file, the number of a take, or - for frames as JSON lines on standard input.",
-        ),
-    ],
+    take: TakeOrFrames,
     csv: Annotated[
         Path | None, typer.Option("--csv", help="Write the timeline as a table; with .eaf for ELAN.")
     ] = None,
@@ -97,16 +109,7 @@ def label(
         bool, typer.Option("--overwrite", help="Write --csv over a table that is there already.")
     ] = False,
     picture: Annotated[Path | None, typer.Option("--picture", help="Draw the timeline: .png, .svg or .pdf.")] = None,
-    height: Annotated[
-        float | None,
-        typer.Option(
-            "--height",
-            min=0.1,
-            max=10,
-            help="Body height in m, as shown by dousa info; only with -.",
-            show_default="estimated from the first second",
-        ),
-    ] = None,
+    height: Height = None,
     given: Annotated[
         bool, typer.Option("--given", help="The labels that a take was given, instead of recognising any.")
     ] = False,

@@ -140,10 +140,6 @@ def estimate_files(
                 note = Message("estimate.resumed", frame=done.n_tracked, total=views.n_frames)
             if note is not None and tell is not None:
                 tell(note)
-            if watcher is not None:
-                n_done = 0 if done is None else done.n_tracked
-                watcher.begin(Scene(views.names, cameras, views.frame_rate, views.n_frames, n_done))
-                views.show(watcher.see)
             estimate = _track(request, views, cameras, body, start, kept, done, report, watcher)
         except SilhouetteError as error:
             if not views.is_blank:
@@ -204,6 +200,10 @@ def _track(
 ) -> Estimate:
     from dousa.estimation.tracking.tracker import estimate
 
+    if watcher is not None:
+        n_done = 0 if done is None else done.n_tracked
+        watcher.begin(Scene(views.names, cameras, views.frame_rate, views.n_frames, n_done))
+        views.show(watcher.see)
     answer = estimate(
         views,
         cameras,

@@ -27,6 +27,29 @@ Model = Literal["lite", "full", "heavy"]
 
 _VIDEOS, _DRAWINGS, _POINTS = (".mp4", ".avi", ".mkv"), (".png", ".svg", ".pdf"), ".trc"
 
+Sources = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="SOURCE...",
+        help="One npz of silhouettes (all views and the cameras in it), or for each view a folder of masks, a "
+        "video, or its keypoints as another program wrote them (.json, a folder of .json, .csv).",
+    ),
+]
+Backgrounds = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--background", metavar="FILE", help="Background picture without the person; one per video, in order."
+    ),
+]
+SettingsFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--settings",
+        metavar="FILE",
+        help="What is rarely changed (.toml): method = 'paper', reading, evidence, beam, smoothing and all others "
+        "of the tracker; sex, bones, kind, background_method, model.",
+    ),
+]
 Films = Annotated[
     list[Path],
     typer.Argument(

@@ -37,7 +37,7 @@ from dousa.app.studio.content.sharing import print_code
 from dousa.app.studio.content.studio import Studio
 from dousa.app.studio.core.answers import Answer, describe_disk, name_error, status_of, to_answer
 from dousa.app.studio.core.guard import Codes, Guard
-from dousa.app.studio.core.workspace import HomeTakenError, Settings, ask_running, other_library
+from dousa.app.studio.core.workspace import HomeTakenError, Settings, ask_running
 from dousa.app.studio.jobs.board import ACTIVE, FolderWatch
 from dousa.app.studio.shared import bind_free_port, make_sharing
 from dousa.app.studio.work.worker import make_lanes
@@ -77,10 +77,7 @@ def serve(
             # Safari asks the system for names below localhost, which older ones do not know.
             app = create_app(settings, uses_alias=sys.platform != "darwin")
         except HomeTakenError:
-            other = other_library(settings.folder, settings.library)
-            if other is not None:
-                raise OptionError("studio.home_of_another", folder=settings.folder, library=other) from None
-            running = ask_running(settings.folder)
+            running = ask_running(settings.folder, settings.library)
             if running is None:
                 raise
             if watched is not None or shared is not None:

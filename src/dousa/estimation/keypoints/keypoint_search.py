@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,9 +17,7 @@ from dousa.estimation.keypoints.keypoints import MEDIAPIPE_NAMES, PersonTrack, V
 from dousa.estimation.keypoints.people import SIGHTING, PeopleFollower, find_identities
 from dousa.estimation.keypoints.pose_models import DETECTOR, LANDMARK_MODELS, LandmarkModel, find_pose_model, user_cache
 from dousa.estimation.keypoints.pose_networks import N_BODY, LandmarkNetwork, PersonDetector
-from dousa.messages import Message
-
-Progress = Callable[[int, int, Message], None]
+from dousa.messages import Message, Progress
 
 
 def find_keypoints(

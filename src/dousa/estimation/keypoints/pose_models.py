@@ -27,7 +27,7 @@ from typing import IO, Any, Literal, NamedTuple
 
 from dousa.errors import KeypointError, OptionError
 from dousa.files.disk import atomic_write
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 
 ModelState = Literal["installed", "missing", "damaged"]
 
@@ -157,8 +157,6 @@ def find_pose_model(name: str) -> Path:
         raise KeypointError("models.damaged", model=name, path=path)
     return path
 
-
-Progress = Callable[[int, int, Message], None]
 
 NPM_PACKAGE = "@mediapipe/pose@0.5.1675469404"
 """All four models, 41 MB."""

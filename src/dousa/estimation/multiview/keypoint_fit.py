@@ -7,7 +7,7 @@ depth.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from time import perf_counter
@@ -28,7 +28,7 @@ from dousa.estimation.multiview.people import repair_sides
 from dousa.estimation.multiview.pose_residuals import Terms, place_points, point_slopes
 from dousa.estimation.multiview.triangulation import pixels_per_metre, reduce_known, triangulate
 from dousa.estimation.tracking.settings import Estimate
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 from dousa.motion import rotations as rot
 from dousa.motion.resampling import fill_gaps
 
@@ -39,8 +39,6 @@ _MEASURES = ("upper_arm", "forearm", "thigh", "shank", "trunk", "shoulder_breadt
 _STATURE_SIGMA, _GIVEN_SIGMA, _MEASURE_SIGMA = 0.03, 0.01, 0.06  # of logarithms
 _BONES = (("hip", "knee", "thigh"), ("knee", "ankle", "shank"), ("shoulder", "elbow", "upper_arm"),
           ("elbow", "wrist", "forearm"))  # fmt: skip
-
-Progress = Callable[[int, int, Message], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,7 @@ from dousa.estimation.tracking.outlines import lines_meet, measure_outline, shri
 from dousa.estimation.tracking.search_setup import SearchSetup
 from dousa.estimation.tracking.settings import TrackerSettings
 from dousa.estimation.tracking.start import StartSearch, find_start
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 
 
 def measure_stature(
@@ -25,7 +25,7 @@ def measure_stature(
     masks: Sequence[Mask | None],
     *,
     make_body: Callable[[float], BodyModel] = make_human,
-    progress: Callable[[int, int, Message], None] | None = None,
+    progress: Progress | None = None,
     usual: float = USUAL_STATURE,
     statures: Sequence[float] = tuple(np.arange(140, 206, 5) / 100),
     extent: float = 130.0,

@@ -7,7 +7,7 @@ each limb is tried as in every template, and poses with left and right exchanged
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
@@ -33,7 +33,7 @@ from dousa.estimation.tracking.outlines import (
 )
 from dousa.estimation.tracking.search_setup import Frame, SearchSetup
 from dousa.estimation.tracking.settings import TrackerSettings
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 from dousa.motion import CANONICAL_JOINTS, canonicalise
 from dousa.motion import rotations as rot
 from dousa.motion.canonical.joints import JOINT_INDEX, MIRRORED_JOINTS
@@ -208,8 +208,6 @@ def _turn_feet(points: FloatArray) -> FloatArray:
 
 
 Scored = tuple[float, FloatArray]
-
-Progress = Callable[[int, int, Message], None]
 
 
 class StartSearch:

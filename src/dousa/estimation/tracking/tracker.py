@@ -31,12 +31,10 @@ from dousa.estimation.tracking.person_size import fit_girths
 from dousa.estimation.tracking.search_setup import Frame, SearchSetup, Shrinker
 from dousa.estimation.tracking.settings import PAPER, Estimate, TrackedFrame, TrackerSettings
 from dousa.estimation.tracking.start import checked_start, find_first, find_start
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 from dousa.motion.resampling import smooth_gaussian
 
 __all__ = ["PAPER", "PartialTrack", "TrackerSettings", "estimate", "smooth_poses"]
-
-Progress = Callable[[int, int, Message], None]
 
 
 @dataclass(frozen=True, slots=True)

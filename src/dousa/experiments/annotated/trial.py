@@ -15,7 +15,6 @@ import numpy as np
 from dousa.errors import TrainingError
 from dousa.experiments.annotated.scores import AnnotatedTakesResult, FrameTally
 from dousa.experiments.runner import (
-    Progress,
     Steps,
     check_at_least,
     describe_copies,
@@ -24,7 +23,7 @@ from dousa.experiments.runner import (
     leave_performer_out,
     make_forest,
 )
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 from dousa.retrieval.features.feature_sets import DEFAULT_FEATURE_SET, get_feature_set
 from dousa.retrieval.features.posed_motion import AnnotatedTake, LabelledClip
 from dousa.retrieval.forest.stretches import StretchJudge, cut_stretch

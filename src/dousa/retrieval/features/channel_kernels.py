@@ -106,7 +106,8 @@ def turn_to_body(points, left, body):
 
 
 @part
-def _wrap(angle):
+def wrap(angle):
+    """Wrap an angle to -pi ... pi."""
     if angle > np.pi:
         return angle - 2.0 * np.pi
     if angle < -np.pi:
@@ -143,7 +144,7 @@ def find_angle(y, x):
 @part
 def _turned(angles, before, after, t):
     """Return the turn of an angle from frame ``before`` over t to ``after``, each by the shorter way."""
-    return _wrap(angles[after] - angles[t]) + _wrap(angles[t] - angles[before])
+    return wrap(angles[after] - angles[t]) + wrap(angles[t] - angles[before])
 
 
 @part
@@ -226,7 +227,7 @@ def compute_rows(points, left, body, even, fast, placed, apart, feet, pointing, 
             column += 1
         sooner, now, later, far = angles[0, before], angles[0, t], angles[0, after], angles[1, t]
         for k in range(len(now)):
-            turn = (_wrap(later[k] - now[k]) + _wrap(now[k] - sooner[k])) * per_second
+            turn = (wrap(later[k] - now[k]) + wrap(now[k] - sooner[k])) * per_second
             row[column + k] = min(max(turn, -rate), rate) * min(far[k] * per_second / slow, 1.0)
         column += len(now)
         for j in pointing:

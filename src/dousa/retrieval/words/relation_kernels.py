@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from dousa.kernels import kernel, part
+from dousa.retrieval.features.channel_kernels import wrap
 
 _LEFT, _RIGHT = 0, 1
 
@@ -61,18 +62,8 @@ def turn(points, left, rate, body, lowest, speed, turned):
         speed[t, 0], speed[t, 1] = slope(points[:, 0, 0], t, rate), slope(points[:, 0, 2], t, rate)
         # Seen from above, a turn to the left takes x towards -z.
         angle = math.atan2(-along, across)
-        around += 0.0 if t == 0 else _wrap(angle - before)
+        around += 0.0 if t == 0 else wrap(angle - before)
         turned[t], before = around, angle
-
-
-@part
-def _wrap(angle):
-    """Wrap an angle to -pi ... pi."""
-    if angle > np.pi:
-        return angle - 2.0 * np.pi
-    if angle < -np.pi:
-        return angle + 2.0 * np.pi
-    return angle
 
 
 @part
@@ -176,7 +167,7 @@ def _find_circles(reach, axis, holds):
         a, b = reach[t, axis], reach[t, axis + 1]
         wide += np.hypot(a, b) > 0.15
         angle = math.atan2(a, b)
-        around += 0.0 if t == 0 else _wrap(angle - before)
+        around += 0.0 if t == 0 else wrap(angle - before)
         lowest, highest, before = min(lowest, around), max(highest, around), angle
     if wide >= 0.8 * n and highest - lowest > np.radians(330.0):
         for t in range(n):

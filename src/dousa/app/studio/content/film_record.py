@@ -22,7 +22,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,7 +35,7 @@ from dousa.app.studio.core.answers import Answer, RefusedError
 from dousa.app.studio.core.workspace import write_file
 from dousa.arrays import FloatArray, Image, Mask
 from dousa.files.disk import atomic_write
-from dousa.messages import Message
+from dousa.messages import Message, Progress
 
 if TYPE_CHECKING:
     from dousa.app.pipelines.film_scene import FilmScene
@@ -61,8 +61,6 @@ class PictureSizes:
 SIZES = PictureSizes()
 
 SHOWN = np.dtype([("frame", "<i4"), ("size", "<i4"), ("offset", "<i8")])
-
-Progress = Callable[[int, int, Message], None]
 
 
 def name_pictures(film: Path) -> Path:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import io
-import lzma
 import os
 import secrets
 import stat
 import zipfile
-import zlib
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -19,6 +17,7 @@ from starlette.concurrency import run_in_threadpool
 
 from dousa.app.studio.core.answers import RefusedError, describe_disk
 from dousa.app.studio.core.workspace import Settings, Workspace, safe_parts
+from dousa.formats.packed import DAMAGE
 from dousa.formats.registry import list_suffixes
 from dousa.messages import Message
 
@@ -34,9 +33,6 @@ _ARCHIVE = ".zip"
 _BOXES = frozenset({b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot"})  # the first one of MP4 and MOV
 # Bytes: a list of contents of 20,000 entries, each 46 (ZIP specification, 4.3.12) and the longest name that is taken.
 _MOST_AT_ONCE = 25_000_000
-_DAMAGE = (
-    zipfile.BadZipFile, zlib.error, lzma.LZMAError, NotImplementedError, RuntimeError, EOFError, OSError, ValueError,
-)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,7 +209,7 @@ def _unpack(archive: Path, _name: str, workspace: Workspace, room: _Room) -> Rec
             room.give_back(size)
             with suppress(OSError, RefusedError):
                 workspace.find(room.batch, name).unlink()
-        if isinstance(error, _DAMAGE) and not _is_disk(error):
+        if isinstance(error, DAMAGE) and not _is_disk(error):
             raise RefusedError(415, "studio_files.archive_damaged", reason=error) from error
         raise
     if not kept and refused:

@@ -85,15 +85,15 @@ def _read_note(home: Path) -> dict[str, Any]:
     return {}
 
 
-def other_library(home: Path, library: Path) -> str | None:
-    """Return the library of the studio that uses a folder if it is another one."""
-    known = _read_note(home).get("library")
-    return known if known is not None and known != str(library.absolute()) else None
+def ask_running(home: Path, library: Path) -> str | None:
+    """Ask the running studio of a folder for an address that opens it once; None if it does not answer.
 
-
-def ask_running(home: Path) -> str | None:
-    """Ask the running studio of a folder for an address that opens it once; None if it does not answer."""
+    Raises OptionError if it has another library.
+    """
     note = _read_note(home)
+    known = note.get("library")
+    if known is not None and known != str(library.absolute()):
+        raise OptionError("studio.home_of_another", folder=home, library=known) from None
     address, token = note.get("address"), note.get("token")
     if not address or not token:
         return None

@@ -73,7 +73,7 @@ def _estimate(
     request: dict[str, Any], asked: EstimationRequest, context: Context, footage: FootageWriter
 ) -> Estimation:
     from dousa.app.pipelines.estimate import estimate_files
-    from dousa.app.studio.work.films import can_do_without, estimate_from_films, takes_films
+    from dousa.app.studio.work.films import estimate_from_films, takes_films
 
     def tell(note: Message) -> None:
         context.tell(shorten(to_message(note), context.home))
@@ -81,10 +81,8 @@ def _estimate(
     if request.get("masks"):
         asked, stored = _take_masks(request["masks"], asked, context)
         return estimate_files(asked, context.progress, tell, _PictureBringer(footage, stored))
-    if takes_films(request, asked):
-        if request.get("cues") is not None or not can_do_without(asked):
-            return estimate_from_films(request, asked, context, footage)
-        tell(Message("film_estimate.models"))
+    if takes_films(request, asked, tell):
+        return estimate_from_films(request, asked, context, footage)
     return estimate_files(asked, context.progress, tell, footage)
 
 

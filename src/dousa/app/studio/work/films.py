@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -67,9 +67,12 @@ def _is_of(keypoints: Path, film: Path) -> bool:
     return name == own or (name.startswith(own) and not name[len(own)].isalnum())
 
 
-def takes_films(request: dict[str, Any], asked: EstimationRequest) -> bool:
-    """Whether keypoints are to be fitted: for films and keypoints without backgrounds, unless masks are wanted."""
-    from dousa.app.pipelines.film_scene import is_films, shows_masks
+def takes_films(request: dict[str, Any], asked: EstimationRequest, tell: Callable[[Message], object]) -> bool:
+    """Whether keypoints are to be fitted: for films and keypoints without backgrounds, unless masks are wanted.
+
+    Where models are missing and there is a calibration, silhouettes will do; ``tell`` is called with that.
+    """
+    from dousa.app.pipelines.film_scene import has_models, is_films, shows_masks
 
     if request.get("cues") is not None:
         return bool(request["cues"] == "keypoints")
@@ -77,16 +80,12 @@ def takes_films(request: dict[str, Any], asked: EstimationRequest) -> bool:
         return False
     if any(holds_keypoints(path) for path in asked.sources):
         return True
-    return is_films(asked) and not any(shows_masks(path) for path in asked.sources)
-
-
-def can_do_without(asked: EstimationRequest) -> bool:
-    """Whether films can be estimated by silhouettes, as models are missing and there is a calibration."""
-    from dousa.app.pipelines.film_scene import has_models
-
-    if any(holds_keypoints(path) for path in asked.sources) or asked.cameras is None:
+    if not is_films(asked) or any(shows_masks(path) for path in asked.sources):
         return False
-    return not has_models()
+    if asked.cameras is None or has_models():
+        return True
+    tell(Message("film_estimate.models"))
+    return False
 
 
 def check_films(asked: EstimationRequest) -> tuple[FilmSource, ...]:

@@ -55,15 +55,13 @@ def preview(request: dict[str, Any], context: Context) -> dict[str, Any]:
 
 def _look(request: dict[str, Any], context: Context, answer: dict[str, Any]) -> None:
     from dousa.app.requests.estimation import Outputs
-    from dousa.app.studio.work.films import can_do_without, look_at_films, takes_films
+    from dousa.app.studio.work.films import look_at_films, takes_films
 
     asked = make_request(request, context, Outputs())
-    if takes_films(request, asked):
-        if request.get("cues") is not None or not can_do_without(asked):
-            answer["films"] = True
-            look_at_films(asked, context, answer)
-            return
-        answer["notes"].append(Message("film_estimate.models"))
+    if takes_films(request, asked, answer["notes"].append):
+        answer["films"] = True
+        look_at_films(asked, context, answer)
+        return
     with _open(asked, context, answer) as views:
         first, last = parse_frames(asked.frames, views.n_frames, Message("frames.recording"))
         answer.update(n_frames=last - first, frame_rate=views.frame_rate)
