@@ -43,3 +43,15 @@ def dousa(monkeypatch, capsys):
         return code, out.out, out.err
 
     return run
+
+
+@pytest.fixture
+def succeed(dousa):
+    """Runs a command that must succeed: its standard output and standard error."""
+
+    def run(*words):
+        code, out, err = dousa(*words)
+        assert code == 0, err
+        return out, err
+
+    return run

@@ -41,10 +41,9 @@ def failed(answer, *words):
 
 
 class TestRender:
-    def test_the_file_holds_masks_cameras_stature_and_truth(self, dousa, jack, tmp_path):
+    def test_the_file_holds_masks_cameras_stature_and_truth(self, succeed, jack, tmp_path):
         words = ("--ring", 3, "--size", "96x64", "--frames", "2:9", "--json", "-o", tmp_path / "seen.npz")
-        code, out, err = dousa("render", jack / "jack.bvh", *words)
-        assert code == 0, err
+        out, _ = succeed("render", jack / "jack.bvh", *words)
         answer = json.loads(out)
         assert (answer["n_frames"], answer["sizes"], len(answer["views"])) == (7, [[96, 64]] * 3, 3)
         with np.load(tmp_path / "seen.npz") as file:
@@ -165,12 +164,9 @@ class Partial:
 class TestEstimateAround:
     """Everything around the tracker, with one that holds its start."""
 
-    def test_json_begins_with_what_was_promised(self, dousa, jack, tracked, tmp_path):
+    def test_json_begins_with_what_was_promised(self, succeed, jack, tracked, tmp_path):
         out = tmp_path / "out.bvh"
-        code, answer, err = dousa(
-            "estimate", jack / "seen.npz", "--start", f"{jack / 'jack.bvh'}:0", "-o", out, "--json"
-        )
-        assert code == 0, err
+        answer, _ = succeed("estimate", jack / "seen.npz", "--start", f"{jack / 'jack.bvh'}:0", "-o", out, "--json")
         said = json.loads(answer)
         assert list(said)[:5] == ["n_frames", "frame_rate", "iou", "lost_frames", "frames_per_second"]
         assert (said["n_frames"], said["frame_rate"], said["lost_frames"]) == (16, 30.0, [])
@@ -193,12 +189,11 @@ class TestEstimateAround:
             points = compute_points(asked.body, asked.start)[[names.index(name) for name in CANONICAL_JOINTS]]
             assert np.linalg.norm(points - truth, axis=1).mean() < 0.06
 
-    def test_every_output_is_written(self, dousa, jack, tracked, tmp_path):
+    def test_every_output_is_written(self, succeed, jack, tracked, tmp_path):
         files = [tmp_path / name for name in ("a.npz", "a.trc", "a.csv", "a.png", "a.mp4")]
         options = ("-o", "-o", "--angles", "-o", "-o")
         words = [word for pair in zip(options, files, strict=True) for word in pair]
-        code, out, err = dousa("estimate", jack / "seen.npz", "--frames", "0:5", *words)
-        assert code == 0, err
+        out, _ = succeed("estimate", jack / "seen.npz", "--frames", "0:5", *words)
         assert sorted(tmp_path.iterdir()) == sorted(files)
         trc = read_motion(files[1])
         assert trc.names == CANONICAL_JOINTS and trc.n_frames == 5
@@ -396,14 +391,13 @@ class TestSources:
     """Folders and videos, matched to the cameras of a calibration file by name."""
 
     @pytest.mark.parametrize("ending", ["", ".mp4"])
-    def test_views_find_their_cameras(self, dousa, jack, tracked, sources, ending):
+    def test_views_find_their_cameras(self, succeed, jack, tracked, sources, ending):
         from dousa.estimation.cameras.camera_files import read_cameras
 
         own = {camera.name: camera for camera in read_cameras(jack / "seen.npz")}
         paths = [sources / f"view{k}{ending}" for k in (2, 1, 4)]
         words = ("--cameras", sources / "cameras.toml", "--rate", 30, "--stature", 1.7, "--json")
-        code, out, err = dousa("estimate", *paths, *words)
-        assert code == 0, err
+        out, _ = succeed("estimate", *paths, *words)
         assert json.loads(out)["views"] == ["view2", "view1", "view4"] and json.loads(out)["n_frames"] == 6
         (asked,) = tracked.asked
         for camera in asked.cameras:

@@ -50,9 +50,8 @@ def asked(monkeypatch):
     return calls
 
 
-def test_the_table_tells_grade_errors_and_order(dousa, takes, asked):
-    code, out, err = dousa("evaluate", takes / "takes/t0.bvh", "--performance", takes / "pupil.bvh")
-    assert code == 0
+def test_the_table_tells_grade_errors_and_order(succeed, takes, asked):
+    out, err = succeed("evaluate", takes / "takes/t0.bvh", "--performance", takes / "pupil.bvh")
     said = ("95 % of the reference", "(64 to 77)", "grade 71", "100 - 10 x 2.9 = 71", "not calibrated", "24 deg short",
             "global motion error", "order: skip", "partial motion error", "200 ms late", " 1.4 ")  # fmt: skip
     for word in said:
@@ -66,10 +65,9 @@ def test_the_table_tells_grade_errors_and_order(dousa, takes, asked):
     assert asked.report == []
 
 
-def test_json_alone_is_on_standard_output(dousa, takes, asked, tmp_path):
+def test_json_alone_is_on_standard_output(succeed, takes, asked, tmp_path):
     words = ("--performance", takes / "pupil.bvh", "--json", "-o", tmp_path / "a" / "b")
-    code, out, err = dousa("evaluate", takes / "takes", takes / "takes/t0.bvh", *words)
-    assert code == 0
+    out, err = succeed("evaluate", takes / "takes", takes / "takes/t0.bvh", *words)
     answer = json.loads(out, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
     keys = ["score", "calibrated", "furi", "events", "lag_ms", "frame_rate"]
     assert list(answer)[:6] == keys
@@ -81,12 +79,11 @@ def test_json_alone_is_on_standard_output(dousa, takes, asked, tmp_path):
     assert "guessed" in err
 
 
-def test_options_reach_the_assessment(dousa, takes, asked, tmp_path):
+def test_options_reach_the_assessment(succeed, takes, asked, tmp_path):
     weights = tmp_path / "weights"
     weights.write_text("arms = 2\n")
     words = ("--mirror", "yes", "--tempo", "free", "--weights", weights, "-o", tmp_path / "out")
-    code, out, _ = dousa("--lang", "ja", "evaluate", takes / "takes", "-p", takes / "pupil.bvh", *words)
-    assert code == 0
+    out, _ = succeed("--lang", "ja", "evaluate", takes / "takes", "-p", takes / "pupil.bvh", *words)
     options = asked.assess[0][2]
     assert (options["side"], options["tempo"]) == ("mirrored", "free")
     assert options["weights"]["left_forearm"] == 2.0 and options["weights"]["trunk"] == 1.0
@@ -118,11 +115,10 @@ def test_a_performance_among_several_references_is_noted(dousa, takes, asked):
     assert "also one of the references" not in err
 
 
-def test_nothing_found_and_no_grade(dousa, takes, asked, monkeypatch):
+def test_nothing_found_and_no_grade(succeed, takes, asked, monkeypatch):
     made = dataclasses.replace(make_assessment(), events=(), lapses=(), score=math.nan, gaps=((1, 2, "trunk"),))
     monkeypatch.setitem(evaluation.__dict__, "assess", lambda *_, **__: made)
-    code, out, _ = dousa("evaluate", takes / "takes", "-p", takes / "pupil.bvh")
-    assert code == 0
+    out, _ = succeed("evaluate", takes / "takes", "-p", takes / "pupil.bvh")
     # Why there is none stands for the grade.
     assert out.splitlines()[1].startswith("100 - 10") and "of 100" not in out
     assert "no error was found" in out and "1.0 s of gaps" in out
@@ -228,11 +224,10 @@ def test_a_motion_equals_itself(dousa, takes):
     assert code == 0 and answer["score"] == 100.0 and answer["events"] == []
 
 
-def test_each_amc_finds_its_own_skeleton(dousa, asked, shared_data):
+def test_each_amc_finds_its_own_skeleton(succeed, asked, shared_data):
     folder = shared_data("hdm05/squat1Reps")
     files = sorted(folder.glob("*.amc"))
-    code, out, _ = dousa("evaluate", files[0], files[-1], "-p", files[1], "--json")
-    assert code == 0
+    out, _ = succeed("evaluate", files[0], files[-1], "-p", files[1], "--json")
     assert len(json.loads(out)["references"]) == 2
     first, last = asked.assess[0][0]
     assert first.height != last.height  # another person's skeleton
@@ -241,10 +236,9 @@ def test_each_amc_finds_its_own_skeleton(dousa, asked, shared_data):
 # advice and progress
 
 
-def test_brief_is_the_grade_and_what_to_work_on(dousa, takes, asked):
+def test_brief_is_the_grade_and_what_to_work_on(dousa, succeed, takes, asked):
     words = ("evaluate", takes / "takes/t0.bvh", "--performance", takes / "pupil.bvh")
-    code, out, _ = dousa(*words, "--detail", "brief")
-    assert code == 0
+    out, _ = succeed(*words, "--detail", "brief")
     lines = out.splitlines()
     assert lines[0].startswith("95 %") and lines[1].startswith("grade 71")
     assert [line[:3] for line in lines[2:5]] == ["1. ", "2. ", "3. "]

@@ -168,10 +168,9 @@ def film(tmp_path, monkeypatch):
     return path
 
 
-def test_keypoints_are_written_with_pictures(dousa, film, tmp_path):
+def test_keypoints_are_written_with_pictures(succeed, film, tmp_path):
     out = tmp_path / "out"
-    code, answer, _ = dousa("keypoints", film, "-o", out, "--overlay", "--sheet", "--json")
-    assert code == 0
+    answer, _ = succeed("keypoints", film, "-o", out, "--overlay", "--sheet", "--json")
     (told,) = json.loads(answer)["films"]
     assert told["n_frames"] == 12 and told["frame_rate"] == pytest.approx(25) and len(told["people"]) == 1
     expected = {"n_frames": 12, "first_frame": 0, "mean_visibility": 0.9, "visible": 1.0}

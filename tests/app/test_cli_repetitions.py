@@ -28,12 +28,9 @@ def files(tmp_path_factory) -> Path:
     return folder
 
 
-def test_the_table_csv_and_picture(dousa, files, tmp_path):
+def test_the_table_csv_and_picture(succeed, files, tmp_path):
     outputs = ("--csv", tmp_path / "kicks.csv", "--picture", tmp_path / "kicks.png")
-    code, out, err = dousa(
-        "evaluate", files / "kick.trc", "--performance", files / "kicks.trc", "--repetitions", *outputs
-    )
-    assert code == 0
+    out, err = succeed("evaluate", files / "kick.trc", "--performance", files / "kicks.trc", "--repetitions", *outputs)
     assert out.startswith("3 repetitions, 1 incomplete")
     assert "left hip flexion" in out and "incomplete: reaches" in out
     assert "note: 3 repetitions: a trend can be told from chance from six repetitions on" in err
@@ -44,12 +41,10 @@ def test_the_table_csv_and_picture(dousa, files, tmp_path):
     assert (tmp_path / "kicks.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_brief_is_the_answer_without_the_table(dousa, files):
+def test_brief_is_the_answer_without_the_table(succeed, files):
     words = ("evaluate", files / "kick.trc", "--performance", files / "kicks.trc", "--repetitions")
-    code, full, _ = dousa(*words)
-    assert code == 0
-    code, brief, _ = dousa(*words, "--detail", "brief")
-    assert code == 0
+    full, _ = succeed(*words)
+    brief, _ = succeed(*words, "--detail", "brief")
     lines = brief.splitlines()
     assert lines[0].startswith("3 repetitions, 1 incomplete")
     assert lines[1].startswith("grade ")

@@ -18,24 +18,16 @@ from dousa.motion import CANONICAL_JOINTS, Trajectories, canonicalise, compute_t
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 from dousa.retrieval import DEFAULT_FEATURE_SET, FEATURE_SETS
 from dousa.retrieval.ranking.ranking import DEFAULT_RANKING, RANKINGS
+from made_clips import write_clip, write_clips
 
 KNOWN = ("walk", "squat", "clap", "jump", "kick_left")
-
-
-def write(folder: Path, category: str, number: int) -> Path:
-    path = folder / category / f"p{number}.bvh"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_motion(make_motion(category, draw_performer(number), seed=number), path)
-    return path
 
 
 @pytest.fixture(scope="session")
 def recordings(tmp_path_factory) -> Path:
     """``clips`` of five categories by four performers, and ``take.trc``: a squat and a jump by a fifth."""
     root = tmp_path_factory.mktemp("recordings")
-    for category in KNOWN:
-        for number in range(4):
-            write(root / "clips", category, number)
+    write_clips(root / "clips", KNOWN, 4)
     parts = [
         canonicalise(compute_trajectories(make_motion(category, draw_performer(7), seed=7))).positions
         for category in ("squat", "jump")
@@ -88,21 +80,19 @@ def test_train_says_what_will_be_unknown(dousa, library):
     assert "features 'paper'" in dousa("list", library)[1]
 
 
-def test_add_says_what_the_forest_learned(dousa, library, tmp_path):
+def test_add_says_what_the_forest_learned(dousa, succeed, library, tmp_path):
     for number in range(3):
-        write(tmp_path / "new", "bow", number)
-    code, out, _ = dousa("add", library, tmp_path / "new")
-    assert code == 0
+        write_clip(tmp_path / "new", "bow", number)
+    out, _ = succeed("add", library, tmp_path / "new")
     assert "the forest learned 3 clips and 1 new category; dousa train makes a new one" in out
     assert "learned 3 clips since" in dousa("list", library)[1]
-    answer = json.loads(dousa("add", library, write(tmp_path / "more", "bow", 5).parents[1], "--json")[1])
+    answer = json.loads(dousa("add", library, write_clip(tmp_path / "more", "bow", 5).parents[1], "--json")[1])
     assert (answer["n_learned"], answer["new_categories"]) == (1, [])
 
 
-def test_unknown_motions(dousa, library, tmp_path):
-    stranger, friend = write(tmp_path, "bow", 9), write(tmp_path, "squat", 9)
-    code, out, _ = dousa("classify", library, stranger, friend)
-    assert code == 0
+def test_unknown_motions(dousa, succeed, library, tmp_path):
+    stranger, friend = write_clip(tmp_path, "bow", 9), write_clip(tmp_path, "squat", 9)
+    out, _ = succeed("classify", library, stranger, friend)
     first, second = out.splitlines()
     assert f"{stranger}: unknown (most like " in first and "likely right" in first
     assert second.startswith(f"{friend}: squat, ") and "% sure (votes: squat " in second
@@ -117,13 +107,13 @@ def test_unknown_motions(dousa, library, tmp_path):
 
 @pytest.mark.parametrize("rank", RANKINGS)
 def test_ranks(dousa, library, tmp_path, rank):
-    answer = json.loads(dousa("search", library, write(tmp_path, "squat", 9), "--rank", rank, "--json")[1])
+    answer = json.loads(dousa("search", library, write_clip(tmp_path, "squat", 9), "--rank", rank, "--json")[1])
     assert answer["ranking"] == rank
     assert [hit["category"] for hit in answer["results"][:3]] == ["squat"] * 3
 
 
 def test_reasons(dousa, library, tmp_path):
-    query = write(tmp_path, "squat", 9)
+    query = write_clip(tmp_path, "squat", 9)
     for words in (("search", library, query, "-k", 2), ("classify", library, query)):
         code, out, _ = dousa(*words, "--explain")
         assert code == 0 and " from " in out and " s: " in out
@@ -132,16 +122,14 @@ def test_reasons(dousa, library, tmp_path):
         assert all(reason["vote_without"] < reason["vote_before"] for reason in told["explanation"]["reasons"])
 
 
-def test_the_other_side(dousa, library, tmp_path):
-    kick = write(tmp_path, "kick_right", 9)
-    code, out, _ = dousa("search", library, kick, "-k", 3, "--mirror")
-    assert code == 0
+def test_the_other_side(dousa, succeed, library, tmp_path):
+    kick = write_clip(tmp_path, "kick_right", 9)
+    out, _ = succeed("search", library, kick, "-k", 3, "--mirror")
     assert "mirrored: kick_left" in out and "which fits better" in out
     assert out.count("mirrored") == 4
     (answer,) = json.loads(dousa("classify", library, kick, "--mirror", "--json")[1])
     assert answer["mirrored"]["category"] == "kick_left" and answer["mirrored"]["fits_better"]
-    code, out, _ = dousa("find", library, kick, recordings_of(library), "--mirror")
-    assert code == 0
+    out, _ = succeed("find", library, kick, recordings_of(library), "--mirror")
 
 
 def recordings_of(library: Path) -> str:
@@ -149,10 +137,9 @@ def recordings_of(library: Path) -> str:
         return next(clip.path for clip in opened.clips() if clip.kind == "take")
 
 
-def test_find(dousa, library, recordings, tmp_path):
-    query = write(tmp_path, "squat", 9)
-    code, out, _ = dousa("find", library, query, "-k", 2)
-    assert code == 0
+def test_find(dousa, succeed, library, recordings, tmp_path):
+    query = write_clip(tmp_path, "squat", 9)
+    out, _ = succeed("find", library, query, "-k", 2)
     assert "in 1 take, 0.1 minutes:" in out and str(recordings / "take.trc") in out
     answer = json.loads(dousa("find", library, query, "-k", 2, "--json")[1])
     assert {"query", "results", "skipped", "n_takes"} <= set(answer)
@@ -207,10 +194,9 @@ def pipe(monkeypatch, text: str | bytes) -> None:
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
 
 
-def test_live_frames_are_answered_line_by_line(dousa, library, recordings, monkeypatch):
+def test_live_frames_are_answered_line_by_line(succeed, library, recordings, monkeypatch):
     pipe(monkeypatch, frames(recordings))
-    code, out, _ = dousa("label", library, "-")
-    assert code == 0
+    out, _ = succeed("label", library, "-")
     answers = [json.loads(line) for line in out.splitlines()]
     times = [answer["time_s"] for answer in answers]
     assert times == sorted(times)

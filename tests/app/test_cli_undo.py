@@ -6,20 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from dousa.formats import write_motion
 from dousa.library import Library
-from dousa.motion.synthetic import draw_performer, make_motion
+from made_clips import write_clips
 
 
 @pytest.fixture(scope="module")
 def motions(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("motions")
-    for number in range(2):
-        for category in ("squat", "bow"):
-            (folder / category).mkdir(exist_ok=True)
-            motion = make_motion(category, draw_performer(number), seed=number)
-            write_motion(motion, folder / category / f"p{number}.bvh")
-    return folder
+    return write_clips(tmp_path_factory.mktemp("motions"), ("squat", "bow"), 2)
 
 
 @pytest.fixture

@@ -20,21 +20,19 @@ def moves(tmp_path, dousa):
     return tmp_path / "moves.dousa"
 
 
-def test_a_folder(tmp_path, moves, dousa):
+def test_a_folder(tmp_path, moves, succeed):
     out = tmp_path / "out"
-    code, said, _ = dousa("export", moves, "--category", "walk", "--to", "glb", "-o", out)
-    assert code == 0
+    said, _ = succeed("export", moves, "--category", "walk", "--to", "glb", "-o", out)
     assert "1 written, 0 there already, 0 skipped" in said
     with open(out / "manifest.csv", encoding="utf-8", newline="") as file:
         assert [row["category"] for row in csv.DictReader(file)] == ["walk"]
 
 
-def test_chosen_clips_in_a_zip_on_a_character(tmp_path, moves, dousa):
+def test_chosen_clips_in_a_zip_on_a_character(tmp_path, moves, succeed):
     character = tmp_path / "character.bvh"
     write_motion(make_motion("jump", draw_performer(5)), character)
     options = ("--to", "bvh", "--onto", character, "--keep-reach", "--frame-rate", "30", "--read", "up=y", "--json")
-    code, said, _ = dousa("export", moves, "2", "-o", tmp_path / "out.zip", *options)
-    assert code == 0
+    said, _ = succeed("export", moves, "2", "-o", tmp_path / "out.zip", *options)
     (name,) = json.loads(said)["written"]
     with zipfile.ZipFile(tmp_path / "out.zip") as archive:
         archive.extract(name, tmp_path)

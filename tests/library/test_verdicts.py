@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +14,8 @@ from dousa.library.search.ranking import Asked, search_index
 from dousa.library.store.forests import TreeAnswers
 from dousa.motion import canonicalise, compute_trajectories
 from dousa.motion.canonical.canonicalise import mirror_canonical
-from dousa.motion.synthetic.performers import draw_performer, make_motion
 from dousa.retrieval.ranking.ranking import RANKINGS
+from made_clips import write_clip, write_clips
 
 
 @pytest.mark.parametrize("by", RANKINGS)
@@ -73,21 +72,11 @@ def test_an_unknown_ranking_is_refused(library):
 KNOWN = ("walk", "squat", "clap", "jump", "kick_left")
 
 
-def write(folder: Path, category: str, number: int) -> Path:
-    path = folder / category / f"p{number}.bvh"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_motion(make_motion(category, draw_performer(number), seed=number), path)
-    return path
-
-
 @pytest.fixture(scope="session")
 def _five_categories(tmp_path_factory) -> bytes:
     folder = tmp_path_factory.mktemp("five")
-    for category in KNOWN:
-        for number in range(4):
-            write(folder / "in", category, number)
     with Library.open(folder / "five.dousa", create=True) as library:
-        library.add(folder / "in", performer_from=r"name:(p\d)", n_jobs=1)
+        library.add(write_clips(folder / "in", KNOWN, 4), performer_from=r"name:(p\d)", n_jobs=1)
         report = library.train(n_trees=40)
     assert report.calibration.auroc > 0.9
     return (folder / "five.dousa").read_bytes()
@@ -103,8 +92,8 @@ def five_categories(_five_categories, tmp_path):
 
 
 def test_a_motion_of_no_category_is_unknown(five_categories, tmp_path):
-    strangers = [write(tmp_path, category, 9) for category in ("bow", "jumping_jack", "sit_down")]
-    friends = [write(tmp_path, category, 9) for category in KNOWN]
+    strangers = [write_clip(tmp_path, category, 9) for category in ("bow", "jumping_jack", "sit_down")]
+    friends = [write_clip(tmp_path, category, 9) for category in KNOWN]
     answers = five_categories.classify([*strangers, *friends])
     assert [answer.category for answer in answers] == [None] * 3 + list(KNOWN)
     unknown = answers[0]
@@ -120,10 +109,10 @@ def test_a_motion_of_no_category_is_unknown(five_categories, tmp_path):
 
 
 def test_what_was_unknown_is_known_once_it_is_added(five_categories, tmp_path):
-    query = write(tmp_path / "query", "bow", 9)
+    query = write_clip(tmp_path / "query", "bow", 9)
     assert five_categories.search(query, 1).category is None
     for number in range(4, 9):
-        write(tmp_path / "new", "bow", number)
+        write_clip(tmp_path / "new", "bow", number)
     assert five_categories.add(tmp_path / "new").new_categories == ("bow",)
     assert five_categories.search(query, 1).category == "bow"
     with Library.open(five_categories.name) as again:
@@ -131,7 +120,7 @@ def test_what_was_unknown_is_known_once_it_is_added(five_categories, tmp_path):
 
 
 def test_the_threshold_can_be_given(five_categories, tmp_path):
-    path = write(tmp_path, "bow", 9)
+    path = write_clip(tmp_path, "bow", 9)
     (answer,) = five_categories.classify(path, threshold=0)
     assert answer.category == answer.verdict.guess
     (answer,) = five_categories.classify(path.parent.parent, threshold=1)
@@ -142,7 +131,7 @@ def test_the_threshold_can_be_given(five_categories, tmp_path):
 
 
 def test_a_doubtful_guess_is_told_and_is_no_category(five_categories, tmp_path):
-    paths = [write(tmp_path, category, 9) for category in ("bow", "jumping_jack", "sit_down", *KNOWN)]
+    paths = [write_clip(tmp_path, category, 9) for category in ("bow", "jumping_jack", "sit_down", *KNOWN)]
     told = five_categories.classify(paths)
     assert not any(answer.verdict.perhaps for answer in told if answer.category)
     named = five_categories.classify(paths, threshold=0)

@@ -217,7 +217,10 @@ def dances(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Path]:
 
 @pytest.fixture
 def show(browser: Page, running: Running, one_address: Address) -> Iterator[Callable[..., Page]]:
-    """``show("/library?x=1", width=1280, height=720, scheme="light", language="en")``: a page of that studio."""
+    """``show("/library?x=1", width=1280, height=720, scheme="light", language="en")``: a page of that studio.
+
+    At the end of the test its console must be empty, but for what the test has taken out with ``page.messages()``.
+    """
 
     def open_page(path: str, width: int = 1280, height: int = 720, scheme: str = "light", language: str = "en") -> Page:
         browser.resize(width, height)
@@ -233,8 +236,10 @@ def show(browser: Page, running: Running, one_address: Address) -> Iterator[Call
         return browser
 
     yield open_page
+    messages = browser.messages()
     # A page that is left open would ask a studio that is gone, and complain in the next test.
     one_address.leave(browser)
+    assert messages == []
 
 
 @pytest.fixture

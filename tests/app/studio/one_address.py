@@ -22,9 +22,9 @@ _NOTHING = "/nothing-of-the-tests"
 
 
 @contextmanager
-def run_app(app: Any, listener: socket.socket) -> Iterator[None]:
+def run_app(app: Any, listener: socket.socket, log_level: str = "warning", **options: Any) -> Iterator[None]:
     """Answer what comes to a socket, in a thread."""
-    server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False))
+    server = uvicorn.Server(uvicorn.Config(app, log_level=log_level, access_log=False, **options))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
     thread.start()
     while not server.started:

@@ -26,7 +26,6 @@ def hero(tmp_path):
 
 
 def choose_character(page, path):
-    page.wait("return document.querySelector('#character-file')")
     page.find("#character-file").send_keys(str(path))
     page.wait("return document.querySelector('.character-name')?.textContent === arguments[0]", path.name)
 
@@ -58,7 +57,6 @@ def test_hits_go_onto_the_character(show, running, hero, downloads, tmp_path):
     with zipfile.ZipFile(path) as archive:
         made = read_motion(archive.extract(rows[0]["file"], tmp_path))
     assert canonicalise(made).height == pytest.approx(canonicalise(read_motion(hero)).height, abs=5e-3)
-    assert page.messages() == []
 
 
 def test_one_hit_onto_the_character_which_is_remembered(show, running, hero, downloads):
@@ -82,18 +80,16 @@ def test_one_hit_onto_the_character_which_is_remembered(show, running, hero, dow
     source = read_motion(running.app.state.studio.library.clips([int(hit)])[0].path)
     expected = retarget(source, read_motion(hero), keep_reach=True).motion
     assert made.n_frames == expected.n_frames
-    assert page.messages() == []
 
 
 def test_what_is_no_character_is_told(show, tmp_path):
     points = tmp_path / "points.c3d"
     write_motion(make_motion("bow", draw_performer(3)), points)
     page = show("/library")
-    page.wait("return document.querySelector('.cell')")
     page.find(".cell").click()
     page.run("document.querySelector('[data-word=export]').click()")
-    page.wait("return document.querySelector('#character-file')")
     page.find("#character-file").send_keys(str(points))
     page.wait("return document.querySelector('.notice.problem')")
     assert page.run("return document.querySelector('.character-name')") is None
     assert "points.c3d" in page.run("return document.querySelector('.notice.problem p').textContent")
+    page.messages()  # the browser tells of the refused request itself

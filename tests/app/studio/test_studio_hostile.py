@@ -12,6 +12,7 @@ from contextlib import ExitStack, suppress
 import pytest
 
 from app.studio.conftest import TOKEN, list_below, send
+from app.studio.one_address import run_app
 from dousa.app.studio import Settings
 from dousa.app.studio.core.answers import Gate, RefusedError, status_of
 from dousa.app.studio.jobs import lanes
@@ -83,23 +84,14 @@ def test_json_that_is_a_bomb_is_refused(studio, content):
 @pytest.fixture
 def caller(library_copy):
     """Opens connections to a studio that listens as the command does."""
-    import uvicorn
-
     from dousa.app.studio import create_app
 
     with socket.socket(proto=socket.IPPROTO_TCP) as listener:
         listener.bind(("127.0.0.1", 0))
         port = listener.getsockname()[1]
         app = create_app(Settings(library_copy, token=TOKEN, port=port))
-        config = uvicorn.Config(app, http=PatientProtocol, ws="none", log_level="critical", access_log=False)
-        server = uvicorn.Server(config)
-        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
-        thread.start()
-        while not server.started:
-            time.sleep(0.01)
-        yield lambda: socket.create_connection(("127.0.0.1", port), timeout=PATIENCE), port
-        server.should_exit = True
-        thread.join(timeout=PATIENCE)
+        with run_app(app, listener, "critical", http=PatientProtocol, ws="none"):
+            yield lambda: socket.create_connection(("127.0.0.1", port), timeout=PATIENCE), port
 
 
 def read_all(connection) -> bytes:

@@ -438,7 +438,6 @@ def test_the_tray_says_what_was_found_and_repairs(show, running, library_copy):
     page.run(f"{job}.querySelector('.actions button').click()")
     page.wait("return document.querySelectorAll('.job[data-state=done]').length === 2")
     assert "the library is sound" in page.run(f"return {job}.textContent")
-    assert page.messages() == []
 
 
 @pytest.fixture(scope="module")

@@ -82,7 +82,6 @@ def test_wrong_labels_are_decided_by_keys_and_taken_back(show, planted):
     assert page.run("return document.querySelector('.rv-large')?.dataset.clip") not in (str(first), str(second))
     page.press(KEYS.ESCAPE)
     wait_count(page, 24)
-    assert page.messages() == []
 
 
 @pytest.mark.plain_workers
@@ -90,7 +89,6 @@ def test_an_empty_library_is_filled_with_the_demo_by_a_button(browser, tmp_path)
     with listening(Settings(tmp_path / "new.dousa", token=TOKEN)) as running:
         browser.resize(1280, 720)
         browser.driver.get(f"{running.url}/library?token={TOKEN}&lang=en")
-        browser.wait("return document.querySelector('#demo-button')")
         click(browser, "#demo-button")
         browser.wait(f"{CELLS}.length > 3")
         browser.wait("return document.querySelector('#forest-state').textContent.includes('up to date')")

@@ -34,7 +34,6 @@ def find_query_file(bvh):
 
 def test_a_dropped_file_is_searched_for_and_plays_in_step(show, running, bvh):
     page = show("/search")
-    page.wait("return document.querySelector('#query-file') !== null")
     page.find("#query-file").send_keys(str(find_query_file(bvh)))
     page.wait(DRAWN)
     page.wait(f"{FIGURES} > 3")
@@ -43,7 +42,6 @@ def test_a_dropped_file_is_searched_for_and_plays_in_step(show, running, bvh):
     page.wait("return dousa.miniatures.drawn > arguments[0] + 10", drawn)
     before = page.run("return document.querySelector('.tl-cursor').getAttribute('aria-valuenow')")
     page.wait("return document.querySelector('.tl-cursor').getAttribute('aria-valuenow') !== arguments[0]", before)
-    assert page.messages() == []
 
 
 def test_a_hit_is_shown_beside_the_query_and_can_be_downloaded(show, running, tmp_path):
@@ -62,7 +60,6 @@ def test_a_hit_is_shown_beside_the_query_and_can_be_downloaded(show, running, tm
     page.wait("return document.querySelector('.dousa-player[data-mode=side]') !== null")
     page.driver.back()
     page.wait("return document.querySelector('#match').hidden")
-    assert page.messages() == []
 
 
 def test_reasons_are_told_when_asked_for(show, running):
@@ -73,7 +70,6 @@ def test_reasons_are_told_when_asked_for(show, running):
     page.run("document.querySelector('#verdict .why summary').focus()")
     page.press("\ue007")  # Enter
     page.wait("return document.querySelectorAll('#verdict .reasons li').length > 0")
-    assert page.messages() == []
 
 
 def test_a_part_is_chosen_by_keyboard_and_by_mouse(show, running):
@@ -99,7 +95,6 @@ def test_a_part_is_chosen_by_keyboard_and_by_mouse(show, running):
     page.wait(DRAWN)
     page.driver.back()
     page.wait("return !location.search.includes('start_s')")
-    assert page.messages() == []
 
 
 def test_places_inside_takes_open_at_their_moment(show, running, tmp_path):
@@ -112,7 +107,6 @@ def test_places_inside_takes_open_at_their_moment(show, running, tmp_path):
     page.wait("return document.querySelector('.dousa-player[data-mode=side]') !== null")
     assert f"hit=clip%3A{take}" in page.run("return location.search")
     assert "other_start_s=" in page.run("return location.search")
-    assert page.messages() == []
 
 
 DRAW_VERDICT = """
@@ -140,7 +134,6 @@ def test_known_doubtful_and_unknown_are_three_answers(show, running, tmp_path):
     look, said = page.driver.execute_async_script(DRAW_VERDICT, {**answer, "category": "kick", "perhaps": False})
     assert not {"is-unknown", "is-doubtful"} & set(look.split())
     assert "kick, 31" in said and "sure" in said
-    assert page.messages() == []
 
 
 def test_options_are_kept_in_the_address(show, running):
@@ -155,7 +148,6 @@ def test_options_are_kept_in_the_address(show, running):
     page.run("document.querySelector('input[name=mirror]').click()")
     page.wait("return location.search.includes('mirror=1')")
     page.wait(DRAWN)
-    assert page.messages() == []
 
 
 def test_an_untrained_library_points_to_training(browser, tmp_path):
@@ -182,13 +174,13 @@ def test_words_lead_to_motions(show, running):
     assert "xqzzv" in page.run("return document.querySelector('#words-found').textContent")
     page.driver.back()
     page.wait("return document.querySelector('#words-found').hidden")
-    assert page.messages() == []
 
 
 def test_the_address_names_its_motion_safely(show, running):
     page = show("/search?" + urllib.parse.urlencode({"motion": "file:0123456789abcdef/<img src=x>.bvh"}))
     page.wait(BACK_AT_START)
     assert page.run("return document.querySelector('main img')") is None
+    page.messages()  # the browser tells of the 404 itself
 
 
 def test_a_clip_that_is_gone_leads_back_to_the_start(show, running):
@@ -204,7 +196,6 @@ def test_files_that_are_no_motions_are_told(show, running, bvh, tmp_path):
     text.write_text("hello")
     damaged.write_text("\n".join(bvh.read_text().splitlines()[:9]))
     page = show("/search")
-    page.wait("return document.querySelector('#query-file') !== null")
     page.find("#query-file").send_keys(str(text))
     page.wait("return document.querySelector('.notice.problem') !== null")
     page.find("#query-file").send_keys(str(damaged))
@@ -227,7 +218,6 @@ def test_a_whole_take_asks_for_a_part(show, running, tmp_path):
     page.wait(DRAWN)
     page.driver.back()
     page.wait("return document.querySelector('#ask-part') !== null")
-    assert page.messages() == []
 
 
 def test_words_lead_to_the_part_of_a_take(show, running, tmp_path, faults):
@@ -261,4 +251,3 @@ def test_words_lead_to_the_part_of_a_take(show, running, tmp_path, faults):
         assert page.run("return document.querySelector('#search').hidden")
         page.run("document.activeElement.click()")
         page.wait("return document.querySelector('#back-to-words') !== null")
-    assert page.messages() == []

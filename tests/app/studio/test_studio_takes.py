@@ -277,7 +277,6 @@ LABELLED = "return document.querySelectorAll('#segments tbody tr').length > 2"
 
 def test_a_take_is_labelled_corrected_learned_and_taken_back(show, running, recording, strange):
     page = show("/takes")
-    page.wait("return document.querySelector('#take-file') !== null")
     page.find("#take-file").send_keys(str(recording[0]))
     page.wait(LABELLED, seconds=60)
     assert page.run("return document.querySelector('.tl-segment') !== null")
@@ -299,7 +298,6 @@ def test_a_take_is_labelled_corrected_learned_and_taken_back(show, running, reco
     page.run("document.querySelector('.undo').click()")
     page.wait("return document.querySelectorAll('.corrections li').length === 0", seconds=60)
     page.wait("return document.querySelector('.tl-corrected') === null", seconds=60)
-    assert page.messages() == []
 
 
 def ask(running, path, **asked):
@@ -403,7 +401,6 @@ def test_stretches_are_gone_through_split_and_joined(show, running, recording):
     assert whole["category"] == known["category"]
 
     check_steps_back(page, running, f"clip:{take.id}", known, share + 0.25 * width)
-    assert page.messages() == []
 
 
 def test_takes_are_listed_and_their_stretches_exported_and_searched_for(show, running, recording, downloads):
@@ -451,19 +448,16 @@ def test_takes_are_listed_and_their_stretches_exported_and_searched_for(show, ru
     page.wait("return location.pathname === '/search'")
     page.wait("return document.querySelector('.verdict-words') !== null")
     assert "start_s=" in page.run("return location.search")
-    assert page.messages() == []
 
 
 def test_a_dropped_take_is_added(show, running, recording):
     page = show("/takes")
-    page.wait("return document.querySelector('#take-file') !== null")
     page.find("#take-file").send_keys(str(recording[0]))
     page.wait("return document.querySelector('#add-take') !== null")
     page.wait(LABELLED, seconds=60)
     page.run("document.querySelector('#add-take').click()")
     page.wait("return location.search.includes('motion=clip')", seconds=60)
     page.wait(LABELLED, seconds=60)
-    assert page.messages() == []
 
 
 def test_the_clip_of_a_correction_moves_as_the_take_did(studio, recording, strange):
@@ -644,7 +638,6 @@ def test_both_labels_at_one_time_are_seen_and_chosen(show, running, recording, t
         "return [...document.querySelectorAll('.tl-segment')].some((one) => one.title.includes('stamp'))", seconds=60
     )
     assert {one.category for one in library.annotations.read()[0].segments} == {"hop", "stamp", "walk", "nod"}
-    assert page.messages() == []
 
 
 def test_a_correction_of_a_take_of_the_library_is_a_segment_of_it(studio, recording, strange, wait_job):
@@ -667,7 +660,6 @@ def test_labels_are_dropped_onto_a_take_and_shown(show, running, recording, tabl
     labels = tmp_path / "session.labels.csv"
     labels.write_text(table)
     page = show("/takes")
-    page.wait("return document.querySelector('#take-file') !== null")
     page.find("#take-file").send_keys(str(recording[0]))
     page.wait("return document.querySelector('#labels-file') !== null")
     page.wait(LABELLED, seconds=60)
@@ -679,7 +671,6 @@ def test_labels_are_dropped_onto_a_take_and_shown(show, running, recording, tabl
     page.run("document.querySelector('#show-given').click()")
     page.wait("return document.querySelector('#show-given')?.getAttribute('aria-pressed') === 'false'", seconds=60)
     assert "given=false" in page.run("return document.querySelector('#export-eaf').href")
-    assert page.messages() == []
 
 
 def test_a_take_that_comes_with_its_table_is_added_with_its_labels(show, running, recording, table, tmp_path, faults):
@@ -709,7 +700,6 @@ def test_a_take_that_comes_with_its_table_is_added_with_its_labels(show, running
     page.wait("return document.querySelector('#add-labelled') !== null", seconds=60)
     labelled = page.run("return document.querySelector('#add-labelled').textContent")
     assert labelled == f"1 take labelled, {len(ORDER) - 1} new segments: these are clips now."
-    assert page.messages() == []
 
 
 @pytest.mark.parametrize(
@@ -764,7 +754,6 @@ def test_labels_that_are_asked_for_again_are_shown(show, running, recording, tab
     assert faults(page) == []
     page.run(f"{NOTICE.removeprefix('return ')}.querySelector('button').click()", "Labelled again")
     page.wait(f"{GIVEN} === 'true'")
-    assert page.messages() == []
 
 
 def test_what_was_learned_leads_to_the_other_place(show, running, recording, strange, table, tmp_path, faults):
@@ -798,7 +787,6 @@ def test_what_was_learned_leads_to_the_other_place(show, running, recording, str
     page.wait(f"return document.querySelector('#category').value === '{STRANGE}'")
     time = float(page.run("return document.querySelector('.tl-cursor').getAttribute('aria-valuenow')"))
     assert strange[1][0] - 1.5 < time < strange[1][1]
-    assert page.messages() == []
 
 
 def test_a_table_that_is_refused_is_told_with_its_line(show, running, recording, table, tmp_path, faults):
@@ -808,7 +796,6 @@ def test_a_table_that_is_refused_is_told_with_its_line(show, running, recording,
     page = show("/library")
     page.wait("return document.querySelector('.cell canvas') !== null")
     page.run("document.querySelector('#add-button').click()")
-    page.wait("return document.querySelector('#add-files') !== null")
     page.find("#add-files").send_keys(f"{recording[0]}\n{labels}")
     page.wait("return document.querySelector('#add-go') !== null")
     page.run("document.querySelector('#add-go').click()")
@@ -832,4 +819,3 @@ def test_a_table_that_is_refused_is_told_with_its_line(show, running, recording,
     assert "(1)" in page.run("return document.querySelector('#came-tables').textContent")
     page.run("document.querySelector('#add-go').click()")
     page.wait("return document.querySelector('#add-labelled') !== null", seconds=60)
-    assert page.messages() == []
