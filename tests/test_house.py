@@ -26,7 +26,7 @@ ROOMS = {
     "formats": (12_935, 70),
     "library": (16_075, 57),
     "messages": (235, 3),
-    "motion": (6_477, 34),
+    "motion": (6_483, 34),
     "retrieval": (13_396, 46),
     "workers": (478, 6),
 }

@@ -262,7 +262,9 @@ class _Pair:
         return self.paths[0][self.joints[which]], self.paths[1][self.joints[which]]
 
 
-def _list_pairs(tree: _Tree, most_unequal: float = 0.12, shortest: float = 0.08, longest: int = 12) -> list[_Pair]:
+def _list_pairs(
+    tree: _Tree, most_unequal: float = 0.12, shortest: float = 0.08, longest: int = 12, most: int = 10
+) -> list[_Pair]:
     """All pairs of branches that may be limbs, split in every way.
 
     Parameters
@@ -270,13 +272,14 @@ def _list_pairs(tree: _Tree, most_unequal: float = 0.12, shortest: float = 0.08,
     most_unequal : difference of the branches as a share of their sum.
     shortest : share of the longest way through the tree; arms of people are 0.15 of it.
     longest : places of a branch that are looked at.
+    most : branches of a fork that are looked at, the longest: hair and skirts have hundreds.
     """
     found = []
     whole = tree.longest_way()
     for fork, neighbours in tree.neighbours.items():
         if len(neighbours) < 3:
             continue
-        branches = [tree.branch(fork, first) for first in neighbours]
+        branches = sorted((tree.branch(fork, first) for first in neighbours), reverse=True)[:most]
         for (a, one), (b, other) in combinations(branches, 2):
             if abs(a - b) > most_unequal * (a + b) or 0.5 * (a + b) < shortest * whole:
                 continue
@@ -313,14 +316,17 @@ def _find_body(tree: _Tree, most_cost: float = 30.0, tried: int = 6) -> _Body | 
     return best
 
 
-def _best_splits(pairs: list[_Pair], ratio: str, tried: int, inside: float = 1.0) -> list[tuple[float, _Pair]]:
-    """Pairs with their own cost: bones of a person's ratio, equal on both sides, and without joints in them."""
-    groups: dict[tuple[int, int, int], list[tuple[float, _Pair]]] = {}
+def _best_splits(
+    pairs: list[_Pair], ratio: str, tried: int, inside: float = 1.0, most: int = 200
+) -> list[tuple[float, _Pair]]:
+    """At most ``most`` pairs with their own cost: bones of a person's ratio, equal sides, and no joints ``inside``."""
+    groups: dict[tuple[int, int, int], list[tuple[float, _Pair]]] = {}  # by the two branches
     for pair in pairs:
         cost = score_ratio(ratio, pair.upper / pair.lower) + inside * pair.inside
         cost += sum(score_ratio("left_per_right", one / other) for one, other in (pair.bones[:2], pair.bones[2:]))
         groups.setdefault((pair.fork, pair.paths[0][0], pair.paths[1][0]), []).append((cost, pair))
-    return [one for group in groups.values() for one in sorted(group, key=lambda one: one[0])[:tried]]
+    best = (one for group in groups.values() for one in sorted(group, key=lambda one: one[0])[:tried])
+    return sorted(best, key=lambda one: one[0])[:most]
 
 
 def _are_apart(tree: _Tree, legs: _Pair, arms: _Pair) -> bool:
