@@ -331,11 +331,11 @@ def test_two_do_not_disturb_each_other() -> None:
 def test_a_frame_belongs_to_the_assessor_once_it_is_pushed() -> None:
     reference, performance = make_trial(0)
     assessor, frame = IncrementalAssessor(reference, 30.0), np.empty((20, 3))
-    for joints in performance.positions[:60]:
+    for joints in performance.positions[:120]:
         frame[:] = joints
         assessor.push(frame)
     frame[:] = np.nan
-    check_equal(assessor.finish(), assess(reference, choose(performance, np.arange(60))))
+    check_equal(assessor.finish(), assess(reference, choose(performance, np.arange(120))))
 
 
 def test_wrong_frames_are_told_and_not_taken() -> None:
