@@ -20,7 +20,7 @@ SOURCE = ROOT / "src" / "dousa"
 ROOMS = {
     "app": (25_790, 111),
     "estimation": (15_686, 65),
-    "evaluation": (12_317, 46),
+    "evaluation": (12_706, 47),
     "experiments": (1_728, 10),
     "files": (1_088, 8),
     "formats": (12_935, 70),
@@ -31,12 +31,12 @@ ROOMS = {
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_168,
+    "lines of tests": 62_308,
     "lines of JavaScript": 12_471,
-    "constants": 1_042,
+    "constants": 1_047,
     "numeric constants without a source": 0,
     "functions over 60 lines": 13,
-    "files over 650 lines": 0,
+    "files over 650 lines": 1,
     "folders with more than 15 files": 0,
     "lines with words that a native reader stumbles over": 44,
     "hand-written runs of a mask": 3,

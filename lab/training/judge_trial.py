@@ -89,7 +89,8 @@ def _describe(trial: Trial, number: int, whole: bool) -> Described:
     descriptors, labels = describe_trial(trial)
     if not whole:
         kept = np.arange(number % _EVERY, len(descriptors.frames), _EVERY)
-        descriptors = Descriptors(descriptors.frames[kept], descriptors.limbs[kept], descriptors.body[kept])
+        parts = (descriptors.frames, descriptors.limbs, descriptors.body, descriptors.usual)
+        descriptors = Descriptors(*(part[kept] for part in parts))
         labels = Labels(labels.limbs[kept], labels.body[kept])
     return Described(
         trial.set_name,

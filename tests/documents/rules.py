@@ -83,6 +83,7 @@ _LESS = {
     "python -m lab.trials.count_repetitions": "--only synthetic --repeats 1",
     "python -m lab.trials.label_corrections": "--quick",
     "python -m lab.trials.likeness": "--trees 10 --queries 1 --report hdm05",
+    "python -m lab.trials.causes": "--only exchanged --places 3 --performers 0",
     "python -m lab.trials.exercise_faults": "--sensors kinect --references 1 --draws 1 --every 10",
     "python -m lab.trials.exercise_measures": "--sensors vicon --references 1 --draws 1 --every 40",
     "python -m lab.trials.count_series": "--folds 0 --only Intelli --quick",

@@ -42,6 +42,7 @@ FOUND_BY_NAME = (
     "body_part.",
     "body_segments.",
     "error_kinds.",
+    "error_causes.",
     "lapse_kinds.",
     "advice_parts.",
     "advice_corrections.",

@@ -23,6 +23,19 @@ KINDS: Mapping[str, Message] = {
 }
 """Kind of error -> its name."""
 
+CAUSES: tuple[str, ...] = (
+    "late",
+    "early",
+    "exchanged",
+    "left_for_right",
+    "right_for_left",
+    "copied",
+    "compensation",
+)
+"""What is known of an error besides its class: late or early by no sure number; left and right exchanged, or one used
+for the other that should have moved; a limb that does what the other side should; movement where the reference has
+none."""
+
 LAPSE_KINDS: Mapping[str, Message] = {
     code.replace("_", " ").replace("lead ", "lead-"): Message(f"lapse_kinds.{code}")
     for code in ("stop", "skip", "repeat", "late_start", "early_end", "lead_in", "lead_out")
@@ -118,6 +131,7 @@ def describe_event(
     shortfall_deg: float | None = None,
     shortfall_percent: float | None = None,
     deviation_deg: float | None = None,
+    cause: str | None = None,
 ) -> Message:
     """Describe an error, such as ``"right arm: 24 deg short, reaches 62 % of the range"``.
 
@@ -129,12 +143,15 @@ def describe_event(
     shortfall_deg, shortfall_percent : missing range of motion, in degrees and percent of the reference's; negative
         if it goes further than the reference.
     deviation_deg : largest lasting angle from the reference, of a partial error.
+    cause : of `CAUSES`, or None.
 
     Raises
     ------
     OptionError : a kind or segment that there is not.
     """
     who = group_segments(segments)
+    if cause is not None:
+        return Message(f"error_causes.{cause}", who=who, degrees=-shortfall_deg if _is_number(shortfall_deg) else 0.0)
     if kind == "global":
         return Message("error_event.global")
     if kind == "partial":
@@ -258,10 +275,18 @@ def say_size(segments: Iterable[str], shortfall_deg: float) -> Message:
     return Message(code, part=part, degrees=degrees)
 
 
-def say_timing(segments: Iterable[str], lag_ms: float | None, where: Message, *, step_s: float = 0.05) -> Message:
-    """Name lateness or earliness in steps of 0.05 s: ``you were 0.2 s late with both legs at 0:31``."""
+def say_timing(
+    segments: Iterable[str], lag_ms: float | None, where: Message, cause: str | None = None, *, step_s: float = 0.05
+) -> Message:
+    """Name lateness or earliness in steps of 0.05 s: ``you were 0.2 s late with both legs at 0:31``.
+
+    Where the number is not sure the cause is ``"late"`` or ``"early"``.
+    """
     names = tuple(segments)
     if lag_ms is None or not math.isfinite(lag_ms):
+        if cause is not None:
+            said = "advice.is_late" if cause == "late" else "advice.is_early"
+            return Message(said, who=name_parts(names), where=where)
         return Message("advice.out_of_time", where=where)
     late = lag_ms > 0
     seconds = round(max(round(abs(lag_ms) / 1000.0 / step_s), 1) * step_s, 2)
@@ -269,6 +294,20 @@ def say_timing(segments: Iterable[str], lag_ms: float | None, where: Message, *,
         return Message("advice.late" if late else "advice.early", seconds=seconds, where=where)
     code = "advice.late_with" if late else "advice.early_with"
     return Message(code, who=name_parts(names), seconds=seconds, where=where)
+
+
+def say_side(segments: Iterable[str], cause: str, where: Message) -> Message:
+    """Name limbs that were exchanged, or that did what the other side should: ``you used the left arm ...``."""
+    names = tuple(segments)
+    if cause in ("left_for_right", "right_for_left"):
+        used, _, meant = cause.partition("_for_")
+        ours, theirs = ([name for name in names if name.startswith(side)] for side in (used, meant))
+        return Message("advice.instead", who=name_parts(ours), other=name_parts(theirs), where=where)
+    if cause == "copied":
+        swapped = {"left": "right", "right": "left"}
+        other = [f"{swapped[side]}_{part}" for side, _, part in (name.partition("_") for name in names)]
+        return Message("advice.copied", who=name_parts(names), other=name_parts(other), where=where)
+    return Message("advice.exchanged", who=name_parts(names), where=where)
 
 
 def round_degrees(degrees: float) -> int:

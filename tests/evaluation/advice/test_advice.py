@@ -221,6 +221,44 @@ def test_late_and_early(lag, segments, says):
     assert (found["direction"], found["lag_ms"], found["amount_deg"]) == ("late" if lag > 0 else "early", lag, None)
 
 
+BOTH = ARMS["left"] + ARMS["right"]
+
+
+@pytest.mark.parametrize(
+    ("one", "english", "japanese"),
+    [
+        (("partial", BOTH, "exchanged"), "at 0:03, you exchanged left and right with both arms", "両腕の左右が"),
+        (
+            ("partial", BOTH, "left_for_right"),
+            "you used the left arm instead of the right arm at 0:03",
+            "右腕の代わりに左腕を",
+        ),
+        (("partial", ARMS["left"], "copied"), "at 0:03, the left arm did what the right arm should do", "左腕が右腕の"),
+        (("partial", ("trunk",), "compensation"), "keep the upper body still at 0:03", "上体を動かさない"),
+        (("shift", ARMS["left"], "late"), "you were late with the left arm at 0:03", "左腕が遅れて"),
+        (
+            ("global", SEGMENTS, "exchanged"),
+            "at 0:03, you exchanged left and right with the whole body",
+            "全身の左右が",
+        ),
+    ],
+)
+def test_a_cause_has_its_sentence(one, english, japanese):
+    kind, segments, cause = one
+    found = event(kind, segments, cause=cause)
+    assert say(stand(), low_at((3.0, 4.0)), found) == [english]
+    assert japanese in say(stand(), low_at((3.0, 4.0)), found, language="ja")[0]
+
+
+def test_an_even_tempo_of_ones_own_is_told_first():
+    slow = {"warnings": (Message("assessment.tempo", tempo=1.1),)}
+    late = event("shift", SEGMENTS, lag_ms=400.0, severity=9.0)
+    assert say(stand(), stand(), late, **slow) == [
+        "you danced 10 % slower than the reference throughout: keep its tempo first"
+    ]
+    assert len(advise(judged(stand(), stand(), late, **slow), "full")) == 2
+
+
 def low_at(*spans: tuple[float, float]) -> np.ndarray:
     ours, low = stand(), rotate(stand(), "left_shoulder", FRONT, -25.0)
     for start, end in spans:

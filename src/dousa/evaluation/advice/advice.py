@@ -17,7 +17,7 @@ from dousa.evaluation.alignment.lines import Lapse
 from dousa.evaluation.figures.furi import Furi
 from dousa.evaluation.grade.result import Assessment, ErrorEvent, FuriAssessment
 from dousa.evaluation.posture.posture import SEGMENTS, PostureSequence
-from dousa.evaluation.words import format_moment, name_parts, say_size, say_timing, say_where
+from dousa.evaluation.words import format_moment, name_parts, say_side, say_size, say_timing, say_where
 from dousa.files.json_values import round_number
 from dousa.messages import Message
 from dousa.motion.runs import find_runs
@@ -173,6 +173,9 @@ def advise(assessment: Assessment, detail: str = "brief", *, most_brief: int = 3
         return (Advice(Message("advice.other_dance"), "dance"),)
     if assessment.score_formula.code == "grade.hardly":
         return (Advice(assessment.score_formula, "dance"),)
+    tempo = _say_tempo(assessment)
+    if tempo and detail == "brief":
+        return tempo  # on another clock everything else is late, and then another figure
     labels = [one.label for one in assessment.furi]
     dancers = PairedDancers(assessment.reference, assessment.performance, assessment.same_time)
     found = [
@@ -189,7 +192,7 @@ def advise(assessment: Assessment, detail: str = "brief", *, most_brief: int = 3
     if detail == "brief":
         return tuple(said[:most_brief]) or (Advice(Message("advice.nothing"), "praise"),)
     good = praise(assessment)
-    return (*said, *_say_facing(assessment, labels), *((good,) if good else ()))
+    return (*tempo, *said, *_say_facing(assessment, labels), *((good,) if good else ()))
 
 
 def advise_on_event(
@@ -229,7 +232,7 @@ def _look_at(
 ) -> _Found:
     corrections: tuple[Correction, ...] = ()
     moment, reference = event.worst_s, event.reference_s
-    if pairs is not None and event.kind in ("partial", "incomplete"):
+    if pairs is not None and event.kind in ("partial", "incomplete") and event.cause is None:
         names = event.segments or SEGMENTS
         worst = pairs.find_worst([SEGMENTS.index(name) for name in names])
         corrections = find_corrections(worst, names)
@@ -257,10 +260,13 @@ def _group_alike(found: Sequence[_Found]) -> list[list[_Found]]:
     for one in sorted(found, key=lambda one: -one.importance):
         event = one.event
         key: tuple[Any, ...]
-        if one.corrections:
+        if event.cause is not None and event.kind != "shift":
+            key = (event.cause, event.segments)
+        elif one.corrections:
             key = ("correct", tuple((each.segments, each.direction) for each in one.corrections))
         elif event.kind == "shift":
-            key = ("shift", event.segments, event.lag_ms is not None and event.lag_ms > 0)
+            late = event.cause == "late" or (event.lag_ms is not None and event.lag_ms > 0)
+            key = ("shift", event.segments, late)
         elif event.kind == "global":
             key = ("global", one.number)
         else:
@@ -288,6 +294,10 @@ def _say(group: Sequence[_Found], labels: Sequence[str]) -> Advice:
     )
     if event.kind == "shift":
         return _add_timing(about, group, where)
+    if event.cause == "compensation":
+        return replace(about, message=Message("advice.still", who=name_parts(event.segments), where=where))
+    if event.cause is not None:
+        return replace(about, message=say_side(event.segments, event.cause, where))
     if event.kind == "global":
         return replace(about, message=_say_figure(event, first.other, where))
     if first.corrections:
@@ -298,8 +308,10 @@ def _say(group: Sequence[_Found], labels: Sequence[str]) -> Advice:
 def _add_timing(about: Advice, group: Sequence[_Found], where: Message) -> Advice:
     lags = [one.event.lag_ms for one in group if one.event.lag_ms is not None and math.isfinite(one.event.lag_ms)]
     lag = float(np.mean(lags)) if lags else None
-    direction = None if lag is None else "late" if lag > 0 else "early"
-    return replace(about, message=say_timing(group[0].event.segments, lag, where), direction=direction, lag_ms=lag)
+    cause = group[0].event.cause
+    direction = cause if lag is None else "late" if lag > 0 else "early"
+    said = say_timing(group[0].event.segments, lag, where, cause)
+    return replace(about, message=said, direction=direction, lag_ms=lag)
 
 
 def _add_corrections(about: Advice, group: Sequence[_Found], where: Message) -> Advice:
@@ -357,6 +369,15 @@ def _say_lapse(lapse: Lapse, number: int, furi: Sequence[FuriAssessment]) -> Adv
         furi=(place,),
         importance=_LAPSE_SEVERITY * _limit_duration(lost),
     )
+
+
+def _say_tempo(assessment: Assessment) -> tuple[Advice, ...]:
+    """That all of it was slower or faster; nothing where it was not."""
+    tempo = next((float(one.values["tempo"]) for one in assessment.warnings if one.code == "assessment.tempo"), 1.0)
+    percent = round(100.0 * abs(tempo - 1.0))
+    if not percent:
+        return ()
+    return (Advice(Message("advice.slower" if tempo > 1.0 else "advice.faster", percent=percent), "tempo"),)
 
 
 def _say_facing(assessment: Assessment, labels: Sequence[str]) -> tuple[Advice, ...]:

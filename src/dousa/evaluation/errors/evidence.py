@@ -37,12 +37,14 @@ class Deviations:
     yaw: FloatArray  # (T,) rad that turn the reference of the same time onto the performance
     judged: NDArray[np.bool_]  # (T, 9) both seen, and inside the reference
     # (T, 9, 3) unit vectors at the same time, the reference turned onto the performance, and both turned so that the
-    # reference's body always faces the same way: what is left is the motion of the limbs
+    # reference's body always faces the same way, its left +z: what is left is the motion of the limbs
     performance: FloatArray
     reference: FloatArray
     center: int  # column of no lag
     step_s: float  # s from column to column
     spread: FloatArray  # (T, 9) rad, how much takes of the reference differ at each moment; 0 of one take
+    beyond: FloatArray  # (T, 9) rad by which the performance is further than all takes, in one direction from them
+    apart: FloatArray  # (T, 9) rad by which one of the takes is at most beyond the others; 0 of one take
 
     def cut(self, frames: slice) -> Deviations:
         """Those of some frames."""
@@ -54,7 +56,16 @@ class Deviations:
         return replace(self, **parts)
 
 
-_BY_FRAME = ("squared", "yaw", "judged", "performance", "reference", "spread")  # arrays with a row a frame
+_BY_FRAME = (
+    "squared",
+    "yaw",
+    "judged",
+    "performance",
+    "reference",
+    "spread",
+    "beyond",
+    "apart",
+)  # arrays with a row a frame
 
 
 def compute_deviations(reference: Working, performance: Working, frames: FloatArray, weights: FloatArray) -> Deviations:
@@ -87,7 +98,17 @@ def compute_deviations(reference: Working, performance: Working, frames: FloatAr
     facing = np.interp(frames, np.arange(reference.n_frames), reference.heading)
     theirs = rotate_yaw(moved[here], -facing)
     ours = rotate_yaw(performance.segments, -facing - yaw)
-    return Deviations(squared, yaw, judged, ours, theirs, reach, 1.0 / performance.frame_rate, np.zeros(judged.shape))
+    beyond, none = _measure_beyond((ours - theirs)[None]), np.zeros(judged.shape)
+    step_s = 1.0 / performance.frame_rate
+    return Deviations(squared, yaw, judged, ours, theirs, reach, step_s, none, beyond, none)
+
+
+def _measure_beyond(ways: FloatArray) -> FloatArray:
+    """(T, 9) rad: the least of the ways (N, T, 9, 3) from each of the takes, along the mean of them."""
+    mean = ways.mean(axis=0)
+    mean /= np.maximum(np.linalg.norm(mean, axis=2, keepdims=True), 1e-9)
+    least = np.clip((ways * mean).sum(axis=3).min(axis=0), 0.0, 2.0)
+    return np.asarray(2.0 * np.arcsin(0.5 * least))
 
 
 def merge_takes(takes: Sequence[Deviations], *, spread_s: float = 0.3) -> Deviations:
@@ -104,6 +125,8 @@ def merge_takes(takes: Sequence[Deviations], *, spread_s: float = 0.3) -> Deviat
     for other in takes[1:]:
         squared = take_nearest(squared, other.squared)
     poses = np.stack([take.reference for take in takes])
+    apart = np.max([_measure_beyond(pose - np.delete(poses, k, axis=0)) for k, pose in enumerate(poses)], axis=0)
+    beyond = _measure_beyond(np.stack([take.performance - take.reference for take in takes]))
     # What is judged of no take is of no interest; any of them may stand for it.
     known = np.stack([take.judged for take in takes]) | ~np.any([take.judged for take in takes], axis=0)
     middle = _take_median(poses, known[..., None])
@@ -112,7 +135,7 @@ def merge_takes(takes: Sequence[Deviations], *, spread_s: float = 0.3) -> Deviat
     half = max(1, round(0.5 * spread_s / first.step_s))
     total = np.cumsum(np.pad(far, ((half + 1, half), (0, 0)), mode="edge"), axis=0)
     spread = (total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1)
-    return replace(first, squared=squared, reference=middle, spread=spread)
+    return replace(first, squared=squared, reference=middle, spread=spread, beyond=beyond, apart=apart)
 
 
 def _take_median(values: FloatArray, known: NDArray[np.bool_]) -> FloatArray:

@@ -106,6 +106,7 @@ class Finding:
     lag_s: float | None = None  # positive is late
     shortfall: float | None = None  # rad; negative is larger than the reference
     shortfall_share: float | None = None
+    cause: str | None = None  # of `dousa.evaluation.words.CAUSES`
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.dynamic_programming import follow_lag
-from dousa.evaluation.errors.evidence import LAG_CHANGE, Evidence, fit_gain
+from dousa.evaluation.errors.evidence import LAG_CHANGE, Evidence, fit_gain, measure_ranges
 from dousa.evaluation.errors.explain import BODY, Finding, measure_excess, measure_severity, measure_shrinking
 from dousa.evaluation.errors.judge import Suspect
 
 _EDGE, _LEAST_KEPT = 0.3, 0.5  # of the lag; of the span
 _EDGE_BETWEEN, _MOSTLY = 0.5, 0.8  # of the lag between two shifts that are one; of the moments there
 _REACH_S, _MOST = 0.8, 0.5  # lags that are looked at; squared chord, further away says no more
+_LEAST_EXCESS = np.radians(10.0)  # as much as is worth saying, see docs/evaluation.md
 
 
 def measure_suspects(evidence: Evidence, suspects: Sequence[Suspect], frames: NDArray[np.intp]) -> list[Finding]:
@@ -47,7 +48,7 @@ def _bridge(evidence: Evidence, findings: Sequence[Finding]) -> list[Finding]:
     for one in sorted(findings, key=lambda finding: (finding.kind, finding.segments, finding.start)):
         last = joined[-1] if joined else None
         if last is not None and _lasts_between(evidence, last, one):
-            both = _measure_shift(evidence, last.start, max(one.end, last.end), np.array(one.segments))
+            both = describe_shift(evidence, last.start, max(one.end, last.end), np.array(one.segments))
             joined[-1] = both
         else:
             joined.append(one)
@@ -66,16 +67,27 @@ def _lasts_between(evidence: Evidence, last: Finding, one: Finding) -> bool:
     return bool((gap >= least).mean() >= _MOSTLY)
 
 
-def _measure_shift(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> Finding:
+def describe_shift(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> Finding:
+    """Describe a stretch in which some segments are late or early."""
     course = follow_limb(evidence, start, end, segments)
-    lag = choose_lasting(course)
+    steady = find_steady_lag(evidence, start, end, segments, course)
+    lag = choose_lasting(course) if steady is None else steady
     # It begins and ends where it is seen to.
+    unsure = None if steady is not None or _is_sure(course, lag) else "late" if lag > 0.0 else "early"
     late = np.flatnonzero(course * np.sign(lag) >= _EDGE * abs(lag))
     if len(late) and late[-1] - late[0] >= _LEAST_KEPT * (end - start):
         start, end = start + int(late[0]), start + int(late[-1]) + 1
     far = evidence.punctual[start:end, segments].sum(axis=1)
     worst = start + int(np.argmax(far))
-    return Finding("shift", start, end, _name(segments), max(abs(lag) / evidence.slack_s, 1.0), worst, lag)
+    severity = max(abs(lag) / evidence.slack_s, 1.0)
+    return Finding("shift", start, end, _name(segments), severity, worst, lag, cause=unsure)
+
+
+def _is_sure(course: FloatArray, lag: float, *, within_s: float = 0.1) -> bool:
+    """Whether most moments that are late at all are late by about as much."""
+    # within_s: s, see docs/evaluation.md
+    late = course[course * np.sign(lag) >= _EDGE * abs(lag)]
+    return bool(len(late) and (np.abs(late - lag) <= within_s).mean() >= _LEAST_KEPT)
 
 
 def follow_limb(
@@ -106,6 +118,25 @@ def follow_limb(
     return np.asarray(-(inner - reach + np.clip(part, -1.0, 1.0)) * deviations.step_s)
 
 
+def find_steady_lag(
+    evidence: Evidence, start: int, end: int, segments: NDArray[np.intp], course: FloatArray, *, as_good: float = 1.25
+) -> float | None:
+    """Find the one lag in s that explains a stretch as well as its course (n,) does; None if there is none."""
+    # as_good: of the deviation that the course leaves, beside a tenth of the tolerance in each segment
+    total = np.zeros(len(evidence.lag_prices))
+    for first in range(start, end, 1024):
+        total += evidence.ratio.of(first, min(first + 1024, end))[:, :, segments].sum(axis=(0, 2))
+    columns = np.rint(evidence.center - course * evidence.rate).astype(np.intp)
+    left = evidence.ratio.at_lag(np.clip(columns, 0, len(total) - 1), start)[:, segments].sum()
+    best = int(np.clip(total.argmin(), 1, len(total) - 2))
+    if total[best] > as_good * left + 0.1 * (end - start) * len(segments):
+        return None
+    before, here, after = total[best - 1 : best + 2]
+    bend = before - 2.0 * here + after
+    part = 0.5 * (before - after) / bend if bend > 1e-9 else 0.0
+    return float((evidence.center - best - np.clip(part, -1.0, 1.0)) / evidence.rate)
+
+
 def choose_lasting(lag: FloatArray, *, plateau: float = 0.75) -> float:
     """Choose the largest lasting lag of a course in s."""
     # plateau: share of the largest lag: the rest is fading in and out
@@ -130,7 +161,20 @@ def _measure_partial(
         segments = segments[far > min(partly_wrong, 0.5 * float(far.max()))]
     severity, worst = measure_severity(evidence, start, end, segments)
     excess, share = measure_excess(evidence, start, end, segments)
+    moved = _measure_compensation(evidence, start, end, segments)
+    if moved is not None:
+        return Finding("partial", start, end, _name(segments), severity, worst, None, moved, None, "compensation")
     return Finding("partial", start, end, _name(segments), severity, worst, None, excess, share)
+
+
+def _measure_compensation(
+    evidence: Evidence, start: int, end: int, segments: NDArray[np.intp], *, still: float = 1.0 / 3.0
+) -> float | None:
+    """Measure the negative range, rad, by which what is still in the reference moves more; None if it is not still."""
+    # still: of the range of the performance
+    theirs = float(measure_ranges(evidence.deviations.reference[start:end, segments]).max())
+    ours = float(measure_ranges(evidence.deviations.performance[start:end, segments]).max())
+    return theirs - ours if theirs < still * ours and ours - theirs > _LEAST_EXCESS else None
 
 
 def _measure_global(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> Finding:
@@ -143,7 +187,7 @@ def _name(segments: NDArray[np.intp]) -> tuple[int, ...]:
 
 
 _MEASURES = {
-    "shift": _measure_shift,
+    "shift": describe_shift,
     "incomplete": _measure_incomplete,
     "partial": _measure_partial,
     "global": _measure_global,

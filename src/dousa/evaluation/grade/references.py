@@ -11,6 +11,7 @@ import numpy as np
 from dousa.arrays import FloatArray, IndexArray
 from dousa.evaluation.alignment.dynamic_programming import follow_lag
 from dousa.evaluation.alignment.lines import OUTSIDE, Alignment, align, pair_similarity, to_cost
+from dousa.evaluation.errors.causes import tell_errors
 from dousa.evaluation.errors.descriptors import Descriptors, choose_stride, describe_moments
 from dousa.evaluation.errors.evidence import (
     Deviations,
@@ -21,7 +22,6 @@ from dousa.evaluation.errors.evidence import (
     merge_takes,
 )
 from dousa.evaluation.errors.explain import Finding, explain_all
-from dousa.evaluation.errors.findings import measure_suspects
 from dousa.evaluation.errors.judge import load_judge
 from dousa.evaluation.grade.movement import (
     PARTS,
@@ -253,16 +253,20 @@ def describe(
 
     ``wanted`` are the moments to describe, ``before`` is what was usual earlier, see `describe_moments`.
     """
-    clock = np.arange(len(references.time_spread))
-    time_spread = np.interp(frames, clock, references.time_spread)
+    time_spread = spread_in_time(references, frames)
     first, last, _ = (edge * choose_stride(evidence.rate) for edge in wanted.indices(len(frames)))
     found = explain_all(evidence, first, last)
     takes = len(references.working)
     return describe_moments(evidence, time_spread, takes, found, wanted=wanted, before=before)
 
 
+def spread_in_time(references: ReferenceTakes, frames: FloatArray) -> FloatArray:
+    """(T,) s, how much the timing of the takes differs at reference frames (T,)."""
+    return np.interp(frames, np.arange(len(references.time_spread)), references.time_spread)
+
+
 def find_errors(references: ReferenceTakes, frames: FloatArray, evidence: Evidence) -> list[Finding]:
     """Find all errors of a performance along reference frames (T,), in order of time."""
     stride = choose_stride(evidence.rate)
     suspects = load_judge().find(describe(references, frames, evidence), evidence.rate / stride)
-    return measure_suspects(evidence, suspects, np.arange(0, len(frames), stride))
+    return tell_errors(evidence, suspects, np.arange(0, len(frames), stride), spread_in_time(references, frames))

@@ -46,6 +46,7 @@ class ErrorEvent:
     furi : number of the furi, from 0; None outside all.
     deviation_deg : largest lasting angle of a wrong segment from the reference's at the same time.
     facing_deg : median heading against the reference's while it lasts; positive is turned to the own left.
+    cause : what is known besides, of `dousa.evaluation.words.CAUSES`; None for nothing.
     """
 
     kind: str
@@ -61,6 +62,7 @@ class ErrorEvent:
     furi: int | None
     deviation_deg: float | None = None
     facing_deg: float | None = None
+    cause: str | None = None
 
     @property
     def message(self) -> Message:
@@ -72,6 +74,7 @@ class ErrorEvent:
             shortfall_deg=self.shortfall_deg,
             shortfall_percent=self.shortfall_percent,
             deviation_deg=self.deviation_deg,
+            cause=self.cause,
         )
 
     @property
@@ -257,7 +260,7 @@ def describe_assessment(assessment: Assessment, language: str | None = None) -> 
 _FURI = "start_s end_s n_dims contribution label reference_start_s reference_end_s score"
 _EVENT = (
     "kind start_s end_s segments lag_ms shortfall_deg shortfall_percent severity says deviation_deg facing_deg "
-    "worst_s reference_s furi"
+    "worst_s reference_s furi cause"
 )
 _LAPSE = "kind start_s end_s reference_start_s reference_end_s says"
 # Decimals of numbers in JSON, by definition.
@@ -350,7 +353,8 @@ def describe_findings(
         span = slice(finding.start * stride, max(finding.end, finding.start + 1) * stride)
         off = _lasting(np.degrees(residual[span][:, list(finding.segments)]))
         turned = np.degrees(facing[span])
-        lag_ms = None if finding.lag_s is None else 1000.0 * finding.lag_s
+        sure = finding.lag_s is not None and finding.cause is None
+        lag_ms = 1000.0 * finding.lag_s if sure and finding.lag_s is not None else None
         short = None if finding.shortfall is None else float(np.degrees(finding.shortfall))
         percent = None if finding.shortfall_share is None else 100.0 * finding.shortfall_share
         events.append(
@@ -368,6 +372,7 @@ def describe_findings(
                 furi=furi,
                 deviation_deg=off,
                 facing_deg=float(np.nanmedian(turned)) if np.isfinite(turned).any() else None,
+                cause=finding.cause,
             )
         )
     return tuple(events)
@@ -395,7 +400,7 @@ def _join(findings: Sequence[Finding], gap: float) -> list[Finding]:
 
 
 def _belongs(last: Finding, finding: Finding, gap: float) -> bool:
-    same = last.kind == finding.kind and last.segments == finding.segments
+    same = (last.kind, last.segments, last.cause) == (finding.kind, finding.segments, finding.cause)
     if same and last.lag_s is not None and finding.lag_s is not None:
         same = last.lag_s * finding.lag_s > 0
     return same and finding.start - last.end <= gap

@@ -18,6 +18,7 @@ from dousa.evaluation.advice.advice import Advice, advise_on_event
 from dousa.evaluation.advice.directions import PairedDancers
 from dousa.evaluation.alignment.lines import Alignment, Lapse, LineFollower, Run, find_lapses
 from dousa.evaluation.alignment.pairing import compare_poses
+from dousa.evaluation.errors.causes import tell_errors
 from dousa.evaluation.errors.descriptors import choose_stride, join_descriptors
 from dousa.evaluation.errors.evidence import (
     YAW_WINDOW_S,
@@ -29,13 +30,12 @@ from dousa.evaluation.errors.evidence import (
     merge_takes,
 )
 from dousa.evaluation.errors.explain import Finding
-from dousa.evaluation.errors.findings import measure_suspects
 from dousa.evaluation.errors.judge import decode, load_judge
 from dousa.evaluation.figures.curves import take_off_median
 from dousa.evaluation.figures.furi import Furi, find_furi, fit_furi_eigenspaces, pool_takes, scale_furi
 from dousa.evaluation.grade.assessment import FEWEST_FRAMES, SHORTEST_S, check_takes, judge
 from dousa.evaluation.grade.movement import compare_movements, describe_movement
-from dousa.evaluation.grade.references import choose_tolerance, describe, prepare_references
+from dousa.evaluation.grade.references import choose_tolerance, describe, prepare_references, spread_in_time
 from dousa.evaluation.grade.result import Assessment, ErrorEvent, describe_findings
 from dousa.evaluation.grade.score import grade_performance
 from dousa.evaluation.live.pose import FigureMeter, LagWatcher
@@ -429,7 +429,8 @@ class _Window:
             elif base + one.end > 0:
                 suspects.append(replace(one, start=max(base + one.start, 0), end=base + one.end))
         moments = np.arange(0, len(self.frames), self._moments)
-        measured = (_move(one, self.first) for one in measure_suspects(evidence, suspects, moments))
+        spread = spread_in_time(self._of._references, self.frames)
+        measured = (_move(one, self.first) for one in tell_errors(evidence, suspects, moments, spread))
         found = [one for one in map(self._cut_off, measured) if one is not None]
         self._reported = [one for one in self._reported if one.end >= self.first] + found
         return found

@@ -259,7 +259,7 @@ class Working:
 
     segments: FloatArray  # (T, 9, 3) unit vectors
     seen: NDArray[np.bool_]  # (T, 9)
-    heading: FloatArray  # (T,) rad, unwrapped, which way hips and shoulders face
+    heading: FloatArray  # (T,) rad, unwrapped, of the line through hips and shoulders to the left
     frame_rate: float  # Hz
     stride: int  # frames of the full rate in one of these
 
@@ -288,7 +288,7 @@ def thin_postures(postures: PostureSequence, *, heading_s: float = 0.3) -> Worki
 
 
 def _measure_heading(positions: FloatArray, half: int) -> FloatArray:
-    """(T,) rad about +Y of the front of the body, averaged over ``2 half + 1`` frames."""
+    """(T,) rad about +Y, from +Z, of the way to the body's left, averaged over ``2 half + 1`` frames."""
     hips, shoulders = (
         positions[:, J[f"left_{joint}"]] - positions[:, J[f"right_{joint}"]] for joint in ("hip", "shoulder")
     )
