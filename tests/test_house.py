@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_790, 111),
+    "app": (25_775, 111),
     "estimation": (15_686, 65),
     "evaluation": (12_706, 47),
     "experiments": (1_728, 10),
@@ -31,8 +31,8 @@ ROOMS = {
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_308,
-    "lines of JavaScript": 12_471,
+    "lines of tests": 62_306,
+    "lines of JavaScript": 12_473,
     "constants": 1_047,
     "numeric constants without a source": 0,
     "functions over 60 lines": 13,

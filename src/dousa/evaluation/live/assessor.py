@@ -69,7 +69,7 @@ _FLIP = np.array([-1.0, 1.0, 1.0])  # mirror image by definition: x negated
 _N_JOINTS = len(CANONICAL_JOINTS)
 _SIDES = np.array([[J[f"{side}_{joint}"] for joint in ("hip", "shoulder")] for side in ("left", "right")])
 # s from one look at the last seconds to the next, and how many these are: `lab.benchmarks.assess --agreement`
-_HOP_S, _WINDOW_S = 2.0, 12.0
+_HOP_S, WINDOW_S = 2.0, 12.0
 _MOVED = 0.25  # frames by which a line must have moved for its deviations to be measured again, see docs/evaluation.md
 
 
@@ -375,7 +375,7 @@ class _Window:
     def update(self) -> None:
         """Measure the deviations of what is new, or along another line than before."""
         line, count = self._of._line, self._of._segments.count
-        first = max(count - round(_WINDOW_S * self._rate), self.first) // self._moments * self._moments
+        first = max(count - round(WINDOW_S * self._rate), self.first) // self._moments * self._moments
         frames, kept = line.locate(first, count), self.frames[first - self.first :]
         moved = np.abs(kept - frames[: len(kept)]) > _MOVED
         old = max(len(kept) - self._context, 0)
@@ -420,7 +420,7 @@ class _Window:
         self._judge(evidence, until)
         rate, begin = self._rate / self._moments, self.first // self._moments
         base, still, near = self._from - begin, len(self._body), 0.0
-        leaving = (self._of._segments.count + self._of._hop) // self._moments - round(_WINDOW_S * rate) - self._from
+        leaving = (self._of._segments.count + self._of._hop) // self._moments - round(WINDOW_S * rate) - self._from
         suspects = []
         for one in reversed(decode(self._limbs, self._body, rate, load_judge().decoding)):
             # What touches an error that goes on may become part of it, or of a lapse that is not known yet.

@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -112,16 +112,17 @@ def to_canonical(world: FloatArray) -> FloatArray:
 
 @dataclass(slots=True)
 class _Graded:
-    """The performance so far at ``rate`` (Hz), and its grade."""
+    """The performance so far at ``rate`` (Hz), and the grade of its last seconds."""
 
     rate: float
     assessor: IncrementalAssessor
-    references: Sequence[CanonicalMotion]
-    rows: list[FloatArray] = field(default_factory=list)
     state: FrameState | None = None
     score: float | None = None
     asked: float = 0.0
-    working: threading.Thread | None = None
+
+    def push(self, points: FloatArray) -> None:
+        """Take the next frame: joints (20, 3) m."""
+        self.state = self.assessor.push(points)
 
 
 class LiveSession:
@@ -133,7 +134,7 @@ class LiveSession:
     library : labels the motion if it is trained.
     references : takes with which the performance is compared; without any nothing is graded.
     rate : Hz, at which the performance is compared, whatever the rate of the pictures; a higher one takes longer.
-    grade_every : s between two grades; of less pictures would wait for the processor.
+    grade_every : s between two grades.
     """
 
     def __init__(
@@ -170,7 +171,7 @@ class LiveSession:
 
         if not self._references:
             return None
-        return _Graded(self._rate, IncrementalAssessor(list(self._references), self._rate), self._references)
+        return _Graded(self._rate, IncrementalAssessor(list(self._references), self._rate))
 
     def see(self, picture: Image, seconds: float) -> dict[str, Any]:
         """Process the next picture.
@@ -250,32 +251,29 @@ class LiveSession:
         if graded is None:
             return
         if self._last is None:
-            graded.state = graded.assessor.push(points)
-            graded.rows.append(points)
+            graded.push(points)
             self._begun = seconds
             return
         before, last = self._last
-        while (at := self._begun + len(graded.rows) / graded.rate) <= seconds:
-            row = last + (points - last) * ((at - before) / (seconds - before))
-            graded.state = graded.assessor.push(row)
-            graded.rows.append(row)
-        now = time.monotonic()
-        idle = graded.working is None or not graded.working.is_alive()
-        if idle and now - graded.asked > self._grade_every and len(graded.rows) >= 2 * graded.rate:
-            graded.asked = now
-            graded.working = threading.Thread(target=_grade, args=(graded, list(graded.rows)), daemon=True)
-            graded.working.start()
+        while (at := self._begun + graded.assessor.n_frames / graded.rate) <= seconds:
+            graded.push(last + (points - last) * ((at - before) / (seconds - before)))
+        if time.monotonic() - graded.asked > self._grade_every:
+            score = graded.assessor.grade
+            graded.asked = time.monotonic()
+            # After the end of the reference the last grade stays.
+            graded.score = graded.score if np.isnan(score) else score
 
     def _describe_grade(self) -> dict[str, Any] | None:
         graded = self._graded
         if graded is None:
             return None
+        from dousa.evaluation.live.assessor import WINDOW_S
         from dousa.evaluation.words import describe_segments
 
         state = graded.state
         return {
             "score": None if graded.score is None else round(graded.score, 1),
-            "seconds": round(len(graded.rows) / graded.rate, 2),
+            "seconds": round(min(graded.assessor.n_frames / graded.rate, WINDOW_S), 2),
             "wrong": [] if state is None else list(state.wrong),
             "wrong_names": "" if state is None or not state.wrong else describe_segments(state.wrong, get_language()),
             "lag_ms": None if state is None or not np.isfinite(state.lag_ms) else round(state.lag_ms),
@@ -283,19 +281,6 @@ class LiveSession:
             if state is None or not np.isfinite(state.matched_time_s)
             else round(state.matched_time_s, 2),
         }
-
-
-def _grade(graded: _Graded, rows: list[FloatArray]) -> None:
-    """Assess the performance so far, in a thread for which pictures do not wait."""
-    from dousa.evaluation import assess
-    from dousa.motion import CANONICAL_JOINTS, Trajectories, canonicalise
-
-    latest = np.stack(rows[-round(600.0 * graded.rate) :])  # s; older frames are not graded any more
-    try:
-        performance = canonicalise(Trajectories(CANONICAL_JOINTS, latest, graded.rate))
-        graded.score = float(assess(list(graded.references), performance).score)
-    except DousaError:
-        graded.score = None
 
 
 def _describe(seen: Seen, size: tuple[int, int]) -> dict[str, Any]:

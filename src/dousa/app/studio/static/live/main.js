@@ -11,10 +11,12 @@ const FIRST_OF_BODY = 11; // before it the face, whose points are odd at the lef
 
 const sideOf = (one, other) => (one % 2 === other % 2 ? (one % 2 ? "left" : "right") : "middle");
 
-/** Draw a person {points: [[x, y] shares], visibility}, or nobody (null). */
-export function drawPerson(canvas, person, bones) {
+/** Draw a person {points: [[x, y] shares], visibility}, or nobody (null), on the picture that was measured, if any. */
+export function drawPerson(canvas, person, bones, picture = null) {
   const context = canvas.getContext("2d");
   context.clearRect(0, 0, canvas.width, canvas.height);
+  // Over the newest picture of the camera the skeleton would trail behind the body.
+  if (picture) context.drawImage(picture, 0, 0, canvas.width, canvas.height);
   if (!person) return;
   const place = person.points.map(([x, y]) => [x * canvas.width, y * canvas.height]);
   const unit = Math.max(canvas.width, canvas.height) / 640;
@@ -206,7 +208,7 @@ async function watch(session, signal) {
     const picture = await camera.take();
     const found = await postBytes(`/live/${session}/picture`, picture, { seconds: (taken / 1000).toFixed(3) }, signal);
     if (signal.aborted) return;
-    drawPerson($("#live-drawing"), found.person, state.bones);
+    drawPerson($("#live-drawing"), found.person, state.bones, camera.canvas);
     const hint = found.person ? "" : t("nobody");
     if ($("#live-hint").textContent !== hint) $("#live-hint").textContent = hint;
     showLabel(found.label);
