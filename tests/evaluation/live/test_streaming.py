@@ -329,7 +329,7 @@ def test_two_do_not_disturb_each_other() -> None:
 
 
 def test_a_frame_belongs_to_the_assessor_once_it_is_pushed() -> None:
-    reference, performance = make_trial(0)
+    reference, performance = make_trial(2, 8.0)
     assessor, frame = IncrementalAssessor(reference, 30.0), np.empty((20, 3))
     for joints in performance.positions[:120]:
         frame[:] = joints
