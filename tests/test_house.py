@@ -20,7 +20,7 @@ SOURCE = ROOT / "src" / "dousa"
 ROOMS = {
     "app": (25_775, 111),
     "estimation": (15_686, 65),
-    "evaluation": (12_706, 47),
+    "evaluation": (12_695, 48),
     "experiments": (1_728, 10),
     "files": (1_088, 8),
     "formats": (12_935, 70),
@@ -36,7 +36,7 @@ TOTALS = {
     "constants": 1_047,
     "numeric constants without a source": 0,
     "functions over 60 lines": 13,
-    "files over 650 lines": 1,
+    "files over 650 lines": 0,
     "folders with more than 15 files": 0,
     "lines with words that a native reader stumbles over": 44,
     "hand-written runs of a mask": 3,

@@ -7,7 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from dousa.evaluation.errors.evidence import Deviations, Evidence, compute_deviations, gather_evidence
+from dousa.evaluation.errors.deviations import Deviations, compute_deviations
+from dousa.evaluation.errors.evidence import Evidence, gather_evidence
 from dousa.evaluation.posture.posture import Working, compute_postures, thin_postures
 from dousa.motion import CanonicalMotion, canonicalise
 from dousa.motion.canonical.joints import JOINT_INDEX as J

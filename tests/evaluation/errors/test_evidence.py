@@ -24,19 +24,16 @@ from oracles.wrong_dances import (
     turn_limb,
 )
 
+from dousa.evaluation.errors.deviations import MAX_LAG_S, YAW_SCALE, compute_deviations, merge_takes
 from dousa.evaluation.errors.evidence import (
     CAP,
     GROUPS,
-    MAX_LAG_S,
-    YAW_SCALE,
     Evidence,
-    compute_deviations,
     find_shrunk,
     find_stretches,
     fit_gain,
     measure_missing_range,
     measure_ranges,
-    merge_takes,
     refine_lag,
 )
 from dousa.evaluation.posture.posture import LIMBS, Working, compute_postures, interpolate_segments, thin_postures

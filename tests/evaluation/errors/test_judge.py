@@ -27,7 +27,8 @@ from dousa.evaluation.errors.descriptors import (
     join_descriptors,
     mark_findings,
 )
-from dousa.evaluation.errors.evidence import Deviations, compute_deviations, gather_evidence
+from dousa.evaluation.errors.deviations import Deviations, compute_deviations
+from dousa.evaluation.errors.evidence import gather_evidence
 from dousa.evaluation.errors.explain import Finding
 from dousa.evaluation.errors.findings import measure_suspects
 from dousa.evaluation.errors.judge import BODY_CLASSES, LIMB_CLASSES, BoostedTrees, Decoding, Suspect, decode

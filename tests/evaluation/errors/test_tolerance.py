@@ -8,7 +8,8 @@ import pytest
 from oracles.wrong_dances import ARM, EVEN, be_late, compare_dances, get_dance, thin, turn_limb
 
 from dousa.evaluation import assess
-from dousa.evaluation.errors.evidence import SLACK_S, Tolerance, compute_deviations, measure_unsteadiness, merge_takes
+from dousa.evaluation.errors.deviations import compute_deviations, merge_takes
+from dousa.evaluation.errors.evidence import SLACK_S, Tolerance, measure_unsteadiness
 from dousa.evaluation.grade.references import choose_tolerance, prepare_references
 from dousa.evaluation.posture.posture import compute_postures
 from dousa.motion import CanonicalMotion

@@ -16,14 +16,8 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.dynamic_programming import switch_on
-from dousa.evaluation.errors.evidence import (
-    CAP,
-    YAW_SCALE,
-    YAW_WINDOW_S,
-    Evidence,
-    measure_deviations,
-    measure_ranges,
-)
+from dousa.evaluation.errors.deviations import YAW_SCALE, YAW_WINDOW_S, measure_deviations
+from dousa.evaluation.errors.evidence import CAP, Evidence, measure_ranges
 from dousa.evaluation.errors.explain import Finding, measure_severity
 from dousa.evaluation.errors.findings import describe_shift, follow_limb, measure_suspects
 from dousa.evaluation.errors.judge import Suspect

@@ -13,14 +13,8 @@ from dousa.evaluation.alignment.dynamic_programming import follow_lag
 from dousa.evaluation.alignment.lines import OUTSIDE, Alignment, align, pair_similarity, to_cost
 from dousa.evaluation.errors.causes import tell_errors
 from dousa.evaluation.errors.descriptors import Descriptors, choose_stride, describe_moments
-from dousa.evaluation.errors.evidence import (
-    Deviations,
-    Evidence,
-    Tolerance,
-    compute_deviations,
-    measure_unsteadiness,
-    merge_takes,
-)
+from dousa.evaluation.errors.deviations import Deviations, compute_deviations, merge_takes
+from dousa.evaluation.errors.evidence import Evidence, Tolerance, measure_unsteadiness
 from dousa.evaluation.errors.explain import Finding, explain_all
 from dousa.evaluation.errors.judge import load_judge
 from dousa.evaluation.grade.movement import (

@@ -20,15 +20,8 @@ from dousa.evaluation.alignment.lines import Alignment, Lapse, LineFollower, Run
 from dousa.evaluation.alignment.pairing import compare_poses
 from dousa.evaluation.errors.causes import tell_errors
 from dousa.evaluation.errors.descriptors import choose_stride, join_descriptors
-from dousa.evaluation.errors.evidence import (
-    YAW_WINDOW_S,
-    Deviations,
-    Evidence,
-    Tolerance,
-    compute_deviations,
-    gather_evidence,
-    merge_takes,
-)
+from dousa.evaluation.errors.deviations import YAW_WINDOW_S, Deviations, compute_deviations, merge_takes
+from dousa.evaluation.errors.evidence import Evidence, Tolerance, gather_evidence
 from dousa.evaluation.errors.explain import Finding
 from dousa.evaluation.errors.judge import decode, load_judge
 from dousa.evaluation.figures.curves import take_off_median

@@ -9,15 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.evaluation.errors.evidence import (
-    CAP,
-    LAG_CHANGE,
-    LAG_PRICE,
-    MAX_LAG_S,
-    YAW_SCALE,
-    YAW_WINDOW_S,
-    Tolerance,
-)
+from dousa.evaluation.errors.deviations import MAX_LAG_S, YAW_SCALE, YAW_WINDOW_S
+from dousa.evaluation.errors.evidence import CAP, LAG_CHANGE, LAG_PRICE, Tolerance
 from dousa.evaluation.figures.curves import turn_reference
 from dousa.evaluation.figures.eigenspace import Eigenspace
 from dousa.evaluation.figures.furi import Furi

@@ -221,7 +221,7 @@ def _parse_channels(words: list[bytes], position: int) -> tuple[str, ...]:
     names = words[1:]
     if len(names) != count:
         raise BvhSyntaxError(position, "bvh.channel_names", declared=count, found=len(names))
-    kinds = []
+    kinds: list[int] = []
     for name in names:
         kind = _KINDS.get(name.decode("ascii", "replace").lower())
         if kind is None:

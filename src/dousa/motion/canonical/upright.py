@@ -181,7 +181,7 @@ def weigh_axes(
     places = np.ascontiguousarray(points.transpose(1, 2, 0)) * (1.0 / height)
     lowest, highest = np.fmin.reduce(places), np.fmax.reduce(places)
     seen: BoolArray = np.any(~np.isnan(places), axis=2)
-    feet, knees, tops = (seen[rows].any(axis=0).tolist() for rows in (_LEGS, _LEGS[:4], _TOPS))
+    feet, knees, tops = (np.any(seen[rows], axis=0).tolist() for rows in (_LEGS, _LEGS[:4], _TOPS))
     is_aligned = len(body) > 0 and float(np.abs(body.mean(axis=0)).max()) > aligned
     # Mean cosine between the body and the axis, and the logarithm of how often files are like that.
     cosines, odds = [-1.0, -0.3, 0.0, 0.3, 0.6, 0.8, 1.0], [-8.0, -6.0, -3.5, -2.5, -1.0, -0.1, 0.0]
