@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from oracles.wrong_dances import get_dance, place
 
 import dousa.evaluation
 from dousa.evaluation import (
@@ -18,7 +19,11 @@ from dousa.evaluation import (
     PostureSequence,
     describe_assessment,
 )
+from dousa.evaluation.grade.result import describe_offset
+from dousa.evaluation.posture.posture import thin_postures
+from dousa.evaluation.posture.yaw import estimate_offset
 from dousa.messages import Message
+from dousa.motion.canonical.joints import JOINT_INDEX as J
 
 
 @pytest.fixture
@@ -97,3 +102,32 @@ def test_every_public_name_of_the_package_can_be_loaded():
         assert getattr(dousa.evaluation, name) is not None
     with pytest.raises(AttributeError):
         dousa.evaluation.no_such_name  # noqa: B018
+
+
+def hold_arm(motion, towards):
+    """The left arm held still towards (3,) left, up and front of the body at each frame."""
+    positions = motion.positions.copy()
+    left = (positions[:, J["left_hip"]] - positions[:, J["right_hip"]]) * (1.0, 0.0, 1.0)
+    left /= np.linalg.norm(left, axis=1, keepdims=True)
+    up = np.array([0.0, 1.0, 0.0])
+    way = towards[0] * left + towards[1] * up + towards[2] * np.cross(left, up)
+    for reach, joint in zip((0.3, 0.55, 0.6), ("elbow", "wrist", "hand"), strict=True):
+        positions[:, J[f"left_{joint}"]] = positions[:, J["left_shoulder"]] + reach * way / np.linalg.norm(towards)
+    return dataclasses.replace(motion, positions=positions)
+
+
+@pytest.mark.parametrize("facing", [0.0, 1.2, 3.0])
+@pytest.mark.parametrize(
+    ("towards", "way"),
+    [((0.5, -1.0, 0.8), "forward"), ((0.5, -1.0, 0.2), "back"), ((0.8, -1.0, 0.5), "out"), ((0.2, -1.0, 0.5), "in")],
+)
+def test_another_body_is_said_in_its_own_directions(facing, towards, way):
+    dance = place(get_dance(), facing, 0.0, 0.0, 1.0)
+    reference, performance = (
+        thin_postures(dousa.evaluation.compute_postures(hold_arm(dance, arm))) for arm in ((0.5, -1.0, 0.5), towards)
+    )
+    pairs = np.repeat(np.arange(reference.n_frames)[:, None], 2, axis=1)
+    said = describe_offset(estimate_offset(reference, performance, pairs), reference)
+    assert [(one.values["who"][0].code, one.values["way"].code) for one in said] == [
+        ("body_segments.left_arm", f"offset_ways.{way}")
+    ]

@@ -519,7 +519,8 @@ def describe_offset(offset: Offset, reference: Working, *, least_deg: float = 5.
     reference : the first take.
     """
     body = rotate_yaw(reference.segments, -np.nan_to_num(reference.heading)).mean(axis=0)
-    moved = np.degrees(np.cross(offset.taken, body))
+    # From the frame of `Offset`, in which z is the way to the left and x to the back.
+    moved = np.degrees(np.cross(offset.taken, body))[:, [2, 1, 0]] * (1.0, 1.0, -1.0)
     found = {}
     for limb, segments in LIMBS.items():
         way, degrees = _find_way(limb, moved[list(segments)].mean(axis=0))

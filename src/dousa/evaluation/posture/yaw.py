@@ -196,7 +196,7 @@ _MOST_MOMENTS = 1500  # that an offset is estimated from, see docs/evaluation.md
 class Offset:
     """How another body stands, against the reference, throughout."""
 
-    # (9, 3) rad, rotation vectors in the performer's own frame (x to the own left, y up, z to the front) that turn
+    # (9, 3) rad, rotation vectors in the performer's own frame (x to the own back, y up, z to the left) that turn
     # the reference's segments onto the performer's
     measured: FloatArray
     taken: FloatArray  # (9, 3) the part of them that is laid to the body, and taken out
