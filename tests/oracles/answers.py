@@ -22,7 +22,7 @@ def check(assessment: Assessment) -> None:
     text = json.dumps(assessment.to_json(), allow_nan=False, ensure_ascii=False)
     said = json.loads(text)["score"]
     # There is a grade, or a reason why there is none.
-    ungraded = assessment.score_formula.code in ("grade.unlike", "grade.nothing", "grade.hardly")
+    ungraded = assessment.score_formula.code in ("grade.unlike", "grade.nothing", "grade.hardly", "grade.unseen")
     assert ungraded == (said is None) == math.isnan(assessment.score)
     if not ungraded:
         assert said == pytest.approx(assessment.score, abs=0.051) and 0.0 <= assessment.score <= 100.0

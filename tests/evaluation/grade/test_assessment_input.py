@@ -247,19 +247,23 @@ def segments_of(*limbs):
 
 
 @pytest.mark.parametrize(
-    ("absent", "left_out"),
+    ("absent", "left_out", "most"),
     [
-        (ARMS, segments_of("left_arm", "right_arm")),
-        (UPPER, segments_of("trunk", "left_arm", "right_arm")),
-        (LOWER, segments_of("trunk", "left_leg", "right_leg")),
+        (ARMS, segments_of("left_arm", "right_arm"), True),
+        (UPPER, segments_of("trunk", "left_arm", "right_arm"), True),
+        (LOWER, segments_of("trunk", "left_leg", "right_leg"), False),
     ],
 )
 @pytest.mark.parametrize("swap", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_the_rest_is_judged(absent, left_out, swap):
+def test_the_rest_is_judged(absent, left_out, most, swap):
     part = hide(absent)
     reference, performance = (part, WHOLE) if swap else (WHOLE, part)
     found = assess(reference, performance)
     assert set(found.not_judged) == left_out
+    if most and not swap:  # of what moves in the reference
+        assert np.isnan(found.score) and found.score_formula.code == "grade.unseen"
+        assert [one.message.code for one in advise(found)] == ["grade.unseen"]
+        found = assess(reference, performance, weights=dict.fromkeys(left_out, 0.0))
     assert found.score > 85
     assert not {name for event in found.events for name in event.segments} & left_out
     assert [one.code for one in found.warnings].count("assessment.not_judged") == 1
@@ -275,8 +279,9 @@ def test_an_error_of_what_is_there_is_found():
     knees = [CANONICAL_JOINTS.index(f"left_{joint}") for joint in ("knee", "ankle", "toe")]
     late[60:160, knees] += (0.25, 0.15, 0.0)
     late[:, [CANONICAL_JOINTS.index(joint) for joint in UPPER]] = np.nan
-    found = assess(WHOLE, canonicalise(DANCE.replace(positions=late)))
-    assert found.score < assess(WHOLE, hide(UPPER)).score
+    legs = {"arms": 0.0, "trunk": 0.0}
+    found = assess(WHOLE, canonicalise(DANCE.replace(positions=late)), weights=legs)
+    assert found.score < assess(WHOLE, hide(UPPER), weights=legs).score
     assert any(set(event.segments) & segments_of("left_leg") for event in found.events)
 
 

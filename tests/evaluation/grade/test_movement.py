@@ -103,6 +103,21 @@ def test_the_side_is_found(raises: list[CanonicalMotion]) -> None:
     assert found.side == "mirrored" and found.score == pytest.approx(assess(raises[:3], raises[3]).score, abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("unseen", "code"),
+    [
+        (slice(None), "grade.unseen"),
+        (slice(10, -10), "grade.unseen"),
+        (slice(None, None, 5), "grade.calibrated"),
+    ],
+)
+def test_an_arm_that_is_not_seen_has_no_grade(raises: list[CanonicalMotion], unseen: slice, code: str) -> None:
+    positions = raises[3].positions.copy()
+    positions[unseen, J["right_elbow"] : J["right_hand"] + 1] = np.nan  # it is this arm that moves
+    found = assess(raises[:3], replace(raises[3], positions=positions))
+    assert found.score_formula.code == code and np.isnan(found.score) == (code == "grade.unseen")
+
+
 def test_a_part_that_is_never_seen_is_left_out(raises: list[CanonicalMotion]) -> None:
     positions = raises[1].positions.copy()
     positions[:, [J["right_wrist"], J["right_hand"], J["head"]]] = np.nan

@@ -171,7 +171,7 @@ def advise(assessment: Assessment, detail: str = "brief", *, most_brief: int = 3
         raise OptionError("advice.detail", known=DETAILS, detail=detail)
     if assessment.is_other_dance:
         return (Advice(Message("advice.other_dance"), "dance"),)
-    if assessment.score_formula.code == "grade.hardly":
+    if assessment.score_formula.code in ("grade.hardly", "grade.unseen"):
         return (Advice(assessment.score_formula, "dance"),)
     tempo = _say_tempo(assessment)
     if tempo and detail == "brief":

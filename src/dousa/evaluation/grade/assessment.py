@@ -95,7 +95,7 @@ def assess(
     takes = [reference] if isinstance(reference, CanonicalMotion) else list(reference)
     shares = spread_weights(weights)
     postures, played, side = settle_side(takes, performance, side=side, tempo=tempo, names=names)
-    shares = leave_out(shares, postures, played)
+    check_common(shares, postures, played)
     references = prepare_references(postures, tempo, shares)
     figures = scale_furi(furi, takes[0], references.postures) if furi else find_furi(references.postures)
     return judge(references, figures, played, side=side, tempo=tempo, weights=shares)
@@ -139,20 +139,10 @@ def compute_all_postures(
     return postures, played
 
 
-def leave_out(weights: FloatArray, takes: Sequence[PostureSequence], performance: PostureSequence) -> FloatArray:
-    """Set weights (9,) of segments that the performance or a take never shows to 0, and the mean of the others to 1.
-
-    Raises
-    ------
-    InvalidMotionError : no segment is left that weighs.
-    """
-    lacking = find_lacking((*takes, performance))
-    if not lacking.any():
-        return weights
-    shares = np.where(lacking, 0.0, weights)
-    if not shares.any():
+def check_common(weights: FloatArray, takes: Sequence[PostureSequence], performance: PostureSequence) -> None:
+    """Say that no segment of weights (9,) above 0 is shown by the performance and all takes."""
+    if not (weights * ~find_lacking((*takes, performance))).any():
         raise InvalidMotionError("evaluation.nothing_common")
-    return np.asarray(shares / shares[shares > 0.0].mean())
 
 
 def judge(

@@ -96,6 +96,7 @@ class Difference:
     tempo: float  # seconds of the performance for one of the reference
     asked: FloatArray  # (U, 12) rad, how far the reference moves around each of its moments, beyond noise
     danced: NDArray[np.bool_]  # (U,) moments of the reference at which the performer moved along
+    moved: FloatArray  # (2, 12) rad, how much the reference moves, and the same times how long the performer is seen
 
     @property
     def scale(self) -> FloatArray:
@@ -135,6 +136,8 @@ def compare_movements(
     ours, theirs = (np.where(known, one, np.nan) for one in (ours, theirs))
     mean = _average(ours - theirs)
     late, tempo = _measure_lateness(course, asked.sum(axis=1))
+    alone = np.nan_to_num(_measure_steps(reference.lines, there) - np.radians(STILL_DEG) - TREMBLES * reference.noise)
+    total = np.maximum(alone, 0.0).sum(axis=0)
     return Difference(
         performance.rows[path[:, 0]],
         path[:, 1],
@@ -147,7 +150,16 @@ def compare_movements(
         tempo,
         asked,
         danced,
+        np.stack([total, total * _measure_seen(performance, half)]),
     )
+
+
+def _measure_seen(performance: Movement, half: int) -> FloatArray:
+    """(12,) share of the time for which each part is seen, a flicker of less than ``2 half`` moments included."""
+    seen = np.isfinite(performance.lines[..., 0]) & np.isfinite(performance.noise)
+    times = np.arange(len(seen))
+    before, after = (seen[np.clip(times + step, 0, len(seen) - 1)] for step in (-half, half))
+    return np.asarray((seen | (before & after)).mean(axis=0))
 
 
 def _measure_lateness(course: FloatArray, motion: FloatArray) -> tuple[FloatArray, float]:
@@ -186,6 +198,16 @@ def find_coverage(differences: Sequence[Difference], weights: FloatArray) -> flo
         for some, one in zip(asked, differences, strict=True)
     ]
     return max(found, default=0.0)
+
+
+def find_seen(differences: Sequence[Difference], weights: FloatArray) -> float:
+    """Find the share of the reference's movement that lies in parts that are seen of the performer, 0 to 1.
+
+    A part counts as long as it is seen. Parameters as in `find_coverage`.
+    """
+    shares = spread_over_parts(weights)
+    moved = [one.moved @ shares for one in differences]
+    return max((float(seen / total) if total > 0.0 else 1.0 for total, seen in moved), default=0.0)
 
 
 def spread_over_parts(weights: FloatArray) -> FloatArray:

@@ -18,13 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.evaluation.grade.movement import PARTS, Difference, find_coverage, find_extent, find_parts
+from dousa.evaluation.grade.movement import PARTS, Difference, find_coverage, find_extent, find_parts, find_seen
 from dousa.evaluation.grade.references import ReferenceTakes
 from dousa.messages import Message
 
 LEAST_DANCED = 0.1
 """Share of the reference's movement below which there is no grade: a performer who stands, or holds a
 pose; measured on lab/exams/exercises."""
+LEAST_SEEN = 0.5
+"""Share of the reference's movement in parts of the body that are seen, below which there is no grade: most of what it
+would be about is unknown, by definition."""
 _MOSTLY = 1.28  # standard deviations around which four of five lie, by definition of the normal distribution
 
 
@@ -87,6 +90,7 @@ def compute_grade(
     coverage: float,
     n_references: int,
     *,
+    seen: float = 1.0,
     model: GradeModel | None = None,
     same_length: float = 0.05,
     least: float = 10.0,
@@ -99,6 +103,7 @@ def compute_grade(
     extent : how much moves in the reference, of `find_extent`.
     coverage : share of the reference's movement that was danced, 0 to 1.
     n_references : takes of the reference.
+    seen : share of the reference's movement in parts that are seen, of `find_seen`.
     model : other numbers than those of the package.
     same_length : share of the reference that may be missing.
     least : grade below which it is another motion.
@@ -111,6 +116,8 @@ def compute_grade(
     why = None
     if not math.isfinite(distance):
         why = Message("grade.nothing")
+    elif seen < LEAST_SEEN:
+        why = Message("grade.unseen", percent=100.0 * seen)
     elif coverage < LEAST_DANCED:
         why, coverage = Message("grade.hardly"), 0.0
     elif distance > model.unlike or danced * quality < least:
@@ -149,4 +156,5 @@ def grade_performance(
     """
     parts = find_parts(differences, references.agreement, weights, frames, tempo=references.tempo)
     coverage = find_coverage(differences, weights) if frames is None else 1.0
-    return compute_grade(parts, find_extent(differences, weights), coverage, len(differences))
+    extent, seen = find_extent(differences, weights), find_seen(differences, weights)
+    return compute_grade(parts, extent, coverage, len(differences), seen=seen)
