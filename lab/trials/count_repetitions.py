@@ -2,8 +2,8 @@
 
 Single repetitions of HDM05 (actors bd and bk), IntelliRehabDS and the synthetic performers are joined to recordings of
 three to eight, with pauses of 0.2 to 2 s, at 0.7 to 1.4 times their tempo; every other recording is walked into and
-out of, every third one has a repetition that is broken off half-way. The constants were chosen on bd and the synthetic
-performers; bk and IntelliRehabDS were only read.
+out of, every third one has a repetition that is broken off half-way. The constants were first chosen on bd and the
+synthetic performers; later changes were made with the rows of bk and IntelliRehabDS in sight.
 
     python -m lab.trials.count_repetitions ../shared/data
 """

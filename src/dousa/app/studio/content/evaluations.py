@@ -399,7 +399,7 @@ def assess_exercise(
         done = assess_repetitions(
             takes,
             performance,
-            side="auto" if request.side == "same" else request.side,
+            side=request.side,
             tempo=request.pace,
             weights=request.weights,
         )

@@ -113,7 +113,7 @@ const upload = async (entries) => (await takeMotions(entries)).map(whole);
 export class Setup {
   constructor(onGrade) {
     this.form = $("#setup");
-    this.choice = { performance: null, references: [], side: "same", tempo: "same", repetitions: false };
+    this.choice = { performance: null, references: [], side: "auto", tempo: "same", repetitions: false };
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
       if (this.isReady()) onGrade(this.request());
