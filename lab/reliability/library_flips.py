@@ -154,7 +154,7 @@ def main() -> int:
         write_files(folder / "base", range(4))
         write_motion(make_motion(KINDS[1], draw_performer(50), seed=50), folder / "take.bvh")
         bases = [make_base(folder, in_fragments=kind) for kind in (False, True)]
-        path = folder / "flipped.dousa"
+        path = folder / "flipped" / "flipped.dousa"
         sound, values = [], []
         for base in bases:
             copy_library(base, path)

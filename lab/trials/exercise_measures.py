@@ -122,6 +122,8 @@ def make_measures() -> dict[str, Measure]:
 def find_lift(good: Sequence[float], bad: Sequence[float], *, limit: float = 75.0, left_out: float = 0.3) -> float:
     """How much more is judged rightly by a limit of the grade if those nearest to it are left out."""
     values, correct = np.array([*good, *bad]), np.repeat([True, False], [len(good), len(bad)])
+    if len(values) < 2:
+        return float("nan")
     right = (values >= limit) == correct
     sure = np.argsort(np.abs(values - limit))[round(left_out * len(values)) :]
     return float(right[sure].mean() - right.mean())

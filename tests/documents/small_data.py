@@ -40,6 +40,7 @@ _CHOSEN = {
     "utd_mhad": tuple((f"skeleton/{what}/*_s{who}_*", 2) for what in _UTD_MHAD for who in (1, 3, 7)),
     "silhouette_bench": (("cmu86_walk_clean.npz", 1),),
     "uiprmd": (("kinect/m0[17]/*/*_e10.trc", 20),),
+    "irds": (("g[38]/*/*", 40),),
     "foreign": (("addbiomechanics/DJ1.trc", 1), ("pybvh/bvh_test2.bvh", 1), ("opensim/arm26*.trc", 1)),
 }
 

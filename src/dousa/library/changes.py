@@ -383,7 +383,7 @@ class LibraryChanges(LibraryContents):
         LibraryError : the copy is missing or damaged, the library is in use, or the database is not empty.
 
         >>> copied = library.backup("copy.dousa")
-        >>> Library.restore("copy.dousa", "moves again.dousa").n_clips
+        >>> dousa.Library.restore("copy.dousa", "moves again.dousa").n_clips
         12
         """
         from dousa.library.care.backup import restore
