@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_360,
+    "lines of tests": 62_369,
     "lines of JavaScript": 12_473,
     "constants": 1_048,
     "numeric constants without a source": 3,
