@@ -36,9 +36,9 @@ RATE = 12.0  # Hz, at which movements are compared: measured there
 STILL_DEG = 3.5  # a part that stands still differs by this from itself: measured there
 TREMBLES = 2.0  # how much more a sensor drifts than it trembles from frame to frame: measured there
 BODIES_DEG = 8.5  # posture by which people differ, in the median of the parts: lab/training/body_offsets.py
-_AROUND_S = 0.5  # before and after a moment, in which a performer moves along or not: see docs/evaluation.md
-_OF_RANGE = 0.3  # ten degrees matter less in a large movement than in a quiet part: see there
-_DISAGREE = 4.0  # what the references differ by counts so many times: see there
+_AROUND_S = 0.5  # before and after a moment, to move along or not: measured on UI-PRMD, docs/evaluation.md
+_OF_RANGE = 0.3  # ten degrees matter less in a large movement than in a quiet part: measured there
+_DISAGREE = 4.0  # what the references differ by counts so many times: measured there
 
 
 @dataclass(frozen=True, slots=True, eq=False)

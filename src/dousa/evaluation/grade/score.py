@@ -24,7 +24,7 @@ from dousa.messages import Message
 
 LEAST_DANCED = 0.1
 """Share of the reference's movement below which there is no grade: a performer who stands, or holds a
-pose; see docs/evaluation.md."""
+pose; measured on UI-PRMD, docs/evaluation.md."""
 LEAST_SEEN = 0.5
 """Share of the reference's movement in parts of the body that are seen, below which there is no grade: most of what it
 would be about is unknown, by definition."""
