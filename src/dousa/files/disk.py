@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import secrets
 import stat
 import sys
@@ -92,6 +93,9 @@ def write_error(path: str | os.PathLike[str], error: OSError) -> MotionWriteErro
     return MotionWriteError(path, code) if code else MotionWriteError(path, "disk.unwritable", reason=error)
 
 
+_PART = re.compile(r"\.([0-9a-f]{8}|[0-9a-f]{12})\.part$")
+"""The end of the names of `_open_part`, by definition."""
+
 TAKEN = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
 """What the system answers where another program has the lock."""
 
@@ -122,24 +126,30 @@ def remove_left_overs(folder: Path) -> int:
     """Delete the hidden files below a folder that killed programs left half-written; return their bytes."""
     size = 0
     for path in folder.rglob(".*.part"):
+        if not _PART.search(path.name):  # of another program
+            continue
         with suppress(OSError), open(path, "r+b") as file:
             lock_file(file)  # fails for what is being written
-            size += os.fstat(file.fileno()).st_size
+            n_bytes = os.fstat(file.fileno()).st_size
+            if sys.platform == "win32":  # Windows cannot delete an open file
+                file.close()
             path.unlink()
+            size += n_bytes
     return size
 
 
 def _open_part(target: str, *, alone: bool) -> IO[bytes] | None:
     """Open a hidden file beside a target, empty and locked; None if it must be ``alone``, with a name that follows from
-    the target, and another program has it or the disk has no locks.
+    the target, and another program has it, something else has its name, or the disk has no locks.
     """
     folder, name = os.path.split(target)
     mark = f"{zlib.crc32(os.fsencode(name)):08x}" if alone else secrets.token_hex(6)
     part = os.path.join(folder, f".{name[:32]}.{mark}.part")
-    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0)
+    # No link: in a folder for all, another user could let it lead to any file of ours.
+    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
     try:
         file = open(part, "r+b", opener=lambda path, _: os.open(path, flags, 0o666))  # noqa: SIM115 - by its caller
-    except PermissionError:
+    except OSError:
         if alone and os.path.lexists(part):  # of another user
             return None
         raise

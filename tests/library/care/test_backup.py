@@ -111,3 +111,36 @@ def test_what_cannot_be_copied_is_said(library, library_file, tmp_path):
     with pytest.raises(LibraryDamagedError, match="labels"):
         library.backup(tmp_path / "copy.dousa")
     assert not (tmp_path / "copy.dousa").exists() and not list(tmp_path.rglob("*.part"))
+
+
+@pytest.mark.sqlite
+def test_a_restore_deletes_nothing_that_came_since_one_was_killed(library, library_file, tmp_path):
+    """The name was given to the copy, or to another library, and the old one was not yet in its folder."""
+    library.backup(tmp_path / "copy.dousa")
+    library.close()
+    left = library_file.with_name(f"{library_file.name}.part") / "old"
+    left.mkdir(parents=True)
+    shutil.copy(library_file, left / library_file.name)
+    with Library.open(library_file) as opened:
+        opened.tag([1], add=["since"])
+    link = tmp_path / "link.dousa"
+    link.symlink_to(library_file)
+    assert Library.restore(tmp_path / "copy.dousa", link).replaced == f"{library_file}.replaced1"
+    assert link.is_symlink()
+    for number, tags in (("", {}), ("1", {"since": 1})):
+        with Library.open(f"{library_file}.replaced{number}/{library_file.name}") as kept:
+            assert kept.tags() == tags
+
+
+@pytest.mark.sqlite
+def test_a_restore_keeps_what_belonged_to_a_library_that_is_not_there(library, library_file, tmp_path):
+    """Somebody has moved the file, but not its fragments; and a journal of SQLite would go over the copy."""
+    library.backup(tmp_path / "copy.dousa")
+    for end in (".fragments", "-journal"):
+        (tmp_path / f"other.dousa{end}").write_bytes(b"not mine")
+    report = Library.restore(tmp_path / "copy.dousa", tmp_path / "other.dousa")
+    assert {path.name for path in (tmp_path / "other.dousa.replaced").iterdir()} == {
+        "other.dousa.fragments",
+        "other.dousa-journal",
+    }
+    assert report.replaced == f"{tmp_path / 'other.dousa'}.replaced"

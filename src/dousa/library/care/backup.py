@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 import sqlite3
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
@@ -28,7 +29,8 @@ from dousa.library.store.fragments import ARRAYS, Place, begin_store, find_store
 from dousa.library.store.opening import open_database
 from dousa.messages import Count, Message, Progress
 
-_BESIDE = (".fragments", "-windows", "-search", "-search-later", "-shm", "-wal", "")
+_MADE_AGAIN = ("-windows", "-search", "-search-later", "-shm")
+_NEEDED = (".fragments", "-journal", "-wal", "")
 """What belongs to a library file, by the ends of names; the file last, as without it there is no library."""
 
 
@@ -82,8 +84,8 @@ def restore(
                 raise LibraryError("library_file.empty", library=source.where, name=source.where)
         if is_url(to):
             return _fill(source, str(to), progress)
-        path = Path(to).absolute()
-        if path == Path(backup).absolute():
+        path = Path(os.path.realpath(to))  # a link to the library stays one
+        if path == Path(os.path.realpath(backup)):
             raise LibraryError("library_backup.same", library=source.where)
         _leave_log(path)
         return _write(source, path, progress)
@@ -126,6 +128,7 @@ def _write(source: Database, path: Path, progress: Progress | None) -> BackupRep
         finally:
             database.engine.dispose()
         n_bytes = sum(file.stat().st_size for file in (folder / "new").rglob("*") if file.is_file())
+        _leave_log(path)  # what has come while this was copied is kept as well
         replaced = _exchange(folder, path)
     return BackupReport(os.fspath(path), n_clips, n_rows, n_bytes, replaced, time.perf_counter() - start)
 
@@ -178,27 +181,39 @@ def _prepare(path: Path) -> Iterator[Path]:
                 shutil.rmtree(folder / "new", ignore_errors=True)
                 raise
             finally:
+                if sys.platform == "win32":  # Windows cannot delete an open file
+                    lock.close()
                 for own in ("lock", "old", "new", ""):
                     with suppress(OSError):  # an old library stays in it until the next run
                         (folder / own).unlink() if own == "lock" else (folder / own).rmdir()
 
 
 def _exchange(folder: Path, path: Path) -> str | None:
-    """Give the new library its name; the old one goes to a folder, whose name is returned."""
+    """Give the new library its name; the old one goes to a folder, whose name is returned.
+
+    A file that is no part of a library made again is never deleted: it may be all that is left of one.
+    """
     old, new = folder / "old", folder / "new"
-    for end in _BESIDE:
-        there, kept = path.with_name(path.name + end), old / (path.name + end)
-        if there.exists() and kept.exists():  # of a program that was killed here, which had put it there
-            shutil.rmtree(there) if there.is_dir() else there.unlink()
-        elif there.exists():
+    pairs = [(path.with_name(path.name + end), old / (path.name + end)) for end in (*_MADE_AGAIN, *_NEEDED)]
+    earlier = None
+    if any(there.exists() and kept.exists() for there, kept in pairs):
+        earlier = _keep(old, path)  # of a program that was killed here; another library has its name since
+        old.mkdir()
+    for there, kept in pairs:
+        if there.exists():
             there.rename(kept)
     for end in (".fragments", ""):
         if (new / (path.name + end)).exists():
             (new / (path.name + end)).rename(path.with_name(path.name + end))
     sync_folder(path.parent)
-    if not (old / path.name).exists():
-        shutil.rmtree(old, ignore_errors=True)  # what belonged to a file that was not there
-        return None
+    if any((old / (path.name + end)).exists() for end in _NEEDED):
+        return _keep(old, path)
+    shutil.rmtree(old, ignore_errors=True)
+    return earlier
+
+
+def _keep(old: Path, path: Path) -> str:
+    """Give a folder with an old library the first name that is free."""
     names = (path.with_name(f"{path.name}.replaced{number or ''}") for number in count())
     kept = next(name for name in names if not name.exists())
     old.rename(kept)
@@ -237,8 +252,9 @@ def _copy_file(source: Database, new: Path, tell: Count) -> None:
 def _copy_rows(source: Database, target: Database, tell: Count) -> None:
     """Copy all rows to a library without clips, in one transaction; blocks of bytes go where the target has them."""
     with source.reading() as reading, target.writing() as writing:
-        if writing.execute(sa.select(schema.clips.c.id).limit(1)).first() is not None:
-            raise LibraryError("library_backup.not_empty", library=target.where)
+        for table in (schema.clips, schema.journal):  # of clips that were removed, an undo brings some back
+            if writing.execute(sa.select(schema.key_of(table)).limit(1)).first() is not None:
+                raise LibraryError("library_backup.not_empty", library=target.where)
         tables = schema.metadata.sorted_tables
         for table in tables:
             writing.execute(sa.delete(table))

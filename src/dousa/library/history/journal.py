@@ -62,8 +62,8 @@ def name_writer() -> str:
     """Return the user and the machine, such as ``ann@desk``."""
     try:
         user = getpass.getuser()
-    except (KeyError, OSError):  # a user without a name, as in a container
-        user = str(os.getuid())
+    except (KeyError, OSError, ImportError):  # a user without a name, as in a container
+        user = str(os.getuid()) if hasattr(os, "getuid") else ""
     return f"{user}@{socket.gethostname()}"
 
 
