@@ -20,7 +20,7 @@ SOURCE = ROOT / "src" / "dousa"
 ROOMS = {
     "app": (25_775, 111),
     "estimation": (15_686, 65),
-    "evaluation": (12_718, 48),
+    "evaluation": (12_717, 48),
     "experiments": (1_728, 10),
     "files": (1_098, 8),
     "formats": (12_935, 70),

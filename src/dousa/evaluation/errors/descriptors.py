@@ -56,9 +56,8 @@ _PER_WINDOW = (
 _LAG = _PER_WINDOW.index("lag")
 _USUAL = [_PER_WINDOW.index(name) for name in ("own", "best", "lag", "path")]
 _SLIGHT = 0.03  # rad, so that nothing is divided by 0: the judge of lab/training/train_judge.py is fitted with it
-_FLIP = np.array(
-    [-1.0, 1.0, 1.0]
-)  # by definition of the fitted judge: facing back
+# The mirror image facing back, by definition of the fitted judge: x is front to back.
+_FLIP = np.array([-1.0, 1.0, 1.0])
 _SORTED = ("own", "best", "at_body", "path", "left_by_gain", "gain", "lag_beside_body")
 
 
