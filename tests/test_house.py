@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_402,
+    "lines of tests": 62_403,
     "lines of JavaScript": 12_473,
     "constants": 1_050,
     "numeric constants without a source": 0,

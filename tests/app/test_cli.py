@@ -400,6 +400,7 @@ def test_a_stop_is_a_word_not_a_traceback(dousa, trained, tmp_path, monkeypatch,
         signal.raise_signal(number)
 
     monkeypatch.setattr(export, "read_bytes", stop)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a run in the background ignores it
     code, _, err = dousa("export", trained, "-o", tmp_path / "out.zip")
     assert code == expected
     assert "interrupted" in err and "Traceback" not in err

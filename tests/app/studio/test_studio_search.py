@@ -220,7 +220,7 @@ def test_legs_are_judged_against_a_whole_body(studio, uploaded, bvh, wait_job):
     done = wait_job(studio, job.json()["id"])
     assert done["state"] == "done", done["problem"]
     result = done["result"]
-    assert result["score"] > 85
+    assert result["score"] is None  # less than half of what moves in the reference is seen: it cannot tell
     assert set(result["not_judged"]) == {"trunk"} | {
         f"{side}_{part}" for side in ("left", "right") for part in ("upper_arm", "forearm")
     }
