@@ -272,10 +272,15 @@ def test_damage(tmp_path):
         ([[[0, 0, 0]] * 17] * 3, "landmarks.flat"),
         ([[[None] * 3] * 17] * 3, "landmarks.flat"),
         ([[{"x": 1, "y": 1, "z": 1, "visibility": 0}] * 17] * 3, "landmarks.nobody"),
-        ([*points, points[0][:16]], "landmarks.uneven"),
+        ([*points, points[0][:16]], "guard.uneven"),
+        ([*points, [*points[0][:-1], points[0][-1][:2]]], "landmarks.frame"),
+        ([*points, [[*points[0][0], 1.0], *points[0][1:]]], "landmarks.frame"),
+        ([*points, [[True, *points[0][0][1:]], *points[0][1:]]], "landmarks.frame"),
+        ([*points, np.ravel(points[0]).tolist()[:-1]], "landmarks.frame"),
+        ([{"pose_keypoints_3d": np.ravel(frame).tolist()[n:]} for n, frame in enumerate(points)], "landmarks.frame"),
         ([frame[:16] for frame in points], "arrays.joints"),
         ([[[1e400, 0, -1], *frame[1:]] for frame in points], "guard.no_place"),
-        ([points * 100], "landmarks.people"),
+        ([points * 100], "landmarks.frame"),
     )):  # fmt: skip
         assert code_of(save(tmp_path / f"{number}.json", content)) == code, number
     huge = json.dumps(points).replace(str(points[0][0][0]), "9" * 400, 1)

@@ -21,12 +21,14 @@ _decoder = json.JSONDecoder()
 def parse_arrays(text: str) -> Any:
     """Parse JSON; lists of numbers, and lists of such of equal length, are float64 arrays if they hold six or more.
 
+    ``true`` and ``false`` are no numbers: lists that hold them stay lists.
+
     Raises
     ------
     json.JSONDecodeError : it is none; more than one value is called ``Extra data``.
     RecursionError : it is nested too deeply.
     """
-    value, end = _parse(text, _skip(text, 0))
+    value, end = _parse(text, _skip(text, 0), "true" in text or "false" in text)
     if end < len(text):
         raise json.JSONDecodeError("Extra data", text, end)
     return value
@@ -37,12 +39,12 @@ def _skip(text: str, position: int) -> int:
     return found.end() if found else position
 
 
-def _parse(text: str, start: int, deepest: int = 4) -> tuple[Any, int]:
+def _parse(text: str, start: int, mixed: bool, deepest: int = 4) -> tuple[Any, int]:
     """The value at a place and where the next text is; outer lists and objects are taken apart here."""
     sign = text[start : start + 1]
     if sign not in ("[", "{") or not deepest:
         value, end = _decoder.raw_decode(text, start)
-        return _pack(value), _skip(text, end)
+        return _pack(value, mixed), _skip(text, end)
     end = _skip(text, start + 1)
     if sign == "[":
         runs: list[Any] = []
@@ -52,7 +54,7 @@ def _parse(text: str, start: int, deepest: int = 4) -> tuple[Any, int]:
             entries.append(value)
             end, more = _next(text, end, "]")
             if len(entries) == 1000 or not more:
-                runs.append(_pack(entries))
+                runs.append(_pack(entries, mixed))
                 entries = []
             if not more:
                 break
@@ -65,7 +67,7 @@ def _parse(text: str, start: int, deepest: int = 4) -> tuple[Any, int]:
         end = _skip(text, end)
         if text[end : end + 1] != ":":
             raise json.JSONDecodeError("Expecting ':' delimiter", text, end)
-        content[key], end = _parse(text, _skip(text, end + 1), deepest - 1)
+        content[key], end = _parse(text, _skip(text, end + 1), mixed, deepest - 1)
         end, more = _next(text, end, "}")
         if not more:
             break
@@ -88,9 +90,10 @@ def _join(runs: list[Any]) -> Any:
     return [entry for run in runs for entry in run]
 
 
-def _pack(value: Any) -> Any:
+def _pack(value: Any, mixed: bool) -> Any:
+    """The value with arrays; ``mixed`` : whether truth values may be among the numbers."""
     if isinstance(value, dict):
-        return {key: _pack(entry) for key, entry in value.items()}
+        return {key: _pack(entry, mixed) for key, entry in value.items()}
     if not isinstance(value, list) or not value:
         return value
     if isinstance(value[0], int | float | list) and not isinstance(value[0], bool):
@@ -98,6 +101,10 @@ def _pack(value: Any) -> Any:
             array = np.array(value)
         except (ValueError, OverflowError):  # lists of unequal lengths
             array = np.zeros(0, object)
-        if array.dtype.kind in "iuf":
+        if array.dtype.kind in "iuf" and not (mixed and _holds_truth(value)):
             return array.astype(np.float64) if array.size >= _FEWEST else value
-    return [_pack(entry) for entry in value]
+    return [_pack(entry, mixed) for entry in value]
+
+
+def _holds_truth(value: Any) -> bool:
+    return any(map(_holds_truth, value)) if isinstance(value, list) else isinstance(value, bool)

@@ -19,7 +19,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,7 @@ from dousa.files.json_arrays import parse_arrays
 from dousa.formats.arrays.bodies import gather_people, list_bodies
 from dousa.formats.arrays.joints import BODY_OF, list_layouts, name_joints
 from dousa.formats.arrays.pickles import build_content
-from dousa.formats.guard import Clock, check_memory
+from dousa.formats.guard import Clock, check_even, check_memory
 from dousa.formats.parts import choose
 from dousa.messages import Message
 from dousa.motion import Motion, Trajectories, thin
@@ -77,12 +77,14 @@ class Person:
     key : name of the points in the file, "" of bare lists.
     names : (K,) of the points, if any; else empty.
     number : of the person by the program, else None.
+    values : numbers that the file has of the points: as many in every frame.
     """
 
     points: FloatArray
     key: str = ""
     names: tuple[str, ...] = ()
     number: int | None = None
+    values: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,7 +117,16 @@ def list_frames(content: Any, most: int = 2_000_000) -> Recording:
     if _is_person(content):  # the points of a single frame
         content = [content]
     times, numbers = (_list_values(content, keys) for keys in _CLOCK_KEYS)
-    return Recording([list_people(entry) for entry in content], rate, names, times, numbers)
+    return Recording([_list_in_frame(entry, n) for n, entry in enumerate(content, 1)], rate, names, times, numbers)
+
+
+def _list_in_frame(content: Any, number: int) -> list[Person]:
+    try:
+        return list_people(content)
+    except FormError as error:
+        if error.code == "landmarks.unknown" and number == 1:  # the form of the file
+            raise
+        raise FormError("landmarks.frame", frame=number, problem=error.message) from error
 
 
 def _list_values(frames: Sequence[Any], keys: Sequence[str]) -> FloatArray | None:
@@ -186,7 +197,7 @@ def list_people(node: Any, key: str = "", depth: int = 0, deepest: int = 6, most
 
     FormError if it is none, nested deeper than ``deepest``, or has more than ``most`` people.
     """
-    if node is None or (not isinstance(node, np.ndarray) and node in ([], {})):
+    if node is None or (isinstance(node, list | Mapping) and not node):
         return []
     if depth > deepest:
         raise FormError("landmarks.unknown")
@@ -195,7 +206,7 @@ def list_people(node: Any, key: str = "", depth: int = 0, deepest: int = 6, most
     if not isinstance(node, _LISTS):
         raise FormError("landmarks.unknown")
     if _is_person(node):
-        return [Person(*_read_points(node, key))]
+        return [_read_person(node, key)]
     if len(node) > most:
         raise FormError("landmarks.people", most=most, found=len(node))
     return [person for entry in node for person in list_people(entry, key, depth + 1)]
@@ -216,7 +227,8 @@ def _list_in_object(node: Mapping[str, Any], depth: int) -> list[Person]:
         if key in node:
             return list_people(node[key], key, depth + 1)
     if _is_named_points(node):
-        return [Person(np.array([_read_landmark(entry) for entry in node.values()]), "", tuple(map(str, node)))]
+        person = _read_person([*node.values()], "")
+        return [replace(person, names=tuple(map(str, node))[: len(person.points)])]
     raise FormError("landmarks.unknown")
 
 
@@ -226,7 +238,8 @@ def _finish(person: Person, scores: Any, number: int | None) -> Person:
     points = person.points
     if scores is not None and len(scores) >= len(points) and all(map(_is_number, scores)):
         points = np.column_stack((points[:, :3], np.array(scores[: len(points)], np.float64)))
-    return Person(points, person.key, person.names, person.number if number is None else number)
+    values = person.values + (0 if scores is None else len(scores))
+    return replace(person, points=points, number=person.number if number is None else number, values=values)
 
 
 def _is_number(value: Any) -> bool:
@@ -240,7 +253,8 @@ def _is_value(value: Any) -> bool:
 def _is_landmark(entry: Any) -> bool:
     if isinstance(entry, Mapping):
         return _is_value(entry.get("x", "")) and _is_value(entry.get("y", ""))
-    return entry is None or (isinstance(entry, _LISTS) and 2 <= len(entry) <= 5 and all(map(_is_value, entry)))
+    plain = isinstance(entry, _LISTS) and not any(isinstance(value, (*_LISTS, Mapping)) for value in entry)
+    return entry is None or (plain and 2 <= len(entry) <= 5)
 
 
 def _is_named_points(node: Mapping[str, Any]) -> bool:
@@ -269,19 +283,38 @@ def _is_person(node: list[Any] | FloatArray) -> bool:
     return len(node) > 2 and any(entry is not None for entry in node) and all(map(_is_landmark, node))
 
 
-def _read_points(node: list[Any] | FloatArray, key: str) -> tuple[FloatArray, str, tuple[str, ...]]:
+def _read_person(node: list[Any] | FloatArray, key: str) -> Person:
+    """The points of a person, of whom each has as many numbers as the others."""
     width = _flat_width(node)
     names: tuple[str, ...] = ()
     if width:
         points = np.array(node, np.float64).reshape(-1, width)
     elif isinstance(node, np.ndarray):
-        points = np.insert(node, 2, np.nan, axis=1) if node.shape[1] == 2 else node[:, :4]
+        width = node.shape[1]
+        points = np.insert(node, 2, np.nan, axis=1) if width == 2 else node[:, :4]
     else:
+        width = _check_points(node)
         points = np.array([_read_landmark(entry) for entry in node])
         if all(isinstance(entry, Mapping) and isinstance(entry.get("name"), str) for entry in node):
             names = tuple(entry["name"][:100] for entry in node)
-    count = BODY_OF.get(len(points), len(points))
-    return points[:count], key, names[:count] if len(set(names)) == len(names) else ()
+    count, values = BODY_OF.get(len(points), len(points)), len(points) * width
+    return Person(points[:count], key, names[:count] if len(set(names)) == len(names) else (), None, values)
+
+
+def _check_points(node: list[Any]) -> int:
+    """The number of numbers that each point has; FormError if one has others, or what is no number."""
+    places = [
+        [entry[axis] for axis in "xyz" if axis in entry] if isinstance(entry, Mapping) else entry for entry in node
+    ]
+    widths = [0 if entry is None else len(entry) for entry in places]
+    usual = Counter(filter(None, widths)).most_common(1)[0][0]
+    for number, (entry, width) in enumerate(zip(places, widths, strict=True), 1):
+        if width not in (0, usual):
+            raise FormError("landmarks.point", number=number, expected=usual, found=width)
+        odd = [value for value in entry if not _is_value(value)] if isinstance(entry, list) else []
+        if odd:
+            raise FormError("landmarks.no_number", number=number, found=str(odd[0])[:40])
+    return usual
 
 
 def _read_landmark(entry: Any) -> tuple[float, float, float, float]:
@@ -432,10 +465,9 @@ def _choose_person(
 
 def _stack(path: str | os.PathLike[str], people: list[Person | None]) -> tuple[FloatArray, FloatArray]:
     """Points (T, K, 3) of the person, NaN in frames without, and their confidences (T, K)."""
-    sizes = Counter(len(person.points) for person in people if person is not None)
-    count = max(sizes, key=lambda size: sizes[size])
-    if len(sizes) > 1:
-        raise MotionFileError(path, "landmarks.uneven", found=tuple(sorted(sizes)))
+    seen = {frame: person for frame, person in enumerate(people, 1) if person is not None}
+    check_even(path, {frame: person.values for frame, person in seen.items()})
+    count = check_even(path, {frame: len(person.points) for frame, person in seen.items()})
     if count * len(people) > 100_000_000:
         raise MotionFileError(path, "disk.too_large")
     places, sure = np.full((len(people), count, 3), np.nan), np.ones((len(people), count))

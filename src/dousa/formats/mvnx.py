@@ -28,7 +28,7 @@ from dousa.formats.assembly import (
     settle_motion,
     settle_trajectories,
 )
-from dousa.formats.guard import Clock, check_memory, compare_points, settle_positions
+from dousa.formats.guard import Clock, check_even, check_memory, compare_points, settle_positions
 from dousa.formats.parts import choose, distinguish
 from dousa.formats.smpl import mean_body
 from dousa.messages import Message
@@ -279,10 +279,11 @@ def _read_values(
             row = np.array([float(word) for word in (node.text or "").split()] if node is not None else [])
         except ValueError:
             raise MotionFileError(path, "mvnx.number", name=name, frame=number) from None
-        if len(row) < count * width:
-            raise MotionFileError(path, "mvnx.count", name=name, frame=number, expected=count * width, found=len(row))
-        rows.append(row[: count * width])  # props come after the segments of the body
-    return np.array(rows).reshape(len(frames), count, width)
+        rows.append(row)
+    held = check_even(path, dict(enumerate(map(len, rows), 1)))
+    if held < count * width:
+        raise MotionFileError(path, "mvnx.count", name=name, expected=count * width, found=held)
+    return np.array(rows)[:, : count * width].reshape(len(frames), count, width)  # props come after the body
 
 
 def _list_joints(subject: ET.Element) -> Iterator[tuple[str, str, str]]:

@@ -120,7 +120,7 @@ def settle_clock(
         rows, more = _order_rows(path, np.concatenate(([0], np.cumsum(steps))), content)
         notes += more
         n_frames = n_rows if rows is None else len(rows)
-    if clock.frames is not None and clock.frames != n_frames and not clock.frames <= 0:
+    if clock.frames is not None and clock.frames not in (n_rows, n_frames) and not clock.frames <= 0:
         notes.append(Message("guard.frame_count", declared=f"{clock.frames:,.0f}", found=n_rows))
     if given is not None:
         if clock.rate is not None and clock.rate != given:
@@ -146,7 +146,7 @@ def _agrees(clock: Clock, n_rows: int) -> bool:
 
 
 def _usable(column: FloatArray | None, n_rows: int) -> FloatArray | None:
-    """A column that counts: mostly numbers, not all the same; blank cells in the middle of their neighbours."""
+    """A column that counts: mostly numbers, not all the same; blank cells go on as their neighbours do."""
     if column is None or len(column) != n_rows or n_rows < 2:
         return None
     column = np.asarray(column, np.float64)
@@ -154,7 +154,10 @@ def _usable(column: FloatArray | None, n_rows: int) -> FloatArray | None:
     if 2 * np.count_nonzero(finite) <= n_rows:
         return None
     if not finite.all():
-        column = np.interp(np.arange(n_rows), np.flatnonzero(finite), column[finite])
+        rows, known = np.arange(n_rows), np.flatnonzero(finite)
+        beyond = rows - np.clip(rows, known[0], known[-1])
+        column = np.interp(rows, known, column[finite])
+        column += beyond * np.median(np.diff(column[known[0] : known[-1] + 1]))
     return None if np.all(column == column[0]) or np.abs(column).max() > 2.0**53 else column
 
 

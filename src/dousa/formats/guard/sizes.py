@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
+from collections.abc import Mapping
 
 from dousa.errors import MotionFileError
 from dousa.messages import Message
@@ -34,6 +36,18 @@ def check_memory(path: str | os.PathLike[str], needed: int, held: int) -> None:
     """
     if needed > max(_FREE_BYTES, _MOST_BYTES * held):
         raise MotionFileError(path, "guard.memory", needed=needed / 1e6, held=held / 1e6)
+
+
+def check_even(path: str | os.PathLike[str], counts: Mapping[int, int]) -> int:
+    """Return how many values every frame has; MotionFileError if one has others than most, as melted numbers make.
+
+    ``counts`` : by number of the frame, of frames in which something was seen.
+    """
+    usual = Counter(counts.values()).most_common(1)[0][0]
+    odd = [frame for frame, count in counts.items() if count != usual]
+    if odd:
+        raise MotionFileError(path, "guard.uneven", frame=odd[0], expected=usual, found=counts[odd[0]])
+    return usual
 
 
 def compare_points(declared: float | None, found: int) -> tuple[Message, ...]:

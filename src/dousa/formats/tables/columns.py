@@ -8,6 +8,7 @@ time, a number of the frame, a confidence, the person, and of tables with a row 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -134,6 +135,13 @@ def _find_role(found: Columns, column: int, title: str) -> None:
         name = next(part for part in (sure["stem"], sure["after"], sure["number"]) if part is not None).strip(" _.|/-")
         if name in found.points:
             found.scores.setdefault(name, column)
+
+
+def find_odd(columns: Columns) -> list[str]:
+    """Find the points whose columns lie otherwise to each other than those of most: their names stand over others."""
+    ways = {name: (y - x, z - x) for name, (x, y, z) in columns.points.items()}
+    usual = Counter(ways.values()).most_common(1)
+    return [name for name, way in ways.items() if way != usual[0][0]]
 
 
 def spread_names(names: Sequence[str], axes: Sequence[str]) -> list[str]:

@@ -27,7 +27,7 @@ from dousa.formats.guard.people import take_person
 from dousa.formats.landmarks import note_hips, refuse_pictures
 from dousa.formats.parts import choose
 from dousa.formats.tables.cells import Rows, count_cells, decode, find_rows, is_number, list_lines, split_rows
-from dousa.formats.tables.columns import Columns, find_columns, spread_names
+from dousa.formats.tables.columns import Columns, find_columns, find_odd, spread_names
 from dousa.formats.tables.joint_angles import is_of_angles, read_angles
 from dousa.formats.tables.motive import read_motive
 from dousa.formats.tables.qualisys import read_qualisys
@@ -89,6 +89,9 @@ def read_table(
     if is_of_angles(path):
         return take_person(read_angles(path, unit=unit, up=up), path, person)
     rows, notes = find_rows(path, text, header.body, header.mark, header.cells)
+    odd = find_odd(header.columns)
+    if odd:
+        notes += (Message("tables.odd_columns", n=len(odd), total=len(header.columns.points), name=odd[0]),)
     del text
     for kind, role, wanted in (("animation", "clips", animation), ("person", "people", person)):
         rows, more = _choose_rows(path, header, rows, kind, role, wanted)
