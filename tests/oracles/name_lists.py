@@ -6,7 +6,7 @@ HDM05 ASF -> CMU/HDM05:
     root,lhipjoint,lfemur,ltibia,lfoot,ltoes,ltoes_end,rhipjoint,rfemur,rtibia,rfoot,rtoes,rtoes_end,lowerback,
     upperback,thorax,lowerneck,upperneck,head,head_end,lclavicle,lhumerus,lradius,lwrist,lhand,lfingers,lfingers_end,
     lthumb,lthumb_end,rclavicle,rhumerus,rradius,rwrist,rhand,rfingers,rfingers_end,rthumb,rthumb_end
-Bandai -> Bandai/Unity:
+Bandai -> Bandai/Unity/Xsens MVN:
     joint_Root,Hips,Spine,Chest,Neck,Head,Head_end,Shoulder_L,UpperArm_L,LowerArm_L,Hand_L,Hand_L_end,Shoulder_R,
     UpperArm_R,LowerArm_R,Hand_R,Hand_R_end,UpperLeg_L,LowerLeg_L,Foot_L,Toes_L,UpperLeg_R,LowerLeg_R,Foot_R,Toes_R
 Kinect v1 -> Kinect v1:
@@ -37,10 +37,10 @@ LAFAN1 -> MotionBuilder/Mixamo/LAFAN1:
 Rokoko -> Rokoko:
     Hips,Spine,Spine1,Spine2,Spine3,Neck,Head,LeftShoulder,LeftArm,LeftForeArm,LeftHand,RightShoulder,RightArm,
     RightForeArm,RightHand,LeftThigh,LeftShin,LeftFoot,LeftToe,RightThigh,RightShin,RightFoot,RightToe
-Xsens MVN -> Xsens MVN:
+Xsens MVN -> Bandai/Unity/Xsens MVN:
     Pelvis,L5,L3,T12,T8,Neck,Head,RightShoulder,RightUpperArm,RightForearm,RightHand,LeftShoulder,LeftUpperArm,
     LeftForearm,LeftHand,RightUpperLeg,RightLowerLeg,RightFoot,RightToe,LeftUpperLeg,LeftLowerLeg,LeftFoot,LeftToe
-Xsens MVN underscores -> Xsens MVN:
+Xsens MVN underscores -> Bandai/Unity/Xsens MVN:
     Pelvis,L5,L3,T12,T8,Neck,Head,Right_Shoulder,Right_UpperArm,Right_ForeArm,Right_Hand,Left_Shoulder,Left_UpperArm,
     Left_ForeArm,Left_Hand,Right_UpperLeg,Right_LowerLeg,Right_Foot,Right_Toe,Left_UpperLeg,Left_LowerLeg,Left_Foot,
     Left_Toe
@@ -48,7 +48,7 @@ Xsens BVH -> Biovision/Xsens BVH:
     Hips,Chest,Chest2,Chest3,Chest4,Neck,Head,Head_end,RightCollar,RightShoulder,RightElbow,RightWrist,RightWrist_end,
     LeftCollar,LeftShoulder,LeftElbow,LeftWrist,LeftWrist_end,RightHip,RightKnee,RightAnkle,RightToe,LeftHip,LeftKnee,
     LeftAnkle,LeftToe
-Biovision -> Bandai/Unity:
+Biovision -> Bandai/Unity/Xsens MVN:
     Hips,Chest,Neck,Head,LeftCollar,LeftUpArm,LeftLowArm,LeftHand,RightCollar,RightUpArm,RightLowArm,RightHand,
     LeftUpLeg,LeftLowLeg,LeftFoot,RightUpLeg,RightLowLeg,RightFoot
 SMPL -> SMPL:
@@ -127,7 +127,7 @@ Perception Neuron -> MotionBuilder/Mixamo/LAFAN1:
 ACCAD -> MotionBuilder/Mixamo/LAFAN1:
     Hips,ToSpine,Spine,Spine1,Neck,Head,LeftShoulder,LeftArm,LeftForeArm,LeftHand,RightShoulder,RightArm,RightForeArm,
     RightHand,LeftUpLeg,LeftLeg,LeftFoot,LeftToeBase,RightUpLeg,RightLeg,RightFoot,RightToeBase
-VRM -> Bandai/Unity:
+VRM -> Bandai/Unity/Xsens MVN:
     Root,J_Bip_C_Hips,J_Bip_C_Spine,J_Bip_C_Chest,J_Bip_C_UpperChest,J_Bip_C_Neck,J_Bip_C_Head,J_Bip_L_Shoulder,
     J_Bip_L_UpperArm,J_Bip_L_LowerArm,J_Bip_L_Hand,J_Bip_L_Middle1,J_Bip_R_Shoulder,J_Bip_R_UpperArm,J_Bip_R_LowerArm,
     J_Bip_R_Hand,J_Bip_L_UpperLeg,J_Bip_L_LowerLeg,J_Bip_L_Foot,J_Bip_L_ToeBase,J_Bip_R_UpperLeg,J_Bip_R_LowerLeg,

@@ -13,6 +13,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain
 from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
@@ -26,7 +27,7 @@ from dousa.motion.canonical.geometry import STATURE_PER_HEIGHT, body_points, cha
 from dousa.motion.canonical.joints import CANONICAL_JOINTS, CANONICAL_PARENTS, MIRRORED_JOINTS, CanonicalPoses
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.mapping import ChosenMap, choose_map, find_clusters, names_of_seen
-from dousa.motion.canonical.naming import NameMatch, match_names
+from dousa.motion.canonical.naming import NameMatch, group_owners, match_names
 from dousa.motion.canonical.recipes import HAND_REACH, JointMap, Recipe, recipe_from_joint_map
 from dousa.motion.canonical.tree_shape import compare_sides, compute_forward, spread_frames
 from dousa.motion.resampling import fill_gaps
@@ -200,11 +201,17 @@ def _choose_recipe(
     names = names_of_seen(moving.names, never)
     if joint_map is not None:
         return ChosenMap(recipe_from_joint_map(joint_map, names), True)
-    chosen = choose_map(moving, never, markers)
+    _, *others = _group_people(moving).values() or ((),)  # keep their places but lose their names
+    chosen = choose_map(moving, (*never, *chain.from_iterable(others)), markers)
     if chosen is None:
         unseen = tuple(dict.fromkeys(moving.names[index] for index in never))
         raise JointMappingError(_problem(match_names(names), moving, unseen), moving.names)
     return chosen
+
+
+def _group_people(moving: Trajectories) -> dict[str, tuple[int, ...]]:
+    """The points of several people by owner, of points that no reader has taken apart."""
+    return group_owners(moving.names) if moving.parents is None else {}
 
 
 def _problem(match: NameMatch | None, moving: Trajectories, never: tuple[str, ...]) -> Message:
@@ -247,8 +254,8 @@ def _finish(moving: Trajectories, chosen: ChosenMap, points: FloatArray, unseen:
         warnings.append(Message("canonical.no_person", height=height))
     if not chosen.is_person:
         warnings.append(Message("canonical.not_a_person", table=recipe.table))
-    if chosen.bodies:
-        warnings.append(Message("canonical.several", first=chosen.bodies[0], others=chosen.bodies[1:]))
+    if people := tuple(_group_people(moving)):
+        warnings.append(Message("canonical.several", first=people[0], others=people[1:]))
     if chosen.is_odd:
         warnings.append(Message("canonical.odd_proportions", table=recipe.table))
     if recipe.absent:

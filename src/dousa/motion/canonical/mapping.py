@@ -19,7 +19,7 @@ from dousa.motion.canonical.anthropometry import Proportions, find_medians, meas
 from dousa.motion.canonical.geometry import body_points
 from dousa.motion.canonical.joints import CANONICAL_JOINTS
 from dousa.motion.canonical.joints import JOINT_INDEX as J
-from dousa.motion.canonical.naming import group_owners, named_by_estimators
+from dousa.motion.canonical.naming import named_by_estimators
 from dousa.motion.canonical.recipes import Recipe, named_recipes, on_the_skin, partial_recipes
 from dousa.motion.canonical.tree_shape import compute_forward, shape_recipe, spread_frames
 from dousa.motion.types import Trajectories
@@ -35,7 +35,6 @@ class ChosenMap:
     is_person : whether the proportions are possible.
     passed_over : tables that cover as much but give no person.
     is_odd : whether only the names suggest a person.
-    bodies : owners of the markers, if there are several people; the map is that of the first.
     markers : whether points named like joints were taken for markers on the skin, by the width of the hips alone; None
         if the names or a point inside the body decide.
     """
@@ -44,7 +43,6 @@ class ChosenMap:
     is_person: bool
     passed_over: tuple[str, ...] = ()
     is_odd: bool = False
-    bodies: tuple[str, ...] = ()
     markers: bool | None = None
 
 
@@ -58,17 +56,6 @@ def choose_map(sample: Trajectories, unseen: tuple[int, ...] = (), markers: bool
     markers : whether points named like joints are markers on the skin; None to decide it.
     """
     names = names_of_seen(sample.names, unseen)
-    bodies = group_owners(sample.names) if sample.parents is None else {}
-    if bodies:  # the others keep their places but lose their names
-        first = next(iter(bodies.values()))
-        names = names_of_seen(names, tuple(index for own in bodies.values() if own != first for index in own))
-    found = _choose(names, sample, unseen, markers)
-    return found if found is None or not bodies else dataclasses.replace(found, bodies=tuple(bodies))
-
-
-def _choose(
-    names: tuple[str, ...], sample: Trajectories, unseen: tuple[int, ...], markers: bool | None
-) -> ChosenMap | None:
     first: ChosenMap | None = None
     failed: list[str] = []
     for candidate in _candidates(names, sample, use_tree=not unseen):
