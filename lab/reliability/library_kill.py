@@ -31,6 +31,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import traceback
 import zipfile
 from collections import Counter
 from collections.abc import Callable
@@ -40,7 +41,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from dousa.errors import LibraryError
+from dousa.errors import LibraryError, is_interrupt
 from dousa.formats.registry import write_motion
 from dousa.library import Library
 from dousa.library import add as adding
@@ -190,8 +191,10 @@ def work_in_process(path: Path, work: Work, wait: float | None, number: int = si
         try:
             work(path)
             code = 0
-        except KeyboardInterrupt:
-            code = 143
+        except BaseException as error:
+            code = 143 if is_interrupt(error) else 1
+            if code == 1:
+                traceback.print_exc()
         finally:
             os._exit(code)
     if wait is not None:

@@ -75,6 +75,13 @@ class DousaError(Exception):
         return _rebuild, (type(self), self.__dict__)
 
 
+def is_interrupt(error: BaseException) -> bool:
+    """Return whether an error is Ctrl-C, or that as a compiled loop passes it on: as the first cause of its own error."""
+    while isinstance(error, SystemError) and error.__cause__ is not None:
+        error = error.__cause__
+    return isinstance(error, KeyboardInterrupt)
+
+
 def _rebuild(kind: type[DousaError], state: dict[str, Any]) -> DousaError:
     error = kind.__new__(kind)
     error.__dict__.update(state)

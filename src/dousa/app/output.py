@@ -10,9 +10,9 @@ import sys
 import unicodedata
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
-from dousa.files.json_values import to_json_value
+from dousa.files.json_values import refuse_infinite, to_json_value
 from dousa.messages import Message
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def survive_narrow_encodings() -> None:
 
 def print_json(answer: Any) -> None:
     """One JSON document on standard output; NaN, a number that is not known, becomes null. OptionError for infinity."""
-    plain = to_json_value(answer, _refuse)
+    plain = to_json_value(answer, refuse_infinite)
     text = json.dumps(plain, ensure_ascii=False, indent=1, allow_nan=False)
     text = _UNSAFE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
     try:
@@ -69,12 +69,6 @@ def print_json(answer: Any) -> None:
     except UnicodeEncodeError:  # a terminal of few characters, or a file name that is not Unicode
         text = json.dumps(plain, indent=1, allow_nan=False)
     sys.stdout.write(text + "\n")
-
-
-def _refuse(value: float) -> NoReturn:
-    from dousa.errors import OptionError
-
-    raise OptionError("output.infinite")
 
 
 def print_answer(answer: Any, print_lines: Callable[[Console, Any], None], *, json: bool) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NoReturn
 
 from dousa.messages import Message
 
@@ -29,6 +29,13 @@ def to_json_value(value: Any, infinite: Callable[[float], Any] = lambda value: N
     if isinstance(plain, Mapping):
         return {str(key): to_json_value(item, infinite) for key, item in plain.items()}
     return plain if plain is value else to_json_value(plain, infinite)
+
+
+def refuse_infinite(value: float) -> NoReturn:
+    """Raise OptionError, of `to_json_value`, where an infinity would say that something is known."""
+    from dousa.errors import OptionError
+
+    raise OptionError("output.infinite")
 
 
 def round_number(value: float | None, digits: int) -> float | None:

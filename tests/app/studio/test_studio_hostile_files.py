@@ -8,6 +8,9 @@ import shutil
 import struct
 import time
 import zipfile
+from contextlib import nullcontext
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -44,14 +47,21 @@ def take(rate: float, n_frames: int = 50) -> bytes:
 # --- files
 
 
-def test_an_archive_whose_list_is_endless_is_refused(studio, monkeypatch, tmp_path):
+@pytest.fixture
+def reads_itself(studio, monkeypatch):
+    """A studio that reads uploads in its own process, where tests can change how."""
+    monkeypatch.setattr(studio.app.state.studio.reader, "run", lambda function, *args, seconds=0.0: function(*args))
+    return studio
+
+
+def test_an_archive_whose_list_is_endless_is_refused(reads_itself, monkeypatch, tmp_path):
     monkeypatch.setattr(uploads, "_MOST_AT_ONCE", 2_000)
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as packed:
         for number in range(100):
             packed.writestr(f"{number}.bvh", GOOD)
     before = list_below(tmp_path)
-    assert studio.post("/api/uploads?name=a.zip", content=buffer.getvalue()).status_code == 413
+    assert reads_itself.post("/api/uploads?name=a.zip", content=buffer.getvalue()).status_code == 413
     assert list_below(tmp_path) == before
 
 
@@ -170,38 +180,23 @@ def test_names_of_a_relative_library_are_told_without_folders(library_copy, bvh,
 # --- the disk and the library
 
 
-class FullDisk:
-    """A file that takes no byte."""
-
-    def __init__(self, file):
-        self._file = file
-
-    def __getattr__(self, name):
-        return getattr(self._file, name)
-
-    def write(self, content):
+@pytest.mark.parametrize("place", [".upload", ".member"])
+def test_a_full_disk_is_one_sentence_and_nothing_stays(reads_itself, place, monkeypatch, tmp_path):
+    def refuse(content):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-
-def test_a_full_disk_is_one_sentence_and_nothing_stays(studio, monkeypatch, tmp_path):
-    from contextlib import contextmanager
-
-    real = uploads._temporary
-
-    @contextmanager
-    def full(workspace):
-        with real(workspace) as (file, path):
-            yield FullDisk(file), path
+    def open_on_full_disk(path, mode):
+        full = nullcontext(SimpleNamespace(write=refuse))
+        return full if Path(path).name.startswith(place) and "x" in mode else open(path, mode)
 
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as packed:
         packed.writestr("a.bvh", GOOD)
     before = list_below(tmp_path)
-    monkeypatch.setattr(uploads, "_temporary", full)
-    for name, content in (("a.bvh", GOOD), ("a.zip", buffer.getvalue())):
-        answer = studio.post(f"/api/uploads?name={name}", content=content)
-        assert answer.status_code == 507
-        assert "disk is full" in answer.json()["problem"]
+    monkeypatch.setattr(uploads, "open", open_on_full_disk, raising=False)
+    answer = reads_itself.post("/api/uploads?name=a.zip", content=buffer.getvalue())
+    assert answer.status_code == 507
+    assert "disk is full" in answer.json()["problem"]
     assert list_below(tmp_path) == before
 
 

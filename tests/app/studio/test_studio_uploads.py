@@ -103,6 +103,22 @@ def test_a_zip_keeps_its_folders_and_says_what_it_left_out(studio):
     answer = studio.post("/api/uploads?name=all.zip", content=packed).json()
     assert {file["name"] for file in answer["files"]} == {"kick/a.bvh", "walk/b.bvh"}
     assert {item["name"] for item in answer["refused"]} == {"notes.exe", "../x.bvh"}
+    assert studio.get(f"/api/uploads/{answer['batch']}").json()["files"] == answer["files"]
+    added = studio.post(
+        f"/api/uploads?name=all.zip&batch={answer['batch']}",
+        content=make_zip(
+            [
+                ("c.bvh", GOOD),
+                ("kick/a.bvh", GOOD),
+                ("kick/a.bvh/d.bvh", GOOD),
+                ("./c.bvh", GOOD + b"twice"),
+            ]
+        ),
+    ).json()
+    assert [(file["name"], file["bytes"]) for file in added["files"]] == [("c.bvh", 25), ("kick/a.bvh", 20)]
+    assert [item["code"] for item in added["refused"]] == ["studio_files.folder_is_file"]
+    workspace = studio.app.state.studio.workspace
+    assert [path.name for path in workspace.root.glob("files/[!.]*")] == [answer["batch"]]
 
 
 def link_zip() -> bytes:
@@ -129,6 +145,9 @@ HOSTILE_ARCHIVES = {
     "a link": link_zip,
     "a lie about the size": lying_zip,
     "only ways out": lambda: make_zip([("../a.bvh", GOOD), ("/b.bvh", GOOD), ("..\\c.bvh", GOOD)]),
+    "folder upon folder": lambda: make_zip([("a/" * 400 + "b.bvh", GOOD)]),
+    "endless names": lambda: make_zip([("a" * 60_000 + ".bvh", GOOD)]),
+    "more files than can be": lambda: make_zip([(f"{k}.bvh", b"") for k in range(20_001)]),
     "nothing": lambda: make_zip([]),
     "no archive": lambda: b"PK\x03\x04 not really",
     "half an archive": lambda: make_zip([("a.bvh", os.urandom(5000))])[:3000],

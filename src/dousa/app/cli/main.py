@@ -13,6 +13,7 @@ import logging
 import os
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -32,7 +33,7 @@ from dousa.app.cli.usage import (
     to_typer_command,
 )
 from dousa.app.output import fail, survive_narrow_encodings
-from dousa.errors import DousaError, OptionError
+from dousa.errors import DousaError, OptionError, is_interrupt
 from dousa.messages import Message
 from dousa.workers.current import use_cluster
 
@@ -154,11 +155,20 @@ def run_application(application: typer.Typer) -> None:
         terminated.append(number)
         raise KeyboardInterrupt
 
+    def send_again(lost: sys.UnraisableHookArgs) -> None:
+        """Where Python drops the exception of a signal, as in what it does when an object is deleted."""
+        if issubclass(lost.exc_type, KeyboardInterrupt):
+            threading.Timer(0.01, signal.raise_signal, [*terminated, signal.SIGINT][:1]).start()
+        else:
+            sys.__unraisablehook__(lost)
+
     before = signal.signal(signal.SIGTERM, terminate)
+    sys.unraisablehook = send_again
     try:
         code = _run(application)
     finally:
         signal.signal(signal.SIGTERM, before)
+        sys.unraisablehook = sys.__unraisablehook__
     if code == INTERRUPTED:  # Typer turns Ctrl-C into this exit code and says nothing
         fail(Message("cli.interrupted"))
     if terminated:
@@ -190,14 +200,8 @@ def _run(application: typer.Typer) -> int | None:
     except MemoryError:
         fail(Message("cli.out_of_memory"))
         code = FAILED
-    except KeyboardInterrupt:
-        code = INTERRUPTED
-    except SystemError as error:
-        # Ctrl-C while a compiled loop runs is noticed when it returns, and reaches us as the first cause of this.
-        cause: BaseException = error
-        while cause.__cause__ is not None:
-            cause = cause.__cause__
-        if not isinstance(cause, KeyboardInterrupt):
+    except (KeyboardInterrupt, SystemError) as error:
+        if not is_interrupt(error):
             raise
         code = INTERRUPTED
     return code

@@ -67,6 +67,7 @@ def back_up(source: Database, to: str | os.PathLike[str], progress: Progress | N
     """Copy a library to a new file; as ``Library.backup``."""
     if is_url(to):
         raise LibraryError("library_backup.to_file", library=name_of(to))
+    _clear_left_overs(Path(to).absolute())
     if os.path.lexists(to):
         raise LibraryError("library_backup.exists", library=os.fspath(to))
     return _write(source, Path(to).absolute(), progress)
@@ -162,17 +163,14 @@ def _prepare(path: Path) -> Iterator[Path]:
     """Make the folder to prepare a library in, alone; without the remains of a killed program."""
     folder = path.with_name(f"{path.name}.part")
     with _disk_errors(path):
-        for other in path.parent.glob("*.part/lock"):  # of programs that were killed at another copy
-            with suppress(OSError), open(other, "r+b") as lock:
-                lock_file(lock)
-                (other.parent / "old").rmdir()  # fails with a library in it
-                shutil.rmtree(other.parent)
-        (folder / "old").mkdir(parents=True, exist_ok=True)
+        _clear_left_overs(path)
+        folder.mkdir(parents=True, exist_ok=True)
         with open(folder / "lock", "wb") as lock:
             try:
                 lock_file(lock)
             except OSError:
                 raise LibraryLockedError("library_backup.at_work", library=os.fspath(path)) from None
+            (folder / "old").mkdir(exist_ok=True)
             shutil.rmtree(folder / "new", ignore_errors=True)
             (folder / "new").mkdir()
             try:
@@ -183,9 +181,21 @@ def _prepare(path: Path) -> Iterator[Path]:
             finally:
                 if sys.platform == "win32":  # Windows cannot delete an open file
                     lock.close()
-                for own in ("lock", "old", "new", ""):
+                for own in ("old", "new", "lock", ""):
                     with suppress(OSError):  # an old library stays in it until the next run
                         (folder / own).unlink() if own == "lock" else (folder / own).rmdir()
+
+
+def _clear_left_overs(path: Path) -> None:
+    """Delete what programs that were killed have prepared in the folder of a library."""
+    for left in path.parent.glob("*.part/lock"):
+        with suppress(OSError), open(left, "r+b") as lock:
+            lock_file(lock)
+            if (left.parent / "old").exists():
+                (left.parent / "old").rmdir()  # fails with a library in it
+            shutil.rmtree(left.parent)
+    with suppress(OSError):
+        path.with_name(f"{path.name}.part").rmdir()
 
 
 def _exchange(folder: Path, path: Path) -> str | None:

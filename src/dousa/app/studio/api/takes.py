@@ -159,7 +159,7 @@ def annotate(studio: StudioNow, wanted: AnnotateRequest) -> Answer:
         raise RefusedError(409, "studio_takes.not_a_take")
     info = studio.library.clips([take])[0]
     path = studio.workspace.find(wanted.batch, wanted.name)
-    file = replace(about_one_take(read_label_file(path)), path=path.name)
+    file = replace(about_one_take(studio.reader.run(read_label_file, path)), path=path.name)
     tiers = file.tiers_of(info.path)
     if tiers is None:
         raise RefusedError(422, "studio_takes.other_takes", name=PurePath(info.path).name, takes=list(file.takes)[:12])

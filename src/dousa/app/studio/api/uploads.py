@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request
@@ -11,9 +10,7 @@ import dousa
 from dousa.app.studio.content.motions import Address
 from dousa.app.studio.content.studio import StudioNow
 from dousa.app.studio.core.answers import Answer, RefusedError, describe_body, say
-from dousa.app.studio.core.uploads import motion_suffixes, receive
-from dousa.formats.annotations import LABEL_SUFFIXES, is_label_file
-from dousa.formats.registry import is_motion_file
+from dousa.app.studio.core.uploads import Taken, describe_files, motion_suffixes, receive
 
 general = APIRouter(tags=["general"])
 router = APIRouter(tags=["uploads"])
@@ -58,43 +55,29 @@ async def upload(
     """
     if request.headers.get("content-type", "").startswith("multipart/"):
         raise RefusedError(415, "studio_files.form")
-    came = await receive(request.stream(), name, batch, studio.workspace, studio.settings)
-    folder = studio.workspace.batch_folder(came.batch)
+    came = await receive(request.stream(), name, batch, studio.workspace, studio.settings, studio.reader)
     return Answer(
         {
             "batch": came.batch,
-            "files": [_describe(came.batch, folder, file, size) for file, size in came.files],
-            "refused": [{"name": file, "reason": say(reason), "code": reason.code} for file, reason in came.refused],
+            "files": [_to_json(came.batch, file) for file in came.files],
+            "refused": [{"name": file, "reason": say(why.message), "code": why.code} for file, why in came.refused],
         },
         201,
     )
 
 
-def _describe(batch: str, folder: Path, name: str, size: int) -> dict[str, Any]:
-    is_motion = is_motion_file(folder / name)
-    return {
-        "name": name,
-        "bytes": size,
-        "motion": str(Address(batch=batch, name=name)) if is_motion else None,
-        "labels_of": None if is_motion else _name_take(folder, name),
-    }
-
-
-def _name_take(folder: Path, table: str) -> str | None:
-    """The name of a take, without its suffix, whose labels are in a table beside it; None of what is no such table."""
-    suffix = next((one for one in (*LABEL_SUFFIXES, ".csv", ".tsv") if table.lower().endswith(one)), None)
-    return None if suffix is None or not is_label_file(folder / table) else table[: -len(suffix)]
+def _to_json(batch: str, file: Taken) -> dict[str, Any]:
+    motion = str(Address(batch=batch, name=file.name)) if file.is_motion else None
+    return {"name": file.name, "bytes": file.n_bytes, "motion": motion, "labels_of": file.labels_of}
 
 
 @router.get("/uploads/{batch}", summary="The files of a batch")
 def list_files(studio: StudioNow, batch: str) -> Answer:
     """Names and sizes."""
     folder = studio.workspace.batch_folder(batch)
-    files = [
-        _describe(batch, folder, path.relative_to(folder).as_posix(), path.stat().st_size)
-        for path in studio.workspace.files(batch)
-    ]
-    return Answer({"batch": batch, "files": files})
+    names = [path.relative_to(folder).as_posix() for path in studio.workspace.files(batch)]
+    files = studio.reader.run(describe_files, folder, names)
+    return Answer({"batch": batch, "files": [_to_json(batch, file) for file in files]})
 
 
 @router.delete("/uploads/{batch}", status_code=200, summary="Take away a batch that is not in use")

@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict
 from starlette.responses import JSONResponse, Response
 
 from dousa.errors import DousaError, LibraryError, LibraryLockedError, MissingExtraError, NotTrainedError, TrainingError
-from dousa.files.json_values import to_json_value
+from dousa.files.json_values import refuse_infinite, to_json_value
 from dousa.messages import LANGUAGES, Message
 from dousa.messages.tables import load_table
 
@@ -156,7 +156,8 @@ def describe_disk(error: OSError) -> Message | None:
 
 def to_answer(problem: Message) -> dict[str, Any]:
     """Return a problem as JSON: the sentence in the current language, the code and its values."""
-    return {"problem": say(problem), **problem.to_json()}
+    answer: dict[str, Any] = to_json_value({"problem": say(problem), **problem.to_json()})  # it may tell of infinities
+    return answer
 
 
 def describe_bytes(*kinds: str, form: str | None = "binary") -> dict[int | str, dict[str, Any]]:
@@ -186,14 +187,14 @@ class StrictModel(BaseModel):
 
 
 class Answer(JSONResponse):
-    """JSON in which non-finite numbers are null and lone surrogates are question marks."""
+    """JSON in which NaN, a number that is not known, is null and lone surrogates are question marks."""
 
     def render(self, content: Any) -> bytes:
-        """Encode the content."""
+        """Encode the content; OptionError for infinities."""
         try:
             text = _ENCODER.encode(content)
         except (ValueError, TypeError):  # not finite, or words of a message
-            text = _ENCODER.encode(to_json_value(content))
+            text = _ENCODER.encode(to_json_value(content, refuse_infinite))
         return text.encode("utf-8", "replace")
 
 

@@ -1,4 +1,8 @@
-"""Receive files: count them while they come, check them before they are kept, and unpack archives with care."""
+"""Receive files: count them while they come; look at them, and unpack archives, in a process with limits.
+
+An upload is written to a new batch of its own. When all of it has been looked at, it stays there or goes to an earlier
+one.
+"""
 
 from __future__ import annotations
 
@@ -7,19 +11,21 @@ import os
 import secrets
 import stat
 import zipfile
-from collections.abc import AsyncIterator, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import TYPE_CHECKING
 
 from starlette.concurrency import run_in_threadpool
 
 from dousa.app.studio.core.answers import RefusedError, describe_disk
-from dousa.app.studio.core.workspace import Settings, Workspace, safe_parts
+from dousa.app.studio.core.workspace import Settings, Workspace, place_below, safe_parts
+from dousa.formats.annotations import LABEL_SUFFIXES, is_label_file
 from dousa.formats.packed import DAMAGE
-from dousa.formats.registry import list_suffixes
-from dousa.messages import Message
+from dousa.formats.registry import is_motion_file, list_suffixes
+
+if TYPE_CHECKING:
+    from dousa.app.studio.jobs.lanes import Reader
 
 SKELETONS = frozenset({".asf"})
 VIDEOS = frozenset({".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"})
@@ -36,16 +42,27 @@ _MOST_AT_ONCE = 25_000_000
 
 
 @dataclass(frozen=True, slots=True)
+class Taken:
+    """A file that was taken in: its name in the batch, bytes, whether it is a motion; and of a table of labels
+    ``labels_of``, the name without a suffix of the take that it belongs to."""
+
+    name: str
+    n_bytes: int
+    is_motion: bool
+    labels_of: str | None
+
+
+@dataclass(frozen=True, slots=True)
 class Received:
-    """The files of an upload: the batch, (name, bytes) of those kept, and (name, reason) of those refused."""
+    """The files of an upload: the batch, those kept, and (name, error) of those refused."""
 
     batch: str
-    files: tuple[tuple[str, int], ...]
-    refused: tuple[tuple[str, Message], ...]
+    files: tuple[Taken, ...]
+    refused: tuple[tuple[str, RefusedError], ...]
 
 
 async def receive(
-    body: AsyncIterator[bytes], name: str, batch: str | None, workspace: Workspace, settings: Settings
+    body: AsyncIterator[bytes], name: str, batch: str | None, workspace: Workspace, settings: Settings, reader: Reader
 ) -> Received:
     """Keep an uploaded file, or the files of an uploaded zip archive.
 
@@ -57,54 +74,98 @@ async def receive(
     name : its path below the folder that was dropped.
     batch : where to put it; None for a new one.
     workspace, settings : of the studio.
+    reader : looks at the content.
     """
     safe_parts(name)
-    suffix = _check_suffix(name)
-    made = workspace.new_batch() if batch is None else batch
-    workspace.batch_folder(made)
-    try:
-        with _temporary(workspace) as (file, path):
-            size = 0
-            async for chunk in body:
-                size += len(chunk)
-                if size > settings.most_bytes:
-                    raise RefusedError(413, "studio_files.large", most=settings.most_bytes / 1e6)
-                file.write(chunk)
-            file.close()
-            room = _Room(workspace, made, settings)
-            take_in = _unpack if suffix == _ARCHIVE else _put
-            return await run_in_threadpool(take_in, path, name, workspace, room)
-    except BaseException:
-        if batch is None:
-            workspace.discard(made)
-        raise
+    _check_suffix(name)
+    if batch is not None:
+        workspace.batch_folder(batch)
+    with workspace.fill_batch() as made:
+        folder = workspace.batch_folder(made)
+        path = await _write(body, folder, settings.most_bytes)
+        most = settings.most_files, settings.most_unpacked_bytes
+        came = Received(made, *await run_in_threadpool(reader.run, take_in, path, name, folder, most, seconds=180.0))
+        if batch is not None:
+            came = await run_in_threadpool(_move, came, batch, workspace, most)
+    if not came.files:
+        raise came.refused[0][1]
+    return came
 
 
-def _put(path: Path, name: str, workspace: Workspace, room: _Room) -> Received:
-    _check_content(path, name)
-    size = path.stat().st_size
-    room.take(size)
-    try:
-        os.replace(path, workspace.place(room.batch, name))
-    except BaseException:
-        room.give_back(size)
-        raise
-    return Received(room.batch, (("/".join(safe_parts(name)), size),), ())
+async def _write(body: AsyncIterator[bytes], folder: Path, most: int) -> Path:
+    """Write what comes to a hidden file, which the next studio removes if this one is killed."""
+    path = folder / f".upload.{secrets.token_hex(6)}.part"
+    size = 0
+    with open(path, "xb") as file:
+        async for chunk in body:
+            size += len(chunk)
+            if size > most:
+                raise RefusedError(413, "studio_files.large", most=most / 1e6)
+            file.write(chunk)
+    return path
 
 
-class _Room:
-    """Counts what still fits into a batch."""
+def _move(came: Received, batch: str, workspace: Workspace, most: tuple[int, int]) -> Received:
+    """Move files into an earlier batch, all that fit there or, without room for all of them, none."""
+    kept, refused = list(came.files), list(came.refused)
+    n_bytes = sum(file.n_bytes for file in kept)
+    if not workspace.grow(batch, len(kept), n_bytes, most):
+        raise RefusedError(413, "studio_files.large_batch", files=most[0], most=most[1] / 1e6)
+    for file in came.files:
+        try:
+            os.replace(workspace.batch_folder(came.batch) / file.name, workspace.place(batch, file.name))
+        except RefusedError as error:
+            kept.remove(file)
+            refused.append((file.name, error))
+            workspace.grow(batch, -1, -file.n_bytes, most)
+    workspace.discard(came.batch)
+    return Received(batch, tuple(kept), tuple(refused))
 
-    def __init__(self, workspace: Workspace, batch: str, settings: Settings) -> None:
-        self.batch, self._workspace = batch, workspace
-        self.most = settings.most_files, settings.most_unpacked_bytes
 
-    def take(self, size: int) -> None:
-        if not self._workspace.grow(self.batch, 1, size, self.most):
-            raise RefusedError(413, "studio_files.large_batch", files=self.most[0], most=self.most[1] / 1e6)
+def take_in(
+    path: Path, name: str, folder: Path, most: tuple[int, int]
+) -> tuple[tuple[Taken, ...], tuple[tuple[str, RefusedError], ...]]:
+    """Move an upload, or what a zip archive holds, to its places in an empty folder; for a `Reader`, as files lie.
 
-    def give_back(self, size: int) -> None:
-        self._workspace.grow(self.batch, -1, -size, self.most)
+    Returns what is there now, and (name, error) of members of an archive that were refused. Raises RefusedError if that
+    is all of them, or the upload itself is not accepted.
+
+    Parameters
+    ----------
+    path : of the upload, which is gone afterwards.
+    name : as it came.
+    folder : of the batch.
+    most : files, and bytes of all of them.
+    """
+    refused: list[tuple[str, RefusedError]] = []
+    kept = ["/".join(safe_parts(name))]
+    if Path(name).suffix.lower() == _ARCHIVE:
+        kept = _unpack(path, folder, most, refused)
+        path.unlink()
+        if not kept:
+            raise RefusedError(415, "studio_files.archive_useless", first=refused[0][1].message)
+    else:
+        if path.stat().st_size > most[1]:
+            raise RefusedError(413, "studio_files.large_batch", files=most[0], most=most[1] / 1e6)
+        _check_content(path, name)
+        os.replace(path, place_below(folder, name))
+    return describe_files(folder, kept), tuple(refused)
+
+
+def describe_files(folder: Path, names: Sequence[str]) -> tuple[Taken, ...]:
+    """Look at files of a batch; for a `Reader`."""
+    found = []
+    for name in names:
+        path = folder / name
+        is_motion = is_motion_file(path)
+        found.append(Taken(name, path.stat().st_size, is_motion, None if is_motion else _name_take(folder, name)))
+    return tuple(found)
+
+
+def _name_take(folder: Path, table: str) -> str | None:
+    """The name of a take, without its suffix, whose labels are in a table beside it; None of what is no such table."""
+    suffix = next((one for one in (*LABEL_SUFFIXES, ".csv", ".tsv") if table.lower().endswith(one)), None)
+    return None if suffix is None or not is_label_file(folder / table) else table[: -len(suffix)]
 
 
 def motion_suffixes() -> frozenset[str]:
@@ -168,17 +229,6 @@ def _check_content(path: Path, name: str) -> None:
         raise RefusedError(415, "studio_files.other_content", suffix=suffix)
 
 
-@contextmanager
-def _temporary(workspace: Workspace) -> Iterator[tuple[IO[bytes], Path]]:
-    path = workspace.root / "files" / f".{secrets.token_hex(8)}.part"
-    try:
-        with open(path, "xb") as file:
-            yield file, path
-    finally:
-        with suppress(OSError):
-            path.unlink()
-
-
 class _Archive(io.FileIO):
     """The file of an archive, from which no more is read at once than an honest list of contents takes."""
 
@@ -190,73 +240,58 @@ class _Archive(io.FileIO):
         return super().read(size) or b""
 
 
-def _unpack(archive: Path, _name: str, workspace: Workspace, room: _Room) -> Received:
-    kept: list[tuple[str, int]] = []
-    refused: list[tuple[str, Message]] = []
+def _unpack(archive: Path, folder: Path, most: tuple[int, int], refused: list[tuple[str, RefusedError]]) -> list[str]:
+    kept: dict[str, None] = {}  # each once, also if an archive has it twice
     try:
         with _Archive(archive) as file, zipfile.ZipFile(file) as packed:
             members = [member for member in packed.infolist() if not member.is_dir()]
-            _check_archive(members, archive.stat().st_size, room)
+            _check_archive(members, archive.stat().st_size, most)
             for member in members:
                 try:
-                    kept.append(_unpack_one(packed, member, workspace, room))
+                    kept[_unpack_one(packed, member, folder)] = None
                 except RefusedError as error:
-                    if error.status == 413:  # no more room: what lies about its size is not searched on
+                    if error.status == 413:  # what lies about its size is not searched on
                         raise
-                    refused.append((member.filename[:1_000], error.message))  # letters, of a name in an answer
-    except BaseException as error:
-        for name, size in kept:
-            room.give_back(size)
-            with suppress(OSError, RefusedError):
-                workspace.find(room.batch, name).unlink()
-        if isinstance(error, DAMAGE) and not _is_disk(error):
-            raise RefusedError(415, "studio_files.archive_damaged", reason=error) from error
-        raise
-    if not kept and refused:
-        raise RefusedError(415, "studio_files.archive_useless", first=refused[0][1])
-    return Received(room.batch, tuple(kept), tuple(refused))
+                    refused.append((member.filename[:1_000], error))  # letters, of a name in an answer
+    except DAMAGE as error:
+        if isinstance(error, OSError) and describe_disk(error) is not None:
+            raise
+        raise RefusedError(415, "studio_files.archive_damaged", reason=error) from error
+    return list(kept)
 
 
-def _is_disk(error: BaseException) -> bool:
-    return isinstance(error, OSError) and describe_disk(error) is not None
-
-
-def _check_archive(members: list[zipfile.ZipInfo], packed_bytes: int, room: _Room) -> None:
+def _check_archive(members: list[zipfile.ZipInfo], packed_bytes: int, most: tuple[int, int]) -> None:
     if not members:
         raise RefusedError(415, "studio_files.archive_empty")
-    if len(members) > room.most[0]:
-        raise RefusedError(413, "studio_files.archive_files", most=room.most[0], found=len(members))
+    if len(members) > most[0]:
+        raise RefusedError(413, "studio_files.archive_files", most=most[0], found=len(members))
     total = sum(member.file_size for member in members)
     # an honest archive of motions shrinks them ten times at most
     if total > max(200 * packed_bytes, 20_000_000):
         raise RefusedError(413, "studio_files.archive_large", total=total / 1e6, packed=packed_bytes / 1e6)
+    if total > most[1]:
+        raise RefusedError(413, "studio_files.large_batch", files=most[0], most=most[1] / 1e6)
 
 
-def _unpack_one(
-    packed: zipfile.ZipFile, member: zipfile.ZipInfo, workspace: Workspace, room: _Room, *, chunk_bytes: int = 1 << 20
-) -> tuple[str, int]:
-    parts = safe_parts(member.filename)
-    name = "/".join(parts)
+def _unpack_one(packed: zipfile.ZipFile, member: zipfile.ZipInfo, folder: Path, *, chunk_bytes: int = 1 << 20) -> str:
+    name = "/".join(safe_parts(member.filename))
     if member.flag_bits & 1:
         raise RefusedError(415, "studio_files.encrypted")
     if stat.S_ISLNK(member.external_attr >> 16):
         raise RefusedError(415, "studio_files.link")
     if _check_suffix(name) == _ARCHIVE:
         raise RefusedError(415, "studio_files.archive_inside")
-    room.take(member.file_size)
+    path = folder / f".member.{secrets.token_hex(6)}.part"
+    left = member.file_size
     try:
-        with _temporary(workspace) as (file, path):
-            left = member.file_size
-            with packed.open(member) as source:
-                while chunk := source.read(chunk_bytes):
-                    left -= len(chunk)
-                    if left < 0:
-                        raise RefusedError(413, "studio_files.larger_than_said")
-                    file.write(chunk)
-            file.close()
-            _check_content(path, name)
-            os.replace(path, workspace.place(room.batch, name))
-    except BaseException:
-        room.give_back(member.file_size)
-        raise
-    return name, member.file_size
+        with open(path, "xb") as file, packed.open(member) as source:
+            while chunk := source.read(chunk_bytes):
+                left -= len(chunk)
+                if left < 0:
+                    raise RefusedError(413, "studio_files.larger_than_said")
+                file.write(chunk)
+        _check_content(path, name)
+        os.replace(path, place_below(folder, name))
+    finally:
+        path.unlink(missing_ok=True)
+    return name

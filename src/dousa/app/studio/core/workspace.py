@@ -213,6 +213,18 @@ def safe_parts(name: str) -> tuple[str, ...]:
     return parts
 
 
+def place_below(folder: Path, name: str) -> Path:
+    """Return the path of a new file below a folder, with its own folder made; RefusedError for an unusable name."""
+    path = folder.joinpath(*safe_parts(name))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise RefusedError(422, "studio_files.folder_is_file", name=name) from None
+    if path.is_dir() or not path.parent.resolve().is_relative_to(folder.resolve()):
+        raise RefusedError(422, "studio_files.not_a_file", name=name)
+    return path
+
+
 class Workspace:
     """The folder of one studio, made if missing; OptionError if it cannot be made."""
 
@@ -285,16 +297,8 @@ class Workspace:
         return folder
 
     def place(self, batch: str, name: str) -> Path:
-        """Return the path of a new file of a batch, with its folder made; RefusedError if the name cannot be used."""
-        folder = self.batch_folder(batch)
-        path = folder.joinpath(*safe_parts(name))
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError:  # a file where the folder should be
-            raise RefusedError(422, "studio_files.folder_is_file", name=name) from None
-        if path.is_dir() or not path.parent.resolve().is_relative_to(folder.resolve()):
-            raise RefusedError(422, "studio_files.not_a_file", name=name)
-        return path
+        """Return `place_below` the folder of a batch."""
+        return place_below(self.batch_folder(batch), name)
 
     def find(self, batch: str, name: str) -> Path:
         """Return the path of a file of a batch; RefusedError if it is missing."""

@@ -156,8 +156,12 @@ class Reader:
                 raise RefusedError(422, "studio_jobs.no_answer") from None
             finally:
                 timer.cancel()
-            with self._lock:
-                self._idle.append(process)
+                timer.join()  # it may be killing: of a process that is used again nothing may be under way
+            if ran_out.is_set():
+                _end(process)
+            else:
+                with self._lock:
+                    self._idle.append(process)
         if not done:
             raise answer
         result: Result = answer

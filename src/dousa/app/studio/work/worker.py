@@ -22,8 +22,9 @@ from dousa.app.studio.core.answers import Answer, RefusedError, describe_disk, n
 from dousa.app.studio.core.workspace import open_private
 from dousa.app.studio.jobs.board import Lane
 from dousa.app.studio.jobs.lanes import READING, READY, Context, run_in_process, run_in_thread
-from dousa.errors import DousaError
+from dousa.errors import DousaError, is_interrupt
 from dousa.files.disk import TAKEN, lock_file
+from dousa.files.json_values import refuse_infinite, to_json_value
 from dousa.messages import Message, use_language
 
 if TYPE_CHECKING:
@@ -170,10 +171,13 @@ def _do(task: dict[str, Any], out: Any) -> dict[str, Any]:
     home = Path(task["home"])
     context = Context(Path(task["library"]), home, Path(task["folder"]), progress, tell)
     try:
-        return {"result": pack(load_work(task["kind"])(task["request"], context))}
+        result = load_work(task["kind"])(task["request"], context)
+        return {"result": to_json_value(pack(result), refuse_infinite)}
     except DousaError as error:
         return {"problem": name_error(error, home).to_json()}
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:
+        if not is_interrupt(error):
+            raise
         return {"stopped": True}
     except OSError as error:
         problem = describe_disk(error)
@@ -182,10 +186,6 @@ def _do(task: dict[str, Any], out: Any) -> dict[str, Any]:
         return {"problem": problem.to_json()}
     except MemoryError:
         return {"problem": Message("studio_jobs.no_memory").to_json()}
-    except SystemError as error:  # Ctrl-C inside a compiled loop
-        if "KeyboardInterrupt" in repr(error.__cause__):
-            return {"stopped": True}
-        raise
 
 
 def _say(out: Any, message: dict[str, Any]) -> None:
