@@ -212,7 +212,10 @@ def stop_once(
 ) -> tuple[bool, str | None]:
     """One stop: whether the work was done already, and what is wrong afterwards."""
     copy_library(base, path)
-    done = work_in_process(path, work, wait, number)
+    try:
+        done = work_in_process(path, work, wait, number)
+    except RuntimeError as error:
+        return False, str(error)
     fault = find_fault(path) if path.exists() else None  # it is missing for a moment of a restoring
     if fault is None and number == signal.SIGTERM:
         left = [name for name in find_left_overs(path.parent) if not name.endswith(".zip.parts")]  # it goes on from

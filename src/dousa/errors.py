@@ -76,7 +76,7 @@ class DousaError(Exception):
 
 
 def is_interrupt(error: BaseException) -> bool:
-    """Return whether an error is Ctrl-C, or that as a compiled loop passes it on: as the first cause of its own error."""
+    """Return whether an error is Ctrl-C, or that as a compiled loop passes it on: as the first cause of another."""
     while isinstance(error, SystemError) and error.__cause__ is not None:
         error = error.__cause__
     return isinstance(error, KeyboardInterrupt)

@@ -19,6 +19,13 @@ library.relabel([1, 2], category="lost")
 library.tag([3], add=["crash"])
 os.kill(os.getpid(), 9)
 """
+_LIMIT = """
+import resource, sys
+from pathlib import Path
+from dousa.library import Library
+resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))
+Library.open(sys.argv[1]).backup(Path(sys.argv[1]).with_name("copy.dousa"))
+"""
 
 
 def say(library):
@@ -106,11 +113,24 @@ def test_what_cannot_be_copied_is_said(library, library_file, tmp_path):
         Library.restore(library_file, library_file)
     with pytest.raises(LibraryError, match="no library at"):
         Library.restore(tmp_path / "none.dousa", library_file)
+    limited = subprocess.run([sys.executable, "-c", _LIMIT, library_file], check=False, capture_output=True, text=True)
+    assert f"{tmp_path / 'copy.dousa'}: the disk" in limited.stderr and not list(tmp_path.rglob("*.part"))
     with library.database.alone() as connection:
         connection.execute("UPDATE clips SET category = 'x' WHERE id = 1")
     with pytest.raises(LibraryDamagedError, match="labels"):
         library.backup(tmp_path / "copy.dousa")
     assert not (tmp_path / "copy.dousa").exists() and not list(tmp_path.rglob("*.part"))
+
+
+@pytest.mark.sqlite
+def test_what_a_killed_program_left_goes_with_the_next_copy(library, tmp_path):
+    library.backup(tmp_path / "copy.dousa")
+    for name in ("copy.dousa.part", "other.dousa.part"):
+        (tmp_path / name / "new").mkdir(parents=True)
+        (tmp_path / name / "lock").touch()
+    with pytest.raises(LibraryError, match="a file of that name"):
+        library.backup(tmp_path / "copy.dousa")
+    assert not list(tmp_path.rglob("*.part"))
 
 
 @pytest.mark.sqlite

@@ -70,6 +70,19 @@ def test_a_library_says_the_same_from_fragments(library_file, place):
         assert dump(library) == before
 
 
+@pytest.mark.sqlite
+def test_a_link_to_a_library_leads_to_its_fragments_too(moved, tmp_path):
+    link = tmp_path / "elsewhere" / "link.dousa"
+    link.parent.mkdir()
+    link.symlink_to(moved.name)
+    before = dump(moved)
+    with Library.open(link) as library:
+        assert dump(library) == before
+        library.train(n_trees=5)
+    assert [path.name for path in link.parent.iterdir()] == ["link.dousa"]
+    assert moved.check().is_sound
+
+
 def test_new_clips_and_trainings_go_there_too(moved, write_move, tmp_path):
     moved.add(write_move(tmp_path / "in" / "wave" / "new.bvh", "wave", 99).parent.parent)
     moved.train(n_trees=5)

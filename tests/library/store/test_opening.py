@@ -78,6 +78,24 @@ def test_what_is_no_database_is_left_as_it_was(tmp_path, content):
     assert os.listdir(tmp_path) == ["notes.dousa"]
 
 
+@pytest.mark.sqlite
+def test_ctrl_c_within_a_query_gives_the_lock_back(library_file):
+    """What is finished is written while the interrupt is still on its way."""
+
+    def interrupt(*asked):
+        event.remove(library.database.engine, "after_cursor_execute", interrupt)
+        raise KeyboardInterrupt
+
+    with Library.open(library_file, timeout=0.1) as library:
+        try:
+            with library.database.writing() as connection:
+                event.listen(library.database.engine, "after_cursor_execute", interrupt)
+                connection.execute(sa.text("SELECT * FROM clips"))
+        except KeyboardInterrupt:
+            library.tag([1], add=["afterwards"])
+        assert library.tags() == {"afterwards": 1}
+
+
 def test_a_missing_library_says_how_to_make_one(tmp_path):
     with pytest.raises(LibraryError, match=r"no library at .*m\.dousa; make one with: dousa add m\.dousa PATH"):
         Library.open(tmp_path / "m.dousa")

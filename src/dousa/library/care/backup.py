@@ -24,7 +24,7 @@ from dousa.files.disk import lock_file, sync_folder, write_error
 from dousa.library.care.damage import find_damage
 from dousa.library.results import Answer
 from dousa.library.store import schema
-from dousa.library.store.engine import Database, check_mark, is_url, make_engine, name_of
+from dousa.library.store.engine import Database, check_mark, is_url, make_engine, name_of, translate_error
 from dousa.library.store.fragments import ARRAYS, Place, begin_store, find_store, open_store, put_aside, read_blocks
 from dousa.library.store.opening import open_database
 from dousa.messages import Count, Message, Progress
@@ -116,7 +116,7 @@ def _write(source: Database, path: Path, progress: Progress | None) -> BackupRep
     with _prepare(path) as folder:
         new = folder / "new" / path.name
         if source.engine.dialect.name == "sqlite":
-            _copy_file(source, new, _counting(progress, "library_backup.copying"))
+            _copy_file(source, new, path, _counting(progress, "library_backup.copying"))
             database = open_database(new, create=False, read_only=False, timeout=5.0)  # of an older dousa: migrated
         else:
             database = open_database(new, create=True, read_only=False, timeout=5.0)
@@ -238,15 +238,20 @@ def _disk_errors(path: Path) -> Iterator[None]:
         raise write_error(path, error) from error
 
 
-def _copy_file(source: Database, new: Path, tell: Count) -> None:
-    """Copy a library file and its fragments as of one moment, while others may write."""
+def _copy_file(source: Database, new: Path, path: Path, tell: Count) -> None:
+    """Copy a library file and its fragments as of one moment, while others may write; ``path`` is named in errors."""
     # A transaction that reads: as long as it lasts, no fragment that it sees is deleted.
     with source.reading() as connection, closing(sqlite3.connect(new)) as copy:
         raw = connection.connection.driver_connection
         assert isinstance(raw, sqlite3.Connection)
         connection.exec_driver_sql("SELECT count(*) FROM sqlite_master").scalar_one()
-        raw.backup(copy, pages=2**12, progress=lambda status, left, total: tell(total - left, total), sleep=0.0)
-        copy.execute("PRAGMA journal_mode = DELETE").fetchone()
+        try:
+            raw.backup(copy, pages=2**12, progress=lambda status, left, total: tell(total - left, total), sleep=0.0)
+            copy.execute("PRAGMA journal_mode = DELETE").fetchone()
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorname.endswith("READ"):
+                raise
+            raise translate_error(error, os.fspath(path)) from error
         store = open_store(connection)
         for name, size in store.sizes().items():
             target = new.with_name(f"{new.name}.fragments")

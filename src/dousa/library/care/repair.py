@@ -56,7 +56,7 @@ def salvage_library(database: Database) -> dict[int, str]:
 
     Returns the names of lost clips, by number, if an index still has them.
     """
-    path = Path(database.where)
+    path = Path(os.path.realpath(database.where))  # a link to the library stays one
     with suppress(sqlite3.Error), database.alone() as connection:
         connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
     database.engine.dispose()
@@ -64,7 +64,7 @@ def salvage_library(database: Database) -> dict[int, str]:
     for end in ("", "-wal", "-shm"):
         Path(f"{new}{end}").unlink(missing_ok=True)
     fresh = open_database(new, create=True, read_only=False, timeout=5.0)
-    name = f"file:{quote(os.fsencode(path.absolute().as_posix()))}?mode=ro"
+    name = f"file:{quote(os.fsencode(path.as_posix()))}?mode=ro"
     try:
         with closing(sqlite3.connect(name, uri=True)) as source:
             saved, lost = _copy(source, fresh)

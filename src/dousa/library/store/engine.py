@@ -61,7 +61,7 @@ def make_engine(path_or_url: str | os.PathLike[str], *, create: bool, read_only:
     """Make an engine for a file or a URL, without connecting; SQLite waits `_BUSY` s at most, not interruptible."""
     if is_url(path_or_url):
         return _server_engine(str(path_or_url), read_only, timeout)
-    path = Path(path_or_url).absolute()
+    path = Path(os.path.realpath(path_or_url))  # as SQLite: logs and fragments lie beside the file, not beside a link
     _check_place(path, create)
     engine = sa.create_engine(
         "sqlite+pysqlite://",
@@ -75,6 +75,7 @@ def make_engine(path_or_url: str | os.PathLike[str], *, create: bool, read_only:
         },
     )
     event.listen(engine, "begin", _begin)
+    event.listen(engine, "handle_error", _keep_connection)
     return engine
 
 
@@ -188,6 +189,11 @@ def _has_log(path: Path) -> bool:
 def _begin(connection: sa.Connection) -> None:
     writes = connection.get_execution_options().get(_WRITES, False)
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+
+
+def _keep_connection(context: sa.engine.ExceptionContext) -> None:
+    """Let Ctrl-C end a transaction as other errors do: a dropped connection would keep its lock for a while."""
+    context.is_disconnect = False  # a file cannot go away
 
 
 def check_mark(connection: sa.Connection, where: str) -> bool:
@@ -324,9 +330,9 @@ def _plain_errors(where: str) -> Iterator[None]:
     try:
         yield
     except exc.DBAPIError as error:
-        raise _translate(error.orig, where) from error
+        raise translate_error(error.orig, where) from error
     except sqlite3.Error as error:
-        raise _translate(error, where) from error
+        raise translate_error(error, where) from error
     except UnicodeEncodeError as error:
         text = str(error.object).encode(errors="backslashreplace").decode()
         raise OptionError("library_file.not_unicode", text=text) from error
@@ -355,7 +361,8 @@ _SERVER_PROBLEMS: dict[str, tuple[type[LibraryError], str]] = {
 }
 
 
-def _translate(error: BaseException | None, where: str) -> LibraryError:
+def translate_error(error: BaseException | None, where: str) -> LibraryError:
+    """Return the error of a driver as a LibraryError of the library with this name."""
     name = getattr(error, "sqlite_errorname", None) or ""
     primary = "_".join(name.split("_")[:2])  # such as SQLITE_IOERR of SQLITE_IOERR_WRITE
     known = _SQLITE_PROBLEMS.get(primary) or _SERVER_PROBLEMS.get(str(getattr(error, "sqlstate", "")))

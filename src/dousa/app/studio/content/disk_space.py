@@ -29,7 +29,7 @@ def describe_space(studio: Studio, *, old_days: int = 30) -> dict[str, Any]:
     taken away; with fewer what somebody comes back for after a holiday would be.
     """
     root = studio.workspace.root
-    library = studio.settings.library
+    library = studio.settings.library.resolve()
     mentioned = _list_mentioned(studio)
     unused = studio.workspace.list_unused(mentioned)
     outlived = _list_old(studio, mentioned, old_days)
