@@ -8,6 +8,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import time
 from contextlib import closing
 from pathlib import Path
 
@@ -392,12 +393,21 @@ def test_an_output_that_cannot_be_written_is_one_line(motions, words):
     assert done.stderr.splitlines() == ["dousa: the answer cannot be written: the disk is full"]
 
 
+@pytest.mark.parametrize("is_dropped", [False, True])
 @pytest.mark.parametrize(("number", "expected"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_stop_is_a_word_not_a_traceback(dousa, trained, tmp_path, monkeypatch, number, expected):
+def test_a_stop_is_a_word_not_a_traceback(dousa, trained, tmp_path, monkeypatch, number, expected, is_dropped):
     from dousa.library import export
 
+    class Deleted:
+        def __del__(self):
+            signal.raise_signal(number)
+
     def stop(path):
-        signal.raise_signal(number)
+        if not is_dropped:
+            signal.raise_signal(number)
+        Deleted()  # Python drops what is raised there
+        for _ in range(100):
+            time.sleep(PATIENCE / 100)
 
     monkeypatch.setattr(export, "read_bytes", stop)
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a run in the background ignores it

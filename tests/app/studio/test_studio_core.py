@@ -3,16 +3,21 @@
 import contextlib
 import html
 import json
+import math
 import os
 import re
 import time
 import warnings
 from importlib import resources
 
+import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
 from dousa.app.studio import Settings, create_app
+from dousa.app.studio.core.answers import Answer, to_answer
+from dousa.errors import OptionError
+from dousa.messages import Message
 
 TOKEN = "the-token-of-the-tests"
 
@@ -328,3 +333,11 @@ def test_the_interface_describes_itself_in_its_own_names(studio):
     schemas = studio.app.openapi()["components"]["schemas"]
     texts = [one.get("description", "") for schema in schemas.values() for one in schema.get("properties", {}).values()]
     assert any(texts) and not [text for text in texts if "--" in text and "as dousa " not in text]
+
+
+def test_an_infinite_result_is_an_error_and_a_problem_may_name_one():
+    assert Answer({"known": [1.5, math.nan]}).body == b'{"known":[1.5,null]}'
+    with pytest.raises(OptionError, match="infinite"):
+        Answer({"known": [np.inf]})
+    problem = to_answer(Message("resampling.rate", rate=math.inf))
+    assert b"inf" in Answer(problem).body

@@ -55,7 +55,7 @@ async def upload(
     """
     if request.headers.get("content-type", "").startswith("multipart/"):
         raise RefusedError(415, "studio_files.form")
-    came = await receive(request.stream(), name, batch, studio.workspace, studio.settings, studio.reader)
+    came = await receive(request.stream(), name, batch, studio.workspace, studio.settings, studio.reader.run)
     return Answer(
         {
             "batch": came.batch,

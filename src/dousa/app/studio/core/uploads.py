@@ -11,10 +11,10 @@ import os
 import secrets
 import stat
 import zipfile
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from starlette.concurrency import run_in_threadpool
 
@@ -23,9 +23,6 @@ from dousa.app.studio.core.workspace import Settings, Workspace, place_below, sa
 from dousa.formats.annotations import LABEL_SUFFIXES, is_label_file
 from dousa.formats.packed import DAMAGE
 from dousa.formats.registry import is_motion_file, list_suffixes
-
-if TYPE_CHECKING:
-    from dousa.app.studio.jobs.lanes import Reader
 
 SKELETONS = frozenset({".asf"})
 VIDEOS = frozenset({".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"})
@@ -62,7 +59,12 @@ class Received:
 
 
 async def receive(
-    body: AsyncIterator[bytes], name: str, batch: str | None, workspace: Workspace, settings: Settings, reader: Reader
+    body: AsyncIterator[bytes],
+    name: str,
+    batch: str | None,
+    workspace: Workspace,
+    settings: Settings,
+    run: Callable[..., Any],
 ) -> Received:
     """Keep an uploaded file, or the files of an uploaded zip archive.
 
@@ -74,7 +76,7 @@ async def receive(
     name : its path below the folder that was dropped.
     batch : where to put it; None for a new one.
     workspace, settings : of the studio.
-    reader : looks at the content.
+    run : calls a function in a process with limits, as `Reader.run`.
     """
     safe_parts(name)
     _check_suffix(name)
@@ -84,7 +86,7 @@ async def receive(
         folder = workspace.batch_folder(made)
         path = await _write(body, folder, settings.most_bytes)
         most = settings.most_files, settings.most_unpacked_bytes
-        came = Received(made, *await run_in_threadpool(reader.run, take_in, path, name, folder, most, seconds=180.0))
+        came = Received(made, *await run_in_threadpool(run, take_in, path, name, folder, most, seconds=180.0))
         if batch is not None:
             came = await run_in_threadpool(_move, came, batch, workspace, most)
     if not came.files:
