@@ -18,12 +18,12 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_802, 111),
-    "estimation": (15_686, 65),
+    "app": (25_832, 111),
+    "estimation": (15_739, 65),
     "evaluation": (12_717, 48),
     "experiments": (1_728, 10),
     "files": (1_112, 8),
-    "formats": (12_996, 70),
+    "formats": (13_009, 70),
     "library": (16_113, 57),
     "messages": (235, 3),
     "motion": (6_477, 34),
@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_520,
+    "lines of tests": 62_559,
     "lines of JavaScript": 12_473,
     "constants": 1_050,
     "numeric constants without a source": 0,

@@ -11,7 +11,7 @@ from oracles.made_films import film as make_film
 from app.test_keypoint_sources import to_rows, write_openpose
 from dousa.app.pipelines.film_scene import name_films
 from dousa.app.pipelines.projects import find_project
-from dousa.estimation import write_cameras
+from dousa.estimation import MEDIAPIPE_NAMES, write_cameras
 from dousa.estimation.keypoints.keypoint_json import HALPE_26
 from dousa.formats.registry import read_motion
 
@@ -32,9 +32,27 @@ def make_pose2sim(folder, cameras):
     (folder / "Config.toml").write_text(f"[project]\nframe_rate = {RATE:g}\nparticipant_height = 1.68\n")
 
 
+POINTS_2D = "mediapipe2dData_numCams_numFrames_numTrackedPoints_pixelXY.npy"
+
+
+def make_array(cameras):
+    """(V, T, 553, 3) as FreeMoCap saves it: x, y and MediaPipe's z in pixels, NaN where not seen."""
+    performance = Performance(("punch", "turn_around"))
+    views = [make_film(performance, camera, 0.0, 1.0, RATE) for camera in cameras]
+    rows = np.stack([to_rows(view, MEDIAPIPE_NAMES) for view in views])
+    rows[rows[..., 2] == 0] = np.nan
+    rows[..., 2] *= -80
+    return np.concatenate((rows, np.full((*rows.shape[:2], 520, 3), np.nan)), axis=2)
+
+
 def make_freemocap(folder, cameras):
     put(folder, "synchronized_videos/a.mp4", "synchronized_videos/b.mp4", "output_data/mediapipe_body_3d_xyz.csv")
-    put(folder, "annotated_videos/a.mp4")
+    put(
+        folder,
+        "annotated_videos/a.mp4",
+        "output_data/raw_data/mediapipe3dData_numFrames_numTrackedPoints_spatialXYZ.npy",
+    )
+    np.save(folder / "output_data/raw_data" / POINTS_2D, make_array(cameras))
     write_cameras(folder / "session_camera_calibration.toml", cameras)
 
 
@@ -57,7 +75,7 @@ def make_plain(folder, cameras):
 
 FOLDERS = {
     "Pose2Sim": (make_pose2sim, [(2, 0, 2)], RATE, 1.68),
-    "FreeMoCap": (make_freemocap, [(2, 0, 1)], None, None),
+    "FreeMoCap": (make_freemocap, [(2, 1, 1)], None, None),
     "OpenCap": (make_opencap, [(2, 0, 0), (2, 0, 2)], None, 1.71),
     "": (make_plain, [(2, 0, 0)], None, None),
 }
@@ -108,6 +126,27 @@ def test_a_project_is_estimated_from_its_keypoints(dousa, tmp_path, given):
     assert ("50 Hz" in error) == (not given)
     assert read_motion(tmp_path / "out.trc").frame_rate == pytest.approx(25 if given else RATE)
     assert not json.loads(out)["lost_frames"] and np.isfinite(read_motion(tmp_path / "out.trc").positions).all()
+
+
+@pytest.mark.parametrize("columns", [2, 3])
+def test_the_points_of_freemocap(dousa, tmp_path, columns):
+    make_freemocap(tmp_path, make_cameras(2))
+    path = tmp_path / "output_data/raw_data" / POINTS_2D
+    np.save(path, np.load(path)[..., :columns])
+    out = tmp_path / "out.trc"
+    code, _, error = dousa("estimate", tmp_path, "--rate", "50", "-o", out)
+    assert code == 0 and "session_camera_calibration.toml" in error, error
+    found = read_motion(out).positions
+    args = ("--cameras", tmp_path / "session_camera_calibration.toml", "--rate", "50")
+    code, _, error = dousa("estimate", path, *args, "-o", tmp_path / "again.trc")
+    assert code == 0, error
+    np.testing.assert_array_equal(read_motion(tmp_path / "again.trc").positions, found)
+    code, out, error = dousa("sync", path, *args, "--json")
+    assert code == 0 and [film["name"] for film in json.loads(out)["films"]] == ["film1", "film2"], error
+    code, out, error = dousa("calibrate", path, *args, "--stature", "1.7", "-o", tmp_path / "made.toml")
+    assert code == 0, error
+    code, out, error = dousa("info", path)
+    assert code == 2 and "dousa estimate" in error and error.count("\n") == 1, error
 
 
 def test_times_and_cameras_of_a_project(dousa, tmp_path):

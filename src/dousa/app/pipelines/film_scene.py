@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from dousa.estimation.sync.sound import Sound
 
 
-_KEYPOINT_SUFFIXES = (".npz", ".json", ".csv")
+_KEYPOINT_SUFFIXES = (".npz", ".json", ".csv", ".npy")
 _FOCAL_35 = ("focal_length.35mm", "focallengthin35mm")
 _FRAME_35 = 36.0  # mm, by definition the longer side of a 35 mm picture
 
@@ -98,18 +98,39 @@ def open_keypoints(
     """
     from dousa.app.requests.estimation import parse_size
     from dousa.estimation import read_keypoints
+    from dousa.estimation.keypoints.keypoint_files import count_views
 
     rate, size, cameras = (None, None, None) if known is None else (known.rate, known.size, known.cameras)
     if rate is not None and not 0 < rate < np.inf:
         raise OptionError("films.rate", found=rate)
-    names, given = name_films(paths), None if size is None else parse_size(size)
+    given = None if size is None else parse_size(size)
+    counts = list(map(count_views, paths))
+    names = _name_views(name_films(paths), counts, cameras)
     usual = find_sizes(cameras if any(map(is_keypoints, paths)) else None, names)
     films = _find_all([path for path in paths if not is_keypoints(path)], model, progress)
+    places = [(path, view) for path, count in zip(paths, counts, strict=True) for view in range(count)]
     views = [
-        read_keypoints(path, size=given, frame_rate=rate, usual_size=own) if is_keypoints(path) else next(films)
-        for path, own in zip(paths, usual, strict=True)
+        read_keypoints(path, size=given, frame_rate=rate, usual_size=own, view=view)
+        if is_keypoints(path)
+        else next(films)
+        for (path, view), own in zip(places, usual, strict=True)
     ]
     return tuple(replace(found, source=name) for found, name in zip(views, names, strict=True))
+
+
+def _name_views(names: Sequence[str], counts: Sequence[int], cameras: Path | None) -> tuple[str, ...]:
+    """Name the views: by their files; those of one file by the cameras, in whose order they are, else by numbers."""
+    from dousa.estimation.cameras.camera_files import read_cameras
+
+    if len(names) == 1 and counts[0] > 1 and cameras is not None:
+        found = tuple(camera.name for camera in read_cameras(cameras))
+        if len(found) == counts[0]:
+            return found
+    return tuple(
+        name if count == 1 else f"{name}_{number}"
+        for name, count in zip(names, counts, strict=True)
+        for number in range(1, count + 1)
+    )
 
 
 def find_sizes(cameras: Path | None, names: Sequence[str]) -> list[tuple[int, int] | None]:
@@ -177,9 +198,10 @@ def _find_failed(jobs: Sequence[Future[ViewKeypoints]]) -> list[Future[ViewKeypo
 
 def read_sounds(paths: Sequence[Path]) -> list[Sound | None]:
     """The sound of each film; None for files of keypoints and films without."""
+    from dousa.estimation.keypoints.keypoint_files import count_views
     from dousa.estimation.sync.sound import read_sound
 
-    return [None if is_keypoints(path) else read_sound(path) for path in paths]
+    return [None if is_keypoints(path) else read_sound(path) for path in paths for _ in range(count_views(path))]
 
 
 def read_focal_length(path: Path, size: tuple[int, int]) -> float | None:
@@ -348,7 +370,7 @@ def _find_focals(request: EstimationRequest, found: Sequence[ViewKeypoints]) -> 
         if not (np.isfinite(request.focal) and request.focal > 10.0):
             raise OptionError("calibration.focal", found=request.focal)
         return [request.focal] * len(found)
-    stated = [read_focal_length(path, view.size) for path, view in zip(request.sources, found, strict=True)]
+    stated = [read_focal_length(path, view.size) for path, view in zip(request.sources, found, strict=False)]
     known = [focal for focal in stated if focal is not None]
     return known if len(known) == len(found) else None
 

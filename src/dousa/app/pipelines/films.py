@@ -37,11 +37,12 @@ def calibrate_films(
     DousaError : a source that cannot be read; options that contradict each other; cameras that cannot be found.
     """
     from dousa.estimation import calibrate_from_board, calibrate_from_person, find_board, parse_board
+    from dousa.estimation.keypoints.keypoint_files import count_views
 
     request = take_project(request, tell)
     if (request.stature is None) == (request.board is None):
         raise OptionError("calibration.person_or_board")
-    if len(request.films) < 2:
+    if sum(map(count_views, request.films)) < 2:
         raise OptionError("calibration.one_view")
     board = None if request.board is None else parse_board(request.board)
     if board is None:
@@ -96,9 +97,10 @@ def sync_films(
     DousaError : a source that cannot be read; nothing tells the time.
     """
     from dousa.estimation import sync
+    from dousa.estimation.keypoints.keypoint_files import count_views
 
     request = take_project(request, tell)
-    if len(request.films) < 2:
+    if sum(map(count_views, request.films)) < 2:
         raise OptionError("sync.one_film")
     views = open_keypoints(request.films, None, progress, request)
     names, calibrated = tuple(view.source for view in views), None

@@ -1,10 +1,11 @@
 """Folders of projects as other programs lay them out: what is in them, and what `dousa estimate` takes of them.
 
 Pose2Sim: ``videos/``, ``pose/CAM_json/``, ``calibration/`` (also above the trial), ``pose-3d/``, and ``Config.toml``
-with the rate. FreeMoCap: ``synchronized_videos/``, ``*calibration.toml``, ``output_data/``. OpenCap: ``Videos/CAM/``
-with the calibration of a camera and ``InputMedia/TRIAL/``, ``MarkerData/``, ``sessionMetadata.yaml`` with the person's
-height. EasyMocap: ``videos/``, ``annots/CAM/``, ``intri.yml`` and ``extri.yml``. A folder of films or keypoints beside
-their calibration is a project too.
+with the rate. FreeMoCap: ``synchronized_videos/``, ``*calibration.toml``, ``output_data/`` with the points of all
+cameras in ``raw_data/*2dData*.npy``. OpenCap: ``Videos/CAM/`` with the calibration of a camera and
+``InputMedia/TRIAL/``, ``MarkerData/``, ``sessionMetadata.yaml`` with the person's height. EasyMocap: ``videos/``,
+``annots/CAM/``, ``intri.yml`` and ``extri.yml``. A folder of films or keypoints beside their calibration is a project
+too.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class _Layout:
 
 
 # Films that the program has cut to one start, by what it calls them.
-_SYNCHRONISED = re.compile(r"/(?:pose-sync|synchronized_videos)/|_sync\.\w+$", re.IGNORECASE)
+_SYNCHRONISED = re.compile(r"/(?:pose-sync|synchronized_videos|raw_data)/|_sync\.\w+$", re.IGNORECASE)
 _TAKE = r"(?:(?P<take>[^/]+)/)?"
 _LAYOUTS = (
     _Layout(
@@ -61,7 +62,8 @@ _LAYOUTS = (
     _Layout(
         "FreeMoCap",
         films=(rf"{_TAKE}synchronized_videos/{_FILM}",),
-        results=(rf"{_TAKE}output_data/(?:[^/]+/)?{_MOTION}",),
+        keypoints=(rf"{_TAKE}output_data/(?:[^/]+/)*[^/]*2ddata[^/]*\.npy",),
+        results=(rf"{_TAKE}output_data/(?!raw_data/)(?:[^/]+/)?{_MOTION}",),
         calibrations=(r"(?:[^/]+/)?[^/]*calibration[^/]*\.toml",),
     ),
     _Layout(
@@ -311,10 +313,14 @@ def take_project(request: _Request, tell: Callable[[Message], None] | None = Non
     OptionError : several takes, or settings that cannot be read.
     CalibrationError : a calibration that cannot be read.
     """
+    from dousa.estimation.keypoints.keypoint_files import count_views
+
     given: tuple[Path, ...] = getattr(request, "sources" if hasattr(request, "sources") else "films")
     if len(given) != 1 or getattr(request, "kind", None) == "mask" or getattr(request, "backgrounds", ()):
         return request
     project = find_project(given[0])
+    if project is None and count_views(given[0]) > 1 and getattr(request, "offsets", "") == "auto":
+        return replace(request, **{"offsets": "none"})  # type: ignore[arg-type]  # frames of one array are of one time
     if project is None:
         return request
     if len(project.takes) > 1:

@@ -20,9 +20,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.arrays import FloatArray
+from dousa.arrays import BoolArray, FloatArray
 from dousa.errors import KeypointError
-from dousa.estimation.keypoints.keypoint_json import SCHEMES, ReadPerson, read_keypoint_json, settle_units
+from dousa.estimation.keypoints.keypoint_json import (
+    SCHEMES,
+    ReadFrames,
+    ReadPerson,
+    read_keypoint_json,
+    settle_units,
+)
 from dousa.estimation.keypoints.keypoint_table import is_keypoint_table, read_keypoint_table, spell_points
 from dousa.estimation.keypoints.keypoints import PersonMasks, PersonTrack, ViewKeypoints, sort_people
 from dousa.estimation.keypoints.people import assign
@@ -128,9 +134,48 @@ def holds_keypoints(path: str | os.PathLike[str]) -> bool:
         if os.fspath(path).lower().endswith(".npz"):
             with open_npz(path, KeypointError) as arrays:
                 return {"names", "points", "visibility"} <= set(arrays.names)
+        if os.fspath(path).lower().endswith(".npy"):
+            return count_views(path) > 0
         return is_keypoint_table(path) or (os.fspath(path).lower().endswith(".json") and _shows_people(path))
     except (OSError, KeypointError):
         return False  # its reader describes the problem
+
+
+def count_views(path: str | os.PathLike[str]) -> int:
+    """Return the number of views in a file: of an array (cameras, frames, points, 2 or 3), as FreeMoCap writes it.
+
+    1 of other files; 0 of other arrays.
+    """
+    if not os.fspath(path).lower().endswith(".npy") or not os.path.isfile(path):
+        return 1
+    return 0 if (array := _map_array(path)) is None else len(array)
+
+
+def _map_array(path: str | os.PathLike[str]) -> NDArray[np.floating] | None:
+    """The array of a file, its numbers still on the disk; None if its shape is not that of points in pictures."""
+    try:
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, OSError, EOFError):
+        return None
+    fits = array.ndim == 4 and array.dtype.kind == "f" and array.shape[3] in (2, 3)
+    return array if fits and array.size and array.shape[2] in SCHEMES else None
+
+
+def _read_array(path: str | os.PathLike[str], view: int) -> ReadFrames:
+    """The points of one camera; a third number is a confidence if it is from 0 to 1 everywhere, else MediaPipe's z."""
+    array = _map_array(path)
+    if array is None or not 0 <= view < len(array):
+        raise KeypointError("keypoints.array").at(path)
+    names = SCHEMES[array.shape[2]]
+    rows = np.array(array[view, :, : len(names)], np.float64)
+    points = np.ones((*rows.shape[:2], 3))
+    points[..., :2] = rows[..., :2]
+    if rows.shape[2] == 3 and 0 <= np.fmin.reduce(rows[..., 2], None) <= np.fmax.reduce(rows[..., 2], None) <= 1:
+        points[..., 2] = np.nan_to_num(rows[..., 2])
+    unseen: BoolArray = np.isnan(rows[..., :2]).any(axis=2) | (rows[..., :2] == 0).all(axis=2)
+    points[unseen] = (np.nan, np.nan, 0.0)
+    frames = [[] if np.all(gone) else [ReadPerson(own, 0)] for own, gone in zip(points, unseen, strict=True)]
+    return ReadFrames(frames, None, names)
 
 
 def _shows_people(path: str | os.PathLike[str], n_bytes: int = 20_000) -> bool:
@@ -144,6 +189,7 @@ def read_keypoints(
     size: tuple[int, int] | None = None,
     frame_rate: float | None = None,
     usual_size: tuple[int, int] | None = None,
+    view: int = 0,
 ) -> ViewKeypoints:
     """Read the keypoints of one view; the people come most seen first.
 
@@ -152,10 +198,12 @@ def read_keypoints(
     Parameters
     ----------
     path : an npz file of dousa; the JSON of another program, one file for the view or a folder of one for each
-        frame, recognised by the number of points (see `keypoint_json`); or the CSV of DeepLabCut.
+        frame, recognised by the number of points (see `keypoint_json`); the CSV of DeepLabCut; or the array of
+        FreeMoCap (cameras, frames, points, 2 or 3).
     size : width and height of the images in px; needed for other files than npz that do not say it.
     frame_rate : Hz of other files than npz; by default 30 with a warning.
     usual_size : as ``size``, such as that of the camera; used where the file has none.
+    view : the camera's place in an array of several.
 
     Raises
     ------
@@ -164,9 +212,13 @@ def read_keypoints(
     if not os.path.exists(path):
         raise KeypointError("keypoints.missing").at(path)
     is_table = os.path.isfile(path) and is_keypoint_table(path)
-    if os.path.isfile(path) and not is_table and not os.fspath(path).lower().endswith(".json"):
+    suffix = os.path.splitext(os.fspath(path))[1].lower()
+    if os.path.isfile(path) and not is_table and suffix not in (".json", ".npy"):
         return read_keypoint_npz(path)
-    read = read_keypoint_table(path) if is_table else read_keypoint_json(path)
+    if suffix == ".npy":
+        read = _read_array(path, view)
+    else:
+        read = read_keypoint_table(path) if is_table else read_keypoint_json(path)
     size = size or read.size or usual_size
     try:
         numbers = {len(person.points) for people in read.frames for person in people}

@@ -50,9 +50,10 @@ SCHEMES: dict[int, tuple[str, ...]] = {
     33: MEDIAPIPE_NAMES,
     133: WHOLE_BODY,
     136: HALPE_26,
+    **dict.fromkeys((75, 543, 553), MEDIAPIPE_NAMES),
 }
-"""Names by the number of points, by definition of COCO, OpenPose (COCO and BODY_25), Halpe, MediaPipe, COCO-WholeBody
-and Halpe's whole body."""
+"""Names by the number of points, by definition of COCO, OpenPose (COCO and BODY_25), Halpe, MediaPipe, COCO-WholeBody,
+Halpe's whole body, and MediaPipe with hands, with a face, and with that of FreeMoCap."""
 
 _MOST_BYTES, _MOST_FRAMES, _MOST_PEOPLE = 1_000_000_000, 2_000_000, 200
 _POINT_KEYS = ("pose_keypoints_2d", "keypoints", "pose_landmarks", "poseLandmarks", "landmarks", "joints")

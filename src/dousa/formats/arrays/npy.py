@@ -81,11 +81,24 @@ def _load(path: str | os.PathLike[str]) -> tuple[dict[Any, Any] | None, NDArray[
     trimmed = tuple(axis for axis in shape if axis != 1)
     rows = len(trimmed) == 2 and trimmed[1] in (*FEATURES, MOTION_X)
     samples = len(trimmed) == 4 and is_joint_array(trimmed[1:])
+    if len(shape) == 4 and shape[3] == 2:
+        raise MotionFileError(path, "landmarks.flat")
     if not (rows or samples or is_joint_array(shape) or is_joint_array((*shape[:-1], 3 * (shape[-1:] == (4,))))):
         raise MotionFileError(path, "arrays.shape", found=str(shape))
     if int(np.prod(shape, dtype=object)) * dtype.itemsize != len(data) - end:
         raise MotionFileError(path, "arrays.size", shape=str(shape), found=len(data) - end)
     array = np.frombuffer(data, dtype, offset=end).reshape(shape, order="F" if header[2] == "True" else "C")
     if samples:
+        _refuse_pixels(path, array)
         return {"motion": array.reshape(trimmed)}, array
     return None, array.reshape(trimmed) if rows else array
+
+
+def _refuse_pixels(path: str | os.PathLike[str], array: NDArray[Any], far: float = 100.0) -> None:
+    """Raise MotionFileError for points in pictures of several cameras, as FreeMoCap saves them, with MediaPipe's z.
+
+    ``far`` : of x or y, of which none is below 0: no data set in metres has such places, and every picture.
+    """
+    low, high = (reduce(array[..., :2], axis=None) for reduce in (np.fmin.reduce, np.fmax.reduce))
+    if low >= 0 and high > far:
+        raise MotionFileError(path, "landmarks.flat")
