@@ -104,3 +104,19 @@ def test_damage(tmp_path):
         (good.replace(b"0.000000000\n", b"high\n", 1), "tables.number"),
     )):  # fmt: skip
         assert code_of(save(tmp_path / f"{number}.mot", data)) == code, number
+
+
+def test_joints_under_the_names_of_opencap_there_and_back(tmp_path):
+    walk = make_motion("walk", draw_performer(2))
+    write_motion(walk, tmp_path / "x.opencap.trc")
+    found = read_motion(tmp_path / "x.opencap.trc")
+    assert {"Neck", "midHip", "RShoulder", "LKnee", "RBigToe"} < set(found.names) and found.provenance.format == "trc"
+    ours, theirs = canonicalise(walk), canonicalise(found)
+    rows = [JOINT_INDEX[joint] for joint in ("neck", "pelvis", "left_wrist", "right_knee", "left_ankle", "right_toe")]
+    np.testing.assert_allclose(theirs.positions[:, rows, 1], ours.positions[:, rows, 1], atol=1e-6)
+    near = theirs.positions[:, rows] - theirs.positions[:1, :1], ours.positions[:, rows] - ours.positions[:1, :1]
+    np.testing.assert_allclose(*(np.linalg.norm(part, axis=2) for part in near), atol=1e-6)
+    assert theirs.mapping.sides == "agree"
+    legs = ours.to_trajectories().replace(positions=np.where(np.arange(20)[:, None] < 12, np.nan, ours.positions))
+    write_motion(legs, tmp_path / "legs.opencap.trc")
+    assert "Neck" not in read_motion(tmp_path / "legs.opencap.trc").names

@@ -5,6 +5,8 @@ simulation of human gait, IEEE TBME 2016, which OpenCap uses too; hips, trunk an
 the ISB (Wu et al., ISB recommendation on definitions of joint coordinate systems, Journal of Biomechanics 2002). X
 points forward, Y up, Z to the right; docs/opensim.md has the table. Knees and elbows are hinges: where a body bends
 them about another axis, the thigh or the upper arm turns about itself. Toes, subtalar joints and wrists stay at rest.
+
+Places of joints go to OpenCap as ``.opencap.trc``, under the names of its points of films.
 """
 
 from __future__ import annotations
@@ -22,8 +24,9 @@ from dousa.formats.assembly import settle_motion
 from dousa.formats.guard import Clock
 from dousa.formats.smpl import mean_body
 from dousa.formats.tables.cells import decode, find_rows, list_lines
+from dousa.formats.tables.trc import write_trc
 from dousa.messages import Message
-from dousa.motion import Motion, Skeleton
+from dousa.motion import JOINT_INDEX, Motion, Skeleton, Trajectories, canonicalise
 from dousa.motion.kinematics import compute_rest_positions
 from dousa.motion.rotations import from_axis_angle, from_euler, identity, multiply, rotate, to_euler
 
@@ -160,6 +163,35 @@ def _straighten(
     back = turn * (1.0, -1.0, -1.0, -1.0)
     rotations[:, above] = multiply(rotations[:, above], turn)
     rotations[:, joint] = multiply(back, rotations[:, joint])
+
+
+_POINTS = {
+    "Neck": "neck", "midHip": "pelvis",
+    **{side[0].upper() + name: f"{side}_{name.lower()}" for side in ("right", "left") for name in
+       ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")},
+    "RBigToe": "right_toe", "LBigToe": "left_toe",
+}  # fmt: skip
+
+
+def write_opencap(motion: Motion | Trajectories, path: str | os.PathLike[str]) -> None:
+    """Write the places of the joints of a body as OpenCap names points of films, in m, X forward, Y up, Z right.
+
+    What was not seen is missing; joints that the body does not have are left out.
+
+    Raises
+    ------
+    MotionWriteError : joints that cannot be mapped, a disk error.
+    """
+    try:
+        found = canonicalise(motion)
+    except JointMappingError as error:
+        raise MotionWriteError(path, "opensim.other_skeleton", reason=error.problem) from error
+    names = tuple(name for name, joint in _POINTS.items() if joint not in found.absent)
+    rows = [JOINT_INDEX[_POINTS[name]] for name in names]
+    places = _to_opensim(found.positions[:, rows])
+    if found.missing is not None:
+        places[found.missing[:, rows]] = np.nan
+    write_trc(Trajectories(names, places, found.frame_rate), path)
 
 
 def read_mot(path: str | os.PathLike[str], *, unit: float | str | None = None, up: str | None = None) -> Motion:

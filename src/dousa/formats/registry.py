@@ -77,6 +77,7 @@ FORMATS: tuple[Format, ...] = (
     Format("amc", (".amc",), "dousa.formats.asf_amc", "read_amc", None, "motion", ("skeleton",)),
     Format("c3d", (".c3d",), "dousa.formats.c3d", "read_c3d", "write_c3d", "trajectories"),
     Format("trc", (".trc",), "dousa.formats.tables", "read_trc", "write_trc", "trajectories"),
+    Format("opencap", (".opencap.trc",), "dousa.formats.opensim", None, "write_opencap", "both"),
     Format("amass", (".amass.npz",), "dousa.formats.smpl", "read_smpl_npz", "write_amass", "motion", _ARRAYS),
     Format("npz", (".npz",), "dousa.formats.arrays", "read_any_npz", "write_npz", "both", _ARRAYS),
     Format(

@@ -32,7 +32,7 @@ READ_SUFFIXES = (
     ".bvh .amc .c3d .trc .amass.npz .npz .npy .pkl .joblib .pt .csv .tsv .json .vmd .mot .mvnx .fbx .dae .usd .usda"
     " .usdc .usdz .glb .gltf .vrm .vrma"
 )
-WRITTEN_SUFFIXES = ".bvh .c3d .trc .amass.npz .npz .csv .vmd .mot .fbx .glb"
+WRITTEN_SUFFIXES = ".bvh .c3d .trc .opencap.trc .amass.npz .npz .csv .vmd .mot .fbx .glb"
 
 
 def info(
