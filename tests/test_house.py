@@ -23,7 +23,7 @@ ROOMS = {
     "evaluation": (12_717, 48),
     "experiments": (1_728, 10),
     "files": (1_112, 8),
-    "formats": (13_042, 70),
+    "formats": (13_043, 70),
     "library": (16_113, 57),
     "messages": (235, 3),
     "motion": (6_477, 34),

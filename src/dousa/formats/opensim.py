@@ -171,6 +171,7 @@ _POINTS = {
        ("Shoulder", "Elbow", "Wrist", "Hip", "Knee", "Ankle")},
     "RBigToe": "right_toe", "LBigToe": "left_toe",
 }  # fmt: skip
+"""Joints by OpenCap's definition of its points."""
 
 
 def write_opencap(motion: Motion | Trajectories, path: str | os.PathLike[str]) -> None:
