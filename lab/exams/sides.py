@@ -142,7 +142,7 @@ def tell_sums(marks: list[dict], views: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="the folder of recordings")
-    parser.add_argument("--clips", type=int, default=8, metavar="N", choices=range(1, len(CLIPS) + 1))
+    parser.add_argument("--clips", type=int, default=8, metavar="N", choices=range(1, len(CLIPS) + 1), help="of 16")
     parser.add_argument("--frames", type=int, default=45, help="at most, of each clip (30 Hz)")
     parser.add_argument("--work", type=Path, help="a new folder, where silhouettes and answers are kept")
     options, marks = parser.parse_args(), []
