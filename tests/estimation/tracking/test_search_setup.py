@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dousa.estimation.body.body import widen
 from dousa.estimation.body.human import make_human
 from dousa.estimation.body.posing import standing_state
 from dousa.estimation.cameras.camera import make_ring
@@ -44,6 +45,24 @@ def test_whole_blocks_become_pixels(seed, factor):
     assert shrinker.factor == factor
     np.testing.assert_array_equal(shrinker.shrink([large])[0], small)
     assert shrinker.area_share == pytest.approx(small.size / large.size)
+
+
+def test_girths_and_raised_arms_matter_to_the_score_alone():
+    body, cameras = make_human(), make_ring(2, size=(160, 120))
+    pose = standing_state(body)
+    masks = [draw_body(body, pose, camera)[0] for camera in cameras]
+    own, stout = (
+        SearchSetup(shape, cameras, TrackerSettings(), 30.0, masks[0].sum()) for shape in (body, widen(body, 1.1))
+    )
+    frame, scratch, still = own.pack(masks), own.make_scratch(), np.zeros(own.n_axes)
+    moved = pose + 0.1 * np.eye(len(pose))[0]
+    assert own.score(pose, still, frame, scratch) - stout.score(pose, still, frame, scratch) > 2.0
+    best, fatter, aside = (
+        setup.compare(row, frame, own.find_rims(frame), scratch)
+        for setup, row in ((own, pose), (stout, pose), (own, moved))
+    )
+    assert best - fatter < 0.5
+    assert best - aside > 2.0
 
 
 def test_cameras_shrink_with_their_images():

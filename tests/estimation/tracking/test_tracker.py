@@ -16,6 +16,7 @@ from dousa.estimation.cameras.camera import make_ring
 from dousa.estimation.raster.rendering import render
 from dousa.estimation.silhouettes.silhouettes import PackedSilhouettes
 from dousa.estimation.tracking.settings import PAPER, TrackerSettings
+from dousa.estimation.tracking.start import exchange_pair, find_pairs
 from dousa.estimation.tracking.tracker import estimate, smooth_poses
 from dousa.motion import rotations as rot
 
@@ -187,6 +188,18 @@ def test_an_interrupted_run_finds_a_lost_track_at_the_same_frame(walker):
     assert any("restarted at frame" in str(note) for note in whole.warnings)
     assert clip.errors(whole)[-1].mean() < 150.0
     assert_same(whole, clip.track(settings, resume=kept[0]))
+
+
+@pytest.mark.parametrize("n_views", [2, 4])
+def test_exchanged_legs_are_found_and_mended_from_the_beginning(walker, n_views):
+    clip = Clip(walker.body, walk(walker.body, 24), n_views)
+    legs = next(
+        pair for pair in find_pairs(clip.body) if "left_thigh" in (clip.body.names[part] for part in pair.parts)
+    )
+    wrong = exchange_pair(clip.body, clip.poses[0], legs)
+    found = estimate(clip.silhouettes(), clip.cameras, clip.body, wrong, girths="keep", n_threads=1)
+    assert clip.errors(found).mean() < 40.0  # 140 and more where nobody looks again
+    assert any("restarted at frame" in str(note) for note in found.warnings)
 
 
 def test_silhouettes_of_a_stouter_person_fatten_the_body(walker):

@@ -308,18 +308,20 @@ def _first_guesses(body: BodyModel, places: FloatArray, rows: IndexArray) -> lis
     pose[3:7] = rot.from_matrix(turned)
     pose[:3] = there + turned @ (pose[:3] - here)
     led = pose.copy()
-    _lead_limbs(body, led, places, rows)
+    lead_limbs(body, led, places, rows)
     return [led, pose]
 
 
-def _lead_limbs(body: BodyModel, pose: FloatArray, places: FloatArray, rows: IndexArray) -> None:
-    """Swing each part with one bone onto its direction from the root outwards, in place."""
+def lead_limbs(
+    body: BodyModel, pose: FloatArray, places: FloatArray, rows: IndexArray, parts: IndexArray | None = None
+) -> None:
+    """Swing each part, or only ``parts``, with one bone onto its direction from the root outwards, in place."""
     place_of = {int(row): places[index] for index, row in enumerate(rows)}
     owners = np.concatenate((body.parents, body.tip_parts))
     bones = {int(rows[a]): int(rows[b]) for a, b in find_bones(body, rows) if owners[rows[b]] == rows[a]}
     offsets = np.concatenate((body.offsets, body.tip_offsets))
     for part, end in sorted(bones.items()):
-        if part == 0:
+        if part == 0 or (parts is not None and part not in parts):
             continue
         rotations, _ = place_parts(body, pose)
         above = rotations[body.parents[part]]

@@ -18,7 +18,7 @@ from dousa.arrays import BoolArray, FloatArray
 from dousa.estimation.body.human import USUAL_STATURE
 from dousa.estimation.body.kinematics import compute_points, place_parts, step_poses
 from dousa.estimation.raster.rasteriser import Bits, draw_placed
-from dousa.estimation.tracking.search_setup import Frame, SearchSetup, standing_height
+from dousa.estimation.tracking.search_setup import RIM, Frame, SearchSetup, erode, standing_height
 
 LOST_ERROR = 0.15
 """m, by definition the mean error of the joints of a frame that is lost (of a person of usual stature)."""
@@ -30,31 +30,13 @@ _PATCHES, _OVERHANG, _LEAST, _SCALE = 0.495, 0.128, 0.004, 0.119
 _SHIFT, _SPREAD = {True: 0.0, False: 1.5}, {True: 0.387, False: 0.671}
 
 
-def erode(bits: Bits, steps: int) -> Bits:
-    """Erode bit images (..., H, words) by ``steps`` pixels with a diamond."""
-    one, last = np.uint64(1), np.uint64(63)
-    for _ in range(steps):
-        left = bits << one
-        left[..., 1:] |= bits[..., :-1] >> last
-        right = bits >> one
-        right[..., :-1] |= bits[..., 1:] << last
-        kept = bits & left & right
-        kept[..., 1:, :] &= bits[..., :-1, :]
-        kept[..., :-1, :] &= bits[..., 1:, :]
-        kept[..., 0, :] = 0
-        kept[..., -1, :] = 0
-        bits = kept
-    return bits
-
-
 class PatchMeasure:
     """Measure patches and overhang.
 
-    ``area`` (px) is the mean area of a silhouette at the working size, ``rim`` the share of a standing silhouette's
-    height by which bodies and segmentations differ without an error.
+    ``area`` (px) is the mean area of a silhouette at the working size.
     """
 
-    def __init__(self, area: float, rim: float = 0.015) -> None:
+    def __init__(self, area: float, rim: float = RIM) -> None:
         self.area = max(area, 1.0)
         self.steps = max(1, round(rim * standing_height(area)))
 

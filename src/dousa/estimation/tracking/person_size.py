@@ -71,7 +71,7 @@ def measure_stature(
             setup = SearchSetup(make_body(float(stature)), views, TrackerSettings(), 30.0, 1.0)
             begun = pose.copy()
             begun[1] += 0.5 * (stature / before - 1.0) * setup.body.stature  # feet stay about where they were
-            scores[stature], pose = StartSearch(setup, setup.pack(small), outlines).refine(begun, sweeps)
+            scores[stature], pose = StartSearch(setup, setup.pack(small)).refine(begun, sweeps)
             before = stature
     return _find_top(scores)
 

@@ -6,7 +6,8 @@ and two bit images independent of the candidate; see `fill_evidence`. Degrees of
 
 - ``model``: (tree, solids, subtrees, subtree_starts); ``tree`` as in `turn_part`, ``solids`` as in `outline_part`; the
   parts below part p, itself first, are ``subtrees[subtree_starts[p]:subtree_starts[p + 1]]``.
-- ``views``: (cameras (V, 24), sizes (V, 2) width and height, seen (V,), silhouettes (V, H, words)).
+- ``views``: (cameras (V, 24), sizes (V, 2) width and height, seen (V,), silhouettes (V, H, words), and likewise pixels
+  that do not count in the score of a whole pose).
 - ``weights``: (reading, evidence, image, inertia, floor): indices into `READINGS` and `EVIDENCES`, 1 / lambda per
   pixel, weight of log W, and floor (3,): height in m, 1 / sigma^2 and greatest cost.
 - ``reach``: (factor, half, stride): share of dR, candidates to either side, 1 for all of them or 2 for every other.
@@ -392,8 +393,7 @@ def _score(pose, shift, weights, bounds, model, views, scratch):  # type: ignore
     n_parts = len(model[0][0])
     every = model[2][:n_parts]  # the subtree of the root
     place_parts(every, n_parts, pose, model[0], scratch)
-    clear_bits(scratch[4])
-    fill_evidence(_MASKED, views[3], scratch[4], scratch[2], scratch[3], scratch[7])
+    fill_evidence(_MASKED, views[3], views[4], scratch[2], scratch[3], scratch[7])
     score = -weights[2] * count_parts(every, model, views, scratch[2], scratch[3], scratch, np.inf)
     for axis in range(len(shift)):
         score += weights[3] * np.log(_weigh_inertia(shift[axis] / bounds[0][axis]))

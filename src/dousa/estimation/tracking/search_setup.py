@@ -14,7 +14,7 @@ from dousa.arrays import FloatArray, Mask
 from dousa.estimation.body.body import BodyModel
 from dousa.estimation.body.kinematics import tree_arrays
 from dousa.estimation.cameras.camera import Camera, pack_cameras
-from dousa.estimation.raster.rasteriser import outline_scratch, pack_bits, unpack_bits
+from dousa.estimation.raster.rasteriser import Bits, outline_scratch, pack_bits, unpack_bits
 from dousa.estimation.silhouettes.cleaning import is_nearly_full
 from dousa.estimation.tracking.outlines import shrink_mask
 from dousa.estimation.tracking.search_kernels import sweep
@@ -31,8 +31,29 @@ class Frame:
     seen : (V,) views that have an image with a person in it.
     """
 
-    bits: NDArray[np.uint64]
+    bits: Bits
     seen: NDArray[np.bool_]
+
+
+def erode(bits: Bits, steps: int) -> Bits:
+    """Erode bit images (..., H, words) by ``steps`` pixels with a diamond."""
+    one, last = np.uint64(1), np.uint64(63)
+    for _ in range(steps):
+        left = bits << one
+        left[..., 1:] |= bits[..., :-1] >> last
+        right = bits >> one
+        right[..., :-1] |= bits[..., 1:] << last
+        kept = bits & left & right
+        kept[..., 1:, :] &= bits[..., :-1, :]
+        kept[..., :-1, :] &= bits[..., 1:, :]
+        kept[..., 0, :] = 0
+        kept[..., -1, :] = 0
+        bits = kept
+    return bits
+
+
+RIM = 0.015
+"""Share of a standing silhouette's height by which bodies and segmentations differ without an error."""
 
 
 class SearchSetup:
@@ -79,6 +100,8 @@ class SearchSetup:
         image = 1.0 / (settings.image_scale * max(area, 1.0))
         reading, evidence = READINGS.index(settings.reading), EVIDENCES.index(settings.evidence)
         self.weights = (reading, evidence, image, settings.inertia, floor)
+        self.rim = max(1, round(RIM * standing_height(area)))
+        self._every = np.zeros((len(self.cameras), self.height, self.n_words), np.uint64)
         self._own = threading.local()
 
     def own_scratch(self) -> tuple[Any, ...]:
@@ -122,9 +145,13 @@ class SearchSetup:
                 seen[view] = True
         return Frame(bits, seen)
 
+    def find_rims(self, frame: Frame) -> Bits:
+        """Return the pixels (V, H, words) by which outlines of bodies and segmentations differ without an error."""
+        return ~(erode(frame.bits, self.rim) | erode(~frame.bits, self.rim))
+
     def views(self, frame: Frame) -> tuple[Any, ...]:
         """Return the ``views`` of the kernels."""
-        return self.rows, self.sizes, frame.seen, frame.bits
+        return self.rows, self.sizes, frame.seen, frame.bits, self._every
 
     def sweep(
         self,
@@ -155,6 +182,17 @@ class SearchSetup:
     def score(self, pose: FloatArray, shift: FloatArray, frame: Frame, scratch: tuple[Any, ...]) -> float:
         """Compute the log score of a whole pose."""
         return self.sweep(pose, shift, 0.0, frame, scratch)
+
+    def compare(self, pose: FloatArray, frame: Frame, rims: Bits, scratch: tuple[Any, ...]) -> float:
+        """Compute the log score by which very different poses of a frame compare: image and floor alone.
+
+        The ``rims`` do not count: what a body of other girths leaves there is as much as a limb. Nor does
+        ease, which decides what the image leaves open: a raised arm would cost as much as one that is not explained.
+        """
+        views, still = (*self.views(frame)[:-1], rims), np.zeros(self.n_axes)
+        bounds = (self.bounds[0], np.zeros_like(self.bounds[1]), self.bounds[2])
+        fixed = (self.weights, bounds, self.model, views, scratch)
+        return float(sweep(pose, still, self.order[:0], self.whole, (0.0, self.half, 1), *fixed, np.zeros((0, 2))))
 
 
 def _list_subtrees(parents: NDArray[np.intp]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -19,7 +19,7 @@ from dousa.arrays import FloatArray, IndexArray, Mask
 from dousa.errors import BodyModelError, SilhouetteError
 from dousa.estimation.body.body import BodyModel
 from dousa.estimation.body.kinematics import compute_points, point_names
-from dousa.estimation.body.posing import lead_pose, standing_state
+from dousa.estimation.body.posing import lead_limbs, lead_pose, standing_state
 from dousa.estimation.raster.rasteriser import draw_body, pack_bits
 from dousa.estimation.silhouettes.cleaning import is_nearly_full
 from dousa.estimation.silhouettes.silhouettes import Silhouettes
@@ -185,6 +185,43 @@ def find_limbs(body: BodyModel) -> list[tuple[IndexArray, IndexArray]]:
     return limbs
 
 
+class LimbPair(NamedTuple):
+    """Two limbs that may be taken for each other.
+
+    Parameters
+    ----------
+    parts : of both.
+    points, others : their joints and tips below the first one, and those of the other side.
+    """
+
+    parts: IndexArray
+    points: IndexArray
+    others: IndexArray
+
+
+def find_pairs(body: BodyModel) -> list[LimbPair]:
+    """Return the end branches whose first parts are called left and right of the same name."""
+    chains = {body.names[parts[0]]: parts for _, parts in find_limbs(body)}
+    pairs = []
+    for name, left in chains.items():
+        right = chains.get("right_" + name.removeprefix("left_"))
+        if name.startswith("left_") and right is not None and len(left) == len(right):
+            ends = [np.concatenate((chain[1:], body.n_parts + np.flatnonzero(np.isin(body.tip_parts, chain))))
+                    for chain in (left, right)]  # fmt: skip
+            parts = np.sort(np.concatenate((left, right)))
+            pairs.append(LimbPair(parts, np.concatenate(ends), np.concatenate(ends[::-1])))
+    return pairs
+
+
+def exchange_pair(body: BodyModel, pose: FloatArray, pair: LimbPair) -> FloatArray:
+    """Return the pose with each limb's end where that of the other side is, as far as limits allow."""
+    points, other = compute_points(body, pose), pose.copy()
+    points[pair.points] = points[pair.others]
+    lead_limbs(body, other, points, np.arange(len(points)), pair.parts)
+    other[7:] = np.clip(other[7:], *body.angle_limits.T)
+    return other
+
+
 def mirror_twins(body: BodyModel, pose: FloatArray, towards: FloatArray) -> list[FloatArray]:
     """Return two poses of a person with nearly the same silhouettes and left and right exchanged.
 
@@ -217,14 +254,14 @@ class StartSearch:
     ----------
     setup : body and cameras; of the settings, floor and stiffness count.
     frame : the silhouettes as the setup packs them.
-    outlines : (V,) box and centre of each silhouette; None if no person is seen.
+    outlines : (V,) box and centre of each silhouette, None if no person is seen; none where only near poses are tried.
     n_headings : in which templates are laid onto the silhouettes.
     n_kept : poses kept after the first, the second and every later step.
     apart : statures; poses whose joints are nearer than this in the mean are one.
     """
 
     def __init__(
-        self, setup: SearchSetup, frame: Frame, outlines: Sequence[Outline | None], *, n_headings: int = 16,
+        self, setup: SearchSetup, frame: Frame, outlines: Sequence[Outline | None] = (), *, n_headings: int = 16,
         n_kept: tuple[int, int, int] = (20, 8, 4), apart: float = 0.03,
     ) -> None:  # fmt: skip
         self.n_headings, self.n_kept, self.apart = n_headings, n_kept, apart
@@ -235,8 +272,7 @@ class StartSearch:
         stiffness = max(given.stiffness, usual.stiffness)
         own = dataclasses.replace(usual, inertia=0.0, floor=given.floor, stiffness=stiffness)
         self.setup = SearchSetup(self.body, self.cameras, own, 30.0, area)
-        self.scratch = self.setup.make_scratch()
-        self.still = np.zeros(self.setup.n_axes)
+        self.rims, self.scratch = self.setup.find_rims(frame), self.setup.make_scratch()
         self.limbs = find_limbs(self.body)
 
     def run(self, near: FloatArray | None, tell: Progress) -> list[Scored]:
@@ -262,9 +298,20 @@ class StartSearch:
         """Run the last fine sweeps and return the ``count`` best different poses."""
         return self.keep([self.refine(pose, (0.5, 0.25)) for _, pose in found], count)
 
+    def look_again(self, pose: FloatArray, count: int = 3) -> FloatArray:
+        """Return the pose with limbs exchanged, or set to one of ``count`` templates each, where that fits better."""
+        pairs = find_pairs(self.body)
+        tried = [exchange_pair(self.body, pose, pair) for pair in pairs]
+        for other, pair in zip(tried, pairs, strict=True):
+            self._sweep_parts(other, pair.parts, (1.0, 0.5))
+        _, best = max((self.refine(other, (0.5,)) for other in (pose, *tried)), key=lambda found: found[0])
+        return self.refine(self._exchange_limbs(best, count=count), (0.5,))[1]
+
     def score(self, pose: FloatArray) -> float:
-        """Compute the log score of image, ease and floor."""
-        return self.setup.score(pose, self.still, self.frame, self.scratch)
+        """Compute the log score, `SearchSetup.compare` where a person is looked for, else with ease and all pixels."""
+        if self.outlines:
+            return self.setup.compare(pose, self.frame, self.rims, self.scratch)
+        return self.setup.score(pose, np.zeros(self.setup.n_axes), self.frame, self.scratch)
 
     def refine(self, pose: FloatArray, factors: Sequence[float]) -> Scored:
         """Return score and pose after sweeps of these widths, in dR."""
@@ -309,25 +356,29 @@ class StartSearch:
         moved = move_onto(self.body, np.concatenate(turned), place, self.cameras, self.outlines)
         return moved if near is None else np.concatenate((moved, near[None]))
 
-    def _exchange_limbs(self, pose: FloatArray, widths: Sequence[float] = (1.5, 0.75, 0.4)) -> FloatArray:
+    def _sweep_parts(self, pose: FloatArray, parts: IndexArray, widths: Sequence[float]) -> None:
+        whole, self.setup.order = self.setup.order, parts
+        for factor in widths:
+            self._sweep(pose, factor)
+        self.setup.order = whole
+
+    def _exchange_limbs(
+        self, pose: FloatArray, widths: Sequence[float] = (1.5, 0.75, 0.4), count: int = 5
+    ) -> FloatArray:
         """Set each limb to its best template after sweeps of these ``widths`` (dR), where that improves the score."""
         pose, templates = pose.copy(), list_templates(self.body)
-        whole = self.setup.order
         for limb, parts in self.limbs:
             best, kept = self.score(pose), pose[limb].copy()
             scores = np.empty(len(templates))
             for number, template in enumerate(templates):
                 pose[limb] = template[limb]
                 scores[number] = self.score(pose)
-            self.setup.order = parts
-            for number in _pick_limbs(templates[:, limb], scores):
+            for number in _pick_limbs(templates[:, limb], scores, count):
                 pose[limb] = templates[number, limb]
-                for factor in widths:
-                    self._sweep(pose, factor)
+                self._sweep_parts(pose, parts, widths)
                 score = self.score(pose)
                 if score > best:
                     best, kept = score, pose[limb].copy()
-            self.setup.order = whole
             pose[limb] = kept
         return pose
 
@@ -339,7 +390,7 @@ class StartSearch:
         return mirror_twins(self.body, pose, towards / length) if length > level else []
 
 
-def _pick_limbs(limbs: FloatArray, scores: FloatArray, count: int = 5, apart: float = 0.35) -> list[int]:
+def _pick_limbs(limbs: FloatArray, scores: FloatArray, count: int, apart: float = 0.35) -> list[int]:
     """Return the numbers of the ``count`` best templates with limbs (N, n) rad that are ``apart`` in some angle."""
     chosen: list[int] = []
     for number in np.argsort(-scores, kind="stable"):
@@ -372,10 +423,8 @@ def find_start(
     *,
     n_best: int = 1,
     near: FloatArray | None = None,
-    later: Sequence[Frame] = (),
     progress: Progress | None = None,
     extent: float = 90.0,
-    n_followed: int = 5,
 ) -> list[Start]:
     """Find the pose in one frame from its silhouettes alone: at most ``n_best`` different ones, best first.
 
@@ -389,10 +438,8 @@ def find_start(
     masks : (V,) the same as masks; None where a view has no image.
     n_best : number of different poses wanted.
     near : (7 + A,) an earlier pose of the body, one more template.
-    later : following frames; the best poses are tracked through them and ranked by mean score.
     progress : called with steps done, steps in all and the current step.
     extent : px, to which the longest side of the silhouettes is shrunk in all but the last step: more is slower.
-    n_followed : poses, at least, that are tracked through ``later``.
 
     Raises
     ------
@@ -408,24 +455,7 @@ def find_start(
     coarse = StartSearch(rough, rough.pack(small), [measure_outline(mask) for mask in small])
     found = coarse.run(near, tell)
     fine = StartSearch(setup, frame, outlines)
-    found = fine.finish(found, max(n_best, n_followed) if later else n_best)
-    if later:
-        found = [(_follow(setup, pose, score, later), pose) for score, pose in found]
-        found.sort(key=lambda pair: -pair[0])
-    return [Start(pose, score, fine.measure_overlap(pose)) for score, pose in found[:n_best]]
-
-
-def _follow(setup: SearchSetup, pose: FloatArray, score: float, later: Sequence[Frame]) -> float:
-    """Compute the mean score of a pose tracked through later frames."""
-    scratch, pose = setup.make_scratch(), pose.copy()
-    scores = [score]
-    for frame in later:
-        shift = np.zeros(setup.n_axes)
-        for factor in (1.0, 0.5):
-            setup.sweep(pose, shift, factor, frame, scratch)
-        pose[3:7] /= np.linalg.norm(pose[3:7])
-        scores.append(setup.score(pose, shift, frame, scratch))
-    return float(np.mean(scores))
+    return [Start(pose, score, fine.measure_overlap(pose)) for score, pose in fine.finish(found, n_best)]
 
 
 def checked_start(body: BodyModel, start: ArrayLike) -> FloatArray:

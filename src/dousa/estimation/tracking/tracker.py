@@ -30,7 +30,7 @@ from dousa.estimation.tracking.outlines import do_meet
 from dousa.estimation.tracking.person_size import fit_girths
 from dousa.estimation.tracking.search_setup import Frame, SearchSetup, Shrinker
 from dousa.estimation.tracking.settings import PAPER, Estimate, TrackedFrame, TrackerSettings
-from dousa.estimation.tracking.start import checked_start, find_first, find_start
+from dousa.estimation.tracking.start import StartSearch, checked_start, find_first, find_start
 from dousa.messages import Message, Progress
 from dousa.motion.resampling import smooth_gaussian
 
@@ -49,6 +49,7 @@ class RestartSettings:
     frames : poor ones in a row, or ones without a person, after which the pose is searched again.
     gain : log score by which another pose must fit better.
     repaired : frames, at most, that are tracked back from it.
+    look : frames after which limbs are looked at again; fewer than the settings' ``lag``, or all would be settled.
     """
 
     overlap: float = 0.7
@@ -57,6 +58,7 @@ class RestartSettings:
     frames: int = 5
     gain: float = 4.0
     repaired: int = 60
+    look: int = 15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,14 +186,13 @@ class _Job:
         frame = self.setup.pack(small)
         if start is None:
             self.progress(0, self.silhouettes.n_frames, Message("tracker.first_pose"))
+            if girths == "fit":  # a limb would fill what a thin trunk leaves of a stout one
+                self._fit_girths(find_start(self.setup, frame, small)[0].pose, small)
             pose = self._find_first_pose(frame, small)
         else:
             pose = checked_start(self.body, start)
         if girths == "fit":
-            seen = [(mask, camera) for mask, camera in zip(small, self.shrinker.cameras, strict=True)
-                    if mask is not None and mask.any()]  # fmt: skip
-            self.body = fit_girths(self.body, pose, [mask for mask, _ in seen], [camera for _, camera in seen])
-            self._set_up()
+            self._fit_girths(pose, small)
         self._start_beam(pose)
         self.beam.begin(frame)
         self.at = self.first + 1
@@ -202,6 +203,12 @@ class _Job:
         for _ in range(self.first):
             self._keep(pose, self.setup.pack([None] * len(self.cameras)))
         self._show_newest(frame)
+
+    def _fit_girths(self, pose: FloatArray, masks: Sequence[Mask | None]) -> None:
+        seen = [(mask, camera) for mask, camera in zip(masks, self.shrinker.cameras, strict=True)
+                if mask is not None and mask.any()]  # fmt: skip
+        self.body = fit_girths(self.body, pose, [mask for mask, _ in seen], [camera for _, camera in seen])
+        self._set_up()
 
     def _find_first_pose(
         self, frame: Frame, masks: Sequence[Mask | None], count: int = 4, behind: float = 8.0, seconds: float = 0.7
@@ -308,27 +315,47 @@ class _Job:
             return
         if returned or (self.poor >= rule.frames and self.at - self.searched >= self.patience):
             self._search_again(frame)
+        elif self.at % rule.look == 0:
+            self._look_again(frame)
 
     def _search_again(self, frame: Frame) -> None:
-        """Search for the pose without the track; if a better one is found, track back from it."""
+        """Search for the pose without the track."""
         rule, masks = self.restart, self.shrinker.unpack(frame)
-        found = find_start(self.setup, frame, masks, near=self.beam.best)
-        line = self.beam.line[-rule.repaired :]
+        found = find_start(self.setup, frame, masks, near=self.beam.best)[0].pose
+        self.searched = self.at
+        if self._repair(frame, found, sure=True):
+            self.poor, self.patience = 0, 1
+            return
+        self.patience = min(2 * self.patience + rule.frames, 10 * rule.frames)
+        patches = self.diagnosis.cover(self.beam.line[-1].pose, frame)[1]
+        self.usual_patches = max(self.usual_patches, patches / rule.more)
+
+    def _look_again(self, frame: Frame) -> None:
+        """Try the limbs of the best pose exchanged and elsewhere."""
+        found = StartSearch(self.setup, frame).look_again(self.beam.best)
+        self._repair(frame, found, sure=False)
+
+    def _repair(self, frame: Frame, found: FloatArray, *, sure: bool) -> bool:
+        """Track back from a pose of the newest frame that fits clearly better, and take its track where it is better.
+
+        Unless ``sure``, only if the frames before agree. Returns whether it was taken.
+        """
+        line = self.beam.line[-self.restart.repaired :]
         frames = [settled.frame for settled in line]
         poses = np.array([settled.pose for settled in line])
+        gain = score_frames(self.setup, np.stack((found, poses[-1])), [frame, frame])
+        if gain[0] - gain[1] < self.restart.gain:
+            return False
         own = Replay(poses, score_frames(self.setup, poses, frames))
-        self.searched = self.at
-        gain = score_frames(self.setup, found[0].pose[None], [frame])[0] - own.scores[-1]
-        if gain < rule.gain:
-            self.patience = min(2 * self.patience + rule.frames, 10 * rule.frames)
-            self.usual_patches = max(self.usual_patches, self.diagnosis.cover(line[-1].pose, frame)[1] / rule.more)
-            return
-        back = replay(self._make_setup(replace(self.settings, beam=1)), found[0].pose, frames[::-1], 1)
+        back = replay(self._make_setup(replace(self.settings, beam=1)), found, frames[::-1], 1)
         new = Replay(back.poses[::-1], back.scores[::-1])
-        switch = min(choose_switch(self.setup, own, new), len(line) - 1)
+        switch = choose_switch(self.setup, own, new)
+        if switch == len(line) and not sure:
+            return False
+        switch = min(switch, len(line) - 1)
         self.beam.replace_newest(new.poses[switch:])
         self.restarts.append(self.at - len(line) + switch)
-        self.poor, self.patience = 0, 1
+        return True
 
     def _keep(self, pose: FloatArray, frame: Frame) -> None:
         self.poses.append(pose)
