@@ -19,7 +19,7 @@ SOURCE = ROOT / "src" / "dousa"
 # Lines and files of each room, stubs included.
 ROOMS = {
     "app": (25_832, 111),
-    "estimation": (15_739, 65),
+    "estimation": (15_778, 65),
     "evaluation": (12_717, 48),
     "experiments": (1_728, 10),
     "files": (1_112, 8),
@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_575,
+    "lines of tests": 62_616,
     "lines of JavaScript": 12_473,
     "constants": 1_051,
     "numeric constants without a source": 0,

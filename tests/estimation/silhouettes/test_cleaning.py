@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from dousa.errors import OptionError
-from dousa.estimation.silhouettes.cleaning import clean_mask, describe_mask, is_nearly_full
+from dousa.estimation.silhouettes.cleaning import clean_mask, is_nearly_full
 from dousa.estimation.silhouettes.mask_npz import read_silhouettes
 
 
@@ -79,20 +79,7 @@ def test_empty_and_full_masks():
     empty, full = np.zeros((20, 30), bool), np.ones((20, 30), bool)
     assert not clean_mask(empty).any() and clean_mask(full).all()
     assert not clean_mask(empty, previous=full).any()
-    state = describe_mask(empty)
-    assert state.is_empty and state.touches_border == (False,) * 4 and state.largest_share == 0
-    state = describe_mask(full)
     assert is_nearly_full(full) and not is_nearly_full(empty)
-    assert state.touches_border == (True,) * 4 and state.n_components == 1
-
-
-def test_description():
-    mask = _person(top=0)
-    mask[110:114, 5:9] = True
-    state = describe_mask(mask)
-    assert state.n_components == 2
-    assert state.touches_border == (False, True, False, False)
-    assert state.area_share == pytest.approx(1616 / 10800) and state.largest_share == pytest.approx(1600 / 1616)
 
 
 @pytest.mark.parametrize("name", ["speck_share", "hole_share", "reach", "limb_reach", "limb_share"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -13,42 +12,6 @@ from dousa.errors import OptionError
 from dousa.extras import cv2
 
 _PERSON_SHARE = 0.4  # a far piece with so much of the main one's area is another person, see docs/silhouettes.md
-
-
-@dataclass(frozen=True, slots=True)
-class MaskState:
-    """The state of a mask.
-
-    Parameters
-    ----------
-    area_share : foreground in shares of the image, 0 to 1.
-    n_components : connected pieces of foreground (8 neighbours).
-    largest_share : the largest piece in shares of the foreground; 0 if there is none.
-    touches_border : foreground reaches the image edge at (left, top, right, bottom), so limbs may be cut off.
-    """
-
-    area_share: float
-    n_components: int
-    largest_share: float
-    touches_border: tuple[bool, bool, bool, bool]
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether the mask has no foreground."""
-        return self.n_components == 0
-
-
-def describe_mask(mask: Mask) -> MaskState:
-    """Describe a mask (H, W): area, pieces, contact with the image edge."""
-    areas = label_pieces(mask)[1][1:, cv2.CC_STAT_AREA]
-    total = int(areas.sum())
-    borders = (mask[:, 0], mask[0], mask[:, -1], mask[-1])
-    return MaskState(
-        area_share=total / mask.size,
-        n_components=len(areas),
-        largest_share=float(areas.max() / total) if total else 0.0,
-        touches_border=tuple(bool(border.any()) for border in borders),  # type: ignore[arg-type]
-    )
 
 
 def is_nearly_full(mask: Mask, share: float = 0.9) -> bool:

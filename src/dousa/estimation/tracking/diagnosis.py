@@ -18,7 +18,7 @@ from dousa.arrays import BoolArray, FloatArray
 from dousa.estimation.body.human import USUAL_STATURE
 from dousa.estimation.body.kinematics import compute_points, place_parts, step_poses
 from dousa.estimation.raster.rasteriser import Bits, draw_placed
-from dousa.estimation.tracking.search_setup import RIM, Frame, SearchSetup, erode, standing_height
+from dousa.estimation.tracking.search_setup import Frame, SearchSetup, erode, measure_rim
 
 LOST_ERROR = 0.15
 """m, by definition the mean error of the joints of a frame that is lost (of a person of usual stature)."""
@@ -31,14 +31,10 @@ _SHIFT, _SPREAD = {True: 0.0, False: 1.5}, {True: 0.387, False: 0.671}
 
 
 class PatchMeasure:
-    """Measure patches and overhang.
+    """Measure patches and overhang without rims; ``area`` (px) is the mean area of a silhouette at the working size."""
 
-    ``area`` (px) is the mean area of a silhouette at the working size.
-    """
-
-    def __init__(self, area: float, rim: float = RIM) -> None:
-        self.area = max(area, 1.0)
-        self.steps = max(1, round(rim * standing_height(area)))
+    def __init__(self, area: float) -> None:
+        self.area, self.steps = max(area, 1.0), measure_rim(area)
 
     def measure(self, drawn: Bits, frame: Frame) -> FloatArray:
         """Compute patches and overhang (2,) of the drawn body (V, H, words) as shares of a usual silhouette.

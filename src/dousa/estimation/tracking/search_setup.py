@@ -52,10 +52,6 @@ def erode(bits: Bits, steps: int) -> Bits:
     return bits
 
 
-RIM = 0.015
-"""Share of a standing silhouette's height by which bodies and segmentations differ without an error."""
-
-
 class SearchSetup:
     """A body and its cameras as arrays for `search_kernels`.
 
@@ -100,7 +96,7 @@ class SearchSetup:
         image = 1.0 / (settings.image_scale * max(area, 1.0))
         reading, evidence = READINGS.index(settings.reading), EVIDENCES.index(settings.evidence)
         self.weights = (reading, evidence, image, settings.inertia, floor)
-        self.rim = max(1, round(RIM * standing_height(area)))
+        self.rim = measure_rim(area)
         self._every = np.zeros((len(self.cameras), self.height, self.n_words), np.uint64)
         self._own = threading.local()
 
@@ -232,6 +228,11 @@ def _ease(body: BodyModel, stiffness: float, least: float = 0.1) -> FloatArray:
 def standing_height(area: float, aspect: float = 0.22) -> float:
     """Compute the height (px) of a standing person whose silhouette of ``area`` px is ``aspect`` of its square."""
     return float(np.sqrt(max(area, 1.0) / aspect))
+
+
+def measure_rim(area: float, share: float = 0.015) -> int:
+    """Compute by how many pixels bodies and segmentations differ without an error: a ``share`` of standing height."""
+    return max(1, round(share * standing_height(area)))
 
 
 class Shrinker:
