@@ -20,7 +20,6 @@ from dousa.app.pipelines.render import render_file
 from dousa.app.requests.estimation import EstimationRequest, Outputs, RenderRequest
 from dousa.estimation import TrackerSettings, fit_body, make_human
 from dousa.evaluation import assess
-from dousa.evaluation.grade.parts import compute_deviation
 from dousa.files.disk import atomic_write
 from dousa.formats import ReadOptions, read_canonical
 from dousa.library import Library
@@ -196,9 +195,9 @@ def grade(chain: Chain, motion: Path, action: str, teacher: str, reference: str)
     before or after the reference is not compared.
     """
     judged = assess(read_takes(chain, action, teacher, reference), read_one(motion), tempo="free")
-    compared = np.isfinite(judged.residual).any(axis=1).mean()
-    off = compute_deviation(judged.residual)
-    return {"grade": round(judged.score, 1), "off": round(off, 2), "compared": round(float(compared), 3)}
+    compared = np.isfinite(judged.residual).any(axis=1)
+    off = np.degrees(np.sqrt(np.nanmean(judged.residual[compared] ** 2, axis=1)).mean())
+    return {"grade": round(judged.score, 1), "off": round(float(off), 2), "compared": round(float(compared.mean()), 3)}
 
 
 def grade_all(chain: Chain, motion: Path, clip: Clip, teacher: str, reference: str) -> dict[str, Any]:

@@ -70,8 +70,8 @@ def label_moments(times: FloatArray, errors: Sequence[Error]) -> Labels:
     return Labels(limbs, body)
 
 
-def describe_trial(trial: Trial) -> tuple[Descriptors, Labels]:
-    """Features and labels of the moments of a trial's performance."""
+def describe_trial(trial: Trial, wanted: slice = slice(None)) -> tuple[Descriptors, Labels]:
+    """Features and labels of the moments of a trial's performance, or of those that are wanted."""
     weights = spread_weights(None)
     postures, played = compute_all_postures(list(trial.references), trial.performance, side="same", tempo="same")
     references = prepare_references(postures, "same", weights)
@@ -79,7 +79,7 @@ def describe_trial(trial: Trial) -> tuple[Descriptors, Labels]:
     comparison = compare(references.working, working, "same", weights, references.between)
     tolerance = choose_tolerance(comparison.deviations)
     evidence = gather_evidence(comparison.deviations, tolerance.angle, tolerance.lag_s, weights)
-    descriptors = join_descriptors(describe(references, comparison.alignment.frames, evidence))
+    descriptors = join_descriptors(describe(references, comparison.alignment.frames, evidence, wanted))
     times = np.asarray((descriptors.frames + 0.5) / working.frame_rate, np.float64)
     return descriptors, label_moments(times, trial.errors)
 

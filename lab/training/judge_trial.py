@@ -86,12 +86,7 @@ def describe_trials(
 
 
 def _describe(trial: Trial, number: int, whole: bool) -> Described:
-    descriptors, labels = describe_trial(trial)
-    if not whole:
-        kept = np.arange(number % _EVERY, len(descriptors.frames), _EVERY)
-        parts = (descriptors.frames, descriptors.limbs, descriptors.body, descriptors.usual)
-        descriptors = Descriptors(*(part[kept] for part in parts))
-        labels = Labels(labels.limbs[kept], labels.body[kept])
+    descriptors, labels = describe_trial(trial, slice(None) if whole else slice(number % _EVERY, None, _EVERY))
     return Described(
         trial.set_name,
         trial.generator,

@@ -37,7 +37,7 @@ def check(assessment: Assessment) -> None:
         assert 0.0 <= event.start_s < event.end_s <= assessment.performance.duration + 1e-9
         assert event.start_s <= event.worst_s <= event.end_s
         assert event.segments and set(event.segments) <= set(SEGMENTS)
-        assert (event.lag_ms is not None) == (event.kind == "shift")
+        assert (event.lag_ms is not None) == (event.kind == "shift" and event.cause is None)
         assert event.severity >= 1.0 and event.says
     starts = [event.start_s for event in assessment.events]
     assert starts == sorted(starts)

@@ -7,8 +7,7 @@ import pytest
 from oracles.wrong_dances import ARM, be_late, gather_dances, get_dance, mirror, turn_limb
 
 from dousa.evaluation.errors.causes import explain_together
-from dousa.evaluation.errors.explain import Finding
-from dousa.evaluation.errors.findings import measure_suspects
+from dousa.evaluation.errors.findings import Finding, measure_suspects
 from dousa.evaluation.errors.judge import Suspect
 from dousa.evaluation.posture.posture import LIMBS, SEGMENTS
 from dousa.evaluation.words import describe_event

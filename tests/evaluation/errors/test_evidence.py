@@ -13,13 +13,11 @@ from oracles.wrong_dances import (
     TOLERANCE,
     be_late,
     choose,
-    compare_dances,
     first_frames,
     gather_dances,
     get_dance,
     lose,
     place,
-    shrink_arm,
     thin,
     turn_limb,
 )
@@ -27,18 +25,14 @@ from oracles.wrong_dances import (
 from dousa.evaluation.errors.deviations import MAX_LAG_S, YAW_SCALE, compute_deviations, merge_takes
 from dousa.evaluation.errors.evidence import (
     CAP,
-    GROUPS,
     Evidence,
-    find_shrunk,
-    find_stretches,
     fit_gain,
     measure_missing_range,
     measure_ranges,
     refine_lag,
 )
-from dousa.evaluation.posture.posture import LIMBS, Working, compute_postures, interpolate_segments, thin_postures
+from dousa.evaluation.posture.posture import Working, compute_postures, interpolate_segments, thin_postures
 from dousa.motion import CanonicalMotion
-from lab.injection.injection import simulate_performer
 
 LEFT_ARM = [f"left_{joint}" for joint in ARM]
 MOTION = get_dance(12.0)
@@ -56,7 +50,7 @@ def test_values_at_a_lag_are_those_of_the_column() -> None:
     for t, column in enumerate(course):
         assert np.array_equal(found[t], whole[150 + t, column])
     arm = np.array([1, 2])
-    np.testing.assert_allclose(evidence.ratio.sum_up([arm], at_once=50)[0], whole[:, :, arm].sum(axis=2), atol=1e-12)
+    np.testing.assert_allclose(evidence.ratio.sum_up(arm), whole[:, :, arm].sum(axis=2), atol=1e-4)
 
 
 def test_ratios_are_squares_in_multiples_of_the_tolerance_up_to_a_cap() -> None:
@@ -81,7 +75,6 @@ def test_a_small_lag_is_forgiven_a_larger_one_is_not() -> None:
     late = gather(choose(MOTION, np.maximum(np.arange(360) - 9, 0)))
     moving = late.ordinary[30:330].sum(axis=1) > 3.0
     assert np.abs(late.course[30:330][moving] - (late.center - 9)).max() <= 1
-    assert find_stretches(late)
 
 
 def test_identity_has_no_evidence() -> None:
@@ -90,7 +83,6 @@ def test_identity_has_no_evidence() -> None:
         assert evidence.ordinary.max() < 1e-9
         assert (evidence.course == evidence.center).all()
         assert np.abs(refine_lag(evidence, evidence.course)).max() == 0.0
-        assert find_stretches(evidence) == []
 
 
 @pytest.mark.parametrize("lag_s", [-0.31, -0.12, 0.145, 0.2, 0.42])
@@ -103,49 +95,19 @@ def test_the_lag_is_found_to_a_fraction_of_a_frame(lag_s: float) -> None:
     assert np.array_equal(refine_lag(evidence, evidence.course[120:], 120)[20:-20], lag[140:-20])
 
 
-def test_what_is_wrong_is_a_stretch() -> None:
-    for wrong in (
-        turn_limb(MOTION, LEFT_ARM, 40.0, 5.0, 7.0),
-        be_late(MOTION, 0.3, 5.0, 7.4),
-        shrink_arm(MOTION, "right", 0.4, 5.0, 7.4),
-    ):
-        stretches = find_stretches(gather(wrong))
-        assert len(stretches) == 1
-        start, end = stretches[0]
-        assert 145 <= start <= 175 and 195 <= end <= 226
-
-
-def test_a_clean_performance_has_hardly_a_stretch() -> None:
-    found = sum(len(find_stretches(gather(simulate_performer(MOTION, seed)))) for seed in range(5))
-    assert found <= 1
-
-
-def test_moments_near_each_other_are_one_stretch() -> None:
-    near = turn_limb(turn_limb(MOTION, LEFT_ARM, 60.0, 4.0, 5.5), LEFT_ARM, 60.0, 5.6, 7.0)
-    apart = turn_limb(turn_limb(MOTION, LEFT_ARM, 60.0, 3.0, 4.0), LEFT_ARM, 60.0, 6.0, 7.0)
-    assert len(find_stretches(gather(near))) == 1
-    assert len(find_stretches(gather(apart))) == 2
-
-
 @pytest.mark.parametrize("who", ["performance", "reference"])
 def test_gaps_are_no_evidence(who: str) -> None:
     gone = lose(MOTION, LEFT_ARM, 4.0, 7.0)
     evidence = gather(gone) if who == "performance" else gather(MOTION, gone)
-    assert find_stretches(evidence) == []
+    assert evidence.ordinary.max() < 0.5
     assert np.abs(refine_lag(evidence, evidence.near)).max() < 0.02
-
-
-def test_an_arm_that_is_wrong_beside_a_gap_is_not_late() -> None:
-    wrong = turn_limb(MOTION, LEFT_ARM, 60.0, 5.0, 7.0)
-    stretches = find_stretches(gather(wrong, lose(MOTION, LEFT_ARM, 7.0, 8.0)))
-    assert len(stretches) == 1
 
 
 @pytest.mark.parametrize("count", [2, 5, 12])
 def test_a_few_frames_are_no_evidence(count: int) -> None:
     few = replace(MOTION, positions=MOTION.positions[:count])
     evidence = gather(few, few)
-    assert find_stretches(evidence) == []
+    assert evidence.ordinary.max() < 1e-9
     assert refine_lag(evidence, evidence.course).shape == (count,)
 
 
@@ -330,7 +292,6 @@ def test_shrunk_angles_have_their_gain(gain: float, seed: int) -> None:
     assert fit.gain == pytest.approx(gain, abs=0.04)
     assert fit.unexplained < 0.05
     assert np.abs(fit.predict(reference) - smaller).max() < 0.08
-    assert fit.compute_rest(smaller, reference, TOLERANCE[:2]).max() < 0.3
 
 
 @given(gain=st.floats(0.3, 0.95), seed=st.integers(0, 1000))
@@ -348,7 +309,6 @@ def test_the_same_motion_has_gain_one_and_so_has_one_held_elsewhere() -> None:
     same = fit_gain(reference, reference, TOLERANCE[:2])
     assert same.gain == pytest.approx(1.0)
     assert np.allclose(same.predict(reference), reference)
-    assert same.compute_rest(reference, reference, TOLERANCE[:2]).max() < 1e-12
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     still = fit_gain(np.broadcast_to(reference[:1], reference.shape), reference @ turn, TOLERANCE[:2])
     assert still.gain == pytest.approx(0.0, abs=1e-9)
@@ -364,47 +324,10 @@ def test_a_moment_that_is_wrong_does_not_bend_the_gain() -> None:
 def test_nothing_that_moves_is_no_error() -> None:
     still = np.broadcast_to(swing()[:1], (30, 2, 3))
     fit = fit_gain(still, still, TOLERANCE[:2])
-    assert np.isfinite([fit.gain, fit.unexplained, fit.off_center]).all()
+    assert np.isfinite([fit.gain, fit.unexplained]).all()
     assert np.isfinite(fit.predict(still)).all()
     one = fit_gain(still[:1], still[:1], TOLERANCE[:2])
     assert np.isfinite(one.gain)
-
-
-def test_windows_of_a_shrunk_arm_are_found() -> None:
-    motion = get_dance(12.0)
-    deviations = compare_dances(shrink_arm(motion, "left", 0.5, 5.0, 7.4), motion)
-    windows = find_shrunk(deviations, TOLERANCE, 30.0)
-    assert windows
-    covered = np.zeros(360, bool)
-    for start, end in windows:
-        assert not covered[start:end].any()  # apart
-        covered[start:end] = True
-    assert covered[160:210].mean() > 0.7
-    assert not covered[:135].any() and not covered[240:].any()
-
-
-def test_a_larger_motion_and_the_same_motion_are_not_shrunk() -> None:
-    motion = get_dance(12.0)
-    for performance in (motion, shrink_arm(motion, "left", 1.4, 5.0, 7.4)):
-        assert find_shrunk(compare_dances(performance, motion), TOLERANCE, 30.0) == []
-
-
-def test_no_window_looks_into_a_gap() -> None:
-    motion = get_dance(12.0)
-    smaller = shrink_arm(motion, "left", 0.5, 5.0, 7.4)
-    gone = lose(smaller, ["left_elbow", "left_wrist"], 4.9, 7.5)
-    assert find_shrunk(compare_dances(gone, motion), TOLERANCE, 30.0) == []
-
-
-def test_motions_shorter_than_a_window_have_none() -> None:
-    motion = get_dance(12.0)
-    few = replace(motion, positions=motion.positions[:15])
-    assert find_shrunk(compare_dances(few, few), TOLERANCE, 30.0) == []
-
-
-def test_the_body_and_each_limb_are_groups() -> None:
-    assert set(GROUPS) == {"body", *LIMBS}
-    assert np.array_equal(GROUPS["body"], np.arange(9))
 
 
 @given(reach=st.floats(0.05, 1.5))

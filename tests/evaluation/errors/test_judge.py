@@ -25,12 +25,10 @@ from dousa.evaluation.errors.descriptors import (
     Descriptors,
     describe_moments,
     join_descriptors,
-    mark_findings,
 )
 from dousa.evaluation.errors.deviations import Deviations, compute_deviations
 from dousa.evaluation.errors.evidence import gather_evidence
-from dousa.evaluation.errors.explain import Finding
-from dousa.evaluation.errors.findings import measure_suspects
+from dousa.evaluation.errors.findings import Finding, measure_suspects
 from dousa.evaluation.errors.judge import BODY_CLASSES, LIMB_CLASSES, BoostedTrees, Decoding, Suspect, decode
 from dousa.evaluation.posture.posture import LIMBS
 from dousa.motion import CanonicalMotion
@@ -177,7 +175,7 @@ def test_what_nobody_saw_is_no_error() -> None:
     assert measure_suspects(evidence, suspects, np.arange(0)) == []
 
 
-FEATURES = 21  # of a limb in one window
+FEATURES = 25  # of a limb in one window
 OWN, BEST, LAG, GAIN, PATH, UNREACHED = 0, 1, 2, 6, 13, 14
 WINDOW_S = (0.5, 1.0, 2.0)
 
@@ -188,7 +186,7 @@ def compare(performance: CanonicalMotion) -> Deviations:
 
 def describe(deviations: Deviations) -> Descriptors:
     evidence = gather_evidence(deviations, TOLERANCE, 0.07, EVEN)
-    return join_descriptors(describe_moments(evidence, np.zeros(len(deviations.judged)), 1, [], at_once=20))
+    return join_descriptors(describe_moments(evidence, np.zeros(len(deviations.judged)), 1, at_once=20))
 
 
 def look(descriptors: Descriptors, limb: int, window: int, name: int, start_s: float, end_s: float) -> np.ndarray:
@@ -237,15 +235,19 @@ def test_who_does_as_the_reference_has_nothing_to_see() -> None:
     assert np.isfinite(found.limbs).all() and np.isfinite(found.body).all()
 
 
-def test_findings_are_marked_where_they_are() -> None:
-    limb, body = (
-        Finding("shift", 5, 9, (1, 2), 2.0, 6, lag_s=-0.2),
-        Finding("global", 20, 30, tuple(range(9)), 99.0, 21),
-    )
-    marks = mark_findings([limb, body], 40)
-    assert np.flatnonzero(marks[:, 1].any(axis=1)).tolist() == [*range(5, 9), *range(20, 30)]
-    assert marks[6, 1].tolist() == [2.0, 0.0, 0.0, 0.0, -0.2, 0.0, 4.0]
-    assert not marks[6, N_LIMBS].any() and marks[25, N_LIMBS, 3] == 10.0
+LASTS, SHARE_LATE = -12, -10  # of the stretch in which a moment lies, from the end of a limb's features
+
+
+def test_a_moment_knows_the_whole_stretch_in_which_it_lies() -> None:
+    arm = [f"left_{joint}" for joint in ARM]
+    wrong = turn_limb(turn_limb(MOTION, arm, 60.0, 5.0, 7.0), arm, 60.0, 9.0, 10.0)
+    found = describe(compare(wrong))
+    for start, end in ((5.0, 7.0), (9.0, 10.0)):
+        part = (found.frames >= 30 * start + 5) & (found.frames < 30 * end - 5)
+        assert found.limbs[part, 1, LASTS] == pytest.approx(end - start, abs=0.3)
+        assert not found.limbs[part, 2, LASTS].any()
+    late = describe(compare(be_late(MOTION, 0.4, 5.0, 9.0)))
+    assert look(late, 1, 0, SHARE_LATE, 6.0, 8.0).max() < 0.3
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])

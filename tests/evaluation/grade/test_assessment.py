@@ -94,7 +94,7 @@ def test_a_mirrored_pupil_is_as_good_as_the_pupil_in_the_mirror() -> None:
 
 
 def test_who_is_mirrored_unasked_is_told() -> None:
-    found = judge(mirror(MOTION))
+    found = judge(mirror(MOTION), side="same")
     assert found.score < 85.0
     (warning,) = (one for one in found.warnings if one.code == "assessment.mirrored")
     assert all("--mirror" in warning.render(language) for language in LANGUAGES)

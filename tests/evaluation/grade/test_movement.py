@@ -107,7 +107,7 @@ def test_the_side_is_found(raises: list[CanonicalMotion]) -> None:
     ("unseen", "code"),
     [
         (slice(None), "grade.unseen"),
-        (slice(10, -10), "grade.unseen"),
+        (slice(6, -6), "grade.unseen"),
         (slice(None, None, 5), "grade.calibrated"),
     ],
 )

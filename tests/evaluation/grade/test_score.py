@@ -9,52 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dousa.errors import InvalidMotionError
 from dousa.evaluation import Assessment, assess
 from dousa.evaluation.grade.movement import PARTS
-from dousa.evaluation.grade.parts import compute_deviation
 from dousa.evaluation.grade.score import compute_grade, load_model, round_grade
 from dousa.formats.motion_files import read_canonical
 from dousa.motion import CanonicalMotion
 from dousa.motion.canonical.joints import JOINT_INDEX as J
-
-
-def test_deviation_is_the_mean_of_the_root_mean_square_in_degrees() -> None:
-    residual = np.radians(np.array([[10.0] * 9, [20.0] * 9]))
-    assert compute_deviation(residual) == pytest.approx(15.0)
-    one_limb = np.zeros((3, 9))
-    one_limb[:, 4] = np.radians(30.0)
-    assert compute_deviation(one_limb) == pytest.approx(10.0)
-
-
-def test_deviation_follows_the_weights() -> None:
-    residual = np.zeros((4, 9))
-    residual[:, 4] = np.radians(30.0)
-    weights = np.ones(9)
-    weights[4] = 0.0
-    assert compute_deviation(residual, weights) == 0.0
-    assert compute_deviation(residual, 5.0 * np.ones(9)) == pytest.approx(10.0)
-    assert compute_deviation(residual, np.eye(9)[4]) == pytest.approx(30.0)
-
-
-def test_what_is_not_seen_does_not_count() -> None:
-    residual = np.radians(np.full((5, 9), 12.0))
-    residual[0] = np.nan
-    residual[2, 3:] = np.nan
-    assert compute_deviation(residual) == pytest.approx(12.0)
-    assert np.isnan(compute_deviation(np.full((5, 9), np.nan)))
-    assert np.isnan(compute_deviation(np.empty((0, 9))))
-    # Seen only where nothing weighs.
-    only_trunk = np.full((5, 9), np.nan)
-    only_trunk[:, 0] = 0.1
-    assert np.isnan(compute_deviation(only_trunk, np.eye(9)[1]))
-
-
-@pytest.mark.parametrize("shape", [(9,), (4, 8), (2, 4, 9)])
-def test_other_shapes_are_refused(shape: tuple[int, ...]) -> None:
-    with pytest.raises(InvalidMotionError, match="frames, 9"):
-        compute_deviation(np.zeros(shape))
-
 
 MODEL = load_model()
 NOTHING = np.zeros(len(PARTS))

@@ -18,8 +18,7 @@ from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.dynamic_programming import switch_on
 from dousa.evaluation.errors.deviations import YAW_SCALE, YAW_WINDOW_S, measure_deviations
 from dousa.evaluation.errors.evidence import CAP, Evidence, measure_ranges
-from dousa.evaluation.errors.explain import Finding, measure_severity
-from dousa.evaluation.errors.findings import describe_shift, follow_limb, measure_suspects
+from dousa.evaluation.errors.findings import Finding, describe_shift, follow_limb, measure_severity, measure_suspects
 from dousa.evaluation.errors.judge import Suspect
 from dousa.evaluation.posture.posture import LIMBS, MIRRORED_SEGMENTS
 from dousa.motion.runs import find_runs
@@ -27,6 +26,7 @@ from dousa.motion.runs import find_runs
 # s, rad: a smaller error is not worth saying, see docs/evaluation.md
 _USEFUL_LAG_S, _USEFUL_ANGLE = 0.08, np.radians(10.0)
 
+_EDGE_BETWEEN, _MOSTLY = 0.5, 0.8  # of the lag between two shifts that are one; of the moments there
 _LEFT_OVER = 1.0 / 3.0  # of the deviation, that a cause may leave; measured in lab/trials/causes.py
 _FLIP = np.array([1.0, 1.0, -1.0])  # mirror image by definition: z, the body's own left in `Deviations`, negated
 _PAIRS = tuple((np.array(LIMBS[f"left_{limb}"]), np.array(LIMBS[f"right_{limb}"])) for limb in ("arm", "leg"))
@@ -74,32 +74,47 @@ def _is_explained(before: FloatArray, left: FloatArray) -> bool:
     return bool(np.minimum(left, before).sum() < _LEFT_OVER * before.sum())
 
 
-def _join_lags(evidence: Evidence, findings: list[Finding], *, near_s: float = 0.35) -> list[Finding]:
-    """Of a limb one lag for neighbouring findings, if all of them are late by it or early."""
-    kept = [one for one in findings if len(one.segments) > 2 or one.kind == "global"]
-    by_limb: dict[int, list[Finding]] = {}
+def _join_lags(evidence: Evidence, findings: list[Finding]) -> list[Finding]:
+    """Of the same limbs one lag for neighbouring findings, if all of them are late by it or early."""
+    kept = [one for one in findings if one.kind == "global"]
+    by_limbs: dict[tuple[int, ...], list[Finding]] = {}
     for one in findings:
-        if not any(one is other for other in kept):
-            by_limb.setdefault(_find_limb(one), []).append(one)
-    for limb, some in by_limb.items():
-        segments = np.array(tuple(LIMBS.values())[limb])
-        for group in _find_neighbours(some, near_s * evidence.rate):
-            kept += _explain_by_lag(evidence, group, segments)
+        if one.kind != "global":
+            by_limbs.setdefault(_find_limbs(one), []).append(one)
+    for segments, some in by_limbs.items():
+        for group in _find_neighbours(evidence, some, np.array(segments)):
+            kept += _explain_by_lag(evidence, group, np.array(segments))
     return kept
 
 
-def _find_limb(finding: Finding) -> int:
-    return next(number for number, limb in enumerate(LIMBS.values()) if finding.segments[0] in limb)
+def _find_limbs(finding: Finding) -> tuple[int, ...]:
+    """All segments of the limb that a finding is about; of more than a limb its own."""
+    return next((limb for limb in LIMBS.values() if set(finding.segments) <= set(limb)), finding.segments)
 
 
-def _find_neighbours(findings: Sequence[Finding], gap: float) -> list[list[Finding]]:
+def _find_neighbours(
+    evidence: Evidence, findings: Sequence[Finding], segments: NDArray[np.intp], *, near_s: float = 0.35
+) -> list[list[Finding]]:
+    """Groups of findings that follow each other at once, or between which a lag goes on."""
     groups: list[list[Finding]] = []
     for one in sorted(findings, key=lambda finding: finding.start):
-        if groups and one.start - max(other.end for other in groups[-1]) <= gap:
+        end = max((other.end for other in groups[-1]), default=0) if groups else 0
+        lag = next((other.lag_s for other in reversed(groups[-1]) if other.lag_s is not None), 0.0) if groups else 0.0
+        opposite = lag * (one.lag_s or 0.0) < 0.0
+        near = bool(groups) and one.start - end <= near_s * evidence.rate
+        if groups and not opposite and (near or _goes_on(evidence, end, one, lag, segments)):
             groups[-1].append(one)
         else:
             groups.append([one])
     return groups
+
+
+def _goes_on(evidence: Evidence, end: int, one: Finding, lag: float, segments: NDArray[np.intp]) -> bool:
+    """Whether a lag lasts from the frame ``end`` to a finding with a lag: half of it, nearly all the time."""
+    if not lag or one.lag_s is None:
+        return False
+    between = follow_limb(evidence, end, one.start, segments) * np.sign(lag)
+    return bool((between >= _EDGE_BETWEEN * min(abs(lag), abs(one.lag_s))).mean() >= _MOSTLY)
 
 
 def _explain_by_lag(evidence: Evidence, group: list[Finding], segments: NDArray[np.intp]) -> list[Finding]:
@@ -227,7 +242,7 @@ class _Sides:
         if one.kind != "partial" or one.cause or 0 in one.segments or len(one.segments) > 2:
             return one
         span = slice(one.start, one.end)
-        left = self.measure(tuple(LIMBS.values())[_find_limb(one)])
+        left = self.measure(_find_limbs(one))
         copied = _is_explained(self._evidence.ordinary[span], left[span])
         return replace(one, cause="copied") if copied else one
 

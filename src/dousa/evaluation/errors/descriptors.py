@@ -3,24 +3,26 @@
 Of every limb and of the whole body, in windows of half a second to two: how far it is from the reference at the same
 time and at the best other time, that lag and how clear it is, the gain and what a gain leaves over, whether it is
 on the reference's path and whether all of that path is reached (coverage both ways), whether it does what the other
-side should do, how much the reference moves there, and how much takes of the reference differ there.
+side should do, how much the reference moves there, and how much takes of the reference differ there. The same of the
+whole stretch out of tolerance in which a moment lies, however long it is.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, iterate_blocks
-from dousa.evaluation.alignment.dynamic_programming import follow_lag
+from dousa.evaluation.alignment.dynamic_programming import follow_lag, switch_on
+from dousa.evaluation.errors.deviations import Deviations
 from dousa.evaluation.errors.evidence import LAG_CHANGE, Evidence
-from dousa.evaluation.errors.explain import Finding
 from dousa.evaluation.posture.posture import LIMBS, MIRRORED_SEGMENTS, SEGMENTS
 from dousa.kernels import kernel
+from dousa.motion.runs import find_runs
 
 N_LIMBS = len(LIMBS)
 LIMB_OF = np.array([next(i for i, limb in enumerate(LIMBS.values()) if s in limb) for s in range(len(SEGMENTS))])
@@ -52,12 +54,15 @@ _PER_WINDOW = (
     "our_speed",
     "spread",
     "time_spread",
+    "clear",
+    "off",
+    "missing",
+    "unexplained",
 )
 _LAG = _PER_WINDOW.index("lag")
 _USUAL = [_PER_WINDOW.index(name) for name in ("own", "best", "lag", "path")]
 _SLIGHT = 0.03  # rad, so that nothing is divided by 0: the judge of lab/training/train_judge.py is fitted with it
-# The mirror image facing back, by definition of the fitted judge: x is front to back.
-_FLIP = np.array([-1.0, 1.0, 1.0])
+_FLIP = np.array([1.0, 1.0, -1.0])  # mirror image by definition: z, the body's own left in `Deviations`, negated
 _SORTED = ("own", "best", "at_body", "path", "left_by_gain", "gain", "lag_beside_body")
 
 
@@ -76,30 +81,10 @@ def choose_stride(rate: float, *, moments_a_second: float = 15.0) -> int:
     return max(1, round(rate / moments_a_second))
 
 
-_KINDS = ("shift", "incomplete", "partial", "global")
-
-
-def mark_findings(findings: Sequence[Finding], n_frames: int, *, most_severe: float = 10.0) -> FloatArray:
-    """Mark the findings of the rules at each frame of each limb and, last, of the body: (T, 6, 7).
-
-    Severity by class, lag in s, share of the range that is missing, and how many frames the error lasts.
-    """
-    marks = np.zeros((n_frames, N_LIMBS + 1, len(_KINDS) + 3))
-    for finding in findings:
-        limbs = {int(LIMB_OF[segment]) for segment in finding.segments}
-        row = np.zeros(len(_KINDS) + 3)
-        row[_KINDS.index(finding.kind)] = min(finding.severity, most_severe)
-        row[-3:] = finding.lag_s or 0.0, finding.shortfall_share or 0.0, finding.end - finding.start
-        for limb in (*limbs, *((N_LIMBS,) if len(limbs) >= N_LIMBS - 1 else ())):
-            marks[max(finding.start, 0) : finding.end, limb] = row
-    return marks
-
-
 def describe_moments(
     evidence: Evidence,
     time_spread: FloatArray,
     n_references: int,
-    findings: Sequence[Finding],
     *,
     wanted: slice = slice(None),
     before: FloatArray | None = None,
@@ -112,7 +97,6 @@ def describe_moments(
     evidence : of the performance.
     time_spread : (T,) s, how much the timing of the takes of the reference differs there; 0 of one take.
     n_references : takes.
-    findings : of the closed explanations, see `dousa.evaluation.errors.explain`.
     wanted : moments to describe.
     before : (n, 5, 4) ``usual`` of earlier moments, which count too in what is usual of this performance.
     at_once : moments.
@@ -127,10 +111,10 @@ def describe_moments(
     clip = np.median(usual if before is None else np.concatenate([before, usual]), axis=0)
     length_s = max(len(deviations.judged) / rate, 0.5)
     constants = np.array([np.log(length_s), min(n_references, 6)])
-    marks = mark_findings(findings, len(deviations.judged))[frames]
-    courses = _follow_lags(evidence)[frames]
+    courses = _follow_lags(evidence)
+    courses = np.concatenate([courses, _describe_stretches(evidence, courses[:, :, -1])], axis=2)[frames]
     for some in iterate_blocks(len(frames), at_once):
-        limbs, body = _join_features(limb_table[some], body_table[some], clip, constants, marks[some], courses[some])
+        limbs, body = _join_features(limb_table[some], body_table[some], clip, constants, courses[some])
         yield Descriptors(frames[some], limbs, body, usual[some])
 
 
@@ -141,11 +125,10 @@ def join_descriptors(descriptors: Iterable[Descriptors]) -> Descriptors:
 
 
 def _join_features(
-    limb_table: FloatArray,
-    body_table: FloatArray,
+    limb_table: NDArray[np.float32],
+    body_table: NDArray[np.float32],
     clip: FloatArray,
     constants: FloatArray,
-    marks: FloatArray,
     courses: FloatArray,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """(N, 5, F) and (N, G) features of some moments; ``clip`` (5, 4) and ``constants`` (2,) are of the performance."""
@@ -160,9 +143,9 @@ def _join_features(
         table[..., _LAG] = np.abs(table[..., _LAG])
     body_flat = np.concatenate([body_table.reshape(n, -1), together[:, N_LIMBS], courses[:, N_LIMBS]], axis=1)
     seen = np.broadcast_to(body_flat[:, None], (n, N_LIMBS, body_flat.shape[1]))
-    parts = [limb_table.reshape(n, N_LIMBS, -1), clips, others, kind, always, seen, marks, courses, together]
+    parts = [limb_table.reshape(n, N_LIMBS, -1), clips, others, kind, always, seen, courses, together]
     limbs = np.concatenate([part[:, :N_LIMBS] for part in parts], axis=2, dtype=np.float32, casting="same_kind")
-    parts = [body_flat, *ranked, np.sort(clips, axis=1), always[:, 0], marks, np.sort(courses[:, :N_LIMBS], axis=1)]
+    parts = [body_flat, *ranked, np.sort(clips, axis=1), always[:, 0], np.sort(courses[:, :N_LIMBS], axis=1)]
     body = np.concatenate([part.reshape(n, -1) for part in parts], axis=1, dtype=np.float32, casting="same_kind")
     return limbs, body
 
@@ -177,8 +160,8 @@ def _measure_windows(
     lateness_price: float = 2e-3,
     farthest: float = 4.0,
     windows_s: tuple[float, float, float] = (0.5, 1.0, 2.0),
-) -> tuple[FloatArray, FloatArray]:
-    """(N, 5, W, 21) features of limbs, in the order of `_PER_WINDOW`, and (N, W, 15) of the body."""
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(N, 5, W, 25) features of limbs, in the order of `_PER_WINDOW`, and (N, W, 19) of the body."""
     # reach_s: lags that are looked at; lateness_price: rad^2 a second: of lags as good as each other the nearest;
     # farthest: squared chord of opposite directions
     deviations, rate = evidence.deviations, evidence.rate
@@ -187,15 +170,14 @@ def _measure_windows(
     # The frames around these moments are all that matters to them.
     first = max(int(frames[0]) - max(halves) - reach - 1, 0)
     frames, here = frames - first, slice(first, int(frames[-1]) + max(halves) + reach + 2)
-    deviations, time_spread = deviations.cut(here), time_spread[here]
+    deviations, time_spread, off = deviations.cut(here), time_spread[here], evidence.ordinary[here]
     squared = deviations.squared[:, deviations.center - reach : deviations.center + reach + 1]
-    # What has no weight, or is never seen, is as it should be.
     counts = evidence.ratio.find_weighing()
-    theirs = np.ascontiguousarray(deviations.reference)
-    ours = np.ascontiguousarray(np.where(counts[:, None], deviations.performance, theirs))
+    ours, theirs = _take_weighing(evidence, deviations)
     windows = [_Window(frames, half, len(ours)) for half in halves]
     lags = _Lags(max(1, round(sharp_s * rate)), lateness_price / rate)
-    limbs, body = np.zeros((len(frames), N_LIMBS, len(windows), 21)), np.zeros((len(frames), len(windows), 15))
+    limbs = np.zeros((len(frames), N_LIMBS, len(windows), 25), np.float32)
+    body = np.zeros((len(frames), len(windows), 19), np.float32)
 
     pooled = _pool_limbs(squared, counts)
     common = _pool_body(pooled)
@@ -223,6 +205,8 @@ def _measure_windows(
         _by_limb(_measure_speeds(ours, rate)),
         _by_limb(deviations.spread),
         np.repeat(time_spread[:, None], N_LIMBS + 1, axis=1),
+        _by_limb(np.maximum(deviations.beyond - deviations.apart, 0.0)),
+        _by_limb(off),
     ]
     total = _accumulate(np.concatenate(blocks, axis=1))
     for w, window in enumerate(windows):
@@ -230,12 +214,20 @@ def _measure_windows(
         means[:, :3] = np.sqrt(np.maximum(means[:, :3], 0.0))
         fit, late = (window.fit_gains(ours, theirs, shift) for shift in (np.zeros_like(at[w]), at[w] - reach))
         body[:, w, 4:6], body[:, w, 6:8] = fit[:, N_LIMBS, :2], late[:, N_LIMBS, :2]
-        body[:, w, 8:] = means[:, (0, 1, 3, 4, 2, 5, 6), N_LIMBS]
+        body[:, w, 8:17] = means[:, (0, 1, 3, 4, 2, 5, 6, 7, 8), N_LIMBS]
+        shrunk = _describe_shrinking(fit)
+        limbs[:, :, w, 23:], body[:, w, 17:] = shrunk[:, :N_LIMBS], shrunk[:, N_LIMBS]
         limbs[:, :, w, 6:11], limbs[:, :, w, 11:13] = fit[:, :N_LIMBS], late[:, :N_LIMBS, :2]
         limbs[:, :, w, 13:15] = means[:, :2, :N_LIMBS].transpose(0, 2, 1)
         limbs[:, :, w, 15] = np.sqrt(window.find_largest(blocks[1])[:, :N_LIMBS])
-        limbs[:, :, w, 16:] = means[:, 2:, :N_LIMBS].transpose(0, 2, 1)
+        limbs[:, :, w, 16:23] = means[:, 2:, :N_LIMBS].transpose(0, 2, 1)
     return limbs, body
+
+
+def _take_weighing(evidence: Evidence, deviations: Deviations) -> tuple[FloatArray, FloatArray]:
+    """(T, 9, 3) performance and reference; what has no weight, or is never seen, is as it should be."""
+    counts, theirs = evidence.ratio.find_weighing(), np.ascontiguousarray(deviations.reference)
+    return np.ascontiguousarray(np.where(counts[:, None], deviations.performance, theirs)), theirs
 
 
 class _Window:
@@ -287,7 +279,7 @@ class _Lags:
         return np.stack([own, here, best - center, 0.5 * (left + right) - here], axis=1), best
 
 
-def _compare_lags(limb_table: FloatArray, body_table: FloatArray) -> FloatArray:
+def _compare_lags(limb_table: NDArray[np.float32], body_table: NDArray[np.float32]) -> FloatArray:
     """(N, 6, 2 * W) of limbs and, last, the body: lag in the sense of the body's, and the share that a lag explains.
 
     Of the body the first is how much the limbs' lags agree in sense, each with the say of how clear it is.
@@ -304,35 +296,74 @@ def _compare_lags(limb_table: FloatArray, body_table: FloatArray) -> FloatArray:
 
 
 def _follow_lags(evidence: Evidence, *, beside_s: tuple[float, float] = (1.0, 2.0)) -> FloatArray:
-    """(T, 6, 8) of limbs and, last, the body along the cheapest course of lag.
+    """(T, 6, 9) of limbs and, last, the body along the cheapest course of lag.
 
     Its size; its size beside the clip's usual lag, beside the lag a while before and after (twice), beside the clip's
-    trend, and beside the body's; what it explains; and for how long it has one sense. People who dance as they please
-    drift; an error comes and goes.
+    trend, and beside the body's; what it explains; for how long it has one sense; and what it leaves. People who dance
+    as they please drift; an error comes and goes.
     """
     prices, change = evidence.lag_prices, LAG_CHANGE * 30.0 / evidence.rate
     count, step_s = len(evidence.ordinary), evidence.deviations.step_s
-    result = np.empty((count, N_LIMBS + 1, 8))
+    result = np.empty((count, N_LIMBS + 1, 9))
     trend: FloatArray = np.zeros(count)
     together: FloatArray = trend
-    groups = [*_LIMB_SEGMENTS, np.arange(len(SEGMENTS))]
-    costs = evidence.ratio.sum_up(groups)
+    groups, ratio = [*_LIMB_SEGMENTS, np.arange(len(SEGMENTS))], evidence.ratio
+    same = ratio.at_lag(np.full(count, evidence.center))
     for limb in range(N_LIMBS, -1, -1):
-        segments, cost = groups[limb], costs[limb]
-        share = len(segments) / len(SEGMENTS)
-        course = follow_lag(cost + share * prices, share * change).astype(np.intp)
+        segments, share = groups[limb], len(groups[limb]) / len(SEGMENTS)
+        course = evidence.course
+        if limb < N_LIMBS:
+            course = follow_lag(ratio.sum_up(segments) + share * prices, share * change).astype(np.intp)
         lag: FloatArray = np.asarray((evidence.center - course) * step_s, np.float64)
         if limb == N_LIMBS:
             together, trend = lag, _find_trend(lag)
-        here = np.take_along_axis(cost, course[:, None], axis=1)[:, 0]
-        explained = np.convolve(cost[:, evidence.center] - here, np.ones(9) / 9.0, mode="same")[:count] / len(segments)
+        here = ratio.at_lag(course)[:, segments].mean(axis=1)
+        explained = np.convolve(same[:, segments].mean(axis=1) - here, np.ones(9) / 9.0, mode="same")[:count]
         edges = np.concatenate([[True], np.sign(lag[1:]) != np.sign(lag[:-1])])
         run = np.cumsum(edges) - 1
         lasts = np.bincount(run)[run] * step_s
         around = [_look_beside(lag, round(seconds * evidence.rate)) for seconds in beside_s]
         beside = np.stack([np.full(count, np.median(lag)), *around, trend, together])
-        result[:, limb] = np.stack([np.abs(lag), *np.abs(lag - beside), explained, lasts], axis=1)
+        result[:, limb] = np.stack([np.abs(lag), *np.abs(lag - beside), explained, lasts, here], axis=1)
     return result
+
+
+def _describe_stretches(
+    evidence: Evidence, late: FloatArray, *, change: float = 8.0, beside_s: float = 0.25
+) -> FloatArray:
+    """(T, 6, 6) of the stretch out of tolerance in which each frame lies, of limbs and, last, the body; else 0.
+
+    How long it lasts, how far it is off, the share of that which lag leaves (``late`` (T, 6)), the range that a gain
+    makes missing, what that leaves, and how large the range of the reference is.
+    """
+    # change: price of a beginning or an end, in frames of 1/30 s of a segment at its tolerance
+    rate, count = evidence.rate, len(evidence.ordinary)
+    result = np.zeros((count, N_LIMBS + 1, 6))
+    deviations, beside = evidence.deviations, round(beside_s * rate)
+    ours, theirs = _take_weighing(evidence, deviations)
+    off = _by_limb(evidence.ordinary)
+    far = np.stack([evidence.ordinary[:, limb].max(axis=1) for limb in _LIMB_SEGMENTS], axis=1)
+    for group, members in enumerate(_MEMBERS):
+        # Of the body as a whole half of the tolerance is much.
+        over = far[:, group] - 1.0 if group < N_LIMBS else 3.0 * (off[:, group] - 0.5)
+        runs = find_runs(switch_on(over * (30.0 / rate), change))
+        if not len(runs):
+            continue
+        first, last = np.maximum(runs[:, 0] - beside, 0), np.minimum(runs[:, 1] + beside, count)
+        fits = np.empty((len(runs), 1, 5))
+        _fit_gains(ours, theirs, first, last, np.zeros((len(runs), 1), np.intp), members[None], fits)
+        shrunk = _describe_shrinking(fits)[:, 0]
+        for (start, end), gain, fit in zip(runs.tolist(), shrunk, fits[:, 0], strict=True):
+            here = off[start:end, group].mean()
+            left = late[start:end, group].mean() / (here + _SLIGHT)
+            result[start:end, group] = (end - start) / rate, here, left, *gain, fit[3]
+    return result
+
+
+def _describe_shrinking(fits: FloatArray) -> FloatArray:
+    """(..., 2) rad of spread that a gain makes missing, and the share of what is left beside it, of `_fit_gains`."""
+    missing, left = (1.0 - fits[..., 0]) * fits[..., 3], fits[..., 1]
+    return np.stack([missing, left / (left + np.abs(missing) + _SLIGHT)], axis=-1)
 
 
 def _look_beside(values: FloatArray, reach: int) -> FloatArray:
@@ -356,7 +387,7 @@ def _find_trend(values: FloatArray, *, trend_rounds: int = 8) -> FloatArray:
     return middle + slope * x
 
 
-def _describe_others(limb_table: FloatArray) -> FloatArray:
+def _describe_others(limb_table: NDArray[np.float32]) -> FloatArray:
     """(N, 5, 2 * W) how far the other limbs are: the farthest and the middle one, windows of own-time deviation."""
     own = limb_table[:, :, :, _PER_WINDOW.index("own")]
     result = np.empty((len(own), N_LIMBS, 2 * own.shape[2]))

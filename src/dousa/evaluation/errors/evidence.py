@@ -1,4 +1,4 @@
-"""Deviations in multiples of what is tolerated, and the stretches to be explained.
+"""Deviations in multiples of what is tolerated.
 
 An incomplete motion shows as a gain below 1: performance = gain * reference + constant, fitted over the segments of a
 limb; the distance inside the eigenspace does not show it, since a short movement leaves the eigenspace.
@@ -6,22 +6,16 @@ limb; the distance inside the eigenspace does not show it, since a short movemen
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.evaluation.alignment.dynamic_programming import follow_lag, switch_on
+from dousa.evaluation.alignment.dynamic_programming import follow_lag
 from dousa.evaluation.errors.deviations import Deviations
-from dousa.evaluation.posture.posture import LIMBS, SEGMENTS
-from dousa.motion.runs import find_runs
-
-GROUPS: dict[str, NDArray[np.intp]] = {"body": np.arange(len(SEGMENTS))} | {
-    limb: np.array(indices) for limb, indices in LIMBS.items()
-}
-"""What shrinks as one: the body, or a limb."""
+from dousa.evaluation.posture.posture import SEGMENTS
+from dousa.kernels import kernel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +24,6 @@ class GainFit:
 
     gain: float  # 1 for the same size
     unexplained: float  # share of the difference, up to a constant, that shrinking leaves
-    off_center: float  # from the middle of the reference's motion to the point it shrinks to, in reaches of the motion
     chord: bool  # whether vectors shrink, or angles seen from ``pole``
     pole: FloatArray  # (S, 3) mean directions
     reference_mean: FloatArray  # (S, 3)
@@ -46,14 +39,6 @@ class GainFit:
         length = np.linalg.norm(moved, axis=-1, keepdims=True)
         smaller: FloatArray = moved / np.maximum(length, 1e-9)
         return smaller
-
-    def compute_rest(self, performance: FloatArray, reference: FloatArray, tolerance: FloatArray) -> FloatArray:
-        """(T, S) squared deviation from the prediction over squared tolerance."""
-        theirs = reference if self.chord else _to_tangent(self.pole, reference)
-        ours = performance if self.chord else _to_tangent(self.pole, performance)
-        rest = ours - self.performance_mean - self.gain * (theirs - self.reference_mean)
-        squared: FloatArray = (rest**2).sum(axis=2) / tolerance**2
-        return squared
 
 
 def fit_gain(performance: FloatArray, reference: FloatArray, tolerance: FloatArray) -> GainFit:
@@ -94,11 +79,8 @@ def _fit(
         trust = 1.0 / (1.0 + 2.0 * rest.mean(axis=1)) ** 2
     plain = ((y - x) ** 2).sum(axis=2) / tolerance**2
     unexplained = float((rest * trust[:, None]).sum() / max((plain * trust[:, None]).sum(), 1e-9))
-    target = (y0 - gain * x0) / max(1.0 - gain, 0.05)
-    reach = (x * x).sum(axis=2).max(axis=0).sum()
-    off_center = float(np.sqrt(((target - x0) ** 2).sum() / max(reach, 1e-9)))
     cost = float(np.minimum(rest, 9.0).sum())
-    return cost, GainFit(gain, unexplained, off_center, chord, pole, x0, y0)
+    return cost, GainFit(gain, unexplained, chord, pole, x0, y0)
 
 
 def _to_tangent(pole: FloatArray, vectors: FloatArray) -> FloatArray:
@@ -108,80 +90,6 @@ def _to_tangent(pole: FloatArray, vectors: FloatArray) -> FloatArray:
     sine = np.linalg.norm(across, axis=-1, keepdims=True)
     tangent: FloatArray = across / np.maximum(sine, 1e-9) * np.arctan2(sine, along)
     return tangent
-
-
-def find_shrunk(
-    deviations: Deviations,
-    tolerance: FloatArray,
-    rate: float,
-    *,
-    windows_s: tuple[float, float, float] = (0.7, 1.2, 2.0),
-) -> list[tuple[int, int]]:
-    """Find windows over which a limb or the body moves less than the reference: half-open, the clearest first.
-
-    A window adds up what no single frame shows: a range that is smaller by a few degrees everywhere.
-    """
-    theirs, ours = deviations.reference, deviations.performance
-    gaps = ~deviations.judged.all(axis=1)
-    sums = [
-        np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
-        for values in (theirs, ours, (theirs**2).sum(2), (theirs * ours).sum(2), (ours**2).sum(2), gaps)
-    ]
-    found: list[tuple[float, int, int]] = []
-    for seconds in windows_s:
-        width = round(seconds * rate)
-        if not 2 <= width < len(ours):
-            continue
-        x, y, xx, xy, yy, unseen = (total[width:] - total[:-width] for total in sums)
-        xx = xx - (x * x).sum(axis=2) / width
-        xy = xy - (x * y).sum(axis=2) / width
-        yy = yy - (y * y).sum(axis=2) / width
-        clear = np.zeros(len(xx))
-        for group in GROUPS.values():
-            clear = np.maximum(clear, _weigh(xx[:, group], xy[:, group], yy[:, group], tolerance[group], width))
-        clear[unseen > 0] = 0.0
-        found += [(float(clear[start]), int(start), int(start) + width) for start in np.flatnonzero(clear)]
-    taken = np.zeros(len(ours), np.bool_)
-    kept = []
-    for _, start, end in sorted(found, key=lambda window: (-window[0], window[1])):
-        if not taken[start:end].any():
-            taken[start:end] = True
-            kept.append((start, end))
-    return kept
-
-
-def _weigh(
-    xx: FloatArray,
-    xy: FloatArray,
-    yy: FloatArray,
-    tolerance: FloatArray,
-    width: int,
-    *,
-    evidence: float = 8.0,
-    unexplained_share: float = 0.45,
-    short: float = np.radians(10.0),
-    most_gain: float = 0.84,
-) -> FloatArray:
-    """(N,) how clearly a gain below one explains windows of (N, S) sums of squares about their means; 0 if not."""
-    # short: rad of range that are missing
-    # evidence: by how much shrinking explains a window better than a constant difference; unexplained_share: share
-    # that is left
-    inverse = 1.0 / tolerance**2
-    power, product, other = xx @ inverse, xy @ inverse, yy @ inverse
-    gain = product / np.maximum(power, 1e-9)
-    same_size = other - 2.0 * product + power
-    smaller = other - product * gain
-    # The range of a swing is 2 sqrt(2) times its root mean square.
-    missing = (1.0 - gain) * 2.0 * np.sqrt(2.0 * np.maximum(xx.max(axis=1), 0.0) / width)
-    shrunk = (
-        (same_size - smaller > evidence)
-        & (missing > short)
-        & (gain > 0.0)
-        & (gain < most_gain)
-        & (smaller < unexplained_share * same_size)
-    )
-    # A longer window must be worth its length.
-    return np.where(shrunk, same_size - 2.0 * smaller, 0.0).clip(min=0.0)
 
 
 def measure_ranges(segments: FloatArray, *, most_frames: int = 90) -> FloatArray:
@@ -221,11 +129,28 @@ CAP = 9.0
 SLACK_S = 0.07
 """s; no person is steadier in time than this, so a smaller lag is forgiven (docs/evaluation.md)."""
 
-LIMB_SEGMENTS: tuple[NDArray[np.intp], ...] = tuple(np.array(indices) for indices in LIMBS.values())
-
 # All in units of one frame at 30 Hz with one segment at its tolerance.
 LAG_CHANGE = 2.0  # price of one column of lag more or less
 LAG_PRICE = 0.15  # and of being late at all, a frame and column, see docs/evaluation.md
+
+
+@kernel(linear=True)
+def _sum_up(
+    squared: NDArray[np.float32],
+    center: int,
+    scale: FloatArray,
+    shares: FloatArray,
+    total: NDArray[np.float32],
+) -> None:  # pragma: no cover - compiled
+    """Add `Ratios.sum_up` to ``total`` (T, K): ``scale`` (9,) inverse squared tolerance, ``shares`` (9,) weights."""
+    for t in range(len(squared)):
+        for s in range(9):
+            same = np.float64(squared[t, center, s])
+            if shares[s] > 0.0 and same > 0.0:
+                for k in range(squared.shape[1]):
+                    far = np.float64(squared[t, k, s])
+                    far = far if far > 0.0 else same  # what is not seen speaks for no lag
+                    total[t, k] += min(far * scale[s], CAP) * shares[s]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,15 +174,12 @@ class Ratios:
         squared = self.deviations.squared[first : first + len(course)]
         return self._weigh(squared[np.arange(len(course)), course], squared[:, self.deviations.center])
 
-    def sum_up(self, groups: Sequence[NDArray[np.intp]], *, at_once: int = 256) -> NDArray[np.float32]:
-        """(G, T, K) sums over the segments of each group."""
-        # at_once: frames: they stay in the cache
-        totals = np.empty((len(groups), *self.deviations.squared.shape[:2]), np.float32)
-        members = np.array([np.isin(np.arange(9), group) for group in groups], np.float64)
-        for first in range(0, totals.shape[1], at_once):
-            part = self.of(first, first + at_once) @ members.T
-            totals[:, first : first + at_once] = np.moveaxis(part, 2, 0)
-        return totals
+    def sum_up(self, segments: NDArray[np.intp]) -> NDArray[np.float32]:
+        """(T, K) sums over some segments."""
+        total = np.zeros(self.deviations.squared.shape[:2], np.float32)
+        shares = np.where(np.isin(np.arange(9), segments), self.weights, 0.0)
+        _sum_up(self.deviations.squared, self.deviations.center, self.tolerance**-2.0, shares, total)
+        return total
 
     def find_weighing(self) -> NDArray[np.bool_]:
         """(9,) segments that weigh anything at any moment."""
@@ -317,7 +239,7 @@ def gather_evidence(
     """
     rate = 1.0 / deviations.step_s
     ratio, center = Ratios(deviations, tolerance, weights), deviations.center
-    cost = ratio.sum_up([GROUPS["body"]])[0]
+    cost = ratio.sum_up(np.arange(len(SEGMENTS)))
     slack = min(max(1, round(slack_s * rate)), center)
     change = LAG_CHANGE * 30.0 / rate
     prices = LAG_PRICE * np.abs(np.arange(cost.shape[1]) - center) * (30.0 / rate)
@@ -339,63 +261,14 @@ def refine_lag(evidence: Evidence, course: NDArray[np.intp], first: int = 0) -> 
     rows = np.arange(first, first + len(course))
     inner = np.clip(course, 1, evidence.deviations.squared.shape[1] - 2)
     left, here, right = (evidence.deviations.squared[rows, inner + step].sum(axis=1) for step in (-1, 0, 1))
-    kernel = np.ones(9) / 9.0
-    left, here, right = (np.convolve(values, kernel, mode="same")[: len(rows)] for values in (left, here, right))
+    nine = np.ones(9) / 9.0
+    left, here, right = (np.convolve(values, nine, mode="same")[: len(rows)] for values in (left, here, right))
     bend = left - 2.0 * here + right
     # Where nothing differs the lag is none, however lopsided the parabola is.
     sure = (bend > 1e-6) & (here > 1e-9)
     shift = np.where(sure, 0.5 * (left - right) / np.maximum(bend, 1e-6), 0.0)
     columns: FloatArray = course - evidence.center + np.clip(shift, -1.0, 1.0)
     return -columns * evidence.deviations.step_s
-
-
-def find_stretches(
-    evidence: Evidence, *, change: float = 8.0, bridge_s: float = 0.25, apart_s: float = 0.3, body_off: float = 0.45
-) -> list[tuple[int, int]]:
-    """Find half-open stretches of frames with a wrong limb, body, time or size."""
-    # body_off: mean over all segments from which the body as a whole is off
-    # change: price of starting or ending a stretch
-    per_frame = 30.0 / evidence.rate
-    wrong = np.zeros(len(evidence.ordinary), np.bool_)
-    for limb in LIMB_SEGMENTS:
-        wrong |= switch_on((evidence.ordinary[:, limb].max(axis=1) - 1.0) * per_frame, change)
-    body = evidence.ordinary.mean(axis=1) - body_off
-    wrong |= switch_on(3.0 * body * per_frame, change)
-    wrong |= _find_lags(evidence)
-    shrunk = find_shrunk(evidence.deviations, evidence.tolerance, evidence.rate)
-    apart = _widen(wrong, round(apart_s * evidence.rate))
-    for start, end in shrunk:
-        # Where something else is wrong the windows that look for shrinking see that.
-        if apart[start:end].mean() < 0.3:
-            wrong[start:end] = True
-    stretches: list[tuple[int, int]] = []
-    for start, end in find_runs(wrong).tolist():
-        if stretches and start - stretches[-1][1] <= bridge_s * evidence.rate:
-            stretches[-1] = (stretches[-1][0], end)
-        else:
-            stretches.append((start, end))
-    return stretches
-
-
-def _find_lags(evidence: Evidence, *, lag_evidence: float = 40.0, shortest_lag_s: float = 0.2) -> NDArray[np.bool_]:
-    """Where the lag is beyond what is forgiven, and is sure: being in time explains much less."""
-    # lag_evidence: what a lag must explain
-    explained = evidence.punctual.sum(axis=1) - evidence.ratio.at_lag(evidence.course).sum(axis=1)
-    explained -= evidence.lag_prices[evidence.course]
-    late = np.abs(refine_lag(evidence, evidence.course)) > evidence.slack_s
-    late &= evidence.deviations.judged.any(axis=1)
-    found = np.zeros(len(late), np.bool_)
-    for start, end in find_runs(late).tolist():
-        enough = explained[start:end].sum() * (30.0 / evidence.rate) > lag_evidence
-        found[start:end] = enough and end - start >= shortest_lag_s * evidence.rate
-    return found
-
-
-def _widen(mask: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
-    """True wherever the mask is true at most ``reach`` frames away."""
-    count = np.convolve(mask.astype(float), np.ones(2 * reach + 1))[reach : reach + len(mask)]
-    wide: NDArray[np.bool_] = count > 0.5
-    return wide
 
 
 _STEADIEST, _UNSTEADIEST = np.radians(3.0), np.radians(9.0)

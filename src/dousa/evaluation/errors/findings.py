@@ -3,20 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.dynamic_programming import follow_lag
-from dousa.evaluation.errors.evidence import LAG_CHANGE, Evidence, fit_gain, measure_ranges
-from dousa.evaluation.errors.explain import BODY, Finding, measure_excess, measure_severity, measure_shrinking
+from dousa.evaluation.errors.evidence import (
+    LAG_CHANGE,
+    Evidence,
+    GainFit,
+    fit_gain,
+    measure_missing_range,
+    measure_ranges,
+)
 from dousa.evaluation.errors.judge import Suspect
 
 _EDGE, _LEAST_KEPT = 0.3, 0.5  # of the lag; of the span
-_EDGE_BETWEEN, _MOSTLY = 0.5, 0.8  # of the lag between two shifts that are one; of the moments there
 _REACH_S, _MOST = 0.8, 0.5  # lags that are looked at; squared chord, further away says no more
 _LEAST_EXCESS = np.radians(10.0)  # as much as is worth saying, see docs/evaluation.md
+_LARGER, _UNEXPLAINED = (
+    1.2,
+    0.6,
+)  # gain of a motion that is larger; share that it may leave, see lab/notes/evaluation.md
+_BODY = np.arange(9)  # all segments, by definition
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Finding:
+    """An error in working frames."""
+
+    kind: str  # class
+    start: int
+    end: int  # the frame after the last
+    segments: tuple[int, ...]  # indices
+    severity: float  # in multiples of what is tolerated
+    worst: int  # frame
+    lag_s: float | None = None  # positive is late
+    shortfall: float | None = None  # rad; negative is larger than the reference
+    shortfall_share: float | None = None
+    cause: str | None = None  # of `dousa.evaluation.words.CAUSES`
 
 
 def measure_suspects(evidence: Evidence, suspects: Sequence[Suspect], frames: NDArray[np.intp]) -> list[Finding]:
@@ -39,32 +66,7 @@ def measure_suspects(evidence: Evidence, suspects: Sequence[Suspect], frames: ND
         segments = np.array(suspect.segments)
         if end > start and evidence.deviations.judged[start:end, segments].any():
             found.append(_MEASURES[suspect.kind](evidence, start, end, segments))
-    return sorted(_bridge(evidence, found), key=lambda one: (one.start, one.end))
-
-
-def _bridge(evidence: Evidence, findings: Sequence[Finding]) -> list[Finding]:
-    """Shifts of the same limbs between which the lag lasts are one."""
-    joined: list[Finding] = []
-    for one in sorted(findings, key=lambda finding: (finding.kind, finding.segments, finding.start)):
-        last = joined[-1] if joined else None
-        if last is not None and _lasts_between(evidence, last, one):
-            both = describe_shift(evidence, last.start, max(one.end, last.end), np.array(one.segments))
-            joined[-1] = both
-        else:
-            joined.append(one)
-    return joined
-
-
-def _lasts_between(evidence: Evidence, last: Finding, one: Finding) -> bool:
-    if last.kind != "shift" or one.kind != "shift" or last.segments != one.segments:
-        return False
-    if last.lag_s is None or one.lag_s is None or last.lag_s * one.lag_s <= 0.0:
-        return False
-    if one.start <= last.end:
-        return True
-    least = _EDGE_BETWEEN * min(abs(last.lag_s), abs(one.lag_s))
-    gap = follow_limb(evidence, last.end, one.start, np.array(one.segments)) * np.sign(one.lag_s)
-    return bool((gap >= least).mean() >= _MOSTLY)
+    return sorted(found, key=lambda one: (one.start, one.end))
 
 
 def describe_shift(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> Finding:
@@ -149,7 +151,27 @@ def choose_lasting(lag: FloatArray, *, plateau: float = 0.75) -> float:
 def _measure_incomplete(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> Finding:
     theirs, ours = evidence.deviations.reference[start:end], evidence.deviations.performance[start:end]
     fit = fit_gain(ours[:, segments], theirs[:, segments], evidence.tolerance[segments])
-    return measure_shrinking(evidence, start, end, segments, fit)
+    model = ours.copy()
+    model[:, segments] = _fade_gain(theirs[:, segments], ours[:, segments], fit, evidence.tolerance[segments])
+    missing, share = measure_missing_range(theirs, ours, model, segments)
+    if len(segments) == len(_BODY):
+        out = evidence.punctual[start:end].max(axis=0)[segments] > 1.0
+        segments = segments[out] if out.any() else segments
+    severity, worst = measure_severity(evidence, start, end, segments)
+    return Finding("incomplete", start, end, _name(segments), severity, worst, None, missing, share)
+
+
+def _fade_gain(reference: FloatArray, performance: FloatArray, fit: GainFit, tolerance: FloatArray) -> FloatArray:
+    """Fade the smaller motion in and out as the performance does."""
+    change = fit.predict(reference) - reference
+    weight = 1.0 / tolerance[:, None] ** 2
+    along = ((performance - reference) * change * weight).sum(axis=(1, 2))
+    power = (change * change * weight).sum(axis=(1, 2))
+    kernel = np.ones(5)
+    share = np.convolve(along, kernel, mode="same") / np.maximum(np.convolve(power, kernel, mode="same"), 1e-6)
+    faded = reference + np.clip(share[: len(change)], 0.0, 1.1)[:, None, None] * change
+    unit: FloatArray = faded / np.maximum(np.linalg.norm(faded, axis=2, keepdims=True), 1e-9)
+    return unit
 
 
 def _measure_partial(
@@ -160,11 +182,26 @@ def _measure_partial(
     if (far > partly_wrong).any():
         segments = segments[far > min(partly_wrong, 0.5 * float(far.max()))]
     severity, worst = measure_severity(evidence, start, end, segments)
-    excess, share = measure_excess(evidence, start, end, segments)
+    excess, share = _measure_excess(evidence, start, end, segments)
     moved = _measure_compensation(evidence, start, end, segments)
     if moved is not None:
         return Finding("partial", start, end, _name(segments), severity, worst, None, moved, None, "compensation")
     return Finding("partial", start, end, _name(segments), severity, worst, None, excess, share)
+
+
+def _measure_excess(
+    evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]
+) -> tuple[float | None, float | None]:
+    """Measure the negative missing range, rad and share, of limbs whose motion is larger; None for another motion."""
+    ours = evidence.deviations.performance[start:end, segments]
+    theirs = evidence.deviations.reference[start:end, segments]
+    fit = fit_gain(ours, theirs, evidence.tolerance[segments])
+    if fit.gain < _LARGER or fit.unexplained > _UNEXPLAINED:
+        return None, None
+    whole, reached = measure_ranges(theirs), measure_ranges(ours)
+    most = int(np.argmax(reached - whole))
+    missing = float(whole[most] - reached[most])
+    return (missing, missing / float(whole[most])) if missing < -_LEAST_EXCESS else (None, None)
 
 
 def _measure_compensation(
@@ -177,9 +214,16 @@ def _measure_compensation(
     return theirs - ours if theirs < still * ours and ours - theirs > _LEAST_EXCESS else None
 
 
+def measure_severity(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> tuple[float, int]:
+    """Measure the largest lasting deviation in multiples of the tolerance, and find its worst frame."""
+    far = evidence.deviations.squared[start:end, evidence.center][:, segments]
+    ratio = np.sqrt(far / evidence.tolerance[segments] ** 2).max(axis=1)
+    return float(np.percentile(ratio, 90)), start + int(ratio.argmax())
+
+
 def _measure_global(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> Finding:
     severity, worst = measure_severity(evidence, start, end, segments)
-    return Finding("global", start, end, _name(BODY), severity, worst)
+    return Finding("global", start, end, _name(_BODY), severity, worst)
 
 
 def _name(segments: NDArray[np.intp]) -> tuple[int, ...]:

@@ -145,7 +145,7 @@ def assess_repetitions(
     references: CanonicalMotion | Sequence[CanonicalMotion],
     performance: CanonicalMotion,
     *,
-    side: str = "same",
+    side: str = "auto",
     tempo: str = "free",
     weights: Mapping[str, float] | None = None,
 ) -> RepetitionsAssessment:
@@ -155,7 +155,8 @@ def assess_repetitions(
     ----------
     references : the exercise done well: one take or several, each of one or several repetitions.
     performance : any frame rate, place, heading and stature; pauses, and walking into place, may come with it.
-    side : ``"mirrored"`` for a person who did the reference's mirror image; ``"auto"``: found by itself, and said.
+    side : ``"mirrored"`` for a person who did the reference's mirror image, ``"same"`` for one who did not; ``"auto"``:
+        found by itself, and said.
     tempo : ``"free"``: a repetition may be slower or faster than the reference's; the tempo is beside the grade.
         ``"same"``: being late costs points.
     weights : of segments for the grade, as in `dousa.evaluation.assess`.

@@ -17,7 +17,7 @@ from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation.alignment.lines import find_lapses
 from dousa.evaluation.alignment.pairing import Pairing, find_resembled, pair_motions, turn_takes
 from dousa.evaluation.errors.evidence import Evidence, Tolerance, gather_evidence, refine_lag
-from dousa.evaluation.errors.explain import Finding
+from dousa.evaluation.errors.findings import Finding
 from dousa.evaluation.figures.curves import Curves, compute_curves
 from dousa.evaluation.figures.eigenspace import Eigenspace
 from dousa.evaluation.figures.furi import Furi, find_furi, fit_furi_eigenspaces, pool_takes, scale_furi
@@ -61,7 +61,7 @@ def assess(
     performance: CanonicalMotion,
     *,
     furi: Sequence[Furi] | None = None,
-    side: str = "same",
+    side: str = "auto",
     tempo: str = "same",
     weights: Mapping[str, float] | None = None,
     names: Sequence[str] = (),
@@ -74,7 +74,8 @@ def assess(
         differs between the takes is tolerated. Three make a calibrated grade, five a good one.
     performance : what is judged; any frame rate, place, heading and stature.
     furi : figures in frames of the first reference at its own rate; found by themselves if None.
-    side : ``"mirrored"`` for a pupil who dances facing the teacher, left for right; ``"auto"``: found by itself.
+    side : ``"mirrored"`` for a pupil who dances facing the teacher, left for right, ``"same"`` for one who does not;
+        ``"auto"``: found by itself, and said.
     tempo : ``"same"``: to the same music, being late is an error; ``"free"``: only hurrying and lagging within a
         few seconds is.
     weights : of segments, limbs, ``arms`` or ``legs``; 1 for those not named.
@@ -473,7 +474,7 @@ class AdjustableAssessment:
         takes: Sequence[CanonicalMotion],
         performance: CanonicalMotion,
         *,
-        side: str = "same",
+        side: str = "auto",
         tempo: str = "same",
         names: Sequence[str] = (),
     ) -> None:

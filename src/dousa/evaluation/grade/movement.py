@@ -96,7 +96,7 @@ class Difference:
     tempo: float  # seconds of the performance for one of the reference
     asked: FloatArray  # (U, 12) rad, how far the reference moves around each of its moments, beyond noise
     danced: NDArray[np.bool_]  # (U,) moments of the reference at which the performer moved along
-    moved: FloatArray  # (2, 12) rad, how much the reference moves, and the same times how long the performer is seen
+    moved: FloatArray  # (2, 12) rad, how much the reference moves in all, and while the performer's part is seen
 
     @property
     def scale(self) -> FloatArray:
@@ -137,7 +137,7 @@ def compare_movements(
     mean = _average(ours - theirs)
     late, tempo = _measure_lateness(course, asked.sum(axis=1))
     alone = np.nan_to_num(_measure_steps(reference.lines, there) - np.radians(STILL_DEG) - TREMBLES * reference.noise)
-    total = np.maximum(alone, 0.0).sum(axis=0)
+    alone = np.maximum(alone, 0.0)
     return Difference(
         performance.rows[path[:, 0]],
         path[:, 1],
@@ -150,16 +150,20 @@ def compare_movements(
         tempo,
         asked,
         danced,
-        np.stack([total, total * _measure_seen(performance, half)]),
+        np.stack([alone, alone * _find_seen(performance, half, len(alone))]).sum(axis=1),
     )
 
 
-def _measure_seen(performance: Movement, half: int) -> FloatArray:
-    """(12,) share of the time for which each part is seen, a flicker of less than ``2 half`` moments included."""
+def _find_seen(performance: Movement, half: int, count: int) -> NDArray[np.bool_]:
+    """(count, 12) whether each part is seen at so many moments at an even tempo, a flicker of ``2 half`` included.
+
+    What is not seen does not tell which moments belong together, and draws them to where it is.
+    """
     seen = np.isfinite(performance.lines[..., 0]) & np.isfinite(performance.noise)
     times = np.arange(len(seen))
     before, after = (seen[np.clip(times + step, 0, len(seen) - 1)] for step in (-half, half))
-    return np.asarray((seen | (before & after)).mean(axis=0))
+    even = np.rint(np.linspace(0, len(seen) - 1, count)).astype(np.intp)
+    return np.asarray((seen | (before & after))[even])
 
 
 def _measure_lateness(course: FloatArray, motion: FloatArray) -> tuple[FloatArray, float]:
@@ -201,9 +205,9 @@ def find_coverage(differences: Sequence[Difference], weights: FloatArray) -> flo
 
 
 def find_seen(differences: Sequence[Difference], weights: FloatArray) -> float:
-    """Find the share of the reference's movement that lies in parts that are seen of the performer, 0 to 1.
+    """Find the share of the reference's movement that is seen of the performer, 0 to 1: part by part, at its time.
 
-    A part counts as long as it is seen. Parameters as in `find_coverage`.
+    Parameters as in `find_coverage`.
     """
     shares = spread_over_parts(weights)
     moved = [one.moved @ shares for one in differences]
@@ -215,21 +219,28 @@ def spread_over_parts(weights: FloatArray) -> FloatArray:
     return np.concatenate([weights, np.repeat(weights[:1], N_PARTS - 9)])
 
 
-def find_side(takes: Sequence[PostureSequence], performance: PostureSequence, *, clearly: float = 0.7) -> str:
+def find_side(
+    takes: Sequence[PostureSequence], performance: PostureSequence, *, clearly: float = 0.7, strayed: float = 0.3
+) -> str:
     """Find whether a performance is the mirror image of its references, ``"mirrored"``, or not, ``"same"``.
 
     Parameters
     ----------
     takes, performance : at one frame rate.
     clearly : ratio of the distances below which it is.
+    strayed : share of the movement that is another one as it stands, if it is: no error of a limb comes to that.
     """
-    equal, nothing = np.ones(len(SEGMENTS)), find_agreement(())
     references = [describe_movement(take) for take in takes]
-    path, turned = (
-        find_parts([compare_movements(one, ours) for one in references], nothing, equal)[0]
-        for ours in (describe_movement(performance), describe_movement(mirror_postures(performance)))
-    )
-    return "mirrored" if turned < clearly * path else "same"
+
+    def compare(postures: PostureSequence) -> FloatArray:
+        ours = describe_movement(postures)
+        apart = [compare_movements(one, ours) for one in references]
+        return find_parts(apart, find_agreement(()), np.ones(len(SEGMENTS)))
+
+    as_it_is = compare(performance)
+    if not as_it_is[PARTS.index("strayed")] > strayed:
+        return "same"
+    return "mirrored" if compare(mirror_postures(performance))[0] < clearly * as_it_is[0] else "same"
 
 
 def find_agreement(differences: Sequence[Difference]) -> FloatArray:

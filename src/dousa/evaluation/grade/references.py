@@ -15,7 +15,7 @@ from dousa.evaluation.errors.causes import tell_errors
 from dousa.evaluation.errors.descriptors import Descriptors, choose_stride, describe_moments
 from dousa.evaluation.errors.deviations import Deviations, compute_deviations, merge_takes
 from dousa.evaluation.errors.evidence import Evidence, Tolerance, measure_unsteadiness
-from dousa.evaluation.errors.explain import Finding, explain_all
+from dousa.evaluation.errors.findings import Finding
 from dousa.evaluation.errors.judge import load_judge
 from dousa.evaluation.grade.movement import (
     PARTS,
@@ -248,10 +248,7 @@ def describe(
     ``wanted`` are the moments to describe, ``before`` is what was usual earlier, see `describe_moments`.
     """
     time_spread = spread_in_time(references, frames)
-    first, last, _ = (edge * choose_stride(evidence.rate) for edge in wanted.indices(len(frames)))
-    found = explain_all(evidence, first, last)
-    takes = len(references.working)
-    return describe_moments(evidence, time_spread, takes, found, wanted=wanted, before=before)
+    return describe_moments(evidence, time_spread, len(references.working), wanted=wanted, before=before)
 
 
 def spread_in_time(references: ReferenceTakes, frames: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 from dousa.arrays import FloatArray, IndexArray
 from dousa.evaluation.alignment.lines import Lapse, align
 from dousa.evaluation.errors.evidence import measure_ranges
-from dousa.evaluation.errors.explain import Finding
+from dousa.evaluation.errors.findings import Finding
 from dousa.evaluation.figures.curves import Curves
 from dousa.evaluation.figures.eigenspace import Eigenspace
 from dousa.evaluation.figures.furi import Furi

@@ -22,7 +22,7 @@ from dousa.evaluation.errors.causes import tell_errors
 from dousa.evaluation.errors.descriptors import choose_stride, join_descriptors
 from dousa.evaluation.errors.deviations import YAW_WINDOW_S, Deviations, compute_deviations, merge_takes
 from dousa.evaluation.errors.evidence import Evidence, Tolerance, gather_evidence
-from dousa.evaluation.errors.explain import Finding
+from dousa.evaluation.errors.findings import Finding
 from dousa.evaluation.errors.judge import decode, load_judge
 from dousa.evaluation.figures.curves import take_off_median
 from dousa.evaluation.figures.furi import Furi, find_furi, fit_furi_eigenspaces, pool_takes, scale_furi
