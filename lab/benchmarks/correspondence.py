@@ -1,4 +1,4 @@
-"""The path between two long motions, and straight lines.
+"""The path between two long motions.
 
     python -m lab.benchmarks.correspondence [--frames N] [--full N] [--files REFERENCE PERFORMANCE]
 
@@ -8,7 +8,7 @@ with noise.
 - The whole matrix is searched by our kernel and by librosa, over the same costs: the same algorithm; the path of both
   is the same. dtaidistance searches it on 27 numbers a frame (squared Euclidean: it knows no yaw).
 - What dousa does, coarse to fine, is compared with the full search by our own kernel.
-- At --frames (five minutes at 120 frames/s) the full search would take a matrix of 5 GB: ours alone; and the lines.
+- At --frames (five minutes at 120 frames/s) the full search would take a matrix of 5 GB: ours alone.
 
 With --files, two takes are compared at their own rate, coarse to fine and by the full search.
 """
@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dousa.evaluation import compute_correlation_matrix, compute_postures, find_lines, find_path
+from dousa.evaluation import compute_correlation_matrix, compute_postures, find_path
 from dousa.evaluation.alignment import correspondence as module
 from lab.benchmarks.timing import Row, measure_memory, run, take_turns
 
@@ -132,10 +132,8 @@ def benchmark(options: argparse.Namespace) -> Iterator[Row]:
     b = dance_again(a)
     yield from compare_full(a, b, options.repeats)
     yield from compare_paths(a, b, options.repeats)
-    calls = {"path": lambda: find_path(long, again), "lines": lambda: find_lines(long, again, 120.0)}
-    found = take_turns(calls, options.repeats)
-    yield Row(f"path, {len(long):,} frames", found["path"], note=memory)
-    yield Row(f"lines, {len(long):,} frames", found["lines"])
+    found = take_turns({"": lambda: find_path(long, again)}, options.repeats)
+    yield Row(f"path, {len(long):,} frames", found[""], note=memory)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

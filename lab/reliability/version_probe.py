@@ -441,7 +441,6 @@ def evaluation(room: Room) -> None:
         other = evaluation.compute_postures(pupil)
         room.record.put("segments", postures.segments)
         room.record.put("path", evaluation.find_path(postures.segments, other.segments))
-        room.record.put("lines", evaluation.find_lines(postures.segments, other.segments, dance.frame_rate))
         matrix = evaluation.compute_correlation_matrix(postures.segments[:400], other.segments[:500])
         room.record.put("matrix", matrix)
     with room.record.probe("running assessment"):

@@ -7,9 +7,7 @@ from .advice.progress import Attempt as Attempt
 from .advice.progress import Progress as Progress
 from .advice.progress import compare_attempts as compare_attempts
 from .advice.progress import read_attempt as read_attempt
-from .alignment.correspondence import Line as Line
 from .alignment.correspondence import compute_correlation_matrix as compute_correlation_matrix
-from .alignment.correspondence import find_lines as find_lines
 from .alignment.correspondence import find_path as find_path
 from .alignment.lines import Lapse as Lapse
 from .beats.accents import ACCENTS as ACCENTS
@@ -43,7 +41,6 @@ from .figures.eigenspace import Eigenspace as Eigenspace
 from .figures.eigenspace import compute_distance_from_space as compute_distance_from_space
 from .figures.eigenspace import compute_distance_to_path as compute_distance_to_path
 from .figures.eigenspace import compute_distance_within as compute_distance_within
-from .figures.eigenspace import compute_segment_residuals as compute_segment_residuals
 from .figures.eigenspace import fit_eigenspace as fit_eigenspace
 from .figures.furi import Furi as Furi
 from .figures.furi import find_furi as find_furi

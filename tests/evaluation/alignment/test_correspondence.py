@@ -11,10 +11,8 @@ from oracles import yamane_correlation as oracle
 
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation.alignment.correspondence import (
-    Line,
     compute_correlation_matrix,
     compute_similarity,
-    find_lines,
     find_path,
 )
 from dousa.evaluation.posture.posture import LIMBS, compute_postures
@@ -171,63 +169,20 @@ def test_real_takes_of_two_people(shared_data: Callable[[str], Path], folder: st
     assert np.median(difference) <= 1.0
 
 
-def test_lines_of_a_repeated_figure() -> None:
-    figure = dance(8, 240)
-    take = np.concatenate([dance(9, 150), figure, dance(10, 210), figure, dance(11, 90)])
-    own, again = find_lines(take, take, 30.0)[:2]
-    assert (own.offset, own.start, own.end) == (0, 0, len(take))
-    assert own.similarity == pytest.approx(1.0)
-    assert abs(again.offset) == 240 + 210
-    starts = (150, 390) if again.offset > 0 else (600, 840)
-    assert (again.start, again.end) == pytest.approx(starts, abs=45)
-    assert again.similarity > 0.9
-
-
-@pytest.mark.parametrize("shift", [-137, -30, 0, 1, 5, 88])
-def test_line_has_the_offset_of_a_shift(shift: int) -> None:
-    whole = dance(12, 700)
-    a, b = whole[200:500], whole[200 - shift : 600 - shift]
-    best = find_lines(a, b, 30.0)[0]
-    assert best.offset == shift
-    first, last = max(0, -shift), min(300, 400 - shift)
-    assert (best.start, best.end) == pytest.approx((first, last), abs=40)
-    assert best.start >= first and best.end <= last
-
-
-def test_lines_do_not_run_beside_each_other() -> None:
-    take = dance(13, 900)
-    lines = find_lines(take, unit(take + 0.1), 30.0)
-    for number, line in enumerate(lines):
-        assert 0 <= line.start < line.end <= 900
-        for other in lines[:number]:
-            overlap = min(line.end, other.end) - max(line.start, other.start)
-            assert abs(line.offset - other.offset) > 27 or overlap <= 0.6 * (line.end - line.start)
-
-
-def test_no_line_where_nothing_is_alike_or_too_short() -> None:
-    assert find_lines(dance(14, 300), dance(15, 300), 30.0, threshold=0.97) == ()
-    assert find_lines(dance(14, 30), dance(14, 30), 30.0) == ()
-    assert find_lines(dance(14, 1), dance(14, 1), 30.0, shortest=0.01, threshold=0.5) == (Line(0, 0, 1, 1.0),)
-
-
 def test_bad_input() -> None:
     a = dance(0, 20)
-    for function in (find_path, lambda x, y: find_lines(x, y, 30.0)):
-        with pytest.raises(InvalidMotionError, match="a: expected at least one frame"):
-            function(a[:0], a)
-        with pytest.raises(InvalidMotionError, match=r"b: expected shape"):
-            function(a, a[:, :, :2])
-        with pytest.raises(InvalidMotionError, match="b: expected finite"):
-            function(a, a * np.nan)
+    with pytest.raises(InvalidMotionError, match="a: expected at least one frame"):
+        find_path(a[:0], a)
+    with pytest.raises(InvalidMotionError, match=r"b: expected shape"):
+        find_path(a, a[:, :, :2])
+    with pytest.raises(InvalidMotionError, match="b: expected finite"):
+        find_path(a, a * np.nan)
     with pytest.raises(OptionError, match="radius"):
         find_path(a, a, radius=0)
     with pytest.raises(OptionError, match="'fixed' or 'open', got 'loose'"):
         find_path(a, a, ends="loose")
     with pytest.raises(OptionError, match="weights"):
         find_path(a, a, weights=[1.0] * 3)
-    for name in ("frame_rate", "window", "shortest"):
-        with pytest.raises(OptionError, match=f"{name}: expected a number above 0"):
-            find_lines(a, a, **{"frame_rate": 30.0, name: 0.0})
     with pytest.raises(OptionError, match="lower the radius"):
         find_path(a, a, largest_gib=399 / 2**30)
 

@@ -10,7 +10,6 @@ from oracles.slow_deviations import measure
 from oracles.wrong_dances import (
     ARM,
     EVEN,
-    TOLERANCE,
     be_late,
     choose,
     first_frames,
@@ -26,7 +25,6 @@ from dousa.evaluation.errors.deviations import MAX_LAG_S, YAW_SCALE, compute_dev
 from dousa.evaluation.errors.evidence import (
     CAP,
     Evidence,
-    fit_gain,
     measure_missing_range,
     measure_ranges,
     refine_lag,
@@ -252,7 +250,6 @@ def test_working_frames_are_means_of_groups(rate: float, stride: int) -> None:
     # A group is seen if all of it is.
     lost = np.flatnonzero(~working.seen[:, 2])
     assert np.array_equal(lost, np.unique(np.arange(30, 33) // stride))
-    assert working.to_seconds(0) == pytest.approx(0.5 * (stride - 1) / rate)
 
 
 def test_where_a_take_is_not_seen_the_others_speak() -> None:
@@ -283,53 +280,6 @@ def swing(count: int = 40, reach: float = 0.9, seed: int = 0) -> np.ndarray:
     return np.cos(angle) * middle + np.sin(angle) * axis
 
 
-@given(gain=st.floats(0.3, 0.95), seed=st.integers(0, 1000))
-@QUICK
-def test_shrunk_angles_have_their_gain(gain: float, seed: int) -> None:
-    reference = swing(seed=seed)
-    smaller = swing(reach=0.9 * gain, seed=seed)
-    fit = fit_gain(smaller, reference, TOLERANCE[:2])
-    assert fit.gain == pytest.approx(gain, abs=0.04)
-    assert fit.unexplained < 0.05
-    assert np.abs(fit.predict(reference) - smaller).max() < 0.08
-
-
-@given(gain=st.floats(0.3, 0.95), seed=st.integers(0, 1000))
-@QUICK
-def test_averaged_vectors_have_about_their_gain(gain: float, seed: int) -> None:
-    reference = swing(seed=seed)
-    smaller = unit(reference.mean(axis=0) + gain * (reference - reference.mean(axis=0)))
-    fit = fit_gain(smaller, reference, TOLERANCE[:2])
-    assert fit.gain == pytest.approx(gain, abs=0.12)
-    assert np.degrees(np.arccos(np.clip((fit.predict(reference) * smaller).sum(axis=2), -1, 1))).max() < 6.0
-
-
-def test_the_same_motion_has_gain_one_and_so_has_one_held_elsewhere() -> None:
-    reference = swing()
-    same = fit_gain(reference, reference, TOLERANCE[:2])
-    assert same.gain == pytest.approx(1.0)
-    assert np.allclose(same.predict(reference), reference)
-    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    still = fit_gain(np.broadcast_to(reference[:1], reference.shape), reference @ turn, TOLERANCE[:2])
-    assert still.gain == pytest.approx(0.0, abs=1e-9)
-
-
-def test_a_moment_that_is_wrong_does_not_bend_the_gain() -> None:
-    reference = swing(count=60)
-    smaller = swing(count=60, reach=0.54)
-    smaller[20:26] = -smaller[20:26]
-    assert fit_gain(smaller, reference, TOLERANCE[:2]).gain == pytest.approx(0.6, abs=0.06)
-
-
-def test_nothing_that_moves_is_no_error() -> None:
-    still = np.broadcast_to(swing()[:1], (30, 2, 3))
-    fit = fit_gain(still, still, TOLERANCE[:2])
-    assert np.isfinite([fit.gain, fit.unexplained]).all()
-    assert np.isfinite(fit.predict(still)).all()
-    one = fit_gain(still[:1], still[:1], TOLERANCE[:2])
-    assert np.isfinite(one.gain)
-
-
 @given(reach=st.floats(0.05, 1.5))
 @QUICK
 def test_the_range_of_a_swing_is_twice_its_reach(reach: float) -> None:
@@ -345,7 +295,7 @@ def test_missing_range_is_that_of_the_segment_that_lacks_most() -> None:
     reference[:, 3:5] = swing(60, 0.8, 1)
     smaller = reference.copy()
     smaller[:, 3:5] = swing(60, 0.5, 1)
-    missing, share = measure_missing_range(reference, smaller, smaller, np.array([3, 4]))
+    missing, share = measure_missing_range(reference, smaller, np.array([3, 4]))
     assert missing == pytest.approx(0.6, abs=0.02)
     assert share == pytest.approx(0.6 / 1.6, abs=0.02)
-    assert measure_missing_range(smaller, reference, reference, np.array([3, 4]))[0] == 0.0
+    assert measure_missing_range(smaller, reference, np.array([3, 4]))[0] == 0.0

@@ -15,7 +15,6 @@ from dousa.evaluation import (
     compute_distance_to_path,
     compute_distance_within,
     compute_postures,
-    compute_segment_residuals,
     fit_eigenspace,
     rotate_yaw,
 )
@@ -117,7 +116,6 @@ def test_projection_and_residual_make_up_the_posture(seed):
     away = np.linalg.norm((others - space.mean).reshape(-1, 27), axis=1)
     d_space = compute_distance_from_space(space, others)
     assert np.allclose(d_space**2 + (space.project(others) ** 2).sum(axis=1), away**2)
-    assert np.allclose((compute_segment_residuals(space, others) ** 2).sum(axis=1), d_space**2)
 
 
 @settings(max_examples=40, deadline=None)

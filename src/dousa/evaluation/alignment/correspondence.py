@@ -10,13 +10,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dousa.arrays import FloatArray, IndexArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation.alignment.dynamic_programming import Matrix, correlate_rows, pack, trace_back, warp
 from dousa.evaluation.posture.posture import SEGMENTS, check_segments, check_weights
-from dousa.motion.runs import find_runs
 
 
 def compute_correlation_matrix(
@@ -270,125 +269,3 @@ def _warp(
     packed = np.ascontiguousarray(pack(b, np.ones_like(shares)).T)
     row, column = warp(pack(a, shares), packed, low, high, first, skip, origin)
     return trace_back(origin, low, first, row, column)
-
-
-@dataclass(frozen=True, slots=True)
-class Line:
-    """A straight line of high correlation: a stretch of one motion that another motion has at the same tempo.
-
-    Parameters
-    ----------
-    offset : frame of b minus frame of a.
-    start, end : frames of a, half-open.
-    similarity : mean S along the line, -1 to 1.
-    """
-
-    offset: int
-    start: int
-    end: int
-    similarity: float
-
-
-def find_lines(
-    a: ArrayLike,
-    b: ArrayLike,
-    frame_rate: float,
-    weights: ArrayLike | None = None,
-    window: float = 2.0,
-    shortest: float = 2.0,
-    threshold: float | None = None,
-    *,
-    line_rate: float = 10.0,
-    line_frames: int = 9000,
-) -> tuple[Line, ...]:
-    """Find straight lines of high correlation: stretches where two motions are similar at the same tempo.
-
-    S is computed at 10 Hz (less beyond 15 minutes) and averaged along the diagonals; runs above the threshold are
-    candidates. The one with most excess over the threshold is kept, what runs beside it (nearer than half the
-    window) is dropped, and so on. The offset is then refined at the full rate.
-
-    Parameters
-    ----------
-    a : (T, 9, 3) unit vectors, Y up.
-    b : (U, 9, 3) unit vectors, Y up; may be a itself, then the first line has offset 0.
-    frame_rate : Hz, of both.
-    weights : (9,) of the segments, 0 or above; None for equal ones.
-    window : s that S is averaged over.
-    shortest : s, of a line.
-    threshold : mean S that makes a line; None puts it halfway between the median of the matrix and 1.
-    line_rate : Hz of the matrix that is searched.
-    line_frames : frames of the longer side of that matrix, at most: 324 MB.
-
-    Returns
-    -------
-    Lines, the one with most excess first; at most 100.
-
-    Raises
-    ------
-    InvalidMotionError : wrong shapes, missing values, or no frame.
-    OptionError : wrong weights, or a rate or time that is not above 0.
-
-    Source: Yamane and Shakunaga, section 2.2. They fit lines to an image; how is not said.
-    """
-    first, second = _check_frames(a, "a"), _check_frames(b, "b")
-    shares = check_segment_weights(weights)
-    for what, value in (("frame_rate", frame_rate), ("window", window), ("shortest", shortest)):
-        if not (np.isfinite(value) and value > 0):
-            raise OptionError("correlation.not_above_0", what=what, value=value)
-    longest = max(len(first), len(second))
-    step = max(1, int(np.ceil(frame_rate / line_rate)), -(-longest // line_frames))
-    rate = frame_rate / step
-    matrix = compute_correlation_matrix(first[::step], second[::step], shares)
-    level = float(0.5 + 0.5 * np.median(matrix)) if threshold is None else threshold
-    runs = _find_runs(matrix, max(1, round(window * rate)), max(1, round(shortest * rate)), level)
-    kept = _keep_best(runs, max(1.0, 0.5 * window * rate))
-    return tuple(_refine(first, second, shares, run, step) for run in kept)
-
-
-def _find_runs(matrix: NDArray[np.float32], window: int, shortest: int, level: float) -> FloatArray:
-    """(N, 4) offset, start, end, excess over the level of the runs on each diagonal."""
-    found = []
-    n_rows, n_columns = matrix.shape
-    for offset in range(1 - n_rows, n_columns):
-        diagonal = matrix.diagonal(offset).astype(np.float64) - level
-        if len(diagonal) < shortest:
-            continue
-        sums = np.concatenate([[0.0], np.cumsum(diagonal)])
-        centre = np.arange(len(diagonal))
-        low, high = np.maximum(centre - window // 2, 0), np.minimum(centre + (window + 1) // 2, len(diagonal))
-        for start, end in find_runs(sums[high] > sums[low]):
-            if end - start >= shortest:
-                row = max(0, -offset)
-                found.append((offset, row + start, row + end, sums[end] - sums[start]))
-    return np.array(found, np.float64).reshape(-1, 4)
-
-
-def _keep_best(runs: FloatArray, apart: float, *, most_lines: int = 100) -> FloatArray:
-    """Runs with most excess first, without those that mostly run beside a better one."""
-    left = runs[np.argsort(-runs[:, 3], kind="stable")]
-    kept: list[FloatArray] = []
-    while len(left) and len(kept) < most_lines:
-        best = left[0]
-        kept.append(best)
-        overlap = np.minimum(left[:, 2], best[2]) - np.maximum(left[:, 1], best[1])
-        beside = (np.abs(left[:, 0] - best[0]) <= apart) & (overlap > 0.5 * (left[:, 2] - left[:, 1]))
-        beside[0] = True
-        left = left[~beside]
-    return np.array(kept).reshape(-1, 4)
-
-
-def _refine(
-    a: FloatArray, b: FloatArray, shares: FloatArray, run: FloatArray, step: int, *, refined_on: int = 200
-) -> Line:
-    """The line at the full rate: the best offset within one coarse frame."""
-    # refined_on: frames of a line that its offset is refined on
-    start, end = int(run[1]) * step, min(int(run[2]) * step, len(a))
-    frames = np.linspace(start, end - 1, min(end - start, refined_on)).astype(np.intp)
-    offsets = int(run[0]) * step + np.array(sorted(range(-step, step + 1), key=abs))
-    places = frames + offsets[:, None]
-    inside = (places >= 0) & (places < len(b))
-    values = compute_similarity(a[frames], b[np.clip(places, 0, len(b) - 1)], shares)
-    means = (values * inside).sum(axis=1) / np.maximum(inside.sum(axis=1), 1)
-    best = int(means.argmax())
-    offset = int(offsets[best])
-    return Line(offset, max(start, -offset), min(end, len(b) - offset), float(means[best]))

@@ -1,8 +1,4 @@
-"""Deviations in multiples of what is tolerated.
-
-An incomplete motion shows as a gain below 1: performance = gain * reference + constant, fitted over the segments of a
-limb; the distance inside the eigenspace does not show it, since a short movement leaves the eigenspace.
-"""
+"""Deviations in multiples of what is tolerated."""
 
 from __future__ import annotations
 
@@ -18,80 +14,6 @@ from dousa.evaluation.posture.posture import SEGMENTS
 from dousa.kernels import kernel
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class GainFit:
-    """A motion as a smaller copy of another."""
-
-    gain: float  # 1 for the same size
-    unexplained: float  # share of the difference, up to a constant, that shrinking leaves
-    chord: bool  # whether vectors shrink, or angles seen from ``pole``
-    pole: FloatArray  # (S, 3) mean directions
-    reference_mean: FloatArray  # (S, 3)
-    performance_mean: FloatArray  # (S, 3)
-
-    def predict(self, reference: FloatArray) -> FloatArray:
-        """(T, S, 3) unit vectors: the reference made smaller."""
-        seen = reference if self.chord else _to_tangent(self.pole, reference)
-        moved = self.performance_mean + self.gain * (seen - self.reference_mean)
-        if not self.chord:
-            angle = np.linalg.norm(moved, axis=-1, keepdims=True)
-            moved = np.cos(angle) * self.pole + np.sin(angle) * moved / np.maximum(angle, 1e-9)
-        length = np.linalg.norm(moved, axis=-1, keepdims=True)
-        smaller: FloatArray = moved / np.maximum(length, 1e-9)
-        return smaller
-
-
-def fit_gain(performance: FloatArray, reference: FloatArray, tolerance: FloatArray) -> GainFit:
-    """Fit the gain of a stretch robustly: frames that do not fit lose weight.
-
-    Performance and reference are (T, S, 3) unit vectors at the same time, turned by the same yaw; tolerance is (S,)
-    rad. Returns the best of four fits: vectors shrink (as an average of two postures does), or angles do (as joints
-    do), seen from the mean direction, from the direction at the beginning, or from that of a hanging limb.
-    """
-    middle = reference.mean(axis=0)
-    middle = middle / np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-9)
-    hanging = np.broadcast_to(np.array([0.0, -1.0, 0.0]), middle.shape)
-    fits = [_fit(performance, reference, tolerance, middle, True)]
-    fits += [_fit(performance, reference, tolerance, pole, False) for pole in (middle, reference[0], hanging)]
-    return min(fits, key=lambda pair: pair[0])[1]
-
-
-def _fit(
-    performance: FloatArray,
-    reference: FloatArray,
-    tolerance: FloatArray,
-    pole: FloatArray,
-    chord: bool,
-    *,
-    gain_rounds: int = 4,
-) -> tuple[float, GainFit]:
-    theirs = reference if chord else _to_tangent(pole, reference)
-    ours = performance if chord else _to_tangent(pole, performance)
-    trust = np.ones(len(theirs))
-    for _ in range(gain_rounds):
-        shares = (trust / trust.sum())[:, None, None]
-        x0, y0 = (theirs * shares).sum(axis=0), (ours * shares).sum(axis=0)
-        x, y = theirs - x0, ours - y0
-        weight = trust[:, None] / tolerance**2
-        power = ((x * x).sum(axis=2) * weight).sum()
-        gain = float(((x * y).sum(axis=2) * weight).sum() / max(power, 1e-9))
-        rest = ((y - gain * x) ** 2).sum(axis=2) / tolerance**2
-        trust = 1.0 / (1.0 + 2.0 * rest.mean(axis=1)) ** 2
-    plain = ((y - x) ** 2).sum(axis=2) / tolerance**2
-    unexplained = float((rest * trust[:, None]).sum() / max((plain * trust[:, None]).sum(), 1e-9))
-    cost = float(np.minimum(rest, 9.0).sum())
-    return cost, GainFit(gain, unexplained, chord, pole, x0, y0)
-
-
-def _to_tangent(pole: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Directions as angles from a pole: the logarithm of the sphere."""
-    along = (vectors * pole).sum(axis=-1, keepdims=True)
-    across = vectors - along * pole
-    sine = np.linalg.norm(across, axis=-1, keepdims=True)
-    tangent: FloatArray = across / np.maximum(sine, 1e-9) * np.arctan2(sine, along)
-    return tangent
-
-
 def measure_ranges(segments: FloatArray, *, most_frames: int = 90) -> FloatArray:
     """(S,) rad, the largest angle between any two directions of each segment of (T, S, 3)."""
     thinned = segments[:: max(1, -(-len(segments) // most_frames))].transpose(1, 0, 2)
@@ -101,23 +23,15 @@ def measure_ranges(segments: FloatArray, *, most_frames: int = 90) -> FloatArray
 
 
 def measure_missing_range(
-    reference: FloatArray,
-    performance: FloatArray,
-    model: FloatArray,
-    segments: NDArray[np.intp],
-    *,
-    model_share: float = 0.25,
+    reference: FloatArray, performance: FloatArray, segments: NDArray[np.intp]
 ) -> tuple[float, float]:
     """Measure the range that the most affected segment lacks: rad, and as a share of the reference's range.
 
-    Reference, performance and model are (T, 9, 3) unit vectors of the same moments; the model is the performance as its
-    explanation has it, without the performer's unsteadiness. Segments are the indices that may be affected; model_share
-    is the weight of the model's range against the performance's.
+    Reference and performance are (T, 9, 3) unit vectors of the same moments; segments are the indices that may be
+    affected.
     """
     whole = measure_ranges(reference[:, segments])
-    # Seen and explained err to different sides: unsteadiness widens the one, a blunt model narrows the other.
-    seen, explained = measure_ranges(performance[:, segments]), measure_ranges(model[:, segments])
-    missing = whole - (1.0 - model_share) * seen - model_share * explained
+    missing = whole - measure_ranges(performance[:, segments])
     worst = int(np.argmax(missing))
     amount = float(max(missing[worst], 0.0))
     return amount, amount / max(float(whole[worst]), 1e-6)

@@ -13,8 +13,6 @@ from dousa.evaluation.alignment.dynamic_programming import follow_lag
 from dousa.evaluation.errors.evidence import (
     LAG_CHANGE,
     Evidence,
-    GainFit,
-    fit_gain,
     measure_missing_range,
     measure_ranges,
 )
@@ -150,28 +148,12 @@ def choose_lasting(lag: FloatArray, *, plateau: float = 0.75) -> float:
 
 def _measure_incomplete(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> Finding:
     theirs, ours = evidence.deviations.reference[start:end], evidence.deviations.performance[start:end]
-    fit = fit_gain(ours[:, segments], theirs[:, segments], evidence.tolerance[segments])
-    model = ours.copy()
-    model[:, segments] = _fade_gain(theirs[:, segments], ours[:, segments], fit, evidence.tolerance[segments])
-    missing, share = measure_missing_range(theirs, ours, model, segments)
+    missing, share = measure_missing_range(theirs, ours, segments)
     if len(segments) == len(_BODY):
         out = evidence.punctual[start:end].max(axis=0)[segments] > 1.0
         segments = segments[out] if out.any() else segments
     severity, worst = measure_severity(evidence, start, end, segments)
     return Finding("incomplete", start, end, _name(segments), severity, worst, None, missing, share)
-
-
-def _fade_gain(reference: FloatArray, performance: FloatArray, fit: GainFit, tolerance: FloatArray) -> FloatArray:
-    """Fade the smaller motion in and out as the performance does."""
-    change = fit.predict(reference) - reference
-    weight = 1.0 / tolerance[:, None] ** 2
-    along = ((performance - reference) * change * weight).sum(axis=(1, 2))
-    power = (change * change * weight).sum(axis=(1, 2))
-    kernel = np.ones(5)
-    share = np.convolve(along, kernel, mode="same") / np.maximum(np.convolve(power, kernel, mode="same"), 1e-6)
-    faded = reference + np.clip(share[: len(change)], 0.0, 1.1)[:, None, None] * change
-    unit: FloatArray = faded / np.maximum(np.linalg.norm(faded, axis=2, keepdims=True), 1e-9)
-    return unit
 
 
 def _measure_partial(
@@ -195,8 +177,9 @@ def _measure_excess(
     """Measure the negative missing range, rad and share, of limbs whose motion is larger; None for another motion."""
     ours = evidence.deviations.performance[start:end, segments]
     theirs = evidence.deviations.reference[start:end, segments]
-    fit = fit_gain(ours, theirs, evidence.tolerance[segments])
-    if fit.gain < _LARGER or fit.unexplained > _UNEXPLAINED:
+    x, y = theirs - theirs.mean(axis=0), ours - ours.mean(axis=0)
+    gain = float((x * y).sum() / max((x * x).sum(), 1e-9))
+    if gain < _LARGER or ((y - gain * x) ** 2).sum() > _UNEXPLAINED * ((y - x) ** 2).sum():
         return None, None
     whole, reached = measure_ranges(theirs), measure_ranges(ours)
     most = int(np.argmax(reached - whole))

@@ -231,12 +231,6 @@ def compute_distance_within(space: Eigenspace, aligned: ArrayLike, others: Array
     return np.asarray(np.linalg.norm(space.project(aligned) - space.project(others), axis=-1))
 
 
-def compute_segment_residuals(space: Eigenspace, aligned: ArrayLike) -> FloatArray:
-    """Compute the share (T, 9) of each segment in d# of aligned postures (T, 9, 3); the squares add up to d#²."""
-    residual = space.residual(aligned)
-    return np.asarray(np.linalg.norm(residual.reshape(*residual.shape[:-1], len(SEGMENTS), 3), axis=-1))
-
-
 def compute_distance_to_path(
     space: Eigenspace, reference: ArrayLike, performance: ArrayLike, *, at_once: int = 500_000
 ) -> FloatArray:

@@ -268,10 +268,6 @@ class Working:
         """Number of poses."""
         return len(self.segments)
 
-    def to_seconds(self, frame: float) -> float:
-        """Time of a frame: the middle of the frames that it is the mean of."""
-        return (frame + 0.5 * (self.stride - 1) / self.stride) / self.frame_rate
-
 
 def thin_postures(postures: PostureSequence, *, heading_s: float = 0.3) -> Working:
     """Average groups of frames to about `WORKING_RATE` a second; the frames of an incomplete group are dropped."""
