@@ -20,7 +20,7 @@ SOURCE = ROOT / "src" / "dousa"
 ROOMS = {
     "app": (25_832, 111),
     "estimation": (15_778, 65),
-    "evaluation": (11_966, 46),
+    "evaluation": (11_968, 46),
     "experiments": (1_728, 10),
     "files": (1_112, 8),
     "formats": (13_043, 70),

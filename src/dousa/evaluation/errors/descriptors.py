@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,11 +140,12 @@ def _join_features(
     together = _compare_lags(limb_table, body_table)
     ranked = [np.sort(limb_table[:, :, :, _PER_WINDOW.index(name)], axis=1).reshape(n, -1) for name in _SORTED]
     others = _describe_others(limb_table)
-    for table in (limb_table, body_table):
-        table[..., _LAG] = np.abs(table[..., _LAG])
+    for lags in (limb_table[..., _LAG], body_table[..., _LAG]):
+        np.abs(lags, out=lags)
     body_flat = np.concatenate([body_table.reshape(n, -1), together[:, N_LIMBS], courses[:, N_LIMBS]], axis=1)
     seen = np.broadcast_to(body_flat[:, None], (n, N_LIMBS, body_flat.shape[1]))
-    parts = [limb_table.reshape(n, N_LIMBS, -1), clips, others, kind, always, seen, courses, together]
+    table = limb_table.reshape(n, N_LIMBS, -1)
+    parts: list[NDArray[Any]] = [table, clips, others, kind, always, seen, courses, together]
     limbs = np.concatenate([part[:, :N_LIMBS] for part in parts], axis=2, dtype=np.float32, casting="same_kind")
     parts = [body_flat, *ranked, np.sort(clips, axis=1), always[:, 0], np.sort(courses[:, :N_LIMBS], axis=1)]
     body = np.concatenate([part.reshape(n, -1) for part in parts], axis=1, dtype=np.float32, casting="same_kind")
