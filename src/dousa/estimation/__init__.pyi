@@ -41,7 +41,6 @@ from .raster.rendering import poses_from_motion as poses_from_motion
 from .raster.rendering import render as render
 from .raster.rendering import spoil as spoil
 from .silhouettes.cleaning import clean_mask as clean_mask
-from .silhouettes.cleaning import describe_mask as describe_mask
 from .silhouettes.mask_npz import read_silhouettes as read_silhouettes
 from .silhouettes.mask_npz import write_silhouettes as write_silhouettes
 from .silhouettes.repairs import ExcludedPart as ExcludedPart

@@ -186,13 +186,14 @@ class _Job:
         frame = self.setup.pack(small)
         if start is None:
             self.progress(0, self.silhouettes.n_frames, Message("tracker.first_pose"))
-            if girths == "fit":  # a limb would fill what a thin trunk leaves of a stout one
-                self._fit_girths(find_start(self.setup, frame, small)[0].pose, small)
             pose = self._find_first_pose(frame, small)
         else:
             pose = checked_start(self.body, start)
         if girths == "fit":
-            self._fit_girths(pose, small)
+            seen = [(mask, camera) for mask, camera in zip(small, self.shrinker.cameras, strict=True)
+                    if mask is not None and mask.any()]  # fmt: skip
+            self.body = fit_girths(self.body, pose, [mask for mask, _ in seen], [camera for _, camera in seen])
+            self._set_up()
         self._start_beam(pose)
         self.beam.begin(frame)
         self.at = self.first + 1
@@ -203,12 +204,6 @@ class _Job:
         for _ in range(self.first):
             self._keep(pose, self.setup.pack([None] * len(self.cameras)))
         self._show_newest(frame)
-
-    def _fit_girths(self, pose: FloatArray, masks: Sequence[Mask | None]) -> None:
-        seen = [(mask, camera) for mask, camera in zip(masks, self.shrinker.cameras, strict=True)
-                if mask is not None and mask.any()]  # fmt: skip
-        self.body = fit_girths(self.body, pose, [mask for mask, _ in seen], [camera for _, camera in seen])
-        self._set_up()
 
     def _find_first_pose(
         self, frame: Frame, masks: Sequence[Mask | None], count: int = 4, behind: float = 8.0, seconds: float = 0.7
@@ -315,7 +310,7 @@ class _Job:
             return
         if returned or (self.poor >= rule.frames and self.at - self.searched >= self.patience):
             self._search_again(frame)
-        elif self.at % rule.look == 0:
+        elif self.at % rule.look == 0 or self.at == self.silhouettes.n_frames:
             self._look_again(frame)
 
     def _search_again(self, frame: Frame) -> None:
@@ -338,7 +333,7 @@ class _Job:
     def _repair(self, frame: Frame, found: FloatArray, *, sure: bool) -> bool:
         """Track back from a pose of the newest frame that fits clearly better, and take its track where it is better.
 
-        Unless ``sure``, only if the frames before agree. Returns whether it was taken.
+        Unless ``sure``, only if it fits as clearly in the mean of these frames. Returns whether it was taken.
         """
         line = self.beam.line[-self.restart.repaired :]
         frames = [settled.frame for settled in line]
@@ -350,7 +345,7 @@ class _Job:
         back = replay(self._make_setup(replace(self.settings, beam=1)), found, frames[::-1], 1)
         new = Replay(back.poses[::-1], back.scores[::-1])
         switch = choose_switch(self.setup, own, new)
-        if switch == len(line) and not sure:
+        if not sure and (switch == len(line) or (new.scores - own.scores)[switch:].mean() < self.restart.gain):
             return False
         switch = min(switch, len(line) - 1)
         self.beam.replace_newest(new.poses[switch:])
