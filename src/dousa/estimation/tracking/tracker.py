@@ -333,21 +333,23 @@ class _Job:
     def _repair(self, frame: Frame, found: FloatArray, *, sure: bool) -> bool:
         """Track back from a pose of the newest frame that fits clearly better, and take its track where it is better.
 
-        Unless ``sure``, only if it fits as clearly in the mean of these frames. Returns whether it was taken.
+        Unless ``sure``, only if it fits as clearly in the mean of the last few frames. Returns whether it was taken.
         """
-        line = self.beam.line[-self.restart.repaired :]
+        rule, setup = self.restart, self._make_setup(replace(self.settings, beam=1))
+        line = self.beam.line[-rule.repaired :]
         frames = [settled.frame for settled in line]
         poses = np.array([settled.pose for settled in line])
         gain = score_frames(self.setup, np.stack((found, poses[-1])), [frame, frame])
-        if gain[0] - gain[1] < self.restart.gain:
+        if gain[0] - gain[1] < rule.gain:
             return False
         own = Replay(poses, score_frames(self.setup, poses, frames))
-        back = replay(self._make_setup(replace(self.settings, beam=1)), found, frames[::-1], 1)
+        if not sure:
+            glance = replay(setup, found, frames[::-1][: rule.frames])
+            if np.mean(glance.scores - own.scores[::-1][: rule.frames]) < rule.gain:
+                return False
+        back = replay(setup, found, frames[::-1])
         new = Replay(back.poses[::-1], back.scores[::-1])
-        switch = choose_switch(self.setup, own, new)
-        if not sure and (switch == len(line) or (new.scores - own.scores)[switch:].mean() < self.restart.gain):
-            return False
-        switch = min(switch, len(line) - 1)
+        switch = min(choose_switch(self.setup, own, new), len(line) - 1)
         self.beam.replace_newest(new.poses[switch:])
         self.restarts.append(self.at - len(line) + switch)
         return True
