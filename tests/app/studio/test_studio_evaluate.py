@@ -36,7 +36,7 @@ def job(evaluate, motions):
 
 def test_the_errors_are_found_and_the_figures_told(job):
     result = job["result"]
-    assert {event["kind"] for event in result["events"]} >= {"partial", "incomplete"}
+    assert {event["kind"] for event in result["events"]} >= {"partial", "global"}
     assert {event["kind"] for event in result["events"]} <= KINDS
     assert sorted(one["event"] for one in result["advice"] if one["event"] is not None) == list(
         range(len(result["events"]))
