@@ -18,22 +18,22 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_832, 111),
+    "app": (25_826, 111),
     "estimation": (15_774, 65),
     "evaluation": (11_968, 46),
     "experiments": (1_728, 10),
     "files": (1_112, 8),
     "formats": (13_043, 70),
-    "library": (16_113, 57),
+    "library": (15_809, 57),
     "messages": (235, 3),
     "motion": (6_477, 34),
     "retrieval": (13_396, 46),
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_221,
+    "lines of tests": 61_930,
     "lines of JavaScript": 12_473,
-    "constants": 1_042,
+    "constants": 1_040,
     "numeric constants without a source": 0,
     "functions over 60 lines": 13,
     "files over 650 lines": 0,

@@ -322,17 +322,6 @@ def test_a_library_without_a_forest_says_how_to_train(dousa, recordings, tmp_pat
         assert code == 2 and "dousa train" in err
 
 
-def test_an_old_library_is_brought_up_to_date_and_searched(dousa, tmp_path):
-    import gzip
-
-    made = Path(__file__).parents[1] / "library" / "store" / "library_of_tables_1.dousa.gz"
-    path = tmp_path / "old.dousa"
-    path.write_bytes(gzip.decompress(made.read_bytes()))
-    code, out, _ = dousa("search", path, 1, "-k", 2)
-    assert code == 0 and "bow (votes: bow 100%)" in out
-    assert "features 'paper'" in dousa("list", path)[1]
-
-
 def test_a_doubtful_guess_is_said_to_be_one():
     from dousa.app.tables.search import describe_verdict
     from dousa.library import Verdict

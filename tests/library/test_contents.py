@@ -106,7 +106,7 @@ def test_the_content_of_a_clip_has_a_name_that_its_labels_do_not_change(library)
     assert library.contents([1, 2]) == before
 
 
-def test_doubts_are_kept_as_codes_and_old_sentences_as_they_are(library, moves):
+def test_doubts_are_kept_as_codes(library, moves):
     doubtful = replace(
         read_canonical(moves / "bow/bow_p1.bvh")[0], warnings=(Message("canonical.made_toes"),), frame_rate=25.0
     )
@@ -115,12 +115,6 @@ def test_doubts_are_kept_as_codes_and_old_sentences_as_they_are(library, moves):
     (clip,) = library.clips("a")
     assert clip.warnings == (Message("canonical.made_toes"),)
     assert clip.warnings[0].render("ja") != clip.warnings[0].render("en") == clip.to_json()["warnings"][0]
-    with library.database.writing() as connection:  # as an older dousa wrote it
-        old = sa.update(schema.clips).where(schema.clips.c.id == clip.id)
-        connection.execute(old.values(warnings=["toes were made up"], checksum=None))
-    (clip,) = library.clips("a")
-    assert clip.warnings == (Message("text.verbatim", text="toes were made up"),)
-    assert clip.to_json()["warnings"] == ["toes were made up"]
 
 
 def test_every_error_of_a_selection_is_said_in_japanese(library, moves):
@@ -173,19 +167,6 @@ def test_what_has_changed_is_read_again_and_nothing_else(library, moves):
         assert expected is None or read == expected
         known = news
     assert library.renew_clips(known).clips == known.clips
-
-
-def test_rows_without_checksums_are_read_each_time(library):
-    known = library.renew_clips()
-    with library.database.writing() as connection:
-        connection.execute(sa.update(schema.clips).values(label_checksum=None))
-    first = min(known.clips)
-    library.relabel(first, category="other")
-    with library.database.writing() as connection:
-        connection.execute(sa.update(schema.clips).values(label_checksum=None))
-    news = library.renew_clips(known)
-    assert news.clips[first].category == "other"
-    assert_is_listed(library, news)
 
 
 def test_a_damaged_row_is_not_taken_for_another_one(library):

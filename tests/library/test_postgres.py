@@ -110,22 +110,3 @@ def test_of_several_who_undo_one_change_one_does(url, moves):
     assert sorted(outcomes) == ["journal.undone_already"] * 3 + ["remove"]
     with Library.open(url) as library:
         assert library.check().is_sound
-
-
-@pytest.mark.usefixtures("url")
-def test_the_tables_of_an_older_dousa_get_a_journal(url, moves):
-    import sqlalchemy as sa
-
-    from dousa.library.store import schema
-
-    with Library.open(url, create=True) as library:
-        library.add(moves, n_jobs=1)
-        with library.database.writing() as connection:
-            for table in (*reversed(schema.JOURNAL_TABLES), schema.clip_tags, schema.saved_searches):
-                table.drop(connection)
-            connection.execute(sa.delete(schema.migrations).where(schema.migrations.c.number >= 11))
-    with Library.open(url) as library:
-        assert library.journal() == []
-        library.remove([1])
-        library.undo()
-        assert len(library.clips()) == 15

@@ -381,7 +381,7 @@ class Adding:
             for path, state in states.items():
                 rows = [stored[path]] if path in stored else parts.get(path, [])
                 same = state and all((r.fingerprint, r.read_options) == (state.fingerprint, options) for r in rows)
-                whole = path in stored or are_all({row.path: map(schema.as_message, row.warnings) for row in rows})
+                whole = path in stored or are_all({row.path: map(Message.from_json, row.warnings) for row in rows})
                 if rows and same and whole:
                     self._rename(path, [row.path for row in rows], labels)
                     for row in rows:
@@ -507,7 +507,7 @@ class Adding:
             fresh.append(replace(record, row={**record.row, **labels, "kind": kind}))
             (tally["added"] if row is None else tally["replaced"]).append(record.path)
             missing = [name for name, rule in self._rules.items() if labels[name] is None and rule is not no_label]
-            notes = map(schema.as_message, record.row["warnings"])
+            notes = map(Message.from_json, record.row["warnings"])
             doubts = (*(note for note in notes if note.code not in _PART_NOTES), *map(_NO_LABEL.__getitem__, missing))
             tally["warnings"] += [(record.path, text) for text in doubts]
         elif isinstance(record, Skipped):

@@ -293,8 +293,6 @@ class LibraryChanges(LibraryContents):
     def check(self, *, repair: bool = False, salvage: bool = True, progress: Progress | None = None) -> CheckReport:
         """Check that the library is as it was written: the structure of the file, and every checksum.
 
-        Rows of an older dousa get their missing checksums, if the library can be written.
-
         Parameters
         ----------
         repair : compute features, leaves and windows again, and read positions again from the original files.

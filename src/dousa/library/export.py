@@ -167,7 +167,6 @@ def read_manifest(path: Path) -> Rows:
             rows = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error):
         return {}
-    rows = [{"tags": "", **row} for row in rows]  # missing in an earlier version
     return {
         row["file"]: row for row in rows if set(row) == set(COLUMNS) and all(isinstance(v, str) for v in row.values())
     }

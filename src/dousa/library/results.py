@@ -57,7 +57,7 @@ class Verdict(Answer):
     category : the category; None ("unknown") if the guess is more likely wrong than right, or the motion unfamiliar.
     guess : the category with the most votes, even for an unknown motion.
     known : probability that the motion is of a category that the forest knows; None if the forest had too few
-        categories to learn that, or was trained by an older dousa.
+        categories to learn that.
     confidence : probability that the guess is right, if one motion in eleven is of no known category; None as above.
     histogram : share of the trees that vote for each category, the largest first.
     explanation : the reasons, if requested.

@@ -168,16 +168,6 @@ def test_what_is_told_of_one_clip_is_all_that_is_known():
         assert index.path(place).decode() == clips.paths[row] and index.label(place) == clips.labels[row]
 
 
-def test_leaves_that_two_trees_share_are_compared_as_they_are():
-    """Such rows are damaged, but have no checksum to say so."""
-    clips = make_clips(15, 60)
-    clips.leaves[:, 1] = clips.leaves[:, 0]
-    index = clips.make_index(30)
-    found = search(clips, index, 3, 60, "leaves")
-    expected, _ = clips.rank(3, 60, "leaves")
-    assert [hit.leaf_share for hit in found[0]] == [1.0 - one[2] for one in expected]
-
-
 def test_a_limit_lets_enough_pass():
     chance = np.random.default_rng(0)
     bounds = chance.uniform(0, 2.2, 5000)

@@ -12,7 +12,7 @@ from dousa.formats.motion_files import read_canonical
 from dousa.library import Library, take_labellers
 from dousa.motion import CANONICAL_JOINTS, canonicalise
 from dousa.retrieval.forest.calibration import Calibration
-from library.database_server import run_sql
+from library.database_server import run_sql, seal_again
 
 SIDES = ("left", "right")
 ARMS = tuple(f"{side}_{joint}" for side in SIDES for joint in ("elbow", "wrist", "hand"))
@@ -246,7 +246,8 @@ def test_what_takes_of_parts_are_labelled_with_is_kept(library_file, library, sq
 
 def test_damaged_joints_are_told(library_file, library, squat):
     library.add_motion(cut(squat, UPPER), "legs")
-    run_sql(library_file, "UPDATE clips SET absent = 'tail', label_checksum = NULL WHERE path = 'legs'")
+    run_sql(library_file, "UPDATE clips SET absent = 'tail' WHERE path = 'legs'")
+    seal_again(library_file)
     number = next(clip.id for clip in library.clips() if clip.path == "legs")
     with pytest.raises(LibraryDamagedError, match="legs"):
         library.trajectories(number)

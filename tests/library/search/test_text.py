@@ -1,6 +1,5 @@
 """Searching a library in words."""
 
-import gzip
 import random
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from dousa.library import Library, TextResult
 from dousa.library.search import text as text_index
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 from dousa.retrieval.words import vocabulary as vectors
-from library.database_server import run_sql
+from library.database_server import run_sql, seal_again
 
 NAMES = {
     "kickLFront1Reps": "kick_left", "a07_clap": "clap", "しゃがむ": "squat", "x17": "kick_right", "x18": "clap",
@@ -244,29 +243,23 @@ def test_tags_leave_the_words_as_they_are(tmp_path, monkeypatch):
         assert len(reads) == 2
 
 
-@pytest.mark.sqlite
-def test_a_library_of_an_older_dousa_is_searched_and_indexed_when_it_is_trained(tmp_path):
-    path = tmp_path / "old.dousa"
-    path.write_bytes(
-        gzip.decompress(Path(__file__).parents[1].joinpath("store", "library_of_tables_1.dousa.gz").read_bytes())
-    )
-
-    def count():
-        return run_sql(path, "SELECT count(*) FROM clip_relations")[0][0]
-
-    with Library.open(path) as library:
-        before = library.search_text("bending forward", None)
-        assert count() == 0
-        library.train(n_trees=5)
-        assert count() == 6
-        assert library.search_text("bending forward", None) == before
+def test_relations_of_another_version_are_computed_again(library, library_file):
+    before = library.search_text("bending forward", None)
+    run_sql(library_file, "UPDATE clip_relations SET version = 0")
+    seal_again(library_file)
+    with Library.open(library_file) as again:
+        assert again.search_text("bending forward", None) == before
+        again.train(n_trees=5)
+        assert run_sql(library_file, "SELECT count(*) FROM clip_relations WHERE version > 0") == [(15,)]
+        assert again.search_text("bending forward", None) == before
 
 
 def test_damaged_relations_are_told(tmp_path):
     path = tmp_path / "damaged.dousa"
     with Library.open(path, create=True) as library:
         library.add_motion(make_motion("walk", draw_performer(1), seed=1), "one", "walk")
-    run_sql(path, "UPDATE clip_relations SET relations = '[[1]]', checksum = NULL")
+    run_sql(path, "UPDATE clip_relations SET relations = '[[1]]'")
+    seal_again(path)
     with Library.open(path) as library, pytest.raises(LibraryDamagedError, match="in words is damaged"):
         library.search_text("walk")
 

@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-import numpy as np
 import pytest
 import sqlalchemy as sa
 from sqlalchemy import event
@@ -19,7 +18,6 @@ from sqlalchemy import event
 from dousa.errors import LibraryDamagedError, LibraryError, LibraryLockedError, LibraryVersionError, OptionError
 from dousa.library import Library
 from dousa.library.store import engine as _engine
-from dousa.library.store import opening as _opening
 from dousa.library.store import schema
 from dousa.motion.synthetic import draw_performer, make_motion
 from fuzzing import count_tries
@@ -203,10 +201,23 @@ def test_damaged_content(library_file, moves, statement, ask):
         ask(library, moves)
 
 
-def test_a_newer_library_names_both_versions(library_file):
-    change(library_file, "INSERT INTO dousa_migrations VALUES (99, 'future', '2030', '9.9.9')")
-    with pytest.raises(LibraryVersionError, match=r"dousa 9\.9\.9 \(tables 99\).*pip install --upgrade dousa"):
-        Library.open(library_file)
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [
+        (99, r"dousa 9\.9\.9 \(tables 99\).*pip install --upgrade dousa"),
+        (16, "preview of dousa .tables 16, now 17.*dousa add NEW"),
+    ],
+)
+def test_a_library_of_another_version_is_refused(library_file, tmp_path, number, said):
+    change(library_file, f"UPDATE dousa_migrations SET number = {number}, dousa_version = '9.9.9'")
+    for visit in (
+        lambda: Library.open(library_file),
+        lambda: Library.open(library_file, read_only=True),
+        lambda: Library.restore(address(library_file), tmp_path / "new.dousa"),
+    ):
+        with pytest.raises(LibraryVersionError, match=said):
+            visit()
+    assert not (tmp_path / "new.dousa").exists()
 
 
 def test_a_forest_of_other_features_is_not_asked(library_file, moves, monkeypatch):
@@ -220,65 +231,6 @@ def test_a_forest_of_other_features_is_not_asked(library_file, moves, monkeypatc
     classify_fails("other features than those of this dousa; run: dousa train")
     monkeypatch.delitem(FEATURE_SETS, "extended")
     classify_fails(r"'extended', this dousa knows paper.*--upgrade dousa")
-
-
-NEXT = len(_opening.MIGRATIONS) + 1
-STEPS = [(step.number, step.name) for step in _opening.MIGRATIONS]
-
-
-@pytest.fixture
-def next_migration(monkeypatch) -> None:
-    def add_table(connection: sa.Connection) -> None:
-        connection.execute(sa.text("CREATE TABLE notes (id INTEGER)"))
-
-    steps = (*_opening.MIGRATIONS, _opening.Migration(NEXT, "notes", add_table))
-    monkeypatch.setattr(_opening, "MIGRATIONS", steps)
-
-
-def applied(path: Path) -> list[tuple[int, str]]:
-    return run_sql(path, "SELECT number, name FROM dousa_migrations ORDER BY number")
-
-
-def test_an_older_library_takes_the_steps_it_lacks(library_file, next_migration):
-    with pytest.raises(LibraryVersionError, match="older dousa"):
-        Library.open(library_file, read_only=True)
-    for _ in range(2):
-        with Library.open(library_file) as library:
-            assert len(library.clips()) == 15
-    assert applied(library_file) == [*STEPS, (NEXT, "notes")]
-    change(library_file, "SELECT * FROM notes")
-
-
-def test_features_of_positions_as_the_sensor_saw_them_are_computed_anew(library_file):
-    def sets() -> set[str]:
-        return {row[0] for row in run_sql(library_file, "SELECT feature_set FROM clip_features")}
-
-    assert sets() == {"extended"}
-    before = "SELECT number FROM dousa_migrations WHERE name = 'sensor noise'"
-    change(library_file, f"DELETE FROM dousa_migrations WHERE number >= ({before})")
-    with Library.open(library_file) as library:
-        assert sets() == {""}
-        assert not library.check().damage
-        assert library.search(1, 3).results
-        library.train(n_trees=10)
-    assert sets() == {"extended"}
-
-
-def test_a_step_that_fails_leaves_the_library_as_it_was(library_file, monkeypatch):
-    def fail(connection: sa.Connection) -> None:
-        connection.execute(sa.text("CREATE TABLE notes (id INTEGER)"))
-        connection.execute(sa.text("CREATE TABLE notes (id INTEGER)"))
-
-    steps = (*_opening.MIGRATIONS, _opening.Migration(NEXT, "fails", fail))
-    monkeypatch.setattr(_opening, "MIGRATIONS", steps)
-    with pytest.raises(LibraryError):
-        Library.open(library_file)
-    assert applied(library_file) == STEPS
-    change(library_file, "CREATE TABLE notes (id INTEGER)")
-
-
-def test_the_numbers_of_the_migrations_have_no_gaps():
-    assert [step.number for step in _opening.MIGRATIONS] == list(range(1, len(_opening.MIGRATIONS) + 1))
 
 
 @contextmanager
@@ -475,21 +427,6 @@ def test_a_library_that_may_be_written_again(library_file, leftover):
             library.close()
     finally:
         shutil.rmtree(folder)
-
-
-@pytest.mark.sqlite
-def test_features_that_an_older_dousa_wrote_in_double_are_the_same(library, library_file):
-    before = library.search(3, 100).to_json(), library.train(n_trees=5).calibration
-    expected = library.search(3, 100).to_json()
-    library.close()
-    with closing(sqlite3.connect(library_file)) as connection, connection:
-        for number, data in connection.execute("SELECT clip_id, pose_features FROM clip_features").fetchall():
-            wide = np.frombuffer(data, "<f4").astype("<f8").tobytes()
-            statement = "UPDATE clip_features SET pose_features = ?, checksum = NULL WHERE clip_id = ?"
-            connection.execute(statement, (wide, number))
-    assert library.search(3, 100).to_json() == expected != before[0]
-    library.train(n_trees=5)
-    assert library.search(3, 100).to_json() == expected
 
 
 @pytest.mark.sqlite

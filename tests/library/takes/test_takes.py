@@ -21,7 +21,7 @@ from dousa.library.takes import takes
 from dousa.library.takes import windows as kept_windows
 from dousa.motion import CANONICAL_JOINTS, Trajectories, compute_trajectories
 from dousa.retrieval.takes.windows import TakeWindows
-from library.database_server import run_sql
+from library.database_server import run_sql, seal_again
 
 RATE = 30.0
 
@@ -245,7 +245,8 @@ def test_a_rate_near_zero_is_refused(library, tmp_path):
 
 
 def test_a_stored_rate_near_zero_is_damage(path_with_take):
-    change(path_with_take, "UPDATE clips SET frame_rate = 1e-9, checksum = NULL")
+    change(path_with_take, "UPDATE clips SET frame_rate = 1e-9")
+    seal_again(path_with_take)
     with Library.open(path_with_take) as library, pytest.raises(LibraryDamagedError, match="at 1e-09 Hz"):
         library.find(1)
 
@@ -423,14 +424,15 @@ def test_windows_are_not_kept_where_nothing_may_change(library, path_with_take):
     [
         "UPDATE take_windows SET data = x'00'",
         "UPDATE take_windows SET data = substr(data, 1, 900)",
-        "UPDATE forests SET checksum = NULL, window_lengths = '[3]'",
-        "UPDATE forests SET checksum = NULL, window_lengths = '7'",
+        "UPDATE forests SET window_lengths = '[3]'",
+        "UPDATE forests SET window_lengths = '7'",
         "UPDATE forests SET calibration = x'00'",
-        "UPDATE forests SET checksum = NULL, parameters = '{\"n_trees\": 30}'",
+        "UPDATE forests SET parameters = '{\"n_trees\": 30}'",
     ],
 )
 def test_damaged_windows(path_with_take, statement):
     change(path_with_take, statement)
+    seal_again(path_with_take)
     with Library.open(path_with_take) as library, pytest.raises(LibraryDamagedError, match=r"dousa train|retrain"):
         library.find(1)
 

@@ -1,12 +1,10 @@
 """Finding in takes that are too many for memory gives the answers of those that are not."""
 
-import json
 import random
 import shutil
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -265,25 +263,6 @@ def test_a_check_finds_what_a_search_does_not_look_at(library_path, made, many, 
         assert not path.exists() and library.check().damage == ()
         assert ask(library, made) == expected
         assert path.read_bytes() == whole
-
-
-def test_files_of_an_older_dousa_have_no_checksums_of_sketches(library_path, made, many, tmp_path, monkeypatch):
-    many()
-    with Library.open(library_path) as library:
-        expected = ask(library, made)
-        files = find_files(tmp_path)
-        for path in files:
-            path.unlink()
-
-        def dumps(header):
-            return json.dumps({key: value for key, value in header.items() if key != "sums"})
-
-        with monkeypatch.context() as patch:
-            patch.setattr(portions, "json", SimpleNamespace(dumps=dumps, loads=json.loads))
-            assert ask(library, made) == expected
-        assert portions.read_portion(files[0]).sums == ()
-        assert library.check().is_sound
-        assert ask(library, made) == expected
 
 
 def test_compacting_takes_files_away_that_no_search_uses(library_path, made, many, tmp_path, monkeypatch):

@@ -25,7 +25,7 @@ from dousa.app.requests.library import (
 )
 from dousa.app.requests.reading import Reading, UnitReading
 from dousa.app.targets import check_targets
-from dousa.errors import LibraryError, LibraryVersionError, MotionFileError, OptionError
+from dousa.errors import LibraryError, MotionFileError, OptionError
 from dousa.extras import require
 from dousa.messages import Message
 from dousa.workers.current import current_cluster
@@ -43,14 +43,10 @@ def open_library(library: str, *, create: bool = False) -> Library:
 
 
 def open_to_read(library: str) -> Library:
-    """Open a library to read it; one that an older dousa made is brought up to date first."""
+    """Open a library to read it."""
     from dousa.library import Library
 
-    try:
-        return Library.open(library, read_only=True)
-    except LibraryVersionError:
-        Library.open(library).close()
-        return Library.open(library, read_only=True)
+    return Library.open(library, read_only=True)
 
 
 def open_to_learn(library: str) -> Library:

@@ -33,8 +33,6 @@ def check(
 ) -> None:
     """Check that everything in a library is as it was written, by checksums; exit code 2 if something is damaged.
 
-    A library of an older dousa has no checksums yet and gets them.
-
     Example: dousa check moves.dousa --repair
     """
     from dousa.app.tables.library import print_messages

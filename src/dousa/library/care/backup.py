@@ -26,7 +26,7 @@ from dousa.library.results import Answer
 from dousa.library.store import schema
 from dousa.library.store.engine import Database, check_mark, is_url, make_engine, name_of, translate_error
 from dousa.library.store.fragments import ARRAYS, Place, begin_store, find_store, open_store, put_aside, read_blocks
-from dousa.library.store.opening import open_database
+from dousa.library.store.opening import check_version, open_database
 from dousa.messages import Count, Message, Progress
 
 _MADE_AGAIN = ("-windows", "-search", "-search-later", "-shm")
@@ -83,6 +83,7 @@ def restore(
         with source.reading() as connection:
             if not check_mark(connection, source.where):
                 raise LibraryError("library_file.empty", library=source.where, name=source.where)
+            check_version(connection, source.where)
         if is_url(to):
             return _fill(source, str(to), progress)
         path = Path(os.path.realpath(to))  # a link to the library stays one
@@ -117,7 +118,7 @@ def _write(source: Database, path: Path, progress: Progress | None) -> BackupRep
         new = folder / "new" / path.name
         if source.engine.dialect.name == "sqlite":
             _copy_file(source, new, path, _counting(progress, "library_backup.copying"))
-            database = open_database(new, create=False, read_only=False, timeout=5.0)  # of an older dousa: migrated
+            database = open_database(new, create=False, read_only=False, timeout=5.0)
         else:
             database = open_database(new, create=True, read_only=False, timeout=5.0)
         try:

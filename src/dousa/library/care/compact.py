@@ -19,7 +19,6 @@ from dousa.errors import LibraryDamagedError, LibraryError
 from dousa.library.history.journal import forget_kept, measure_kept
 from dousa.library.results import Answer
 from dousa.library.store import schema
-from dousa.library.store.checksums import FEATURES, seal_positions
 from dousa.library.store.engine import Database, lock_for_writing
 from dousa.library.store.fragments import ARRAYS, begin_store, find_store, make_name, read_blocks
 from dousa.library.store.schema import PLACE
@@ -127,20 +126,11 @@ def _move_some(
         if rows:
             places = store.append([row._mapping[column.name] for row in rows])
             changes = [
-                {"of_row": row._mapping[key.name], column.name: b"", **place._asdict(), **_seal(column, row)}
+                {"of_row": row._mapping[key.name], column.name: b"", **place._asdict()}
                 for row, place in zip(rows, places, strict=True)
             ]
             connection.execute(sa.update(table).where(key == sa.bindparam("of_row")), changes)
     return size, keys[len(some) :]
-
-
-def _seal(column: sa.Column[Any], row: Any) -> dict[str, Any]:
-    """Return the checksum of bytes; computed if an older dousa wrote none, as fragments need one."""
-    if column.table is schema.clip_features:
-        sums = row.checksum if row.checksum is not None else FEATURES.compute(row[: len(FEATURES.covered)])
-        return {"checksum": sums}
-    known = row.block_checksums
-    return {"block_checksums": known if known is not None else seal_positions(row[0], row.positions)}
 
 
 def rewrite_fragments(database: Database, progress: Count | None = None, *, small: float = 1 / 8) -> None:

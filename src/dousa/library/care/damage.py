@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 import sqlalchemy as sa
 
 from dousa.errors import DousaError, LibraryDamagedError, LibraryError
@@ -52,8 +51,6 @@ class CheckReport(Answer):
     ----------
     n_clips : clips and takes.
     n_rows : rows compared with their checksums.
-    n_sealed : rows of an older dousa that now got a checksum.
-    n_unsealed : those still without one because the library cannot be written.
     damage : what is, or was, damaged.
     seconds : time it took.
     """
@@ -61,8 +58,6 @@ class CheckReport(Answer):
     library: str
     n_clips: int
     n_rows: int
-    n_sealed: int
-    n_unsealed: int
     damage: tuple[Damage, ...]
     seconds: float
 
@@ -79,10 +74,6 @@ class CheckReport(Answer):
                 yield Message("library_check.part", **where)
             else:
                 yield Message("library_check.of_clip", path=one.path, number=one.clip_id, **where)
-        if self.n_sealed:
-            yield Message("library_check.sealed", n=self.n_sealed)
-        if self.n_unsealed:
-            yield Message("library_check.unsealed", n=self.n_unsealed)
         counts = {"clips": self.n_clips, "rows": self.n_rows, "seconds": self.seconds}
         left = sum(not one.repaired for one in self.damage)
         yield (
@@ -122,12 +113,10 @@ class Findings:
     Parameters
     ----------
     faults : the damaged parts, each once.
-    unsealed : keys of rows without a checksum, by table.
     n_rows, n_clips : rows checked; clips and takes.
     """
 
     faults: dict[Fault, None] = field(default_factory=dict)
-    unsealed: dict[str, list[Any]] = field(default_factory=dict)
     n_rows: int = 0
     n_clips: int = 0
 
@@ -212,20 +201,15 @@ def _check_rows(connection: sa.Connection, table: sa.Table, keys: Sequence[Any],
             else list(fetch_in(connection, sa.select(*seal.columns), seal.covered[0], keys))
         )
         for row in rows:
-            if row[-1] is None:
-                findings.unsealed.setdefault(table.name, []).append(row[0])
-            elif not seal.is_whole(row):
+            if not seal.is_whole(row):
                 findings.add(Fault(seal.what, row[0], seal))
         for number in set(keys) - {row[0] for row in rows}:  # in an index but not in the table
             findings.add(Fault(seal.what, number, seal))
 
 
 def _check_positions(connection: sa.Connection, number: int, findings: Findings) -> None:
-    """Check positions by their checksums, or by their plausibility if they have none."""
     table = schema.clip_trajectories
     row = connection.execute(sa.select(table).where(table.c.clip_id == number)).first()
-    if row is not None and row.block_checksums is None:
-        findings.unsealed.setdefault(schema.clip_trajectories.name, []).append(number)
     n_frames = connection.execute(sa.select(schema.clips.c.n_frames).where(schema.clips.c.id == number)).scalar()
     data = b"" if row is None else look_at_blocks(connection, [row], "positions")[0]
     if row is None or n_frames is None or not are_positions(number, data, row.block_checksums, n_frames):
@@ -260,12 +244,8 @@ def _check_fragments(connection: sa.Connection, findings: Findings) -> None:
 
 
 def are_positions(number: int, data: bytes, sums: bytes | None, n_frames: int) -> bool:
-    """Return whether positions have the right length and checksums, or are finite if they have none."""
-    if len(data) != n_frames * schema.FRAME_BYTES:
-        return False
-    if sums is None:
-        return bool(np.isfinite(np.frombuffer(data, "<f4")).all())
-    return seal_positions(number, data) == sums
+    """Return whether positions have the right length and checksums."""
+    return len(data) == n_frames * schema.FRAME_BYTES and seal_positions(number, data) == sums
 
 
 def _check_state(connection: sa.Connection, findings: Findings) -> None:
@@ -289,9 +269,8 @@ def _check_forest(connection: sa.Connection, where: str, findings: Findings) -> 
     from dousa.retrieval.takes.windows import TakeWindows
 
     table, windows = schema.forests.c, schema.take_windows.c
-    stored = None
     try:
-        stored = load_forest(connection, where)
+        load_forest(connection, where)
     except LibraryError:
         findings.add(Fault(checksums.FOREST.what, 1, checksums.FOREST))
     asked = connection.execute(sa.select(schema.clip_leaves.c.clip_id).limit(1)).first()
@@ -309,17 +288,6 @@ def _check_forest(connection: sa.Connection, where: str, findings: Findings) -> 
         both = (*readers, (TakeLabeller.from_bytes, row.labeller))
         if not all(data is None or _is_readable(read, data) for read, data in both):
             findings.add(Fault(checksums.PART_FORESTS.what, row.feature_set, checksums.PART_FORESTS))
-    if stored is not None:
-        _check_leaves(connection, len(stored.forest.trees_.roots), stored.forest.trees_.n_leaves, findings)
-
-
-def _check_leaves(connection: sa.Connection, n_trees: int, n_leaves: int, findings: Findings) -> None:
-    """Check rows without a checksum for leaves that the forest does not have."""
-    table = schema.clip_leaves.c
-    for row in connection.execute(sa.select(table.clip_id, table.leaves).where(table.checksum.is_(None))):
-        leaves = np.frombuffer(row.leaves, "<i4") if len(row.leaves) == 4 * n_trees else np.array([-1])
-        if not (leaves.min(initial=0) >= 0 and leaves.max(initial=0) < n_leaves):
-            findings.add(Fault(checksums.LEAVES.what, row.clip_id, checksums.LEAVES))
 
 
 def _is_readable(read: Callable[[bytes], Any], data: bytes) -> bool:

@@ -29,12 +29,11 @@ from dousa.library.care.damage import (
     Damage,
     Fault,
     Findings,
-    are_positions,
     find_damage,
 )
 from dousa.library.search.text_store import keep_all_relations
 from dousa.library.store import checksums, schema
-from dousa.library.store.checksums import SEALS, Seal, seal_positions, seal_rows
+from dousa.library.store.checksums import seal_positions, seal_rows
 from dousa.library.store.engine import Database
 from dousa.library.store.features import lacks, load_features, pack_positions, save_descriptions
 from dousa.library.store.forests import ask_trees, load_forest, save_answers
@@ -192,16 +191,12 @@ def check_library(database: Database, repair: bool, progress: Progress | None, s
         for fault in findings.faults:
             if (number := _clip_of(fault)) is not None:
                 names[number] = _name(connection, number)
-    n_unsealed = sum(map(len, findings.unsealed.values()))
-    n_sealed = 0 if database.is_read_only else _seal_rows(database, findings)
     for fault in findings.faults:
         number = _clip_of(fault)
         path = None if number is None else names[number]
         damage.append(Damage(fault.what, number, path, outcomes[fault], repair and fault not in left))
     seconds = time.perf_counter() - start
-    return CheckReport(
-        database.where, findings.n_clips, findings.n_rows, n_sealed, n_unsealed - n_sealed, tuple(damage), seconds
-    )
+    return CheckReport(database.where, findings.n_clips, findings.n_rows, tuple(damage), seconds)
 
 
 def _find_broken(findings: Findings) -> list[Fault]:
@@ -350,7 +345,7 @@ def _restore_positions(database: Database, fault: Fault) -> Message | None:
     data = pack_positions(record.motion)
     with database.writing() as connection:
         n_frames = connection.execute(sa.select(schema.clips.c.n_frames).where(schema.clips.c.id == number)).scalar()
-        if n_frames is None or not are_positions(number, data, None, n_frames):
+        if n_frames is None or len(data) != n_frames * schema.FRAME_BYTES:
             return None
         values = {"clip_id": number, "positions": data, "block_checksums": seal_positions(number, data)}
         connection.execute(sa.delete(table).where(table.c.clip_id == number))
@@ -416,35 +411,3 @@ def _compute_again(database: Database) -> None:
 def _lack_nothing(connection: sa.Connection, feature_set: str, ids: Sequence[int]) -> list[int]:
     query = sa.select(schema.clips.c.id, schema.clips.c.absent).where(schema.clips.c.id.in_(ids))
     return [row.id for row in connection.execute(query) if not lacks(feature_set, row.absent)]
-
-
-def _seal_rows(database: Database, findings: Findings) -> int:
-    """Add checksums to rows of an older dousa; return their number."""
-    broken = {(fault.what.code, fault.key) for fault in findings.faults}
-    count = 0
-    table = schema.clip_trajectories
-    numbers = [n for n in findings.unsealed.get(table.name, []) if (checksums.POSITIONS.code, n) not in broken]
-    for start in range(0, len(numbers), 16):  # positions of takes are long
-        with database.writing() as connection:
-            query = sa.select(table.c.clip_id, table.c.positions).where(table.c.block_checksums.is_(None))
-            some = numbers[start : start + 16]
-            for number, data in connection.execute(query.where(table.c.clip_id.in_(some))).all():
-                sums = seal_positions(number, data)
-                connection.execute(sa.update(table).where(table.c.clip_id == number).values(block_checksums=sums))
-                count += 1
-    for seal in SEALS:
-        keys = [k for k in findings.unsealed.get(seal.checksum.table.name, []) if (seal.what.code, k) not in broken]
-        for few in portions(list(dict.fromkeys(keys))):
-            with database.writing() as connection:
-                count += _seal_some(connection, seal, few)
-    return count
-
-
-def _seal_some(connection: sa.Connection, seal: Seal, keys: Sequence[Any]) -> int:
-    query = sa.select(*seal.columns).where(seal.covered[0].in_(keys), seal.checksum.is_(None))
-    rows = connection.execute(query).all()
-    if rows:
-        values = [{"of_row": row[0], "sum_of_row": seal.compute(row[:-1])} for row in rows]
-        statement = sa.update(seal.checksum.table).where(seal.covered[0] == sa.bindparam("of_row"))
-        connection.execute(statement.values({seal.checksum.name: sa.bindparam("sum_of_row")}), values)
-    return len(rows)

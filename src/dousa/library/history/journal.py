@@ -41,7 +41,7 @@ class JournalEntry(Answer):
     what : description.
     is_undone : whether it was undone and can be redone.
     kept_bytes : of removed clips that are kept for it.
-    made_by : user and machine, as ``name_writer``; empty if an older dousa made it.
+    made_by : user and machine, as ``name_writer``.
     """
 
     number: int

@@ -320,7 +320,7 @@ def _find_moved(
     leaves = [growth.moved_leaves, growth.leaves]
     others = ~stands
     others[new] = False
-    if growth.stay is not None:  # clips of the training stay, unless an older dousa moved them
+    if growth.stay is not None:  # clips of the training stay
         trained = others & (clips.ids < grown.first_later)
         others &= ~trained
         where = np.flatnonzero(trained)

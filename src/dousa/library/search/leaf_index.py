@@ -32,18 +32,12 @@ from dousa.retrieval.forest.likeness import Likeness
 class IndexedRows:
     """The rows that an index was read from.
 
-    ``sums`` : (B, 6) int64 for each block: rows of clips, rows with a checksum, sum of these; and the same of their
-    leaves.
+    ``sums`` : (B, 4) int64 for each block: rows of clips, sum of their checksums; and the same of their leaves.
     ``partial`` : by number, the joints that clips lack.
     """
 
     sums: IntArray
     partial: dict[int, str]
-
-    @property
-    def is_sealed(self) -> bool:
-        """Whether all rows have checksums; an older dousa wrote none."""
-        return bool((self.sums[:, 0] == self.sums[:, 1]).all() and (self.sums[:, 3] == self.sums[:, 4]).all())
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,13 +252,13 @@ def add_checksums(connection: sa.Connection) -> IntArray:
     clips, leaves = schema.clips.c, schema.clip_leaves.c
     queries = []
     for key, checksum in ((clips.id, clips.label_checksum), (leaves.clip_id, leaves.checksum)):
-        own = sa.select(sa.func.count(), sa.func.count(checksum), sa.func.coalesce(sa.func.sum(checksum), 0))
+        own = sa.select(sa.func.count(), sa.func.coalesce(sa.func.sum(checksum), 0))
         queries.append(own.where(key.between(sa.bindparam("first"), sa.bindparam("last"))))
     found = []
     for first in range(0, next_clip_id(connection), BLOCK):
         ends = {"first": first, "last": first + BLOCK - 1}
         found.append([int(value) for query in queries for value in connection.execute(query, ends).one()])
-    return np.array(found, np.int64).reshape(-1, 6)
+    return np.array(found, np.int64).reshape(-1, 4)
 
 
 def read_lacking(connection: sa.Connection, blocks: Iterable[int] | None = None) -> dict[int, str]:
@@ -291,7 +285,7 @@ def renew_lacking(connection: sa.Connection, known: ReadClips, changed: Sequence
 def change_sums(sums: IntArray, ids: IntArray, differences: IntArray) -> IntArray:
     """Return the ``sums`` of ``IndexedRows`` after the checksums of leaves of clips changed by differences (M,)."""
     changed = sums.copy()
-    np.add.at(changed[:, 5], ids // BLOCK, differences)
+    np.add.at(changed[:, 3], ids // BLOCK, differences)
     return changed
 
 
@@ -344,10 +338,7 @@ def refresh_index(
     rows = known.source
     if rows is None or known.learned[0] != stored.revision:
         return None
-    compared = compare_rows(connection, known)
-    if compared is None:
-        return None
-    sums, changed, fresh, alive = compared
+    sums, changed, fresh, alive = compare_rows(connection, known, rows)
     if len(known.parts) > most_parts:  # the small ones become one
         alive, again = _fold(known, alive)
         fresh = np.union1d(fresh, again)
@@ -375,9 +366,9 @@ def refresh_index(
 
 
 def compare_rows(
-    connection: sa.Connection, known: ReadClips
-) -> tuple[IntArray, list[int], IntArray, list[BoolArray]] | None:
-    """Find the changes since clips were read; None if rows lack checksums.
+    connection: sa.Connection, known: ReadClips, rows: IndexedRows
+) -> tuple[IntArray, list[int], IntArray, list[BoolArray]]:
+    """Find the changes since clips were read from these rows.
 
     Returns
     -------
@@ -386,14 +377,9 @@ def compare_rows(
     fresh : numbers of changed and added clips.
     alive : which clips of each part are unchanged.
     """
-    rows = known.source
-    if rows is None or not rows.is_sealed:
-        return None
     sums = add_checksums(connection)
     both, most = sorted((len(sums), len(rows.sums)))
     changed = [block for block in range(most) if block >= both or (sums[block] != rows.sums[block]).any()]
-    if not IndexedRows(sums, {}).is_sealed:
-        return None
     return sums, changed, *_compare_blocks(connection, known, changed)
 
 
@@ -402,7 +388,7 @@ def _compare_blocks(
 ) -> tuple[IntArray, list[BoolArray]]:
     """Return the numbers of changed and added clips in some blocks, and which clips of each part are unchanged."""
     clips, leaves = schema.clips.c, schema.clip_leaves.c
-    query = sa.select(clips.id, clips.label_checksum, leaves.checksum)
+    query = sa.select(clips.id, sa.func.coalesce(clips.label_checksum, -1), sa.func.coalesce(leaves.checksum, -1))
     query = query.join(schema.clip_leaves, leaves.clip_id == clips.id).order_by(clips.id)
     alive = [own.copy() for own in known.list_alive()]
     fresh = [np.zeros(0, np.int64)]

@@ -11,6 +11,7 @@ import sqlalchemy as sa
 from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, FloatArray, IndexArray, IntArray
+from dousa.errors import LibraryDamagedError
 from dousa.library.search.kernels import copy_runs, count_sparsely, encode_leaves, find_owners
 from dousa.library.store import schema
 from dousa.library.store.checksums import LABELS, LEAVES
@@ -27,7 +28,7 @@ class ClipPart:
     Parameters
     ----------
     ids : (N,) int64.
-    sums : (N, 2) int64, checksums of labels and leaves; -1 for none.
+    sums : (N, 2) int64, checksums of labels and leaves.
     given, predicted : (N,) int32, places in ``names`` of the given category, -1 for none, and of the predicted one.
     names : categories.
     path_ends, path_bytes : (N,) ends of the paths in (B,) uint8.
@@ -50,11 +51,6 @@ class ClipPart:
 
     def __len__(self) -> int:
         return len(self.ids)
-
-    @property
-    def is_by_trees(self) -> bool:
-        """Whether leaves are numbered within their trees; those of damaged rows are not."""
-        return bool(self.offsets.any()) or len(self.offsets) == 1
 
     def path(self, row: int) -> bytes:
         """Return the path of a clip in UTF-8, which sorts as the text does."""
@@ -80,7 +76,7 @@ class ClipPart:
 
     def encode(self, leaves: NDArray[np.int32]) -> NDArray[Any]:
         """Return (n_trees,) codes of leaves, with an unused code for leaves without clips."""
-        ends = np.append(self.offsets[1:], len(self.table)) if self.offsets.any() else [len(self.table)] * len(leaves)
+        ends = np.append(self.offsets[1:], len(self.table))
         missing = _MISSING if self.codes.dtype == np.uint16 else -1
         codes = np.full(len(leaves), missing, self.codes.dtype)
         for tree, (leaf, start, end) in enumerate(zip(leaves, self.offsets, ends, strict=True)):
@@ -154,9 +150,8 @@ class _Gathered:
         check_leaves(self._stored, some)
         self._leaves.append(some)
         self._paths += [path.encode() for path in paths]
-        sums = [[-1 if one is None else one for one in column] for column in (own, theirs)]
         numbers = ids, self._number(given), self._number(predicted)
-        self._arrays.append((*(np.array(column, np.int64) for column in numbers), np.array(sums, np.int64).T))
+        self._arrays.append((*(np.array(column, np.int64) for column in numbers), np.array((own, theirs), np.int64).T))
         if None in directions:
             self._width = None
         if self._width is not None:
@@ -191,11 +186,11 @@ class _Gathered:
 
 
 def encode_rows(leaves: NDArray[np.int32], n_leaves: int) -> tuple[NDArray[Any], NDArray[np.int32], IntArray]:
-    """Return the codes of leaves (N, n_trees), with their table and offsets."""
+    """Return the codes of leaves (N, n_trees), table and offsets; LibraryDamagedError for one in two trees."""
     n_trees = leaves.shape[1]
     owners = np.full(n_leaves, -1, np.int32)
-    if not find_owners(leaves, owners):  # damaged rows without checksums
-        return leaves, np.arange(n_leaves, dtype=np.int32), np.zeros(n_trees, np.int64)
+    if not find_owners(leaves, owners):
+        raise LibraryDamagedError("library_forest.no_such_leaf")
     table, offsets, ranks = order_table(owners, n_trees)
     codes = np.empty(leaves.shape, choose_code(ranks))
     encode_leaves(leaves, ranks, codes)

@@ -98,9 +98,8 @@ def read_standing(connection: sa.Connection, where: str, stored: StoredForest) -
     """Read all clips that have leaves, from the file if there is one; LibraryDamagedError as in ``read_part``."""
     clips = schema.clips.c
     known = read_side_rows(find_place(connection, where), stored)
-    compared = None if known is None else compare_rows(connection, known)
-    if known is not None and compared is not None:
-        sums, changed, fresh, alive = compared
+    if known is not None and known.source is not None:
+        sums, changed, fresh, alive = compare_rows(connection, known, known.source)
         some = read_part(connection, stored, (clips.id.in_(ids) for ids in portions(fresh.tolist())))
         source = IndexedRows(sums, renew_lacking(connection, known, changed))
         return ReadClips((*known.parts, some), known.votes, (*alive, None), source, known.base)

@@ -37,8 +37,6 @@ Portion = list[tuple[int, IndexArray, IndexArray]]
 class MergedParts:
     """The unchanged clips of an index of at least one part, sorted by number and merged in portions to save memory.
 
-    ValueError if a leaf is in two trees, as in damaged rows without checksums.
-
     ``at_once`` : clips of a portion.
     """
 
@@ -65,12 +63,7 @@ class MergedParts:
         """Return the leaves of all parts as ``order_table`` does."""
         owners = np.full(max(int(part.table.max(initial=-1)) for part in self._parts) + 1, -1, np.int32)
         for part in self._parts:
-            if not part.is_by_trees:
-                raise ValueError
-            trees = np.repeat(np.arange(self._n_trees), np.diff(np.append(part.offsets, len(part.table))))
-            if ((owners[part.table] >= 0) & (owners[part.table] != trees)).any():
-                raise ValueError
-            owners[part.table] = trees
+            owners[part.table] = np.repeat(np.arange(self._n_trees), np.diff(np.append(part.offsets, len(part.table))))
         return order_table(owners, self._n_trees)
 
     def arrays(self) -> Iterator[tuple[str, Iterator[NDArray[Any]]]]:
@@ -146,7 +139,7 @@ class MergedParts:
             yield out
 
 
-_MAGIC = b"dousa index 2\n\0\0"
+_MAGIC = b"dousa index 3\n\0\0"
 _START = struct.Struct("<16sQQI")  # magic; place, length and checksum of the header at the end
 _PART = ("ids", "sums", "given", "predicted", "path_ends", "path_bytes", "codes", "table", "offsets", "directions")
 _VOTES = ("starts", "categories", "votes", "squares", "lengths")
@@ -173,8 +166,8 @@ def write_side_file(path: Path, stored: StoredForest, index: ReadClips, base: Ba
     ``base`` : of the file at ``path``, if only the changes since are written, into a later one: then the first part of
     the index is that of the file, and its unchanged clips have the same votes.
     """
-    if index.source is None or not index.source.is_sealed:
-        return False  # changes of the library would go unnoticed
+    if index.source is None:
+        return False
     place, written, more, dead = path, index, None, None
     if base is not None:
         place, dead = _place_later(path), np.flatnonzero(~index.list_alive()[0])

@@ -209,23 +209,19 @@ class TextSearcher:
             revision = read_revision(connection)
             if self._index is None or self._index.revision != revision:
                 sums = _read_sums(connection)
-                if self._index is not None and sums is not None and self._index.sums == sums:
+                if self._index is not None and self._index.sums == sums:
                     self._index = replace(self._index, revision=revision)
                 else:
-                    self._index = _load_index(connection, revision, sums or (), self._index)
+                    self._index = _load_index(connection, revision, sums, self._index)
             return self._index
 
 
-def _read_sums(connection: sa.Connection) -> tuple[int, ...] | None:
-    """Read the counts and sums of the checksums of labels and relations; None if a row has none."""
+def _read_sums(connection: sa.Connection) -> tuple[int, ...]:
+    """Read the counts and sums of the checksums of labels and relations."""
     sums: list[int] = []
     for seal in (LABELS, RELATIONS):
-        own = seal.checksum
-        query = sa.select(sa.func.count(seal.covered[0]), sa.func.count(own), sa.func.coalesce(sa.func.sum(own), 0))
-        n_rows, n_sealed, total = map(int, connection.execute(query).one())
-        if n_rows != n_sealed:
-            return None
-        sums += (n_rows, total)
+        query = sa.select(sa.func.count(seal.covered[0]), sa.func.coalesce(sa.func.sum(seal.checksum), 0))
+        sums += map(int, connection.execute(query).one())
     return tuple(sums)
 
 
@@ -315,7 +311,7 @@ def _load_index(
 
 
 def _read_stamps(connection: sa.Connection) -> dict[int, tuple[Any, ...]]:
-    """Read the checksums (None for none) of the labels and relations of all motions, by number."""
+    """Read the checksums of the labels and relations (None without) of all motions, by number."""
     clips, table = schema.clips.c, schema.clip_relations.c
     own = sa.select(table.clip_id, table.checksum).where(table.version == RELATIONS_VERSION)
     relations: dict[int, Any] = {row.clip_id: row.checksum for row in connection.execute(own)}

@@ -77,7 +77,7 @@ def save_relations(connection: sa.Connection, described: Mapping[int, list[list[
 
 
 def keep_all_relations(database: Database) -> None:
-    """Write the missing relations of a library by an older dousa, each portion in its own transaction."""
+    """Write the missing relations, and those of another version, each portion in its own transaction."""
     with database.reading() as connection:
         missing = _list_missing(connection)
     for some in portions(missing):

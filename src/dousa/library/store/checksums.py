@@ -2,7 +2,7 @@
 
 Each row has a CRC-32 of its values, its number included, which is compared on every read. Positions have one for every
 block of frames, so that a segment is checked without its whole take. npz data (forests, windows of takes) has checksums
-of its own. Rows of an older dousa have none, and are trusted until ``Library.check`` adds them.
+of its own.
 """
 
 from __future__ import annotations
@@ -93,13 +93,13 @@ class Seal:
         except (TypeError, ValueError, struct.error):  # of another type
             found = [0 if self.is_whole(row) else -1 for row in zip(*columns, strict=True)]
         for place, (own, kept) in enumerate(zip(found, columns[-1], strict=True)):
-            if own != kept and kept is not None and (own < 0 or not self.is_whole([c[place] for c in columns])):
+            if own != kept and (own < 0 or not self.is_whole([c[place] for c in columns])):
                 raise damaged(connection, self.what, columns[0][place] if self.is_of_clip else None)
 
     def is_whole(self, values: Sequence[Any]) -> bool:
-        """Return whether the values of ``columns`` agree; true without a checksum."""
+        """Return whether the values of ``columns`` agree."""
         try:
-            return values[-1] is None or self.compute(values[:-1]) == values[-1]
+            return bool(self.compute(values[:-1]) == values[-1])
         except (TypeError, ValueError, struct.error):  # of another type
             return False
 

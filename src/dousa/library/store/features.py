@@ -216,7 +216,7 @@ def _unpack_positions(connection: sa.Connection, row: Any, data: bytes) -> Float
     if row.take_id is not None:
         owner, start = row.take_id, row.first_frame
     block, skipped = divmod(start, BLOCK_FRAMES)
-    if row.block_checksums is not None and seal_positions(owner, data, block) != row.block_checksums:
+    if seal_positions(owner, data, block) != row.block_checksums:
         raise checksums.damaged(connection, checksums.POSITIONS, owner)
     if row.take_id is not None:
         data = data[skipped * schema.FRAME_BYTES : (skipped + row.n_frames) * schema.FRAME_BYTES]
@@ -247,7 +247,6 @@ def _unpack(connection: sa.Connection, row: Any, data: bytes) -> StoredMotion:
 
 
 _FEATURES, _POSES = "<f4", "<f4"
-_EARLIER_FEATURES = "<f8"  # of an older dousa; the values have float32 precision too
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -307,8 +306,7 @@ def load_features(
         read = read_feature_rows(connection, some)
         if read:
             checksums.FEATURES.check_all(connection, list(zip(*read, strict=True)))
-        for own, values in _stack_features(read, features.shape[1:]):
-            features[[places[clip_id] for clip_id in own]] = values
+            features[[places[row[0]] for row in read]] = _stack_features([row[2] for row in read], features.shape[1:])
     lacking = [row.id for row in rows if row.feature_set != feature_set]
     computed = describe_stored(connection, lacking, feature_set, n_jobs, progress)
     for place, row in enumerate(rows):
@@ -325,21 +323,12 @@ def load_features(
     )
 
 
-def _stack_features(
-    rows: Sequence[tuple[Any, ...]], shape: tuple[int, ...], *, most: float = 1e37
-) -> Iterator[tuple[list[int], NDArray[Any]]]:
-    """Yield numbers and features of rows, those of an older dousa apart from the others.
-
-    LibraryDamagedError for values over ``most``, near the largest that float32 has.
-    """
-    earlier = int(np.prod(shape)) * np.dtype(_EARLIER_FEATURES).itemsize
-    for kind in (_EARLIER_FEATURES, _FEATURES):
-        some = [row for row in rows if (len(row[2]) == earlier) == (kind == _EARLIER_FEATURES)]
-        if some:
-            values = stack([row[2] for row in some], kind, shape, "features")
-            if not np.abs(values).max() < most:
-                raise LibraryDamagedError("library_clips.features_beyond_measure")
-            yield [row[0] for row in some], values
+def _stack_features(blobs: Sequence[bytes], shape: tuple[int, ...], *, most: float = 1e37) -> NDArray[np.float32]:
+    """Read features; LibraryDamagedError for values over ``most``, near the largest that float32 has."""
+    values: NDArray[np.float32] = stack(blobs, _FEATURES, shape, "features")
+    if not np.abs(values).max() < most:
+        raise LibraryDamagedError("library_clips.features_beyond_measure")
+    return values
 
 
 def _allocate(shape: tuple[int, int, int], *, in_memory: int = 2**32) -> NDArray[Any]:

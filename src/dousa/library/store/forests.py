@@ -53,7 +53,7 @@ class StoredForest:
     assessor : separates known motions from unknown ones; None if there were too few categories.
     revision : of the library at the end of the training; identifies the trees.
     learned : of the library when the leaves last learned; the histograms of clips are valid until the next time.
-    likeness : decides which clips are similar; None if there were too few, or an older dousa trained.
+    likeness : decides which clips are similar; None if there were too few.
     first_later : number of the first clip after the training.
     """
 
@@ -186,7 +186,7 @@ def load_forest(connection: sa.Connection, where: str, known: StoredForest | Non
         assessor = None if row.calibration is None else Assessor(forest, Calibration.from_bytes(row.calibration))
     except DousaError as error:
         raise LibraryDamagedError("library_forest.part_damaged", library=where, problem=error) from error
-    grid, first_later = _read_grid(connection, row.window_lengths), int(row.first_later or 1)
+    grid, first_later = _read_grid(row.window_lengths), int(row.first_later)
     revisions = int(state.revision), int(state.learned)
     return StoredForest(forest, categories, feature_set, grid, assessor, *revisions, likeness, first_later)
 
@@ -207,11 +207,9 @@ class ForestCache:
         return stored
 
 
-def _read_grid(connection: sa.Connection, lengths: Any) -> WindowGrid:
+def _read_grid(lengths: Any) -> WindowGrid:
     from dousa.retrieval.takes.windows import WindowGrid
 
-    if lengths is None:
-        return fit_grid(connection)  # an older dousa trained the library
     try:
         return WindowGrid(tuple(lengths))
     except (DousaError, TypeError) as error:

@@ -31,7 +31,7 @@ from dousa.formats.motion_files import (
 from dousa.formats.parts import file_of, find_address, join_address, list_untaken, split_address
 from dousa.library.store.engine import check_jobs, choose_jobs
 from dousa.library.store.features import Description, StoredMotion, describe_clip, is_measurable, lacks, round_positions
-from dousa.library.store.schema import CLIP, as_message, pack
+from dousa.library.store.schema import CLIP, pack
 from dousa.library.store.selection import choose_doubts
 from dousa.messages import Message
 from dousa.motion import CANONICAL_JOINTS, CanonicalMotion, canonicalise
@@ -338,7 +338,7 @@ def read_rounded(query: Given, options: ReadOptions) -> tuple[StoredMotion, tupl
 
 def list_doubts(record: ClipRecord) -> tuple[Message, ...]:
     """Return the warnings from reading a file."""
-    return choose_doubts(map(as_message, record.row["warnings"]))
+    return choose_doubts(map(Message.from_json, record.row["warnings"]))
 
 
 def name_query(query: Query) -> str:

@@ -16,7 +16,6 @@ import sqlalchemy as sa
 from numpy.typing import ArrayLike, NDArray
 
 from dousa.errors import LibraryDamagedError
-from dousa.messages import Message
 
 APPLICATION_ID = 0x444F5553
 """``DOUS``: marks an SQLite file as a dousa library (https://sqlite.org/fileformat.html, 1.3.15)."""
@@ -31,8 +30,8 @@ metadata = sa.MetaData()
 
 
 def _checksum(name: str = "checksum") -> sa.Column[int]:
-    """Return the checksum column, see ``dousa.library.store.checksums``; None in rows of an older dousa."""
-    return sa.Column(name, sa.BigInteger)
+    """Return the checksum column, see ``dousa.library.store.checksums``."""
+    return sa.Column(name, sa.BigInteger, nullable=False)
 
 
 migrations = sa.Table(
@@ -116,7 +115,7 @@ clip_trajectories = sa.Table(
     # float32, little endian, (n_frames, 20, 3) m; 0 for joints that are absent; empty if in a fragment
     sa.Column("positions", sa.LargeBinary, nullable=False),
     # uint32, little endian, one for every ``BLOCK_FRAMES`` frames: a segment is checked without its whole take
-    sa.Column("block_checksums", sa.LargeBinary),
+    sa.Column("block_checksums", sa.LargeBinary, nullable=False),
     *_place(),
 )
 
@@ -124,10 +123,9 @@ clip_features = sa.Table(
     "clip_features",
     metadata,
     _clip_id(),
-    # Name in ``FEATURE_SETS``; empty for features of an older dousa, which are computed again when needed.
-    sa.Column("feature_set", sa.Text, nullable=False, server_default=""),
-    # float32, little endian, (frames, columns) of the set; float64 of the same values from an older dousa;
-    # empty if in a fragment
+    # Name in ``FEATURE_SETS``; features of another set than wanted are computed again.
+    sa.Column("feature_set", sa.Text, nullable=False),
+    # float32, little endian, (frames, columns) of the set; empty if in a fragment
     sa.Column("pose_features", sa.LargeBinary, nullable=False),
     # Of the number, the set and the features, in row or fragment.
     _checksum(),
@@ -220,10 +218,10 @@ forests = sa.Table(
     sa.Column("categories", sa.JSON, nullable=False),
     sa.Column("parameters", sa.JSON, nullable=False),
     sa.Column("n_clips", sa.Integer, nullable=False),
-    # Frames of the windows that takes are cut into; None if an older dousa trained.
-    sa.Column("window_lengths", sa.JSON(none_as_null=True)),
-    # Number of the first clip after the training; None (unknown) if an older dousa trained.
-    sa.Column("first_later", sa.Integer),
+    # Frames of the windows that takes are cut into.
+    sa.Column("window_lengths", sa.JSON, nullable=False),
+    # Number of the first clip after the training.
+    sa.Column("first_later", sa.Integer, nullable=False),
     # Clips that the leaves learned after the training.
     sa.Column("n_learned", sa.Integer, nullable=False, server_default="0"),
     sa.Column("data", sa.LargeBinary, nullable=False),
@@ -327,7 +325,7 @@ removed_positions = sa.Table(
     metadata,
     _key("number", "removed_clips.number"),
     sa.Column("positions", sa.LargeBinary, nullable=False),
-    sa.Column("block_checksums", sa.LargeBinary),
+    sa.Column("block_checksums", sa.LargeBinary, nullable=False),
     *_place(),
 )
 
@@ -357,13 +355,6 @@ def key_of(table: sa.Table) -> sa.Column[Any]:
 def is_id(number: int) -> bool:
     """Return whether a clip or take can have this number; beyond them databases raise errors of their own."""
     return number in range(1, 2**31)
-
-
-def as_message(stored: Any) -> Message:
-    """Read a message from ``to_json()``, or a sentence of an older dousa."""
-    if isinstance(stored, Message):
-        return stored
-    return Message.from_json(stored) if isinstance(stored, dict) else Message("text.verbatim", text=stored)
 
 
 def pack(values: ArrayLike, dtype: str) -> bytes:

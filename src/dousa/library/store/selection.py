@@ -186,7 +186,7 @@ def _read_infos(connection: sa.Connection, *wanted: sa.ColumnElement[bool], limi
         seal.check_all(connection, [columns[column] for column in seal.columns])
     tagged = read_tags(connection, columns[clips.c.id])
     values: dict[str, Iterable[Any]] = {column.name: found for column, found in columns.items()}
-    values["warnings"] = [tuple(map(schema.as_message, own)) for own in columns[clips.c.warnings]]
+    values["warnings"] = [tuple(map(Message.from_json, own)) for own in columns[clips.c.warnings]]
     values["absent"] = [tuple(own.split()) for own in columns[clips.c.absent]]
     values["tags"] = [tagged.get(number, ()) for number in columns[clips.c.id]]
     return list(map(ClipInfo, *(values[name] for name in ClipInfo.__dataclass_fields__)))
@@ -194,33 +194,30 @@ def _read_infos(connection: sa.Connection, *wanted: sa.ColumnElement[bool], limi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownClips:
-    """Clips and takes as read before, by number, with the checksums of their rows to find changes.
-
-    A row without a checksum has None, and is read each time.
-    """
+    """Clips and takes as read before, by number, with the checksums of their rows to find changes."""
 
     clips: Mapping[int, ClipInfo] = field(default_factory=dict)
-    sums: Mapping[int, Sequence[int | None] | None] = field(default_factory=dict)
+    sums: Mapping[int, tuple[Any, ...]] = field(default_factory=dict)
 
 
 def renew_clips(connection: sa.Connection, known: KnownClips) -> KnownClips:
     """Return the current clips and takes; only rows with changed checksums are read."""
     sums = _read_sums(connection)
-    changed = [number for number, own in sums.items() if own is None or known.sums.get(number) != own]
+    changed = [number for number, own in sums.items() if known.sums.get(number) != own]
     fresh = list_clips(connection, None if len(changed) > len(sums) // 2 else changed)
     clips = {**known.clips, **{clip.id: clip for clip in fresh}}
     return KnownClips({number: clips[number] for number in sums if number in clips}, sums)
 
 
-def _read_sums(connection: sa.Connection) -> dict[int, Sequence[int | None] | None]:
-    """Return the checksums of the rows of each ``ClipInfo``, by number; None if a row has none."""
+def _read_sums(connection: sa.Connection) -> dict[int, tuple[Any, ...]]:
+    """Return the checksums of the rows of each ``ClipInfo``, by number."""
     clips = schema.clips.c
     query = sa.select(clips.id, clips.label_checksum, clips.checksum)
-    sums: dict[int, Any] = {row[0]: None if None in row else tuple(row) for row in connection.execute(query)}
+    sums = {row[0]: tuple(row) for row in connection.execute(query)}
     for table in (schema.clip_leaves.c, schema.segments.c, schema.clip_tags.c):
         for number, own in connection.execute(sa.select(table.clip_id, table.checksum)):
-            if (before := sums.get(number)) is not None:
-                sums[number] = None if own is None else (*before, table.checksum.table.name, own)
+            if number in sums:
+                sums[number] = (*sums[number], table.checksum.table.name, own)
     return sums
 
 
@@ -333,7 +330,7 @@ def read_doubts(connection: sa.Connection, clip_id: int) -> tuple[Message, ...]:
     """Return the warnings from reading the file of a clip or take."""
     table = schema.clips.c
     found = connection.execute(sa.select(table.warnings).where(table.id == clip_id)).scalar_one_or_none()
-    return choose_doubts(map(schema.as_message, found or ()))
+    return choose_doubts(map(Message.from_json, found or ()))
 
 
 def choose_doubts(doubts: Iterable[Message]) -> tuple[Message, ...]:

@@ -138,7 +138,7 @@ def _expand(means: FloatArray) -> FloatArray:
 
 
 BLOCK = 64  # frames with one checksum, by definition of the files
-_MAGIC = b"dousa windows 1\n"
+_MAGIC = b"dousa windows 2\n"
 _START = struct.Struct("<16sQQI")  # magic; place, length and checksum of the header at the end
 _BLOCK_BYTES = BLOCK * N_SMALL * 2 + 4  # of float16 and the checksum, by definition of the files
 _MISSING = np.iinfo(np.uint16).max  # the code of leaves without windows
@@ -166,7 +166,7 @@ class Portion:
     table, codes : (L,) leaves in ascending order, and the code of each within its tree.
     n_trees, code_type : of the rows.
     places : first bytes of the sketches of each length, of rows and of poses.
-    sums : checksums of the sketches of each length; empty in a file of an older dousa.
+    sums : checksums of the sketches of each length.
 
     Attributes
     ----------
@@ -187,7 +187,7 @@ class Portion:
     n_trees: int
     code_type: np.dtype[Any]
     places: IntArray
-    sums: tuple[int, ...] = ()
+    sums: tuple[int, ...]
     ends: IntArray = field(init=False, repr=False)
     blocks: IntArray = field(init=False, repr=False)
 
@@ -404,7 +404,7 @@ def read_portion(path: Path) -> Portion | None:
             header["n_trees"],
             np.dtype(header["code_type"]),
             np.array(header["places"], np.int64),
-            tuple(map(int, header.get("sums", ()))),
+            tuple(map(int, header["sums"])),
         )
     except (OSError, ValueError, OverflowError, KeyError, TypeError, struct.error):
         return None
