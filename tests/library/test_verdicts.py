@@ -100,7 +100,7 @@ def test_a_motion_of_no_category_is_unknown(five_categories, tmp_path):
     assert unknown.verdict.confidence < 0.2
     assert unknown.verdict.confidence <= unknown.verdict.known < 0.5
     assert min(answer.verdict.known for answer in answers[3:]) > 0.5
-    assert unknown.verdict.guess == next(iter(unknown.histogram))
+    assert unknown.verdict.guess in unknown.histogram
     assert (unknown.to_json()["category"], unknown.to_json()["guess"]) == (None, unknown.verdict.guess)
     assert "problem" not in unknown.to_json()
     result = five_categories.search(strangers[0], 30, same_category=True)
@@ -183,7 +183,16 @@ def test_classify_mirrored(library, other_hand, moves, tmp_path):
     first, second = library.classify([path, moves / "wave" / "wave_p0.bvh"], mirror=True)
     assert first.mirrored.guess == "wave" and first.mirrored.fits_better_than(first.verdict)
     assert not second.mirrored.fits_better_than(second.verdict)
-    assert library.classify(path)[0].mirrored is None
+    (taken,), (plain,) = library.classify(path), library.classify(path, mirror=False)
+    assert taken.mirrored is None is plain.mirrored
+    assert taken.verdict == first.mirrored and [note.code for note in taken.notes] == ["verdict.taken_mirrored"]
+    assert plain.verdict == first.verdict and not plain.notes
+    assert not library.classify(moves / "wave" / "wave_p0.bvh")[0].notes
+    found = library.search(path, 5, explain=True)
+    assert found.verdict.guess == "wave" == found.verdict.explanation.category and all(
+        h.mirrored for h in found.results
+    )
+    assert found.notes == taken.notes and not any(hit.mirrored for hit in library.search(path, 5, mirror=False).results)
 
 
 def test_reasons_are_given_for_the_category_and_each_hit(library, moves, tmp_path):

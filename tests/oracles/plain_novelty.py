@@ -2,6 +2,10 @@
 
 import math
 
+import numpy as np
+
+from dousa.retrieval.forest.pose_space import fit_pose_basis
+
 
 def votes_for(forest, leaves, category):
     """Share of the trees whose leaf has most clips of a category, the first of equals."""
@@ -65,3 +69,16 @@ def cosine(one, other):
     """Of the angle between two points, seen from the origin."""
     dot = sum(a * b for a, b in zip(one, other, strict=True))
     return dot / math.sqrt(sum(a * a for a in one) * sum(b * b for b in other))
+
+
+def fit_pose_space(features, categories, feature_set=None, others=None):
+    """The space of clips (N, T, F) of categories (N,), beside motions of no category."""
+    parts = [features] if others is None else [features, others]
+    basis = fit_pose_basis(parts, feature_set)
+    return basis.fit(np.concatenate([basis.place(part) for part in parts]), categories)
+
+
+def compare(space, features, categories):
+    """The cosine (N,) of each clip with its category."""
+    cosines = space.compare_all(space.place(features))
+    return cosines[np.arange(len(cosines)), np.searchsorted(space.categories, categories)]

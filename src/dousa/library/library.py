@@ -240,7 +240,7 @@ class Library(LibraryChanges):
         *,
         ranking: str | None = None,
         same_category: bool = False,
-        mirror: bool = False,
+        mirror: bool | None = None,
         explain: bool = False,
         threshold: float | None = None,
         among: Iterable[int] | None = None,
@@ -259,8 +259,9 @@ class Library(LibraryChanges):
         k : how many clips at most.
         ranking : order of the clips, one of ``dousa.retrieval.RANKINGS``: ``"histogram"`` (eq. 8 of Hamada, Kuriyama,
             Mukai), ``"leaves"``, ``"pose"`` or ``"fused"``; None for ``"fused"``.
-        same_category : only clips of the category with the most votes.
-        mirror : search for the mirror image of the query too.
+        same_category : only clips of the category that the query is taken for.
+        mirror : search for the mirror image of the query too; None for the mirror image instead, where the guess for it
+            is clearly likelier (``notes`` say so), unless the query is a clip of the library.
         explain : give the reasons for the predicted category, and for the similarity of each clip.
         threshold : confidence from which the query gets a category; None for the forest's own, 0 for always.
         among : only clips of these numbers, such as those of ``search_text``; None for all.
@@ -414,7 +415,7 @@ class Library(LibraryChanges):
         self,
         paths: Paths,
         *,
-        mirror: bool = False,
+        mirror: bool | None = None,
         explain: bool = False,
         threshold: float | None = None,
         options: ReadOptions | None = None,
@@ -426,7 +427,7 @@ class Library(LibraryChanges):
         Parameters
         ----------
         paths : files, and folders that are searched at any depth.
-        mirror : classify the mirror image of each too.
+        mirror : classify the mirror image of each too; None for what is likelier, as in ``search``.
         explain : give the reasons.
         threshold : as in ``search``.
         options : how to read the files.

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from dousa.retrieval.forest.calibration import Calibration
     from dousa.retrieval.takes.label import Timeline
 
-# Many motions equal their mirror image, which must thus be clearly better: share of the votes, distance ratio, score.
-MIRROR_VOTES, MIRROR_DISTANCE, MIRROR_SCORE = 0.1, 0.95, 0.02
+# Many motions equal their mirror image, which must thus be clearly better: log odds, distance ratio, score.
+MIRROR_ODDS, MIRROR_DISTANCE, MIRROR_SCORE = 1.0, 0.95, 0.02
 
 
 class Answer:
@@ -55,7 +55,7 @@ class Verdict(Answer):
     Parameters
     ----------
     category : the category; None ("unknown") if the guess is more likely wrong than right, or the motion unfamiliar.
-    guess : the category with the most votes, even for an unknown motion.
+    guess : the likeliest category by votes and poses, even for an unknown motion.
     known : probability that the motion is of a category that the forest knows; None if the forest had too few
         categories to learn that.
     confidence : probability that the guess is right, if one motion in eleven is of no known category; None as above.
@@ -63,6 +63,7 @@ class Verdict(Answer):
     explanation : the reasons, if requested.
     perhaps : whether a motion without a category may still be what was guessed: it is less strange to the library than
         nearly all unnamed gestures.
+    odds : log odds of the guess, but for a constant; to compare motions of one library.
     """
 
     category: str | None
@@ -72,17 +73,17 @@ class Verdict(Answer):
     histogram: dict[str, float]
     explanation: Explanation | None = None
     perhaps: bool = False
+    odds: float = 0.0
 
     def fits_better_than(self, other: Verdict) -> bool:
-        """Return whether the forest is clearly surer of this motion than of another."""
-        own, others = ((one.category is not None, one.perhaps) for one in (self, other))
-        if own != others:
-            return own > others
-        return self.histogram[self.guess] > other.histogram[other.guess] + MIRROR_VOTES
+        """Return whether the guess of this motion is clearly likelier than that of another, as of its mirror image."""
+        return self.odds > other.odds + MIRROR_ODDS
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain lists and dictionaries; ``explanation`` only if there is one."""
-        return _without({"category": None, "histogram": None, **Answer.to_json(self)}, "explanation")
+        """Return plain lists and dictionaries; ``explanation`` only if there is one, and no ``odds``."""
+        plain = {"category": None, "histogram": None, **Answer.to_json(self)}
+        del plain["odds"]
+        return _without(plain, "explanation")
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from oracles.plain_novelty import fit_pose_space
 
 from dousa.motion import canonicalise
 from dousa.motion.synthetic import CATEGORIES, draw_performer, make_motion
@@ -9,7 +10,6 @@ from dousa.motion.synthetic.performers import make_gesture
 from dousa.retrieval import FEATURE_SETS, MotionForest
 from dousa.retrieval.forest.calibration import Assessor, learn_calibration
 from dousa.retrieval.forest.evidence import EVIDENCE, describe_strangers
-from dousa.retrieval.forest.pose_space import fit_pose_space
 
 KIND = FEATURE_SETS["extended"]
 

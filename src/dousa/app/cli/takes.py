@@ -16,7 +16,7 @@ import typer
 from dousa.app.cli.library import clip_or_path, open_library, open_to_learn, open_to_read
 from dousa.app.cli.usage import Json, LibraryPath
 from dousa.app.output import print_answer, progress_bar, warn, warn_skipped
-from dousa.app.requests.library import LabelRequest, Mirror
+from dousa.app.requests.library import LabelRequest
 from dousa.app.requests.reading import Reading
 from dousa.app.targets import check_table, check_targets
 from dousa.errors import InvalidMotionError, OptionError
@@ -64,7 +64,7 @@ def find(
         ),
     ] = None,
     k: Annotated[int, typer.Option("-k", min=1, help="Number of hits.")] = 10,
-    mirror: Mirror = False,
+    mirror: Annotated[bool, typer.Option("--mirror", help="Also search for the mirror image of the motion.")] = False,
     exact: Annotated[
         bool, typer.Option("--exact", help="Compare every window, also of more than 10 hours of recordings.")
     ] = False,

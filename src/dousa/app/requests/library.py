@@ -21,7 +21,14 @@ Share = Annotated[
         show_default="0.5",
     ),
 ]
-Mirror = Annotated[bool, typer.Option("--mirror", help="Also search for the mirror image of the motion.")]
+Mirror = Annotated[
+    bool | None,
+    typer.Option(
+        "--mirror/--no-mirror",
+        help="Also search for the mirror image of the motion, or never.",
+        show_default="instead, where clearly likelier",
+    ),
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +90,7 @@ class TrainRequest:
 class ClassifyRequest:
     """How motions are named."""
 
-    mirror: Mirror = False
+    mirror: Mirror = None
     explain: Annotated[bool, typer.Option("--explain", help="Explain the answer in words, with times.")] = False
     threshold: Share = None
 
@@ -110,7 +117,7 @@ class SearchRequest:
 
     k: Annotated[int, typer.Option("-k", "--limit", min=1, help="How many results.")] = 10
     ranking: Annotated[Ranking, typer.Option("--rank", help="Rank by votes, leaves, poses, or all three.")] = "fused"
-    mirror: Mirror = False
+    mirror: Mirror = None
     explain: Annotated[bool, typer.Option("--explain", help="Explain the answer in words, with times.")] = False
     threshold: Share = None
     same_category: Annotated[

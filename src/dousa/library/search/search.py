@@ -23,7 +23,15 @@ from dousa.library.search.ranking import Asked, ask_forest, choose_best, search_
 from dousa.library.search.renewal import load_index
 from dousa.library.store import schema
 from dousa.library.store.engine import Database
-from dousa.library.store.features import StoredMotion, describe_clip, lacks, load_features, load_motions, load_poses
+from dousa.library.store.features import (
+    StoredMotion,
+    describe_clip,
+    find_feature_set,
+    lacks,
+    load_features,
+    load_motions,
+    load_poses,
+)
 from dousa.library.store.forests import ForestCache, StoredForest, TreeAnswers, ask_trees
 from dousa.library.store.ingest import (
     ClipRecord,
@@ -37,6 +45,7 @@ from dousa.library.store.ingest import (
 )
 from dousa.library.store.selection import find_row, read_doubts
 from dousa.messages import Message, Progress
+from dousa.retrieval.forest.evidence import weigh
 
 
 def check_threshold(threshold: float | None) -> None:
@@ -52,28 +61,46 @@ def judge(stored: StoredForest, answers: TreeAnswers, features: FloatArray, thre
     ``threshold`` : probability of being right below which a motion is unknown; None for the calibrated one, 0 for
     never.
     """
-    guesses = answers.predicted()
-    pairs = []
-    for guess, shares in zip(guesses, answers.shares(), strict=True):
-        order = np.argsort(-shares, kind="stable")  # equals keep their order
-        pairs.append((guess, {stored.categories[index]: float(shares[index]) for index in order}))
-    if stored.assessor is None or not guesses:
-        return [Verdict(guess, guess, None, None, histogram) for guess, histogram in pairs]
+    shares = answers.shares()
+    if stored.assessor is None or not len(shares):
+        odds = weigh(shares, None)
+        return [_name(stored, own, int(row.argmax()), float(row.max())) for own, row in zip(shares, odds, strict=True)]
     seen = stored.assessor.assess(answers.leaves, features)
     unknown = seen.unknown if threshold is None else seen.confidence < threshold
-    return [
-        Verdict(
-            None if strange else guess,
-            guess,
-            float(known),
-            float(confidence),
-            histogram,
-            perhaps=bool(strange and possible),
+    verdicts = []
+    for row, strange in enumerate(unknown):
+        verdict = _name(stored, shares[row], int(seen.guess[row]), float(seen.odds[row]))
+        verdicts.append(
+            replace(
+                verdict,
+                category=None if strange else verdict.guess,
+                known=float(seen.known[row]),
+                confidence=float(seen.confidence[row]),
+                perhaps=bool(strange and seen.possible[row]),
+            )
         )
-        for (guess, histogram), known, confidence, strange, possible in zip(
-            pairs, seen.known, seen.confidence, unknown, seen.possible, strict=True
-        )
-    ]
+    return verdicts
+
+
+def _name(stored: StoredForest, shares: FloatArray, guess: int, odds: float) -> Verdict:
+    """Return the verdict on a motion without knowing how far it can be trusted."""
+    order = np.argsort(-shares, kind="stable")  # equals keep their order
+    histogram = {stored.categories[index]: float(shares[index]) for index in order}
+    return Verdict(stored.categories[guess], stored.categories[guess], None, None, histogram, odds=odds)
+
+
+def list_sides(stored: StoredForest, motion: StoredMotion, mirror: bool | None) -> list[StoredMotion]:
+    """List what is asked about: the motion, and its mirror image if wanted, or if there is evidence to choose by."""
+    chooses = stored.assessor is not None and find_feature_set(stored.feature_set).has_banks
+    return [motion, motion.mirror()] if mirror or (mirror is None and chooses) else [motion]
+
+
+def choose_side(verdicts: Sequence[Verdict], mirror: bool | None) -> tuple[slice, tuple[Message, ...]]:
+    """Choose which of the sides of ``list_sides`` are answered about, and what is said of that: one if not asked."""
+    if mirror is not None or len(verdicts) < 2:
+        return slice(None), ()
+    mirrored = verdicts[1].fits_better_than(verdicts[0])
+    return (slice(1, 2), (Message("verdict.taken_mirrored"),)) if mirrored else (slice(0, 1), ())
 
 
 class Explaining:
@@ -85,10 +112,10 @@ class Explaining:
         self._feature_set = stored.feature_set
         self._explainer = Explainer(stored.forest)
 
-    def verdicts(self, verdicts: Sequence[Verdict], motion: StoredMotion) -> list[Verdict]:
-        """Add reasons to the verdict on a motion, and to that on its mirror image if there are two."""
+    def verdicts(self, verdicts: Sequence[Verdict], motions: Sequence[StoredMotion]) -> list[Verdict]:
+        """Add reasons to the verdicts on motions."""
         explained = []
-        for verdict, own in zip(verdicts, (motion, motion.mirror()), strict=False):
+        for verdict, own in zip(verdicts, motions, strict=True):
             features = describe_clip(own, self._feature_set).features
             reasons = self._explainer.explain(features, own.duration, verdict.guess)
             explained.append(replace(verdict, explanation=reasons))
@@ -108,7 +135,7 @@ class Wanted:
     k: int
     ranking: str
     same_category: bool = False
-    mirror: bool = False
+    mirror: bool | None = None
     explain: bool = False
     threshold: float | None = None
     among: frozenset[int] | None = None
@@ -150,7 +177,7 @@ class Searcher:
             whole = motion is None or not lacks(stored.feature_set, " ".join(motion.absent))
             if whole and not index.partial:
                 found = self._search_whole(connection, index, stored, (name, clip_id, motion), wanted)
-                return replace(found, notes=doubts)
+                return replace(found, notes=(*doubts, *found.notes))
         assert motion is not None
         found = self._search_parts(stored, index, (name, motion), wanted, progress)
         return replace(found, notes=(*doubts, *found.notes))
@@ -165,28 +192,29 @@ class Searcher:
     ) -> SearchResult:
         """Search where all bodies have the joints of the forest; ``query`` is its name, number and motion."""
         name, clip_id, motion = query
+        mirror = bool(wanted.mirror) if clip_id is not None else wanted.mirror
+        sides = [] if motion is None else list_sides(stored, motion, mirror)
         if clip_id is None:
-            assert motion is not None
-            asked = [ask_forest(stored, motion)]
+            asked = [ask_forest(stored, sides[0])]
         else:
             features = load_features(connection, stored.feature_set, [clip_id]).features
             poses = self._read_poses(connection, stored.feature_set, [clip_id])[0]
             asked = [Asked(index.answers_of(clip_id), features, poses)]
-        if wanted.mirror:
-            assert motion is not None
-            asked.append(ask_forest(stored, motion.mirror(), mirrored=True))
+        asked += [ask_forest(stored, one, mirrored=True) for one in sides[1:]]
         verdicts = [judge(stored, one.answers, one.features, wanted.threshold)[0] for one in asked]
+        chosen, notes = choose_side(verdicts, mirror)
+        asked, verdicts, sides = asked[chosen], verdicts[chosen], sides[chosen]
         category = verdicts[0].guess if wanted.same_category else None
         read_poses = partial(self._read_poses, connection, stored.feature_set)
         hits, n_alike = search_index(index, asked, wanted.k, wanted.ranking, category, read_poses, wanted.among)
         if wanted.explain:
             assert motion is not None
             explaining = Explaining(stored)
-            verdicts = explaining.verdicts(verdicts, motion)
+            verdicts = explaining.verdicts(verdicts, sides)
             found = load_motions(connection, [hit.clip_id for hit in hits])
             hits = tuple(explaining.hit(hit, motion, other) for hit, other in zip(hits, found, strict=True))
         mirrored = verdicts[1] if wanted.mirror else None
-        return SearchResult(name, verdicts[0], hits, wanted.ranking, mirrored, alike_count=n_alike)
+        return SearchResult(name, verdicts[0], hits, wanted.ranking, mirrored, notes, n_alike)
 
     def _search_parts(
         self,
@@ -209,15 +237,17 @@ class Searcher:
         kept = self._dense
         if kept is None or kept[0] is not index:
             kept = self._dense = index, make_dense(index)
-        motions = (motion, motion.mirror()) if wanted.mirror else (motion,)
+        motions = list_sides(part, motion, wanted.mirror)
         asked = [ask_forest(part, one) for one in motions]
         verdicts = [judge(part, one.answers, one.features, wanted.threshold)[0] for one in asked]
+        chosen, said = choose_side(verdicts, wanted.mirror)
+        motions, verdicts, notes = motions[chosen], verdicts[chosen], [*notes, *said]
         groups, n_left_out = group_clips(self._database, self._parts, (stored, *kept), motion.absent, progress)
         category = verdicts[0].guess if wanted.same_category else None
         ranked = rank_groups(groups, motions, wanted.k, wanted.ranking, category, wanted.among)
         hits = choose_best(ranked, wanted.k)
         if wanted.explain:
-            verdicts = Explaining(part).verdicts(verdicts, motion)
+            verdicts = Explaining(part).verdicts(verdicts, motions)
             explaining = {group.stored.hidden: Explaining(group.stored) for group in groups}
             with self._database.reading() as connection:
                 found = list(load_motions(connection, [hit.clip_id for hit in hits]))
@@ -241,7 +271,7 @@ class Searcher:
         self,
         paths: Sequence[str | os.PathLike[str]],
         *,
-        mirror: bool,
+        mirror: bool | None,
         explain: bool,
         threshold: float | None,
         options: ReadOptions,
@@ -270,15 +300,17 @@ class Searcher:
                     answers.append(Classification(item.path, None, problem=note))
                     continue
                 known = item.description if asked is stored else None
+                sides = list_sides(asked, item.motion, mirror)
                 described = [known or describe_clip(item.motion, asked.feature_set)]
-                if mirror:
-                    described.append(describe_clip(item.motion.mirror(), asked.feature_set))
+                described += [describe_clip(one, asked.feature_set) for one in sides[1:]]
                 features = np.stack([one.features for one in described])
                 verdicts = judge(asked, ask_trees(asked, features), features, threshold)
+                chosen, said = choose_side(verdicts, mirror)
+                verdicts = verdicts[chosen]
                 if explaining is not None:
                     own = explaining.setdefault(asked.feature_set, Explaining(asked))
-                    verdicts = own.verdicts(verdicts, item.motion)
-                notes = [*list_doubts(item), *note_long(item.motion.duration, read_usual)]
+                    verdicts = own.verdicts(verdicts, sides[chosen])
+                notes = [*list_doubts(item), *note_long(item.motion.duration, read_usual), *said]
                 notes += [] if note is None else [note]
                 mirrored = verdicts[1] if mirror else None
                 answers.append(Classification(item.path, verdicts[0], mirrored, None, tuple(notes)))

@@ -28,6 +28,7 @@ from dousa.retrieval.forest.evidence import (
     POSE_COLUMNS,
     VOTE_COLUMNS,
     Judgement,
+    PlacedClips,
     Strangers,
     VoteScale,
     describe_strangers,
@@ -43,9 +44,10 @@ from dousa.retrieval.forest.pose_space import (
     ARRAYS,
     LATER_ARRAYS,
     Curve,
+    PoseBasis,
     PoseSpace,
     compute_auroc,
-    fit_pose_space,
+    fit_pose_basis,
     read_curve,
 )
 from dousa.workers.threads import limit_blas, map_pieces
@@ -243,12 +245,13 @@ class Verdicts:
 
     Parameters
     ----------
-    guess : (N,) number of the judged category: the most voted one, unless another was given.
+    guess : (N,) number of the judged category: the likeliest one, unless another was given.
     known : (N,) probability that the clip belongs to any category of the forest.
     confidence : (N,) probability that the guess is right; at most ``known``.
     unknown : (N,) whether the clip is called unknown.
     possible : (N,) whether the clip may be the guess, even if it is called unknown.
     evidence : (N, 11) columns of ``evidence``.
+    odds : (N,) of ``weigh``, to compare a motion with its mirror image.
     """
 
     guess: IndexArray
@@ -257,6 +260,7 @@ class Verdicts:
     unknown: BoolArray
     possible: BoolArray
     evidence: FloatArray
+    odds: FloatArray
 
 
 class Assessor:
@@ -283,18 +287,21 @@ class Assessor:
         Parameters
         ----------
         leaves : (N, n_trees) of ``apply``.
-        features : (N, T, F) of the same clips; they improve the detection of unknown ones.
-        guess : (N,) category numbers to judge; None for the most voted.
+        features : (N, T, F) of the same clips: their poses count beside the votes.
+        guess : (N,) category numbers to judge; None for the likeliest.
         """
-        guess, scores = self.scale.measure(leaves, guess)
-        calibration, names = self.calibration, self.forest.classes_[guess]
-        seen, has_poses, places = gather_evidence(scores, calibration.poses, features, names)
+        calibration, names = self.calibration, self.forest.classes_
+        clips = None if features is None else PlacedClips.of(calibration.poses, features)
+        cosines = None if clips is None else clips.order(names)
+        guess, scores, odds = self.scale.measure(leaves, guess, cosines)
+        seen, has_poses, places = gather_evidence(scores, calibration.poses, clips, names[guess])
         evidence = relate_to_usual(seen, calibration.usual[places])
         belongs = calibration.known.evaluate(evidence, has_poses)
         known = np.minimum(belongs, calibration.limit(belongs))
         confidence = np.minimum(calibration.sure.evaluate(evidence, has_poses), known)
         unknown = calibration.is_unknown(known, confidence)
-        return Verdicts(guess, known, confidence, unknown, ~unknown | calibration.is_possible(belongs), evidence)
+        possible = ~unknown | calibration.is_possible(belongs)
+        return Verdicts(guess, known, confidence, unknown, possible, evidence, odds)
 
 
 @limit_blas()
@@ -333,7 +340,7 @@ def learn_calibration(
     if len(names) < 3:
         raise TrainingError("calibration.categories", count=len(names))
     people = [None] * len(labels) if performers is None else performers
-    judge = _Judge(forest.get_params(), features, labels, feature_set, copies, watch, describe_strangers(feature_set))
+    judge = _Judge.of(forest.get_params(), features, labels, feature_set, copies, watch)
     rounds = list(_draw_rounds(labels, people, random_state))
     # One worker a round, as small forests are not worth dividing.
     seen = map_pieces(lambda number: judge.hold(number, *rounds[number]), range(len(rounds)), forest.n_jobs, 1)
@@ -364,25 +371,51 @@ class _Round:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Judge:
-    """Holds the rounds: forest parameters, the clips' features and categories, and the feature set."""
+    """Holds the rounds: forest parameters, the clips' features and categories, and the feature set.
+
+    ``placed`` are the clips, their copies, and the motions of no category, along the axes of ``basis``.
+    """
 
     parameters: dict[str, Any]
     features: FloatArray
     labels: NDArray[Any]
     feature_set: FeatureSet | None
-    copies: Copies | None = None
-    watch: Watch | None = None
-    strangers: Strangers | None = None
+    copies: Copies | None
+    watch: Watch | None
+    strangers: Strangers | None
+    basis: PoseBasis
+    placed: tuple[FloatArray, FloatArray, FloatArray]
+
+    @classmethod
+    def of(
+        cls,
+        parameters: dict[str, Any],
+        features: FloatArray,
+        labels: NDArray[Any],
+        feature_set: FeatureSet | None,
+        copies: Copies | None,
+        watch: Watch | None,
+    ) -> _Judge:
+        strangers = describe_strangers(feature_set)
+        parts = [
+            features,
+            features[:0] if copies is None else copies.features,
+            features[:0] if strangers is None else strangers.beside,
+        ]
+        basis = fit_pose_basis(parts, feature_set)
+        first, second, third = map(basis.place, parts)
+        return cls(parameters, features, labels, feature_set, copies, watch, strangers, basis, (first, second, third))
 
     def hold(self, number: int, train: IndexArray, known: IndexArray, unknown: IndexArray) -> _Round:
         """Train on some clips, guess the categories of others, and compare their poses."""
         small, space = self.train(number, train, known, unknown), self.fit_space(train)
         parts, labels, kinds, copied = self._choose(number, known, unknown)
-        scale = VoteScale(small)
-        asked = [scale.measure(small.apply(features)) for features in parts]
-        named = [small.classes_[guess] for guess, _ in asked]
-        seen = zip(asked, parts, named, strict=True)
-        found = [gather_evidence(scores, space, features, guess)[0] for (_, scores), features, guess in seen]
+        scale, found, named = VoteScale(small), [], []
+        for features in parts:
+            clips = PlacedClips.of(space, features)
+            guess, scores, _ = scale.measure(small.apply(features), None, clips.order(small.classes_))
+            named.append(small.classes_[guess])
+            found.append(gather_evidence(scores, space, clips, named[-1])[0])
         names = np.concatenate(named)
         return _Round(np.concatenate(found), names, kinds, copied, (names == labels) & (kinds == _KNOWN))
 
@@ -430,13 +463,13 @@ class _Judge:
 
     def fit_space(self, rows: IndexArray | slice) -> PoseSpace:
         """Fit the space of some clips and their copies, so that noise counts as scatter within a category."""
-        labels, copies = self.labels[rows], None
+        clips, copies, others = self.placed
+        labels = self.labels[rows]
         if self.copies is not None:
             places = rows if isinstance(rows, slice) else self.copies.find(rows)  # a slice moves nothing
-            copies = self.copies.features[places]
+            copies = copies[places]
             labels = np.concatenate([labels, self.labels[self.copies.rows[places]]])
-        others = None if self.strangers is None else self.strangers.beside
-        return fit_pose_space(self.features[rows], labels, self.feature_set, others, copies)
+        return self.basis.fit(np.concatenate([clips[rows], copies, others]), labels)
 
 
 def _summarise(

@@ -59,19 +59,24 @@ class VoteScale:
         self._entries = (trees.leaf_starts, trees.leaf_classes, counts * weight[trees.leaf_classes])
 
     def measure(
-        self, leaves: NDArray[np.integer[Any]], guess: IndexArray | None = None
-    ) -> tuple[IndexArray, FloatArray]:
+        self,
+        leaves: NDArray[np.integer[Any]],
+        guess: IndexArray | None = None,
+        cosines: FloatArray | None = None,
+    ) -> tuple[IndexArray, FloatArray, FloatArray]:
         """Return the guesses and the scores of clips.
 
         Parameters
         ----------
         leaves : (N, n_trees) of ``apply``.
-        guess : (N,) category numbers to score; None for the most voted, the first of equals.
+        guess : (N,) category numbers to score; None for the likeliest, the first of equals.
+        cosines : (N, C) of the poses with each category; None to go by the votes alone.
 
         Returns
         -------
-        guess : (N,) as given, or the most voted.
+        guess : (N,) as given, or the likeliest.
         scores : (N, 3) share of the votes; clips of it in the leaves relative to the usual, at most 2; lead in votes.
+        odds : (N,) of ``weigh`` for the guess.
         """
         trees = self._forest.trees_
         if leaves.ndim != 2 or leaves.shape[1] != len(trees.roots):
@@ -82,12 +87,23 @@ class VoteScale:
         votes = self._forest.histograms_of(wide)
         near = np.zeros_like(votes)
         kernels.count_leaves(wide, *self._entries, near)
-        guess, rows = votes.argmax(axis=1) if guess is None else guess, np.arange(len(votes))
+        odds, rows = weigh(votes, cosines), np.arange(len(votes))
+        guess = odds.argmax(axis=1) if guess is None else guess
         first = votes[rows, guess]
         votes[rows, guess] = -1.0
         second = np.maximum(votes.max(axis=1), 0.0)
         around = np.minimum(near[rows, guess] / wide.shape[1], 2.0)
-        return guess, np.stack([first, around, first - second], axis=1)
+        return guess, np.stack([first, around, first - second], axis=1), odds[rows, guess]
+
+
+_LEAST_SHARE = 0.02  # added to shares of the votes before their logarithm (docs/confidence.md)
+_POSES = 10.0  # logits for a cosine of 1 (docs/retrieval.md)
+
+
+def weigh(votes: FloatArray, cosines: FloatArray | None) -> FloatArray:
+    """Return the log odds (N, C), but for a constant, of the categories by votes and by cosines of the poses."""
+    odds: FloatArray = np.log(votes + _LEAST_SHARE)
+    return odds if cosines is None else odds + _POSES * cosines
 
 
 def learn_usual(
@@ -127,8 +143,33 @@ def relate_to_usual(evidence: FloatArray, usual: FloatArray) -> FloatArray:
     return related
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedClips:
+    """N clips in a space of poses: ``placed`` (N, K), and the cosines (N, C) with its categories."""
+
+    space: PoseSpace
+    placed: FloatArray
+    cosines: FloatArray
+
+    @classmethod
+    def of(cls, space: PoseSpace, features: FloatArray) -> PlacedClips:
+        """Place clips (N, T, F)."""
+        placed = space.place(features)
+        return cls(space, placed, space.compare_all(placed))
+
+    def order(self, names: NDArray[Any]) -> FloatArray | None:
+        """Return the cosines with the categories of a forest (C,), -1 for those that the space lacks.
+
+        None for the features of the paper, in which the trees alone decide.
+        """
+        if not self.space.layout[1]:
+            return None
+        places = np.minimum(np.searchsorted(self.space.categories, names), len(self.space.categories) - 1)
+        return np.where(self.space.categories[places] == names, self.cosines[:, places], -1.0)
+
+
 def gather_evidence(
-    scores: FloatArray, space: PoseSpace, features: FloatArray | None, guess: NDArray[Any], least_share: float = 0.02
+    scores: FloatArray, space: PoseSpace, clips: PlacedClips | None, guess: NDArray[Any]
 ) -> tuple[FloatArray, BoolArray, IndexArray]:
     """Gather evidence on guesses, not yet related to the usual values.
 
@@ -136,9 +177,8 @@ def gather_evidence(
     ----------
     scores : (N, 3) of ``VoteScale.measure``.
     space : of the poses.
-    features : (N, T, F); None to leave out the poses.
+    clips : the N clips in it; None to leave out the poses.
     guess : (N,) categories.
-    least_share : added to shares of the votes before their logarithm.
 
     Returns
     -------
@@ -147,16 +187,14 @@ def gather_evidence(
     places : (N,) of each category in the space.
     """
     share, around, lead = scores.T
-    logs = np.log(share + least_share), np.log((share + least_share) / (share - lead + least_share))
+    logs = np.log(share + _LEAST_SHARE), np.log((share + _LEAST_SHARE) / (share - lead + _LEAST_SHARE))
     evidence = np.zeros((len(scores), len(EVIDENCE)))
     evidence[:, : len(OF_VOTES)] = np.column_stack([share, around, lead, *logs])
     has_poses = np.zeros(len(scores), bool)
     places = np.minimum(np.searchsorted(space.categories, guess), len(space.categories) - 1)
-    if features is not None and len(scores):
+    if clips is not None and len(scores):
         has_poses = space.categories[places] == guess
-        placed = space.place(features)
-        cosines = space.compare_all(placed)
-        rows = np.arange(len(scores))
+        placed, cosines, rows = clips.placed, clips.cosines.copy(), np.arange(len(scores))
         own = cosines[rows, places]
         cosines[rows, places] = -1.0
         evidence[:, EVIDENCE.index("cosine")] = own

@@ -29,7 +29,7 @@ from dousa.retrieval.forest.pose_space import (
     Curve,
     PoseSpace,
     fit_curve,
-    fit_pose_space,
+    fit_pose_basis,
     read_curve,
 )
 
@@ -98,6 +98,9 @@ class Likeness:
         return cls(PoseSpace.from_arrays(arrays, _WHAT), curve, *numbers)
 
 
+_AXES = 60  # each clip's direction is kept in memory (docs/ranking.md)
+
+
 def _shorten(placed: FloatArray) -> FloatArray:
     directions: FloatArray = placed / np.maximum(np.linalg.norm(placed, axis=1, keepdims=True), 1e-9)
     return directions
@@ -143,7 +146,9 @@ class LikenessLearner:
         feature_set: FeatureSet,
     ) -> None:
         self._features, self._labels, self._meanings = features, labels, meanings
-        self._performers, self._feature_set = performers, feature_set
+        self._performers = performers
+        self._basis = fit_pose_basis([features], feature_set, _AXES)
+        self._placed = self._basis.place(features)
         self._has_people = len(np.unique(performers)) > 1
         self._rounds: dict[int, list[tuple[FloatArray, BoolArray, bool]]] = {}
 
@@ -158,7 +163,7 @@ class LikenessLearner:
     ) -> None:
         """Compare ``n_queries`` clips, half of them known, with the training clips of a forest."""
         chance = np.random.default_rng(number)
-        space = fit_pose_space(self._features[train], self._meanings[train], self._feature_set)
+        space = self._basis.fit(self._placed[train], self._meanings[train])
         of_label = dict(zip(self._labels[train].tolist(), self._meanings[train].tolist(), strict=True))
         _, numbers = np.unique([of_label[name] for name in forest.classes_.tolist()], return_inverse=True)
         queries = np.concatenate(
@@ -201,7 +206,7 @@ class LikenessLearner:
         f = measured[:, has, 2].mean(axis=1)
         best = int(np.flatnonzero(f >= f.max() - as_good)[-1])
         precision, recall, _ = measured[best, has].mean(axis=0)
-        space = fit_pose_space(self._features, self._meanings, self._feature_set)
+        space = self._basis.fit(self._placed, self._meanings)
         return Likeness(space, curve, float(limits[best]), float(precision), float(recall))
 
 

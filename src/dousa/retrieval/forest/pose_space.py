@@ -7,6 +7,7 @@ along all (within-class covariance normalisation, from speaker verification: Hat
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -51,21 +52,7 @@ class PoseSpace:
         columns, has_squares = (int(number) for number in self.layout)
         if features.ndim != 3 or features.shape[2] < columns * (1 + has_squares) + has_squares:
             raise InvalidMotionError("forest.pose_space", shape=features.shape)
-        described = _describe([features], self.layout)
-        if described.shape[1] != len(self.middle):
-            raise InvalidMotionError("forest.pose_space", shape=features.shape)
-        described -= self.middle  # in place, to save memory
-        described *= self.scale
-        placed: FloatArray = described @ self.axes
-        return placed
-
-    def compare(self, features: FloatArray, categories: NDArray[Any]) -> FloatArray:
-        """Return the cosine (N,) of the angle between clips and category centres; NaN for an unknown category."""
-        rows = np.minimum(np.searchsorted(self.categories, categories), len(self.categories) - 1)
-        placed, centres = self.place(features), self.sums[rows]
-        lengths = np.linalg.norm(placed, axis=1) * np.linalg.norm(centres, axis=1)
-        cosine = np.einsum("nk,nk->n", placed, centres) / np.maximum(lengths, _TINY)
-        return np.where(self.categories[rows] == categories, np.clip(cosine, -1.0, 1.0), np.nan)
+        return _place(features, self.layout, self.middle, self.scale, self.axes)
 
     def compare_all(self, placed: FloatArray) -> FloatArray:
         """Return the cosines (N, C) of the angles between placed clips (N, K) and all category centres."""
@@ -135,48 +122,81 @@ LATER_ARRAYS: Sequence[str] = ("others",)
 """Arrays that an earlier dousa did not store."""
 
 
-def fit_pose_space(
-    features: FloatArray,
-    categories: NDArray[Any],
-    feature_set: FeatureSet | None = None,
-    others: FloatArray | None = None,
-    copies: FloatArray | None = None,
-    shrinking: float = 0.1,
-) -> PoseSpace:
-    """Fit the space to clips.
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseBasis:
+    """The principal axes of clips, in which spaces of some of them are fitted without describing them again.
 
     Parameters
     ----------
-    features : (N, T, F).
-    categories : (N,) words or whole numbers.
-    feature_set : defines the columns; without one, all are means.
-    others : (M, T, F) motions of no category, which also shape the axes.
-    copies : (K, T, F) more clips, of the last K of N + K ``categories``; of any precision.
-    shrinking : share of the mean scatter that is added along every axis.
+    layout, middle, scale : as in ``PoseSpace``.
+    axes : (D, K) orthonormal, the one of largest variance first.
     """
-    layout = np.array([features.shape[2], 0], np.int64)
+
+    layout: IntArray
+    middle: FloatArray
+    scale: FloatArray
+    axes: FloatArray
+
+    def place(self, features: FloatArray) -> FloatArray:
+        """Place clips (N, T, F) along the axes: (N, K)."""
+        return _place(features, self.layout, self.middle, self.scale, self.axes)
+
+    def fit(self, placed: FloatArray, categories: NDArray[Any], shrinking: float = 0.3) -> PoseSpace:
+        """Fit the space in which clips of one category lie close.
+
+        Parameters
+        ----------
+        placed : (N + M, K) by ``place``: clips, then motions of no category.
+        categories : (N,) of the clips, words or whole numbers.
+        shrinking : share of the mean scatter that is added along every axis (docs/retrieval.md).
+        """
+        mean, count = placed.mean(axis=0), len(categories)
+        placed = placed - mean
+        names, own = np.unique(categories, return_inverse=True)
+        centres = np.stack([placed[:count][own == number].mean(axis=0) for number in range(len(names))])
+        apart = placed[:count] - centres[own]
+        scatter = apart.T @ apart / max(count - len(names), 1)
+        floor = shrinking * np.trace(scatter) / max(len(scatter), 1) + 1e-6 * placed.var() + _TINY
+        turned = np.linalg.cholesky(np.linalg.inv(scatter + floor * np.eye(len(scatter))))
+        placed = placed @ turned
+        beside = placed[count:] / np.maximum(np.linalg.norm(placed[count:], axis=1, keepdims=True), _TINY)
+        middle = self.middle + (self.axes @ mean) / self.scale
+        empty = np.zeros((0, len(turned))), np.zeros(0, np.int64), names[:0]
+        space = PoseSpace(self.layout, middle, self.scale, self.axes @ turned, *empty, beside)
+        return space.with_placed(placed[:count], np.asarray(categories))
+
+
+def fit_pose_basis(parts: Sequence[FloatArray], feature_set: FeatureSet | None = None, most: int = 300) -> PoseBasis:
+    """Find the axes along which clips vary most.
+
+    Parameters
+    ----------
+    parts : (N, T, F) features of clips, each of any precision.
+    feature_set : defines the columns; without one, all are means.
+    most : axes at most (docs/retrieval.md).
+    """
+    layout = np.array([parts[0].shape[2], 0], np.int64)
     if feature_set is not None:
         layout[:] = len(feature_set.channels), feature_set.has_banks
-    described = _describe([some for some in (features, copies, others) if some is not None], layout)
-    count = len(described) - (0 if others is None else len(others))
-    names, own = np.unique(categories, return_inverse=True)
-    middle, spread = described.mean(axis=0), described.var(axis=0)
+    centred = _describe(parts, layout)
+    middle, spread = centred.mean(axis=0), centred.var(axis=0)
     # Half of a column's scale is that of all cells of its channel, so that one that hardly varies does not dominate.
     scale = 1.0 / np.sqrt(spread + _mean_of_channels(spread, layout) + _TINY)
-    centred = described  # in place, to save memory
-    centred -= middle
+    centred -= middle  # in place, to save memory
     centred *= scale
-    axes = _find_axes(centred)
-    placed = centred[:count] @ axes
-    centres = np.stack([placed[own == number].mean(axis=0) for number in range(len(names))])
-    apart = placed - centres[own]
-    scatter = apart.T @ apart / max(len(placed) - len(names), 1)
-    floor = shrinking * np.trace(scatter) / max(len(scatter), 1) + 1e-6 * placed.var() + _TINY
-    axes = axes @ np.linalg.cholesky(np.linalg.inv(scatter + floor * np.eye(len(scatter))))
-    empty = np.zeros((0, axes.shape[1])), np.zeros(0, np.int64), names[:0]
-    placed = centred @ axes
-    beside = placed[count:] / np.maximum(np.linalg.norm(placed[count:], axis=1, keepdims=True), _TINY)
-    return PoseSpace(layout, middle, scale, axes, *empty, beside).with_placed(placed[:count], np.asarray(categories))
+    return PoseBasis(layout, middle, scale, _find_axes(centred, most))
+
+
+def _place(
+    features: FloatArray, layout: IntArray, middle: FloatArray, scale: FloatArray, axes: FloatArray
+) -> FloatArray:
+    described = _describe([features], layout)
+    if described.shape[1] != len(middle):
+        raise InvalidMotionError("forest.pose_space", shape=features.shape)
+    described -= middle  # in place, to save memory
+    described *= scale
+    placed: FloatArray = described @ axes
+    return placed
 
 
 def _describe(parts: Sequence[FloatArray], layout: IntArray, n_cells: int = 5) -> FloatArray:
@@ -196,7 +216,7 @@ def _describe(parts: Sequence[FloatArray], layout: IntArray, n_cells: int = 5) -
             _join_cells(features[:, :, count + 1 : 2 * count + 1], spreads)
             spreads -= means**2
             np.sqrt(np.maximum(spreads, 0.0, out=spreads), out=spreads)
-    return described.reshape(len(described), -1)
+    return described.reshape(len(described), math.prod(described.shape[1:]))
 
 
 def _mean_of_channels(values: FloatArray, layout: IntArray) -> FloatArray:
@@ -205,19 +225,15 @@ def _mean_of_channels(values: FloatArray, layout: IntArray) -> FloatArray:
     return np.broadcast_to(by_cell.mean(axis=1, keepdims=True), by_cell.shape).reshape(-1)
 
 
-def _find_axes(centred: FloatArray, most: int = 60, n_steps: int = 3) -> FloatArray:
-    """Return at most ``most`` axes (D, K) along which (N, D) vary most, by ``n_steps`` of subspace iteration.
-
-    The full decomposition is no more accurate, and takes seconds on a busy machine.
-    """
+def _find_axes(centred: FloatArray, most: int) -> FloatArray:
+    """Return at most ``most`` principal axes (D, K) of (N, D), from the products along the shorter side."""
     width = max(1, min(most, centred.shape[1], len(centred) - 1))
-    axes = np.random.default_rng(0).normal(size=(centred.shape[1], width))
-    for _ in range(n_steps):
-        axes = centred.T @ (centred @ axes)
-        overlap = axes.T @ axes
-        root = np.linalg.cholesky(overlap + (1e-12 * np.trace(overlap) + _TINY**2) * np.eye(width))
-        axes = axes @ np.linalg.inv(root).T
-    return axes
+    wide = len(centred) <= centred.shape[1]
+    sizes, axes = np.linalg.eigh(centred @ centred.T if wide else centred.T @ centred)
+    axes, sizes = axes[:, : -width - 1 : -1], sizes[: -width - 1 : -1]
+    if wide:
+        axes = centred.T @ (axes / np.sqrt(np.maximum(sizes, 1e-12 * sizes[0] + _TINY)))
+    return np.ascontiguousarray(axes)
 
 
 def _join_cells(cells: FloatArray, joined: FloatArray) -> None:

@@ -99,7 +99,7 @@ def _find_places(studio: Studio, wanted: SearchRequest) -> list[dict[str, Any]]:
     if not stored.stats().n_takes:
         return []
     try:
-        found = stored.find(studio.motions.query(wanted.query), k=20, mirror=wanted.mirror)
+        found = stored.find(studio.motions.query(wanted.query), k=20, mirror=bool(wanted.mirror))
     except InvalidMotionError:
         return []
     return [{**place.to_json(), "motion": str(Address(clip=place.clip_id))} for place in found.results]

@@ -75,7 +75,7 @@ export function queryOf({ motion, start_s, end_s, unit, up }) {
 }
 
 export function askOf(state) {
-  const asked = { query: queryOf(state), k: state.k ?? 12, mirror: state.mirror, same_category: state.same_category };
+  const asked = { query: queryOf(state), k: state.k ?? 12, mirror: state.mirror || null, same_category: state.same_category };
   if (state.ranking) asked.ranking = state.ranking;
   if (state.threshold !== null) asked.threshold = state.threshold;
   return asked;
