@@ -62,20 +62,17 @@ Watch = Callable[[int, MotionForest, IndexArray, IndexArray, IndexArray], None]
 """Called with each round: its number, its forest, and its training, known and unknown clips."""
 
 # Curves that a motion is known, and that its guess is right: by the votes; by the poses with made-up gestures; by the
-# poses without these. Fitted to libraries of HDM05, UTD-MHAD, Bandai and UTKinect, each with one person left out, on
-# their rounds, and on all clips of the other three sets, at half the weight of the strangers of the rounds (without
-# gestures, on the clips of the other sets that have other meanings). With any one of the four left out of the fit, the
-# curves are nearly as good on it (docs/confidence.md).
+# poses without these. Fitted by lab/training/calibration_priors.py.
 _PRIORS = (
     (
-        Curve(2.21, (3.08, 2.2, 0.0)),
-        Curve(2.29, (0.51, 0.13, 0.23, 2.82, 0.0, 1.37, 2.5)),
-        Curve(2.93, (1.56, 1.2, 0.0, 5.27, 0.0, 0.3)),
+        Curve(1.45, (2.65, 0.89, 0.51)),
+        Curve(1.3, (0.59, 0.26, 0.52, 1.36, 0.17, 0.67, 4.29)),
+        Curve(2.75, (0.93, 0.24, 0.52, 5.16, 0.32, 0.01)),
     ),
     (
-        Curve(0.67, (3.49, 1.94, 0.74)),
-        Curve(0.95, (0.7, 0.0, 0.75, 3.19, 2.69, 2.19, 1.68)),
-        Curve(2.06, (1.16, 0.7, 0.4, 5.03, 1.49, 2.27)),
+        Curve(1.03, (2.82, 1.17, 0.66)),
+        Curve(0.69, (0.59, 0.57, 0.59, 2.54, 3.58, 0.2, 2.76)),
+        Curve(1.65, (0.87, 0.47, 0.63, 4.71, 3.51, 0.0)),
     ),
 )
 

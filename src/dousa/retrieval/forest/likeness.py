@@ -98,7 +98,7 @@ class Likeness:
         return cls(PoseSpace.from_arrays(arrays, _WHAT), curve, *numbers)
 
 
-_AXES = 60  # each clip's direction is kept in memory (docs/ranking.md)
+_AXES, _SHRINKING = 60, 0.1  # each clip's direction is kept in memory (docs/ranking.md)
 
 
 def _shorten(placed: FloatArray) -> FloatArray:
@@ -147,7 +147,7 @@ class LikenessLearner:
     ) -> None:
         self._features, self._labels, self._meanings = features, labels, meanings
         self._performers = performers
-        self._basis = fit_pose_basis([features], feature_set, _AXES)
+        self._basis = fit_pose_basis([features], feature_set)
         self._placed = self._basis.place(features)
         self._has_people = len(np.unique(performers)) > 1
         self._rounds: dict[int, list[tuple[FloatArray, BoolArray, bool]]] = {}
@@ -163,7 +163,7 @@ class LikenessLearner:
     ) -> None:
         """Compare ``n_queries`` clips, half of them known, with the training clips of a forest."""
         chance = np.random.default_rng(number)
-        space = self._basis.fit(self._placed[train], self._meanings[train])
+        space = self._basis.fit(self._placed[train], self._meanings[train], _AXES, _SHRINKING)
         of_label = dict(zip(self._labels[train].tolist(), self._meanings[train].tolist(), strict=True))
         _, numbers = np.unique([of_label[name] for name in forest.classes_.tolist()], return_inverse=True)
         queries = np.concatenate(
@@ -206,7 +206,7 @@ class LikenessLearner:
         f = measured[:, has, 2].mean(axis=1)
         best = int(np.flatnonzero(f >= f.max() - as_good)[-1])
         precision, recall, _ = measured[best, has].mean(axis=0)
-        space = self._basis.fit(self._placed, self._meanings)
+        space = self._basis.fit(self._placed, self._meanings, _AXES, _SHRINKING)
         return Likeness(space, curve, float(limits[best]), float(precision), float(recall))
 
 

@@ -141,17 +141,21 @@ class PoseBasis:
         """Place clips (N, T, F) along the axes: (N, K)."""
         return _place(features, self.layout, self.middle, self.scale, self.axes)
 
-    def fit(self, placed: FloatArray, categories: NDArray[Any], shrinking: float = 0.3) -> PoseSpace:
+    def fit(self, placed: FloatArray, categories: NDArray[Any], most: int = 150, shrinking: float = 0.3) -> PoseSpace:
         """Fit the space in which clips of one category lie close.
+
+        Its axes are principal ones of these clips alone: along others, what they never do would look familiar.
 
         Parameters
         ----------
         placed : (N + M, K) by ``place``: clips, then motions of no category.
         categories : (N,) of the clips, words or whole numbers.
+        most : axes at most (docs/retrieval.md).
         shrinking : share of the mean scatter that is added along every axis (docs/retrieval.md).
         """
         mean, count = placed.mean(axis=0), len(categories)
-        placed = placed - mean
+        own_axes = _find_axes(placed - mean, most)
+        axes, placed = self.axes @ own_axes, (placed - mean) @ own_axes
         names, own = np.unique(categories, return_inverse=True)
         centres = np.stack([placed[:count][own == number].mean(axis=0) for number in range(len(names))])
         apart = placed[:count] - centres[own]
@@ -162,7 +166,7 @@ class PoseBasis:
         beside = placed[count:] / np.maximum(np.linalg.norm(placed[count:], axis=1, keepdims=True), _TINY)
         middle = self.middle + (self.axes @ mean) / self.scale
         empty = np.zeros((0, len(turned))), np.zeros(0, np.int64), names[:0]
-        space = PoseSpace(self.layout, middle, self.scale, self.axes @ turned, *empty, beside)
+        space = PoseSpace(self.layout, middle, self.scale, axes @ turned, *empty, beside)
         return space.with_placed(placed[:count], np.asarray(categories))
 
 
