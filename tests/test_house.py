@@ -18,22 +18,22 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_826, 111),
+    "app": (25_833, 111),
     "estimation": (15_774, 65),
     "evaluation": (11_968, 46),
     "experiments": (1_728, 10),
     "files": (1_112, 8),
     "formats": (13_043, 70),
-    "library": (15_809, 57),
+    "library": (15_843, 57),
     "messages": (235, 3),
     "motion": (6_477, 34),
-    "retrieval": (13_396, 46),
+    "retrieval": (13_489, 46),
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 61_930,
+    "lines of tests": 61_962,
     "lines of JavaScript": 12_473,
-    "constants": 1_040,
+    "constants": 1_042,
     "numeric constants without a source": 0,
     "functions over 60 lines": 13,
     "files over 650 lines": 0,

@@ -138,7 +138,7 @@ BENCHMARKS = {
     "benchmarks.library_add": "../shared/data/bandai/run --jobs 1 --repeats 1 --files 1",
     "benchmarks.ranking": "--queries 1 --repeats 1",
     "benchmarks.reading": "../shared/data --repeats 1",
-    "trials.recognition": "",
+    "trials.recognition": "--only CMU --repeats 1",
     "trials.foreign_rigs": "--bodies 3",
     "trials.retargeting": "--pairs 2",  # a page only draws
     "reliability.many_writers": "--clips 60 --files 1 --trees 3",
@@ -154,7 +154,7 @@ BENCHMARKS = {
     "benchmarks.weigh_install": "--help",  # it needs the package index
     # These take minutes to an hour; two of them write what the package ships.
     **dict.fromkeys(("training.calibrate_grade", "exams.evaluation", "exams.film", "training.train_judge"), "--help"),
-    **dict.fromkeys(("exams.retrieval", "exams.sides"), "--help"),
+    **dict.fromkeys(("exams.retrieval", "exams.sides", "training.calibration_priors"), "--help"),
 }
 
 

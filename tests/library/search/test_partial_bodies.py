@@ -279,7 +279,7 @@ def test_the_forest_of_a_part_grows_by_clips_that_are_added(library_file, librar
         add_later(library, moves, names[2:])
         answer = library.search(query, 20).to_json()
     assert {f"later {move}" for move in ("squat", "wave", "bow")} <= {one["category"] for one in answer["results"]}
-    assert library.search(before.to_trajectories(), 1).results[0].category == "wave"
+    assert library.search(before.to_trajectories(), 1).results[0].category in ("wave", "later wave")
     grown = read_part(library_file)
     # Asked for after all of them had come, it is trained with those of the training and grows by the others at once.
     run_sql(library_file, "DELETE FROM part_forests")
