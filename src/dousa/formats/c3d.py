@@ -17,6 +17,7 @@ view; the tests compare with ezc3d, value by value.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 import struct
@@ -110,10 +111,10 @@ class Sections:
         if key not in self.parameters:
             return None
         parameter = self._checked(key)
-        values = Parameter(
-            parameter.item_size, (), (parameter.data or b"")[: max(1, parameter.item_size)], self.processor
-        )
-        return next(iter(values.numbers().tolist()), None)
+        data = (parameter.data or b"")[: max(1, parameter.item_size)]
+        if parameter.item_size == 4 and len(data) == 4 and self.processor != _DEC:
+            return float(struct.unpack(">f" if self.big_endian else "<f", data)[0])
+        return next(iter(dataclasses.replace(parameter, data=data).numbers().tolist()), None)
 
     def numbers(self, key: str) -> FloatArray:
         """Return all values of a numeric parameter."""

@@ -100,8 +100,8 @@ def thin(array: ArrayLike, n: int) -> NDArray[Any]:
         raise OptionError("resampling.count", count=n)
     if frames.ndim == 0 or len(frames) == 0:
         raise InvalidMotionError("resampling.no_frames")
-    places = np.linspace(0, len(frames) - 1, n)
-    chosen: NDArray[Any] = frames[np.floor(places + 0.5).astype(np.intp)]
+    places = np.arange(n) * ((len(frames) - 1) / max(n - 1, 1)) + 0.5
+    chosen: NDArray[Any] = frames[places.astype(np.intp)]
     return chosen
 
 

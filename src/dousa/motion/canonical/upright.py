@@ -182,13 +182,14 @@ def weigh_axes(
     lowest, highest = np.fmin.reduce(places), np.fmax.reduce(places)
     seen: BoolArray = np.any(~np.isnan(places), axis=2)
     feet, knees, tops = (np.any(seen[rows], axis=0).tolist() for rows in (_LEGS, _LEGS[:4], _TOPS))
-    is_aligned = len(body) > 0 and float(np.abs(body.mean(axis=0)).max()) > aligned
+    mean = body.mean(axis=0) if len(body) else np.zeros(3)
+    is_aligned = float(np.abs(mean).max()) > aligned
     # Mean cosine between the body and the axis, and the logarithm of how often files are like that.
     cosines, odds = [-1.0, -0.3, 0.0, 0.3, 0.6, 0.8, 1.0], [-8.0, -6.0, -3.5, -2.5, -1.0, -0.1, 0.0]
     for axis, vector in _VECTORS.items():
         score = _prior(axis, habit, declared, bare=rest is None)
         if len(body):
-            posture = float((body @ vector).mean())
+            posture = float(mean @ vector)
             postures[axis] = posture
             score += trust * float(np.interp(posture, cosines, odds))
             column = "xyz".index(axis[-1])
@@ -206,7 +207,7 @@ def weigh_axes(
             score += 3.0 * float(-fall @ vector)
         scores[axis] = score
     best, second = sorted(AXES, key=lambda axis: -scores[axis])[:2]
-    tumbles = len(body) > 0 and float(np.linalg.norm(body.mean(axis=0))) < tumbling
+    tumbles = len(body) > 0 and float(np.linalg.norm(mean)) < tumbling
     if tumbles and fall is None:  # over its head and back: the up axis is one that it turns away from and back to
         spread = body.var(axis=0)
         order = ("z", "y") if spread[2] > spread[1] else ("y", "z")
@@ -333,8 +334,8 @@ def find_fall(
     if not there.any() or frame_rate < 25 or len(points) < 2 * n:
         return None
     path = points[:, there].mean(axis=1) * unit
-    windows = np.lib.stride_tricks.sliding_window_view(path, n, axis=0)
-    acceleration = windows @ _fit_parabola(n, frame_rate)
+    weights = _fit_parabola(n, frame_rate)
+    acceleration = np.stack([np.correlate(column, weights, "valid") for column in path.T], axis=1)
     size = np.linalg.norm(acceleration, axis=1)
     falling = np.abs(size / gravity - 1) < tolerance
     # A run of windows in the air, not one moment of a landing.
