@@ -23,10 +23,10 @@ ROOMS = {
     "evaluation": (11_968, 46),
     "experiments": (1_728, 10),
     "files": (1_112, 8),
-    "formats": (13_043, 70),
+    "formats": (13_044, 70),
     "library": (15_843, 57),
     "messages": (235, 3),
-    "motion": (6_477, 34),
+    "motion": (6_478, 34),
     "retrieval": (13_489, 46),
     "workers": (478, 6),
 }
