@@ -18,7 +18,7 @@ judged = assess(takes, pupil)
 print(f"grade {judged.score:.0f} of 100; errors, worst first:")
 for event in sorted(judged.events, key=lambda event: -event.severity):
     where = ", ".join(event.segments) if len(event.segments) < 9 else "whole body"
-    print(f"{event.start_s:5.1f} s  {event.kind:10}  {event.severity:.1f} times the limit  {where}")
+    print(f"{event.start_s:5.1f} s  {event.kind:10}  severity {event.severity:.1f}  {where}")
 
 figure, axes = plt.subplots(figsize=(9, 3.6), layout="constrained")
 axes.plot(judged.times, judged.d_space, color="#0072b2", label="distance from the teacher's eigenspace, d#")

@@ -87,7 +87,7 @@ def test_options_reach_the_assessment(succeed, takes, asked, tmp_path):
     options = asked.assess[0][2]
     assert (options["side"], options["tempo"]) == ("mirrored", "free")
     assert options["weights"]["left_forearm"] == 2.0 and options["weights"]["trunk"] == 1.0
-    for word in ("評価 71", "全体振りミス", "左腕：24度足りません", "時刻", "未校正", "64～77", "順序: 抜け"):
+    for word in ("評価点 71", "全体振りミス", "左腕：24度足りません", "時刻", "未校正", "64～77", "順序: 抜け"):
         assert word in out
     assert asked.report[0][1] == "ja" and (tmp_path / "out/report.html").read_text() == "ja"
 

@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 
 import pytest
 from rich.console import Console
@@ -108,6 +109,25 @@ def show(flags, count, language="en"):
     finally:
         use_language("en")
     return out.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("detail", "headings"),
+    [
+        (False, ["rank", "category", "likeness", "file"]),
+        (True, ["rank", "category", "likeness", "votes apart", "same for trees", "poses apart", "file"]),
+    ],
+)
+def test_the_likeness_falls_with_the_rank_and_the_rest_is_detail(detail, headings):
+    """Also where the order goes by what was learned: the third is nearer than the second, but not alike."""
+    far = (0.0, 0.7, 0.2, None)
+    hits = tuple(Hit(f"/{k}.bvh", "kick", 0.1, k + 1, k, 0.5, rank_distance=one) for k, one in enumerate(far))
+    answer = SearchResult("q", Verdict("kick", "kick", 0.9, 0.9, {"kick": 1.0}), hits, "fused")
+    out = io.StringIO()
+    print_search(Console(file=out, width=200), answer, detail=detail)
+    _, head, *rows = out.getvalue().splitlines()
+    assert re.split(r" {2,}", head.strip()) == headings
+    assert [row.split()[2] for row in rows] == ["100%", "50%", "50%", "-"]
 
 
 def test_a_line_stands_where_likeness_ends():

@@ -77,8 +77,8 @@ def test_events_say_the_number_that_belongs_to_them() -> None:
     assert str(short.says) == "1:12.0, right arm: 24 deg short, reaches 62 % of the range"
     assert str(short.message) == "right arm: 24 deg short, reaches 62 % of the range"
     late = make_event("shift", 31, ALL, lag_ms=180, furi=2)
-    assert str(late.says) == "0:31.0, whole body: 180 ms late (furi 3)"
-    assert str(late.says_in_furi) == "whole body: 180 ms late (furi 3)"
+    assert str(late.says) == "0:31.0, whole body: 180 ms late (figure 3)"
+    assert str(late.says_in_furi) == "whole body: 180 ms late (figure 3)"
     assert str(make_event("shift", 31, ARM, lag_ms=-90).says) == "0:31.0, right arm: 90 ms early"
     partial = make_event("partial", 12, ("left_forearm", "left_upper_arm"))
     assert str(partial.says) == "0:12.0, left arm: a different movement from the reference's"
@@ -109,7 +109,7 @@ def test_lapses(language: str, kind: str) -> None:
 
 def test_headings() -> None:
     assert str(describe_heading(math.radians(25))) == "turned 25 deg to the left"
-    assert describe_heading(math.radians(-25)).render("ja") == "右に25度向いている"
+    assert describe_heading(math.radians(-25)).render("ja") == "右に25度向いています"
     assert str(describe_heading(math.radians(350))) == "turned 10 deg to the right"
     assert str(describe_heading(0.0)) == "faces the same way as the reference"
     assert str(describe_heading(math.nan)) == "heading unknown"

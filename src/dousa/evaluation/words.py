@@ -315,11 +315,11 @@ def round_degrees(degrees: float) -> int:
     return max(round(degrees / 5.0), 1) * 5
 
 
-def format_moment(seconds: float) -> str:
-    """Format a moment as the counter of a player: ``m:ss``."""
-    if not math.isfinite(seconds):
-        return "–"
-    whole = max(int(seconds), 0)
+def format_moment(seconds: float, tenths_s: float = 10.0) -> str:
+    """Format a moment as the counter of a player, ``m:ss``; in the first ten seconds with its tenth."""
+    if not math.isfinite(seconds) or seconds < tenths_s:
+        return format_time(max(seconds, 0.0))
+    whole = int(seconds)
     return f"{whole // 60}:{whole % 60:02d}"
 
 

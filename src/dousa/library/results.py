@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -154,6 +155,16 @@ class SearchResult:
     mirrored: Verdict | None = None
     notes: tuple[Message, ...] = ()
     alike_count: int | None = None
+
+    @property
+    def likenesses(self) -> tuple[float | None, ...]:
+        """Likeness of the results, 1 to 0: exp(-``rank_distance``), and never more than of the one before."""
+        found: list[float | None] = []
+        most = 1.0
+        for hit in self.results:
+            most = most if hit.rank_distance is None else min(most, math.exp(-hit.rank_distance))
+            found.append(None if hit.rank_distance is None else most)
+        return tuple(found)
 
     @property
     def category(self) -> str | None:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -88,7 +89,9 @@ def judged(theirs: np.ndarray, ours: np.ndarray, *events: ErrorEvent, **changes)
 
 
 def say(theirs: np.ndarray, ours: np.ndarray, *events: ErrorEvent, language: str = "en", **changes) -> list[str]:
-    return [one.message.render(language) for one in advise(judged(theirs, ours, *events, **changes))]
+    """What is said, with moments in whole seconds."""
+    said = (one.message.render(language) for one in advise(judged(theirs, ours, *events, **changes)))
+    return [re.sub(r"(\d:\d\d)\.\d", r"\1", one) for one in said]
 
 
 @pytest.mark.parametrize("heading", [0.0, 90.0, -135.0, 180.0])
@@ -201,9 +204,9 @@ def test_no_direction_where_none_dominates():
         ours[[frame]] = rotate(ours[[frame]], "left_shoulder", axis / np.linalg.norm(axis), 60.0)
     (found,) = advise(judged(theirs, ours, event(segments=ARMS["left"])))
     assert found.direction is None and found.amount_deg is None
-    assert str(found.message) == "at 0:03, the left arm did something else: watch the reference there"
+    assert str(found.message) == "at 0:03.8, the left arm did something else: watch the reference there"
     (found,) = advise(judged(theirs, ours, event("incomplete", ARMS["left"], shortfall_deg=24.0)))
-    assert str(found.message) == "make the movement of the left arm 25 deg larger at 0:03"
+    assert str(found.message) == "make the movement of the left arm 25 deg larger at 0:03.8"
 
 
 @pytest.mark.parametrize(
@@ -254,7 +257,7 @@ def test_an_even_tempo_of_ones_own_is_told_first():
     slow = {"warnings": (Message("assessment.tempo", tempo=1.1),)}
     late = event("shift", SEGMENTS, lag_ms=400.0, severity=9.0)
     assert say(stand(), stand(), late, **slow) == [
-        "you danced 10 % slower than the reference throughout: keep its tempo first"
+        "you moved 10 % slower than the reference throughout: keep its tempo first"
     ]
     assert len(advise(judged(stand(), stand(), late, **slow), "full")) == 2
 
@@ -286,7 +289,7 @@ def test_a_fault_that_returns_is_said_once():
     found = say(stand(), ours, *events, furi=figures("A", "B", "C", "A"))
     assert found == ["raise the left arm 25 deg higher in figures 1 and 3, first at 0:01"]
     (once,) = advise(judged(stand(), ours, *(dataclasses.replace(one, furi=None) for one in events)))
-    assert len(once.times) == 2 and str(once.message) == "raise the left arm 25 deg higher at 0:01 and 0:05"
+    assert len(once.times) == 2 and str(once.message) == "raise the left arm 25 deg higher at 0:01.8 and 0:05.8"
     full = advise(judged(stand(), ours, *events, furi=figures("A", "B", "C", "A")), "full")
     assert [one.event for one in full] == [0, 1, None]
     assert str(full[-1].message) == "figures 2 and 4 went well"
@@ -315,10 +318,10 @@ def test_the_figure_that_was_danced_instead_is_named():
     ours[30:75] = face(dance()[150:195], 33.0)
     one = event("global", start=1.0, furi=0)
     found = say(theirs, ours, dataclasses.replace(one, end_s=2.5), furi=figures("A", "B"))
-    assert found == ["at 0:01 comes figure 1, but what you danced looks like figure 2"]
+    assert found == ["at 0:01 comes figure 1, but what you did looks like figure 2"]
     ours[30:75] = rotate(rotate(stand(), "trunk", LEFT, 80.0), "right_hip", LEFT, -70.0)[30:75]
     found = say(theirs, ours, dataclasses.replace(one, end_s=2.5), furi=figures("A", "B"))
-    assert found == ["at 0:01 comes figure 1, but you danced something else"]
+    assert found == ["at 0:01 comes figure 1, but you did something else"]
 
 
 def test_the_time_of_a_wrong_figure_is_inside_of_it():
@@ -336,7 +339,7 @@ def test_a_turned_dancer_should_turn_back():
     facing = np.zeros(round(SECONDS * RATE))
     facing[90:150] = math.radians(60.0)  # to the own left
     full = advise(judged(stand(), stand(), facing=facing), "full")
-    assert str(full[0].message) == "turn 60 deg further to your right at 0:04"
+    assert str(full[0].message) == "turn 60 deg further to your right at 0:04.0"
     assert full[0].event is None and full[0].about == "facing"
 
 

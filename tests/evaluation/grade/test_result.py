@@ -71,9 +71,9 @@ def test_the_keys_that_are_promised(assessment):
     assert list(short)[:9] == kept.split()
     assert (short["shortfall_deg"], short["shortfall_percent"], short["lag_ms"]) == (24.0, 38.4, None)
     assert late["lag_ms"] == 180.0 and late["shortfall_percent"] is None and late["segments"] == list(SEGMENTS)
-    assert short["says"] == "0:00.2, right forearm: 24 deg short, reaches 62 % of the range (furi 1)"
+    assert short["says"] == "0:00.2, right forearm: 24 deg short, reaches 62 % of the range (figure 1)"
     assert late["says"] == "0:00.6, whole body: 180 ms late"
-    assert answer["lapses"][0]["says"] == "0:01.0, ends early: the last 0.1 s of the reference are not danced"
+    assert answer["lapses"][0]["says"] == "0:01.0, ends early: the last 0.1 s of the reference are missing"
     japanese = assessment.to_json("ja")["events"][1]
     assert (japanese["kind"], japanese["says"]) == ("shift", "0:00.6 全身：180ミリ秒遅れています")
     assert answer["facing_deg"] == {"median": pytest.approx(7.9, abs=0.5), "max": 20.0}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -218,7 +219,7 @@ def _check_labels(paths: list[Path], rule: str, tier: str | None) -> None:
 
 
 def train(context: typer.Context, library: LibraryPath, *, request: TrainRequest, json: Json = False) -> None:
-    """Train a forest on the categories of a library; clips get their histograms, takes their features.
+    """Train a forest on the categories of a library; votes of clips and features of takes are stored.
 
     Example: dousa train moves.dousa
     """
@@ -260,6 +261,7 @@ def search(
     picture: Annotated[
         Path | None, typer.Option("--picture", help="Draw query and results: .png, .svg or .pdf.")
     ] = None,
+    detail: Annotated[bool, typer.Option("--detail", help="Also print what the likeness is made of.")] = False,
     *,
     request: SearchRequest,
     where: Labels,
@@ -268,8 +270,8 @@ def search(
 ) -> None:
     """Find the clips most similar to a motion, and classify it; or with --text those that words describe.
 
-    Clips are put in order by the distance of the forest's votes, by the share of trees that lead query and clip to the
-    same leaf, and by the distance of their poses aligned in time. Words are looked for in categories, in names and in
+    Clips are put in order by the distance of the forest's votes, by the share of its trees that see no difference, and
+    by the distance of their poses aligned in time. Words are looked for in categories, in names and in
     what the motions do ("both hands above the head"): by meaning, misspelt or not.
 
     Example: dousa search moves.dousa kick.bvh -k 5
@@ -294,7 +296,7 @@ def search(
             from dousa.app.pictures.sheets import draw_search_result
 
             draw_search_result(opened, wanted, result, picture, options)
-    print_answer(result, print_search, json=json)
+    print_answer(result, functools.partial(print_search, detail=detail), json=json)
 
 
 def _search_text(library: str, text: str | None, k: int, where: Labels, json: bool) -> None:

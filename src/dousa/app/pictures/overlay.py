@@ -238,7 +238,7 @@ def _frame_in_alarm(canvas: Image, cell: _Cell) -> None:
 def _write_caption(canvas: Image, cell: _Cell, name: str, overlap: float | None, lost: bool) -> None:
     base = cell.top - 9
     known = overlap is not None and np.isfinite(overlap)
-    said = f"IoU {overlap:.2f}" if known else "no image" if overlap is None else "IoU -"
+    said = f"overlap {overlap:.2f}" if known else "no image" if overlap is None else "overlap -"
     right = cell.left + cell.width - measure_text(said, 16, bold=True) - 6
     write_text(canvas, said, (right, base), DARK if known else HALF_DARK, 16, bold=True)
     if lost:

@@ -112,7 +112,7 @@ class Timeline:
             row = float(self._row(np.array(overlap)))
             draw_lines(self._base, [np.array([[ends[0], row], [ends[1], row]])], PALE)
             write_text(self._base, f"{overlap:g}", (_LEFT_MARGIN - 26, int(row) + 5), HALF_DARK, 12)
-        write_text(self._base, "IoU", (6, self._height // 2 + 5), DARK, 14)
+        write_text(self._base, "overlap", (6, int(self._row(np.array(0.75))) + 5), DARK, 14)
 
     def _draw_curve(self, overlap: FloatArray) -> None:
         """The least value where several frames share a column, so that no short failure vanishes."""
@@ -303,7 +303,7 @@ class _Sheet:
                 left = _MARGIN + _VIEW_LABEL + column * (cell + _GAP)
                 self._show(picture, left, top, cell, height, bool(self._estimate.lost[self._frames[column]]))
                 overlap = self._estimate.iou[self._frames[column], view]
-                text = "no image" if not self._present[column][view] else f"IoU {overlap:.2f}"
+                text = "no image" if not self._present[column][view] else f"overlap {overlap:.2f}"
                 write(self._figure, *self._at(left, top + height + 0.15), text, 8, color=GREY)
             top += height + _GAP + 0.2
         self._draw_curves(top + 0.2)
@@ -325,7 +325,7 @@ class _Sheet:
         summary = (
             f"{count_noun(estimate.n_frames, 'frame')}, {estimate.n_frames / estimate.frame_rate:.1f} s, "
             f"{count_noun(len(self._names), 'view')}"
-            f"      mean IoU {mean}      lost frames: {lost if lost else 'none'}"
+            f"      mean overlap {mean}      lost frames: {lost if lost else 'none'}"
         )
         write(self._figure, *self._at(_MARGIN, 0.28), title or "Model over silhouettes", 13, weight="bold")
         write(self._figure, *self._at(_MARGIN, 0.52), summary, 10, color=_ALARM if lost else INK)
@@ -389,7 +389,7 @@ class _Sheet:
             text, height = ("worst  ", "right") if late else ("  worst", "left")
             write(axes, place[0], place[1] + (0.08 if above else -0.16), text, 9, ha=height, weight="bold")
         end = max(float(seconds[-1]), 1e-3)
-        axes.set(ylim=(0, 1), xlim=(-0.005 * end, 1.005 * end), yticks=[0, 0.5, 1], ylabel="IoU")
+        axes.set(ylim=(0, 1), xlim=(-0.005 * end, 1.005 * end), yticks=[0, 0.5, 1], ylabel="overlap")
         axes.set_xlabel("seconds", loc="right", fontsize=9)
         axes.tick_params(labelsize=8)
         axes.spines[["top", "right"]].set_visible(False)

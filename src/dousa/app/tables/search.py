@@ -64,8 +64,8 @@ def print_reasons(out: Console, reasons: Explanation | Likeness | None, indent: 
         print_line(out, f"{indent}{reason.text}")
 
 
-def print_search(out: Console, answer: SearchResult) -> None:
-    """A query and the clips found."""
+def print_search(out: Console, answer: SearchResult, *, detail: bool = False) -> None:
+    """A query and the clips found; in detail also the numbers that the likeness is made of."""
     verdict = answer.verdict
     print_line(out, f"{answer.query}: {describe_verdict(verdict)}")
     print_mirrored(out, verdict, answer.mirrored)
@@ -78,9 +78,11 @@ def print_search(out: Console, answer: SearchResult) -> None:
     from dousa.retrieval.features.posed_motion import name_parts
 
     differ = len({hit.hidden for hit in answer.results}) > 1
-    numbers = ("columns.rank", "columns.distance", "columns.same_leaf", "columns.poses")
+    measures = ("columns.votes", "columns.trees", "columns.poses") if detail else ()
+    numbers = ("columns.rank", *measures, "columns.likeness")
     without = ("columns.without",) if differ else ()
-    table = make_table(*numbers, "columns.category", *side, *without, "columns.file", right=numbers)
+    headings = ("columns.rank", "columns.category", "columns.likeness", *measures, *side, *without, "columns.file")
+    table = make_table(*headings, right=numbers)
     likely = [place for place, hit in enumerate(answer.results) if hit.alike is not False]
     if not likely:
         say_line(out, "answers.none_alike")
@@ -88,11 +90,14 @@ def print_search(out: Console, answer: SearchResult) -> None:
         if place and likely and place == likely[-1] + 1:
             table.add_row(*[""] * (len(table.columns) - 1), str(Message("answers.no_longer_alike")))
         poses = "-" if hit.pose_distance is None else f"{hit.pose_distance:.3f}"
-        numbers = (str(hit.rank), f"{hit.distance:.3f}", f"{hit.leaf_share:.0%}", poses)
+        measured = (f"{hit.distance:.3f}", f"{hit.leaf_share:.0%}", poses) if detail else ()
+        likeness = answer.likenesses[place]
+        percent = "-" if likeness is None else f"{likeness:.0%}"
         side = () if answer.mirrored is None else (name_side(hit.mirrored),)
         without = (", ".join(map(str, name_parts(hit.hidden))),) if differ else ()
         style = "dim" if hit.alike is False else None
-        table.add_row(*numbers, to_cell(hit.category or "-"), *side, *without, to_cell(hit.path), style=style)
+        row = (str(hit.rank), to_cell(hit.category or "-"), percent, *measured, *side, *without, to_cell(hit.path))
+        table.add_row(*row, style=style)
     out.print(table)
     if answer.alike_count is not None and answer.alike_count > len(likely) and likely:
         say_line(out, "answers.more_alike", n=answer.alike_count - len(likely), all=answer.alike_count)

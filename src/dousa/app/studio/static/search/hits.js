@@ -54,15 +54,17 @@ export function openLater(word, load) {
   return why;
 }
 
-const FULL = 2.2; // distance at which the bar of likeness is empty
-
 export const nameOf = (hit) => baseName(hit.path);
-const distanceOf = (hit) => hit.rank_distance ?? hit.distance;
+/** How alike each of the hits is, 0 to 1: never more than the one before it. */
+function rateHits(hits) {
+  let most = 1;
+  return hits.map((hit) => (most = Math.min(most, Math.exp(-(hit.rank_distance ?? hit.distance)))));
+}
 
 const two = (value) => (value == null ? "–" : value.toFixed(2));
 
 function describeDistance(hit) {
-  return t("distance_title", { histogram: two(hit.distance), pose: two(hit.pose_distance), share: Math.round(100 * hit.leaf_share) });
+  return t("distance_title", { votes: two(hit.distance), pose: two(hit.pose_distance), share: Math.round(100 * hit.leaf_share) });
 }
 
 export class Hits {
@@ -81,10 +83,11 @@ export class Hits {
   draw(hits) {
     this.clear();
     const seen = [];
+    const alike = rateHits(hits);
     const last = hits.findLastIndex((hit) => hit.alike !== false);
     for (const [place, hit] of hits.entries()) {
       if (place === last + 1) seen.push(h("li", { class: "alike-end" }, t(last < 0 ? "alike_none" : "alike_end")));
-      const card = this.makeCard(hit);
+      const card = this.makeCard(hit, Math.round(100 * alike[place]));
       this.cards.set(hit.motion, card);
       seen.push(card);
     }
@@ -92,7 +95,7 @@ export class Hits {
     this.drawFigures(hits);
   }
 
-  makeCard(hit) {
+  makeCard(hit, likeness) {
     const canvas = h("canvas", { class: "hit-figure", "aria-hidden": "true" });
     const open = h(
       "button",
@@ -102,8 +105,8 @@ export class Hits {
       h("span", { class: "hit-category" }, hit.category),
       h("span", { class: "hit-name", title: hit.path }, nameOf(hit)),
     );
-    const bar = h("span", { class: "track", "aria-hidden": "true" }, h("i", { style: { width: `${100 * Math.max(0, 1 - distanceOf(hit) / FULL)}%` } }));
-    const measure = h("p", { class: "hit-distance", title: describeDistance(hit) }, bar, h("span", {}, t("distance"), " ", h("b", {}, two(distanceOf(hit)))));
+    const bar = h("span", { class: "track", "aria-hidden": "true" }, h("i", { style: { width: `${likeness}%` } }));
+    const measure = h("p", { class: "hit-distance", title: describeDistance(hit) }, bar, h("span", {}, t("likeness"), " ", h("b", {}, `${likeness} %`)));
     const mirrored = hit.mirrored ? h("span", { class: "badge" }, "⇄ ", t("mirrored")) : null;
     const card = h("li", { class: hit.alike === false ? "hit less" : "hit", title: hit.probability == null ? null : t("alike_title", { percent: Math.round(100 * hit.probability) }), dataset: { motion: hit.motion, rank: hit.rank } }, open, measure, mirrored, this.makeWhy(hit));
     return card;
