@@ -11,9 +11,8 @@ from __future__ import annotations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from rich.console import Console
-
-from dousa.app.demo import run_demo
+from dousa.app.cli.main import make_application
+from dousa.app.demo import PERFORMER_RULE
 from dousa.app.pictures.sheets import draw_contact_sheet
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 from dousa.retrieval.features.channels import CHANNELS, Channel
@@ -30,9 +29,11 @@ def draw_sheet() -> None:
 
 
 def draw_demo() -> None:
-    """The three pictures of the first act of ``dousa demo``."""
+    """The pictures of the commands of ``dousa demo`` and of an experiment on its library."""
     with TemporaryDirectory() as folder:
-        run_demo(Console(), Path(folder), seed=0)
+        make_application()(["demo", "-o", folder], standalone_mode=False)
+        words = [f"{folder}/motions", "--split", "leave-performer-out", "--performer-from", PERFORMER_RULE]
+        make_application()(["experiment", *words, "--figure", f"{folder}/experiment.png"], standalone_mode=False)
         for name in ("search.png", "timeline.png", "experiment.png"):
             (FIGURES / name).write_bytes((Path(folder) / name).read_bytes())
 

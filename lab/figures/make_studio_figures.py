@@ -234,13 +234,9 @@ def shoot(
 
 def make_demo(folder: Path) -> None:
     """What ``dousa demo`` leaves behind."""
-    from rich.console import Console
+    from dousa.app.cli.main import make_application
 
-    from dousa.app.demo import run_dance_demo, run_demo, run_estimation_demo
-
-    for act in (lambda: run_demo(Console(), folder), lambda: run_dance_demo(Console(), folder)):
-        act()
-    run_estimation_demo(Console(), folder)
+    make_application()(["demo", "-o", str(folder)], standalone_mode=False)
 
 
 def make_all(demo: Path | None = None, looks: Path | None = None) -> None:

@@ -258,7 +258,7 @@ def library(room: Room) -> None:
         record.library("stored", library)
     for features_of in ("paper", "extended"):
         with record.probe(f"train, {features_of}"):
-            words = ("train", library, "--features", features_of, "--trees", 40, "--seed", 3, "--json")
+            words = ("train", library, "--features", features_of, "--trees", 40, "--json")
             record.command("answer", *words)
             record.library("stored", library)
         with record.probe(f"search, {features_of}"):
@@ -283,7 +283,7 @@ def _search(room: Room, library: Path, queries: Sequence[Path]) -> None:
             words = ("search", library, query, "--rank", rank, "--explain", "--json")
             room.record.command(f"{rank} {query.name}", *words)
     query = queries[0]
-    room.record.command("mirror", "search", library, query, "--mirror", "--same-category", "--json")
+    room.record.command("mirror", "search", library, query, "--mirror", "--json")
     room.record.command("table", "search", library, query, prose=True)
     room.record.command("no number", "search", library, 99999, "--json", exit_code=2)
 

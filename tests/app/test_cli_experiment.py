@@ -173,7 +173,7 @@ def test_given_labels_are_given_back(dousa, session, tmp_path):
         (tier,) = read_label_file(tmp_path / name).takes[""]
         assert [(one.start, one.stop, one.category) for one in tier.spans] == named and not tier.unclear
     code, _, err = dousa("label", library, take, "--given", "--csv", tmp_path / "p1.csv")
-    assert code == 2 and "--overwrite" in err
+    assert code == 2 and "remove it first" in err
 
 
 def test_what_nobody_can_say_is_written_as_that(tmp_path):

@@ -62,7 +62,7 @@ MISTAKES = [
     ("label x y --threshold q", "--threshold: expected a number, got 'q'"),
     ("search x y --rank foo", "--rank: expected fused, histogram, leaves or pose, got 'foo'"),
     ("search x y --pictur z", "no such option: --pictur; did you mean --picture?"),
-    ("info --unit", "--unit: expected a value after this option"),
+    ("info --person", "--person: expected a value after this option"),
     ("train x --jobs 2", "--jobs goes for all commands and stands before them"),
 ]
 

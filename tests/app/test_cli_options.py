@@ -9,10 +9,12 @@ from typing import Annotated, Any
 
 import pytest
 import typer
+from typer.main import get_command
 
+from dousa.app.cli.main import COMMANDS, NEEDED, make_application
 from dousa.app.cli.usage import mark_tags, split_tags, to_typer_command
 from dousa.app.requests.estimation import EstimationRequest, Outputs
-from dousa.app.requests.reading import Reading, UnitReading
+from dousa.app.requests.reading import PartReading, Reading
 from dousa.errors import OptionError
 from dousa.formats import ReadOptions
 
@@ -56,11 +58,11 @@ def test_an_option_that_is_there_twice_is_refused():
 def test_options_of_a_file_become_those_that_it_is_read_with(tmp_path):
     path = tmp_path / "joints.txt"
     path.write_text("left_knee = L_Kn\n", encoding="utf-8")
-    reading = UnitReading(["frame-rate=25", f"joint_map={path}", "any_skeleton", "skeleton=a.asf"], unit="cm", up="z")
+    reading = PartReading(["frame-rate=25", f"joint_map={path}", "any_skeleton", "skeleton=a.asf", "unit=cm", "up=z"])
     assert reading.load() == ReadOptions({"left_knee": ("L_Kn",)}, "cm", "z", Path("a.asf"), 25.0, True)
     assert reading.files == (Path("a.asf"), path)
     assert Reading().load() == ReadOptions() and Reading(["any_skeleton=no"]).load() == ReadOptions()
-    assert UnitReading(file_rate=25, person="Ben").load() == ReadOptions(frame_rate=25.0, person="Ben")
+    assert PartReading(file_rate=25, person="Ben").load() == ReadOptions(frame_rate=25.0, person="Ben")
     assert Reading(["animation=2"], file_rate=60).load() == ReadOptions(frame_rate=60.0, animation="2")
     with pytest.raises(OptionError):
         Reading([f"joint_map={tmp_path / 'missing.txt'}"]).load()
@@ -96,3 +98,15 @@ def test_outputs_are_told_apart_by_their_suffixes():
 def test_tags_are_no_options():
     words = ["lib", "12", "+fight", "-draft", "--tag", "x", "-h", "--", "-y"]
     assert split_tags(mark_tags(words)) == (["lib", "12", "--tag", "x", "-h", "--", "-y"], ["fight"], ["draft"])
+
+
+def test_what_one_needs_first_stands_first_in_the_help():
+    """The twelve commands of the main jobs; of a command with many options those that most need."""
+    panels = list(COMMANDS)
+    first = [name for panel in panels[:4] for names in COMMANDS[panel].values() for name in names.split()]
+    assert len(first) == 12 and all(panel.startswith("More") for panel in panels[4:])
+    for name, command in get_command(make_application()).commands.items():
+        options = {part.name: part.rich_help_panel for part in command.params if part.param_type_name == "option"}
+        shown = {option for option, panel in options.items() if panel != "More"}
+        assert set(NEEDED.get(name, "").split()) <= shown, name
+        assert len(shown) <= 9, name

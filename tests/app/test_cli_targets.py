@@ -51,24 +51,24 @@ def contents(folder: Path) -> dict[str, bytes]:
         ("clips/walk/p0.bvh", "--csv {}: this file holds motion; choose another name"),
     ],
 )
-@pytest.mark.parametrize("more", [pytest.param((), marks=pytest.mark.slow), ("--overwrite",)])
-def test_a_table_of_labels_is_written_over_no_motion_and_no_library(dousa, folder, name, told, more):
+def test_a_table_of_labels_is_written_over_no_motion_and_no_library(dousa, folder, name, told):
     shutil.copy(folder / "moves.dousa", folder / "other.dousa")
     before = contents(folder)
     target = folder / name
-    code, out, err = dousa("label", folder / "moves.dousa", folder / "take.trc", "--csv", target, *more)
+    code, out, err = dousa("label", folder / "moves.dousa", folder / "take.trc", "--csv", target)
     assert (code, out, err) == (2, "", f"dousa: {told.format(target)}\n")
     assert contents(folder) == before
 
 
-def test_a_table_of_labels_is_written_over_another_one_where_that_is_said(dousa, folder):
+def test_a_table_of_labels_is_not_written_over_another_one(dousa, folder):
     words = ("label", folder / "moves.dousa", folder / "take.trc", "--csv", folder / "take.labels.csv")
     (folder / "take.labels.csv").write_text("start_s,end_s,category\n0,1,bow\n")
     code, out, err = dousa(*words)
     assert (code, out) == (2, "")
-    assert err == f"dousa: --csv {words[-1]}: this file is there already; choose another name, or --overwrite\n"
+    assert err == f"dousa: --csv {words[-1]}: this file is there already; choose another name, or remove it first\n"
     assert (folder / "take.labels.csv").read_text() == "start_s,end_s,category\n0,1,bow\n"
-    assert dousa(*words, "--overwrite")[0] == 0
+    (folder / "take.labels.csv").unlink()
+    assert dousa(*words)[0] == 0
     assert (folder / "take.labels.csv").read_text().startswith("start_s,end_s,category,confidence")
     assert dousa(*words)[0] == 2  # somebody may have corrected it
     (folder / "empty.csv").touch()
@@ -86,8 +86,6 @@ def test_a_table_of_labels_is_written_over_another_one_where_that_is_said(dousa,
         ("plot", "moves.dousa", "-o", "other.csv"),
         ("plot", "moves.dousa", "-o", "note.svg"),
         ("experiment", "clips", "--figure", "note.pdf"),
-        ("evaluate", "take.trc", "-p", "take.trc", "--repetitions", "--csv", "other.csv"),
-        ("evaluate", "take.trc", "-p", "take.trc", "--repetitions", "--picture", "note.png"),
         ("evaluate", "take.trc", "-p", "take.trc", "-o", "report"),
         ("progress", "note.txt", "note.txt", "--picture", "note.png"),
         ("render", "take.trc", "-o", "other.npz"),

@@ -37,7 +37,6 @@ SYNC = {".toml": rb"# A film's own time plus"}
 CAMERAS = {".toml": rb"\[cam_01\]\nname = "}
 KEYPOINTS = {".npz": rb"PK.{28}names\.npy"}
 SILHOUETTES = {".npz": rb"PK.{28}mask_packed\.npy"}
-REPETITIONS = {".csv": rb"number,complete,start_s,"}
 CLIP_MAP = {".csv": rb"clip_id,path,"}
 ANGLES = {".csv": rb"time_s,"}
 REPORT = {".csv": rb"(\xef\xbb\xbf)?(time_s|kind|number,complete),"}
@@ -84,20 +83,18 @@ def find_picture_format(path: str | os.PathLike[str]) -> str:
     return suffix[1:]
 
 
-def check_table(
-    option: str, path: Path | None, inputs: Iterable[str | os.PathLike[str] | None], *, overwrite: bool
-) -> None:
-    """Check that a table may be written that people correct by hand: over another one only with ``overwrite``.
+def check_table(option: str, path: Path | None, inputs: Iterable[str | os.PathLike[str] | None]) -> None:
+    """Check that a table may be written that people correct by hand: not over another one.
 
     Raises
     ------
-    OptionError : a file that is read, a library or a motion, or without ``overwrite`` any file.
+    OptionError : a file that is read, a library or a motion, or any file that holds something.
     """
     if path is None or not _look_for_danger(option, path, [source for source in inputs if source is not None]):
         return
     if _holds_motion(path):
         raise OptionError("targets.is_motion", option=option, path=path)
-    if not overwrite and os.path.getsize(path):
+    if os.path.getsize(path):
         raise OptionError("targets.exists", option=option, path=path)
 
 

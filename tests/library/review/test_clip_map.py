@@ -1,7 +1,6 @@
 """The map of all clips: what lies together, that it is the same each time, and the command."""
 
 import csv
-import json
 import sys
 
 import numpy as np
@@ -85,15 +84,14 @@ def test_bodies_that_lack_joints_and_takes_are_not_on_it(library, made, tmp_path
 
 
 def test_the_command_writes_a_table(library, tmp_path):
-    answer = CliRunner().invoke(make_application(), ["plot", library.name, "-o", str(tmp_path / "map.csv"), "--json"])
-    told = json.loads(answer.stdout)
+    answer = CliRunner().invoke(make_application(), ["plot", library.name, "-o", str(tmp_path / "map.csv")])
+    assert answer.exit_code == 0
     with open(tmp_path / "map.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == N and told["left_out"] == [] and told["n_laid_out"] == N
+    assert len(rows) == N
     assert list(rows[0]) == ["clip_id", "path", "category", "performer", "x", "y"]
     kept = {clip.id: clip.category for clip in library.clips()}
     assert {int(row["clip_id"]): row["category"] for row in rows} == kept
-    assert [float(row["x"]) for row in rows] == [one["x"] for one in told["clips"]]
 
 
 def test_the_command_draws_a_picture_with_a_legend(library, tmp_path):

@@ -310,9 +310,6 @@ def keypoints(
             "(.tflite), instead of fetching.",
         ),
     ] = False,
-    clear_cache: Annotated[
-        bool, typer.Option("--clear-cache", help="Delete the keypoints that are kept of films.")
-    ] = False,
     json: Json = False,
 ) -> None:
     """Find keypoints of the people in films: 33 points of each body, frame by frame, and who is who.
@@ -325,12 +322,12 @@ def keypoints(
 
     Example: dousa keypoints --install
 
-    Example: dousa keypoints left.mp4 front.mp4 -o keypoints --sheet
+    Example: dousa keypoints left.mp4 front.mp4 -o keypoints --overlay
     """
-    if install or clear_cache or not films:
-        if (install and len(films or ()) > 1) or (films and not install):
+    if install or not films:
+        if len(films or ()) > 1:
             raise OptionError("models.one_source")
-        _manage_models(films[0] if films else None, install=install, clear_cache=clear_cache, json=json)
+        _manage_models(films[0] if films else None, install=install, json=json)
         return
     from dousa.app.pipelines.films import describe_found, find_in_films
 
@@ -348,7 +345,7 @@ def keypoints(
             say(line)
 
 
-def _manage_models(source: Path | None, *, install: bool, clear_cache: bool, json: bool) -> None:
+def _manage_models(source: Path | None, *, install: bool, json: bool) -> None:
     from dousa.estimation.keypoints import keypoint_cache, pose_models
 
     cache = pose_models.user_cache() / "keypoints"
@@ -356,7 +353,6 @@ def _manage_models(source: Path | None, *, install: bool, clear_cache: bool, jso
     if install:
         with progress_bar() as progress:
             installed = pose_models.install_models((), source, progress)
-    removed = keypoint_cache.clear_kept(cache) if clear_cache else []
     kept = keypoint_cache.list_kept(cache)
     rows = [(model, pose_models.check_pose_model(model)) for model in pose_models.POSE_MODELS]
     folder = pose_models.models_folder()
@@ -366,7 +362,6 @@ def _manage_models(source: Path | None, *, install: bool, clear_cache: bool, jso
             "models": {model.name: {"file": model.file_name, "state": state} for model, state in rows},
             "installed": [str(path) for path in installed],
             "cache": {"folder": str(cache), "films": len(kept), "bytes": sum(film.n_bytes for film in kept)},
-            "removed": len(removed),
         }
         print_json(answer)
         return
@@ -374,8 +369,6 @@ def _manage_models(source: Path | None, *, install: bool, clear_cache: bool, jso
     for model, state in rows:
         size = model.forms[0].n_bytes / 1e6
         lines.append(Message("models.row", model=model.name, megabytes=size, state=Message(_STATES[state])))
-    if removed:
-        lines.append(Message("models.cleared", n=len(removed), megabytes=sum(film.n_bytes for film in removed) / 1e6))
     lines.append(Message("models.cache", n=len(kept), megabytes=sum(film.n_bytes for film in kept) / 1e6, path=cache))
     lines.append(Message("models.licence", npm=pose_models.NPM_PACKAGE, pip=pose_models.PIP_PACKAGE))
     for line in lines:

@@ -12,9 +12,8 @@ from dousa.app.cli.usage import Json
 from dousa.app.output import console, print_answer, print_json, progress_bar, say, warn
 from dousa.app.requests.evaluation import EvaluationRequest
 from dousa.app.requests.reading import Reading
-from dousa.app.targets import REPETITIONS, REPORT, check_targets
+from dousa.app.targets import REPORT, check_targets
 from dousa.errors import OptionError
-from dousa.files.disk import atomic_write
 from dousa.messages import Message, get_language
 
 if TYPE_CHECKING:
@@ -69,7 +68,7 @@ def evaluate(
 
     Example: dousa evaluate teacher_*.bvh --performance pupil.bvh -o report
 
-    Example: dousa evaluate squat.trc --performance squats.trc --repetitions --csv squats.csv
+    Example: dousa evaluate squat.trc --performance squats.trc --repetitions -o squats
     """
     from dousa.app.pipelines.evaluate import find_references
 
@@ -149,23 +148,14 @@ def _evaluate_exercise(
     json: bool,
 ) -> None:
     from dousa.app.pipelines.evaluate import evaluate_repetitions
-    from dousa.app.report.exercise import to_repetitions_csv, write_exercise_report
+    from dousa.app.report.exercise import write_exercise_report
     from dousa.app.tables.evaluation import print_repetitions
-    from dousa.evaluation.exercises.summary import choose_angles, to_answer
+    from dousa.evaluation.exercises.summary import to_answer
 
-    csv, picture = request.csv, request.picture
-    check_targets({"--csv": csv, "--picture": picture}, (*references, performance, request.weights), REPETITIONS)
     judging = request.choose_judging()
     with progress_bar() as progress:
         done = evaluate_repetitions(references, performance, options=options, **judging, progress=progress)
     assessment = done.assessment
-    if csv is not None:
-        with atomic_write(csv) as file:
-            file.write(to_repetitions_csv(assessment))
-    if picture is not None:
-        from dousa.app.pictures.charts import draw_repetitions
-
-        draw_repetitions(assessment, done.motion, picture, choose_angles(assessment))
     page = None
     if output is not None:
         name = performance.name
@@ -178,17 +168,13 @@ def _evaluate_exercise(
         files: dict[str, Any] = {
             "references": [str(path) for path in done.references],
             "performance": str(done.performance),
-            "csv": None if csv is None else str(csv),
-            "picture": None if picture is None else str(picture),
             "report": None if page is None else str(page),
         }
         print_json({**to_answer(assessment), **files})
         return
     print_repetitions(console(), assessment, detail)
-    outputs = (("exercise_table.csv", csv), ("exercise_table.picture", picture), ("evaluation_cli.report", page))
-    for code, written in outputs:
-        if written is not None:
-            say(Message(code, path=written))
+    if page is not None:
+        say(Message("evaluation_cli.report", path=page))
 
 
 def progress(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import enum
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dousa.app.cli.usage import Json
-from dousa.app.output import console, print_json, progress_bar, warn_skipped
+from dousa.app.output import console, print_json, progress_bar, say, warn_skipped
 from dousa.app.requests.experiments import ExperimentRequest, SystemName
 from dousa.app.requests.library import FeatureSet, LabelRules, TakeLabels
 from dousa.app.requests.reading import Reading
@@ -19,6 +20,7 @@ from dousa.extras import require
 from dousa.messages import Message
 
 if TYPE_CHECKING:
+    from dousa.app.demo import Material
     from dousa.experiments.table import Result
     from dousa.retrieval import LabelledClip
 
@@ -55,7 +57,7 @@ def experiment(
     files["note"] = lambda path, message: notes.append((path, message))
     result: Result
     with progress_bar() as progress:
-        shared: dict[str, Any] = {"random_state": request.seed, "n_jobs": context.obj or -1, "progress": progress}
+        shared: dict[str, Any] = {"n_jobs": context.obj or -1, "progress": progress}
         files |= {"n_jobs": context.obj, "progress": progress}
         if kind is _Kind.ANNOTATED:
             from dousa.experiments import run_annotated_takes_experiment
@@ -167,7 +169,6 @@ def demo(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder for the motions, the library and the pictures.")
     ] = Path("demo-output"),
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Other performers and motions.")] = 0,
     studio: Annotated[
         bool,
         typer.Option(
@@ -176,28 +177,75 @@ def demo(
         ),
     ] = False,
 ) -> None:
-    """Show the main jobs with nothing but the package.
+    """Show the main jobs with nothing but the package: the commands are printed, and run on made motions.
 
-    Make a library of motions, train it, search it and look into an uncut take; make a dance and a pupil who gets parts
-    of it wrong, and find them; see a performer with four cameras, estimate the motion from the silhouettes, and find
-    and judge it.
+    A library of motions is made, trained, searched, and an uncut take labelled; a pupil's dance is evaluated; a kick is
+    estimated from the silhouettes of four cameras, searched for, and evaluated.
 
     Example: dousa demo --output demo-output
 
     Example: dousa demo --studio
     """
     from dousa.app.cli.studio import open_demo_studio
-    from dousa.app.demo import LIBRARY, run_dance_demo, run_demo, run_estimation_demo
+    from dousa.app.demo import LIBRARY, write_material
 
     extras = {"matplotlib": "pictures", "cv2": "film", **({"uvicorn": "studio"} if studio else {})}
     for package, extra in extras.items():
         require(package, extra)
     if not (studio and (output / LIBRARY).is_file()):
-        run_demo(console(), output, seed=seed, n_jobs=context.obj)
-        run_dance_demo(console(), output, seed=seed)
-        run_estimation_demo(console(), output, seed=seed)
+        with progress_bar() as progress:
+            made = write_material(output, progress=progress)
+        for truth, command in _list_commands(output, made):
+            _run_command(truth, command, context.obj)
     if studio:
         open_demo_studio(console(), output)
+
+
+def _list_commands(output: Path, made: Material) -> list[tuple[str, tuple[object, ...]]]:
+    """The commands of the three jobs, and before each what is true of its material, if anything."""
+    from dousa.app.demo import KICK, LIBRARY, PERFORMER_RULE
+    from dousa.evaluation.words import KINDS, format_time
+
+    take = made.take
+    parts = (f"{format_time(part.start)} {part.category or 'of no category'}" for part in take.truth)
+    mistakes = (f"{format_time(one.start_s)}-{format_time(one.end_s)} {KINDS[one.kind]}" for one in made.mistakes)
+    library, someone = output / LIBRARY, f"{KICK}, by a performer whom the library does not have"
+    estimated, report = output / "estimated.bvh", output / "report_estimated"
+    movie, sheet = estimated.with_suffix(".mp4"), estimated.with_suffix(".png")
+    stature = f"{made.stature:.2f}"
+    return [
+        ("1. A library, searched.", ("add", library, made.motions, "--performer-from", PERFORMER_RULE)),
+        ("", ("train", library)),
+        (f"In truth {someone}:", ("search", library, made.query, "-k", "8", "--picture", output / "search.png")),
+        (f"In truth {', '.join(parts)}:", ("add", library, take.path, "--takes")),
+        ("", ("label", library, take.path, "--picture", output / "timeline.png")),
+        ("", ("find", library, made.motions / KICK / "performer00_1.bvh", "-k", "2")),
+        (
+            "2. A pupil's dance. In truth wrong: " + ", ".join(mistakes) + ".",
+            ("evaluate", made.reference, "--performance", made.pupil, "-o", output / "report"),
+        ),
+        (
+            "3. A performer seen by four cameras, whose bones and girths are 5 to 7 % off the model's.",
+            ("estimate", made.seen, "--stature", stature, "-o", estimated, "-o", movie, "-o", sheet),
+        ),
+        (f"In truth {someone}:", ("search", library, estimated, "-k", "5")),
+        (
+            "Against a teacher's takes, as it was estimated and as it was:",
+            ("evaluate", *made.teacher, "--performance", estimated, "--tempo", "free", "-o", report),
+        ),
+        ("", ("evaluate", *made.teacher, "--performance", made.performed, "--tempo", "free", "--detail", "brief")),
+    ]
+
+
+def _run_command(truth: str, command: tuple[object, ...], jobs: int | None) -> None:
+    from dousa.app.cli.main import make_application
+
+    words = [str(word) for word in command]
+    for line in (truth, f"$ dousa {shlex.join(words)}"):
+        if line:
+            console().print()
+            say(line)
+    make_application(words)([*(("-j", str(jobs)) if jobs else ()), *words], standalone_mode=False)
 
 
 def warm(
@@ -206,7 +254,6 @@ def warm(
         list[str] | None,
         typer.Argument(metavar="[PART...]", help="Of library, estimation and evaluation.", show_default="all"),
     ] = None,
-    json: Json = False,
 ) -> None:
     """Compile now what the commands would compile at their first use.
 
@@ -222,11 +269,7 @@ def warm(
 
     with progress_bar() as progress:
         found = run_jobs(parts, context.obj, progress)
-    if json:
-        print_json([one.to_json() for one in found])
-    else:
-        for one in found:
-            code = "warm.ready" if one.problem is None else "warm.not_ready"
-            say_line(console(), code, **one.to_json())
+    for one in found:
+        say_line(console(), "warm.ready" if one.problem is None else "warm.not_ready", **one.to_json())
     if any(one.problem for one in found):
         raise typer.Exit(2)

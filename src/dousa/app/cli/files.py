@@ -13,7 +13,7 @@ from dousa.app.cli.library import open_to_read
 from dousa.app.cli.usage import Json
 from dousa.app.output import console, fail, print_json, progress_bar, say, warn
 from dousa.app.requests.library import Character
-from dousa.app.requests.reading import Reading, UnitReading
+from dousa.app.requests.reading import PartReading, Reading
 from dousa.app.targets import ANYTHING, CLIP_MAP, DATABASE_HEAD, check_targets, is_same_file
 from dousa.errors import DousaError, OptionError
 from dousa.files.disk import atomic_write
@@ -45,7 +45,7 @@ def info(
         ),
     ],
     *,
-    reading: UnitReading,
+    reading: PartReading,
     json: Json = False,
 ) -> None:
     """Show what is in a motion file: length, rate, unit, up axis, joints and how they were identified.
@@ -201,7 +201,7 @@ def convert(
     ] = False,
     *,
     character: Character,
-    reading: UnitReading,
+    reading: PartReading,
     json: Json = False,
 ) -> None:
     """Convert a motion file to another format; nothing the target can hold is lost.
@@ -321,10 +321,8 @@ def plot(
         Path | None,
         typer.Option("--output", "-o", help="Picture to write: .png, .svg or .pdf; of a library also .csv."),
     ] = None,
-    poses: Annotated[int, typer.Option("--poses", min=1, max=60, help="How many poses to draw.")] = 10,
     *,
     reading: Reading,
-    json: Json = False,
 ) -> None:
     """Draw a contact sheet of a motion, or a map of all clips of a library.
 
@@ -336,14 +334,14 @@ def plot(
 
     Example: dousa plot moves.dousa -o map.png
     """
+    if output is None:
+        raise OptionError("usage.missing", name="--output")
     if _is_library(file):
-        if reading.read or poses != 10:
+        if reading.read:
             raise OptionError("library_map.options")
-        _plot_library(file, output, json=json)
+        _plot_library(file, output)
     else:
-        if output is None:
-            raise OptionError("usage.missing", name="--output")
-        _plot_motion(Path(file), output, poses, reading, json=json)
+        _plot_motion(Path(file), output, reading)
 
 
 def _is_library(file: str) -> bool:
@@ -357,7 +355,7 @@ def _is_library(file: str) -> bool:
         return False  # the reader of motions says why
 
 
-def _plot_motion(file: Path, output: Path, poses: int, reading: Reading, *, json: bool) -> None:
+def _plot_motion(file: Path, output: Path, reading: Reading) -> None:
     from dousa.app.pictures.sheets import draw_contact_sheet
     from dousa.errors import JointMappingError
     from dousa.motion import canonicalise
@@ -374,17 +372,12 @@ def _plot_motion(file: Path, output: Path, poses: int, reading: Reading, *, json
     except JointMappingError as error:
         warn(Message("files_cli.drawn_as_points", path=file, problem=error.problem))
         drawn = motion
-    draw_contact_sheet(drawn, output, n_poses=poses, title=file.name)
-    if json:
-        print_json({"path": str(file), "picture": str(output), "poses": min(poses, motion.n_frames)})
-    else:
-        say(f"{output}: {file.name}")
+    draw_contact_sheet(drawn, output, title=file.name)
+    say(f"{output}: {file.name}")
 
 
-def _plot_library(library: str, output: Path | None, *, json: bool) -> None:
-    if output is None and not json:
-        raise OptionError("library_map.no_output")
-    if output is not None and output.suffix.lower() not in (*_TABLES, *_PICTURES):
+def _plot_library(library: str, output: Path) -> None:
+    if output.suffix.lower() not in (*_TABLES, *_PICTURES):
         raise OptionError("library_map.suffix", path=output, found=output.suffix)
     check_targets({"--output": output}, (library,), CLIP_MAP)
     with open_to_read(library) as opened:
@@ -395,11 +388,7 @@ def _plot_library(library: str, output: Path | None, *, json: bool) -> None:
         by_number = {clip.id: clip for clip in opened.clips(found.clip_ids.tolist())}
     clips = [by_number[number] for number in found.clip_ids.tolist()]
     rows = [_describe_place(clip, *point) for clip, point in zip(clips, found.points.tolist(), strict=True)]
-    if output is not None:
-        _write_map(output, found, rows, clips)
-    if json:
-        print_json({"clips": rows, "n_laid_out": found.n_laid_out, "left_out": list(found.left_out)})
-        return
+    _write_map(output, found, rows, clips)
     say(Message("library_map.line", output=output, n=len(rows)))
     if found.left_out:
         say(Message("library_map.left_out", n=len(found.left_out)))

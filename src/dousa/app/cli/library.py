@@ -24,7 +24,7 @@ from dousa.app.requests.library import (
     TakeLabels,
     TrainRequest,
 )
-from dousa.app.requests.reading import Reading, UnitReading
+from dousa.app.requests.reading import PartReading, Reading
 from dousa.app.targets import check_targets
 from dousa.errors import LibraryError, MotionFileError, OptionError
 from dousa.extras import require
@@ -123,7 +123,7 @@ def add(
     *,
     take_labels: TakeLabels,
     rules: LabelRules,
-    reading: UnitReading,
+    reading: PartReading,
     json: Json = False,
 ) -> None:
     """Add motion files to a library, which is created if necessary. Files already in it are skipped.

@@ -45,22 +45,35 @@ class Application(typer.Typer):
 
     def command(self, name: str | None = None, **settings: Any) -> Callable[..., Any]:
         add = super().command(name, cls=Command, **settings)
-        return lambda command: add(to_typer_command(command))
+        return lambda command: add(to_typer_command(command, NEEDED.get(name or "", "").split()))
 
 
 COMMANDS: dict[str, dict[str, str]] = {
-    "Files": {"files": "info convert plot"},
-    "Library": {
-        "library": "add train search classify export remove relabel list_clips",
-        "upkeep": "tag undo check backup restore compact review",
-        "takes": "find label",
+    "Find motions": {"library": "add train search classify", "takes": "find label"},
+    "Estimate motion from video": {"estimation": "estimate"},
+    "Evaluate a performance": {"evaluation": "evaluate"},
+    "All of it": {"files": "info convert", "studio": "studio", "experiments": "demo"},
+    "More for libraries": {
+        "library": "list_clips export remove relabel",
+        "upkeep": "tag undo review check backup restore compact",
     },
-    "Estimation": {"estimation": "estimate render sync calibrate keypoints"},
-    "Evaluation": {"evaluation": "evaluate progress", "files": "count"},
-    "Studio": {"studio": "studio"},
-    "Trials": {"experiments": "experiment demo warm"},
+    "More for video": {"estimation": "keypoints sync calibrate render"},
+    "More for performances": {"evaluation": "progress", "files": "count plot", "experiments": "experiment warm"},
 }
-"""The functions of the commands by panel of the help, and by module."""
+"""The functions of the commands by panel of the help, those of the main jobs first, and by module."""
+
+NEEDED = {
+    "add": "takes category_from performer_from",
+    "convert": "onto frame_rate overwrite",
+    "estimate": "output cameras backgrounds stature everybody angles",
+    "evaluate": "performance output repetitions mirror tempo",
+    "experiment": "split performer_from category_from takes figure",
+    "export": "output to category text onto",
+    "label": "csv picture",
+    "render": "output cameras n_ring stature",
+    "search": "k text category picture explain",
+}
+"""The options that one needs first; the others of these commands stand in the help under More."""
 
 
 def make_application(words: Sequence[str] = ()) -> Application:

@@ -37,16 +37,6 @@ TakeOrFrames = Annotated[
         help="A recording: a file, the number of a take, or - for frames as JSON lines on standard input.",
     ),
 ]
-Height = Annotated[
-    float | None,
-    typer.Option(
-        "--height",
-        min=0.1,
-        max=10,
-        help="Body height in m, as shown by dousa info; only with -.",
-        show_default="estimated from the first second",
-    ),
-]
 
 
 def find(
@@ -65,9 +55,6 @@ def find(
     ] = None,
     k: Annotated[int, typer.Option("-k", min=1, help="Number of hits.")] = 10,
     mirror: Annotated[bool, typer.Option("--mirror", help="Also search for the mirror image of the motion.")] = False,
-    exact: Annotated[
-        bool, typer.Option("--exact", help="Compare every window, also of more than 10 hours of recordings.")
-    ] = False,
     *,
     reading: Reading,
     json: Json = False,
@@ -87,7 +74,6 @@ def find(
             None if not takes else [clip_or_path(take) for take in takes],
             k,
             mirror=mirror,
-            exact=exact,
             options=reading.load(),
             n_jobs=context.obj,
             progress=progress,
@@ -105,11 +91,7 @@ def label(
     csv: Annotated[
         Path | None, typer.Option("--csv", help="Write the timeline as a table; with .eaf for ELAN.")
     ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Write --csv over a table that is there already.")
-    ] = False,
     picture: Annotated[Path | None, typer.Option("--picture", help="Draw the timeline: .png, .svg or .pdf.")] = None,
-    height: Height = None,
     given: Annotated[
         bool, typer.Option("--given", help="The labels that a take was given, instead of recognising any.")
     ] = False,
@@ -132,17 +114,15 @@ def label(
     if take == _STANDARD_INPUT:
         if csv or picture or given or reading.read:
             raise OptionError("takes_cli.live_options")
-        _label_live(library, height, request.threshold, context.obj)
+        _label_live(library, request.threshold, context.obj)
         return
-    if height is not None:
-        raise OptionError("takes_cli.height_of_recording")
     if given and (picture or request.threshold is not None or reading.read):
         raise OptionError("takes_cli.given_options")
     options = reading.load()
     if picture:
         require("matplotlib", "pictures")
     inputs = (take, library, *reading.files)
-    check_table("--csv", csv, inputs, overwrite=overwrite)
+    check_table("--csv", csv, inputs)
     check_targets({"--picture": picture}, inputs)
     if given:
         _show_given(library, take, csv, json=json)
@@ -201,12 +181,12 @@ def _draw(library: Library, answer: LabelledTake, picture: Path, options: ReadOp
     draw_timeline(answer.to_json(), picture, motion)
 
 
-def _label_live(library: str, height: float | None, threshold: float | None, jobs: int | None) -> None:
+def _label_live(library: str, threshold: float | None, jobs: int | None) -> None:
     """Answer frames on standard input as they come, by lines of JSON."""
     with open_library(library) as opened:
         # Before the first frame: what takes are labelled with may still have to be learned.
         with progress_bar() as progress:
-            labeller = opened.live(height=height, threshold=threshold, n_jobs=jobs, progress=progress)
+            labeller = opened.live(threshold=threshold, n_jobs=jobs, progress=progress)
         _answer_frames(labeller)
 
 

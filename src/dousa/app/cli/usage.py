@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import difflib
 import functools
@@ -10,7 +11,7 @@ import itertools
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_args, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -79,12 +80,12 @@ def _check(source: str, language: str) -> str:
     return language
 
 
-def to_typer_command(command: Callable[..., None]) -> Callable[..., None]:
+def to_typer_command(command: Callable[..., None], needed: Sequence[str] = ()) -> Callable[..., None]:
     """Wrap a command for Typer, which wants every option by itself in the signature.
 
     A parameter whose type is a dataclass, or ``Annotated[dict[str, Any], dataclass]``, stands for the options of its
     fields: those annotated with ``typer.Option``. The command gets their values as an object of the dataclass, or as a
-    dictionary where the dataclass has other fields too.
+    dictionary where the dataclass has other fields too. Where some are ``needed`` the help has the others under More.
     """
     parameters: list[inspect.Parameter] = []
     groups: list[tuple[str, Callable[..., Any], list[str]]] = []
@@ -105,11 +106,22 @@ def to_typer_command(command: Callable[..., None]) -> Callable[..., None]:
         made = {name: make(**{option: values.pop(option) for option in names}) for name, make, names in groups}
         command(**values, **made)
 
+    if needed:
+        parameters = [one if one.name in needed else _put_last(one) for one in parameters]
     run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     # Typer breaks its lines where the source does.
     run.__doc__ = "\n\n".join(" ".join(part.split()) for part in (inspect.getdoc(command) or "").split("\n\n"))
     return run
+
+
+def _put_last(parameter: inspect.Parameter) -> inspect.Parameter:
+    kind, option = parameter.annotation, getattr(parameter.annotation, "__metadata__", (None,))[0]
+    if not isinstance(option, typer.models.OptionInfo):
+        return parameter
+    moved = copy.copy(option)
+    moved.rich_help_panel = "More"
+    return parameter.replace(annotation=Annotated[get_args(kind)[0], moved])
 
 
 _NOT_LOADED = {"ReadOptions": Any, "TrackerSettings": Any}  # types of fields without an option; heavy to import

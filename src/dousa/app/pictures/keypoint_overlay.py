@@ -17,14 +17,13 @@ from dousa.app.pictures.overlay import write_video
 from dousa.app.pictures.overlay_view import DARK, WHITE, draw_lines, find_outlines, to_bgr, write_text
 from dousa.arrays import FloatArray, Image
 from dousa.errors import OptionError
-from dousa.files.disk import atomic_write
 from dousa.messages import Message
 
 if TYPE_CHECKING:
     from dousa.app.output import ProgressCallback
     from dousa.estimation import PersonTrack, ViewKeypoints
 
-_LONGEST, _SMALL = 960, 420  # px of a side: of the video, and of a picture of the sheet
+_LONGEST = 960  # px of a side, by definition of the picture
 _LIMBS = ("shoulder elbow", "elbow wrist", "shoulder hip", "hip knee", "knee ankle", "ankle heel", "ankle foot_index",
           "ankle big_toe", "wrist index")  # fmt: skip
 BONES = (
@@ -78,7 +77,7 @@ def _draw_person(
         write_text(canvas, str(number + 1), (int(high[0]) + 6, max(22, int(high[1]) - 8)), colour, 22, bold=True)
 
 
-def _paint(keypoints: ViewKeypoints, longest: int, frames: set[int] | None = None) -> Iterator[tuple[int, Image]]:
+def _paint(keypoints: ViewKeypoints, longest: int) -> Iterator[tuple[int, Image]]:
     from dousa.estimation.keypoints.films import FilmFrames
     from dousa.extras import cv2
 
@@ -89,8 +88,6 @@ def _paint(keypoints: ViewKeypoints, longest: int, frames: set[int] | None = Non
         for frame, seconds, picture in film.read():
             if frame >= keypoints.n_frames:
                 return
-            if frames is not None and frame not in frames:
-                continue
             small = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
             canvas = np.ascontiguousarray(small[..., ::-1], np.uint8)
             draw_people(canvas, keypoints, frame, scale)
@@ -133,32 +130,3 @@ def write_keypoint_overlay(
                 progress(frame + 1, keypoints.n_frames, Message("pictures.overlay_video"))
 
     write_video(path, paint(), keypoints.n_frames, keypoints.frame_rate, (width, height))
-
-
-def write_keypoint_sheet(keypoints: ViewKeypoints, path: str | os.PathLike[str], n_pictures: int = 12) -> None:
-    """Write a contact sheet of the film with its keypoints.
-
-    Parameters
-    ----------
-    keypoints : of a film; their ``source`` is read again.
-    path : .png.
-    n_pictures : how many frames are shown, evenly over the film.
-
-    Raises
-    ------
-    OptionError : the source is another film.
-    KeypointError : the film cannot be read.
-    MotionWriteError : the disk refuses.
-    """
-    from dousa.extras import cv2
-
-    frames = {round(float(place)) for place in np.linspace(0, keypoints.n_frames - 1, n_pictures)}
-    pictures = [picture for _, picture in _paint(keypoints, _SMALL, frames)]
-    n_columns = 6 if keypoints.size[0] <= keypoints.size[1] else 4
-    rows = [pictures[start : start + n_columns] for start in range(0, len(pictures), n_columns)]
-    blank = np.full_like(pictures[0], 255)
-    sheet = np.vstack([np.hstack([*row, *[blank] * (min(n_columns, len(pictures)) - len(row))]) for row in rows])
-    good, data = cv2.imencode(".png", sheet)
-    assert good
-    with atomic_write(path) as file:
-        file.write(data.tobytes())

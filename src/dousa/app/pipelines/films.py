@@ -151,7 +151,7 @@ def find_in_films(request: KeypointRequest, progress: ProgressCallback | None = 
     MotionWriteError : the disk refuses.
     """
     from dousa.app.output import make_folder
-    from dousa.app.pictures.keypoint_overlay import write_keypoint_overlay, write_keypoint_sheet
+    from dousa.app.pictures.keypoint_overlay import write_keypoint_overlay
     from dousa.estimation import find_keypoints, write_keypoints
 
     names = [film.stem for film in request.films]
@@ -159,7 +159,7 @@ def find_in_films(request: KeypointRequest, progress: ProgressCallback | None = 
         raise OptionError("keypoints_cli.same_name", name=next(name for name in names if names.count(name) > 1))
     for package in ("cv2", "av", "ai_edge_litert"):
         require(package, "film")
-    wanted = {".npz": True, "_keypoints.mp4": request.overlay, "_keypoints.png": request.sheet}
+    wanted = {".npz": True, "_keypoints.mp4": request.overlay}
     targets = {
         name: [request.folder / f"{name}{end}" for end, is_wanted in wanted.items() if is_wanted] for name in names
     }
@@ -168,14 +168,12 @@ def find_in_films(request: KeypointRequest, progress: ProgressCallback | None = 
     make_folder(request.folder)
     done = []
     for film in request.films:
-        view = find_keypoints(film, request.model, most_people=request.people, progress=progress)
+        view = find_keypoints(film, request.model, progress=progress)
         for path in targets[film.stem]:
             if path.suffix == ".npz":
                 write_keypoints(path, view)
-            elif path.suffix == ".mp4":
-                write_keypoint_overlay(view, path, progress)
             else:
-                write_keypoint_sheet(view, path)
+                write_keypoint_overlay(view, path, progress)
         done.append(FoundKeypoints(film, view, tuple(targets[film.stem])))
     return done
 

@@ -97,7 +97,6 @@ BodyFile = Annotated[
     ),
 ]
 Stature = Annotated[float | None, typer.Option("--stature", metavar="M", help="Stature of the person in metres.")]
-Proportions = Annotated[Sex, typer.Option("--sex", help="Body proportions for --stature.")]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -436,11 +435,11 @@ class RenderRequest:
     size: tuple[int, int] | None = None
     body: BodyFile = None
     stature: Stature = None
-    sex: Proportions = "average"
+    sex: Sex = "average"
+    seed: int = 0
     noise: Annotated[
         Literal["clean", "noisy"], typer.Option("--noise", help="noisy: holes, specks, shadow and ragged edges.")
     ] = "clean"
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Random seed of the noise.")] = 0
     rate: Annotated[float, typer.Option("--rate", metavar="HZ", help="Frames per second.")] = 30.0
     frames: Frames = None
     options: ReadOptions = dataclasses.field(default_factory=lambda: _read_options({}))
@@ -498,12 +497,6 @@ class KeypointRequest:
         Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for NAME.npz of each film NAME.")
     ] = Path("keypoints")
     model: Annotated[Model, typer.Option("--model", help="From the quickest to the most precise.")] = "full"
-    people: Annotated[
-        int, typer.Option("--people", min=1, max=16, metavar="N", help="People that are followed at a time, at most.")
-    ] = 4
     overlay: Annotated[
         bool, typer.Option("--overlay", help="Write NAME_keypoints.mp4 too: the keypoints over the film.")
-    ] = False
-    sheet: Annotated[
-        bool, typer.Option("--sheet", help="Write NAME_keypoints.png too: the same as a contact sheet.")
     ] = False

@@ -63,13 +63,6 @@ class EvaluationRequest:
             help="An exercise: count the repetitions, grade and measure each, and say how they develop.",
         ),
     ] = False
-    csv: Annotated[
-        Path | None, typer.Option("--csv", metavar="FILE", help="With --repetitions: write a row for each.")
-    ] = None
-    picture: Annotated[
-        Path | None,
-        typer.Option("--picture", metavar="FILE", help="With --repetitions: draw them (.png, .svg or .pdf)."),
-    ] = None
     music: Annotated[
         Path | None,
         typer.Option(
@@ -98,8 +91,6 @@ class EvaluationRequest:
         for option, value in (("--furi", self.furi), ("--music", self.music)):
             if self.repetitions and value is not None:
                 raise OptionError("exercises.not_with", option=option)
-        if not self.repetitions and (self.csv is not None or self.picture is not None):
-            raise OptionError("exercises.csv_with")
         if self.music_start is not None and self.music is None:
             raise OptionError("beats.start_with")
 

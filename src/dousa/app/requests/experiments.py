@@ -61,7 +61,6 @@ class ExperimentRequest:
         ),
     ] = None
     trees: Annotated[int, typer.Option("--trees", min=1, help="Trees of the forest.")] = 100
-    seed: Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same table.")] = 0
 
     @property
     def train_share(self) -> float | None:

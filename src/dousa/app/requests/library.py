@@ -81,9 +81,7 @@ class TrainRequest:
         ),
     ] = None
     n_trees: Annotated[int, typer.Option("--trees", min=1, help="Number of trees.")] = 100
-    random_state: Annotated[
-        int, typer.Option("--seed", min=0, max=2**32 - 1, help="The same seed gives the same forest.")
-    ] = 0
+    random_state: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,16 +111,14 @@ class LabelRequest:
 
 @dataclass(frozen=True, slots=True)
 class SearchRequest:
-    """How clips like a motion are searched for."""
+    """How clips like a motion are searched for; the last two have no option."""
 
     k: Annotated[int, typer.Option("-k", "--limit", min=1, help="How many results.")] = 10
     ranking: Annotated[Ranking, typer.Option("--rank", help="Rank by votes, leaves, poses, or all three.")] = "fused"
     mirror: Mirror = None
     explain: Annotated[bool, typer.Option("--explain", help="Explain the answer in words, with times.")] = False
-    threshold: Share = None
-    same_category: Annotated[
-        bool, typer.Option("--same-category", help="Only clips of the category predicted for the query.")
-    ] = False
+    threshold: float | None = None
+    same_category: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""How motion files are read: `ReadOptions` from ``--read KEY=VALUE``, ``--unit`` and ``--up``."""
+"""How motion files are read: `ReadOptions` from ``--read KEY=VALUE`` and the options of its usual keys."""
 
 from __future__ import annotations
 
@@ -73,20 +73,9 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True)
-class UnitReading(Reading):
-    """The same for commands about single files, with the usual keys as options of their own."""
+class PartReading(Reading):
+    """The same for commands about single files, with the parts of a file as options of their own."""
 
-    unit: Annotated[
-        str | None,
-        typer.Option(
-            "--unit",
-            help="Unit of the file: mm, cm, m, inch, ft or metres per unit. Default: declared, else inferred.",
-        ),
-    ] = None
-    up: Annotated[
-        str | None,
-        typer.Option("--up", help="Axis of the file that points up: y, z, x, -y ... Default: inferred."),
-    ] = None
     person: Annotated[
         str | None,
         typer.Option(
@@ -100,7 +89,7 @@ class UnitReading(Reading):
 
     def _given(self) -> tuple[tuple[str, Any], ...]:
         parts = (("person", self.person), ("animation", self.animation))
-        return (("unit", self.unit), ("up", self.up), ("frame_rate", self.file_rate), *parts)
+        return (("frame_rate", self.file_rate), *parts)
 
 
 def _parse(texts: Iterable[str]) -> dict[str, Any]:

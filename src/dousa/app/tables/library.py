@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from dousa.library import (
         AddReport,
+        BackupReport,
         CheckReport,
         CompactReport,
         DuplicateGroup,
@@ -204,7 +205,7 @@ def print_duplicates(out: Console, groups: Sequence[DuplicateGroup], most: int) 
     say_line(out, "library_review.groups", n=len(groups))
 
 
-def print_messages(out: Console, report: CheckReport | CompactReport) -> None:
+def print_messages(out: Console, report: BackupReport | CheckReport | CompactReport) -> None:
     """What a report says, line by line."""
     for message in report.to_messages():
         print_line(out, message)
