@@ -10,7 +10,7 @@
     │   ├── LibraryLockedError
     │   ├── LibraryDamagedError
     │   └── LibraryVersionError
-    ├── TrainingError           the available clips cannot train or test anything
+    ├── TrainingError           the available clips cannot train or test anything (a ValueError too)
     ├── NotTrainedError         the forest was used before training
     ├── SilhouetteError         masks or videos that give no silhouettes
     ├── KeypointError           bad keypoints: their file, their numbers, or their models
@@ -166,7 +166,7 @@ class LibraryVersionError(LibraryError):
     """The library was written by a newer dousa."""
 
 
-class TrainingError(DousaError):
+class TrainingError(DousaError, ValueError):
     """The clips at hand cannot train or test anything."""
 
 

@@ -8,6 +8,7 @@ pictures    contact sheets, timelines; Japanese text in pictures and reports    
 music       the beats of a piece of music                                        librosa
 usd         skeletons of USD files                                               usd-core
 map         a map of all clips of a library                                      scikit-learn
+frames      answers as data frames                                               pandas (or polars)
 studio      the page in the browser, with film, pictures and map                 FastAPI, uvicorn, Jinja
 share       a link to the studio for others on the local network                 segno, cryptography
 words       English words of a search that no table has, by their meaning        WordLlama

@@ -98,7 +98,7 @@ def test_unknown_motions(dousa, succeed, library, tmp_path):
     assert second.startswith(f"{friend}: squat, ") and "% sure (votes: squat " in second
     answer = json.loads(dousa("search", library, stranger, "--json")[1])
     assert answer["category"] is None and answer["guess"] in KNOWN and answer["known"] < 0.5
-    answer = json.loads(dousa("search", library, stranger, "--json", "--threshold", 0)[1])
+    answer = json.loads(dousa("classify", library, stranger, "--json", "--threshold", 0)[1])[0]
     assert answer["category"] == answer["guess"]
     code, out, _ = dousa("search", library, stranger, "-k", 2, "--picture", tmp_path / "a.png")
     assert code == 0 and "unknown (most like" in out

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from dousa.formats.motion_files import Skipped as Skipped  # noqa: PLC0414 - a result of the library too
 from dousa.messages import Message
 from dousa.motion.annotation import Stretch, lay_out
+from dousa.notebooks import Tabular, short_repr
 
 if TYPE_CHECKING:
     from dousa.retrieval.explain.explanation import Explanation, Likeness
@@ -132,8 +133,9 @@ class Hit(Answer):
         return answer
 
 
+@short_repr
 @dataclass(frozen=True, slots=True)
-class SearchResult:
+class SearchResult(Tabular):
     """The result of a search.
 
     Parameters
@@ -147,6 +149,8 @@ class SearchResult:
     alike_count : number of similar clips in the library; they come first in ``results``, which may hold fewer or
         more. None if likeness was not learned: no training since, or too small a library.
     """
+
+    _rows: ClassVar[str] = "results"
 
     query: str
     verdict: Verdict
@@ -494,8 +498,9 @@ class Place(Answer):
     _names: ClassVar[dict[str, str]] = {"start": "start_s", "end": "end_s"}
 
 
+@short_repr
 @dataclass(frozen=True, slots=True)
-class FindResult(Answer):
+class FindResult(Answer, Tabular):
     """The result of a search inside takes.
 
     Parameters
@@ -509,6 +514,8 @@ class FindResult(Answer):
         a body lacks, windows of many takes.
     alike_count : number of similar places, which come first; None if that was not learned.
     """
+
+    _rows: ClassVar[str] = "results"
 
     query: str
     duration: float
@@ -529,8 +536,9 @@ class FindResult(Answer):
         return answer
 
 
+@short_repr
 @dataclass(frozen=True, slots=True)
-class LabelledTake:
+class LabelledTake(Tabular):
     """The timeline of a take.
 
     Parameters
@@ -540,6 +548,8 @@ class LabelledTake:
     timeline : its stretches in order and without gaps, with categories and confidence.
     notes : warnings from reading the file, and joints that were ignored because the body lacks them.
     """
+
+    _rows: ClassVar[str] = "segments"
 
     take: str
     clip_id: int | None

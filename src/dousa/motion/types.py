@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.errors import InvalidMotionError
 from dousa.messages import Message
+from dousa.notebooks import short_repr
 
 
 def freeze(array: NDArray[Any]) -> NDArray[Any]:
@@ -100,6 +101,7 @@ class Provenance:
         return dataclasses.replace(self, values=None, read=())
 
 
+@short_repr
 @dataclass(frozen=True, slots=True, eq=False)
 class Skeleton:
     """A tree of joints.
@@ -156,6 +158,7 @@ class Skeleton:
             raise InvalidMotionError("motion.unknown_joint", name=name, known=self.names) from None
 
 
+@short_repr
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
     """Joint rotations over time.
@@ -218,6 +221,7 @@ class Motion:
         return dataclasses.replace(self, **changes)
 
 
+@short_repr
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectories:
     """Positions of named points over time, common to all formats.

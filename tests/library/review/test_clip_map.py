@@ -104,7 +104,7 @@ def test_the_command_draws_a_picture_with_a_legend(library, tmp_path):
 
 @pytest.mark.parametrize(
     ("words", "expected"),
-    [(["-o", "map.txt"], "got '.txt'"), ([], "--output map.png"), (["-o", "x.csv"], "no clips yet")],
+    [(["-o", "map.txt"], "got '.txt'"), ([], "--output is missing"), (["-o", "x.csv"], "no clips yet")],
 )
 def test_what_cannot_be_done_is_said(library, words, expected, tmp_path, monkeypatch, capsys):
     library.remove([clip.id for clip in library.clips()])

@@ -70,7 +70,7 @@ NEEDED = {
     "experiment": "split performer_from category_from takes figure",
     "export": "output to category text onto",
     "label": "csv picture",
-    "render": "output cameras n_ring stature",
+    "render": "output cameras ring stature",
     "search": "k text category picture explain",
 }
 """The options that one needs first; the others of these commands stand in the help under More."""

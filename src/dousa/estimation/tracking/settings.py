@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import OptionError
 from dousa.messages import Message
+from dousa.notebooks import short_repr
 
 if TYPE_CHECKING:
     from dousa.estimation.body.body import BodyModel
@@ -147,6 +148,7 @@ class TrackedFrame:
     body: BodyModel
 
 
+@short_repr
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
     """A motion estimated from silhouettes, with its expected error.

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from dousa.evaluation.grade.score import round_grade
 from dousa.evaluation.posture.posture import LIMBS, SEGMENTS
 from dousa.evaluation.words import KINDS, name_parts
 from dousa.messages import Message
+from dousa.notebooks import Tabular, short_repr
 
 _KEYS = ("score", "events", "lapses")
 _SIZES: Mapping[str, Callable[[Mapping[str, Any]], float | None]] = {
@@ -61,8 +62,9 @@ class Attempt:
     figures: tuple[tuple[str, float | None], ...] = ()
 
 
+@short_repr
 @dataclass(frozen=True, slots=True)
-class Progress:
+class Progress(Tabular):
     """Several attempts in order of time.
 
     Parameters
@@ -72,6 +74,8 @@ class Progress:
     better, worse : kinds of errors, of the last attempt against the first.
     still : what failed in every attempt.
     """
+
+    _rows: ClassVar[str] = "attempts"
 
     attempts: tuple[Attempt, ...]
     summary: Message

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from dousa.files.json_values import round_number
 from dousa.messages import Message
 from dousa.motion import CanonicalMotion
 from dousa.motion.canonical.canonicalise import mirror_canonical
+from dousa.notebooks import Tabular, short_repr
 
 _NAN = float("nan")
 
@@ -70,8 +71,9 @@ class AssessedRepetition:
         return self.ranges[ANGLES.index(angle)]
 
 
+@short_repr
 @dataclass(frozen=True, slots=True, eq=False)
-class RepetitionsAssessment:
+class RepetitionsAssessment(Tabular):
     """How the repetitions of an exercise went.
 
     Parameters
@@ -89,6 +91,8 @@ class RepetitionsAssessment:
     warnings : what a person should know.
     tempo : ``"free"``: being slower than the reference costs nothing; ``"same"``: it does.
     """
+
+    _rows: ClassVar[str] = "repetitions"
 
     repetitions: tuple[AssessedRepetition, ...]
     angles: tuple[str, ...]

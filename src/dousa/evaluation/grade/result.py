@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from dousa.evaluation.words import date, describe_event, describe_heading, forma
 from dousa.files.json_values import round_number, to_json_value
 from dousa.messages import Message
 from dousa.motion.runs import find_runs
+from dousa.notebooks import Tabular, short_repr
 
 # Digits after the point: a millisecond, a tenth of a degree; finer than anything that was measured.
 _SECONDS, _DEGREES, _SHARES = 3, 1, 4
@@ -126,8 +127,9 @@ class FuriAssessment:
         return self.eigenspace.contribution
 
 
+@short_repr
 @dataclass(frozen=True, slots=True, eq=False)
-class Assessment:
+class Assessment(Tabular):
     """How a performance differs from its reference: curves over the performance's frames, and events.
 
     All arrays have one row a frame of the performance; nan where there is nothing to compare (outside the
@@ -167,6 +169,8 @@ class Assessment:
     not_judged : names of the segments that could not be compared: one of both bodies lacks them, or holds them in
         another position throughout.
     """
+
+    _rows: ClassVar[str] = "events"
 
     frame_rate: float
     reference: PostureSequence

@@ -24,6 +24,7 @@ from dousa.library.store.checksums import LABELS, RELATIONS
 from dousa.library.store.engine import Database, read_revision
 from dousa.library.store.selection import fetch_in
 from dousa.messages.tables import LANGUAGES
+from dousa.notebooks import Tabular, short_repr
 from dousa.retrieval.words.matching import (
     LEAST_OF_BEST,
     LEAST_SCORE,
@@ -93,8 +94,9 @@ class TextMatches:
     corrections: dict[str, str]
 
 
+@short_repr
 @dataclass(frozen=True, slots=True)
-class TextResult(Answer):
+class TextResult(Answer, Tabular):
     """The answer to a search by words.
 
     Parameters
@@ -108,6 +110,8 @@ class TextResult(Answer):
     unknown : words that are neither in the vocabulary nor in the library.
     near : words of the library near to the query, if nothing fits.
     """
+
+    _rows: ClassVar[str] = "results"
 
     text: str
     results: tuple[TextHit, ...]

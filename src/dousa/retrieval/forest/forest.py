@@ -199,6 +199,20 @@ class MotionForest:
         """Return the constructor's parameters, as scikit-learn requires (``deep`` changes nothing)."""
         return {name: getattr(self, name) for name in _PARAMETERS}
 
+    def __sklearn_tags__(self) -> Any:
+        """What scikit-learn, which alone calls this, should know: a classifier of clips (N, T, F)."""
+        from sklearn.utils import ClassifierTags, InputTags, Tags, TargetTags
+
+        return Tags(
+            estimator_type="classifier",
+            target_tags=TargetTags(required=True),
+            classifier_tags=ClassifierTags(),
+            input_tags=InputTags(two_d_array=False, three_d_array=True),
+        )
+
+    def __sklearn_is_fitted__(self) -> bool:
+        return self._trees is not None
+
     def set_params(self, **params: Any) -> MotionForest:
         """Set parameters for the next ``fit``; OptionError for an unknown name or a value out of range."""
         for name, value in params.items():
@@ -269,6 +283,11 @@ class MotionForest:
         """Return (N,) the category of largest share in ``predict_proba``, the first of equals."""
         named: NDArray[Any] = self.classes_[self.predict_proba(features, histogram).argmax(axis=1)]
         return named
+
+    def score(self, features: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> float:
+        """Return the share of clips (N, T, F) whose predicted category is ``y`` (N,); weighted by (N,) if given."""
+        weights = None if sample_weight is None else np.asarray(sample_weight, np.float64)
+        return float(np.average(self.predict(features) == np.asarray(y), weights=weights))
 
     def predict_proba(self, features: ArrayLike, histogram: Histogram = "votes") -> FloatArray:
         """Compute the histograms H of section 3.4.

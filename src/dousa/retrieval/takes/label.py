@@ -14,7 +14,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from dousa.files.disk import atomic_write
 from dousa.messages import Message
 from dousa.motion.canonical.canonicalise import mirror_positions
 from dousa.motion.runs import find_equal_runs
+from dousa.notebooks import Tabular, short_repr
 from dousa.retrieval.features.channels import sample_positions
 from dousa.retrieval.features.posed_motion import PlainMotion, PosedMotion, check_motion
 from dousa.retrieval.forest.forest_file import check, check_version, pack_arrays, unpack_arrays
@@ -101,9 +102,12 @@ class Segment:
         }
 
 
+@short_repr
 @dataclass(frozen=True, slots=True)
-class Timeline:
+class Timeline(Tabular):
     """A take of ``duration`` s as ``segments`` in the order of time without gaps; unknown below the ``threshold``."""
+
+    _rows: ClassVar[str] = "segments"
 
     segments: tuple[Segment, ...]
     duration: float
