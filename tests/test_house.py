@@ -18,22 +18,22 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_833, 111),
-    "estimation": (15_774, 65),
-    "evaluation": (11_968, 46),
+    "app": (25_431, 112),
+    "estimation": (15_776, 65),
+    "evaluation": (11_980, 46),
     "experiments": (1_728, 10),
     "files": (1_112, 8),
     "formats": (13_044, 70),
-    "library": (15_843, 57),
+    "library": (15_868, 57),
     "messages": (235, 3),
-    "motion": (6_478, 34),
-    "retrieval": (13_489, 46),
+    "motion": (6_484, 34),
+    "retrieval": (13_512, 46),
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 61_962,
-    "lines of JavaScript": 12_473,
-    "constants": 1_042,
+    "lines of tests": 62_030,
+    "lines of JavaScript": 12_476,
+    "constants": 1_041,
     "numeric constants without a source": 0,
     "functions over 60 lines": 13,
     "files over 650 lines": 0,

@@ -20,7 +20,7 @@ EXAMPLES = sorted((Path(__file__).parents[1] / "docs" / "examples").glob("*.ipyn
 @pytest.fixture(scope="module")
 def judged():
     takes = [canonicalise(make_motion("kick_left", draw_performer(1), seed)) for seed in range(4)]
-    return assess(takes[:3], canonicalise(make_motion("kick_right", draw_performer(2))))
+    return assess(takes[:3], canonicalise(make_motion("kick_right", draw_performer(2))), side="same")
 
 
 def test_there_is_one_for_each_method():
