@@ -25,7 +25,7 @@ from dousa.library import Library
 from dousa.library.search.leaf_index import read_index
 from dousa.library.search.part_search import make_dense
 from dousa.library.store import schema
-from dousa.library.store.checksums import seal_rows
+from dousa.library.store.checksums import seal_positions, seal_rows
 from dousa.library.store.engine import next_revision, take_clip_ids
 from dousa.library.store.forests import load_forest
 from dousa.library.store.schema import pack
@@ -70,7 +70,8 @@ def insert_clips(
             | {"performer": None, "format": "bvh", "n_frames": N_FRAMES, "frame_rate": 30.0, "duration": 2.0}
             | {"height": 1.7, "joint_table": "synthetic", "warnings": [], "added_at": now, "kind": "clip", "absent": ""}
         )
-        positions.append({"clip_id": clip_id, "positions": pack(prototypes[category] + moved, "<f4")})
+        data = pack(prototypes[category] + moved, "<f4")
+        positions.append({"clip_id": clip_id, "positions": data, "block_checksums": seal_positions(clip_id, data)})
     connection.execute(sa.insert(schema.clips), seal_rows(schema.clips, rows))
     connection.execute(sa.insert(schema.clip_trajectories), positions)
 

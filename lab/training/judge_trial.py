@@ -166,7 +166,7 @@ _CHOICES: dict[str, tuple[float, ...]] = {
     "change": (2.0, 3.0, 5.0, 8.0),
     "shift": _BIASES,
     "incomplete": _BIASES,
-    "partial": _BIASES,
+    "limb": _BIASES,
     "whole": _BIASES,
     "surest": (0.0, 0.5, 1.0, 1.5, 2.0),
     "shortest_s": (0.2, 0.3, 0.4),

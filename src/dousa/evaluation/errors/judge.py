@@ -7,7 +7,7 @@ of many people.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from functools import lru_cache
 from importlib import resources
 
@@ -81,6 +81,7 @@ def _add_up(
 
 LIMB_CLASSES = ("ok", "shift", "incomplete", "partial")
 BODY_CLASSES = ("ok", "shift", "incomplete", "global")
+_EITHER = "either"  # incomplete or partial
 _LIMB_SEGMENTS = tuple(LIMBS.values())
 
 
@@ -89,11 +90,11 @@ class Decoding:
     """How moments become errors; chosen on trials."""
 
     change: float = 3.0  # price of beginning or ending an error, nats
-    # what speaks for an error of the class at every moment, nats; ``whole`` for global motion errors
+    # what speaks for an error of the class at every moment, nats
     shift: float = 0.0
-    incomplete: float = 0.0
-    partial: float = 0.0
-    whole: float = 0.0
+    incomplete: float = 0.0  # of the body
+    limb: float = 0.0  # incomplete or partial
+    whole: float = 0.0  # global
     shortest_s: float = 0.25  # a shorter error is none
     surest: float = 0.5  # mean log odds against "ok" that an error must have, nats
 
@@ -125,20 +126,30 @@ def decode(limbs: FloatArray, body: FloatArray, rate: float, how: Decoding) -> l
     how : prices.
     """
     found = _find_runs(body, BODY_CLASSES, tuple(range(limbs.shape[1])), rate, how)
+    # Whether a limb is short or elsewhere shows in the whole stretch, not at a moment.
+    either = np.concatenate([limbs[..., :2], np.logaddexp(limbs[..., 2:3], limbs[..., 3:])], axis=2)
     by_limb = [
-        suspect
+        _name_class(suspect, limbs[:, limb])
         for limb in range(limbs.shape[1])
-        for suspect in _find_runs(limbs[:, limb], LIMB_CLASSES, (limb,), rate, how)
-        if not _is_of(suspect, found)
+        for suspect in _find_runs(either[:, limb], (*LIMB_CLASSES[:2], _EITHER), (limb,), rate, how)
     ]
+    by_limb = [suspect for suspect in by_limb if not _is_of(suspect, found)]
     return sorted([*found, *_join_limbs(by_limb)], key=lambda one: (one.start, one.end))
+
+
+def _name_class(suspect: Suspect, logs: FloatArray) -> Suspect:
+    """The suspect of a limb with the likelier of both classes, by log probabilities (N, 4) of all moments together."""
+    if suspect.kind != _EITHER:
+        return suspect
+    of_both = logs[suspect.start : suspect.end, 2:].sum(axis=0)
+    return replace(suspect, kind=LIMB_CLASSES[2 + int(of_both.argmax())])
 
 
 def _find_runs(
     logs: FloatArray, names: Sequence[str], limbs: tuple[int, ...], rate: float, how: Decoding
 ) -> list[Suspect]:
     scores = logs.copy()
-    scores[:, 1:] += [how.shift, how.incomplete, how.partial if "partial" in names else how.whole]
+    scores[:, 1:] += [how.shift, how.limb] if _EITHER in names else [how.shift, how.incomplete, how.whole]
     classes = follow_classes(scores * (15.0 / rate), how.change)
     found = []
     for start, end in find_equal_runs(classes).tolist():
