@@ -18,9 +18,9 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_431, 112),
+    "app": (25_434, 112),
     "estimation": (15_776, 65),
-    "evaluation": (11_980, 46),
+    "evaluation": (11_991, 46),
     "experiments": (1_728, 10),
     "files": (1_112, 8),
     "formats": (13_044, 70),
@@ -31,9 +31,9 @@ ROOMS = {
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_030,
+    "lines of tests": 62_031,
     "lines of JavaScript": 12_476,
-    "constants": 1_041,
+    "constants": 1_042,
     "numeric constants without a source": 0,
     "functions over 60 lines": 13,
     "files over 650 lines": 0,
@@ -41,7 +41,7 @@ TOTALS = {
     "lines with words that a native reader stumbles over": 44,
     "hand-written runs of a mask": 3,
     "commands": 32,
-    "options": 202,
+    "options": 205,
 }
 
 _LONG_FUNCTION, _LONG_FILE, _LARGE_FOLDER = 60, 650, 15

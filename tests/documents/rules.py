@@ -122,6 +122,7 @@ BENCHMARKS = {
     "trials.film_cameras": "--help",  # it needs the pose models
     "benchmarks.keypoints": "--help",  # it needs the pose models
     "trials.made_people": "--help",  # likewise, and a mesh
+    "trials.crossings": "--help",  # likewise
     "benchmarks.correlation_matrix": "--frames 200 --repeats 1",
     "training.body_offsets": "--pairs 1",
     "benchmarks.estimate": "--frames 4 --repeats 1",

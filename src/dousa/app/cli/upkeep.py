@@ -52,6 +52,7 @@ def check(
 def backup(
     library: LibraryPath,
     to: Annotated[str, typer.Argument(metavar="TO", help="The new file.")],
+    json: Json = False,
 ) -> None:
     """Copy a library to a new file and compare the copy with its checksums. Other programs may write meanwhile.
 
@@ -63,12 +64,13 @@ def backup(
 
     with open_to_read(library) as opened, progress_bar() as progress:
         report = opened.backup(to, progress=progress)
-    print_messages(console(), report)
+    print_answer(report, print_messages, json=json)
 
 
 def restore(
     backup: Annotated[str, typer.Argument(metavar="BACKUP", help="A file of dousa backup, or any library file.")],
     library: LibraryPath,
+    json: Json = False,
 ) -> None:
     """Put a backup in the place of a library. The library that is there is kept in a folder beside it.
 
@@ -81,7 +83,7 @@ def restore(
 
     with progress_bar() as progress:
         report = Library.restore(backup, library, progress=progress)
-    print_messages(console(), report)
+    print_answer(report, print_messages, json=json)
 
 
 def compact(
@@ -95,6 +97,7 @@ def compact(
             "to s3://bucket/folder or a folder.",
         ),
     ] = None,
+    json: Json = False,
 ) -> None:
     """Make the file of a library smaller after clips were removed. They cannot be brought back by dousa undo then.
 
@@ -107,7 +110,7 @@ def compact(
     place = "" if fragments == "beside" else fragments
     with open_library(library) as opened, progress_bar() as progress:
         report = opened.compact(fragments=place, progress=progress)
-    print_messages(console(), report)
+    print_answer(report, print_messages, json=json)
 
 
 def review(
