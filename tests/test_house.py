@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_031,
+    "lines of tests": 62_046,
     "lines of JavaScript": 12_476,
     "constants": 1_042,
     "numeric constants without a source": 0,

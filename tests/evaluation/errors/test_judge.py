@@ -116,6 +116,16 @@ def test_a_flicker_is_bridged_and_a_short_error_is_none() -> None:
     assert decode(*make_logs({(1, "partial"): (10, 13)}, {}), RATE, PLAIN) == []
 
 
+@pytest.mark.parametrize(("short", "likelier"), [(0.55, "incomplete"), (0.35, "partial")])
+def test_a_limb_is_short_or_elsewhere_over_its_whole_stretch(short: float, likelier: str) -> None:
+    limbs, body = make_logs({(1, "partial"): (10, 30)}, {})
+    limbs[10:30:2, 1] = np.log([0.02, 0.02, 0.62, 0.34])
+    limbs[11:30:2, 1] = np.log([0.02, 0.02, short, 0.96 - short])
+    limbs[29, 1] = np.log([0.02, 0.02, 0.1, 0.86])
+    (found,) = decode(limbs, body, RATE, PLAIN)
+    assert (found.kind, found.start, found.end) == (likelier, 10, 30)
+
+
 def worth(course: tuple[int, ...], scores: np.ndarray, change: float) -> float:
     changes = sum(a != b for a, b in itertools.pairwise(course))
     return float(sum(scores[t, c] for t, c in enumerate(course))) - change * changes
