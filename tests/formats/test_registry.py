@@ -231,7 +231,7 @@ def test_the_suffixes_of_plugins_are_known_everywhere(install, tmp_path):
     write_motion(POINTS, path)
     assert ".walk" in list_suffixes() and ".walk" in motion_suffixes()
     with pytest.raises(OptionError, match="motion"):
-        check_table("--output", path, (), overwrite=True)
+        check_table("--output", path, ())
     with pytest.raises(JointMappingError):  # it was read as a motion, and not as the TOML of a body
         load_given_body(path, ReadOptions())
     with pytest.raises(UnknownFormatError, match=r"\.bvh, .*\.walk; the plug-in 'broken' cannot be used"):
