@@ -1,4 +1,4 @@
-"""How often legs, arms, or front and back are exchanged and nothing says so, where they cross on purpose.
+"""How often legs or arms are exchanged and nothing says so, where they cross on purpose.
 
     python -m lab.trials.crossings --mesh FOLDER --kept FOLDER [--people tuned|kept] [--clips N] [--start START]
 
@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,15 +21,13 @@ import cv2
 import numpy as np
 
 from dousa.arrays import BoolArray, FloatArray
-from dousa.estimation import Camera, estimate, make_human, make_ring, poses_from_motion
-from dousa.estimation.body.kinematics import compute_points, place_parts, point_names
+from dousa.estimation import Camera, estimate, make_human, make_ring
+from dousa.estimation.body.kinematics import compute_points, point_names
 from dousa.estimation.body.posing import fit_pose
 from dousa.estimation.silhouettes.mask_npz import write_silhouettes
-from dousa.formats.registry import read_motion
-from dousa.motion import Motion
 from lab.estimation.clips import BenchClip, choose_views, read_clip, take_part
 from lab.places import SHARED_DATA
-from lab.trials.person_maker import N_BODY, MadePerson, Mesh
+from lab.trials.person_maker import N_BODY, Mesh, move_person
 
 _RATE, _FRAMES, _SIZE = 30.0, 45, (320, 240)
 _KINDS = ("elbowToKnee", "jog", "kick", "sneak", "throw")
@@ -54,32 +51,17 @@ OFF = 0.15
 def make_clip(path: Path, mesh: Mesh, motions: Sequence[Path], number: int) -> None:
     """Draw one person before four cameras, and write silhouettes, cameras and true joints."""
     rng = np.random.default_rng(7000 + number)
-    person = MadePerson(mesh, rng)
-    motion = read_motion(motions[rng.integers(len(motions))])
-    assert isinstance(motion, Motion)
-    step = max(1, round(motion.frame_rate / _RATE))
-    first = int(rng.integers(0, max(1, motion.n_frames - _FRAMES * step)))
-    chosen = np.arange(first, min(motion.n_frames, first + _FRAMES * step), step)
-    part = replace(motion, rotations=motion.rotations[chosen], translations=motion.translations[chosen],
-                   frame_rate=motion.frame_rate / step)  # fmt: skip
-    body = make_human(person.stature)
-    turns, places = place_parts(body, poses_from_motion(body, part))
-    hips = 0.5 * (places[:, body.names.index("left_thigh")] + places[:, body.names.index("right_thigh")])
-    hips = hips - hips.mean(axis=0) * (1, 0, 1)
-    posed = [person.pose(dict(zip(body.names, turn, strict=True)), hip)
-             for turn, hip in zip(turns, hips, strict=True)]  # fmt: skip
-    low = np.percentile([vertices[:, 1].min() for vertices, _ in posed], 10) * np.array([0, 1, 0])
-    distance = rng.uniform(3.6, 4.6) + 1.5 * max(0.0, np.abs(hips[:, ::2]).max() - 0.4)
+    moved = move_person(mesh, motions, rng, _RATE, _FRAMES)
+    distance = rng.uniform(3.6, 4.6) + 1.5 * max(0.0, moved.reach - 0.4)
     cameras = make_ring(4, distance=distance, height=rng.uniform(0.9, 1.8), size=_SIZE, first_angle=rng.uniform(0, 6))
     faces = mesh.faces[(mesh.faces < N_BODY).all(axis=1)]
-    masks = [[_draw(camera, faces, vertices - low) for vertices, _ in posed] for camera in cameras]
+    masks = [[_draw(camera, faces, vertices) for vertices in moved.vertices] for camera in cameras]
     bones = {f"{side}_{joint}": f"{bone}.{side[0].upper()}" for joint, bone in _BONES.items()
              for side in ("left", "right")}  # fmt: skip
-    joints = np.stack([[heads[bone] - low for bone in bones.values()] for _, heads in posed])
+    joints = np.stack([[heads[bone] for bone in bones.values()] for heads in moved.heads])
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_silhouettes(
-        path, np.array(masks), cameras, part.frame_rate, stature=person.stature, truth=(list(bones), joints)
-    )
+    truth, stature = (list(bones), joints), moved.person.stature
+    write_silhouettes(path, np.array(masks), cameras, moved.frame_rate, stature=stature, truth=truth)
 
 
 def _draw(camera: Camera, faces: np.ndarray, vertices: FloatArray) -> BoolArray:

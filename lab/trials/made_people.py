@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -35,17 +34,13 @@ from dousa.estimation import (
     PersonTrack,
     find_keypoints,
     fit_keypoints,
-    make_human,
     make_ring,
-    poses_from_motion,
 )
-from dousa.estimation.body.kinematics import compute_points, place_parts, point_names
+from dousa.estimation.body.kinematics import compute_points, point_names
 from dousa.estimation.keypoints.pose_models import check_pose_model, get_pose_model
 from dousa.estimation.multiview.landmarks import find_sources
-from dousa.formats.registry import read_motion
-from dousa.motion import Motion
 from lab.places import SHARED_DATA
-from lab.trials.person_maker import FloatArray, MadePerson, Mesh, draw_person
+from lab.trials.person_maker import FloatArray, MadePerson, Mesh, draw_person, move_person
 
 _SHARED = SHARED_DATA
 _RATE, _FRAMES, _SIZE = 15.0, 30, (720, 960)
@@ -62,33 +57,19 @@ _SOURCES = find_sources(MEDIAPIPE_NAMES)
 def make_film(mesh: Mesh, motions: list[Path], number: int) -> dict[str, FloatArray]:
     """One person before four cameras: what is true, and what the network finds."""
     rng = np.random.default_rng(1000 + number)
-    person = MadePerson(mesh, rng)
-    motion = read_motion(motions[rng.integers(len(motions))])
-    assert isinstance(motion, Motion)
-    step = max(1, round(motion.frame_rate / _RATE))
-    first = int(rng.integers(0, max(1, motion.n_frames - _FRAMES * step)))
-    chosen = np.arange(first, min(motion.n_frames, first + _FRAMES * step), step)
-    part = replace(motion, rotations=motion.rotations[chosen], translations=motion.translations[chosen],
-                   frame_rate=motion.frame_rate / step)  # fmt: skip
-    body = make_human(person.stature)
-    turns, places = place_parts(body, poses_from_motion(body, part))
-    hips = 0.5 * (places[:, body.names.index("left_thigh")] + places[:, body.names.index("right_thigh")])
-    hips = hips - hips.mean(axis=0) * (1, 0, 1)
-    posed = [person.pose(dict(zip(body.names, turn, strict=True)), hip)
-             for turn, hip in zip(turns, hips, strict=True)]  # fmt: skip
-    low = np.percentile([vertices[:, 1].min() for vertices, _ in posed], 10) * np.array([0, 1, 0])
-    distance = rng.uniform(3.2, 4.2) + 1.5 * max(0.0, np.abs(hips[:, ::2]).max() - 0.4)
+    moved = move_person(mesh, motions, rng, _RATE, _FRAMES)
+    distance = rng.uniform(3.2, 4.2) + 1.5 * max(0.0, moved.reach - 0.4)
     cameras = make_ring(4, distance=distance, height=rng.uniform(0.7, 2.4), size=_SIZE, first_angle=rng.uniform(0, 6),
                         focal=rng.uniform(0.95, 1.2) * 0.3 * _SIZE[1] * distance)  # fmt: skip
-    tracks = [_look(camera, mesh, person, [vertices - low for vertices, _ in posed], rng) for camera in cameras]
+    tracks = [_look(camera, mesh, moved.person, moved.vertices, rng) for camera in cameras]
     bones = {f"{side}_{point}": f"{bone}.{side[0].upper()}" for point, (bone, _) in _POINTS.items()
              for side in ("left", "right")} | {"head": "neck03"}  # fmt: skip
     return {
-        "stature": np.array(person.stature),
-        "joints": np.stack([[heads[bone] - low for bone in bones.values()] for _, heads in posed]),
+        "stature": np.array(moved.person.stature),
+        "joints": np.stack([[heads[bone] for bone in bones.values()] for heads in moved.heads]),
         "names": np.array(list(bones)),
-        "turns": turns,
-        "parts": np.array(body.names),
+        "turns": moved.turns,
+        "parts": np.array(moved.parts),
         "points": np.stack([track.points for track in tracks]),
         "visibility": np.stack([track.visibility for track in tracks]),
         "world": np.stack([np.zeros((*track.points.shape[:2], 3)) if track.world is None else track.world

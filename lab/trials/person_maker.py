@@ -7,16 +7,21 @@ from __future__ import annotations
 
 import gzip
 import json
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
-from dousa.estimation import Camera
+from dousa.estimation import Camera, make_human, poses_from_motion
+from dousa.estimation.body.kinematics import place_parts
+from dousa.formats.registry import read_motion
+from dousa.motion import Motion
 
 N_BODY = 13380  # vertices of the skin; helpers follow
 _EYES = slice(14598, 14742)
@@ -149,6 +154,51 @@ class MadePerson:
             weight = self._mesh.weights[:, row : row + 1]
             vertices += weight * ((self.places - self.heads[name]) @ turned[name].T + places[name])
         return vertices, places
+
+
+class MovedPerson(NamedTuple):
+    """A made-up person who moves as a recording does, with the lowest tenth of the frames' lowest points at height 0.
+
+    Parameters
+    ----------
+    person, frame_rate : who moves, and Hz.
+    parts, turns : names of the parts of our body, and their rotations (T, P, 3, 3).
+    vertices, heads : of each frame, as of `MadePerson.pose`.
+    reach : m that the hips go from the middle along an axis.
+    """
+
+    person: MadePerson
+    frame_rate: float
+    parts: tuple[str, ...]
+    turns: FloatArray
+    vertices: list[FloatArray]
+    heads: list[dict[str, FloatArray]]
+    reach: float
+
+
+def move_person(
+    mesh: Mesh, motions: Sequence[Path], rng: np.random.Generator, rate: float, n_frames: int
+) -> MovedPerson:
+    """Let a person move as a random stretch of one of the recordings, of so many frames at about this rate."""
+    person = MadePerson(mesh, rng)
+    motion = read_motion(motions[rng.integers(len(motions))])
+    assert isinstance(motion, Motion)
+    step = max(1, round(motion.frame_rate / rate))
+    first = int(rng.integers(0, max(1, motion.n_frames - n_frames * step)))
+    chosen = np.arange(first, min(motion.n_frames, first + n_frames * step), step)
+    part = replace(motion, rotations=motion.rotations[chosen], translations=motion.translations[chosen],
+                   frame_rate=motion.frame_rate / step)  # fmt: skip
+    body = make_human(person.stature)
+    turns, places = place_parts(body, poses_from_motion(body, part))
+    hips = 0.5 * (places[:, body.names.index("left_thigh")] + places[:, body.names.index("right_thigh")])
+    hips = hips - hips.mean(axis=0) * (1, 0, 1)
+    posed = [person.pose(dict(zip(body.names, turn, strict=True)), hip)
+             for turn, hip in zip(turns, hips, strict=True)]  # fmt: skip
+    low = np.percentile([vertices[:, 1].min() for vertices, _ in posed], 10) * np.array([0, 1, 0])
+    heads = [{bone: head - low for bone, head in own.items()} for _, own in posed]
+    reach = float(np.abs(hips[:, ::2]).max())
+    vertices = [own - low for own, _ in posed]
+    return MovedPerson(person, part.frame_rate, tuple(body.names), turns, vertices, heads, reach)
 
 
 def _shape(mesh: Mesh, rng: np.random.Generator) -> FloatArray:

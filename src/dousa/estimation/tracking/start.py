@@ -272,7 +272,9 @@ class StartSearch:
         stiffness = max(given.stiffness, usual.stiffness)
         own = dataclasses.replace(usual, inertia=0.0, floor=given.floor, stiffness=stiffness)
         self.setup = SearchSetup(self.body, self.cameras, own, 30.0, area)
-        self.rims, self.scratch = self.setup.find_rims(frame), self.setup.make_scratch()
+        self.scratch = self.setup.make_scratch()
+        if outlines:
+            self.rims = self.setup.find_rims(frame)
         self.limbs = find_limbs(self.body)
 
     def run(self, near: FloatArray | None, tell: Progress) -> list[Scored]:

@@ -335,13 +335,13 @@ class _Job:
 
         Unless ``sure``, only if it fits as clearly in the mean of the last few frames. Returns whether it was taken.
         """
-        rule, setup = self.restart, self._make_setup(replace(self.settings, beam=1))
-        line = self.beam.line[-rule.repaired :]
-        frames = [settled.frame for settled in line]
-        poses = np.array([settled.pose for settled in line])
-        gain = score_frames(self.setup, np.stack((found, poses[-1])), [frame, frame])
+        rule, line = self.restart, self.beam.line[-self.restart.repaired :]
+        gain = score_frames(self.setup, np.stack((found, line[-1].pose)), [frame, frame])
         if gain[0] - gain[1] < rule.gain:
             return False
+        setup = self._make_setup(replace(self.settings, beam=1))
+        frames = [settled.frame for settled in line]
+        poses = np.array([settled.pose for settled in line])
         own = Replay(poses, score_frames(self.setup, poses, frames))
         if not sure:
             glance = replay(setup, found, frames[::-1][: rule.frames])

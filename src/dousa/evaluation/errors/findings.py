@@ -10,21 +10,14 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.evaluation.alignment.dynamic_programming import follow_lag
-from dousa.evaluation.errors.evidence import (
-    LAG_CHANGE,
-    Evidence,
-    measure_missing_range,
-    measure_ranges,
-)
+from dousa.evaluation.errors.evidence import LAG_CHANGE, Evidence, measure_missing_range, measure_ranges
 from dousa.evaluation.errors.judge import Suspect
 
 _EDGE, _LEAST_KEPT = 0.3, 0.5  # of the lag; of the span
 _REACH_S, _MOST = 0.8, 0.5  # lags that are looked at; squared chord, further away says no more
 _LEAST_EXCESS = np.radians(10.0)  # as much as is worth saying, see docs/evaluation.md
-_LARGER, _UNEXPLAINED = (
-    1.2,
-    0.6,
-)  # gain of a motion that is larger; share that it may leave, see lab/notes/evaluation.md
+# gain of a motion that is larger, and share that it may leave, see lab/notes/evaluation.md
+_LARGER, _UNEXPLAINED = 1.2, 0.6
 _BODY = np.arange(9)  # all segments, by definition
 
 

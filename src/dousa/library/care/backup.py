@@ -191,6 +191,8 @@ def _clear_left_overs(path: Path) -> None:
     """Delete what programs that were killed have prepared in the folder of a library."""
     for left in path.parent.glob("*.part/lock"):
         with suppress(OSError), open(left, "r+b") as lock:
+            if not {one.name for one in left.parent.iterdir()} <= {"lock", "old", "new"}:
+                continue  # of another program
             lock_file(lock)
             if (left.parent / "old").exists():
                 (left.parent / "old").rmdir()  # fails with a library in it
