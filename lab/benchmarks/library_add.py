@@ -20,7 +20,7 @@ import numpy as np
 from dousa.formats import ReadOptions
 from dousa.library import Library
 from dousa.library.store import ingest
-from dousa.motion import CanonicalMotion, Trajectories, canonicalise
+from dousa.motion import Trajectories
 from lab.benchmarks.timing import Row, run, take_turns
 from lab.places import SHARED_DATA
 
@@ -32,8 +32,8 @@ def add(files: list[Path], jobs: int | None = None) -> None:
         raise SystemExit(f"{len(report.skipped)} of {len(files)} files could not be added")
 
 
-def read_with_pymotion(path: str, options: ReadOptions, whole: bool) -> tuple[Trajectories, CanonicalMotion]:
-    """What ``ingest.read_both`` does, with upc-pymotion: the positions of the joints, in metres."""
+def read_with_pymotion(path: str, options: ReadOptions) -> Trajectories:
+    """What ``ingest.read_with`` does, with upc-pymotion: the positions of the joints, in metres."""
     from pymotion.io.bvh import BVH
     from pymotion.ops.skeleton_np import fk_quat
 
@@ -42,12 +42,11 @@ def read_with_pymotion(path: str, options: ReadOptions, whole: bool) -> tuple[Tr
     rotations, positions, parents, _, _, _ = file.get_data()
     # The position channels of these files stand for the offsets.
     world, _ = fk_quat(rotations, positions[:, 0], positions, parents)
-    trajectories = Trajectories(tuple(file.data["names"]), world * 0.01, 1 / file.data["frame_time"])
-    return trajectories, canonicalise(trajectories, whole=whole)
+    return Trajectories(tuple(file.data["names"]), world * 0.01, 1 / file.data["frame_time"])
 
 
 def add_with_pymotion(files: list[Path]) -> None:
-    with mock.patch.object(ingest, "read_both", read_with_pymotion):
+    with mock.patch.object(ingest, "read_with", read_with_pymotion):
         add(files, 1)
 
 
