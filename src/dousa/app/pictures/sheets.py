@@ -44,7 +44,7 @@ from dousa.motion import JOINT_INDEX
 if TYPE_CHECKING:
     from dousa.app.drawing.body import Drawable
     from dousa.formats.motion_files import ReadOptions
-    from dousa.library import Library, SearchResult
+    from dousa.library import Hit, Library, SearchResult
 
 
 _WIDTH, _MARGIN, _HEAD, _TIMES, _VIEW_LABEL, _CAPTION = 13.0, 0.25, 0.85, 0.3, 0.75, 2.6  # inches
@@ -59,7 +59,7 @@ class Strip:
     motion : what to draw.
     category : of the clip; for the query the one that the forest names.
     path : of the clip.
-    note : one more line, such as the rank and distance.
+    note : one more line, such as the rank and likeness.
     verdict : ``"match"``, ``"differs"`` or nothing.
     """
 
@@ -221,12 +221,17 @@ def draw_search_result(
             library.trajectories(hit.clip_id),
             hit.category,
             hit.path,
-            f"rank {hit.rank}, distance {hit.distance:.3f}{', mirrored' if hit.mirrored else ''}",
+            _note_rank(hit, likeness),
             "match" if hit.category == expected else "differs",
         )
-        for hit in result.results
+        for hit, likeness in zip(result.results, result.likenesses, strict=True)
     ]
     draw_search_sheet(asked, hits, path, title=f"What is like {_short_path(result.query)}?")
+
+
+def _note_rank(hit: Hit, likeness: float | None) -> str:
+    percent = "-" if likeness is None else f"{likeness:.0%}"
+    return f"rank {hit.rank}, likeness {percent}{', mirrored' if hit.mirrored else ''}"
 
 
 def draw_search_sheet(

@@ -65,7 +65,7 @@ def draw_timeline(
         ``confidence`` of 0 to 1; the duration in s, by default the end of the last segment.
     path : .png, .svg or .pdf.
     motion : the take; its poses are drawn above their times.
-    title : of the take, by default its ``take`` or ``path`` in the timeline.
+    title : of the take, by default the name of its ``take`` or ``path`` in the timeline.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def draw_timeline(
     if figurine is not None:
         _draw_thumbnails(figure, figurine, height - _HEAD - poses + _GAP)
     _draw_rows(figure, segments, rows, seconds)
-    name = title or str(_get(timeline, "take") or _get(timeline, "path") or "take")
+    name = title or os.path.basename(str(_get(timeline, "take") or _get(timeline, "path") or "take"))
     _draw_head(figure, name, segments, seconds)
     save_figure(figure, path)
 
