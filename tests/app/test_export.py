@@ -36,6 +36,10 @@ def test_chosen_clips_in_a_zip_on_a_character(tmp_path, moves, succeed):
     (name,) = json.loads(said)["written"]
     with zipfile.ZipFile(tmp_path / "out.zip") as archive:
         archive.extract(name, tmp_path)
+        (row,) = csv.DictReader(archive.read("manifest.csv").decode().splitlines())
+    assert row["worst_limb"].split("_")[0] in ("left", "right")
+    assert 0.0 <= float(row["worst_deg"]) < 90.0
+    assert 1 <= int(row["worst_frame"]) <= int(row["n_frames"])
     assert read_motion(tmp_path / name).frame_rate == pytest.approx(30.0)
 
 

@@ -13,6 +13,7 @@ import hashlib
 import io
 import itertools
 import json
+import math
 import os
 import re
 import shutil
@@ -35,9 +36,10 @@ if TYPE_CHECKING:
     from dousa.motion import Motion, Trajectories
 
 MANIFEST = "manifest.csv"
+_WORST = ("worst_limb", "worst_deg", "worst_frame")
 COLUMNS = (
     "file", "id", "kind", "category", "performer", "tags", "n_frames", "frame_rate", "duration_s", "source", "start_s",
-    "end_s", "from", "made_of",
+    "end_s", "from", "made_of", *_WORST,
 )  # fmt: skip
 
 Rows = dict[str, dict[str, str]]
@@ -168,7 +170,9 @@ def read_manifest(path: Path) -> Rows:
     except (OSError, UnicodeDecodeError, csv.Error):
         return {}
     return {
-        row["file"]: row for row in rows if set(row) == set(COLUMNS) and all(isinstance(v, str) for v in row.values())
+        row["file"]: row
+        for row in rows
+        if set(COLUMNS).difference(_WORST) <= set(row) <= set(COLUMNS) and all(isinstance(v, str) for v in row.values())
     }
 
 
@@ -320,7 +324,8 @@ class _Export:
             content = self.library.contents([clip.id]).get(clip.id, "")
             made_of = hashlib.sha256(f"{self.recipe} {content} {clip.start_s} {clip.end_s}".encode()).hexdigest()[:16]
             known = self.rows.get(name)
-            row = _describe(clip, name, made_of, known["from"] if known else "file")
+            row = _describe(clip, name, made_of)
+            row |= {key: known[key] for key in ("from", *_WORST) if known and key in known}
             planned.append(_Planned(clip, row, content, known is not None and known["made_of"] == made_of))
         self.to_come = {one.row["file"]: {**one.row, "made_of": ""} for one in planned if not one.is_there}
         if self.to_come:
@@ -336,7 +341,7 @@ class _Export:
             self.kept.append(name)
             return
         try:
-            row["from"] = self._write(clip, name, planned.content)
+            row |= self._write(clip, name, planned.content)
             self.destination.note(row)
         except DousaError as error:
             self.rows.pop(name, None)
@@ -372,7 +377,8 @@ class _Export:
     def _is_foreign(self, name: str) -> bool:
         return self.destination.is_foreign(name, self.rows)
 
-    def _write(self, clip: ClipInfo, name: str, content: str) -> str:
+    def _write(self, clip: ClipInfo, name: str, content: str) -> dict[str, str]:
+        """Write a file, and return what its row says of how it was made."""
         if self.form.to == ORIGINAL:
             if clip.take_id is not None:
                 raise OptionError("export.part_of_take")
@@ -381,13 +387,14 @@ class _Export:
             self._copy_skeleton(clip, name)
             with atomic_write(path) as file:
                 file.write(data)
-            return "file"
+            return {"from": "file"}
         from dousa.formats import write_motion
 
         if clip.take_id is not None:
             content = self.library.contents([clip.take_id]).get(clip.take_id, "")
         options = self._options(content)
         motion, origin = self._read(clip, options)
+        made = {"from": origin}
         if self.form.frame_rate is not None:
             from dousa.motion import resample
 
@@ -396,9 +403,12 @@ class _Export:
             from dousa.motion import retarget
 
             joints = options.joint_map if origin == "file" else None
-            motion = retarget(motion, self.character, joint_map=joints, keep_reach=self.form.keep_reach).motion
+            done = retarget(motion, self.character, joint_map=joints, keep_reach=self.form.keep_reach)
+            motion = done.motion
+            worst = done.worst.limb, f"{math.degrees(done.worst.angle):.1f}", str(done.worst.frame + 1)
+            made |= dict(zip(_WORST, worst, strict=True))
         write_motion(motion, self.destination.prepare(name))
-        return origin
+        return made
 
     def _copy_skeleton(self, clip: ClipInfo, name: str) -> None:
         if self.form.to != ORIGINAL or not clip.path.lower().endswith(".amc"):
@@ -444,7 +454,7 @@ def _file_of(clip: ClipInfo) -> str:
     return clip.path if clip.take_id is None else clip.path.rpartition("#t=")[0]
 
 
-def _describe(clip: ClipInfo, name: str, made_of: str, origin: str) -> dict[str, str]:
+def _describe(clip: ClipInfo, name: str, made_of: str) -> dict[str, str]:
     return {
         "file": name,
         "id": str(clip.id),
@@ -458,7 +468,7 @@ def _describe(clip: ClipInfo, name: str, made_of: str, origin: str) -> dict[str,
         "source": clip.path,
         "start_s": "" if clip.start_s is None else f"{clip.start_s:.6g}",
         "end_s": "" if clip.end_s is None else f"{clip.end_s:.6g}",
-        "from": origin,
+        "from": "file",
         "made_of": made_of,
     }
 
