@@ -102,7 +102,7 @@ def test_advice_comes_first_with_its_picture(english: str, japanese: str) -> Non
         places = [text.index(one.message.render(language)) for one in said]
         assert places == sorted(places)
         words = load_section("report", language)
-        order = [words[f"{name}_title"] for name in ("advice", "player", "events", "moments", "analysis", "timeline")]
+        order = [words[f"{name}_title"] for name in ("advice", "player", "events", "timeline", "moments", "analysis")]
         found = [text.index(title) for title in order]
         assert found == sorted(found) and found[0] < places[0] < places[-1] < found[1]
         tips = re.findall(r'<button type="button" class="tip .*?</button>', page)

@@ -1,5 +1,6 @@
 """The report in a real Chromium: nothing fails, and everything follows one moment."""
 
+import base64
 from pathlib import Path
 from typing import Any
 
@@ -93,3 +94,11 @@ def test_the_embedded_font_draws_the_japanese(language: str, browser: Any, tmp_p
     browser.open(write_report(assessment, tmp_path, language=language, title="扇の舞"), 1280, 900)
     browser.wait("return document.fonts.status === 'loaded' && document.fonts.size === 1")
     assert browser.run("return [...document.fonts][0].status") == "loaded"
+
+
+@pytest.mark.parametrize(("opening", "most"), [("", 2), ("document.querySelector('#analysis').open = true", 8)])
+def test_two_sheets_of_paper_and_the_rest_if_it_lies_open(opening: str, most: int, opened: Any) -> None:
+    opened.run(opening)
+    sheets = opened.driver.execute_cdp_cmd("Page.printToPDF", {"printBackground": True, "preferCSSPageSize": True})
+    count = base64.b64decode(sheets["data"]).count(b"/Type /Page\n")
+    assert (2 < count <= most) if opening else count <= most

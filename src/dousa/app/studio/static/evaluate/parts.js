@@ -1,18 +1,14 @@
 // Parts of the report are replaced in place: what is open stays open, what is scrolled stays, the focus stays.
 
-import { $, h } from "../core/dom.js";
+import { $ } from "../core/dom.js";
 
-// What of a report lies open: advice, player and worst moments for everybody, what they rest on for who opens it.
 const FOLD = "dousa_analysis"; // whether somebody opened it last time
 
+/** Let the analysis lie open where it did last time. */
 export function foldAnalysis(root) {
-  const head = $("#analysis", root);
-  const rest = [];
-  for (let next = head.nextElementSibling; next; next = next.nextElementSibling) rest.push(next);
-  const title = $("h2", head);
-  const fold = h("details", { class: "analysis", id: "analysis", open: localStorage.getItem(FOLD) === "open" }, h("summary", {}, title), ...[...head.children].filter((one) => one !== title), ...rest);
+  const fold = $("#analysis", root);
+  fold.open = localStorage.getItem(FOLD) === "open";
   fold.addEventListener("toggle", () => localStorage.setItem(FOLD, fold.open ? "open" : "closed"));
-  head.replaceWith(fold);
 }
 
 // On a phone the pictures of all figures would be a long way to scroll: the first one stays open.
