@@ -18,12 +18,12 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_439, 112),
+    "app": (25_441, 112),
     "estimation": (15_778, 65),
     "evaluation": (11_984, 46),
     "experiments": (1_728, 10),
     "files": (1_112, 8),
-    "formats": (13_044, 70),
+    "formats": (13_084, 70),
     "library": (15_880, 57),
     "messages": (235, 3),
     "motion": (6_484, 34),
@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_059,
+    "lines of tests": 62_086,
     "lines of JavaScript": 12_472,
     "constants": 1_043,
     "numeric constants without a source": 0,

@@ -96,7 +96,7 @@ def prepare(chain: Chain, clip: Clip, row: dict[str, Any]) -> Shown:
     silhouettes, truth, _ = clip.read()
     masks = np.stack([view for k in range(len(truth)) for view in silhouettes.read(k)])
     with TemporaryDirectory() as folder:
-        done = run_estimate(chain, clip, "told", Outputs(motion=Path(folder) / "motion.bvh"))
+        done = run_estimate(chain, clip, "told", Outputs((Path(folder) / "motion.bvh",)))
     points = done.estimate.points
     joints = points.positions[:, [points.names.index(name) for name in CANONICAL_JOINTS]]
     n_frames = min(len(joints), len(truth))

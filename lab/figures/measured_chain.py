@@ -76,7 +76,7 @@ def estimate_clip(chain: Chain, clip: Clip, start: str) -> Path:
     path = chain.kept / f"filmed_{start}" / clip.action / f"{clip.name}.bvh"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        done = run_estimate(chain, clip, start, Outputs(motion=path))
+        done = run_estimate(chain, clip, start, Outputs((path,)))
         _write_json(path.with_suffix(".json"), done.to_json())
     return path
 
@@ -110,7 +110,7 @@ def render_clip(chain: Chain, clip: Clip) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         seen = path.with_suffix(".npz")
         render_file(RenderRequest(clip.skeleton, seen, cameras=CAMERA_FILE))
-        request = EstimationRequest((seen,), TrackerSettings(), Outputs(motion=path), start=f"{clip.skeleton}:0")
+        request = EstimationRequest((seen,), TrackerSettings(), Outputs((path,)), start=f"{clip.skeleton}:0")
         estimate_files(request)
         seen.unlink()
     return path

@@ -37,7 +37,7 @@ def measure_project(folder: Path, model: str, kept: Path | None) -> None:
                 write_openpose(project / place_of / f"{films[view].stem}_json", found[view])
             (project / "calibration").symlink_to((folder / "calibration").absolute())
             (project / "Config.toml").write_text("[project]\nframe_rate = 60\n", encoding="utf-8")
-            outputs = Outputs(motion=Path(place) / "out.trc")
+            outputs = Outputs((Path(place) / "out.trc",))
             (done,) = estimate_sources(EstimationRequest((project,), outputs=outputs), None, print)
             made = read_motion(Path(place) / "out.trc")
         ours = np.stack([made.positions[:, made.names.index(name)] for name in JOINTS], axis=1)

@@ -17,17 +17,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from dousa.arrays import BoolArray, FloatArray
-from dousa.estimation import Camera, estimate, make_human, make_ring
+from dousa.estimation import estimate, make_human, make_ring
 from dousa.estimation.body.kinematics import compute_points, point_names
 from dousa.estimation.body.posing import fit_pose
 from dousa.estimation.silhouettes.mask_npz import write_silhouettes
 from lab.estimation.clips import BenchClip, choose_views, read_clip, take_part
 from lab.places import SHARED_DATA
-from lab.trials.person_maker import N_BODY, Mesh, move_person
+from lab.trials.person_maker import N_BODY, Mesh, draw_mask, move_person
 
 _RATE, _FRAMES, _SIZE = 30.0, 45, (320, 240)
 _KINDS = ("elbowToKnee", "jog", "kick", "sneak", "throw")
@@ -55,22 +54,13 @@ def make_clip(path: Path, mesh: Mesh, motions: Sequence[Path], number: int) -> N
     distance = rng.uniform(3.6, 4.6) + 1.5 * max(0.0, moved.reach - 0.4)
     cameras = make_ring(4, distance=distance, height=rng.uniform(0.9, 1.8), size=_SIZE, first_angle=rng.uniform(0, 6))
     faces = mesh.faces[(mesh.faces < N_BODY).all(axis=1)]
-    masks = [[_draw(camera, faces, vertices) for vertices in moved.vertices] for camera in cameras]
+    masks = [[draw_mask(camera, faces, vertices) for vertices in moved.vertices] for camera in cameras]
     bones = {f"{side}_{joint}": f"{bone}.{side[0].upper()}" for joint, bone in _BONES.items()
              for side in ("left", "right")}  # fmt: skip
     joints = np.stack([[heads[bone] for bone in bones.values()] for heads in moved.heads])
     path.parent.mkdir(parents=True, exist_ok=True)
     truth, stature = (list(bones), joints), moved.person.stature
     write_silhouettes(path, np.array(masks), cameras, moved.frame_rate, stature=stature, truth=truth)
-
-
-def _draw(camera: Camera, faces: np.ndarray, vertices: FloatArray) -> BoolArray:
-    drawn = np.zeros((camera.height, camera.width), np.uint8)
-    corners = np.round(camera.project(vertices)[faces] * 16).astype(np.int32)
-    one, other = corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]
-    for face in corners[one[:, 0] * other[:, 1] < one[:, 1] * other[:, 0]]:
-        cv2.fillConvexPoly(drawn, face, 1, cv2.LINE_8, 4)
-    return drawn.astype(bool)
 
 
 class Outcome(NamedTuple):

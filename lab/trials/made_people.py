@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -40,10 +41,10 @@ from dousa.estimation.body.kinematics import compute_points, point_names
 from dousa.estimation.keypoints.pose_models import check_pose_model, get_pose_model
 from dousa.estimation.multiview.landmarks import find_sources
 from lab.places import SHARED_DATA
-from lab.trials.person_maker import FloatArray, MadePerson, Mesh, draw_person, move_person
+from lab.trials.person_maker import FloatArray, MadePerson, Mesh, MovedPerson, draw_person, move_person
 
 _SHARED = SHARED_DATA
-_RATE, _FRAMES, _SIZE = 15.0, 30, (720, 960)
+_RATE, _FRAMES, _SIZE, _DIMNESS = 15.0, 30, (720, 960), 3.0
 _JOINTS = {"shoulder": ("upperarm01", "trunk"), "elbow": ("lowerarm01", "forearm"), "wrist": ("wrist", "hand"),
            "hip": ("upperleg01", "thigh"), "knee": ("lowerleg01", "shank"), "ankle": ("foot", "foot")}  # fmt: skip
 _POINTS = _JOINTS | {"hand": ("wrist", "hand"), "heel": ("foot", "foot"), "toe": ("foot", "foot")}
@@ -61,11 +62,17 @@ def make_film(mesh: Mesh, motions: list[Path], number: int) -> dict[str, FloatAr
     distance = rng.uniform(3.2, 4.2) + 1.5 * max(0.0, moved.reach - 0.4)
     cameras = make_ring(4, distance=distance, height=rng.uniform(0.7, 2.4), size=_SIZE, first_angle=rng.uniform(0, 6),
                         focal=rng.uniform(0.95, 1.2) * 0.3 * _SIZE[1] * distance)  # fmt: skip
-    tracks = [_look(camera, mesh, moved.person, moved.vertices, rng) for camera in cameras]
+    tracks = [find_points(camera, mesh, moved.person, moved.vertices, rng, _RATE, _DIMNESS) for camera in cameras]
+    return keep_film(moved, cameras, tracks)
+
+
+def keep_film(moved: MovedPerson, cameras: Sequence[Camera], tracks: Sequence[PersonTrack]) -> dict[str, FloatArray]:
+    """What `Film` needs."""
     bones = {f"{side}_{point}": f"{bone}.{side[0].upper()}" for point, (bone, _) in _POINTS.items()
              for side in ("left", "right")} | {"head": "neck03"}  # fmt: skip
     return {
         "stature": np.array(moved.person.stature),
+        "rate": np.array(moved.frame_rate),
         "joints": np.stack([[heads[bone] for bone in bones.values()] for heads in moved.heads]),
         "names": np.array(list(bones)),
         "turns": moved.turns,
@@ -75,11 +82,19 @@ def make_film(mesh: Mesh, motions: list[Path], number: int) -> dict[str, FloatAr
         "world": np.stack([np.zeros((*track.points.shape[:2], 3)) if track.world is None else track.world
                            for track in tracks]),
         "cameras": np.stack([np.hstack((c.matrix, c.rotation, c.translation[:, None])) for c in cameras]),
+        "lenses": np.stack([c.distortion for c in cameras]),
+        "size": np.array(cameras[0].size),
     }  # fmt: skip
 
 
-def _look(
-    camera: Camera, mesh: Mesh, person: MadePerson, vertices: list[FloatArray], rng: np.random.Generator
+def find_points(
+    camera: Camera,
+    mesh: Mesh,
+    person: MadePerson,
+    vertices: list[FloatArray],
+    rng: np.random.Generator,
+    rate: float,
+    dimness: float,
 ) -> PersonTrack:
     """What the network finds in one camera's film; nan where it finds nobody."""
     width, height = camera.size
@@ -89,10 +104,10 @@ def _look(
     light /= np.linalg.norm(light)
     with tempfile.TemporaryDirectory() as folder:
         film = Path(folder) / "film.mp4"
-        writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"mp4v"), _RATE, (width, height))
+        writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"mp4v"), rate, (width, height))
         for places in vertices:
             drawn = draw_person(camera, mesh, places, person.colours, wall, light)
-            writer.write(np.clip(drawn + rng.normal(0, 3, drawn.shape), 0, 255).astype(np.uint8))
+            writer.write(np.clip(drawn + rng.normal(0, dimness, drawn.shape), 0, 255).astype(np.uint8))
         writer.release()
         found = find_keypoints(film, "heavy", cache=False)
     size = (len(vertices), len(MEDIAPIPE_NAMES))
@@ -107,8 +122,9 @@ class Film:
     def __init__(self, kept: dict[str, FloatArray]) -> None:
         self.kept, self.stature = kept, float(kept["stature"])
         self.names, self.parts = list(kept["names"]), list(kept["parts"])
-        self.cameras = [Camera(f"view{k}", *_SIZE, row[:, :3], row[:, 3:6], row[:, 6])
-                        for k, row in enumerate(kept["cameras"])]  # fmt: skip
+        self.rate, size, self.joints = float(kept["rate"]), kept["size"].tolist(), _NAMES
+        self.cameras = [Camera(f"view{k}", *size, row[:, :3], row[:, 3:6], row[:, 6], lens)
+                        for k, (row, lens) in enumerate(zip(kept["cameras"], kept["lenses"], strict=True))]  # fmt: skip
         self.tracks = [PersonTrack(*rows) for rows in zip(kept["points"], kept["visibility"], kept["world"],
                                                           strict=True)]  # fmt: skip
         self.truth = kept["joints"][:, [self.names.index(name) for name in _NAMES]]
@@ -210,7 +226,7 @@ def print_fits(films: list[Film]) -> None:
 def _fit(film: Film, views: list[int], stature: float | None = None) -> tuple[float, float, float]:
     """Stature, error, and error with the hips in place (mm)."""
     fit = fit_keypoints([film.cameras[view] for view in views], [film.tracks[view] for view in views], MEDIAPIPE_NAMES,
-                        _RATE, stature=stature)  # fmt: skip
+                        film.rate, stature=stature)  # fmt: skip
     body = fit.estimate.body
     rows = [point_names(body).index(name) for name in _NAMES]
     return body.stature, *_compare(compute_points(body, fit.estimate.poses)[:, rows], film.truth)

@@ -17,11 +17,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dousa.arrays import FloatArray
+from dousa.arrays import BoolArray, FloatArray
 from dousa.estimation import Camera, make_human, poses_from_motion
 from dousa.estimation.body.kinematics import place_parts
 from dousa.formats.registry import read_motion
-from dousa.motion import Motion
+from dousa.motion import Motion, compute_trajectories
 
 N_BODY = 13380  # vertices of the skin; helpers follow
 _EYES = slice(14598, 14742)
@@ -182,12 +182,12 @@ def move_person(
     """Let a person move as a random stretch of one of the recordings, of so many frames at about this rate."""
     person = MadePerson(mesh, rng)
     motion = read_motion(motions[rng.integers(len(motions))])
-    assert isinstance(motion, Motion)
+    if isinstance(motion, Motion):
+        motion = compute_trajectories(motion)
     step = max(1, round(motion.frame_rate / rate))
     first = int(rng.integers(0, max(1, motion.n_frames - n_frames * step)))
     chosen = np.arange(first, min(motion.n_frames, first + n_frames * step), step)
-    part = replace(motion, rotations=motion.rotations[chosen], translations=motion.translations[chosen],
-                   frame_rate=motion.frame_rate / step)  # fmt: skip
+    part = replace(motion, positions=motion.positions[chosen], frame_rate=motion.frame_rate / step)
     body = make_human(person.stature)
     turns, places = place_parts(body, poses_from_motion(body, part))
     hips = 0.5 * (places[:, body.names.index("left_thigh")] + places[:, body.names.index("right_thigh")])
@@ -279,3 +279,13 @@ def draw_person(
         if front[face]:
             cv2.fillConvexPoly(drawn, outlines[face], filled[face].tolist(), cv2.LINE_8, 4)
     return np.asarray(cv2.GaussianBlur(drawn, (3, 3), 0.7), np.uint8)
+
+
+def draw_mask(camera: Camera, faces: np.ndarray, vertices: FloatArray) -> BoolArray:
+    """Draw a silhouette."""
+    drawn = np.zeros((camera.height, camera.width), np.uint8)
+    corners = np.round(camera.project(vertices)[faces] * 16).astype(np.int32)
+    one, other = corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]
+    for face in corners[one[:, 0] * other[:, 1] < one[:, 1] * other[:, 0]]:
+        cv2.fillConvexPoly(drawn, face, 1, cv2.LINE_8, 4)
+    return drawn.astype(bool)

@@ -123,7 +123,7 @@ class TestMasks:
     @pytest.mark.parametrize(("value", "words"), [(False, "every mask is empty"), (True, "every mask is full")])
     def test_nothing_to_see(self, scene, masks, change, tmp_path, value, words):
         path = change(np.full_like(masks, value))
-        outputs = Outputs(motion=tmp_path / "out.bvh")
+        outputs = Outputs((tmp_path / "out.bvh",))
         for start in (None, f"{scene / 'jack.bvh'}:0"):
             with pytest.raises(SilhouetteError, match=rf"changed\.npz: .*{words}"):
                 track(scene, path, start=start, outputs=outputs)
@@ -287,7 +287,7 @@ class TestInterrupted:
                 if str(what) == "tracking" and done == stop_at:
                     raise KeyboardInterrupt
 
-            outputs = Outputs(motion=tmp_path / name)
+            outputs = Outputs((tmp_path / name,))
             return estimate_files(EstimationRequest((path,), QUICK, outputs, start=f"{scene / 'jack.bvh'}:0"), progress)
 
         whole = run("whole.bvh")

@@ -122,7 +122,7 @@ class TestRequest:
     def test_plain_values_make_a_request(self, walk):
         given = {
             "sources": [str(walk)],
-            "motion": "out.bvh",
+            "motions": ["out.bvh"],
             "overlay": None,
             "backgrounds": ["a.png", "b.png"],
             "background_method": "plate",
@@ -136,7 +136,7 @@ class TestRequest:
         }
         request = EstimationRequest.from_dict(given)
         assert request.settings == dataclasses.replace(PAPER, beam=2)
-        assert request.outputs == Outputs(motion=Path("out.bvh"))
+        assert request.outputs == Outputs((Path("out.bvh"),))
         assert request.options == ReadOptions(joint_map={"head": "Head"}, up="z")
         assert request.inputs == (walk, Path("a.png"), Path("b.png"), walk)
 
@@ -156,19 +156,19 @@ class TestOutputs:
     @pytest.mark.parametrize(
         ("outputs", "words"),
         [
-            ({"motion": "a.xyz"}, r"ending in \.bvh"),
-            ({"motion": "a"}, "no suffix"),
-            ({"motion": "a.amc"}, r"ending in \.bvh"),
-            ({"trc": "a.csv"}, r"--output .*\.trc"),
+            ({"motions": "a.xyz"}, r"ending in \.bvh"),
+            ({"motions": "a"}, "no suffix"),
+            ({"motions": "a.amc"}, r"ending in \.bvh"),
             ({"angles": "a.txt"}, r"--angles .*\.csv"),
             ({"overlay": "a.png"}, r"--output .*\.mp4"),
             ({"sheet": "a.mp4"}, r"--output .*\.png"),
-            ({"motion": "a.trc", "trc": "a.trc"}, "same file"),
-            ({"motion": "in.npz"}, "is an input"),
+            ({"motions": "a.trc a.trc"}, "same file"),
+            ({"motions": "in.npz"}, "is an input"),
         ],
     )
     def test_what_makes_no_sense_is_said_before_the_work(self, tmp_path, outputs, words):
-        chosen = Outputs(**{key: tmp_path / name for key, name in outputs.items()})
+        paths = {key: tuple(tmp_path / name for name in names.split()) for key, names in outputs.items()}
+        chosen = Outputs(**{key: found if key == "motions" else found[0] for key, found in paths.items()})
         with pytest.raises(OptionError, match=words):
             check_outputs(chosen, [tmp_path / "in.npz"])
 
@@ -182,15 +182,15 @@ class TestOutputs:
             ("n" * 250 + ".bvh", "too long"),
         ):
             with pytest.raises(MotionWriteError, match=words):
-                check_outputs(Outputs(motion=tmp_path / name), [])
+                check_outputs(Outputs((tmp_path / name,)), [])
 
     def test_no_permission_is_found_before_the_work(self, tmp_path, monkeypatch):
         monkeypatch.setattr(os, "access", lambda *_: False)  # root may write everywhere
         with pytest.raises(MotionWriteError, match="no permission"):
-            check_outputs(Outputs(motion=tmp_path / "a.bvh"), [])
+            check_outputs(Outputs((tmp_path / "a.bvh",)), [])
 
     def test_good_names_pass_and_nothing_is_made(self, tmp_path):
-        outputs = Outputs(*(tmp_path / name for name in ("a.BVH", "a.trc", "a.csv", "a.mp4", "a.png")))
+        outputs = Outputs.from_paths([tmp_path / name for name in ("a.BVH", "a.trc", "a.mot", "a.mp4", "a.png")])
         check_outputs(outputs, [tmp_path / "in.npz"])
         assert outputs.first == tmp_path / "a.BVH"
         assert list(tmp_path.iterdir()) == []

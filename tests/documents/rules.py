@@ -123,6 +123,7 @@ BENCHMARKS = {
     "benchmarks.keypoints": "--help",  # it needs the pose models
     "trials.made_people": "--help",  # likewise, and a mesh
     "trials.crossings": "--help",  # likewise
+    "trials.degrees": "--help",  # likewise
     "benchmarks.correlation_matrix": "--frames 200 --repeats 1",
     "training.body_offsets": "--pairs 1",
     "benchmarks.estimate": "--frames 4 --repeats 1",

@@ -3,9 +3,13 @@
 import numpy as np
 import pytest
 
-from dousa.formats.opensim import list_coordinates
+from dousa.estimation.body.human import make_human
+from dousa.estimation.body.kinematics import to_motion
+from dousa.estimation.body.posing import compute_angles, standing_state
+from dousa.formats.opensim import compute_coordinates, list_coordinates
 from dousa.formats.registry import is_motion_file, read_motion, write_motion
 from dousa.motion import JOINT_INDEX, canonicalise, compute_trajectories
+from dousa.motion.rotations import from_axis_angle
 from dousa.motion.synthetic import draw_performer, make_motion
 from formats.made_files import code_of, make_mot, save
 
@@ -92,6 +96,26 @@ def test_from_another_body(tmp_path):
             off.append(np.degrees(np.arccos(np.clip((limbs[0] * limbs[1]).sum(axis=1), -1, 1))))
     assert np.mean(off) < 2.0
     np.testing.assert_allclose(other[:, 0], one[:, 0], atol=0.03)
+
+
+def test_a_fitted_body_keeps_its_angles_without_jumps(tmp_path):
+    """An arm goes up sideways to 150 degrees: through the lock of the turns, where two of them jump by half a turn."""
+    body = make_human(1.7)
+    raised = np.radians(np.linspace(8, 150, 72))
+    poses = np.tile(standing_state(body), (len(raised), 1))
+    part = body.names.index("left_upper_arm")
+    own = slice(7 + body.angle_starts[part], 7 + body.angle_starts[part] + 3)
+    for pose, angle in zip(poses, raised, strict=True):
+        pose[own] = compute_angles(body, part, from_axis_angle(np.array([0.0, 0.0, angle])))
+    motion = to_motion(body, poses, 30.0)
+    found = compute_coordinates(motion)
+    assert max(np.abs(values[0]).max() for name, values in found.items() if "_" in name and name[:3] != "arm") < 1.0
+    np.testing.assert_allclose(found["arm_add_l"], -np.degrees(raised), atol=0.1)
+    assert max(np.abs(np.diff(values)).max() for values in found.values()) < 2.1
+    write_motion(motion, tmp_path / "x.bvh")
+    again = compute_coordinates(read_motion(tmp_path / "x.bvh"))
+    for name, values in found.items():
+        np.testing.assert_allclose(again[name], values, atol=0.01, err_msg=name)
 
 
 def test_damage(tmp_path):

@@ -28,7 +28,7 @@ from dousa.formats.tables.trc import write_trc
 from dousa.messages import Message
 from dousa.motion import JOINT_INDEX, Motion, Skeleton, Trajectories, canonicalise
 from dousa.motion.kinematics import compute_rest_positions
-from dousa.motion.rotations import from_axis_angle, from_euler, identity, multiply, rotate, to_euler
+from dousa.motion.rotations import from_axis_angle, from_euler, identity, multiply, rotate, to_euler, unwrap_euler
 
 _PELVIS = np.array([0.056, 0.078, 0.0])
 """m, in OpenSim's axes from the middle of the hips to the pelvis' origin: geometry of the model, Rajagopal 2016."""
@@ -100,41 +100,81 @@ def _from_opensim(vectors: FloatArray) -> FloatArray:
     return vectors[..., [2, 1, 0]] * (-1.0, 1.0, 1.0)
 
 
-def write_mot(motion: Motion, path: str | os.PathLike[str]) -> None:
-    """Write the joint angles of a body in degrees, and the place of its pelvis in metres, for OpenSim's models.
+def compute_coordinates(motion: Motion) -> dict[str, FloatArray]:
+    """Compute the coordinates (T,) of a body in the order of a file: degrees, and metres of the pelvis' place.
+
+    Angles do not jump: they go on over half a turn. Limbs of another body keep their directions (`retarget`).
 
     Parameters
     ----------
-    motion : of any whole body; one that `read_mot` returned keeps its angles.
+    motion : of any whole body; one with the names and the straight limbs of `body_at_rest`, as `read_mot` and
+        `dousa.estimation.estimate` return it, keeps its angles.
+
+    Raises
+    ------
+    JointMappingError : joints that cannot be mapped.
+    """
+    body = body_at_rest()
+    if (found := _read_straight(motion, body)) is None:
+        from dousa.motion import retarget
+
+        still = Motion(body, identity((1, body.n_joints)), body.offsets[None], motion.frame_rate)
+        done = retarget(motion, still, plant_feet=False)
+        found = np.array(done.motion.rotations), done.motion.translations[:, 0] / done.scale
+    rotations, places = found
+    for chain in _HINGES:
+        for side in ("left_", "right_"):
+            _straighten(body, rotations, side, *chain)
+    turns = np.concatenate((rotations[..., :1], _to_opensim(rotations[..., 1:])), axis=2)
+    angles = {joint: np.degrees(unwrap_euler(to_euler(turns[:, n], "ZXY"))) for n, joint in enumerate(body.names)}
+    columns = {name: sign * angles[joint][:, place] for name, (joint, place, sign) in list_coordinates().items()}
+    origin = _to_opensim(places) + rotate(turns[:, 0], _PELVIS)
+    columns |= dict(zip(_PLACES, origin.T, strict=True))
+    return columns | {name + end: np.zeros(len(origin)) for name in _STILL for end in ("r", "l")}
+
+
+def _read_straight(
+    motion: Motion, body: Skeleton, least: float = np.cos(np.radians(0.5))
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return rotations (T, J, 4) of the body's joints and places (T, 3) m between the hips, where the angles are known.
+
+    They are where the skeleton has the body's joints in the same order of turning, and its limbs hang straight down
+    at rest, but for half a degree (``least`` is the cosine).
+    """
+    skeleton = motion.skeleton
+    rows = {name: row for row, name in enumerate(skeleton.names)}
+    for row, name in enumerate(body.names):
+        above = body.names[body.parents[row]] if row else ""
+        if name not in rows or (row and skeleton.names[skeleton.parents[rows[name]]] != above):
+            return None
+        if name.endswith(("knee", "ankle", "elbow", "wrist")):
+            offset = skeleton.offsets[rows[name]]
+            if not -offset[1] >= least * np.linalg.norm(offset) > 0:
+                return None
+    middle = (skeleton.offsets[rows["left_hip"]] + skeleton.offsets[rows["right_hip"]]) / 2
+    turns = np.array(motion.rotations[:, [rows[name] for name in body.names]])
+    return turns, motion.translations[:, rows["pelvis"]] + rotate(turns[:, 0], middle)
+
+
+def write_mot(motion: Motion, path: str | os.PathLike[str]) -> None:
+    """Write the coordinates of a body, see `compute_coordinates`, for OpenSim's models.
+
+    Parameters
+    ----------
+    motion : of any whole body.
     path : ending in ``.mot``.
 
     Raises
     ------
     MotionWriteError : joints that cannot be mapped, missing rotations, a disk error.
     """
-    body, scale = body_at_rest(), 1.0
-    if motion.skeleton.names != body.names or not np.allclose(motion.skeleton.offsets, body.offsets, atol=1e-6):
-        from dousa.motion import retarget
-
-        still = Motion(body, identity((1, body.n_joints)), body.offsets[None], motion.frame_rate)
-        try:
-            done = retarget(motion, still, plant_feet=False)
-        except JointMappingError as error:
-            raise MotionWriteError(path, "opensim.other_skeleton", reason=error.problem) from error
-        motion, scale = done.motion, done.scale
-    rotations, places = np.array(motion.rotations), motion.translations[:, 0] / scale
-    if not (np.isfinite(rotations).all() and np.isfinite(places).all()):
+    try:
+        columns = compute_coordinates(motion)
+    except JointMappingError as error:
+        raise MotionWriteError(path, "opensim.other_skeleton", reason=error.problem) from error
+    rows = np.column_stack((np.arange(motion.n_frames) / motion.frame_rate, *columns.values()))
+    if not np.isfinite(rows).all():
         raise MotionWriteError(path, "opensim.gaps")
-    for chain in _HINGES:
-        for side in ("left_", "right_"):
-            _straighten(body, rotations, side, *chain)
-    turns = np.concatenate((rotations[..., :1], _to_opensim(rotations[..., 1:])), axis=2)
-    angles = {joint: np.degrees(np.unwrap(to_euler(turns[:, n], "ZXY"), axis=0)) for n, joint in enumerate(body.names)}
-    columns = {name: sign * angles[joint][:, place] for name, (joint, place, sign) in list_coordinates().items()}
-    origin = _to_opensim(places) + rotate(turns[:, 0], _PELVIS)
-    columns |= dict(zip(_PLACES, origin.T, strict=True))
-    columns |= {name + end: np.zeros(len(origin)) for name in _STILL for end in ("r", "l")}
-    rows = np.column_stack((np.arange(len(origin)) / motion.frame_rate, *columns.values()))
     head = f"Coordinates\nversion=1\nnRows={len(rows)}\nnColumns={rows.shape[1]}\ninDegrees=yes\n\nendheader\n"
     with atomic_write(path) as file:
         file.write((head + "\t".join(("time", *columns)) + "\n").encode())

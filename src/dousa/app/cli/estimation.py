@@ -51,12 +51,13 @@ def estimate(
             "--output",
             "-o",
             metavar="OUT",
-            help="File to write; repeatable. The motion: .bvh, .trc, .c3d, .npz ...; the canonical joints as .trc too; "
-            "a video (.mp4) or contact sheet (.png) of the outlines of silhouette and model.",
+            help="File to write; repeatable. Motions: .bvh, .trc, .c3d, .mot, .npz ...; a video (.mp4) or contact "
+            "sheet (.png) of the outlines of silhouette and model.",
         ),
     ] = None,
     angles: Annotated[
-        Path | None, typer.Option("--angles", metavar="OUT", help="Write the joint angles as CSV too.")
+        Path | None,
+        typer.Option("--angles", metavar="OUT", help="Write the joint angles as CSV too: degrees, OpenSim's names."),
     ] = None,
     backgrounds: Backgrounds = None,
     given: Annotated[dict[str, Any], EstimationRequest],

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dousa.app.targets import ANGLES, check_targets
-from dousa.errors import MotionWriteError, OptionError
+from dousa.errors import JointMappingError, MotionWriteError, OptionError
 from dousa.extras import require
 from dousa.files.disk import atomic_write
 from dousa.messages import Message
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 
 _ENDINGS = {
-    "trc": (".trc",),
     "angles": (".csv",),
     "sheet": (".png", ".svg", ".pdf"),
     "overlay": (".mp4", ".avi", ".mkv"),
@@ -163,24 +162,26 @@ def canonical_points(estimate: Estimate) -> Trajectories:
 
 
 def write_angles(estimate: Estimate, path: Path) -> None:
-    """The angles of the body model as CSV: time, the root's place and quaternion, degrees, and whether it is lost.
+    """Write joint angles as CSV: time, OpenSim's coordinates in degrees and metres, and whether the frame is lost.
+
+    A body that is no person has the angles of its own joints.
 
     Raises
     ------
     MotionWriteError : the disk refuses.
     """
-    root = estimate.body.joints[0]
-    head = ["time_s", *(f"{root}_{axis}_m" for axis in "xyz"), *(f"{root}_q{axis}" for axis in "wxyz")]
-    head += [f"{name}_deg" for name in estimate.body.angle_names]
+    from dousa.formats.opensim import compute_coordinates
+
+    try:
+        columns = compute_coordinates(estimate.motion)
+    except JointMappingError:
+        degrees = np.rad2deg(estimate.poses[:, 7:]).T
+        columns = dict(zip((f"{name}_deg" for name in estimate.body.angle_names), degrees, strict=True))
+    times = np.arange(estimate.n_frames) / estimate.frame_rate
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*head, "lost"])
-    for frame, (pose, lost) in enumerate(zip(estimate.poses, estimate.lost, strict=True)):
-        writer.writerow(_row(frame / estimate.frame_rate, pose, bool(lost)))
+    writer.writerow(["time_s", *columns, "lost"])
+    for row, lost in zip(np.stack((times, *columns.values()), axis=1).tolist(), estimate.lost, strict=True):
+        writer.writerow([*(f"{value:.6f}" for value in row), int(lost)])
     with atomic_write(path) as file:
         file.write(text.getvalue().encode())
-
-
-def _row(time: float, pose: np.ndarray, lost: bool) -> Sequence[str]:
-    angles = np.rad2deg(pose[7:])
-    return [f"{time:.6f}", *(f"{x:.6f}" for x in pose[:7]), *(f"{x:.4f}" for x in angles), str(int(lost))]

@@ -546,9 +546,12 @@ def with_outputs(request: EstimationRequest, number: int) -> EstimationRequest:
     if number == 1:
         return request
     outputs = request.outputs
-    changed = {
-        name: path.with_name(f"{path.stem}-{number}{path.suffix}")
-        for name in ("motion", "trc", "angles", "overlay", "sheet")
-        if (path := getattr(outputs, name)) is not None
+
+    def rename(path: Path) -> Path:
+        return path.with_name(f"{path.stem}-{number}{path.suffix}")
+
+    others = {
+        name: rename(path) for name in ("angles", "overlay", "sheet") if (path := getattr(outputs, name)) is not None
     }
-    return replace(request, outputs=replace(outputs, **changed))
+    motions = tuple(rename(path) for path in outputs.motions)
+    return replace(request, outputs=replace(outputs, motions=motions, **others))

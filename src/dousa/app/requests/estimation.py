@@ -25,7 +25,7 @@ Preset = Literal["default", "paper"]
 Cues = Literal["keypoints", "silhouettes"]
 Model = Literal["lite", "full", "heavy"]
 
-_VIDEOS, _DRAWINGS, _POINTS = (".mp4", ".avi", ".mkv"), (".png", ".svg", ".pdf"), ".trc"
+_VIDEOS, _DRAWINGS = (".mp4", ".avi", ".mkv"), (".png", ".svg", ".pdf")
 
 Sources = Annotated[
     list[Path],
@@ -105,15 +105,13 @@ class Outputs:
 
     Parameters
     ----------
-    motion : any motion file that dousa writes.
-    trc : canonical joints as TRC.
+    motions : motion files that dousa writes; those of points have the canonical joints.
     angles : joint angles as CSV.
     overlay : video of the outlines.
     sheet : contact sheet of the outlines.
     """
 
-    motion: Path | None = None
-    trc: Path | None = None
+    motions: tuple[Path, ...] = ()
     angles: Path | None = None
     overlay: Path | None = None
     sheet: Path | None = None
@@ -124,27 +122,27 @@ class Outputs:
 
         Raises
         ------
-        OptionError : two files of one kind; a TRC beside another motion is a second kind.
+        OptionError : two videos or two contact sheets.
         """
         found: dict[str, Path] = {}
+        motions: list[Path] = []
         for path in paths:
             suffix = path.suffix.lower()
-            kind = "overlay" if suffix in _VIDEOS else "sheet" if suffix in _DRAWINGS else "motion"
-            if kind == "motion" and "motion" in found and "trc" not in found:
-                if found["motion"].suffix.lower() == _POINTS:
-                    found["trc"] = found.pop("motion")
-                elif suffix == _POINTS:
-                    kind = "trc"
+            kind = "overlay" if suffix in _VIDEOS else "sheet" if suffix in _DRAWINGS else ""
+            if not kind:
+                motions.append(path)
+                continue
             if kind in found:
                 raise OptionError("outputs.two_of_a_kind", path=path, other=found[kind])
             found[kind] = path
-        return cls(**found, angles=angles)
+        return cls(tuple(motions), angles, **found)
 
     @property
     def named(self) -> tuple[tuple[str, Path], ...]:
-        """(kind, file) of those that are given, the motion first."""
-        kinds = ("motion", "trc", "angles", "sheet", "overlay")
-        return tuple((kind, getattr(self, kind)) for kind in kinds if getattr(self, kind) is not None)
+        """(kind, file) of those that are given, the motions first."""
+        kinds = ("angles", "sheet", "overlay")
+        others = ((kind, getattr(self, kind)) for kind in kinds if getattr(self, kind) is not None)
+        return (*(("motion", path) for path in self.motions), *others)
 
     @property
     def has_drawings(self) -> bool:
@@ -260,10 +258,10 @@ class EstimationRequest:
         OptionError : a value out of its range.
         """
         values = {name: value for name, value in given.items() if value is not None}
-        for name in ("cameras", "body", *_names(Outputs)):
+        for name in ("cameras", "body", "angles", "overlay", "sheet"):
             if name in values:
                 values[name] = Path(values[name])
-        for name in ("sources", "backgrounds"):
+        for name in ("sources", "backgrounds", "motions"):
             if name in values:
                 values[name] = tuple(Path(path) for path in values[name])
         values["settings"] = choose_settings(values)

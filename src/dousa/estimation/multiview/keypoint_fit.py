@@ -138,10 +138,10 @@ def _first_places(cameras: Sequence[Camera], seen: SeenLandmarks, shown: Sequenc
         some = list(shown)
         return triangulate([cameras[v] for v in some], seen.points[some], seen.visibility[some]).points
     view = shown[0]
-    return _place_world(cameras[view], seen.points[view], seen.visibility[view], seen.world[view])
+    return place_world(cameras[view], seen.points[view], seen.visibility[view], seen.world[view])
 
 
-def _place_world(camera: Camera, points: FloatArray, visibility: FloatArray, world: FloatArray) -> FloatArray:
+def place_world(camera: Camera, points: FloatArray, visibility: FloatArray, world: FloatArray) -> FloatArray:
     """Move the network's own places in space to their image points, by linear least squares."""
     if not np.isfinite(world).any():
         raise KeypointError("multiview.one_view")

@@ -46,8 +46,7 @@ def estimate(request: dict[str, Any], context: Context) -> dict[str, Any]:
 
     folder = context.folder
     outputs = Outputs(
-        motion=folder / "motion.bvh",
-        trc=folder / "joints.trc",
+        (folder / "motion.bvh", folder / "joints.trc"),
         angles=folder / "angles.csv",
         overlay=folder / "overlay.mp4" if request.get("overlay_video") else None,
     )
