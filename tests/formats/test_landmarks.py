@@ -247,12 +247,12 @@ def test_what_lies_in_a_picture_is_sent_to_its_command(tmp_path):
     scored = np.concatenate((rng.uniform(0, 900, (5, 17, 2)), rng.uniform(0, 1, (5, 17, 1))), axis=2)
     landmarks = [{"x": x, "y": y, "z": z} for x, y, z in rng.uniform(0.3, 0.7, (33, 3))]
     for number, (content, code) in enumerate((
-        (openpose, "landmarks.flat"),
-        (coco, "landmarks.flat"),
-        (scored.tolist(), "landmarks.flat"),
-        (scored.reshape(5, -1).tolist(), "landmarks.flat"),
-        ([[{"x": 1, "y": 2}] * 17] * 3, "landmarks.flat"),
-        ([[{"x": 1, "y": 2, "z": 0}] * 17] * 3, "landmarks.flat"),
+        (openpose, "guard.flat"),
+        (coco, "guard.flat"),
+        (scored.tolist(), "guard.flat"),
+        (scored.reshape(5, -1).tolist(), "guard.flat"),
+        ([[{"x": 1, "y": 2}] * 17] * 3, "guard.flat"),
+        ([[{"x": 1, "y": 2, "z": 0}] * 17] * 3, "guard.flat"),
         ([{"pose_landmarks": landmarks}] * 3, "landmarks.picture"),
         ([landmarks] * 3, "landmarks.picture"),
     )):  # fmt: skip
@@ -269,8 +269,8 @@ def test_damage(tmp_path):
         ('"hello"', "landmarks.unknown"),
         ({"frames": []}, "landmarks.unknown"),
         ([[], None], "landmarks.nobody"),
-        ([[[0, 0, 0]] * 17] * 3, "landmarks.flat"),
-        ([[[None] * 3] * 17] * 3, "landmarks.flat"),
+        ([[[0, 0, 0]] * 17] * 3, "guard.flat"),
+        ([[[None] * 3] * 17] * 3, "guard.flat"),
         ([[{"x": 1, "y": 1, "z": 1, "visibility": 0}] * 17] * 3, "landmarks.nobody"),
         ([*points, points[0][:16]], "guard.uneven"),
         ([*points, [*points[0][:-1], points[0][-1][:2]]], "landmarks.frame"),

@@ -72,7 +72,7 @@ NOT_MOTIONS = {
     "sensors": (lambda: "time,acc_x,acc_y,acc_z,gyro_x,gyro_y,gyro_z\n0,1,2,3,4,5,6\n", "tables.no_points"),
     "worn sensors": (lambda: table(SMPL, "{}_acc_{}"), "tables.no_points"),
     "angles": (lambda: table(SMPL, "{}_angle_{}"), "tables.no_points"),
-    "picture": (lambda: table(SMPL).replace("_z", "_score"), "tables.flat"),
+    "picture": (lambda: table(SMPL).replace("_z", "_score"), "guard.flat"),
     "nothing": (lambda: "", "disk.empty"),
     "prose": (lambda: "Dear all,\n\nplease find x, y and z.\n", "tables.no_points"),
     "no rows": (lambda: table(SMPL).split("\n")[0] + "\n", "tables.no_frames"),

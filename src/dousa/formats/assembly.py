@@ -17,6 +17,7 @@ from dousa.formats.guard import (
     Clock,
     check_body,
     find_shift,
+    is_flat,
     keep_offsets,
     note_shift,
     settle_clock,
@@ -145,7 +146,10 @@ def _settle_places(
     translations, emptied = keep_offsets(skeleton, translations, some)
     sample = place(some)
     translations, lost = settle_roots(path, skeleton, rotations, translations, sample.positions)
-    frame, notes = infer(place(some) if lost else sample), (*emptied, *lost)
+    sample = place(some) if lost else sample
+    frame, notes = infer(sample), (*emptied, *lost)
+    if is_flat(sample.positions):
+        notes += (Message("guard.flat_body"),)
     roots = np.flatnonzero(skeleton.parents < 0)
     shift = find_shift(translations[:, roots], frame.unit)
     if shift is not None:
@@ -315,7 +319,7 @@ def settle_trajectories(
 
     Raises
     ------
-    MotionFileError : no points, no frames, positions that can be none, an impossible frame rate.
+    MotionFileError : no points, no frames, positions that can be none or lie in a picture, an impossible frame rate.
     """
     known_unit = None if unit is None else parse_unit(unit)
     known_up = None if up is None else parse_up(up)
@@ -323,6 +327,8 @@ def settle_trajectories(
     positions = timeline.place(positions)
     values = freeze(positions) if keep_values else None
     positions, lost = settle_positions(path, names, positions)
+    if is_flat(positions):
+        raise MotionFileError(path, "guard.flat")
     notes = (*timeline.join(notes), *lost)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a damaged file may hold 1e300

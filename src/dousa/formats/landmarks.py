@@ -451,7 +451,7 @@ def _choose_person(
     frames = [[person for person in people if len(person.points)] for people in recording.frames]
     counts = Counter(person.number for people in frames for person in people)
     if not counts:
-        raise FormError("landmarks.flat" if any(recording.frames) else "landmarks.nobody")
+        raise FormError("guard.flat" if any(recording.frames) else "landmarks.nobody")
     most = max(map(len, frames))
     # A number that is another one in every frame counts frames, not people.
     if None not in counts and (most > 1 or counts.most_common(1)[0][1] > 1):
@@ -503,7 +503,7 @@ def refuse_pictures(
     landmarks = points.shape[1] == _LANDMARKS
     shares = len(depth) > 0 and bool(((depth >= 0) & (depth <= 1)).all()) and np.abs(seen[:, :2]).max() > pixels
     if not depth.any() or shares:
-        raise MotionFileError(path, "landmarks.flat")
+        raise MotionFileError(path, "guard.flat")
     middle = points[:, _HIPS, :2].mean(axis=1) if landmarks else np.empty((0, 2))
     middle = middle[np.isfinite(middle).all(axis=1)]
     inside = ((seen[:, :2] > -0.25) & (seen[:, :2] < 1.25)).all(axis=1).mean()

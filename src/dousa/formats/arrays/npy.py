@@ -82,7 +82,7 @@ def _load(path: str | os.PathLike[str]) -> tuple[dict[Any, Any] | None, NDArray[
     rows = len(trimmed) == 2 and trimmed[1] in (*FEATURES, MOTION_X)
     samples = len(trimmed) == 4 and is_joint_array(trimmed[1:])
     if len(shape) == 4 and shape[3] == 2:
-        raise MotionFileError(path, "landmarks.flat")
+        raise MotionFileError(path, "guard.flat")
     if not (rows or samples or is_joint_array(shape) or is_joint_array((*shape[:-1], 3 * (shape[-1:] == (4,))))):
         raise MotionFileError(path, "arrays.shape", found=str(shape))
     if int(np.prod(shape, dtype=object)) * dtype.itemsize != len(data) - end:
@@ -101,4 +101,4 @@ def _refuse_pixels(path: str | os.PathLike[str], array: NDArray[Any], far: float
     """
     low, high = (reduce(array[..., :2], axis=None) for reduce in (np.fmin.reduce, np.fmax.reduce))
     if low >= 0 and high > far:
-        raise MotionFileError(path, "landmarks.flat")
+        raise MotionFileError(path, "guard.flat")

@@ -34,13 +34,13 @@ _ROLES = {
     role: words.split()
     for role, words in {
         "times": "time times timestamp timestamps t seconds secs sec elapsed 時間 時刻",
-        "numbers": "frame frames fnum field framenumber frameid frameindex frameno framenum フレーム",
+        "numbers": "frame frames fnum field framenumber frameid frameindex frameno framenum syncindex フレーム",
         "parts": "subframe",
         "people": "person personid body bodyid trackid subject subjectid skeletonid userid playerid",
         "clips": "id video videoid sequence sequenceid clip clipid trial trialid session sessionid file filename",
         "kinds": "model trajectory trajectorytype datatype aspect tracker",
         "labels": "keypoint joint landmark marker name bodypart point label jointname jointid jointtype landmarkname "
-        "landmarkid landmarkindex keypointid keypointname markername",
+        "landmarkid landmarkindex keypointid keypointname markername markerid pointid pointname",
     }.items()
 }
 # Seconds in each, by the definition of the units; other units of a title are seconds, or found by the rate.
@@ -110,11 +110,11 @@ def _group(cells: list[str], pattern: re.Pattern[str]) -> Columns:
 
 
 def _name_place(stem: str) -> str | None:
-    """The name of a point, without a word for its place; None for another quantity."""
+    """The name of a point, without a word for its place, "" if there is none; None for another quantity."""
     words = [word.lower() for word in _WORDS.findall(stem)]
     if words and (words[-1] in _OTHER or words[0] in _OTHER):
         return None
-    if len(words) > 1 and words[-1] in _PLACE:
+    if words and words[-1] in _PLACE:
         stem = stem.rstrip(" _.:|/-])")[: -len(words[-1])]
     return stem.strip(" _.|/-")
 
@@ -123,8 +123,9 @@ def _find_role(found: Columns, column: int, title: str) -> None:
     words = [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+|[^\W\d_a-zA-Z]+", title)]
     joined, first = "".join(words), words[0] if words else ""
     for role, known in _ROLES.items():
-        starts = role in ("times", "numbers") and len(first) > 1 and first in known and "rate" not in words
-        fits = joined in known or starts
+        ends = (first, words[-1] if words and role == "times" else "")
+        within = any(len(word) > 1 and word in known for word in ends)
+        fits = joined in known or (role in ("times", "numbers") and within and "rate" not in words)
         if fits and role not in found.roles:
             found.roles[role] = column
             if role == "times":

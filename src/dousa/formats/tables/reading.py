@@ -85,7 +85,7 @@ def read_table(
             return take_person(read(path, text, unit=unit, up=up), path, person)
     header = _find_titles(text)
     if header is None or not header.columns.points:
-        raise MotionFileError(path, "tables.flat" if header else "tables.no_points")
+        raise MotionFileError(path, "guard.flat" if header else "tables.no_points")
     if is_of_angles(path):
         return take_person(read_angles(path, unit=unit, up=up), path, person)
     rows, notes = find_rows(path, text, header.body, header.mark, header.cells)
@@ -204,9 +204,9 @@ def _build(
         frames, numbers = order
         first = np.unique(frames, return_index=True)[1]
         times = {role: column[first] for role, column in times.items()}
-        spread = np.full((len(first), len(names), 3), np.nan)
+        spread = np.full((len(first), max(len(names), numbers.max() + 1), 3), np.nan)
         spread[frames, numbers] = points[:, 0]
-        points = spread
+        points = spread[:, : len(names)]
     refuse_pictures(path, points)
     if columns.counted and points.shape[1] in BODY_OF:
         points = points[:, : BODY_OF[points.shape[1]]]
@@ -263,8 +263,24 @@ def _spread_points(
     twice = int(np.count_nonzero(np.diff(np.sort(frames * len(names) + points)) == 0))
     if twice:
         raise MotionFileError(path, "tables.twice", int(rows.lines[0]), found=twice)
-    columns.counted = names == [str(n) for n in range(len(names))]
+    if all(name.isdecimal() and len(name) < 6 for name in names):  # 100,000 are no body
+        names, points = _count_points(names, points)
+        columns.counted = True
     return tuple(names), (frames, points)
+
+
+def _count_points(names: list[str], points: IntArray, hands: int = 100) -> tuple[list[str], IntArray]:
+    """Names and points of rows in the order of numbers, of which some may never come: their count gives the layout.
+
+    ``hands`` : Caliscope's number of the first point that is none of the body.
+    """
+    numbers = np.array([int(name) for name in names])
+    known = {len(layout.names) for layout in list_layouts()} | set(BODY_OF)
+    start = int(numbers.min() == 1 and numbers.max() in known)
+    count = int(numbers[numbers < hands].max(initial=-1)) + 1 - start
+    every = np.union1d(numbers, np.arange(count) + start) if count in known else np.unique(numbers)
+    body = every[:count] if count in known else every
+    return [str(number) for number in body.tolist()], np.searchsorted(every, numbers)[points]
 
 
 def _read_times(rows: Rows, columns: dict[str, int]) -> tuple[dict[str, FloatArray], dict[str, int]]:
