@@ -51,7 +51,7 @@ def test_every_line_of_the_table_works():
 
 def test_the_table_is_the_one_promised():
     assert " ".join(SUFFIXES) == (
-        ".bvh .amc .c3d .trc .amass.npz .npz .npy .pkl .joblib .pt .csv .tsv .json .vmd .mot .mvnx .fbx .dae .usd"
+        ".bvh .amc .c3d .trc .npz .npy .pkl .pk .pickle .joblib .pt .csv .tsv .json .vmd .mot .mvnx .fbx .dae .usd"
         " .usda .usdc .usdz .glb .gltf .vrm .vrma"
     )
     assert " ".join(WRITERS) == ".bvh .c3d .trc .opencap.trc .amass.npz .npz .csv .vmd .mot .fbx .glb"

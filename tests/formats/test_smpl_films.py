@@ -48,23 +48,36 @@ FILMS = {
                 "smplx_world": {"pose": np.pad(VECTORS[:, :66], ((0, 0), (0, 99))), "trans": PLACES}},
         },
     },
+    "HybrIK": {"pred_thetas": [*MATRICES.reshape(N_FRAMES, 24, 9)], "pred_cam_root": [*PLACES], "img_path": ["a.jpg"]},
+    "SLAHMR": {
+        "root_orient": np.stack((VECTORS[:, :3], 0 * PLACES)), "pose_body": np.stack((VECTORS[:, 3:66],) * 2),
+        "trans": np.stack((PLACES, 0 * PLACES)), "betas": np.zeros((2, 10)), "intrins": np.ones(4),
+    },
+    "ROMP": {
+        f"{n:08}.jpg": {
+            "global_orient": VECTORS[[n, 0], :3], "body_pose": VECTORS[[n, 0], 3:], "cam_trans": PLACES[[n, 0]],
+            "cam": np.zeros((2, 3)), "joints": np.zeros((2, 71, 3)),
+        }
+        for n in range(N_FRAMES)
+    },
     "rows of axes": {"poses": MATRICES[..., :2, :].reshape(N_FRAMES, 144), "trans": PLACES},
     "columns in turns": {"poses": MATRICES[..., :, :2].reshape(N_FRAMES, 144), "trans": PLACES},
     "flat matrices": {"poses": MATRICES.reshape(N_FRAMES, 216), "trans": PLACES},
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("pack", ["joblib", "packed", "pickle", "torch", "npy"])
+@pytest.mark.parametrize("pack", ["joblib", "packed", "pickle", "torch", "npy", "npz"])
 @pytest.mark.parametrize("film", FILMS)
 def test_films(tmp_path, film, pack):
     content = FILMS[film]
-    path = tmp_path / ("x.npy" if pack == "npy" else "x.pt" if pack == "torch" else "x.pkl")
+    path = tmp_path / f"x.{ {'npy': 'npy', 'npz': 'npz', 'torch': 'pt'}.get(pack, 'pkl') }"
     data = {
         "joblib": lambda: made.make_joblib(content),
         "packed": lambda: made.make_joblib(content, compress=3),
         "pickle": lambda: pickle.dumps(content),
         "torch": lambda: made.make_torch(content),
         "npy": lambda: made.make_npy(np.array(content, object)),
+        "npz": lambda: made.make_npz(results=np.array(content, object), faces=np.array(["a"], object)),
     }[pack]()
     motion = read_motion(save(path, data), up="y")
     assert isinstance(motion, Motion)
@@ -166,6 +179,20 @@ def test_samples_of_mdm(tmp_path):
     alone = read_motion(save(tmp_path / "motion.npy", made.make_npy(motion)), unit="m", up="y", animation=2)
     np.testing.assert_allclose(alone.positions, joints[::-1])
     assert [str(note.values["text"]) for note in read.provenance.notes if note.code == "arrays.text"] == ["a walk"]
+
+
+def test_takes_by_person_and_action(tmp_path):
+    """As the data sets of VideoPose3D have them."""
+    joints = np.random.default_rng(0).normal(size=(9, 32, 3))
+    takes = {"S1": {"Walking": joints, "Eating 1": joints[:5]}, "S5": {"Walking": joints[::-1]}}
+    path = save(tmp_path / "data_3d_h36m.npz", made.make_npz(positions_3d=np.array(takes, object)))
+    read = read_motion(path, unit="m", up="y", animation="S5 Walking")
+    np.testing.assert_allclose(read.positions, joints[::-1])
+    assert read.frame_rate == 50.0
+    assert len(list_untaken(path, read_motion(path).provenance.notes)) == 3
+    flat = {"S1": {"Walking": [joints[:, :17, :2], joints[:5, :17, :2]]}}
+    assert code_of(save(path, made.make_npz(positions_2d=np.array(flat, object)))) == "guard.flat"
+    assert code_of(save(path, made.make_npz(x=np.array([print], object)))) == "pickles.refused"
 
 
 def test_many_samples_are_loaded_once(tmp_path, monkeypatch):

@@ -204,6 +204,20 @@ class NpzFile:
                 raise self._fail(Message("npz.not_text", array=name))
         return array
 
+    def read_pickled(self, name: str) -> bytes | None:
+        """Read the pickle in the place of an array of objects; None where the array has numbers or texts."""
+        member = self._members[name]
+        with self._archive.open(member) as stream:
+            head = stream.read(12)
+            length = head[8 : 10 if head[6:7] < b"\2" else 12]
+            start = 8 + len(length) + int.from_bytes(length, "little")
+            head += stream.read(max(0, min(start, 10_000) - len(head)))
+            if head[:6] != _MAGIC or b"'|O'" not in head:
+                return None
+            if member.file_size > self.most:
+                raise self._fail(Message("npz.large", array=name, most=self.most, found=member.file_size))
+            return stream.read()
+
     def read_number(self, name: str) -> float:
         """Read a single finite number."""
         value = float(self.read(name, "iuf", 0))

@@ -78,15 +78,16 @@ FORMATS: tuple[Format, ...] = (
     Format("c3d", (".c3d",), "dousa.formats.c3d", "read_c3d", "write_c3d", "trajectories"),
     Format("trc", (".trc",), "dousa.formats.tables", "read_trc", "write_trc", "trajectories"),
     Format("opencap", (".opencap.trc",), "dousa.formats.opensim", None, "write_opencap", "both"),
-    Format("amass", (".amass.npz",), "dousa.formats.smpl", "read_smpl_npz", "write_amass", "motion", _ARRAYS),
-    Format("npz", (".npz",), "dousa.formats.arrays", "read_any_npz", "write_npz", "both", _ARRAYS),
+    Format("amass", (".amass.npz",), "dousa.formats.smpl", None, "write_amass", "motion"),
+    Format("npz", (".npz",), "dousa.formats.arrays", "read_any_npz", "write_npz", "both", _PARTS),
     Format(
         "npy", (".npy",), "dousa.formats.arrays", "read_npy", None, "both", _PARTS,
-        rb"'shape': \(\d+, (?:\d+, \d+|263|251|322)\)|(?s:'\|O'.*(?:motion|orient|rotmat|poses?)\W)",
+        rb"'shape': \(\d+, (?:\d+, \d+|263|251|322)\)|(?s:'\|O'.*(?:motion|orient|rotmat|poses?|thetas)\W)",
     ),
     Format(
-        "pkl", (".pkl", ".joblib", ".pt"), "dousa.formats.arrays", "read_pickle", None, "both", _PARTS,
-        rb"poses|keypoints3d|(?:global|root)_orient|rotmat|body_pose|\x04(?:\0{3})?pose|\x06(?:\0{3})?motion",
+        "pkl", (".pkl", ".pk", ".pickle", ".joblib", ".pt"), "dousa.formats.arrays", "read_pickle", None, "both",
+        _PARTS,
+        rb"poses|thetas|keypoints3d|(?:global|root)_orient|rotmat|body_pose|\x04(?:\0{3})?pose|\x06(?:\0{3})?motion",
     ),
     Format(
         "csv", (".csv",), "dousa.formats.tables", "read_table", "write_motive", "both", _TABLE,

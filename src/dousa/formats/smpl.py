@@ -26,7 +26,7 @@ from dousa.files.disk import atomic_write
 from dousa.files.npz_arrays import open_npz
 from dousa.formats.assembly import rest_offsets, settle_motion
 from dousa.formats.guard import Clock
-from dousa.formats.smpl_poses import JOINTS_OF, Get, are_poses, bare_name, find_roles, read_rotations
+from dousa.formats.smpl_poses import JOINTS_OF, Get, bare_name, find_roles, read_rotations
 from dousa.messages import Message
 from dousa.motion import Motion, Skeleton, Trajectories
 from dousa.motion.canonical.recipes import JointMap
@@ -102,41 +102,6 @@ AIST_RATE = 60.0
 """Hz of AIST++ (Li et al., ICCV 2021)."""
 
 
-def find_poses(names: Iterable[str]) -> bool:
-    """Return whether the names of some arrays are those of SMPL poses."""
-    return are_poses(find_roles(names))
-
-
-def read_smpl_npz(
-    path: str | os.PathLike[str],
-    *,
-    unit: float | str | None = None,
-    up: str | None = None,
-    skeleton: str | os.PathLike[str] | None = None,
-    frame_rate: float | None = None,
-) -> Motion:
-    """Read an npz file of SMPL poses, such as those of AMASS, over the 22 to 55 joints of the model.
-
-    Parameters
-    ----------
-    path : the file.
-    unit : metres per unit; by default metres.
-    up : axis that points up; by default Z unless the body stands along another.
-    skeleton : body model file in npz form; by default the mean body, whatever the file's ``betas``.
-    frame_rate : Hz, if not in the file.
-
-    Raises
-    ------
-    MotionFileError : missing, damaged, no poses, arrays that do not fit each other.
-    """
-    with open_npz(path, partial(MotionFileError, path)) as file:
-
-        def get(name: str) -> NDArray[Any] | None:
-            return file.read(name, "iuf", most=file.most) if name in file else None
-
-        return build_smpl(path, get, file.names, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate)
-
-
 def build_smpl(
     path: str | os.PathLike[str],
     get: Get,
@@ -156,9 +121,15 @@ def build_smpl(
     path : for messages and provenance.
     get : returns the array of a name, or None.
     names : of the arrays.
-    unit, up, skeleton, frame_rate : as for `read_smpl_npz`.
+    unit, up : of the file; by default metres, and the axis along which the body stands.
+    skeleton : body model file in npz form; by default the mean body, whatever the file's ``betas``.
+    frame_rate : Hz, if not in the file.
     default_up : usual in such files, for those without AIST++'s scaling.
     notes : for the user, on the reading of the file.
+
+    Raises
+    ------
+    MotionFileError : no poses, arrays that do not fit each other.
     """
     roles = find_roles(names)
     rotations = _read_poses(path, get, roles)

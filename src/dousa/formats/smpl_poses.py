@@ -4,7 +4,8 @@ A body is found by the roles of names (``pred_rotmat``, ``smpl_poses``, ``pose_w
 ``body_pose``: words of programs are dropped) and by shapes: J joints are 3 J numbers a frame as rotation vectors, 9 J
 as matrices, which must be rotations, 6 J as two of their axes (Zhou et al., On the continuity of rotation
 representations, 2019): the first two rows, one after the other (PyTorch3D), or the first two columns in turns (SPIN,
-VIBE). Known to come so: AMASS, AIST++, Motion-X, EasyMocap, VIBE, WHAM, TRAM, 4DHumans, GVHMR, PromptHMR.
+VIBE). Known to come so: AMASS, AIST++, Motion-X, EasyMocap, VIBE, WHAM, TRAM, 4DHumans, GVHMR, PromptHMR, HybrIK,
+ROMP, SLAHMR.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ _ROLES = {
     "hands": ("posehand", "handpose"),
     "left_hand": ("lefthandpose",),
     "right_hand": ("righthandpose",),
-    "places": ("trans", "transl", "translation", "th", "roottrans"),
+    "places": ("trans", "transl", "translation", "th", "roottrans", "camtrans", "camroot"),
     "betas": ("betas", "shape", "shapes"),
     "scaling": ("scaling",),
     "numbers": ("frameids", "frames", "frame", "frameid"),

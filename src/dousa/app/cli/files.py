@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 # As of the registry, which would take a tenth of a second to import; a test holds them equal.
 READ_SUFFIXES = (
-    ".bvh .amc .c3d .trc .amass.npz .npz .npy .pkl .joblib .pt .csv .tsv .json .vmd .mot .mvnx .fbx .dae .usd .usda"
+    ".bvh .amc .c3d .trc .npz .npy .pkl .pk .pickle .joblib .pt .csv .tsv .json .vmd .mot .mvnx .fbx .dae .usd .usda"
     " .usdc .usdz .glb .gltf .vrm .vrma"
 )
 WRITTEN_SUFFIXES = ".bvh .c3d .trc .opencap.trc .amass.npz .npz .csv .vmd .mot .fbx .glb"

@@ -1,13 +1,14 @@
 """Bodies of SMPL in nested content, as programs that watch films save it: by person, by frame, in world and camera.
 
 A dictionary whose arrays are the rotations of a body is a body. Of a dictionary of others, keys that are numbers are
-people; of other keys the one that says world or global is taken before one that says camera. A dictionary of frames
-(4DHumans: a list of bodies of one pose beside the numbers of their people) is turned into people first.
+people; of other keys the one that says world or global is taken before one that says camera. Arrays of several people
+(SLAHMR) have one more axis. A dictionary of frames (4DHumans, ROMP) is turned into people first.
 """
 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
@@ -20,6 +21,7 @@ from dousa.formats.smpl_poses import are_poses, find_roles, rank_place, read_rot
 
 _PERSON = re.compile(r"(?:id|person|track|subject|body|human|p)?[ _-]?(\d+)", re.IGNORECASE)
 _Value = TypeVar("_Value")
+_PICTURE = re.compile(r"\.(?:jpe?g|png|bmp)$", re.IGNORECASE)
 _TRACKS = ("tid", "tracked_ids", "track_ids", "person_ids")
 
 
@@ -66,10 +68,10 @@ def list_bodies(content: Any, name: str = "", depth: int = 0, deepest: int = 6, 
     content = _gather_frames(content) or content
     if are_poses(find_roles(map(str, content))):
         arrays = {str(key): array for key, value in content.items() if (array := as_array(value)) is not None}
-        roles = find_roles(arrays)
-        turns = read_rotations(arrays.get, roles).turns
-        if turns is not None:
-            return [Body(name, arrays, len(turns), any(rank_place(one) == 0 for one in arrays))]
+        in_world = any(rank_place(one) == 0 for one in arrays)
+        every = {name: arrays} if _count_frames(arrays) else {f"id {n}": own for n, own in enumerate(_split(arrays), 1)}
+        if every and all(map(_count_frames, every.values())):
+            return [Body(who, own, _count_frames(own), in_world) for who, own in every.items()]
     found = {str(key): bodies for key, value in content.items() if (bodies := list_bodies(value, str(key), depth + 1))}
     people = name_people(found)
     if people:
@@ -90,16 +92,39 @@ def name_people(found: Mapping[str, _Value]) -> dict[str, _Value]:
     return {f"id {match[1]}": found[key] for key, match in matches.items() if match} if all(matches.values()) else {}
 
 
+def _count_frames(arrays: Mapping[str, NDArray[Any]]) -> int:
+    """Frames of the body of some arrays; 0 if they are none."""
+    turns = read_rotations(arrays.get, find_roles(arrays)).turns
+    return 0 if turns is None else len(turns)
+
+
+def _split(arrays: Mapping[str, NDArray[Any]], most: int = 200) -> list[dict[str, NDArray[Any]]]:
+    """Split arrays along their first axis, of people, as long as most of them are on it; at most so many."""
+    counts = Counter(len(array) for array in arrays.values() if array.ndim)
+    count = counts.most_common(1)[0][0] if counts else 0
+    rows = {key: array for key, array in arrays.items() if array.ndim and len(array) == count}
+    return [{key: array[n] for key, array in rows.items()} for n in range(count if count <= most else 0)]
+
+
 def _gather_frames(content: Mapping[Any, Any]) -> Mapping[Any, Any] | None:
-    """Turn frames that hold lists of bodies of one pose into people; None of other content."""
-    frames = [value for value in content.values() if isinstance(value, Mapping)]
-    if len(frames) < max(2, len(content)) or not all(isinstance(frame.get("smpl"), list) for frame in frames):
+    """Turn frames that hold bodies of one pose each into people: lists of them, or arrays; None of other content.
+
+    What is called as a picture is a frame (ROMP), as is what holds a list ``smpl`` (4DHumans).
+    """
+    pictures = all(_PICTURE.search(str(key)) for key in content)
+    known = (isinstance(frame, Mapping) and isinstance(frame.get("smpl"), list) for frame in content.values())
+    if len(content) < 2 or not (pictures or all(known)):
         return None
-    ordered = [content[key] for key in sorted(content, key=lambda key: natural_key(str(key)))]
     named = []
-    for frame in ordered:
-        tracks = next((frame[name] for name in _TRACKS if isinstance(frame.get(name), list | np.ndarray)), ())
-        named.append([{"id": who, **pose} for who, pose in zip(tracks, frame["smpl"], strict=False)])
+    for key in sorted(content, key=lambda key: natural_key(str(key))):
+        frame, tracks = content[key], None
+        if isinstance(frame, Mapping):
+            tracks = next((frame[name] for name in _TRACKS if isinstance(frame.get(name), list | np.ndarray)), None)
+            arrays = {str(name): array for name, value in frame.items() if (array := as_array(value)) is not None}
+            frame = frame["smpl"] if isinstance(frame.get("smpl"), list) else _split(arrays)
+        poses = [pose for pose in frame if isinstance(pose, Mapping)] if isinstance(frame, list) else []
+        numbers = range(len(poses)) if tracks is None else tracks
+        named.append([{"id": who, **pose} for who, pose in zip(numbers, poses, strict=False)])
     return gather_people(named)
 
 

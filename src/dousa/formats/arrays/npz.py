@@ -35,9 +35,10 @@ from numpy.typing import NDArray
 from dousa.errors import InvalidMotionError, MotionFileError, MotionWriteError
 from dousa.files.disk import atomic_write, read_bytes
 from dousa.files.npz_arrays import NpzFile, open_npz
-from dousa.formats.arrays.joints import build_joints, find_joints, is_joint_array
+from dousa.files.pickles import load_pickle
+from dousa.formats.arrays.pickles import build_content
 from dousa.formats.guard import compare_bytes
-from dousa.formats.smpl import build_smpl, find_poses
+from dousa.formats.guard.people import take_person
 from dousa.messages import Message
 from dousa.motion import Motion, Provenance, Skeleton, Trajectories
 from dousa.motion.canonical.reference_frame import parse_unit, parse_up
@@ -156,9 +157,6 @@ def _list_arrays(motion: Motion | Trajectories) -> dict[str, NDArray[Any]]:
     return {"kind": np.array("trajectories"), **given}
 
 
-_RATES = ("frame_rate", "fps", "framerate", "mocap_framerate", "mocap_frame_rate")
-
-
 def read_any_npz(
     path: str | os.PathLike[str],
     *,
@@ -166,15 +164,19 @@ def read_any_npz(
     up: str | None = None,
     skeleton: str | os.PathLike[str] | None = None,
     frame_rate: float | None = None,
+    person: str | None = None,
+    animation: str | None = None,
 ) -> Motion | Trajectories:
     """Read an npz file; its kind follows from its arrays.
 
     Parameters
     ----------
-    path : a file that dousa wrote, one of SMPL poses (AMASS), or one with an array (T, J, 3) of joints.
+    path : a file that dousa wrote, or an archive of SMPL poses (AMASS), of joints (T, J, 3), or of pickled dictionaries
+        of such; nothing in it is executed.
     unit, up : if not in the file; dousa's own has both.
     skeleton : body model of SMPL poses.
     frame_rate : Hz, of arrays without one.
+    person, animation : as for `read_pickle`.
 
     Raises
     ------
@@ -182,7 +184,16 @@ def read_any_npz(
     """
     with open_npz(path, partial(MotionFileError, path)) as file:
         behind = max(0, file.n_behind)
-        motion = _read_content(path, file, unit, up, skeleton, frame_rate)
+        content = None if "format" in file or not file.names else _load(path, file)
+    options: dict[str, Any] = {"unit": unit, "up": up}
+    if content is None:
+        motion = read_npz(path, **options)
+    else:
+        options |= {"skeleton": skeleton, "frame_rate": frame_rate, "person": person, "animation": animation}
+        motion = build_content(path, content, **options)
+    notes = motion.provenance.notes if motion.provenance else ()
+    if not any(note.code.startswith("parts.person") for note in notes):
+        motion = take_person(motion, path, person)
     if not behind:
         return motion
     source = motion.provenance or Provenance(os.fspath(path), "npz")
@@ -190,59 +201,21 @@ def read_any_npz(
     return dataclasses.replace(motion, provenance=source)
 
 
-def _read_content(
-    path: str | os.PathLike[str],
-    file: NpzFile,
-    unit: float | str | None,
-    up: str | None,
-    skeleton: str | os.PathLike[str] | None,
-    frame_rate: float | None,
-) -> Motion | Trajectories:
-    if find_poses(file.names):
-        return build_smpl(path, lambda name: _read(file, name), file.names, unit=unit, up=up, skeleton=skeleton,
-                          frame_rate=frame_rate)  # fmt: skip
-    name = None if "format" in file else find_joints(_shapes(file))
-    if name is None:
-        return read_npz(path, unit=unit, up=up)
-    points = _read(file, name)
-    rate = frame_rate
-    for key in _RATES:
-        if rate is None and key in file:
-            given = _read(file, key)
-            rate = float(given.reshape(-1)[0]) if given is not None and given.size == 1 else None
-    names = next((file.read_texts(key) for key in ("joint_names", "names") if _is_text(file, key)), None)
-    return build_joints(path, "npz", points, unit=unit, up=up, frame_rate=rate, names=names)
-
-
-def _read(file: NpzFile, name: str) -> Any:
-    if name not in file:
-        return None
-    with file.open(name) as (header, _):
-        if header.dtype.kind not in "iuf":
-            return None
-    return file.read(name, "iuf", most=file.most)
-
-
-def _is_text(file: NpzFile, name: str) -> bool:
-    if name not in file:
-        return False
-    with file.open(name) as (header, _):
-        return header.dtype.kind == "U" and len(header.shape) == 1
-
-
-class _Shape:
-    """Shape of an unread array, for `find_joints`."""
-
-    def __init__(self, shape: tuple[int, ...], kind: str) -> None:
-        self.shape, self.is_joints = shape, kind in "iuf" and is_joint_array(shape)
-
-
-def _shapes(file: NpzFile) -> dict[str, Any]:
-    shapes = {}
+def _load(path: str | os.PathLike[str], file: NpzFile) -> dict[str, Any]:
+    """The arrays of numbers and texts, and the dictionaries in the place of one; other members are left out."""
+    content: dict[str, Any] = {}
+    refused: MotionFileError | None = None
     for name in file.names:
+        pickled = file.read_pickled(name)
         try:
-            with file.open(name) as (header, _):
-                shapes[name] = _Shape(header.shape, header.dtype.kind)
-        except MotionFileError:  # an array of objects, such as names
-            continue
-    return {name: shape for name, shape in shapes.items() if shape.is_joints}
+            if pickled is None:
+                content[name] = file.read(name, "iufU", most=file.most)
+            else:
+                content[name] = load_pickle(path, pickled)
+        except MotionFileError as error:
+            if error.code in ("npz.ends", "npz.size", "npz.large", "npz.damaged"):
+                raise
+            refused = error
+    if refused is not None and not content:
+        raise refused
+    return content

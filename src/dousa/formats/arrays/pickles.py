@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from dousa.errors import MotionFileError
 from dousa.files.pickles import load_pickle
-from dousa.formats.arrays.bodies import as_array, list_bodies, name_people
-from dousa.formats.arrays.joints import build_joints, find_joints, is_joint_array
+from dousa.formats.arrays.bodies import Body, as_array, list_bodies, name_people
+from dousa.formats.arrays.joints import build_joints, find_joints, is_joint_array, list_layouts
 from dousa.formats.parts import choose, distinguish, load_once
 from dousa.formats.smpl import AIST_RATE, build_smpl, read_rate
+from dousa.formats.smpl_poses import are_poses, find_roles, rank_place
 from dousa.messages import Message
 from dousa.motion import Motion, Trajectories
 
@@ -34,7 +35,7 @@ def read_pickle(
     Parameters
     ----------
     path : the file; nothing in it is executed.
-    unit, up, skeleton, frame_rate : as for `read_smpl_npz`; joint positions take no skeleton.
+    unit, up, skeleton, frame_rate : as for `build_smpl`; joint positions take no skeleton.
     person : name or number of one of several people; by default the one seen in most frames.
     animation : name or number of one of several samples of text-to-motion; by default the longest.
 
@@ -69,17 +70,22 @@ def build_content(
     """
     arrays = {str(key): array for key, value in content.items() if (array := as_array(value)) is not None}
     bodies = list_bodies(content)
+    if not bodies and are_poses(find_roles(arrays)):  # damaged ones
+        bodies = [Body("", arrays, 0, False)]
     if bodies:
         names = distinguish(body.name or "1" for body in bodies)
         chosen, notes = choose(path, "person", names, person, [body.n_frames for body in bodies])
         body = bodies[chosen]
-        if body.name and not body.in_world:
+        # A film says no up axis: bodies by person stand in the axes of a camera, or of the program's own world.
+        filmed = bool(body.name) or any(rank_place(name) == 2 for name in body.arrays)
+        if filmed and not body.in_world:
             notes += (Message("smpl.camera"),)
         return build_smpl(
             path, body.arrays.get, body.arrays, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate,
-            # A film says no up axis: bodies by person stand in the axes of a camera, or of the program's own world.
-            default_up=None if body.name else "z", notes=notes,
+            default_up=None if filmed else "z", notes=notes,
         )  # fmt: skip
+    kind = os.path.splitext(os.fspath(path))[1].lower().lstrip(".")
+    options: dict[str, Any] = {"unit": unit, "up": up, "frame_rate": frame_rate}
     samples = _list_samples(content, arrays)
     if samples:
         names = distinguish(text or f"sample {number}" for number, (_, text, _) in enumerate(samples, 1))
@@ -88,17 +94,39 @@ def build_content(
         if declared > len(points):
             notes += (Message("guard.frame_count", declared=f"{declared:,}", found=len(points)),)
         notes += (Message("arrays.text", text=text),) if text else ()
-        return build_joints(path, "pkl", points, unit=unit, up=up, frame_rate=frame_rate, notes=notes)
+        return build_joints(path, kind, points, notes=notes, **options)
     people = name_people(arrays)
-    if len(people) > 1 and all(is_joint_array(array.shape) for array in people.values()):
-        chosen, notes = choose(path, "person", [*people], person, [len(array) for array in people.values()])
-        points = [*people.values()][chosen]
-        return build_joints(path, "pkl", points, unit=unit, up=up, frame_rate=frame_rate, notes=notes)
+    nested = people if all(is_joint_array(array.shape) for array in people.values()) else {}
+    part, wanted = ("person", person) if nested else ("animation", animation)
     name = find_joints(arrays)
+    if not nested and name is None:
+        found = dict(_walk(content))
+        counts = {len(layout.names) for layout in list_layouts()}
+        nested = {t: array for t, array in found.items() if is_joint_array(array.shape) and counts & {*array.shape}}
+        if len(nested) > 1 and len({title.partition(" ")[0] for title in nested}) == 1:
+            nested = {title.partition(" ")[2]: array for title, array in nested.items()}
+        if not nested and any(array.ndim > 2 and array.shape[-1] == 2 for array in found.values()):
+            raise MotionFileError(path, "guard.flat")
+    if nested:
+        chosen, notes = choose(path, part, [*nested], wanted, [len(array) for array in nested.values()])
+        return build_joints(path, kind, [*nested.values()][chosen], notes=notes, **options)
     if name is None:
         raise MotionFileError(path, "pickles.no_motion", found=tuple(map(str, content))[:12])
     rate = frame_rate or read_rate(arrays.get) or (AIST_RATE if name.startswith("keypoints3d") else None)
-    return build_joints(path, "pkl", arrays[name], unit=unit, up=up, frame_rate=rate)
+    texts = next((content[key] for key in ("joint_names", "names") if key in content), ())
+    named = tuple(map(str, texts)) if len(texts) and all(isinstance(text, str) for text in texts) else None
+    return build_joints(path, kind, arrays[name], names=named, **(options | {"frame_rate": rate}))
+
+
+def _walk(content: Any, title: str = "", depth: int = 0, most: int = 5000) -> Iterator[tuple[str, NDArray[Any]]]:
+    """The arrays in dictionaries and lists within others, by their way from the outermost, such as ``S1 Walking``."""
+    array = None if depth < 2 else as_array(content)
+    if array is not None:
+        yield title, array
+    elif depth < 6 and isinstance(content, list | dict):
+        items = content.items() if isinstance(content, dict) else enumerate(content[:most], 1)
+        for key, value in items:
+            yield from _walk(value, f"{title} {key}".strip(), depth + 1)
 
 
 def _list_samples(

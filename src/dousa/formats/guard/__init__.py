@@ -16,6 +16,6 @@ from dousa.formats.guard.sizes import MOST_POINTS, check_even, check_memory, che
 
 __all__ = [
     "EXACT", "MOST_POINTS", "Clock", "Cloud", "Timeline", "check_body", "check_even", "check_memory", "check_points",
-    "compare_bytes", "compare_points", "find_lost", "find_shift", "given_rate", "is_flat", "keep_offsets", "measure_cloud",
-    "note_shift", "settle_clock", "settle_positions", "settle_roots",
+    "compare_bytes", "compare_points", "find_lost", "find_shift", "given_rate", "is_flat", "keep_offsets",
+    "measure_cloud", "note_shift", "settle_clock", "settle_positions", "settle_roots",
 ]  # fmt: skip

@@ -19,7 +19,7 @@ export async function takeMotions(entries) {
 
 /** What a file dialogue offers where labels or a motion are wanted; the studio looks at what comes. */
 export const LABEL_FILES = ".eaf,.TextGrid,.csv,.tsv";
-export const MOTION_FILES = ".bvh,.amc,.asf,.c3d,.trc,.npz,.npy,.pkl,.joblib,.pt,.csv,.tsv,.json,.vmd,.mot,.mvnx,.fbx,.dae,.usd,.usda,.usdc,.usdz,.glb,.gltf,.vrm,.vrma,.zip";
+export const MOTION_FILES = ".bvh,.amc,.asf,.c3d,.trc,.npz,.npy,.pkl,.pk,.pickle,.joblib,.pt,.csv,.tsv,.json,.vmd,.mot,.mvnx,.fbx,.dae,.usd,.usda,.usdc,.usdz,.glb,.gltf,.vrm,.vrma,.zip";
 
 async function readEntry(entry, prefix, found) {
   if (entry.isFile) {
