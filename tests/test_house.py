@@ -19,11 +19,11 @@ SOURCE = ROOT / "src" / "dousa"
 # Lines and files of each room, stubs included.
 ROOMS = {
     "app": (25_441, 112),
-    "estimation": (15_778, 65),
+    "estimation": (15_835, 65),
     "evaluation": (11_984, 46),
     "experiments": (1_728, 10),
-    "files": (1_112, 8),
-    "formats": (13_084, 70),
+    "files": (1_126, 8),
+    "formats": (13_142, 70),
     "library": (15_880, 57),
     "messages": (235, 3),
     "motion": (6_484, 34),
@@ -31,9 +31,9 @@ ROOMS = {
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_086,
+    "lines of tests": 62_145,
     "lines of JavaScript": 12_472,
-    "constants": 1_043,
+    "constants": 1_044,
     "numeric constants without a source": 0,
     "functions over 60 lines": 13,
     "files over 650 lines": 0,

@@ -123,9 +123,8 @@ def build_smpl(
     names : of the arrays.
     unit, up : of the file; by default metres, and the axis along which the body stands.
     skeleton : body model file in npz form; by default the mean body, whatever the file's ``betas``.
-    frame_rate : Hz, if not in the file.
+    frame_rate, notes : Hz, if not in the file; for the user, on the reading.
     default_up : usual in such files, for those without AIST++'s scaling.
-    notes : for the user, on the reading of the file.
 
     Raises
     ------

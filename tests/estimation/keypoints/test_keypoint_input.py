@@ -7,6 +7,7 @@ import pytest
 
 from dousa.errors import KeypointError
 from dousa.estimation import MEDIAPIPE_NAMES, read_keypoints
+from dousa.estimation.keypoints.keypoint_files import holds_keypoints
 from dousa.estimation.keypoints.keypoint_json import BODY_25, COCO_17, HALPE_26, SCHEMES
 
 SIZE = (640, 480)
@@ -205,6 +206,36 @@ def test_the_table_of_deeplabcut(tmp_path):
     single.write_text("scorer,net,net\nbodyparts,nose,nose\ncoords,x,y\n0,1,2\n1,3,4\n")
     view = read_keypoints(single, size=SIZE, frame_rate=25)
     assert view.names == ("nose",) and view.people[0].points[1].tolist() == [[3, 4]]
+
+
+SLEAP = """track,frame_idx,instance.score,nose.x,nose.y,nose.score,l_knee.x,l_knee.y,l_knee.score,r_knee.x,r_knee.y,r_knee.score
+a,4,0.9,10,20,0.9,30,40,0.5,,,
+b,4,0.9,11,21,0.9,31,41,0.5,51,61,.5
+a,6,0.9,12,22,0.9,32,42,0.5,52,62,.5
+"""  # noqa: E501
+PIXELS = """PathFileType\t4\t(X/Y/Z)\tv_px.trc
+DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames
+30\t30\t2\t3\tpx\t30\t1\t2
+Frame#\tTime\tNose\t\t\tLKnee\t\t\tRKnee\t\t
+\t\tX1\tY1\tZ1\tX2\tY2\tZ2\tX3\tY3\tZ3
+
+1\t0\t10\t20\t0\t30\t40\t0.0\t\t\t
+2\t0.1\t12\t22\t0\t32\t42\t0\t52\t62\t0
+"""
+
+
+@pytest.mark.parametrize(("name", "text", "frames", "people"), [("v.csv", SLEAP, 2, 2), ("v_px.trc", PIXELS, 2, 1)])
+def test_tables_with_titles(tmp_path, name, text, frames, people):
+    path = tmp_path / name
+    path.write_text(text)
+    assert holds_keypoints(path)
+    view = read_keypoints(path, size=SIZE, frame_rate=25)
+    assert (view.names, view.n_frames, view.n_people) == (("nose", "left_knee", "right_knee"), frames, people)
+    first = view.people[0].points
+    assert first[[0, -1], :2].tolist() == [[[10, 20], [30, 40]], [[12, 22], [32, 42]]]
+    assert np.isnan(first[0, 2]).all() and first[-1, 2].tolist() == [52, 62]
+    path.write_text(text.replace("nose.score", "nose.z").replace("\t20\t0\t", "\t20\t5\t"))
+    assert not holds_keypoints(path)
 
 
 @pytest.mark.parametrize(

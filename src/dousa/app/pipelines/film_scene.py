@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from dousa.estimation.sync.sound import Sound
 
 
-_KEYPOINT_SUFFIXES = (".npz", ".json", ".csv", ".npy")
+_KEYPOINT_SUFFIXES = (".npz", ".json", ".csv", ".tsv", ".trc", ".npy")
 _FOCAL_35 = ("focal_length.35mm", "focallengthin35mm")
 _FRAME_35 = 36.0  # mm, by definition the longer side of a 35 mm picture
 

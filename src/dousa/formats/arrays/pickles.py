@@ -84,8 +84,20 @@ def build_content(
             path, body.arrays.get, body.arrays, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate,
             default_up=None if filmed else "z", notes=notes,
         )  # fmt: skip
-    kind = os.path.splitext(os.fspath(path))[1].lower().lstrip(".")
     options: dict[str, Any] = {"unit": unit, "up": up, "frame_rate": frame_rate}
+    return _build_joints(path, content, arrays, person, animation, options)
+
+
+def _build_joints(
+    path: str | os.PathLike[str],
+    content: Mapping[Any, Any],
+    arrays: Mapping[str, NDArray[Any]],
+    person: str | None,
+    animation: str | None,
+    options: dict[str, Any],
+) -> Trajectories:
+    """The joints of a dictionary without bodies: samples, people, nested takes, or one array."""
+    kind = os.path.splitext(os.fspath(path))[1].lower().lstrip(".")
     samples = _list_samples(content, arrays)
     if samples:
         names = distinguish(text or f"sample {number}" for number, (_, text, _) in enumerate(samples, 1))
@@ -112,7 +124,7 @@ def build_content(
         return build_joints(path, kind, [*nested.values()][chosen], notes=notes, **options)
     if name is None:
         raise MotionFileError(path, "pickles.no_motion", found=tuple(map(str, content))[:12])
-    rate = frame_rate or read_rate(arrays.get) or (AIST_RATE if name.startswith("keypoints3d") else None)
+    rate = options["frame_rate"] or read_rate(arrays.get) or (AIST_RATE if name.startswith("keypoints3d") else None)
     texts = next((content[key] for key in ("joint_names", "names") if key in content), ())
     named = tuple(map(str, texts)) if len(texts) and all(isinstance(text, str) for text in texts) else None
     return build_joints(path, kind, arrays[name], names=named, **(options | {"frame_rate": rate}))
