@@ -119,19 +119,6 @@ def test_jobs_are_there_after_a_restart(board, work, tmp_path):
     later.close()
 
 
-def test_sentences_that_older_versions_stored_are_read(board, tmp_path, work):
-    job = board.submit("slow", {}, "slow")
-    work.go.set()
-    until(lambda: job.state == "done")
-    board.close()  # its last word is on the disk
-    path = board.folder(job) / "job.json"
-    stored = json.loads(path.read_bytes())
-    del stored["language"]
-    path.write_text(json.dumps({**stored, "what": "half", "notes": ["one", "two"], "problem": "a sentence"}))
-    read = JobBoard(Workspace(tmp_path / "home"), {"slow": Lane("one", work.run)}).get(job.id).to_json()
-    assert (read["what"], read["notes"], read["problem"]) == ("half", ["one", "two"], "a sentence")
-
-
 @pytest.mark.parametrize(
     "content", [b"", b"{", b"[]", b"null", b'{"id": "x"}', b'{"id": 3, "kind": "slow", "title": ""}']
 )

@@ -1,7 +1,6 @@
 """Labelling takes: timelines without gaps, right where the truth is known, unknown where nothing is."""
 
 import csv
-import io
 import json
 from dataclasses import replace
 
@@ -17,7 +16,6 @@ from dousa.formats.annotations.label_file import to_annotation
 from dousa.formats.annotations.reading import read_label_file
 from dousa.motion.annotation import Stretch
 from dousa.retrieval.features.posed_motion import AnnotatedTake
-from dousa.retrieval.forest.forest_file import pack_arrays
 from dousa.retrieval.takes.label import Segment, TakeLabeller, Timeline, label_take, make_timeline, write_timeline_csv
 from dousa.retrieval.takes.labeller_training import train_labeller
 from dousa.retrieval.takes.labeller_tuning import Answer, calibrate_places, fit_logistic
@@ -121,16 +119,6 @@ def test_a_labeller_comes_back_from_bytes():
     again = TakeLabeller.from_bytes(learned_labeller().to_bytes())
     assert label_take(again, shown_take()) == label_take(learned_labeller(), shown_take())
     assert again.to_bytes() == learned_labeller().to_bytes()
-
-
-def test_a_labeller_of_an_earlier_dousa_takes_its_own_word_for_places():
-    arrays = {
-        name: array for name, array in np.load(io.BytesIO(learned_labeller().to_bytes())).items() if name != "placing"
-    }
-    earlier = TakeLabeller.from_bytes(pack_arrays({**arrays, "version": np.array(4, np.int64)}))
-    evidence = np.random.default_rng(0).normal(size=(5, len(learned_labeller().placing) - 1))
-    assert np.array_equal(earlier.place(evidence), learned_labeller().confidence(evidence))
-    assert not np.allclose(learned_labeller().place(evidence), learned_labeller().confidence(evidence))
 
 
 def test_how_often_nothing_is_taken_for_an_action_is_learned_from_people_left_out():

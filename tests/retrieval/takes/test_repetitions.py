@@ -1,6 +1,5 @@
 """What is repeated in a take is one action that says how often, and mirrored actions are told from mirror images."""
 
-import io
 from dataclasses import replace
 from itertools import pairwise
 
@@ -10,7 +9,6 @@ from oracles.short_actions import ACTIONS, make_clip, make_library
 
 from dousa.experiments.annotated.trial import learn_clip_judge
 from dousa.motion.canonical.canonicalise import mirror_positions
-from dousa.retrieval.forest.forest_file import pack_arrays
 from dousa.retrieval.takes.label import TakeLabeller, label_take
 from dousa.retrieval.takes.labeller_training import train_labeller
 from dousa.retrieval.takes.made_takes import join_clips
@@ -117,14 +115,6 @@ def test_a_labeller_that_knows_no_phases_counts_too(labeller):
     assert before.phases == ()
     take = join_clips([make_clip("bow", 5, k) for k in range(4)], np.random.default_rng(1))
     assert [one.repetitions for one in label_take(before, take, threshold=0.0).segments] == [4]
-
-
-def test_a_labeller_of_an_earlier_version_has_tallies_and_is_read_without_them(labeller):
-    arrays = dict(np.load(io.BytesIO(labeller.to_bytes())))
-    del arrays["phases"]
-    arrays |= {"version": np.array(7, np.int64), "usual": np.ones((len(labeller.classes), 28))}
-    before = TakeLabeller.from_bytes(pack_arrays(arrays))
-    assert (before.phases, before.threshold) == ((), labeller.threshold)
 
 
 def test_left_and_right_are_one_repetition_where_most_clips_show_two_cycles():

@@ -13,7 +13,7 @@ still possibly the guess if it is likelier known than 98 % of the made-up gestur
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -42,13 +42,11 @@ from dousa.retrieval.forest.forest import MotionForest
 from dousa.retrieval.forest.forest_file import check, damaged, pack_arrays, unpack_arrays
 from dousa.retrieval.forest.pose_space import (
     ARRAYS,
-    LATER_ARRAYS,
     Curve,
     PoseBasis,
     PoseSpace,
     compute_auroc,
     fit_pose_basis,
-    read_curve,
 )
 from dousa.workers.threads import limit_blas, map_pieces
 
@@ -58,6 +56,8 @@ ALIEN = 0.98
 """Share of the made-up gestures that a possibly known motion must exceed in probability (docs/confidence.md)."""
 
 _WHAT = Message("stored.calibration")
+_NUMBERS = "threshold", "auroc", "false_alarms", "misses", "least_known", "least_possible"
+_LOST = 20  # % of the disturbed motions of held-back people called unknown; the full library knows more
 Watch = Callable[[int, MotionForest, IndexArray, IndexArray, IndexArray], None]
 """Called with each round: its number, its forest, and its training, known and unknown clips."""
 
@@ -142,8 +142,8 @@ class Calibration:
     auroc : over the rounds, how well ``known`` separates held-back categories from the others; 0.5 to 1.
     false_alarms, misses : over the rounds, share of known clips called unknown, and of unknown ones called known.
     least_known : a clip known with a smaller probability is called unknown.
-    lowest : (21,) or none, ascending: probabilities to be known that 0, 1 ... 20 % of the disturbed motions of
-        held-back people stay below; of an earlier dousa (16,), up to 15 %.
+    lowest : (21,), ascending: probabilities to be known that 0, 1 ... 20 % of the disturbed motions of held-back people
+        stay below.
     least_possible : a clip known with a greater probability, before ``limit``, is possibly the guess; 1 for never.
     """
 
@@ -155,9 +155,9 @@ class Calibration:
     auroc: float
     false_alarms: float
     misses: float
-    least_known: float = 0.0
-    lowest: tuple[float, ...] = ()
-    least_possible: float = 1.0
+    least_known: float
+    lowest: tuple[float, ...]
+    least_possible: float
 
     def limit(self, known: FloatArray, least_share: float = 0.04) -> FloatArray:
         """Compute upper limits (N,) of the probabilities to be known.
@@ -165,8 +165,6 @@ class Calibration:
         Below ``least_known`` hardly any clip trains the curves, so the odds are at most the share of known motions at
         or below that probability, but at least ``least_share`` for another body or sensor, against ``STRANGERS``.
         """
-        if not self.lowest:
-            return np.ones(len(known))
         shares = np.maximum(np.interp(known, self.lowest, np.arange(len(self.lowest)) / 100), least_share)
         return np.where(known < self.least_known, shares / (shares + STRANGERS), 1.0)
 
@@ -189,8 +187,7 @@ class Calibration:
 
     def to_json(self) -> dict[str, Any]:
         """Return the curves and numbers for ``json.dumps``, without the poses."""
-        names = "threshold", "auroc", "false_alarms", "misses", "least_known", "least_possible", "lowest"
-        numbers = {name: getattr(self, name) for name in names}
+        numbers = {name: getattr(self, name) for name in (*_NUMBERS, "lowest")}
         return {"known": self.known.to_json(), "sure": self.sure.to_json(), **numbers}
 
     def to_bytes(self) -> bytes:
@@ -200,40 +197,23 @@ class Calibration:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Calibration:
-        """Read what ``to_bytes`` wrote, or an earlier dousa; DousaError for anything else."""
-        arrays = unpack_arrays(data, {"numbers", *ARRAYS}, _WHAT, ("usual", *LATER_ARRAYS))
+        """Read what ``to_bytes`` wrote; DousaError for anything else."""
+        arrays = unpack_arrays(data, {"numbers", "usual", *ARRAYS}, _WHAT)
         poses = PoseSpace.from_arrays(arrays, _WHAT)
-        usual = arrays.get("usual", np.zeros(len(poses.categories)))
-        if usual.ndim == 1:  # an earlier dousa stored no distance
-            usual = np.stack([usual, np.zeros_like(usual)], axis=1)
+        usual = arrays["usual"]
         check(usual.shape == (len(poses.categories), 2) and usual.dtype == np.float64, _WHAT, "bad cosines")
         check(bool(np.isfinite(usual).all()), _WHAT, "bad cosines")
         try:
             written = json.loads(str(arrays["numbers"]))
-            if "usual" in arrays:
-                known, sure = (Judgement.from_json(written[name]) for name in ("known", "sure"))
-            else:
-                known = sure = _read_earlier(written)
-            numbers = [float(written[name]) for name in ("threshold", "auroc", "false_alarms", "misses")]
-            # Files of an earlier dousa lack the following.
-            numbers += [float(written.get("least_known", 0.0)), float(written.get("least_possible", 1.0))]
-            lowest = tuple(float(number) for number in written.get("lowest", ()))
+            known, sure = (Judgement.from_json(written[name]) for name in ("known", "sure"))
+            numbers = {name: float(written[name]) for name in _NUMBERS}
+            lowest = tuple(float(number) for number in written["lowest"])
         except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             raise damaged(_WHAT, error) from error
-        check(all(0.0 <= number <= 1.0 for number in (*numbers, *lowest)), _WHAT, "shares beyond 0 ... 1")
-        right = len(lowest) in (0, 16, 21) and lowest == tuple(sorted(lowest))
+        check(all(0.0 <= number <= 1.0 for number in (*numbers.values(), *lowest)), _WHAT, "shares beyond 0 ... 1")
+        right = len(lowest) == _LOST + 1 and lowest == tuple(sorted(lowest))
         check(right, _WHAT, "bad shares of what is known")
-        threshold, auroc, false_alarms, misses, least, possible = numbers
-        return cls(known, sure, poses, usual, threshold, auroc, false_alarms, misses, least, lowest, possible)
-
-
-def _read_earlier(written: Mapping[str, Any]) -> Judgement:
-    """Read the curve for known motions of an earlier dousa, which judged no guesses."""
-    curves = (
-        spread_curve(read_curve(written["known"], 2), ("share", "around")),
-        spread_curve(read_curve(written["known_by_poses"], 3), ("share", "around", "cosine")),
-    )
-    return Judgement(*curves)
+        return cls(known, sure, poses, usual, lowest=lowest, **numbers)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -474,7 +454,6 @@ def _summarise(
     poses: PoseSpace,
     alien: float,
     threshold: float = 0.5,
-    lost: int = 20,
     least_known: tuple[float, float] = (0.5, 0.97),
 ) -> Calibration:
     """Fit the curves and limits to the rounds.
@@ -483,7 +462,6 @@ def _summarise(
     ----------
     alien : as for ``learn_calibration``.
     threshold : of the calibration.
-    lost : % of the disturbed motions of held-back people called unknown; the full library knows more.
     least_known : the lowest and the highest ``Calibration.least_known``.
     """
     seen, guess, kinds, copied, right = (
@@ -499,7 +477,7 @@ def _summarise(
     confidence = np.minimum(sure.by_poses.evaluate(evidence), belongs)
     own = kinds == _KNOWN
     harder = own & copied if (own & copied).any() else own
-    lowest = np.quantile(belongs[harder], np.arange(lost + 1) / 100)
+    lowest = np.quantile(belongs[harder], np.arange(_LOST + 1) / 100)
     least = float(np.clip(lowest[-1], *least_known))
     made = belongs[kinds == _MADE]
     plain = ~copied & (kinds <= _KNOWN)

@@ -36,7 +36,7 @@ OF_VOTES = ("share", "around", "lead", "log_share", "log_lead")
 """Columns of evidence that need no poses."""
 
 EVIDENCE: tuple[str, ...] = (*OF_VOTES, "cosine", "typical", "pose_lead", "distance", "near", "apart")
-"""All columns; those of earlier libraries end before the distance, or before the last."""
+"""All columns."""
 
 _OF_POSES = ("cosine", "distance")  # columns with a usual value in each category
 
@@ -222,13 +222,7 @@ class Judgement:
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Judgement:
         """Read what ``to_json`` gave; KeyError, TypeError or ValueError for anything else."""
-        curves = []
-        for name in ("by_votes", "by_poses"):
-            found = len(data[name]["slopes"])
-            # An earlier dousa wrote fewer columns: without the distance, or without the strangers.
-            count = found if found in (8, 10) else len(EVIDENCE)
-            curves.append(spread_curve(read_curve(data[name], count), EVIDENCE[:count]))
-        return cls(*curves)
+        return cls(*(read_curve(data[name], len(EVIDENCE)) for name in ("by_votes", "by_poses")))
 
 
 def spread_curve(curve: Curve, columns: Sequence[str]) -> Curve:

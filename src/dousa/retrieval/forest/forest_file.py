@@ -56,7 +56,7 @@ def check_version(arrays: Mapping[str, NDArray[Any]], what: Message, known: Sequ
 
 
 _WHAT = Message("stored.forest")
-_VERSION, _PLAIN = 3, 2  # plain: without the entries of the training, which a grown forest keeps
+_VERSION = 3
 
 # Arrays of the trees by the names of their fields, and of the training; all have one axis, the nodes two.
 _TREE_ARRAYS: dict[str, type[np.generic]] = {
@@ -91,7 +91,7 @@ def pack_forest(file: ForestFile) -> bytes:
     }
     return pack_arrays(
         {
-            "version": np.array(_PLAIN if trees.trained is None else _VERSION, np.int64),
+            "version": np.array(_VERSION, np.int64),
             "parameters": np.array(json.dumps(parameters)),
             "classes": file.classes,
             "feature_names": np.array(file.feature_names, dtype=np.str_),
@@ -108,8 +108,8 @@ def unpack_forest(data: bytes) -> ForestFile:
     """Read a forest; DousaError if the bytes are damaged, something else, or of a newer version."""
     names = {"version", "parameters", "classes", "feature_names", *_TREE_ARRAYS, "sizes"}
     arrays = unpack_arrays(data, names, _WHAT, ("homes", "pooled", *_TRAINED_ARRAYS))
-    check_version(arrays, _WHAT, (1, _PLAIN, _VERSION))  # in version 1 every test was a mean
-    grown = int(arrays["version"]) == _VERSION
+    check_version(arrays, _WHAT, (_VERSION,))
+    grown = _TRAINED_ARRAYS.keys() <= arrays.keys()  # a grown forest keeps the entries of the training
     _check(all((name in arrays) == grown for name in _TRAINED_ARRAYS), "other arrays")
     for name, dtype in {**_TREE_ARRAYS, **(_TRAINED_ARRAYS if grown else {})}.items():
         array, axes = arrays[name], 2 if name == "nodes" else 1

@@ -23,15 +23,7 @@ from dousa.messages import Message
 from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.forest.forest import MotionForest
 from dousa.retrieval.forest.forest_file import check, damaged, pack_arrays, unpack_arrays
-from dousa.retrieval.forest.pose_space import (
-    ARRAYS,
-    LATER_ARRAYS,
-    Curve,
-    PoseSpace,
-    fit_curve,
-    fit_pose_basis,
-    read_curve,
-)
+from dousa.retrieval.forest.pose_space import ARRAYS, Curve, PoseSpace, fit_curve, fit_pose_basis, read_curve
 
 _WHAT = Message("stored.calibration")
 _NUMBERS = ("threshold", "precision", "recall")
@@ -87,7 +79,7 @@ class Likeness:
     @classmethod
     def from_bytes(cls, data: bytes) -> Likeness:
         """Read what ``to_bytes`` wrote; DousaError for anything else."""
-        arrays = unpack_arrays(data, {"numbers", *ARRAYS}, _WHAT, LATER_ARRAYS)
+        arrays = unpack_arrays(data, {"numbers", *ARRAYS}, _WHAT)
         try:
             written = json.loads(str(arrays["numbers"]))
             curve = read_curve(written["curve"], 2)

@@ -90,14 +90,13 @@ class PoseSpace:
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return the arrays for ``from_arrays``."""
-        return {name: getattr(self, name) for name in (*ARRAYS, *LATER_ARRAYS)}
+        return {name: getattr(self, name) for name in ARRAYS}
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]], what: Message) -> PoseSpace:
         """Read the space; DousaError if the arrays are invalid."""
         check(arrays["axes"].ndim == 2, what, "bad axes")
-        without = {"others": np.zeros((0, arrays["axes"].shape[1]))}
-        space = cls(*({**without, **arrays}[name] for name in (*ARRAYS, *LATER_ARRAYS)))
+        space = cls(*(arrays[name] for name in ARRAYS))
         check(space.layout.shape == (2,) and space.layout.dtype == np.int64, what, "bad layout")
         check(0 < space.layout[0] < 2**31 and 0 <= space.layout[1] <= 1, what, "bad layout")
         numbers = (space.middle, space.scale, space.axes, space.sums, space.others)
@@ -115,11 +114,8 @@ class PoseSpace:
         return space
 
 
-ARRAYS: Sequence[str] = ("layout", "middle", "scale", "axes", "sums", "counts", "categories")
+ARRAYS: Sequence[str] = ("layout", "middle", "scale", "axes", "sums", "counts", "categories", "others")
 """Names of the arrays of a space."""
-
-LATER_ARRAYS: Sequence[str] = ("others",)
-"""Arrays that an earlier dousa did not store."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

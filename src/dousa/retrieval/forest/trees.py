@@ -67,7 +67,7 @@ class Trees:
     pooled : whether the leaves hold clips, of several categories, that the trees did not grow from: a tree then votes
         by the shares in its leaf.
     trained : the leaf entries of the training, where something has grown since; None where nothing has, or the leaves
-        are pooled, or an earlier dousa grew them.
+        are pooled.
     only_means : whether no node tests a spread or a trend.
     """
 

@@ -52,11 +52,11 @@ from dousa.workers.threads import map_pieces
 SHORT_GAP = 15
 """Frames, the longest gap between two actions, or at an end, that is added to them: half a second (docs/takes.md)."""
 
-_VERSION, _EARLIER = 8, (4, 5, 6, 7)
+_VERSION = 8
 _WHAT = Message("stored.labeller")
 _NAMES = (
     *("version", "classes", *MODEL_ARRAYS, "log_lengths", "spreads", "weights"),
-    *("calibration", "threshold", "held", "held_states"),
+    *("calibration", "threshold", "held", "held_states", "phases", "placing"),
 )
 
 
@@ -158,8 +158,8 @@ class TakeLabeller:
     held : (H, F) bytes of some training moments, whose states are kept when examples are taught.
     held_states : (H,) their states: 3 c + phase, 3 C for nothing.
     phases : (C',) how many cycles one repetition of a category is (`find_phases`). C' is C without the categories only
-        taught, or 0 in files of earlier versions.
-    placing : (1 + K,) as ``calibration``, of lying where any action is; empty in earlier versions.
+        taught.
+    placing : (1 + K,) as ``calibration``, of lying where any action is.
     """
 
     classes: tuple[str, ...]
@@ -169,8 +169,8 @@ class TakeLabeller:
     threshold: float
     held: Codes
     held_states: NDArray[np.int32]
-    phases: tuple[int, ...] = ()
-    placing: tuple[float, ...] = ()
+    phases: tuple[int, ...]
+    placing: tuple[float, ...]
 
     def judge(self, sampled: FloatArray, height: float, n_jobs: int | None = None) -> NDArray[np.float32]:
         """Compute the discriminants of a recording ``sampled`` (n, 20, 3) m at ``TAKE_RATE``, of a body ``height`` m.
@@ -228,7 +228,7 @@ class TakeLabeller:
 
     def place(self, evidence: FloatArray) -> FloatArray:
         """Return the (W,) probability that segments lie where some action is, from their evidence (W, K)."""
-        return _weigh_evidence(evidence, self.placing or self.calibration)
+        return _weigh_evidence(evidence, self.placing)
 
     def find_most(self, evidence: FloatArray) -> FloatArray:
         """Return the (W,) larger of ``place`` and ``confidence``, from evidence (W, K)."""
@@ -250,16 +250,15 @@ class TakeLabeller:
                 "held": self.held,
                 "held_states": self.held_states,
                 "phases": np.array(self.phases, np.int64),
-                "placing": np.array(self.placing or self.calibration, np.float64),
+                "placing": np.array(self.placing, np.float64),
             }
         )
 
     @classmethod
     def from_bytes(cls, data: bytes) -> TakeLabeller:
         """Read the bytes of ``to_bytes``; DousaError for damaged, other or newer bytes."""
-        arrays = unpack_arrays(data, _NAMES, _WHAT, ("placing", "phases", "usual"))
-        check_version(arrays, _WHAT, (*_EARLIER, _VERSION))
-        arrays.setdefault("placing", arrays["calibration"])
+        arrays = unpack_arrays(data, _NAMES, _WHAT)
+        check_version(arrays, _WHAT, (_VERSION,))
         classes = arrays["classes"]
         check(classes.ndim == 1 and len(classes) > 0 and classes.dtype.kind == "U", _WHAT, "bad categories")
         check(len(np.unique(classes)) == len(classes), _WHAT, "a category occurs twice")
@@ -278,8 +277,8 @@ class TakeLabeller:
         held, of = arrays["held"], arrays["held_states"]
         right = held.dtype == np.uint8 and held.ndim == 2 and held.shape[1] == N_VALUES
         check(right and of.dtype == np.int32 and of.shape == (len(held),), _WHAT, "bad held moments")
-        phases = arrays.get("phases", np.empty(0, np.int64))  # not in earlier versions
-        right = phases.dtype == np.int64 and phases.shape in ((len(classes),), (0,))
+        phases = arrays["phases"]
+        right = phases.dtype == np.int64 and phases.ndim == 1 and len(phases) <= len(classes)
         check(right and bool(((phases > 0) & (phases < 100)).all()), _WHAT, "bad repetitions")
         return cls(
             tuple(map(str, classes)),

@@ -10,7 +10,7 @@ import errno
 import json
 import re
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -30,11 +30,6 @@ _PACKED = "$message"
 def to_message(text: Message | str) -> Message:
     """Return a message, or a text as a message."""
     return text if isinstance(text, Message) else Message("text.verbatim", text=str(text))
-
-
-def read_message(stored: Mapping[str, Any] | str) -> Message:
-    """Read a stored message; older versions stored a text."""
-    return to_message(stored) if isinstance(stored, str) else Message.from_json(stored)
 
 
 def name_error(error: DousaError, home: Path) -> Message:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from dousa.app.studio.core.answers import Answer, RefusedError, name_error, pack, read_message, say, say_packed
+from dousa.app.studio.core.answers import Answer, RefusedError, name_error, pack, say, say_packed
 from dousa.app.studio.core.workspace import Workspace, write_file
 from dousa.errors import DousaError
 from dousa.formats.motion_files import find_motion_files
@@ -94,14 +94,10 @@ class Job:
 
     @classmethod
     def from_file(cls, stored: Mapping[str, Any]) -> Job:
-        """Read the result of ``to_file()``; older versions stored sentences."""
-        title = stored["title"] if isinstance(stored["title"], str) else read_message(stored["title"])
-        read = {
-            "what": read_message(stored["what"]) if stored["what"] else None,
-            "notes": [read_message(note) for note in stored["notes"]],
-            "problem": read_message(stored["problem"]) if stored["problem"] else None,
-        }
-        return cls(**{**stored, "title": title, **read})
+        """Read the result of ``to_file()``."""
+        read: dict[str, Any] = {name: stored[name] for name in ("title", "what", "problem")}
+        read = {name: Message.from_json(one) if isinstance(one, Mapping) else one for name, one in read.items()}
+        return cls(**{**stored, **read, "notes": [Message.from_json(note) for note in stored["notes"]]})
 
 
 _SAID = ("title", "what", "notes", "problem")

@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, TypeVar
 
-from dousa.app.studio.core.answers import Gate, RefusedError, read_message, say_packed, to_message
+from dousa.app.studio.core.answers import Gate, RefusedError, say_packed, to_message
 from dousa.app.studio.core.workspace import Settings
 from dousa.app.studio.jobs.board import Job, JobBoard, JobStopped
 from dousa.errors import DousaError
@@ -250,9 +250,9 @@ def _read_lines(stdout: IO[bytes], job: Job, board: JobBoard) -> dict[str, Any]:
             message = json.loads(line)
             if "progress" in message:
                 done, total, what = message["progress"]
-                board.change(job, done=done, total=total, what=read_message(what))
+                board.change(job, done=done, total=total, what=Message.from_json(what))
             elif "note" in message:
-                board.change(job, notes=[*job.notes, read_message(message["note"])])
+                board.change(job, notes=[*job.notes, Message.from_json(message["note"])])
             else:
                 last = message
     return last
