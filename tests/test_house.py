@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_441, 112),
+    "app": (25_432, 112),
     "estimation": (15_835, 65),
     "evaluation": (11_984, 46),
     "experiments": (1_728, 10),
@@ -27,13 +27,13 @@ ROOMS = {
     "library": (15_880, 57),
     "messages": (235, 3),
     "motion": (6_484, 34),
-    "retrieval": (13_512, 46),
+    "retrieval": (13_401, 46),
     "workers": (478, 6),
 }
 TOTALS = {
-    "lines of tests": 62_145,
+    "lines of tests": 62_022,
     "lines of JavaScript": 12_472,
-    "constants": 1_044,
+    "constants": 1_043,
     "numeric constants without a source": 0,
     "functions over 60 lines": 13,
     "files over 650 lines": 0,

@@ -19,7 +19,7 @@ import numpy as np
 from dousa.experiments.runner import fit_forest, leave_performer_out, make_forest, split_half
 from dousa.retrieval.forest import calibration
 from dousa.retrieval.forest.calibration import _MADE, _Judge, learn_calibration
-from dousa.retrieval.forest.evidence import EVIDENCE, POSE_COLUMNS, VOTE_COLUMNS, learn_usual, relate_to_usual
+from dousa.retrieval.forest.evidence import EVIDENCE, learn_usual, relate_to_usual
 from dousa.retrieval.forest.pose_space import Curve, fit_weighted_curve
 from lab.trials.confidence import calibration_error, find_meaning
 from lab.trials.recognition import SET, Described, describe
@@ -94,29 +94,23 @@ def weigh_library(rounds: Asked, others: Asked) -> Asked:
     return join([rounds, Asked(others.evidence, others.known, others.right, others.weights * share, others.made)])
 
 
-def fit(asked: Asked) -> list[tuple[Curve, Curve, Curve]]:
+def fit(asked: Asked) -> list[tuple[Curve, Curve]]:
     """The curves that a motion is known, and that its guess is right."""
     found = []
     for positive in (asked.known, asked.right):
         curves = []
-        for columns, kept in (
-            (VOTE_COLUMNS, np.ones(len(positive), bool)),
-            (POSE_COLUMNS, np.ones(len(positive), bool)),
-            (POSE_COLUMNS[:-1], ~asked.made),
-        ):
-            places = [EVIDENCE.index(column) for column in columns]
-            nothing = Curve(0.0, (0.0,) * len(columns))
-            weights = asked.weights[kept]
-            curve = fit_weighted_curve(asked.evidence[kept][:, places], positive[kept], weights, nothing, 0.0)
-            curves.append(Curve(round(curve.intercept, 2), tuple(round(slope, 2) for slope in curve.slopes)))
-        found.append(tuple(curves))
+        for kept, count in ((np.ones(len(positive), bool), len(EVIDENCE)), (~asked.made, len(EVIDENCE) - 1)):
+            nothing, seen = Curve(0.0, (0.0,) * count), asked.evidence[kept, :count]
+            curve = fit_weighted_curve(seen, positive[kept], asked.weights[kept], nothing, 0.0)
+            slopes = tuple(round(slope, 2) for slope in curve.slopes)
+            curves.append(Curve(round(curve.intercept, 2), slopes + (0.0,) * (len(EVIDENCE) - count)))
+        found.append((curves[0], curves[1]))
     return found
 
 
 def measure(curves: Sequence[Sequence[Curve]], asked: Asked) -> str:
     """The error of the confidence by the curves over the poses."""
-    columns = [EVIDENCE.index(column) for column in POSE_COLUMNS]
-    known, sure = (one[1].evaluate(asked.evidence[:, columns]) for one in curves)
+    known, sure = (one[0].evaluate(asked.evidence) for one in curves)
     said = np.minimum(known, sure)
     return f"{calibration_error(said, asked.right):.3f} ({said.mean():.2f}, {asked.right.mean():.2f})"
 

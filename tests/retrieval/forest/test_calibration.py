@@ -22,13 +22,11 @@ from dousa.retrieval.forest.calibration import (
 )
 from dousa.retrieval.forest.evidence import (
     EVIDENCE,
-    Judgement,
     PlacedClips,
     VoteScale,
     gather_evidence,
     learn_usual,
     relate_to_usual,
-    spread_curve,
 )
 from dousa.retrieval.forest.forest_file import pack_arrays
 from dousa.retrieval.forest.pose_space import Curve, compute_auroc, fit_curve, fit_weighted_curve
@@ -45,8 +43,7 @@ def make_clips(n_categories=8, n_performers=3, each=3, spread=0.4, seed=0):
 
 FEATURES, CATEGORIES, PERFORMERS = make_clips()
 
-VOTES, POSES = ("share", "around"), ("share", "around", "cosine")
-KNOWN = Judgement(spread_curve(Curve(-3.0, (4.0, 2.0)), VOTES), spread_curve(Curve(-3.5, (4.0, 2.0, 1.0)), POSES))
+KNOWN = Curve(-1.0, (2.0, 0.5, 0.5, 1.0, 1.0, 0.5, 0.0))
 SPACE = fit_pose_space(FEATURES, CATEGORIES)
 USUAL = np.column_stack([np.linspace(0.7, 0.9, 8), np.linspace(1.0, 2.0, 8)])
 CALIBRATION = Calibration(KNOWN, KNOWN, SPACE, USUAL, 0.5, 0.9, 0.1, 0.2, 0.0, (0.0,) * 21, 1.0)
@@ -79,15 +76,15 @@ class TestScores:
         features, categories, _ = make_clips(3, 1, 1)
         for count in (1, 3):
             forest = MotionForest(5, random_state=0).fit(features[:count], categories[:count])
-            verdicts = Assessor(forest, CALIBRATION).assess(forest.apply(features))
+            verdicts = Assessor(forest, CALIBRATION).assess(forest.apply(features), features)
             assert np.isfinite(verdicts.known).all()
 
     def test_no_clips_and_leaves_that_are_not(self, material):
         assessor = Assessor(material[3], CALIBRATION)
-        assert len(assessor.assess(np.zeros((0, 30), np.int32)).known) == 0
+        assert len(assessor.assess(np.zeros((0, 30), np.int32), FEATURES[:0]).known) == 0
         for leaves in (np.zeros((2, 29), int), np.full((2, 30), 10**6), np.full((2, 30), -1)):
             with pytest.raises(InvalidMotionError, match="expected leaves"):
-                assessor.assess(leaves)
+                assessor.assess(leaves, FEATURES[:2])
 
 
 class TestCurve:
@@ -155,32 +152,30 @@ class TestEvidence:
         features, categories, kept, forest, _ = material
         space = fit_pose_space(features[kept], categories[kept])
         guess, scores, _ = VoteScale(forest).measure(forest.apply(features[::5]))
-        evidence, has_poses, places = gather_evidence(
-            scores, space, PlacedClips.of(space, features[::5]), forest.classes_[guess]
-        )
-        assert has_poses.all()
+        evidence, places = gather_evidence(scores, PlacedClips.of(space, features[::5]), forest.classes_[guess])
         assert np.array_equal(space.categories[places], forest.classes_[guess])
         placed, own = space.place(features[kept]).tolist(), categories[kept].tolist()
         centres = {
             name: slow.middle_of([p for p, o in zip(placed, own, strict=True) if o == name]) for name in set(own)
         }
-        for row, place, number in zip(evidence, space.place(features[::5]).tolist(), guess, strict=True):
+        rows = zip(evidence, space.place(features[::5]).tolist(), guess, scores.tolist(), strict=True)
+        for row, place, number, (share, around, lead) in rows:
             said = dict(zip(EVIDENCE, row.tolist(), strict=True))
             cosines = {name: slow.cosine(place, centre) for name, centre in centres.items()}
             name = str(forest.classes_[number])
-            assert said["cosine"] == pytest.approx(cosines.pop(name))
-            assert said["pose_lead"] == pytest.approx(said["cosine"] - max(cosines.values()))
+            assert said["typical"] == pytest.approx(cosines.pop(name))
+            assert said["pose_lead"] == pytest.approx(said["typical"] - max(cosines.values()))
             far = float(np.linalg.norm(np.array(place) - np.array(centres[name])))
-            assert said["distance"] == pytest.approx(np.log(far))
-            assert said["log_lead"] == pytest.approx(
-                np.log((said["share"] + 0.02) / (said["share"] - said["lead"] + 0.02))
-            )
+            assert said["near"] == pytest.approx(-np.log(far))
+            assert (said["around"], said["apart"]) == (around, 0.0)
+            assert said["log_share"] == pytest.approx(np.log(share + 0.02))
+            assert said["log_lead"] == pytest.approx(np.log((share + 0.02) / (share - lead + 0.02)))
 
     def test_what_is_usual_is_learned_from_right_guesses_and_for_each_clip_without_it(self):
         rng = np.random.default_rng(0)
         values, names = rng.normal(size=(40, 2)), np.array(["a", "b", "c", "d"])
         evidence = np.zeros((40, len(EVIDENCE)))
-        places = [EVIDENCE.index("cosine"), EVIDENCE.index("distance")]
+        places = [EVIDENCE.index("typical"), EVIDENCE.index("near")]
         evidence[:, places] = values
         guess, right = names[rng.integers(0, 3, 40)], rng.random(40) < 0.7
         usual, own = learn_usual(evidence, guess, right, names)
@@ -193,8 +188,7 @@ class TestEvidence:
             assert own[row] == pytest.approx((values[others].sum(axis=0) + 3 * middle) / (others.sum() + 3))
         assert usual[3] == pytest.approx(middle)  # never guessed
         related = relate_to_usual(evidence, own)
-        assert related[:, EVIDENCE.index("typical")] == pytest.approx(values[:, 0] - own[:, 0])
-        assert related[:, EVIDENCE.index("near")] == pytest.approx(own[:, 1] - values[:, 1])
+        assert related[:, places] == pytest.approx(values - own)
 
     def test_a_category_that_came_later_has_what_is_usual(self):
         more = CALIBRATION.with_clips(FEATURES[:4], np.repeat("new", 4))
@@ -372,16 +366,6 @@ class TestPoses:
         likeness = compare(fit_pose_space(features, np.array(categories)), features, np.array(categories))
         assert np.isfinite(likeness).all()
 
-    def test_a_category_without_poses_is_judged_by_its_leaves(self, material):
-        features, _, kept, forest, _ = material
-        space = fit_pose_space(features[kept][:9], np.repeat("c0", 9))
-        assessor = Assessor(forest, replace(CALIBRATION, poses=space))
-        leaves = forest.apply(features)
-        with_poses, without = assessor.assess(leaves, features), assessor.assess(leaves)
-        other = forest.classes_[without.guess] != "c0"
-        assert np.array_equal(with_poses.known[other], without.known[other])
-        assert (with_poses.known[~other] != without.known[~other]).any()
-
 
 ARRAYS = {**CALIBRATION.poses.to_arrays(), "usual": CALIBRATION.usual}
 
@@ -392,9 +376,9 @@ class TestStorage:
         again = Calibration.from_bytes(data)
         assert again.to_bytes() == data
         assert again.to_json() == CALIBRATION.to_json()
-        written = json.loads(json.dumps(again.to_json()))["known"]["by_votes"]
-        assert written["intercept"] == -3.0
-        assert dict(zip(EVIDENCE, written["slopes"], strict=True))["share"] == 4.0
+        written = json.loads(json.dumps(again.to_json()))["known"]
+        assert written["intercept"] == -1.0
+        assert dict(zip(EVIDENCE, written["slopes"], strict=True))["around"] == 2.0
         assert np.array_equal(
             compare(again.poses, FEATURES, CATEGORIES), compare(CALIBRATION.poses, FEATURES, CATEGORIES)
         )
@@ -402,9 +386,9 @@ class TestStorage:
     @pytest.mark.parametrize(
         "change",
         [
-            {"known": {"by_votes": {"intercept": 0.0, "slopes": [1.0]}}},
-            {"known": {key: {"intercept": float("nan"), "slopes": [1.0] * 11} for key in ("by_votes", "by_poses")}},
-            {"sure": {key: {"intercept": 0.0, "slopes": [-1.0] * 11} for key in ("by_votes", "by_poses")}},
+            {"known": {"intercept": 0.0, "slopes": [1.0]}},
+            {"known": {"intercept": float("nan"), "slopes": [1.0] * 7}},
+            {"sure": {"intercept": 0.0, "slopes": [-1.0] * 7}},
             {"sure": 3},
             {"threshold": 1.5},
             {"threshold": "much"},

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,18 +25,14 @@ from dousa.errors import TrainingError
 from dousa.messages import Message
 from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.forest.evidence import (
-    POSE_COLUMNS,
-    VOTE_COLUMNS,
-    Judgement,
+    EVIDENCE,
     PlacedClips,
     Strangers,
     VoteScale,
     describe_strangers,
-    fit_judgement,
     gather_evidence,
     learn_usual,
     relate_to_usual,
-    spread_curve,
 )
 from dousa.retrieval.forest.forest import MotionForest
 from dousa.retrieval.forest.forest_file import check, damaged, pack_arrays, unpack_arrays
@@ -47,6 +43,8 @@ from dousa.retrieval.forest.pose_space import (
     PoseSpace,
     compute_auroc,
     fit_pose_basis,
+    fit_weighted_curve,
+    read_curve,
 )
 from dousa.workers.threads import limit_blas, map_pieces
 
@@ -57,23 +55,14 @@ ALIEN = 0.98
 
 _WHAT = Message("stored.calibration")
 _NUMBERS = "threshold", "auroc", "false_alarms", "misses", "least_known", "least_possible"
-_LOST = 20  # % of the disturbed motions of held-back people called unknown; the full library knows more
 Watch = Callable[[int, MotionForest, IndexArray, IndexArray, IndexArray], None]
 """Called with each round: its number, its forest, and its training, known and unknown clips."""
 
-# Curves that a motion is known, and that its guess is right: by the votes; by the poses with made-up gestures; by the
-# poses without these. Fitted by lab/training/calibration_priors.py.
+# Curves that a motion is known, and that its guess is right: with made-up gestures; without these. Fitted by
+# lab/training/calibration_priors.py.
 _PRIORS = (
-    (
-        Curve(1.45, (2.65, 0.89, 0.51)),
-        Curve(1.3, (0.59, 0.26, 0.52, 1.36, 0.17, 0.67, 4.29)),
-        Curve(2.75, (0.93, 0.24, 0.52, 5.16, 0.32, 0.01)),
-    ),
-    (
-        Curve(1.03, (2.82, 1.17, 0.66)),
-        Curve(0.69, (0.59, 0.57, 0.59, 2.54, 3.58, 0.2, 2.76)),
-        Curve(1.65, (0.87, 0.47, 0.63, 4.71, 3.51, 0.0)),
-    ),
+    (Curve(1.3, (0.59, 0.26, 0.52, 1.36, 0.17, 0.67, 4.29)), Curve(2.75, (0.93, 0.24, 0.52, 5.16, 0.32, 0.01, 0.0))),
+    (Curve(0.69, (0.59, 0.57, 0.59, 2.54, 3.58, 0.2, 2.76)), Curve(1.65, (0.87, 0.47, 0.63, 4.71, 3.51, 0.0, 0.0))),
 )
 
 
@@ -136,7 +125,7 @@ class Calibration:
     known : whether the motion belongs to any category of the forest.
     sure : whether the guess is right.
     poses : space in which poses are compared.
-    usual : (C, 2) usual cosine and logarithm of the distance of a clip of each category by a performer outside the
+    usual : (C, 2) usual cosine and logarithm of the closeness of a clip of each category by a performer outside the
         training, in the order of ``poses``.
     threshold : a clip whose guess is right with a smaller probability is called unknown.
     auroc : over the rounds, how well ``known`` separates held-back categories from the others; 0.5 to 1.
@@ -147,8 +136,8 @@ class Calibration:
     least_possible : a clip known with a greater probability, before ``limit``, is possibly the guess; 1 for never.
     """
 
-    known: Judgement
-    sure: Judgement
+    known: Curve
+    sure: Curve
     poses: PoseSpace
     usual: FloatArray
     threshold: float
@@ -188,7 +177,7 @@ class Calibration:
     def to_json(self) -> dict[str, Any]:
         """Return the curves and numbers for ``json.dumps``, without the poses."""
         numbers = {name: getattr(self, name) for name in (*_NUMBERS, "lowest")}
-        return {"known": self.known.to_json(), "sure": self.sure.to_json(), **numbers}
+        return {"known": asdict(self.known), "sure": asdict(self.sure), **numbers}
 
     def to_bytes(self) -> bytes:
         """Pack into an .npz file (no pickle); the same calibration gives the same bytes."""
@@ -205,13 +194,13 @@ class Calibration:
         check(bool(np.isfinite(usual).all()), _WHAT, "bad cosines")
         try:
             written = json.loads(str(arrays["numbers"]))
-            known, sure = (Judgement.from_json(written[name]) for name in ("known", "sure"))
+            known, sure = (read_curve(written[name], len(EVIDENCE)) for name in ("known", "sure"))
             numbers = {name: float(written[name]) for name in _NUMBERS}
             lowest = tuple(float(number) for number in written["lowest"])
         except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             raise damaged(_WHAT, error) from error
         check(all(0.0 <= number <= 1.0 for number in (*numbers.values(), *lowest)), _WHAT, "shares beyond 0 ... 1")
-        right = len(lowest) == _LOST + 1 and lowest == tuple(sorted(lowest))
+        right = len(lowest) == 21 and lowest == tuple(sorted(lowest))
         check(right, _WHAT, "bad shares of what is known")
         return cls(known, sure, poses, usual, lowest=lowest, **numbers)
 
@@ -227,7 +216,7 @@ class Verdicts:
     confidence : (N,) probability that the guess is right; at most ``known``.
     unknown : (N,) whether the clip is called unknown.
     possible : (N,) whether the clip may be the guess, even if it is called unknown.
-    evidence : (N, 11) columns of ``evidence``.
+    evidence : (N, 7) columns of ``evidence``.
     odds : (N,) of ``weigh``, to compare a motion with its mirror image.
     """
 
@@ -256,7 +245,7 @@ class Assessor:
     def assess(
         self,
         leaves: NDArray[np.integer[Any]],
-        features: FloatArray | None = None,
+        features: FloatArray,
         guess: IndexArray | None = None,
     ) -> Verdicts:
         """Judge clips.
@@ -264,18 +253,17 @@ class Assessor:
         Parameters
         ----------
         leaves : (N, n_trees) of ``apply``.
-        features : (N, T, F) of the same clips: their poses count beside the votes.
+        features : (N, T, F) of the same clips.
         guess : (N,) category numbers to judge; None for the likeliest.
         """
         calibration, names = self.calibration, self.forest.classes_
-        clips = None if features is None else PlacedClips.of(calibration.poses, features)
-        cosines = None if clips is None else clips.order(names)
-        guess, scores, odds = self.scale.measure(leaves, guess, cosines)
-        seen, has_poses, places = gather_evidence(scores, calibration.poses, clips, names[guess])
+        clips = PlacedClips.of(calibration.poses, features)
+        guess, scores, odds = self.scale.measure(leaves, guess, clips.order(names))
+        seen, places = gather_evidence(scores, clips, names[guess])
         evidence = relate_to_usual(seen, calibration.usual[places])
-        belongs = calibration.known.evaluate(evidence, has_poses)
+        belongs = calibration.known.evaluate(evidence)
         known = np.minimum(belongs, calibration.limit(belongs))
-        confidence = np.minimum(calibration.sure.evaluate(evidence, has_poses), known)
+        confidence = np.minimum(calibration.sure.evaluate(evidence), known)
         unknown = calibration.is_unknown(known, confidence)
         possible = ~unknown | calibration.is_possible(belongs)
         return Verdicts(guess, known, confidence, unknown, possible, evidence, odds)
@@ -337,7 +325,7 @@ _UNKNOWN, _KNOWN, _BETWEEN, _MADE = range(4)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Round:
-    """The motions of a round: evidence (M, 11); guess, kind, whether it is a copy and guessed right (M,)."""
+    """The motions of a round: evidence (M, 7); guess, kind, whether it is a copy and guessed right (M,)."""
 
     evidence: FloatArray
     guess: NDArray[Any]
@@ -392,7 +380,7 @@ class _Judge:
             clips = PlacedClips.of(space, features)
             guess, scores, _ = scale.measure(small.apply(features), None, clips.order(small.classes_))
             named.append(small.classes_[guess])
-            found.append(gather_evidence(scores, space, clips, named[-1])[0])
+            found.append(gather_evidence(scores, clips, named[-1])[0])
         names = np.concatenate(named)
         return _Round(np.concatenate(found), names, kinds, copied, (names == labels) & (kinds == _KNOWN))
 
@@ -454,6 +442,7 @@ def _summarise(
     poses: PoseSpace,
     alien: float,
     threshold: float = 0.5,
+    lost: int = 20,
     least_known: tuple[float, float] = (0.5, 0.97),
 ) -> Calibration:
     """Fit the curves and limits to the rounds.
@@ -462,6 +451,7 @@ def _summarise(
     ----------
     alien : as for ``learn_calibration``.
     threshold : of the calibration.
+    lost : % of the disturbed motions of held-back people called unknown; the full library knows more.
     least_known : the lowest and the highest ``Calibration.least_known``.
     """
     seen, guess, kinds, copied, right = (
@@ -470,14 +460,16 @@ def _summarise(
     )
     usual, own = learn_usual(seen, guess, right & ~copied, poses.categories)
     evidence, weights = relate_to_usual(seen, own), _weigh(kinds, copied)
-    priors = [_make_prior(*curves, with_gestures=bool(len(poses.others))) for curves in _PRIORS]
-    known = fit_judgement(evidence, kinds == _KNOWN, weights, priors[0])
-    sure = fit_judgement(evidence, right, weights, priors[1])
-    belongs = known.by_poses.evaluate(evidence)
-    confidence = np.minimum(sure.by_poses.evaluate(evidence), belongs)
+    priors = [curves[0 if len(poses.others) else 1] for curves in _PRIORS]
+    known, sure = (
+        fit_weighted_curve(evidence, positive, weights, prior)
+        for positive, prior in zip((kinds == _KNOWN, right), priors, strict=True)
+    )
+    belongs = known.evaluate(evidence)
+    confidence = np.minimum(sure.evaluate(evidence), belongs)
     own = kinds == _KNOWN
     harder = own & copied if (own & copied).any() else own
-    lowest = np.quantile(belongs[harder], np.arange(_LOST + 1) / 100)
+    lowest = np.quantile(belongs[harder], np.arange(lost + 1) / 100)
     least = float(np.clip(lowest[-1], *least_known))
     made = belongs[kinds == _MADE]
     plain = ~copied & (kinds <= _KNOWN)
@@ -496,11 +488,6 @@ def _summarise(
         lowest=tuple(lowest.tolist()),
         least_possible=float(np.quantile(made, alien)) if len(made) else 1.0,
     )
-
-
-def _make_prior(by_votes: Curve, by_poses: Curve, alone: Curve, *, with_gestures: bool) -> Judgement:
-    poses = spread_curve(by_poses, POSE_COLUMNS) if with_gestures else spread_curve(alone, POSE_COLUMNS[:-1])
-    return Judgement(spread_curve(by_votes, VOTE_COLUMNS), poses)
 
 
 def _weigh(kinds: IndexArray, copied: BoolArray, share_of_copies: float = 2 / 3) -> FloatArray:

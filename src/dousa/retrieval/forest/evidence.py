@@ -1,21 +1,21 @@
 """Evidence for and against a guess of a forest: of the votes, of the leaves, and of the poses.
 
-- *share*, *lead*: share of the trees that vote for the guess, and its lead over the second category;
+- *log_share*, *log_lead*: logarithms of the share of the trees that vote for the guess, and of its ratio to that of the
+  second category;
 - *around*: clips of the category in the clip's leaves, relative to the usual number around one of its own clips
   (Breiman's proximity, section 10 of "Random forests", Machine Learning 45, 2001);
-- *cosine*: agreement of the poses with those of the category (``pose_space``); *typical*: the same, less the usual
-  value for a clip of the category by another performer; *pose_lead*: less that of the best other category;
-- *distance*: logarithm of the distance of the poses from the centre of the category; *near*: how much less that is than
-  usual for a clip of the category by another performer;
-- *apart*: the cosine, less that to the nearest motion of no category (``Strangers``).
+- *typical*: cosine of the poses with those of the category (``pose_space``), less the usual value for a clip of the
+  category by another performer; *pose_lead*: less that of the best other category; *apart*: less that to the nearest
+  motion of no category (``Strangers``);
+- *near*: how much less the logarithm of the distance of the poses from the centre of the category is than usual.
 
 Their weights are learned in ``calibration``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -30,15 +30,12 @@ from dousa.retrieval.features.posed_motion import PosedMotion, hide_joints
 from dousa.retrieval.features.sensor_noise import reduce_noise_of_all
 from dousa.retrieval.forest import tree_kernels as kernels
 from dousa.retrieval.forest.forest import MotionForest
-from dousa.retrieval.forest.pose_space import Curve, PoseSpace, fit_weighted_curve, read_curve
+from dousa.retrieval.forest.pose_space import PoseSpace
 
-OF_VOTES = ("share", "around", "lead", "log_share", "log_lead")
-"""Columns of evidence that need no poses."""
+EVIDENCE: tuple[str, ...] = ("around", "log_share", "log_lead", "typical", "pose_lead", "near", "apart")
+"""The columns, of which *apart* is the last."""
 
-EVIDENCE: tuple[str, ...] = (*OF_VOTES, "cosine", "typical", "pose_lead", "distance", "near", "apart")
-"""All columns."""
-
-_OF_POSES = ("cosine", "distance")  # columns with a usual value in each category
+_USUAL = [EVIDENCE.index("typical"), EVIDENCE.index("near")]  # columns with a usual value in each category
 
 
 class VoteScale:
@@ -113,17 +110,17 @@ def learn_usual(
 
     Parameters
     ----------
-    evidence, guess : (N, 11) and (N,) categories, of clips held back.
+    evidence, guess : (N, 7) of ``gather_evidence`` and (N,) categories, of clips held back.
     right : (N,) clips to learn from: of held-back people, with a right guess.
     categories : (C,) sorted.
     n_added : clips of median value added to those of each category.
 
     Returns
     -------
-    usual : (C, 2) cosine, and logarithm of the distance; seldom guessed categories stay near the median.
+    usual : (C, 2) cosine, and logarithm of the closeness; seldom guessed categories stay near the median.
     own : (N, 2) for each clip, learned without it.
     """
-    values = evidence[:, [EVIDENCE.index(name) for name in _OF_POSES]]
+    values = evidence[:, _USUAL]
     rows, weight = np.searchsorted(categories, guess), right.astype(np.float64)
     middle = np.median(values[right], axis=0) if right.any() else np.array([1.0, 0.0])
     sizes = np.bincount(rows, weight, len(categories))[:, None]
@@ -135,11 +132,9 @@ def learn_usual(
 
 
 def relate_to_usual(evidence: FloatArray, usual: FloatArray) -> FloatArray:
-    """Return the evidence (N, 11) with its columns relative to the usual values (N, 2) of ``learn_usual``."""
+    """Return the evidence (N, 7) with two columns relative to the usual values (N, 2) of ``learn_usual``."""
     related = evidence.copy()
-    cosine, distance = (evidence[:, EVIDENCE.index(name)] for name in _OF_POSES)
-    related[:, EVIDENCE.index("typical")] = cosine - usual[:, 0]
-    related[:, EVIDENCE.index("near")] = usual[:, 1] - distance
+    related[:, _USUAL] -= usual
     return related
 
 
@@ -168,89 +163,37 @@ class PlacedClips:
         return np.where(self.space.categories[places] == names, self.cosines[:, places], -1.0)
 
 
-def gather_evidence(
-    scores: FloatArray, space: PoseSpace, clips: PlacedClips | None, guess: NDArray[Any]
-) -> tuple[FloatArray, BoolArray, IndexArray]:
+def gather_evidence(scores: FloatArray, clips: PlacedClips, guess: NDArray[Any]) -> tuple[FloatArray, IndexArray]:
     """Gather evidence on guesses, not yet related to the usual values.
 
     Parameters
     ----------
     scores : (N, 3) of ``VoteScale.measure``.
-    space : of the poses.
-    clips : the N clips in it; None to leave out the poses.
-    guess : (N,) categories.
+    clips : the N clips in the space of poses.
+    guess : (N,) categories of the space.
 
     Returns
     -------
-    evidence : (N, 11).
-    has_poses : (N,) whether the evidence of the poses is there.
+    evidence : (N, 7), with the cosine in the place of *typical* and the closeness in that of *near*.
     places : (N,) of each category in the space.
     """
     share, around, lead = scores.T
-    logs = np.log(share + _LEAST_SHARE), np.log((share + _LEAST_SHARE) / (share - lead + _LEAST_SHARE))
-    evidence = np.zeros((len(scores), len(EVIDENCE)))
-    evidence[:, : len(OF_VOTES)] = np.column_stack([share, around, lead, *logs])
-    has_poses = np.zeros(len(scores), bool)
-    places = np.minimum(np.searchsorted(space.categories, guess), len(space.categories) - 1)
-    if clips is not None and len(scores):
-        has_poses = space.categories[places] == guess
-        placed, cosines, rows = clips.placed, clips.cosines.copy(), np.arange(len(scores))
-        own = cosines[rows, places]
-        cosines[rows, places] = -1.0
-        evidence[:, EVIDENCE.index("cosine")] = own
-        evidence[:, EVIDENCE.index("pose_lead")] = own - cosines.max(axis=1)
-        evidence[:, EVIDENCE.index("apart")] = own - space.compare_others(placed) if len(space.others) else 0.0
-        evidence[:, EVIDENCE.index("distance")] = space.measure_distances(placed, places)
-    return evidence, has_poses, places
-
-
-@dataclass(frozen=True, slots=True)
-class Judgement:
-    """A probability from evidence, by a curve for guesses without poses and one for the others."""
-
-    by_votes: Curve
-    by_poses: Curve
-
-    def evaluate(self, evidence: FloatArray, has_poses: BoolArray) -> FloatArray:
-        """Return probabilities (N,) of evidence (N, 11)."""
-        return np.where(has_poses, self.by_poses.evaluate(evidence), self.by_votes.evaluate(evidence))
-
-    def to_json(self) -> dict[str, Any]:
-        """Return numbers for ``json.dumps``."""
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Judgement:
-        """Read what ``to_json`` gave; KeyError, TypeError or ValueError for anything else."""
-        return cls(*(read_curve(data[name], len(EVIDENCE)) for name in ("by_votes", "by_poses")))
-
-
-def spread_curve(curve: Curve, columns: Sequence[str]) -> Curve:
-    """Extend a curve over some columns to all columns."""
-    slopes = dict(zip(columns, curve.slopes, strict=True))
-    return Curve(curve.intercept, tuple(slopes.get(name, 0.0) for name in EVIDENCE))
-
-
-VOTE_COLUMNS = ("around", "log_share", "log_lead")
-POSE_COLUMNS = (*VOTE_COLUMNS, "typical", "pose_lead", "near", "apart")
-
-
-def fit_judgement(evidence: FloatArray, positive: BoolArray, weights: FloatArray, prior: Judgement) -> Judgement:
-    """Fit both curves to guesses with poses, near a prior.
-
-    Parameters
-    ----------
-    evidence : (N, 11), of guesses with poses.
-    positive, weights : (N,).
-    prior : learned over several data sets.
-    """
-    curves = []
-    for columns, own in ((VOTE_COLUMNS, prior.by_votes), (POSE_COLUMNS, prior.by_poses)):
-        places = [EVIDENCE.index(name) for name in columns]
-        near = Curve(own.intercept, tuple(own.slopes[place] for place in places))
-        fitted = fit_weighted_curve(evidence[:, places], positive, weights, near)
-        curves.append(spread_curve(fitted, columns))
-    return Judgement(*curves)
+    space, cosines, rows = clips.space, clips.cosines.copy(), np.arange(len(scores))
+    places = np.searchsorted(space.categories, guess)
+    own = cosines[rows, places]
+    cosines[rows, places] = -1.0
+    evidence = np.column_stack(
+        [
+            around,
+            np.log(share + _LEAST_SHARE),
+            np.log((share + _LEAST_SHARE) / (share - lead + _LEAST_SHARE)),
+            own,
+            own - cosines.max(axis=1),
+            -space.measure_distances(clips.placed, places),
+            own - space.compare_others(clips.placed) if len(space.others) else np.zeros(len(own)),
+        ]
+    )
+    return evidence, places
 
 
 _BESIDE, _ASKED = 80, 40  # gestures; each is there with its mirror image (docs/confidence.md)

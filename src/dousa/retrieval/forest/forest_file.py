@@ -56,7 +56,7 @@ def check_version(arrays: Mapping[str, NDArray[Any]], what: Message, known: Sequ
 
 
 _WHAT = Message("stored.forest")
-_VERSION = 3
+_VERSION = 3  # of the stored form, by definition
 
 # Arrays of the trees by the names of their fields, and of the training; all have one axis, the nodes two.
 _TREE_ARRAYS: dict[str, type[np.generic]] = {

@@ -52,7 +52,7 @@ from dousa.workers.threads import map_pieces
 SHORT_GAP = 15
 """Frames, the longest gap between two actions, or at an end, that is added to them: half a second (docs/takes.md)."""
 
-_VERSION = 8
+_VERSION = 8  # of the stored form, by definition
 _WHAT = Message("stored.labeller")
 _NAMES = (
     *("version", "classes", *MODEL_ARRAYS, "log_lengths", "spreads", "weights"),
