@@ -156,7 +156,7 @@ BENCHMARKS = {
     "benchmarks.weigh_install": "--help",  # it needs the package index
     # These take minutes to an hour; two of them write what the package ships.
     **dict.fromkeys(("training.calibrate_grade", "exams.evaluation", "exams.film", "training.train_judge"), "--help"),
-    **dict.fromkeys(("exams.retrieval", "exams.sides", "training.calibration_priors"), "--help"),
+    **dict.fromkeys(("exams.angles", "exams.retrieval", "exams.sides", "training.calibration_priors"), "--help"),
 }
 
 
