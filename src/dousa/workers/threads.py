@@ -7,6 +7,7 @@ wait for the same cores, and a thread of BLAS waits by computing.
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -24,8 +25,11 @@ _LOCK = Lock()
 
 
 @cache
-def _find_blas() -> Any:
-    """Find the BLAS of NumPy, once, as looking through the loaded libraries takes half a millisecond."""
+def _find_blas(with_scipy: bool) -> Any:
+    """Find the BLAS of NumPy, and that of SciPy once it is loaded.
+
+    Once each, as looking through the loaded libraries takes half a millisecond.
+    """
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController().select(user_api="blas")
@@ -39,7 +43,7 @@ def limit_blas() -> Iterator[None]:
     """
     with _LOCK:
         _OPEN.append(None)
-        _LIMITS.append(_find_blas().limit(limits=1))
+        _LIMITS.append(_find_blas("scipy.linalg" in sys.modules).limit(limits=1))
     try:
         yield
     finally:

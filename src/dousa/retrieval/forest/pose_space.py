@@ -324,7 +324,7 @@ def _fit_rising(
     used = np.arange(scores.shape[1])
     while True:
         kept = np.append(0, used + 1)
-        solution = _climb(scores[:, used], target, weight, centre[kept], pull[kept])
+        solution = climb_likelihood(scores[:, used], target, weight, centre[kept], pull[kept])
         if not len(used) or solution[1:].min() >= 0.0:
             break
         used = np.delete(used, solution[1:].argmin())
@@ -333,10 +333,16 @@ def _fit_rising(
     return Curve(float(solution[0]), tuple(float(slope) for slope in slopes))
 
 
-def _climb(
+def climb_likelihood(
     scores: FloatArray, target: FloatArray, weight: FloatArray, centre: FloatArray, pull: FloatArray
 ) -> FloatArray:
-    """Maximise the likelihood by Newton's method on a strictly concave function; return intercept and slopes."""
+    """Maximise the likelihood of a logistic curve by Newton's method; return intercept and slopes (1 + K,).
+
+    Parameters
+    ----------
+    scores, target, weight : (N, K); (N,) probabilities; (N,) of the rows.
+    centre, pull : (1 + K,) where intercept and slopes are pulled, and how strongly.
+    """
     design = np.column_stack([np.ones(len(scores)), scores])
     ridge = np.diag(pull)
     solution = np.zeros(design.shape[1])

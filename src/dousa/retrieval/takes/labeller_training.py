@@ -27,15 +27,13 @@ from dousa.retrieval.takes.moment_model import (
     N_VALUES,
     Codes,
     MomentModel,
-    MomentRows,
-    MomentSums,
     Scale,
     choose_scale,
     count_moments,
     describe_moments,
     sharpen,
-    sum_moments,
 )
+from dousa.retrieval.takes.moment_sums import MomentRows, MomentSums, sum_moments
 from dousa.retrieval.takes.repetitions import count_part, find_phases
 from dousa.retrieval.takes.sequence import FLOOR, N_PHASES, PHASE_FRAMES, Run, SequenceWeights, fit_lengths, join_phases
 from dousa.retrieval.takes.windows import TAKE_RATE

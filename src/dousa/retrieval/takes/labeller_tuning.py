@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IntArray
+from dousa.retrieval.forest.pose_space import climb_likelihood
 from dousa.retrieval.takes.label import describe_run
 from dousa.retrieval.takes.sequence import Run, SequenceModel, SequenceWeights
 
@@ -164,21 +165,9 @@ def calibrate_places(answers: Sequence[Answer], enough: int = 8) -> tuple[float,
 def fit_logistic(
     columns: FloatArray, truth: FloatArray, counts: FloatArray, penalty_on_weights: float = 0.3
 ) -> tuple[float, ...]:
-    """Fit offset and weights of the log odds by Newton's method, with a penalty on the squares of the weights.
+    """Fit offset and weights of the log odds, with a penalty on the squares of the weights.
 
     ``columns`` (N, K) are evidence, ``truth`` (N,) is 0 to 1, ``counts`` (N,) the weight of each row.
     """
-    design = np.column_stack([np.ones(len(columns)), columns])
-    penalty = np.diag([1e-6] + [penalty_on_weights] * columns.shape[1])
-    weights = np.zeros(design.shape[1])
-    for _ in range(50):
-        guess = 1.0 / (1.0 + np.exp(-np.clip(design @ weights, -30, 30)))
-        slope = design.T @ (counts * (truth - guess)) - penalty @ weights
-        curvature = (design * (counts * guess * (1.0 - guess))[:, None]).T @ design + penalty
-        step = np.linalg.solve(curvature, slope)
-        # Full steps diverge where the evidence separates right from wrong.
-        step *= min(1.0, 5.0 / max(float(np.abs(step).max()), 1e-12))
-        weights += step
-        if np.abs(step).max() < 1e-8:
-            break
-    return tuple(float(value) for value in weights)
+    pull = np.array([1e-6] + [penalty_on_weights] * columns.shape[1])
+    return tuple(climb_likelihood(columns, truth, counts, np.zeros(len(pull)), pull).tolist())

@@ -10,14 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IntArray
 from dousa.messages import Message
-from dousa.motion.runs import find_equal_runs
 from dousa.retrieval.features.channels import (
     AT_REST,
     CHANNEL_RATE,
@@ -116,11 +115,8 @@ MIRRORED_VALUES: tuple[NDArray[np.intp], NDArray[np.float32]] = _list_mirrored()
 
 Codes = NDArray[np.uint8]
 Floats = NDArray[np.float32]
-_Kind = TypeVar("_Kind", np.float32, np.float64)
 
 _STEPS = 255.0  # by definition the largest byte
-_LEAST = 1e-3  # penalty, in moments, on the offset and at least on others: by definition, no sum is singular
-_PIECE, _STRIP = 128, 512  # columns of a factor, and rows computed from them, at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,135 +263,3 @@ def sharpen(scores: Floats, sharpness: float) -> Floats:
     np.exp(shares, out=shares)
     shares /= shares.sum(axis=1, keepdims=True)
     return shares
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MomentSums:
-    """Weighted sums over moments: ``squares`` (F + 1, F + 1) of scores, and ``shown`` (F + 1, S) of scores by state."""
-
-    squares: Floats
-    shown: Floats
-
-    @classmethod
-    def zero(cls, n_values: int, n_states: int) -> MomentSums:
-        """Return the sums of no moment."""
-        size = n_values + 1
-        return cls(np.zeros((size, size), np.float32), np.zeros((size, n_states), np.float32))
-
-    def add(self, other: MomentSums) -> None:
-        """Add the sums of other moments."""
-        np.add(self.squares, other.squares, out=self.squares)
-        np.add(self.shown, other.shown, out=self.shown)
-
-    def solve(self, ridge: float) -> Floats:
-        """Return the (F + 1, S) discriminants; ``ridge`` is the penalty as a share of the weight of all moments."""
-        penalised = self.squares.copy()
-        places = np.arange(len(penalised) - 1)
-        penalised[places, places] += np.float32(max(ridge * float(penalised[-1, -1]), _LEAST))
-        penalised[-1, -1] += np.float32(_LEAST)
-        return solve_positive(penalised, self.shown)
-
-    @property
-    def weights(self) -> Floats:
-        """Return the (S,) weight of the moments of each state."""
-        weights: Floats = self.shown[-1]
-        return weights
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MomentRows:
-    """The moments themselves, which give the discriminants of their sums sooner where they are fewer than the values.
-
-    ``scores`` (M, F + 1) times the roots of their weights, ``products`` (M, M) of these without the last column, and
-    ``shown`` (M, S), the roots of the weights in the column of the state.
-    """
-
-    scores: Floats
-    products: FloatArray
-    shown: FloatArray
-
-    @classmethod
-    def create(cls, scale: Scale, codes: Codes, states: IntArray, weights: FloatArray) -> MomentRows:
-        """Weigh moments of bytes (M, F) and states (M,) by the ``weights`` (S,) of the states."""
-        roots = np.sqrt(weights[states])
-        scores = scale.standardise(codes) * roots[:, None].astype(np.float32)
-        shown = np.zeros((len(codes), len(weights)))
-        shown[np.arange(len(codes)), states] = roots
-        return cls(scores, (scores[:, :-1] @ scores[:, :-1].T).astype(np.float64), shown)
-
-    def take(self, rows: IntArray) -> MomentRows:
-        """Return some of the moments."""
-        return MomentRows(self.scores[rows], self.products[np.ix_(rows, rows)], self.shown[rows])
-
-    def solve(self, ridge: float) -> Floats:
-        """Return the discriminants as ``MomentSums``, by the identity of Hastie et al., exercise 18.4."""
-        ones = self.scores[:, -1].astype(np.float64)
-        pull = max(ridge * float(ones @ ones), _LEAST)
-        gram = self.products / pull + np.outer(ones, ones) / _LEAST
-        gram[np.diag_indices(len(gram))] += 1.0
-        shares = solve_positive(gram, self.shown)
-        inside = self.scores[:, :-1].T @ (shares / pull).astype(np.float32)
-        return np.concatenate([inside, (ones @ shares / _LEAST)[None].astype(np.float32)])
-
-    @property
-    def weights(self) -> FloatArray:
-        """Return the (S,) weight of the moments of each state."""
-        weights: FloatArray = (self.shown**2).sum(axis=0)
-        return weights
-
-
-def solve_positive(squares: NDArray[_Kind], shown: NDArray[_Kind]) -> NDArray[_Kind]:
-    """Solve ``squares`` (F, F), symmetric and positive definite, for ``shown`` (F, S); returns (F, S).
-
-    A blocked Cholesky factor takes a third of the time of a general solution (for few states) and half of that of
-    NumPy's factor; the general solution is used where rounding leaves no factor.
-    """
-    try:
-        factor, inverses = _factorise(squares)
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.solve(squares, shown), squares.dtype)
-    found = shown.copy()
-    for inverse, one in inverses:
-        found[one] -= factor[one, : one.start] @ found[: one.start]
-        found[one] = inverse @ found[one]
-    for inverse, one in reversed(inverses):
-        found[one] -= factor[one.stop :, one].T @ found[one.stop :]
-        found[one] = inverse.T @ found[one]
-    return found
-
-
-def _factorise(squares: NDArray[_Kind]) -> tuple[NDArray[_Kind], list[tuple[NDArray[_Kind], slice]]]:
-    """Return the lower factor below its diagonal blocks, and the inverse of each block with its rows."""
-    factor, inverses, size = squares.copy(), [], len(squares)
-    for first in range(0, size, _PIECE):
-        stop = min(first + _PIECE, size)
-        inverse: NDArray[_Kind] = np.linalg.inv(np.linalg.cholesky(factor[first:stop, first:stop]))
-        inverses.append((inverse, slice(first, stop)))
-        column = factor[stop:, first:stop]
-        column[:] = column @ inverse.T
-        for low in range(0, len(column), _STRIP):
-            high = low + _STRIP
-            factor[stop + low : stop + high, stop : stop + high] -= column[low:high] @ column[:high].T
-    return factor, inverses
-
-
-def sum_moments(
-    scale: Scale, codes: Codes, rows: IntArray, states: IntArray, weights: FloatArray, at_once: int = 2048
-) -> MomentSums:
-    """Sum over ``rows`` of ``codes`` (N, F), with ``states`` (N,) in 0 ... S - 1 and ``weights`` (S,) of the states.
-
-    ``at_once`` moments are standardised.
-    """
-    sums = MomentSums.zero(codes.shape[1], len(weights))
-    rows = rows[np.argsort(states[rows], kind="stable")]
-    for first in range(0, len(rows), at_once):
-        some = rows[first : first + at_once]
-        of = states[some]
-        roots = np.sqrt(weights[of]).astype(np.float32)[:, None]
-        scores = scale.standardise(codes[some])
-        scores *= roots
-        np.add(sums.squares, scores.T @ scores, out=sums.squares)
-        scores *= roots
-        begins = find_equal_runs(of)[:, 0]
-        sums.shown[:, of[begins]] += np.add.reduceat(scores, begins, axis=0).T
-    return sums
