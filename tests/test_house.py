@@ -27,7 +27,7 @@ ROOMS = {
     "library": (15_880, 57),
     "messages": (235, 3),
     "motion": (6_484, 34),
-    "retrieval": (13_401, 46),
+    "retrieval": (13_401, 47),
     "workers": (478, 6),
 }
 TOTALS = {

@@ -64,7 +64,7 @@ def split_half(categories: np.ndarray) -> np.ndarray:
 
 
 def make_ours(seed: int) -> MotionForest:
-    return MotionForest(n_trials="sqrt", n_jobs=2, random_state=seed)
+    return MotionForest(n_jobs=2, random_state=seed)
 
 
 def make_peer(seed: int) -> RandomForestClassifier:

@@ -39,7 +39,7 @@ def read_or_make_clips(folder: Path | None, performer_from: str | None) -> list[
 
 def train_forest(clips: list[LabelledClip]) -> MotionForest:
     """The forest that `dousa train` makes."""
-    forest = MotionForest(thresholds=FEATURE_SET.thresholds, n_trials=FEATURE_SET.n_trials, random_state=0, n_jobs=2)
+    forest = MotionForest(thresholds=FEATURE_SET.thresholds, random_state=0, n_jobs=2)
     features = np.stack([FEATURE_SET.compute(clip) for clip in clips])
     return forest.fit(features, [clip.category for clip in clips], feature_set=FEATURE_SET)
 

@@ -227,7 +227,6 @@ def _grow(room: Room, kind: Any, arrays: np.ndarray, categories: Sequence[str]) 
         forest = retrieval.MotionForest(
             20,
             thresholds=kind.thresholds,
-            n_trials=kind.n_trials,
             bootstrap=bootstrap,
             random_state=5,
             n_jobs=2,

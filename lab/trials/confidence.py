@@ -116,7 +116,7 @@ class Trained:
         people = [clip.performer or guess for clip, guess in zip(clips, heights, strict=True)]
         means = find_meanings(set(self.labels.tolist()))
         meanings = np.array([means[name] for name in self.labels])
-        self.forest = MotionForest(thresholds=KIND.thresholds, n_trials=KIND.n_trials, random_state=seed)
+        self.forest = MotionForest(thresholds=KIND.thresholds, random_state=seed)
         rows = np.arange(0, len(clips), -(-len(clips) // MOST_COPIES))
         twice = np.concatenate([features, copies[rows]])
         self.forest.fit(twice, self.labels, feature_set=KIND, copied=rows)

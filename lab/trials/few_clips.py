@@ -36,7 +36,7 @@ def draw_training(categories: np.ndarray, share: float, seed: int) -> np.ndarray
 
 def fit_ours(feature_set: str, features: np.ndarray, categories: np.ndarray, seed: int) -> Any:
     spec = FEATURE_SETS[feature_set]
-    forest = MotionForest(thresholds=spec.thresholds, n_trials=spec.n_trials, random_state=seed, n_jobs=2)
+    forest = MotionForest(thresholds=spec.thresholds, random_state=seed, n_jobs=2)
     return forest.fit(features, categories, feature_set=spec)
 
 

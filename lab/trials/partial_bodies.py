@@ -67,7 +67,7 @@ HIDDEN = {
 
 
 def grow(kind: FeatureSet, features: np.ndarray, labels: np.ndarray, seed: int) -> MotionForest:
-    forest = MotionForest(thresholds=kind.thresholds, n_trials=kind.n_trials, random_state=seed, n_jobs=-1)
+    forest = MotionForest(thresholds=kind.thresholds, random_state=seed, n_jobs=-1)
     return forest.fit(features, labels, feature_set=kind)
 
 

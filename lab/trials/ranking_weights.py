@@ -62,7 +62,7 @@ class Trials:
         if len(set(labels[train])) < 2:
             return
         spec, features = self.spec, self.material.features
-        forest = MotionForest(n_trials=spec.n_trials, thresholds=spec.thresholds, random_state=seed, n_jobs=-1).fit(
+        forest = MotionForest(thresholds=spec.thresholds, random_state=seed, n_jobs=-1).fit(
             features[train], labels[train], feature_set=spec
         )
         leaves = forest.apply(features).astype(np.int32)

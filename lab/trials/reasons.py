@@ -99,7 +99,6 @@ def main() -> None:
     for performer in np.unique(performers):
         train = performers != performer
         forest = MotionForest(
-            n_trials=features.n_trials,
             thresholds=features.thresholds,
             random_state=options.seed,
             n_jobs=2,

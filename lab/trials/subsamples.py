@@ -57,7 +57,7 @@ def mix_clips(
 
 def train(features: NDArray[np.float32], categories: NDArray[np.str_], drawn: int, seed: int) -> MotionForest:
     """A forest whose trees draw so many clips each, if there are more."""
-    forest = MotionForest(thresholds=FEATURE_SET.thresholds, n_trials=FEATURE_SET.n_trials, random_state=seed, n_jobs=1)
+    forest = MotionForest(thresholds=FEATURE_SET.thresholds, random_state=seed, n_jobs=1)
     with mock.patch.object(trees, "MOST_GROWN", drawn):
         return forest.fit(features, categories, feature_set=FEATURE_SET)
 

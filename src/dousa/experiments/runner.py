@@ -206,13 +206,7 @@ def make_forest(features: FeatureSet, n_trees: int, random_state: int, n_jobs: i
     """A forest to be trained on these features."""
     from dousa.retrieval.forest.forest import MotionForest
 
-    return MotionForest(
-        n_trees,
-        n_trials=features.n_trials,
-        thresholds=features.thresholds,
-        random_state=random_state,
-        n_jobs=n_jobs,
-    )
+    return MotionForest(n_trees, thresholds=features.thresholds, random_state=random_state, n_jobs=n_jobs)
 
 
 def describe_copies(clips: Sequence[LabelledClip], features: FeatureSet, random_state: int = 0) -> Copies:

@@ -200,7 +200,7 @@ class Library(LibraryChanges):
         feature_set : a name in ``dousa.retrieval.FEATURE_SETS``: ``"paper"`` or ``"extended"``; None for
             ``DEFAULT_FEATURE_SET``.
         n_trees, max_entropy, bootstrap, random_state : as in ``dousa.retrieval.MotionForest``.
-        n_trials : likewise; None for the default of the features.
+        n_trials : likewise.
         n_jobs : trees grown at a time, as in ``add``; the forest does not depend on it.
         progress : called with (steps done, steps, message about the next step).
 
@@ -221,7 +221,7 @@ class Library(LibraryChanges):
         kind = get_feature_set(DEFAULT_FEATURE_SET if feature_set is None else feature_set)
         forest = MotionForest(
             n_trees=n_trees,
-            n_trials=kind.n_trials if n_trials is None else n_trials,
+            n_trials=n_trials,
             max_entropy=max_entropy,
             bootstrap=bootstrap,
             thresholds=kind.thresholds,

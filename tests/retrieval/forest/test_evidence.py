@@ -61,7 +61,7 @@ def test_a_space_compares_with_them(library):
 def test_gestures_that_nobody_saw_are_unknown_and_own_motions_are_not(library):
     features, categories, people = library
     own = np.array([name != "p5" for name in people])
-    forest = MotionForest(40, thresholds=KIND.thresholds, n_trials=KIND.n_trials, random_state=0)
+    forest = MotionForest(40, thresholds=KIND.thresholds, random_state=0)
     forest.fit(features[own], categories[own], feature_set=KIND)
     taught = [name for name, keep in zip(people, own, strict=True) if keep]
     calibration = learn_calibration(forest, features[own], categories[own], taught, feature_set=KIND)

@@ -68,7 +68,7 @@ def test_trees_are_those_of_the_steps_word_by_word(seed, n, classes, steps, n_tr
     options = {"n_trees": 2, "n_trials": n_trials, "max_entropy": max_entropy, "random_state": seed}
     forest = MotionForest(**options).fit(pose, categories)
     for tree, tree_seed in enumerate(np.random.SeedSequence(seed).generate_state(2, np.uint64)):
-        trials = {None: 5, "sqrt": 4, "all": 24}.get(n_trials, n_trials)  # of 4 x 6 tests
+        trials = {None: 4, "sqrt": 4, "all": 24}.get(n_trials, n_trials)  # of 4 x 6 tests
         slow = hamada.Tree(pose.tolist(), categories.tolist(), trials, max_entropy, int(tree_seed))
         assert_same_tree(unfold(forest, tree), slow.root)
 

@@ -263,7 +263,6 @@ def vote_without(
         tell(number)
         forest = MotionForest(
             n_trees=n_trees,
-            n_trials=feature_set.n_trials,
             thresholds=feature_set.thresholds,
             random_state=number,
             n_jobs=choose_jobs(n_jobs),

@@ -131,7 +131,7 @@ class FeatureSet:
     channels : values of every frame.
     n_frames : T, cells that a clip is cut into.
     kinds : of tests of a channel over an interval of cells.
-    thresholds, n_trials : how trees are grown on it, see ``MotionForest``.
+    thresholds : how trees are grown on it, see ``MotionForest``.
     hidden : canonical joints of the whole set that this one leaves out.
     """
 
@@ -140,7 +140,6 @@ class FeatureSet:
     n_frames: int
     kinds: tuple[str, ...]
     thresholds: Literal["best", "random"]
-    n_trials: int | Literal["all", "sqrt"] | None
     hidden: tuple[str, ...] = ()
 
     @property
@@ -261,8 +260,8 @@ _PAPER_CHANNELS = tuple(
 )
 
 FEATURE_SETS: dict[str, FeatureSet] = {
-    "paper": FeatureSet("paper", _PAPER_CHANNELS, N_CELLS, ("mean",), "best", None),
-    "extended": FeatureSet("extended", CHANNELS, N_CELLS, ("mean", "spread", "trend"), "random", "sqrt"),
+    "paper": FeatureSet("paper", _PAPER_CHANNELS, N_CELLS, ("mean",), "best"),
+    "extended": FeatureSet("extended", CHANNELS, N_CELLS, ("mean", "spread", "trend"), "random"),
 }
 """The sets by name."""
 

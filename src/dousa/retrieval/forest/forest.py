@@ -2,8 +2,8 @@
 
 Source: Hamada, Kuriyama, Mukai, "Human motion retrieval using random forest", sections 3.2-3.4. Step 3 of the paper
 maximises "the entropy", read here as the information gain of eq. 7; it describes no bootstrap, so that is off by
-default; it gives no number of tests tried at a node: int(log2 M) + 1 is used (Breiman, "Random forests", Machine
-Learning 45, 2001), 12 of 3,080, measured as accurate as the square root (55) and faster.
+default; it gives no number of tests tried at a node: the square root of M is used, 55 of 3,080, as for the features of
+classifiers by Breiman ("Random forests", Machine Learning 45, 2001) and scikit-learn.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ def check_whole(name: str, value: object, least: int, otherwise: str = "") -> No
 
 
 def count_trials(n_trials: int | str | None, n_tests: int) -> int:
-    if isinstance(n_trials, str):
+    if n_trials is None or isinstance(n_trials, str):
         return n_tests if n_trials == "all" else int(np.sqrt(n_tests))
-    return min(int(np.log2(n_tests)) + 1 if n_trials is None else int(n_trials), n_tests)
+    return min(int(n_trials), n_tests)
 
 
 def check_features(features: ArrayLike, shape: tuple[int, int] | None = None, *, for_trees: bool = False) -> FloatArray:
@@ -152,8 +152,8 @@ class MotionForest:
     Parameters
     ----------
     n_trees : trees, at least 1.
-    n_trials : tests drawn at each node without replacement; None for int(log2(number of tests)) + 1, ``"sqrt"`` for the
-        square root, ``"all"`` for every test.
+    n_trials : tests drawn at each node without replacement; None or ``"sqrt"`` for the square root of their number,
+        ``"all"`` for every test.
     max_entropy : bits; a node of at most this entropy becomes a leaf.
     bootstrap : draw each tree's clips with replacement (the paper does not).
     thresholds : ``"best"``, the threshold of largest gain of each test (step 3 of the paper); ``"random"``, one drawn
