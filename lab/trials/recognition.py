@@ -9,7 +9,8 @@ sets* are three that are learned, and the clips of the fourth that mean somethin
 *dousa* is what ``dousa classify`` guesses. Beside it its trees alone and the plainest systems: the clip whose poses at
 32 instants are nearest (body-fixed, body heights), dynamic time warping of the same, and MiniRocket and MultiRocket of
 aeon (joint positions from the pelvis over the body height at 64 instants), which need an older NumPy than ours, so an
-environment of their own: ``make peers``. What was read and described stays in the folder build, until its code changes.
+environment of their own: ``make peers``. With ``--shots 1`` one clip of each category is learned, drawn among those
+that may be. What was read and described stays in the folder build, until its code changes.
 Run: python -m lab.trials.recognition
 """
 
@@ -307,17 +308,24 @@ def list_systems() -> dict[str, Guess]:
     return systems
 
 
-def measure(guess: Guess, learned: str, asked: str, seed: int) -> float:
+def draw_shots(labels: np.ndarray, train: np.ndarray, shots: int, seed: int) -> np.ndarray:
+    """Of the clips that may be learned so many of each category; all for 0."""
+    mixed = np.random.default_rng(seed).permutation(train)
+    some = [mixed[labels[mixed] == name][: shots or len(mixed)] for name in np.unique(labels[train])]
+    return np.sort(np.concatenate(some))
+
+
+def measure(guess: Guess, learned: str, asked: str, seed: int, shots: int) -> float:
     """Share of the asked clips that are guessed right."""
-    sides = describe_row(learned, asked)
+    one, other = describe_row(learned, asked)
     right = [
-        guess(sides[0], train, sides[1], test, seed) == sides[1].labels[test]
-        for train, test in list_folds(*sides, seed)
+        guess(one, draw_shots(one.labels, train, shots, seed), other, test, seed) == other.labels[test]
+        for train, test in list_folds(one, other, seed)
     ]
     return float(np.concatenate(right).mean())
 
 
-def print_table(systems: dict[str, Guess], rows: Sequence[tuple[str, str]], repeats: int) -> None:
+def print_table(systems: dict[str, Guess], rows: Sequence[tuple[str, str]], repeats: int, shots: int) -> None:
     """Print the rows as they are measured: the mean and the spread over seeds; then the seconds of each system."""
     print(f"| learned -> asked | {' | '.join(systems)} |\n| --- |{' --- |' * len(systems)}")
     seconds = dict.fromkeys(systems, 0.0)
@@ -329,8 +337,8 @@ def print_table(systems: dict[str, Guess], rows: Sequence[tuple[str, str]], repe
         for name, guess in systems.items():
             started = time.process_time()
             found = [
-                measure(guess, learned, asked, seed)
-                for seed in range(repeats if "aeon" not in name and "poses" not in name else 1)
+                measure(guess, learned, asked, seed, shots)
+                for seed in range(repeats if shots or ("aeon" not in name and "poses" not in name) else 1)
             ]
             seconds[name] += (time.process_time() - started) / len(found)
             spread = f" ± {100 * np.std(found):.1f}" if len(found) > 1 else ""
@@ -345,12 +353,13 @@ def main() -> None:
     parser.add_argument("--only", default="", help="only rows with this in a name")
     parser.add_argument("--systems", default="", help="only systems with one of these in the name, by commas")
     parser.add_argument("--repeats", type=int, default=3, help="seeds of the forest")
+    parser.add_argument("--shots", type=int, default=0, help="clips of each category that are learned; 0 for all")
     asked = parser.parse_args()
     rows = [row for row in ROWS if any(asked.only in name for name in row)]
     systems = {
         name: guess for name, guess in list_systems().items() if any(one in name for one in asked.systems.split(","))
     }
-    print_table(systems, rows, asked.repeats)
+    print_table(systems, rows, asked.repeats, asked.shots)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Compiled loops of the noise-reducing splines of ``sensor_noise``, without the Fourier transform.
+"""Compiled loops of the noise-reducing splines of ``sensor_noise``, without the cosine transform.
 
 Courses are the places of joints over time (J, 3, n). No allocations, which halves the compile time.
 """
@@ -8,48 +8,6 @@ from __future__ import annotations
 import numpy as np
 
 from dousa.kernels import kernel, part
-
-
-@kernel(linear=True)
-def level(courses, rows, ends, ramp, lines, folded):
-    """Subtract the line from beginning to end from some courses, and fold them: even frames, then odd ones backwards.
-
-    ``rows`` (R,) of ``courses``; ``ends`` frames at either end define the line; ``ramp`` (n,) from -0.5 to 0.5. Writes
-    the same rows of ``lines`` (J, 3, n), and ``folded`` (R, 3, n).
-    """
-    n = courses.shape[2]
-    for r in range(len(rows)):
-        for axis in range(3):
-            course, line, both = courses[rows[r], axis], lines[rows[r], axis], folded[r, axis]
-            first = last = 0.0
-            for t in range(ends):
-                first += course[t]
-                last += course[n - 1 - t]
-            rise = (last - first) / ends * (n / (n - ends))
-            for t in range(n):
-                line[t] = rise * ramp[t]
-            for t in range((n + 1) // 2):
-                both[t] = course[2 * t] - line[2 * t]
-            for t in range(n // 2):
-                both[n - 1 - t] = course[2 * t + 1] - line[2 * t + 1]
-
-
-@kernel(linear=True)
-def turn_waves(spectrum, rows, turns, waves):
-    """Compute the waves (J, 3, n) of some courses reflected at their ends.
-
-    ``spectrum`` (R, 3, n // 2 + 1) is of the folded courses; ``turns`` (2, n // 2 + 1) are cosines and sines of 0 to an
-    eighth of a turn.
-    """
-    n = waves.shape[2]
-    for r in range(len(rows)):
-        for axis in range(3):
-            wave, found = waves[rows[r], axis], spectrum[r, axis]
-            for k in range(n // 2 + 1):
-                real, imaginary = found[k].real, found[k].imag
-                if k:
-                    wave[n - k] = 2.0 * (turns[1, k] * real - turns[0, k] * imaginary)
-                wave[k] = 2.0 * (turns[0, k] * real + turns[1, k] * imaginary)
 
 
 @kernel(linear=True)
@@ -132,37 +90,6 @@ def choose_all(left, freedom, n, recordings, n_joints, room, chosen, variances):
     for r in range(len(recordings)):
         first, stop = recordings[r] * n_joints, (recordings[r] + 1) * n_joints
         variances[r] = choose(left[first:stop], freedom, n, room, chosen[first:stop])
-
-
-@kernel(linear=True)
-def weigh(waves, rows, kept, chosen, turns, spectrum):
-    """Compute the ``spectrum`` of the folded courses from the waves (J, 3, n) weighted by the chosen splines.
-
-    ``kept`` (L, n); ``turns`` and ``spectrum`` are as of ``turn_waves``.
-    """
-    n = waves.shape[2]
-    for r in range(len(rows)):
-        own = kept[chosen[rows[r]]]
-        for axis in range(3):
-            wave, found = waves[rows[r], axis], spectrum[r, axis]
-            for k in range(n // 2 + 1):
-                one = 0.5 * own[k] * wave[k]
-                other = 0.5 * own[n - k] * wave[n - k] if k else 0.0
-                real, imaginary = turns[0, k] * one + turns[1, k] * other, turns[1, k] * one - turns[0, k] * other
-                found[k] = complex(real, imaginary)
-
-
-@kernel(linear=True)
-def raise_again(folded, rows, lines, smooth):
-    """Unfold some courses (R, 3, n), and add the lines (J, 3, n) back; into ``smooth`` (J, 3, n)."""
-    n = lines.shape[2]
-    for r in range(len(rows)):
-        for axis in range(3):
-            both, line, even = folded[r, axis], lines[rows[r], axis], smooth[rows[r], axis]
-            for t in range((n + 1) // 2):
-                even[2 * t] = both[t] + line[2 * t]
-            for t in range(n // 2):
-                even[2 * t + 1] = both[n - 1 - t] + line[2 * t + 1]
 
 
 @kernel(linear=True)

@@ -152,10 +152,8 @@ def smooth_together(
 class _Splines:
     """The splines of all weights through the courses of the joints of recordings, one of them chosen for each.
 
-    In the frequencies of a recording reflected at its ends, the penalty of a spline is diagonal (Garcia, "Robust
-    smoothing of gridded data", Computational Statistics and Data Analysis 54, 2010). They come from a transform as long
-    as the recording, not twice as long (Makhoul, "A fast cosine transform in one and two dimensions", IEEE Transactions
-    on Acoustics, Speech and Signal Processing 28, 1980).
+    In the frequencies of a recording reflected at its ends, its cosine transform, the penalty of a spline is diagonal
+    (Garcia, "Robust smoothing of gridded data", Computational Statistics and Data Analysis 54, 2010).
 
     courses : (R J, 3, n), recording after recording.
     n_recordings : R.
@@ -182,10 +180,15 @@ class _Splines:
 
     def read(self, courses: FloatArray, rows: IndexArray, n_end: int = 3) -> None:
         """Read the courses of some joints again; the mean of ``n_end`` frames is where a joint begins, or ends."""
+        from scipy.fft import dct
+
+        ends = min(n_end, self._count // 2)
         for some in self._portions(rows):
-            folded = np.empty((len(some), 3, self._count))
-            kernels.level(courses, some, min(n_end, self._count // 2), self._list.ramp, self._lines, folded)
-            kernels.turn_waves(np.fft.rfft(folded), some, self._list.turns, self._waves)
+            own = courses[some]
+            rise = own[..., -ends:].sum(axis=2) - own[..., :ends].sum(axis=2)
+            lines = (rise / ends * (self._count / (self._count - ends)))[..., None] * self._list.ramp
+            own -= lines
+            self._lines[some], self._waves[some] = lines, dct(own, overwrite_x=True)
             kernels.measure(self._waves, some, self._list.lost, self._left)
         self._fitted[rows] = -1
 
@@ -199,12 +202,16 @@ class _Splines:
 
     def draw(self, recordings: IndexArray) -> FloatArray:
         """Return the splines (R J, 3, n), with those of some recordings updated to the current choice."""
+        from scipy.fft import idct
+
         rows = self.list_joints(recordings)
         rows = rows[self._chosen[rows] != self._fitted[rows]]
         for some in self._portions(rows):
-            spectrum = np.empty((len(some), 3, self._count // 2 + 1), np.complex128)
-            kernels.weigh(self._waves, some, self._list.kept, self._chosen, self._list.turns, spectrum)
-            kernels.raise_again(np.fft.irfft(spectrum, self._count), some, self._lines, self._smooth)
+            waves = self._waves[some]
+            waves *= self._list.kept[self._chosen[some], None]
+            smooth = idct(waves, overwrite_x=True)
+            smooth += self._lines[some]
+            self._smooth[some] = smooth
         self._fitted[rows] = self._chosen[rows]
         return self._smooth
 
@@ -214,15 +221,13 @@ class _SplineList:
     """Splines of all weights through n frames.
 
     ``kept`` (L, n) is the share of each wave that each keeps, ``lost`` (n, L) that of the power it removes, ``freedom``
-    (L,) its degrees of freedom; ``ramp`` (n,) from -0.5 to 0.5; ``turns`` (2, n // 2 + 1) are cosines and sines of 0 to
-    an eighth of a turn.
+    (L,) its degrees of freedom; ``ramp`` (n,) from -0.5 to 0.5.
     """
 
     kept: FloatArray
     lost: FloatArray
     freedom: FloatArray
     ramp: FloatArray
-    turns: FloatArray
 
 
 def _list_splines(count: int, most_kept: int = 300) -> _SplineList:
@@ -235,9 +240,7 @@ def _make_list(count: int) -> _SplineList:
     weights = np.logspace(-3.0, 6.0, 28)  # of the penalty; the last one leaves movements of some seconds
     kept: FloatArray = 1.0 / (1.0 + weights[:, None] * stiffness)
     lost: FloatArray = np.ascontiguousarray(((1.0 - kept) ** 2).T)
-    angles = 0.5 * np.pi * np.arange(count // 2 + 1) / count
-    turns: FloatArray = np.stack([np.cos(angles), np.sin(angles)])
-    return _SplineList(kept, lost, kept.sum(axis=1), np.linspace(-0.5, 0.5, count), turns)
+    return _SplineList(kept, lost, kept.sum(axis=1), np.linspace(-0.5, 0.5, count))
 
 
 _keep_list = lru_cache(maxsize=256)(_make_list)

@@ -506,23 +506,21 @@ def _draw_rounds(
     labels: NDArray[Any],
     performers: Sequence[str | None],
     random_state: int,
-    n_rounds: int = 8,
     category_parts: int = 4,
     performer_parts: int = 3,
 ) -> Iterator[tuple[IndexArray, IndexArray, IndexArray]]:
     """Yield the training, known and unknown clips of each round that is possible.
 
-    Each of ``n_rounds`` holds back one of ``category_parts`` of the categories, so its forest has almost as many as the
-    real one, and one of ``performer_parts`` of the performers (docs/confidence.md).
+    Each round holds back one of ``category_parts`` of the categories, so its forest has almost as many as the real one,
+    and one of ``performer_parts`` of the performers. Twice as many rounds told nothing more (docs/confidence.md).
     """
     generator = np.random.default_rng(random_state)
     names, own = np.unique(labels, return_inverse=True)
     parts = _part_performers(own, performers, generator, performer_parts)
     n_groups = min(category_parts, len(names))
-    for number in range(n_rounds):
-        if number % n_groups == 0:
-            group = generator.permutation(np.arange(len(names)) % n_groups)
-        held = group[own] == number % n_groups
+    group = generator.permutation(np.arange(len(names)) % n_groups)
+    for number in range(n_groups):
+        held = group[own] == number
         stranger = parts == number % (parts.max() + 1)
         train = np.flatnonzero(~held & ~stranger)
         known = np.flatnonzero(~held & stranger & np.isin(own, own[train]))
