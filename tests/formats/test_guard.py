@@ -4,6 +4,7 @@ A cell of the table that is empty has a reason in ``NOT_THERE``.
 """
 
 import dataclasses
+import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -87,8 +88,6 @@ def write_npz(file):
 
 def write_json(file):
     frames = [[[v if np.isfinite(v) else None for v in p] for p in f] for f in file.points.tolist()]
-    import json
-
     return json.dumps({"fps": file.rate, "joint_names": PATH.names, "frames": frames}).encode()
 
 
@@ -133,6 +132,37 @@ def write_mvnx(file):
     return f"{head}{frames}</frames></subject></mvnx>".encode() if frame else b""
 
 
+def write_glb(file, tmp_path):
+    """As dousa writes it, with the places of the root and the times of its keys replaced."""
+    path = tmp_path / "sound.glb"
+    write_motion(dataclasses.replace(BODY, translations=moved(File())), path)
+    data = bytearray(path.read_bytes())
+    length = int.from_bytes(data[12:16], "little")
+    tree = json.loads(data[20 : 20 + length])
+    (animation,) = tree["animations"]
+    channel = next(one for one in animation["channels"] if one["target"]["path"] == "translation")
+    times = file.times if file.times.any() else np.arange(len(file.times)) / file.rate
+    sampler = animation["samplers"][channel["sampler"]]
+    for number, values in ((sampler["input"], times), (sampler["output"], file.points[:, 0])):
+        accessor = tree["accessors"][number]
+        start = 28 + length + tree["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
+        place = start + accessor.get("byteOffset", 0)
+        with np.errstate(over="ignore"):
+            packed = values.astype("<f4").tobytes()
+        data[place : place + len(packed)] = packed
+        accessor.pop("min", None), accessor.pop("max", None)
+    data[20 : 20 + length] = json.dumps(tree, separators=(",", ":")).encode().ljust(length)
+    return bytes(data)
+
+
+def write_own(file):
+    texts = dict.fromkeys(("path", "format", "unit_source", "up", "up_source"), "")
+    return made.make_npz(
+        provenance=np.array(json.dumps(texts | {"unit": 1.0})), format=np.array("dousa motion"), version=np.array(1), kind=np.array("trajectories"), names=np.array(PATH.names),
+        frame_rate=np.array(file.rate), positions=file.points,
+    )  # fmt: skip
+
+
 WRITERS: dict[str, Callable[..., bytes]] = {
     "trc": write_trc,
     "csv": write_motive,
@@ -140,20 +170,22 @@ WRITERS: dict[str, Callable[..., bytes]] = {
     "table": write_table,
     "c3d": write_c3d,
     "npz": write_npz,
+    "own.npz": write_own,
     "json": write_json,
     "bvh": write_bvh,
     "amc": write_amc,
     "mvnx": write_mvnx,
+    "glb": write_glb,
 }
-ROOTED = ("bvh", "amc", "mvnx")
+BESIDE = ("bvh", "amc", "glb")  # made of other files
 
 
 def read(tmp_path, name, file):
     """(T, K, 3) of the points that count, the motion, and the codes of its notes."""
     path = tmp_path / f"x.{'csv' if name == 'table' else name}"
-    path.write_bytes(WRITERS[name](file, *([tmp_path] if name in ("bvh", "amc") else [])))
+    path.write_bytes(WRITERS[name](file, *([tmp_path] if name in BESIDE else [])))
     unit = {"tsv": "mm", "c3d": "mm", "bvh": "cm"}.get(name, "m")
-    motion = read_motion(path, unit=unit, up="y")
+    motion = read_motion(path, **({} if name == "own.npz" else {"unit": unit, "up": "y"}))
     places = motion.translations[:, :1] if isinstance(motion, Motion) else motion.positions
     return places, motion, [note.code for note in motion.provenance.notes]
 
@@ -222,11 +254,21 @@ KINDS = {  # the change, and the note or error
     "1e300": (explode(1e300), "guard.no_place"),
 }
 
-NO_ROWS = {"c3d": "frames have neither number nor time", "npz": "as c3d", "json": "as c3d", "bvh": "as c3d"}
+NO_ROWS = dict.fromkeys(("c3d", "npz", "own.npz", "json", "bvh"), "frames have neither number nor time")
 NOT_THERE = {
     **{(kind, name): why for kind in ("gap", "repeated rows", "exchanged rows") for name, why in NO_ROWS.items()},
     **{("other times", name): why for name, why in {**NO_ROWS, "amc": "no times"}.items()},
-    **{("count", name): "declares no number of frames" for name in ("table", "npz", "json", "amc", "mvnx")},
+    **{("count", name): "declares no number of frames" for name in ("table", "npz", "own.npz", "json", "amc", "mvnx")},
+    ("gap", "glb"): "what lies between two keys is interpolated by the definition of the format",
+    ("repeated rows", "glb"): "two keys at one time are a jump by the definition of the format",
+    ("exchanged rows", "glb"): "times that fall are refused, see test_gltf",
+    ("other times", "glb"): "declares no rate beside the times",
+    ("count", "glb"): "times and values of other numbers are refused, see test_gltf",
+    ("1e300", "glb"): "as c3d",
+    ("far", "glb"): "as c3d",
+    ("nan", "glb"): "numbers must be finite: refused, see test_gltf",
+    ("infinite", "glb"): "as nan",
+    ("infinite", "own.npz"): "as glb, see test_npz",
     ("zeros", "tsv"): "0 0 0 is missing by the definition of the format: no note",
     ("zeros", "json"): "as tsv",
     ("count", "c3d"): "the file then holds more frames than it declares: bytes_over, see below",
@@ -431,10 +473,10 @@ def test_declared_and_found_counts_that_differ_are_said(tmp_path, name, old, new
 MELTED = re.compile(rb"(\.\d)\d*[,\t ]+-?\d+\.(\d)")
 
 
-@pytest.mark.parametrize("name", [name for name in WRITERS if name not in ("c3d", "npz")])
+@pytest.mark.parametrize("name", [name for name in WRITERS if name not in ("c3d", "npz", "own.npz", "glb")])
 def test_two_numbers_melted_into_one_are_refused_or_left_empty(tmp_path, name):
     path = tmp_path / f"x.{'csv' if name == 'table' else name}"
-    data = WRITERS[name](File(), *([tmp_path] if name in ("bvh", "amc") else []))
+    data = WRITERS[name](File(), *([tmp_path] if name in BESIDE else []))
     places = [found.start() for found in MELTED.finditer(data)]
     for place in (places[-len(places) // 3], places[-1]):
         path.write_bytes(data[:place] + MELTED.sub(rb"\1\2", data[place:], count=1))

@@ -37,6 +37,7 @@ from dousa.files.disk import atomic_write, read_bytes
 from dousa.files.npz_arrays import NpzFile, open_npz
 from dousa.files.pickles import load_pickle
 from dousa.formats.arrays.pickles import build_content
+from dousa.formats.assembly import settle_motion, settle_trajectories
 from dousa.formats.guard import compare_bytes
 from dousa.formats.guard.people import take_person
 from dousa.messages import Message
@@ -187,7 +188,7 @@ def read_any_npz(
         content = None if "format" in file or not file.names else _load(path, file)
     options: dict[str, Any] = {"unit": unit, "up": up}
     if content is None:
-        motion = read_npz(path, **options)
+        motion = _guard(path, read_npz(path, **options))
     else:
         options |= {"skeleton": skeleton, "frame_rate": frame_rate, "person": person, "animation": animation}
         motion = build_content(path, content, **options)
@@ -199,6 +200,25 @@ def read_any_npz(
     source = motion.provenance or Provenance(os.fspath(path), "npz")
     source = dataclasses.replace(source, notes=(*source.notes, *compare_bytes(0, behind)))
     return dataclasses.replace(motion, provenance=source)
+
+
+def _guard(path: str | os.PathLike[str], motion: Motion | Trajectories) -> Motion | Trajectories:
+    """What the guard makes of a motion of dousa's own file; the motion as it was written where it finds nothing."""
+    settled: Motion | Trajectories
+    if isinstance(motion, Motion):
+        arrays = (motion.skeleton, motion.rotations, motion.translations)
+        settled = settle_motion(path, "npz", *arrays, motion.frame_rate, unit=1.0, up="y")
+    else:
+        known: dict[str, Any] = {"unit": 1.0, "up": "y", "unit_in_file": None, "up_in_file": None, "default_up": None}
+        settled = settle_trajectories(path, "npz", motion.names, motion.positions, motion.frame_rate, **known)
+        settled = dataclasses.replace(settled, parents=motion.parents, rest_positions=motion.rest_positions)
+    found = settled.provenance
+    notes = tuple(note for note in found.notes if note.code.startswith("guard.")) if found is not None else ()
+    if found is None or not notes:
+        return motion
+    return dataclasses.replace(
+        settled, provenance=dataclasses.replace(motion.provenance or found, notes=notes, shift=found.shift)
+    )
 
 
 def _load(path: str | os.PathLike[str], file: NpzFile) -> dict[str, Any]:
