@@ -158,9 +158,14 @@ def write_glb(file, tmp_path):
 def write_own(file):
     texts = dict.fromkeys(("path", "format", "unit_source", "up", "up_source"), "")
     return made.make_npz(
-        provenance=np.array(json.dumps(texts | {"unit": 1.0})), format=np.array("dousa motion"), version=np.array(1), kind=np.array("trajectories"), names=np.array(PATH.names),
-        frame_rate=np.array(file.rate), positions=file.points,
-    )  # fmt: skip
+        format=np.array("dousa motion"),
+        version=np.array(1),
+        kind=np.array("trajectories"),
+        names=np.array(PATH.names),
+        frame_rate=np.array(file.rate),
+        positions=file.points,
+        provenance=np.array(json.dumps(texts | {"unit": 1.0})),
+    )
 
 
 WRITERS: dict[str, Callable[..., bytes]] = {
