@@ -181,7 +181,9 @@ def tell(marks: list[dict], key: tuple) -> None:
     for name in ("legs", "arms", *ANGLES, "mm"):
         mine, plain = (mean(marks, who, name) for who in ("dousa", "plain"))
         target = dict(zip(("legs", "arms"), TARGETS.get(key[:2], ()), strict=False)).get(name)
-        text = f"{show(mine, name != 'mm')} / {show(plain, name != 'mm')}" + (f" ({target})" if target else "")
+        text = " / ".join(show(value, int(name != "mm")) for value in (mine, plain)) + (
+            f" ({target})" if target else ""
+        )
         text += "*" if target and not mine <= target else ""
         cells.append(text + ("<" if name in ("legs", "arms") and mine >= plain else ""))
     shares = (show(mean(marks, "dousa", name), 0) for name in SHARES)
@@ -231,9 +233,6 @@ def main() -> None:
             if any(who in mark for mark in films_of[key]):
                 tell_file(films_of[key], key, who)
     print(f"BVH beside TRC: {show(mean([mark for marks in films_of.values() for mark in marks], 'dousa', 'bvh'))} mm")
-    if options.json:
-        found = [dict(zip(("cue", "views", "noisy", "films"), (*key, films_of[key]), strict=True)) for key in order]
-        options.json.write_text(json.dumps(found, indent=1))
 
 
 if __name__ == "__main__":

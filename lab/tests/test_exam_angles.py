@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from lab.exams import angles
 from lab.exams import angles_films as films
 from lab.exams.angles_measures import ANGLES, AT, JOINTS, differ, find_angles, lift, read_angles, to_rays, triangulate
 from lab.exams.sides_people import Camera
@@ -61,3 +62,9 @@ def test_the_baselines_find_x_without_noise():
     trust = np.stack([s[..., 2] for s in seen])
     assert np.abs(triangulate(rays, trust, cameras) - truth).max() < 0.05
     assert np.isfinite(lift(rays[0], trust[0], cameras[0], 1.7, truth[0])).all()
+
+
+def test_a_film_without_an_answer_has_a_row_of_its_baseline(capsys):
+    plain = differ(find_angles(make_pose(30.0)), find_angles(make_pose(0.0))) | {"mm": 12.0}
+    angles.tell([{"plain": plain}], ("keypoints", 4, False))
+    assert capsys.readouterr().out.startswith("keypoints, 4 views, clean | - / 7.5 (4)* | - / 0.0 (7)* |")
