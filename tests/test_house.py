@@ -27,7 +27,7 @@ ROOMS = {
     "library": (15_879, 57),
     "messages": (235, 3),
     "motion": (6_484, 34),
-    "retrieval": (13_312, 47),
+    "retrieval": (13_255, 47),
     "workers": (482, 6),
 }
 TOTALS = {

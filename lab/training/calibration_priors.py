@@ -20,7 +20,7 @@ from dousa.experiments.runner import fit_forest, leave_performer_out, make_fores
 from dousa.retrieval.forest import calibration
 from dousa.retrieval.forest.calibration import _MADE, _Judge, learn_calibration
 from dousa.retrieval.forest.evidence import EVIDENCE, learn_usual, relate_to_usual
-from dousa.retrieval.forest.pose_space import Curve, fit_weighted_curve
+from dousa.retrieval.forest.pose_space import Curve, fit_curve
 from lab.trials.confidence import calibration_error, find_meaning
 from lab.trials.recognition import SET, Described, describe
 
@@ -100,8 +100,7 @@ def fit(asked: Asked) -> list[tuple[Curve, Curve]]:
     for positive in (asked.known, asked.right):
         curves = []
         for kept, count in ((np.ones(len(positive), bool), len(EVIDENCE)), (~asked.made, len(EVIDENCE) - 1)):
-            nothing, seen = Curve(0.0, (0.0,) * count), asked.evidence[kept, :count]
-            curve = fit_weighted_curve(seen, positive[kept], asked.weights[kept], nothing, 0.0)
+            curve = fit_curve(asked.evidence[kept, :count], positive[kept], asked.weights[kept])
             slopes = tuple(round(slope, 2) for slope in curve.slopes)
             curves.append(Curve(round(curve.intercept, 2), slopes + (0.0,) * (len(EVIDENCE) - count)))
         found.append((curves[0], curves[1]))

@@ -3,8 +3,6 @@ from .explain.explanation import Explanation as Explanation
 from .explain.explanation import Likeness as Likeness
 from .explain.explanation import Reason as Reason
 from .explain.explanation import SharedReason as SharedReason
-from .explain.explanation import explain as explain
-from .explain.explanation import explain_pair as explain_pair
 from .features.channels import CHANNELS as CHANNELS
 from .features.channels import compute_channels as compute_channels
 from .features.feature_sets import DEFAULT_FEATURE_SET as DEFAULT_FEATURE_SET
@@ -40,7 +38,6 @@ from .ranking.ranking import Ranking as Ranking
 from .ranking.ranking import RankingQuery as RankingQuery
 from .ranking.ranking import compute_pose_sequence as compute_pose_sequence
 from .ranking.ranking import compute_window_poses as compute_window_poses
-from .ranking.ranking import rank_by_fusion as rank_by_fusion
 from .ranking.ranking import rank_by_histogram as rank_by_histogram
 from .ranking.ranking import rank_by_leaves as rank_by_leaves
 from .ranking.ranking import rank_by_pose as rank_by_pose

@@ -11,7 +11,7 @@ from oracles import slow_ablation
 from dousa.errors import InvalidMotionError, NotTrainedError, OptionError
 from dousa.motion import canonicalise
 from dousa.motion.synthetic.performers import draw_performer, make_motion
-from dousa.retrieval import FEATURE_NAMES, FEATURE_SETS, Explainer, MotionForest, explain, explain_pair
+from dousa.retrieval import FEATURE_NAMES, FEATURE_SETS, Explainer, MotionForest
 from dousa.retrieval.explain.explanation import read_questions
 from dousa.retrieval.forest.growth import StandingClips, grow_forest
 
@@ -96,7 +96,7 @@ def test_the_numbers_of_a_reason_are_those_of_one_decision(known):
     forest, pose, _, durations = known
     for clip, duration in zip(pose, durations, strict=True):
         decisions = [(d.feature, d.kind, d.threshold, d.value, d.start, d.stop) for d in forest.decisions(clip)]
-        for reason in explain(forest, clip, duration).reasons:
+        for reason in Explainer(forest).explain(clip, duration).reasons:
             cells = (round(10 * reason.start / duration), round(10 * reason.end / duration))
             assert any(
                 (reason.channel, reason.kind, *cells) == (feature, kind, start, stop)
@@ -116,7 +116,7 @@ def test_what_was_put_in_comes_out_in_words():
     hand = FEATURE_NAMES.index("right hand above pelvis")
     pose[30:, 4:6, hand] += 0.4
     forest = MotionForest(50, n_trials=600, random_state=0).fit(pose, categories)
-    told = explain(forest, pose[40], duration=2.0)
+    told = Explainer(forest).explain(pose[40], duration=2.0)
     assert told.category == "reach"
     assert told.vote == 1.0
     first = told.reasons[0]
@@ -128,7 +128,7 @@ def test_what_was_put_in_comes_out_in_words():
     when = f"from {first.start:.1f} s to {first.end:.1f} s"
     assert first.text.render().startswith(f"the right hand is higher than usual {when}: on average {first.value:.2f}")
     assert first.text.render().endswith(f"above the pelvis (most others: less than {first.threshold:.2f})")
-    resting = explain(forest, pose[0], duration=2.0)
+    resting = Explainer(forest).explain(pose[0], duration=2.0)
     assert resting.reasons[0].channel == "right hand above pelvis"
     assert not resting.reasons[0].above
     assert resting.reasons[0].text.render().startswith("the right hand is lower than usual from ")
@@ -144,7 +144,7 @@ def test_the_second_reason_is_what_the_first_does_not_say():
     pose[:, :, 2] += (categories % 2)[:, None]
     forest = MotionForest(200, n_trials=24, random_state=0)
     forest.fit(pose, categories, ["one", "the same", "another", "noise"])
-    told = explain(forest, pose[1], 1.0, limit=2)
+    told = Explainer(forest).explain(pose[1], 1.0, limit=2)
     assert {told.reasons[0].channel, told.reasons[1].channel} & {"another"}
     assert {reason.channel for reason in told.reasons} <= {"one", "the same", "another"}
 
@@ -153,18 +153,18 @@ def test_another_category_can_be_explained_and_one_without_votes_has_no_reasons(
     forest, pose, _, durations = known
     votes = forest.predict_proba(pose)
     clip, second = np.argwhere((votes > 0) & (votes < votes.max(axis=1, keepdims=True)))[0]
-    told = explain(forest, pose[clip], durations[clip], forest.classes_[second])
+    told = Explainer(forest).explain(pose[clip], durations[clip], forest.classes_[second])
     assert told.vote == pytest.approx(votes[clip, second])
     assert all(reason.vote_without < told.vote for reason in told.reasons)
     clip, none = np.argwhere(votes == 0)[0]
-    told = explain(forest, pose[clip], durations[clip], forest.classes_[none])
+    told = Explainer(forest).explain(pose[clip], durations[clip], forest.classes_[none])
     assert (told.vote, told.reasons, told.vote_without_all) == (0.0, (), 0.0)
 
 
 def test_what_two_clips_share_is_what_holds_their_leaves_together(known):
     forest, pose, categories, durations = known
     one, other = (k for k, category in enumerate(categories) if category == categories[0])
-    told = explain_pair(forest, pose[one], pose[other], (durations[one], durations[other]))
+    told = Explainer(forest).explain_pair(pose[one], pose[other], (durations[one], durations[other]))
     leaves = forest.apply(pose[[one, other]])
     assert told.alike == pytest.approx((leaves[0] == leaves[1]).mean())
     assert told.alike > 0.2
@@ -180,16 +180,16 @@ def test_what_two_clips_share_is_what_holds_their_leaves_together(known):
 def test_two_clips_without_a_common_leaf_share_nothing():
     pose = np.repeat([0.0, 1.0], 5)[:, None, None] * np.ones((1, 2, 3))
     forest = MotionForest(4, random_state=0).fit(pose, np.repeat(["a", "b"], 5))
-    told = explain_pair(forest, pose[0], pose[9], (1.0, 1.0))
+    told = Explainer(forest).explain_pair(pose[0], pose[9], (1.0, 1.0))
     assert (told.alike, told.reasons, told.alike_without_all) == (0.0, (), 0.0)
 
 
 def test_a_forest_that_asks_nothing_gives_no_reasons():
     pose, _ = clips(0, n=5)
     forest = MotionForest(3, random_state=0).fit(pose, ["one"] * 5)
-    told = explain(forest, pose[0], 1.0)
+    told = Explainer(forest).explain(pose[0], 1.0)
     assert (told.category, told.vote, told.reasons, told.vote_without_all) == ("one", 1.0, (), 1.0)
-    assert explain_pair(forest, pose[0], pose[1], (1.0, 1.0)).alike == 1.0
+    assert Explainer(forest).explain_pair(pose[0], pose[1], (1.0, 1.0)).alike == 1.0
 
 
 def test_a_forest_that_has_taken_up_a_category_explains_it():
@@ -208,35 +208,35 @@ def test_a_forest_that_has_taken_up_a_category_explains_it():
 def test_categories_as_numbers_and_the_answer_as_json():
     pose, categories = clips(3)
     forest = MotionForest(20, random_state=0).fit(pose, categories)
-    told = explain(forest, pose[0], 1.5)
+    told = Explainer(forest).explain(pose[0], 1.5)
     assert isinstance(told.category, int)
-    assert explain(forest, pose[0], 1.5, category=told.category) == told
+    assert Explainer(forest).explain(pose[0], 1.5, category=told.category) == told
     read = json.loads(json.dumps(told.to_json()))
     assert read["reasons"][0]["text"] == str(told.reasons[0].text)
 
 
 def test_the_limit_and_the_same_answer_each_time(known):
     forest, pose, _, durations = known
-    three = explain(forest, pose[0], durations[0], limit=3)
-    assert explain(forest, pose[0], durations[0], limit=1).reasons == three.reasons[:1]
+    three = Explainer(forest).explain(pose[0], durations[0], limit=3)
+    assert Explainer(forest).explain(pose[0], durations[0], limit=1).reasons == three.reasons[:1]
     again = MotionForest.from_bytes(forest.to_bytes())
-    assert explain(again, pose[0], durations[0], limit=3) == three
+    assert Explainer(again).explain(pose[0], durations[0], limit=3) == three
 
 
 def test_wrong_calls_are_told(known):
     forest, pose, _, _ = known
     with pytest.raises(NotTrainedError):
-        explain(MotionForest(), pose[0], 1.0)
+        Explainer(MotionForest()).explain(pose[0], 1.0)
     with pytest.raises(InvalidMotionError, match="expected finite features of shape"):
-        explain(forest, pose[0][:, :3], 1.0)
+        Explainer(forest).explain(pose[0][:, :3], 1.0)
     with pytest.raises(InvalidMotionError, match="NaN or infinity"):
-        explain(forest, np.full_like(pose[0], np.nan), 1.0)
+        Explainer(forest).explain(np.full_like(pose[0], np.nan), 1.0)
     with pytest.raises(OptionError, match="knows no category 'swim'"):
-        explain(forest, pose[0], 1.0, "swim")
+        Explainer(forest).explain(pose[0], 1.0, "swim")
     with pytest.raises(OptionError, match="at least one reason"):
-        explain(forest, pose[0], 1.0, limit=0)
+        Explainer(forest).explain(pose[0], 1.0, limit=0)
     for duration in (0.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(OptionError, match="expected a duration in s above 0"):
-            explain(forest, pose[0], duration)
+            Explainer(forest).explain(pose[0], duration)
         with pytest.raises(OptionError, match="expected a duration in s above 0"):
-            explain_pair(forest, pose[0], pose[1], (1.0, duration))
+            Explainer(forest).explain_pair(pose[0], pose[1], (1.0, duration))

@@ -29,7 +29,7 @@ from dousa.retrieval.forest.evidence import (
     relate_to_usual,
 )
 from dousa.retrieval.forest.forest_file import pack_arrays
-from dousa.retrieval.forest.pose_space import Curve, compute_auroc, fit_curve, fit_weighted_curve
+from dousa.retrieval.forest.pose_space import Curve, compute_auroc, fit_curve
 
 
 def make_clips(n_categories=8, n_performers=3, each=3, spread=0.4, seed=0):
@@ -104,14 +104,14 @@ class TestCurve:
         rng = np.random.default_rng(0)
         scores = rng.uniform(-2, 2, size=(20000, 2))
         positive = rng.random(20000) < 1 / (1 + np.exp(-(0.5 + 1.5 * scores[:, 0] + 0.7 * scores[:, 1])))
-        curve = fit_curve(scores, positive, balanced=False)
+        curve = fit_curve(scores, positive, np.ones(len(scores)), ridge=1e-3)
         assert curve.intercept == pytest.approx(0.5, abs=0.08)
         assert curve.slopes == pytest.approx((1.5, 0.7), abs=0.08)
 
     def test_both_sides_count_the_same_when_balanced(self):
         scores = np.r_[np.zeros((900, 1)), np.ones((100, 1))]
         positive = np.r_[np.zeros(900, bool), np.ones(100, bool)]
-        middle = [fit_curve(scores, positive, balanced=both).evaluate(np.array([[0.5]]))[0] for both in (True, False)]
+        middle = [fit_curve(scores, positive, each).evaluate(np.array([[0.5]]))[0] for each in (None, np.ones(1000))]
         assert middle[0] == pytest.approx(0.5, abs=0.06)  # but for the smoothed targets
         assert middle[1] < 0.35
 
@@ -127,11 +127,11 @@ class TestCurve:
         rng = np.random.default_rng(0)
         prior = Curve(0.5, (1.5, 0.7))
         few = rng.uniform(-2, 2, size=(2, 2))
-        fitted = fit_weighted_curve(few, np.array([True, False]), np.ones(2), prior)
+        fitted = fit_curve(few, np.array([True, False]), np.ones(2), prior)
         assert fitted.slopes == pytest.approx(prior.slopes, abs=0.35)
         many = rng.uniform(-2, 2, size=(20000, 2))
         positive = rng.random(20000) < 1 / (1 + np.exp(-(-1.0 + 3.0 * many[:, 1])))
-        fitted = fit_weighted_curve(many, positive, np.ones(20000), prior)
+        fitted = fit_curve(many, positive, np.ones(20000), prior)
         assert fitted.slopes[0] < 0.5  # it stays a little near the prior
         assert fitted.slopes[1] > 2.0
 
@@ -140,9 +140,9 @@ class TestCurve:
         scores, positive = rng.normal(size=(300, 2)), rng.random(300) < 0.5
         heavy = np.arange(300) < 100
         prior = Curve(0.0, (0.0, 0.0))
-        weighted = fit_weighted_curve(scores, positive, np.where(heavy, 2.0, 1.0), prior)
+        weighted = fit_curve(scores, positive, np.where(heavy, 2.0, 1.0), prior)
         rows = np.r_[np.arange(300), np.arange(100)]
-        repeated = fit_weighted_curve(scores[rows], positive[rows], np.ones(400), prior)
+        repeated = fit_curve(scores[rows], positive[rows], np.ones(400), prior)
         places = rng.normal(size=(20, 2))
         assert weighted.evaluate(places) == pytest.approx(repeated.evaluate(places), abs=0.02)
 

@@ -19,7 +19,6 @@ from dousa.retrieval.ranking.ranking import (
     RankingQuery,
     compute_pose_sequence,
     compute_window_poses,
-    rank_by_fusion,
     rank_by_histogram,
     rank_by_leaves,
     rank_by_pose,
@@ -114,7 +113,7 @@ def made(n_clips, seed=0):
 @given(st.integers(0, 30), st.integers(1, 40), st.integers(0, 2**32 - 1))
 def test_fusion_is_the_sum_of_its_distances(n_clips, n_refined, seed):
     query, clips, poses, asked = made(n_clips, seed)
-    answer = rank_by_fusion(query, clips, n_refined)
+    answer = rank_clips("fused", query, clips, n_refined)
     histogram = rank_by_histogram(query.histogram / 10, clips.histograms / 10)[1]
     leaves = rank_by_leaves(query.leaves, clips.leaves)[1]
     pose = rank_by_pose(poses[0], poses[1:])[1]

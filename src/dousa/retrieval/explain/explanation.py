@@ -415,7 +415,20 @@ class Explainer:
     def explain(
         self, clip: ArrayLike, duration: float, category: str | int | None = None, limit: int = 3
     ) -> Explanation:
-        """See `explain`."""
+        """Explain why the forest assigns a clip to a category; removing any of the reasons lowers the vote.
+
+        Parameters
+        ----------
+        clip : (T, F) features, those of the forest's feature set.
+        duration : s, of the clip.
+        category : by default the one that most trees vote for.
+        limit : reasons at most, at least 1.
+
+        Raises
+        ------
+        InvalidMotionError : features of another shape, or not finite.
+        OptionError : a category that the forest does not know, a duration or limit out of range.
+        """
         _check(limit, duration)
         questions = self._questions
         values = questions.evaluate(clip)
@@ -440,7 +453,10 @@ class Explainer:
     def explain_pair(
         self, query: ArrayLike, hit: ArrayLike, durations: tuple[float, float], limit: int = 3
     ) -> Likeness:
-        """See `explain_pair`."""
+        """Explain why two clips are similar; removing any reason lowers the share of trees with both in one leaf.
+
+        ``query``, ``hit`` are features (T, F), ``durations`` theirs in s; ``limit`` and errors are as of `explain`.
+        """
         _check(limit, *durations)
         questions = self._questions
         values, hit_values = questions.evaluate(query), questions.evaluate(hit)
@@ -574,46 +590,3 @@ def _check(limit: int, *durations: float) -> None:
     for duration in durations:
         if not (np.isfinite(duration) and duration > 0.0):
             raise OptionError("explain.duration", duration=duration)
-
-
-def explain(
-    forest: MotionForest, clip: ArrayLike, duration: float, category: str | int | None = None, limit: int = 3
-) -> Explanation:
-    """Explain why a forest assigns a clip to a category; removing any of the reasons lowers the vote.
-
-    Parameters
-    ----------
-    forest : trained. Use one `Explainer` for many clips.
-    clip : (T, F) features, those of the forest's feature set.
-    duration : s, of the clip.
-    category : by default the one that most trees vote for.
-    limit : reasons at most, at least 1.
-
-    Raises
-    ------
-    NotTrainedError
-    InvalidMotionError : features of another shape, or not finite.
-    OptionError : a category that the forest does not know, a duration or limit out of range.
-    """
-    return Explainer(forest).explain(clip, duration, category, limit)
-
-
-def explain_pair(
-    forest: MotionForest, query: ArrayLike, hit: ArrayLike, durations: tuple[float, float], limit: int = 3
-) -> Likeness:
-    """Explain why two clips are similar; removing any reason lowers the share of trees with both in one leaf.
-
-    Parameters
-    ----------
-    forest : trained.
-    query, hit : (T, F) features.
-    durations : s, of the query and of the hit.
-    limit : reasons at most, at least 1.
-
-    Raises
-    ------
-    NotTrainedError
-    InvalidMotionError : features of another shape, or not finite.
-    OptionError : a duration or limit out of range.
-    """
-    return Explainer(forest).explain_pair(query, hit, durations, limit)

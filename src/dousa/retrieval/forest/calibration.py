@@ -42,8 +42,8 @@ from dousa.retrieval.forest.pose_space import (
     PoseBasis,
     PoseSpace,
     compute_auroc,
+    fit_curve,
     fit_pose_basis,
-    fit_weighted_curve,
     read_curve,
 )
 from dousa.workers.threads import limit_blas, map_pieces
@@ -462,7 +462,7 @@ def _summarise(
     evidence, weights = relate_to_usual(seen, own), _weigh(kinds, copied)
     priors = [curves[0 if len(poses.others) else 1] for curves in _PRIORS]
     known, sure = (
-        fit_weighted_curve(evidence, positive, weights, prior)
+        fit_curve(evidence, positive, weights, prior)
         for positive, prior in zip((kinds == _KNOWN, right), priors, strict=True)
     )
     belongs = known.evaluate(evidence)

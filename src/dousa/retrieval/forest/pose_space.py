@@ -271,66 +271,44 @@ def compute_auroc(scores: FloatArray, positive: BoolArray) -> float:
     return float((ranks[positive].sum() - n_positive * (n_positive + 1) / 2) / (n_positive * n_negative))
 
 
-def fit_curve(scores: FloatArray, positive: BoolArray, *, balanced: bool = True, ridge: float = 1e-3) -> Curve:
-    """Fit the most likely logistic curve without falling slopes; both sides weigh the same if ``balanced``.
-
-    ``ridge`` keeps it finite where the scores separate both sides perfectly.
-    """
-    n_positive, n_negative = int(positive.sum()), int((~positive).sum())
-    weight = np.full(len(positive), 1.0 / max(len(positive), 1))
-    if balanced and n_positive and n_negative:
-        weight = np.where(positive, 0.5 / n_positive, 0.5 / n_negative)
-    pull = np.array([1e-9, *[ridge] * scores.shape[1]])
-    return _fit_rising(scores, _smooth(positive), weight, np.zeros(len(pull)), pull)
-
-
-def fit_weighted_curve(
+def fit_curve(
     scores: FloatArray,
     positive: BoolArray,
-    weights: FloatArray,
-    prior: Curve,
+    weights: FloatArray | None = None,
+    prior: Curve | None = None,
     prior_rows: float = 5.0,
     ridge: float = 0.01,
 ) -> Curve:
-    """Fit the most likely logistic curve without falling slopes, near a prior.
+    """Fit the most likely logistic curve without falling slopes.
 
     Parameters
     ----------
     scores, positive : (N, K) and (N,).
-    weights : (N,) of the rows; they need not sum to 1.
-    prior, prior_rows : a curve, and the rows that it counts as (docs/confidence.md).
+    weights : (N,) of the rows; None for both sides weighing the same.
+    prior, prior_rows : a curve near which it lies, and the rows that this counts as (docs/confidence.md).
     ridge : on slopes in spreads of the scores; keeps the curve finite where these separate both sides perfectly.
     """
+    n_positive, n_negative = int(positive.sum()), int((~positive).sum())
+    if weights is None:
+        weights = np.where(positive, 1.0 / max(n_positive, 1), 1.0 / max(n_negative, 1))
     share = weights / weights.sum()
     middle = share @ scores
     spread = np.sqrt(share @ (scores - middle) ** 2)
-    centre = np.array([prior.intercept + np.dot(prior.slopes, middle), *prior.slopes])
-    weight = prior_rows / len(scores)
+    near = prior or Curve(0.0, (0.0,) * scores.shape[1])
+    centre = np.array([near.intercept + np.dot(near.slopes, middle), *near.slopes])
+    weight = prior_rows / len(scores) if prior else _TINY
     pull = np.array([weight, *((ridge + weight) * spread**2 + _TINY)])
-    curve = _fit_rising(scores - middle, _smooth(positive), share, centre, pull)
-    return Curve(curve.intercept - float(np.dot(curve.slopes, middle)), curve.slopes)
-
-
-def _smooth(positive: BoolArray) -> FloatArray:
-    """Return Platt's targets, so that no curve is certain."""
-    n_positive, n_negative = int(positive.sum()), int((~positive).sum())
-    return np.where(positive, (n_positive + 1) / (n_positive + 2), 1 / (n_negative + 2))
-
-
-def _fit_rising(
-    scores: FloatArray, target: FloatArray, weight: FloatArray, centre: FloatArray, pull: FloatArray
-) -> Curve:
-    """Fit the best curve; scores whose slopes would fall are left out, the worst one first."""
-    used = np.arange(scores.shape[1])
-    while True:
+    # Platt's targets, so that no curve is certain.
+    target = np.where(positive, (n_positive + 1) / (n_positive + 2), 1 / (n_negative + 2))
+    used, slopes = np.arange(scores.shape[1]), np.zeros(scores.shape[1])
+    while True:  # scores whose slopes would fall are left out, the worst one first
         kept = np.append(0, used + 1)
-        solution = climb_likelihood(scores[:, used], target, weight, centre[kept], pull[kept])
+        solution = climb_likelihood((scores - middle)[:, used], target, share, centre[kept], pull[kept])
         if not len(used) or solution[1:].min() >= 0.0:
             break
         used = np.delete(used, solution[1:].argmin())
-    slopes = np.zeros(scores.shape[1])
     slopes[used] = solution[1:]
-    return Curve(float(solution[0]), tuple(float(slope) for slope in slopes))
+    return Curve(float(solution[0] - slopes @ middle), tuple(slopes.tolist()))
 
 
 def climb_likelihood(

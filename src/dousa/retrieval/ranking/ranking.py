@@ -236,11 +236,6 @@ def rank_by_pose(query: ArrayLike, poses: ArrayLike, reach: float = 2.0) -> tupl
     return np.argsort(distances, kind="stable"), distances
 
 
-def rank_by_fusion(query: RankingQuery, clips: RankedClips, n_refined: int = N_REFINED) -> Ranking:
-    """Rank clips by histogram, leaves and poses together; see ``rank_clips``."""
-    return rank_clips("fused", query, clips, n_refined)
-
-
 def rank_clips(by: str, query: RankingQuery, clips: RankedClips, n_refined: int = N_REFINED) -> Ranking:
     """Rank clips by one of ``RANKINGS``; clips at equal distances keep their order.
 
