@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import os
 import socket
 import sys
@@ -412,10 +413,17 @@ class PatientProtocol(H11Protocol):
 
 
 def warm_up(studio: Studio) -> None:
-    """Load kernels, the forest and the index by one search and one pair; without a forest there is nothing to load."""
+    """Load kernels, the forest and the index by one search and one pair; without a forest there is nothing to load.
+
+    What is loaded then is left out of the search for cycles, which becomes as frequent as Python has it: by the command
+    line's own measure it lets 0.3 million dead objects lie, 40 MB.
+    """
     with suppress(DousaError):
         clips = [clip for clip in studio.library.clips() if clip.kind == "clip" and not clip.absent]
         if clips:
             motion = studio.library.trajectories(clips[0].id)
             encode_pair(motion, motion)
             studio.library.search(motion, 1)
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(700, 10, 10)  # documentation of gc

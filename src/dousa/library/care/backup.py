@@ -1,37 +1,27 @@
-"""Backup and restore of libraries: a copy is a library itself, compared with its checksums before it gets its name.
-
-Everything is prepared in the folder ``NAME.part`` beside the new library: the copy in ``new``, the library that it
-replaces in ``old``. What a killed program left there is continued, or removed, by the next run.
-"""
+"""Backup and restore of libraries: a copy is a library itself, compared with its checksums before it gets its name."""
 
 from __future__ import annotations
 
 import os
-import shutil
 import sqlite3
-import sys
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 
 import sqlalchemy as sa
 
 from dousa.errors import LibraryDamagedError, LibraryError, LibraryLockedError
-from dousa.files.disk import lock_file, sync_folder, write_error
+from dousa.files.disk import sync_folder
 from dousa.library.care.damage import find_damage
 from dousa.library.results import Answer
 from dousa.library.store import schema
 from dousa.library.store.engine import Database, check_mark, is_url, make_engine, name_of, translate_error
+from dousa.library.store.exchange import exchange, prepare, settle
 from dousa.library.store.fragments import ARRAYS, Place, begin_store, find_store, open_store, put_aside, read_blocks
 from dousa.library.store.opening import check_version, open_database
 from dousa.messages import Count, Message, Progress
-
-_MADE_AGAIN = ("-windows", "-search", "-search-later", "-shm")
-_NEEDED = (".fragments", "-journal", "-wal", "")
-"""What belongs to a library file, by the ends of names; the file last, as without it there is no library."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +57,7 @@ def back_up(source: Database, to: str | os.PathLike[str], progress: Progress | N
     """Copy a library to a new file; as ``Library.backup``."""
     if is_url(to):
         raise LibraryError("library_backup.to_file", library=name_of(to))
-    _clear_left_overs(Path(to).absolute())
+    settle(Path(to).absolute().parent)
     if os.path.lexists(to):
         raise LibraryError("library_backup.exists", library=os.fspath(to))
     return _write(source, Path(to).absolute(), progress)
@@ -114,7 +104,7 @@ def _leave_log(path: Path) -> None:
 
 def _write(source: Database, path: Path, progress: Progress | None) -> BackupReport:
     start = time.perf_counter()
-    with _prepare(path) as folder:
+    with prepare(path) as folder:
         new = folder / "new" / path.name
         if source.engine.dialect.name == "sqlite":
             _copy_file(source, new, path, _counting(progress, "library_backup.copying"))
@@ -131,7 +121,7 @@ def _write(source: Database, path: Path, progress: Progress | None) -> BackupRep
             database.engine.dispose()
         n_bytes = sum(file.stat().st_size for file in (folder / "new").rglob("*") if file.is_file())
         _leave_log(path)  # what has come while this was copied is kept as well
-        replaced = _exchange(folder, path)
+        replaced = exchange(folder, path)
     return BackupReport(os.fspath(path), n_clips, n_rows, n_bytes, replaced, time.perf_counter() - start)
 
 
@@ -157,88 +147,6 @@ def _verify(database: Database, source: str, progress: Progress | None) -> tuple
         first = next(iter(findings.faults)).what
         raise LibraryDamagedError("library_backup.damaged", library=source, what=first, n=len(findings.faults))
     return findings.n_clips, findings.n_rows
-
-
-@contextmanager
-def _prepare(path: Path) -> Iterator[Path]:
-    """Make the folder to prepare a library in, alone; without the remains of a killed program."""
-    folder = path.with_name(f"{path.name}.part")
-    with _disk_errors(path):
-        _clear_left_overs(path)
-        folder.mkdir(parents=True, exist_ok=True)
-        with open(folder / "lock", "wb") as lock:
-            try:
-                lock_file(lock)
-            except OSError:
-                raise LibraryLockedError("library_backup.at_work", library=os.fspath(path)) from None
-            (folder / "old").mkdir(exist_ok=True)
-            shutil.rmtree(folder / "new", ignore_errors=True)
-            (folder / "new").mkdir()
-            try:
-                yield folder
-            except BaseException:
-                shutil.rmtree(folder / "new", ignore_errors=True)
-                raise
-            finally:
-                if sys.platform == "win32":  # Windows cannot delete an open file
-                    lock.close()
-                for own in ("old", "new", "lock", ""):
-                    with suppress(OSError):  # an old library stays in it until the next run
-                        (folder / own).unlink() if own == "lock" else (folder / own).rmdir()
-
-
-def _clear_left_overs(path: Path) -> None:
-    """Delete what programs that were killed have prepared in the folder of a library."""
-    for left in path.parent.glob("*.part/lock"):
-        with suppress(OSError), open(left, "r+b") as lock:
-            if not {one.name for one in left.parent.iterdir()} <= {"lock", "old", "new"}:
-                continue  # of another program
-            lock_file(lock)
-            if (left.parent / "old").exists():
-                (left.parent / "old").rmdir()  # fails with a library in it
-            shutil.rmtree(left.parent)
-    with suppress(OSError):
-        path.with_name(f"{path.name}.part").rmdir()
-
-
-def _exchange(folder: Path, path: Path) -> str | None:
-    """Give the new library its name; the old one goes to a folder, whose name is returned.
-
-    A file that is no part of a library made again is never deleted: it may be all that is left of one.
-    """
-    old, new = folder / "old", folder / "new"
-    pairs = [(path.with_name(path.name + end), old / (path.name + end)) for end in (*_MADE_AGAIN, *_NEEDED)]
-    earlier = None
-    if any(there.exists() and kept.exists() for there, kept in pairs):
-        earlier = _keep(old, path)  # of a program that was killed here; another library has its name since
-        old.mkdir()
-    for there, kept in pairs:
-        if there.exists():
-            there.rename(kept)
-    for end in (".fragments", ""):
-        if (new / (path.name + end)).exists():
-            (new / (path.name + end)).rename(path.with_name(path.name + end))
-    sync_folder(path.parent)
-    if any((old / (path.name + end)).exists() for end in _NEEDED):
-        return _keep(old, path)
-    shutil.rmtree(old, ignore_errors=True)
-    return earlier
-
-
-def _keep(old: Path, path: Path) -> str:
-    """Give a folder with an old library the first name that is free."""
-    names = (path.with_name(f"{path.name}.replaced{number or ''}") for number in count())
-    kept = next(name for name in names if not name.exists())
-    old.rename(kept)
-    return os.fspath(kept)
-
-
-@contextmanager
-def _disk_errors(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise write_error(path, error) from error
 
 
 def _copy_file(source: Database, new: Path, path: Path, tell: Count) -> None:

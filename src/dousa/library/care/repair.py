@@ -35,6 +35,7 @@ from dousa.library.search.text_store import keep_all_relations
 from dousa.library.store import checksums, schema
 from dousa.library.store.checksums import seal_positions, seal_rows
 from dousa.library.store.engine import Database
+from dousa.library.store.exchange import exchange, prepare
 from dousa.library.store.features import lacks, load_features, pack_positions, save_descriptions
 from dousa.library.store.forests import ask_trees, load_forest, save_answers
 from dousa.library.store.fragments import begin_store, put_aside
@@ -50,32 +51,28 @@ _LEFT_OUT = (
 )  # fmt: skip
 
 
-def salvage_library(database: Database) -> dict[int, str]:
-    """Copy every readable row into a new file, which replaces the old one, kept beside it as ``.damaged``.
+def salvage_library(database: Database) -> tuple[dict[int, str], str]:
+    """Copy every readable row into a new file, which replaces the old one.
 
-    Returns the names of lost clips, by number, if an index still has them.
+    Returns the names of lost clips, by number, if an index still has them; and the folder with the old one.
     """
     path = Path(os.path.realpath(database.where))  # a link to the library stays one
     with suppress(sqlite3.Error), database.alone() as connection:
         connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
     database.engine.dispose()
-    new = path.with_name(f"{path.name}.salvaged")
-    for end in ("", "-wal", "-shm"):
-        Path(f"{new}{end}").unlink(missing_ok=True)
-    fresh = open_database(new, create=True, read_only=False, timeout=5.0)
     name = f"file:{quote(os.fsencode(path.as_posix()))}?mode=ro"
-    try:
-        with closing(sqlite3.connect(name, uri=True)) as source:
-            saved, lost = _copy(source, fresh)
-        with fresh.alone() as connection:
-            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
-    finally:
-        fresh.engine.dispose()
-    for end in ("-wal", "-shm", ""):
-        if os.path.exists(f"{path}{end}"):
-            os.replace(f"{path}{end}", f"{path}.damaged{end}")
-    os.replace(new, path)
-    return {number: lost[number] for number in sorted(lost.keys() - saved)}
+    with prepare(path) as folder:
+        fresh = open_database(folder / "new" / path.name, create=True, read_only=False, timeout=5.0)
+        try:
+            with closing(sqlite3.connect(name, uri=True)) as source:
+                saved, lost = _copy(source, fresh)
+            with fresh.alone() as connection:
+                connection.execute("PRAGMA journal_mode = DELETE").fetchone()  # one file, without a log
+        finally:
+            fresh.engine.dispose()
+        kept = exchange(folder, path, "damaged", stays=(".fragments",))
+    assert kept is not None
+    return {number: lost[number] for number in sorted(lost.keys() - saved)}, kept
 
 
 def _copy(source: sqlite3.Connection, fresh: Database) -> tuple[set[int], dict[int, str]]:
@@ -209,9 +206,9 @@ def _salvage(database: Database, findings: Findings) -> list[Damage]:
     if not broken or database.engine.dialect.name != "sqlite":
         return []
     database.check_writable()
-    lost = salvage_library(database)
-    kept = Message("library_check.salvaged", name=f"{os.path.basename(database.where)}.damaged")
-    damage = [Damage(fault.what, None, None, kept, repaired=True) for fault in broken]
+    lost, kept = salvage_library(database)
+    how = Message("library_check.salvaged", name=os.path.basename(kept))
+    damage = [Damage(fault.what, None, None, how, repaired=True) for fault in broken]
     gone, again = Message("library_damage.clip"), Message("library_check.lost_clip")
     return damage + [Damage(gone, number, path, again, repaired=False) for number, path in lost.items()]
 

@@ -25,6 +25,7 @@ from sqlalchemy import event, exc
 
 from dousa.errors import LibraryDamagedError, LibraryError, LibraryLockedError, OptionError
 from dousa.library.store.checksums import LIBRARY_NAME, STATE, update_rows
+from dousa.library.store.exchange import settle
 from dousa.library.store.log_marks import check_log, leave_mark
 from dousa.library.store.schema import APPLICATION_ID, library_state
 
@@ -62,6 +63,8 @@ def make_engine(path_or_url: str | os.PathLike[str], *, create: bool, read_only:
     if is_url(path_or_url):
         return _server_engine(str(path_or_url), read_only, timeout)
     path = Path(os.path.realpath(path_or_url))  # as SQLite: logs and fragments lie beside the file, not beside a link
+    if not os.path.exists(path):
+        settle(path.parent)
     _check_place(path, create)
     engine = sa.create_engine(
         "sqlite+pysqlite://",
