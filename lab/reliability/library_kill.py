@@ -41,6 +41,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from dousa.app.stops import hear_stops
 from dousa.errors import LibraryError, is_interrupt
 from dousa.formats.registry import write_motion
 from dousa.library import Library
@@ -186,10 +187,10 @@ def work_in_process(path: Path, work: Work, wait: float | None, number: int = si
     """Do something in a process of its own, which gets a signal after some s; whether it was done before that."""
     child = os.fork()
     if child == 0:
-        signal.signal(signal.SIGTERM, signal.default_int_handler)  # as the command line has it
         code = 1
         try:
-            work(path)
+            with hear_stops():
+                work(path)
             code = 0
         except BaseException as error:
             code = 143 if is_interrupt(error) else 1

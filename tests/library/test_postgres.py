@@ -1,12 +1,15 @@
 """A library on a PostgreSQL server that these tests start; they are skipped where there is none."""
 
+import shutil
+import sqlite3
 import subprocess
 import sys
 import threading
+from contextlib import closing
 
 import pytest
 
-from dousa.errors import LibraryError, OptionError
+from dousa.errors import LibraryError, LibraryVersionError, OptionError
 from dousa.library import Library
 from library.database_server import connect_plainly
 
@@ -110,3 +113,31 @@ def test_of_several_who_undo_one_change_one_does(url, moves):
     assert sorted(outcomes) == ["journal.undone_already"] * 3 + ["remove"]
     with Library.open(url) as library:
         assert library.check().is_sound
+
+
+@pytest.mark.parametrize("number", [16, 18])
+def test_tables_of_another_version_are_refused_and_not_changed(url, library_file, tmp_path, number):
+    """Of a database, where it is opened; of a file, which nothing is taken from."""
+    other = f"UPDATE dousa_migrations SET number = {number}"
+    shutil.copy(library_file, tmp_path / "other.dousa")
+    with closing(sqlite3.connect(tmp_path / "other.dousa")) as connection, connection:
+        connection.execute(other)
+    for attempt in range(2):  # the second time, of a database with tables and without clips
+        with pytest.raises(LibraryVersionError, match=rf"tables {number}\b"):
+            Library.restore(tmp_path / "other.dousa", url)
+        with connect_plainly(url) as connection:
+            tables = connection.execute("SELECT 1 FROM pg_tables WHERE tablename = 'clips'").fetchall()
+        assert len(tables) == attempt
+        Library.open(url, create=True).close()
+    Library.restore(library_file, url)
+    with connect_plainly(url) as connection:
+        connection.execute(other)
+    for visit in (
+        lambda: Library.open(url),
+        lambda: Library.open(url, create=True),
+        lambda: Library.restore(library_file, url),
+        lambda: Library.restore(url, tmp_path / "again.dousa"),
+    ):
+        with pytest.raises(LibraryVersionError, match=rf"tables {number}\b"):
+            visit()
+    assert not (tmp_path / "again.dousa").exists() and not list(tmp_path.rglob("*.part"))

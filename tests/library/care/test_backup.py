@@ -164,3 +164,60 @@ def test_a_restore_keeps_what_belonged_to_a_library_that_is_not_there(library, l
         "other.dousa-journal",
     }
     assert report.replaced == f"{tmp_path / 'other.dousa'}.replaced"
+
+
+_ENDED = """
+import os, sys
+from pathlib import Path
+from dousa.library import Library
+left, rename = [int(sys.argv[1])], Path.rename
+def count(self, target):
+    if not left[0]:
+        os._exit(9)
+    left[0] -= 1
+    return rename(self, target)
+Path.rename = count
+Library.restore(*sys.argv[3:]) if sys.argv[2] == "restore" else Library.open(sys.argv[3]).backup(sys.argv[4])
+"""
+
+
+@pytest.mark.sqlite
+@pytest.mark.parametrize(("what", "n"), [*(("restore", n) for n in range(6)), *(("backup", n) for n in range(3))])
+def test_a_program_that_ends_between_two_renames_leaves_one_whole_library(library, tmp_path, what, n):
+    """Who opens the name next finds the old library or the new one, with its fragments, and no left-over."""
+    library.compact(fragments="")
+    library.tag([1], add=["new"])
+    library.backup(tmp_path / "from.dousa")
+    library.tag([1], add=["old"], remove=["new"])
+    library.close()
+    target = tmp_path / ("moves.dousa" if what == "restore" else "to.dousa")
+    words = [what, tmp_path / "from.dousa", target]
+    assert subprocess.run([sys.executable, "-c", _ENDED, str(n), *words], check=False).returncode == 9
+    if what == "restore" or n:
+        with Library.open(target) as found:
+            assert found.check().is_sound
+            assert found.tags() == ({"old": 1} if what == "restore" and n < 3 else {"new": 1})
+    else:
+        with pytest.raises(LibraryError, match="no library at"):
+            Library.open(target)
+    if what == "restore":
+        Library.restore(tmp_path / "from.dousa", target)
+    elif not n:
+        with closing(Library.open(tmp_path / "from.dousa")) as source:
+            source.backup(target)
+    with Library.open(target) as found:
+        assert found.tags() == {"new": 1} and found.check().is_sound
+    assert not list(tmp_path.rglob("*.part"))
+    kept = [Library.open(folder / "moves.dousa", read_only=True) for folder in tmp_path.glob("*.replaced*")]
+    assert len(kept) <= 2 and ({"old": 1} in [one.tags() for one in kept]) == (what == "restore")
+    for one in kept:
+        one.close()
+
+
+@pytest.mark.sqlite
+def test_a_backup_that_fails_leaves_no_folder(library, tmp_path):
+    with library.database.alone() as connection:
+        connection.execute("UPDATE clips SET category = 'x' WHERE id = 1")
+    with pytest.raises(LibraryDamagedError):
+        library.backup(tmp_path / "a" / "b" / "copy.dousa")
+    assert not (tmp_path / "a").exists()

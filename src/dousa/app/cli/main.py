@@ -13,7 +13,6 @@ import logging
 import os
 import signal
 import sys
-import threading
 import warnings
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -33,6 +32,7 @@ from dousa.app.cli.usage import (
     to_typer_command,
 )
 from dousa.app.output import fail, survive_narrow_encodings
+from dousa.app.stops import hear_stops
 from dousa.errors import DousaError, OptionError, is_interrupt
 from dousa.messages import Message
 from dousa.workers.current import use_cluster
@@ -162,29 +162,11 @@ def run_application(application: typer.Typer) -> None:
     # and again would take a tenth of the time of a search.
     gc.set_threshold(300_000)
     survive_narrow_encodings()
-    terminated: list[int] = []
-
-    def terminate(number: int, frame: object) -> None:
-        terminated.append(number)
-        raise KeyboardInterrupt
-
-    def send_again(lost: sys.UnraisableHookArgs) -> None:
-        """Where Python drops the exception of a signal, as in what it does when an object is deleted."""
-        if issubclass(lost.exc_type, KeyboardInterrupt):
-            threading.Timer(0.01, signal.raise_signal, [*terminated, signal.SIGINT][:1]).start()
-        else:
-            sys.__unraisablehook__(lost)
-
-    before = signal.signal(signal.SIGTERM, terminate)
-    sys.unraisablehook = send_again
-    try:
+    with hear_stops() as came:
         code = _run(application)
-    finally:
-        signal.signal(signal.SIGTERM, before)
-        sys.unraisablehook = sys.__unraisablehook__
     if code == INTERRUPTED:  # Typer turns Ctrl-C into this exit code and says nothing
         fail(Message("cli.interrupted"))
-    if terminated:
+    if signal.SIGTERM in came:
         code = TERMINATED
     if code:
         sys.exit(code)

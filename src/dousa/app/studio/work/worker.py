@@ -18,6 +18,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, cast
 
+from dousa.app.stops import hear_stops
 from dousa.app.studio.core.answers import Answer, RefusedError, describe_disk, name_error, pack, to_message
 from dousa.app.studio.core.workspace import open_private
 from dousa.app.studio.jobs.board import Lane
@@ -79,6 +80,11 @@ def main() -> None:
     # A studio that a script started in the background ignores Ctrl-C, and so would we: it is how work is stopped.
     for stop in (signal.SIGINT, signal.SIGTERM):
         signal.signal(stop, signal.default_int_handler)
+    with hear_stops():
+        _work()
+
+
+def _work() -> None:
     # What libraries print must not come between our lines: they get standard error.
     out = os.fdopen(os.dup(1), "w", encoding="utf-8", errors="replace", buffering=1)
     os.dup2(2, 1)
