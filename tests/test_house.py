@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_066,
+    "lines of tests": 62_154,
     "lines of JavaScript": 12_472,
     "constants": 1_043,
     "numeric constants without a source": 0,
