@@ -24,14 +24,14 @@ ROOMS = {
     "experiments": (1_722, 10),
     "files": (1_126, 8),
     "formats": (13_162, 70),
-    "library": (15_901, 58),
+    "library": (15_905, 58),
     "messages": (235, 3),
     "motion": (6_484, 34),
     "retrieval": (13_255, 47),
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_154,
+    "lines of tests": 62_160,
     "lines of JavaScript": 12_472,
     "constants": 1_043,
     "numeric constants without a source": 0,

@@ -102,6 +102,12 @@ def test_the_log_of_another_file_is_refused(library, library_file, tmp_path):
         assert opened.tags() == {} and opened.check().is_sound
 
 
+def test_a_forest_of_another_version_is_copied(library, tmp_path, monkeypatch):
+    monkeypatch.setattr("dousa.retrieval.forest.forest_file._VERSION", 99)
+    assert not library.check().is_sound
+    assert library.backup(tmp_path / "copy.dousa").n_clips == len(library.clips())
+
+
 @pytest.mark.sqlite
 def test_what_cannot_be_copied_is_said(library, library_file, tmp_path):
     taken = tmp_path / "taken.dousa"

@@ -142,7 +142,7 @@ def _counting(progress: Progress | None, code: str) -> Count:
 
 def _verify(database: Database, source: str, progress: Progress | None) -> tuple[int, int]:
     """Compare everything with its checksum; returns clips and rows, LibraryDamagedError if something is damaged."""
-    findings = find_damage(database, _counting(progress, "library_check.checking"))
+    findings = find_damage(database, _counting(progress, "library_check.checking"), forests=False)
     if findings.faults:
         first = next(iter(findings.faults)).what
         raise LibraryDamagedError("library_backup.damaged", library=source, what=first, n=len(findings.faults))

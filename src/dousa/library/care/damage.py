@@ -125,8 +125,11 @@ class Findings:
         self.faults[fault] = None
 
 
-def find_damage(database: Database, tell: Count | None = None, *, at_once: int = 64) -> Findings:
-    """Check everything in a library, ``at_once`` rows in a transaction; more need more memory."""
+def find_damage(database: Database, tell: Count | None = None, *, forests: bool = True, at_once: int = 64) -> Findings:
+    """Check everything in a library, ``at_once`` rows in a transaction; more need more memory.
+
+    ``forests`` : whether forests that are as they were written can be used by this dousa.
+    """
     findings = Findings()
     report = tell or (lambda done, total: None)
     with _noting(findings), database.reading() as connection:
@@ -151,7 +154,8 @@ def find_damage(database: Database, tell: Count | None = None, *, at_once: int =
         _check_fragments(connection, findings)
     with _noting(findings), database.reading() as connection:
         _check_state(connection, findings)
-        _check_forest(connection, database.where, findings)
+        if forests:
+            _check_forest(connection, database.where, findings)
     with _noting(findings), database.reading() as connection:
         for file in find_files(connection, database.where):
             if not check_portion(file):
