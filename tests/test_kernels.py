@@ -35,6 +35,16 @@ def shift(values, out):
         out[t] = double_greater(values[greater(t - 2, 0)], 0.5) / values[0]
 
 
+def test_who_waits_is_told_what_is_compiled(monkeypatch):
+    seen = []
+    monkeypatch.setattr(kernel_compiler.CPUDispatcher, "compile", lambda made, sig: seen.append([*kernels.under_way]))
+    made = kernel_compiler.compile_kernel(shift.py_func, False, False)
+    for is_kept in (False, True):
+        monkeypatch.setattr(type(made), "is_kept", lambda self, known=is_kept: known)
+        made.compile(())
+    assert seen == [["shift"], []] and not kernels.under_way
+
+
 def test_a_kernel_does_what_its_parts_say():
     values = np.linspace(0.0, 1.0, 9)
     out = np.empty(9)

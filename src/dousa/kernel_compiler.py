@@ -22,6 +22,8 @@ from numba.core.types import unliteral
 from numba.core.types.functions import BaseFunction
 from numba.np import linalg
 
+from dousa.kernels import under_way
+
 
 def _load_arrays() -> None:
     """Load what Numba knows of arrays, but not SciPy, of which it wants to see that it is there.
@@ -162,15 +164,19 @@ class _Kernel(CPUDispatcher):
 
     def is_kept(self) -> bool:
         """Tell whether it need not be compiled, as this or another process has done so."""
-        return bool(self.overloads) or os.path.exists(self._cache._cache_file._index_path)
+        file = getattr(self._cache, "_cache_file", None)  # none for a function within another
+        return bool(self.overloads) or (file is not None and os.path.exists(file._index_path))
 
     def compile(self, sig: Any) -> Any:
         """Compile while nothing is collected: of a tenth of the time Python looks through what the compiler keeps."""
-        collects = gc.isenabled()
+        collects, before = gc.isenabled(), len(under_way)
         gc.disable()
+        if not self.is_kept():
+            under_way.append(self.py_func.__name__)
         try:
             return super().compile(sig)
         finally:
+            del under_way[before:]
             if collects:
                 gc.enable()
 

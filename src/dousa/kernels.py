@@ -19,6 +19,9 @@ from typing import Any, overload
 
 import numpy as np
 
+under_way: list[str] = []
+"""Names of the kernels that are being compiled now, which none has been before: for those who wait."""
+
 
 class _Effort:
     """What this process does without compiled code, in numbers of 0.2 us each (``python -m lab.benchmarks.first_run``).

@@ -174,7 +174,13 @@ def test_plot_writes_a_picture(dousa, motions, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "words", [("{tmp}/nowhere",), ("{dir}", "--category-from", "mood"), ("{dir}", "--read", "unit=furlong")]
+    "words",
+    [
+        ("{tmp}/nowhere",),
+        ("{dir}", "--category-from", "mood"),
+        ("{dir}", "--read", "unit=furlong"),
+        ("{dir}/walk/p0.bvh", "--read", "file_rate=1e9"),
+    ],
 )
 def test_a_mistaken_add_leaves_no_library(dousa, motions, tmp_path, words):
     places = {"tmp": tmp_path, "dir": motions}

@@ -263,6 +263,7 @@ class TestEstimateAround:
             (("SEEN", "--body", "x.toml"), "x.toml"),
             (("SEEN", "--stature", 0.17), "stature"),
             (("SEEN", "--stature", 170), "centimetres"),
+            (("SEEN", "--cameras", "x.toml", "--stature", 170), "centimetres"),
             (("SEEN", "--cameras", "x.toml"), "x.toml"),
             (("SEEN", "--frames", "5:5"), "--frames"),
             (("SEEN", "SEEN"), "cannot be combined with other sources"),

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rich.console import Console
+    from rich.progress import Task
+    from rich.text import Text
 
     from dousa.errors import DousaError
     from dousa.formats.motion_files import Skipped
@@ -127,11 +129,19 @@ def progress_bar() -> Iterator[ProgressCallback]:
         return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+    from dousa.kernels import under_way
+
+    class Compiling(TextColumn):
+        def render(self, task: Task) -> Text:
+            self.text_format = str(Message("cli.compiling")) if under_way else ""
+            return super().render(task)
+
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
+        Compiling(""),
         console=console(stderr=True),
         transient=True,
     )

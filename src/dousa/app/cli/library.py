@@ -26,7 +26,7 @@ from dousa.app.requests.library import (
 )
 from dousa.app.requests.reading import PartReading, Reading
 from dousa.app.targets import check_targets
-from dousa.errors import LibraryError, MotionFileError, OptionError
+from dousa.errors import LibraryError, OptionError
 from dousa.extras import require
 from dousa.messages import Message
 from dousa.workers.current import current_cluster
@@ -197,17 +197,16 @@ def _open_to_add(library: str, paths: list[Path]) -> Library:
 
 @contextmanager
 def _leave_no_empty(library: str) -> Iterator[None]:
-    """A new library goes again where a table of labels does not fit its take: nothing has been written into it."""
+    """A new library goes again where nothing came into it, as of damaged files alone."""
     is_new = "://" not in library and not os.path.exists(library)
     try:
         yield
-    except MotionFileError:
+    finally:
         if is_new and os.path.exists(library):
             with open_to_read(library) as opened:
                 is_empty = not opened.clips()
             if is_empty:
                 os.remove(library)
-        raise
 
 
 def _check_labels(paths: list[Path], rule: str, tier: str | None) -> None:

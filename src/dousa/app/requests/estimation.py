@@ -99,6 +99,14 @@ BodyFile = Annotated[
 Stature = Annotated[float | None, typer.Option("--stature", metavar="M", help="Stature of the person in metres.")]
 
 
+def _check_stature(request: Any) -> None:
+    """Check the stature before anything is read."""
+    if request.stature is not None:
+        from dousa.estimation.body.human import check_stature
+
+        check_stature(request.stature)
+
+
 @dataclasses.dataclass(frozen=True, slots=True)
 class Outputs:
     """The files to write.
@@ -238,6 +246,7 @@ class EstimationRequest:
     options: ReadOptions = dataclasses.field(default_factory=lambda: _read_options({}))
 
     def __post_init__(self) -> None:
+        _check_stature(self)
         for name, choices in _CHOICES.items():
             found = getattr(self, name)
             if found not in get_args(choices) and not (found is None and name in _OPTIONAL):
@@ -442,6 +451,8 @@ class RenderRequest:
     frames: Frames = None
     options: ReadOptions = dataclasses.field(default_factory=lambda: _read_options({}))
 
+    __post_init__ = _check_stature
+
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class CalibrationRequest:
@@ -471,6 +482,8 @@ class CalibrationRequest:
     offsets: Offsets = "auto"
     rate: Rate = None
     size: PictureSize = None
+
+    __post_init__ = _check_stature
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

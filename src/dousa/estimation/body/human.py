@@ -85,7 +85,7 @@ def make_human(
     ------
     BodyModelError : a stature no person has, an unknown sex or measure, a measure far from any person's.
     """
-    stature = _check_size("stature", stature, "person.stature", 0.3, 3.0)  # a doll; the tallest person with a hat on
+    stature = check_stature(stature)
     if sex not in SEXES:
         raise BodyModelError("person.sex", measure="sex", known=SEXES, found=str(sex))
     factors = dict.fromkeys(MEASURES, 1.0) | SEX_FACTORS[sex]
@@ -96,6 +96,11 @@ def make_human(
         # Beyond these shares of what is usual for the stature, a unit is wrong.
         factors[name] = _check_size(name, value, "person.size", 0.4 * usual[name], 2.5 * usual[name]) / usual[name]
     return _ease(_apply(_average(stature), factors))
+
+
+def check_stature(stature: float) -> float:
+    """Return a stature in m; BodyModelError for one that no person has."""
+    return _check_size("stature", stature, "person.stature", 0.3, 3.0)  # a doll; the tallest person with a hat on
 
 
 def _check_size(measure: str, value: float, code: str, least: float, most: float) -> float:

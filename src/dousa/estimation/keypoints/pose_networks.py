@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -262,6 +264,22 @@ def sigmoid(values: NDArray[np.floating[Any]]) -> FloatArray:
     return np.asarray(1 / (1 + np.exp(-np.clip(values.astype(np.float64), -60, 60))))
 
 
+_one_at_a_time = threading.Lock()
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Keep what LiteRT writes of itself, which no option of it prevents, from standard error."""
+    with _one_at_a_time, ExitStack() as left:  # else a second thread would take nothing for standard error
+        with suppress(OSError):  # it is closed
+            kept = os.dup(2)
+            left.callback(os.close, kept)
+            left.callback(os.dup2, kept, 2)
+            with open(os.devnull, "wb") as nothing:
+                os.dup2(nothing.fileno(), 2)
+        yield
+
+
 class _Network:
     """A loaded tflite model."""
 
@@ -269,8 +287,9 @@ class _Network:
         module = require("ai_edge_litert.interpreter", "film")
         n_threads = threads or min(4, os.cpu_count() or 1)
         try:
-            self._interpreter = module.Interpreter(model_path=str(path), num_threads=n_threads)
-            self._interpreter.allocate_tensors()
+            with _silence():
+                self._interpreter = module.Interpreter(model_path=str(path), num_threads=n_threads)
+                self._interpreter.allocate_tensors()
         except (ValueError, RuntimeError) as error:
             raise KeypointError("models.unusable", reason=str(error)[:200]).at(path) from error
         self._input = self._interpreter.get_input_details()[0]["index"]
