@@ -38,7 +38,7 @@ def shift(values, out):
 def test_who_waits_is_told_what_is_compiled(monkeypatch):
     seen = []
     monkeypatch.setattr(kernel_compiler.CPUDispatcher, "compile", lambda made, sig: seen.append([*kernels.under_way]))
-    made = kernel_compiler.compile_kernel(shift.py_func, False, False)
+    made = kernel_compiler.compile_kernel(shift.py_func, kernels.under_way, False, False)
     for is_kept in (False, True):
         monkeypatch.setattr(type(made), "is_kept", lambda self, known=is_kept: known)
         made.compile(())
@@ -79,6 +79,7 @@ def test_a_part_is_compiled_once_for_constants_and_for_what_is_computed():
         targetoptions=kernel_compiler._options(False, False),
         pipeline_class=kernel_compiler._KernelCompiler,
     )
+    call_it.under_way = []
     assert call_it(2) == 5.5
     assert [str(kinds) for kinds in greater.overloads] == ["(int64, int64)", "(float64, float64)"]
 

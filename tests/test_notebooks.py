@@ -2,9 +2,11 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import dousa
@@ -54,6 +56,13 @@ def test_an_assessment_is_short_a_table_and_plays(judged, tmp_path):
     assert "createPlayer(" in page and not re.search(r'(?:src|href)="?https?:', page)
 
 
+@pytest.mark.parametrize("make", [lambda m: m, dousa.compute_trajectories, canonicalise])
+def test_a_motion_plays_as_the_last_value_of_a_cell(make):
+    assert make(make_motion("walk", draw_performer(3)))._repr_html_().startswith("<iframe srcdoc=")
+    nobody = dousa.motion.Trajectories(("a", "b"), np.zeros((2, 2, 3)), 30.0)
+    assert nobody._repr_html_() is None
+
+
 @pytest.mark.parametrize("package", ["pandas", "polars"])
 def test_rows_become_a_frame(package, judged, monkeypatch):
     frames = pytest.importorskip(package)
@@ -67,6 +76,8 @@ def test_columns_are_plain_and_a_missing_package_is_said(judged, monkeypatch):
     monkeypatch.setattr(dousa.notebooks, "require", lambda package, extra: SimpleNamespace(DataFrame=dict))
     columns = judged.to_frame()
     assert {"kind", "start_s", "severity"} <= set(columns) and "segments" not in columns
+    nothing = dousa.to_frame(replace(judged, events=()))
+    assert list(nothing) == list(columns) and not any(nothing.values())
 
     def refuse(package, extra):
         raise MissingExtraError(package, extra)

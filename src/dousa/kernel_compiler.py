@@ -22,8 +22,6 @@ from numba.core.types import unliteral
 from numba.core.types.functions import BaseFunction
 from numba.np import linalg
 
-from dousa.kernels import under_way
-
 
 def _load_arrays() -> None:
     """Load what Numba knows of arrays, but not SciPy, of which it wants to see that it is there.
@@ -161,6 +159,7 @@ class _Kernel(CPUDispatcher):
     """A function that Python calls."""
 
     _cache: Any
+    under_way: list[str]  # names of the kernels that are being compiled, of which ``dousa.kernels`` knows
 
     def is_kept(self) -> bool:
         """Tell whether it need not be compiled, as this or another process has done so."""
@@ -169,26 +168,27 @@ class _Kernel(CPUDispatcher):
 
     def compile(self, sig: Any) -> Any:
         """Compile while nothing is collected: of a tenth of the time Python looks through what the compiler keeps."""
-        collects, before = gc.isenabled(), len(under_way)
+        collects, before = gc.isenabled(), len(self.under_way)
         gc.disable()
         if not self.is_kept():
-            under_way.append(self.py_func.__name__)
+            self.under_way.append(self.py_func.__name__)
         try:
             return super().compile(sig)
         finally:
-            del under_way[before:]
+            del self.under_way[before:]
             if collects:
                 gc.enable()
 
 
-def compile_kernel(function: Callable[..., Any], allocates: bool, fastmath: Any) -> Any:
-    """Make the dispatcher of a kernel."""
+def compile_kernel(function: Callable[..., Any], under_way: list[str], allocates: bool, fastmath: Any) -> Any:
+    """Make the dispatcher of a kernel, whose name is in a list while it is compiled."""
     made = _Kernel(function, targetoptions=_options(allocates, fastmath), pipeline_class=_KernelCompiler)
+    made.under_way = under_way
     made.enable_caching()
     return made
 
 
-def compile_part(function: Callable[..., Any], allocates: bool, fastmath: Any) -> Any:
+def compile_part(function: Callable[..., Any], under_way: list[str], allocates: bool, fastmath: Any) -> Any:
     """Make the dispatcher of a part."""
     options = {"no_cpython_wrapper": True, **_options(allocates, fastmath)}
     return _Part(function, targetoptions=options, pipeline_class=_PartCompiler)

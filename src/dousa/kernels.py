@@ -76,7 +76,7 @@ class _Compiled:
 
         with _one_at_a_time:  # else two threads would compile it
             if "_dispatcher" not in vars(self):
-                self._dispatcher = getattr(kernel_compiler, self._made_by)(self.py_func, *self._options)
+                self._dispatcher = getattr(kernel_compiler, self._made_by)(self.py_func, under_way, *self._options)
         return vars(self)["_dispatcher"]
 
     def __call__(self, *args: Any, **named: Any) -> Any:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from dousa.errors import DousaError
 from dousa.extras import require
 
 _Class = TypeVar("_Class", bound=type)
@@ -19,6 +21,19 @@ def short_repr(kind: _Class) -> _Class:
     """Give a dataclass a repr on one line: arrays by their shape, long texts and collections by their length."""
     setattr(kind, "__repr__", _describe)  # noqa: B010  (a method of no type that a checker knows)
     return kind
+
+
+def plays(kind: _Class) -> _Class:
+    """Let a notebook play a motion where it is the last value of a cell; bodies that are no person's are written."""
+    setattr(kind, "_repr_html_", _play)  # noqa: B010  (as above)
+    return kind
+
+
+def _play(value: Any) -> str | None:
+    try:
+        return str(import_module("dousa").plot(value)._repr_html_())  # by name: what motions know lies below them
+    except DousaError:
+        return None  # the notebook shows its repr
 
 
 def _describe(value: Any) -> str:
@@ -36,10 +51,11 @@ def _shorten(value: Any, most: int = 60) -> str:
 
 
 class Tabular:
-    """An answer that is a table: its rows are the list ``_rows`` of its JSON."""
+    """An answer that is a table: its rows are the list ``_rows`` of its JSON, its ``_columns`` those without rows."""
 
     __slots__ = ()
     _rows: ClassVar[str]
+    _columns: ClassVar[str] = ""
 
     def to_frame(self) -> Any:
         """Return the rows as a data frame; see `to_frame`."""
@@ -47,7 +63,7 @@ class Tabular:
 
     def _repr_html_(self) -> str:
         rows = _list_rows(self)
-        names = list(rows[0]) if rows else []
+        names = list(rows[0]) if rows else self._columns.split()
         lines = ["".join(f"<th>{html.escape(name)}</th>" for name in names)]
         lines += ["".join(f"<td>{html.escape(_to_cell(row[name]))}</td>" for name in names) for row in rows]
         return f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
@@ -76,7 +92,8 @@ def to_frame(answer: Any) -> Any:
     3
     """
     rows = _list_rows(answer)
-    columns = {name: [row[name] for row in rows] for name in (rows[0] if rows else ())}
+    names = rows[0] if rows else getattr(answer, "_columns", "").split()
+    columns = {name: [row[name] for row in rows] for name in names}
     frames = require("polars" if find_spec("pandas") is None and find_spec("polars") else "pandas", "frames")
     return frames.DataFrame(columns)
 

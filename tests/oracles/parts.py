@@ -14,6 +14,6 @@ def run_part(part):
     def call(*arguments):
         return part(*arguments)
 
-    run = compile_kernel(call, True, False)
+    run = compile_kernel(call, [], True, False)
     run._cache = NullCache()  # a part that was changed would not be noticed
     return run

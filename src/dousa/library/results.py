@@ -151,6 +151,9 @@ class SearchResult(Tabular):
     """
 
     _rows: ClassVar[str] = "results"
+    _columns: ClassVar[str] = (
+        "path category distance rank clip_id leaf_share pose_distance rank_distance mirrored alike probability"
+    )
 
     query: str
     verdict: Verdict
@@ -516,6 +519,9 @@ class FindResult(Answer, Tabular):
     """
 
     _rows: ClassVar[str] = "results"
+    _columns: ClassVar[str] = (
+        "take clip_id start_s end_s score distance shared_leaves tempo mirrored rank alike probability"
+    )
 
     query: str
     duration: float

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.errors import InvalidMotionError
 from dousa.messages import Message
-from dousa.notebooks import short_repr
+from dousa.notebooks import plays, short_repr
 
 
 def freeze(array: NDArray[Any]) -> NDArray[Any]:
@@ -158,6 +158,7 @@ class Skeleton:
             raise InvalidMotionError("motion.unknown_joint", name=name, known=self.names) from None
 
 
+@plays
 @short_repr
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
@@ -221,6 +222,7 @@ class Motion:
         return dataclasses.replace(self, **changes)
 
 
+@plays
 @short_repr
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectories:

@@ -451,7 +451,8 @@ class RenderRequest:
     frames: Frames = None
     options: ReadOptions = dataclasses.field(default_factory=lambda: _read_options({}))
 
-    __post_init__ = _check_stature
+    def __post_init__(self) -> None:
+        _check_stature(self)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -483,7 +484,8 @@ class CalibrationRequest:
     rate: Rate = None
     size: PictureSize = None
 
-    __post_init__ = _check_stature
+    def __post_init__(self) -> None:
+        _check_stature(self)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

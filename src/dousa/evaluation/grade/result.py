@@ -171,6 +171,10 @@ class Assessment(Tabular):
     """
 
     _rows: ClassVar[str] = "events"
+    _columns: ClassVar[str] = (
+        "kind start_s end_s lag_ms shortfall_deg shortfall_percent severity says "
+        "deviation_deg facing_deg worst_s reference_s furi cause"
+    )
 
     frame_rate: float
     reference: PostureSequence

@@ -32,7 +32,7 @@ from dousa.motion.canonical.recipes import HAND_REACH, JointMap, Recipe, recipe_
 from dousa.motion.canonical.tree_shape import compare_sides, compute_forward, spread_frames
 from dousa.motion.resampling import fill_gaps
 from dousa.motion.types import Motion, Trajectories
-from dousa.notebooks import short_repr
+from dousa.notebooks import plays, short_repr
 
 
 def _bone(end: str, start: str) -> FloatArray:
@@ -73,6 +73,7 @@ class JointMapping:
     markers: bool | None = None
 
 
+@plays
 @short_repr
 @dataclass(frozen=True, slots=True, eq=False)
 class CanonicalMotion(CanonicalPoses):

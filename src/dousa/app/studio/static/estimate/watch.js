@@ -80,9 +80,9 @@ function showOutcome(job) {
   const weights = result.warning_weights ?? [];
   const says = result.warnings.map((text, at) => h("li", { class: weights[at] ?? "" }, weights[at] && weights[at] !== "good" ? h("b", { class: "weight" }, t(`weight_${weights[at]}`), " ") : null, text));
   const place = $("#outcome");
-  place.replaceChildren(
+  const parts = [
     h("h2", { id: "outcome-title", class: `trust ${trust}` }, t(`outcome_title_${trust}`)),
-    h("p", { class: "note" }, t(`outcome_trust_${trust}`)),
+    says.length ? h("p", { class: "note" }, t(`outcome_trust_${trust}`)) : null,
     h("ul", { class: "says" }, ...(says.length ? says : [h("li", { class: "good" }, t("outcome_good"))])),
     h("dl", { class: "outcome-facts" }, ...facts(result).flatMap(([name, value]) => [h("div", {}, h("dt", {}, name), h("dd", {}, value))])),
     h(
@@ -97,7 +97,8 @@ function showOutcome(job) {
       { class: "row" },
       ...result.files.map((name) => h("a", { class: "button small quiet", href: `/api/estimations/${job.id}/files/${name}`, download: name }, icon("download"), t(`file_${name}`))),
     ),
-  );
+  ];
+  place.replaceChildren(...parts.filter(Boolean));
   place.hidden = false;
 }
 
