@@ -320,6 +320,26 @@ def cover_trunk(walk: Walk) -> FloatArray:
 # From film to motion
 
 
+def _write_moving(
+    painter: ViewPainter, found: Estimate, film: NDArray[np.uint8], masks: NDArray[np.bool_], corner: tuple[int, int]
+) -> None:
+    """estimation_moving.webp: the film, and the model over it, a third of the frames."""
+    from PIL import Image
+
+    seen = np.zeros(found.body.n_parts, bool)
+    pages = []
+    for frame in range(0, found.n_frames, 3):
+        model = painter.paint(found.poses[frame], masks[frame], film[frame], seen)
+        window, large = (tuple(slice(scale * start, scale * (start + 250)) for start in corner) for scale in (1, 2))
+        page = Image.new("RGB", (508, 250), "white")
+        page.paste(Image.fromarray(to_rgb(film[frame][window])), (0, 0))
+        page.paste(Image.fromarray(to_rgb(model[large])).resize((250, 250)), (258, 0))
+        pages.append(page)
+    shown_ms = round(3000 / found.frame_rate)
+    pages[0].save(FIGURES / "estimation_moving.webp", save_all=True, append_images=pages[1:], duration=shown_ms, loop=0,
+                  quality=60, method=6)  # fmt: skip
+
+
 def draw_way(act: Act) -> None:
     """estimation_way.png: a drawn film, the silhouettes cut out of it, the model over it, the motion."""
     cameras = ring_around(act.points, 4, (480, 360))
@@ -343,6 +363,7 @@ def draw_way(act: Act) -> None:
         axes.spines[:].set_color(FAINT)
         write(figure, 0.101 + 0.212 * number, 0.915, name, 13.0, ha="center", weight="bold")
         write(figure, 0.207 + 0.212 * number, 0.42, "\N{RIGHTWARDS ARROW}", 17.0, ha="center", color=GREY)
+    _write_moving(painter, found, films[0], masks[0], (max(top, 0), max(left, 0)))
     figurine = to_figurine(found.motion)
     frames = np.linspace(0, found.n_frames - 1, 4).astype(int).tolist()
     spacing, _ = extent(figurine, frames, THREE_QUARTER)

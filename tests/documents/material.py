@@ -234,9 +234,6 @@ DONE_BEFORE: dict[tuple[str, str], tuple[str, ...]] = {
         "teacher_1, teacher_2 = (read(f'teacher_{take}.bvh') for take in (1, 2))",
         "frames = read('pupil.bvh').positions",
     ),
-    ("README.md", "dousa classify moves.dousa HDM_dg_kickLFront1Reps_013_120.amc --explain"): (
-        "dousa train moves.dousa",
-    ),
 }
 """What a page takes for done before the command that begins so: commands, or lines of Python."""
 
@@ -252,25 +249,16 @@ def make_material(folder: Path, data: Path) -> None:
 
 
 def make_readme_libraries(folder: Path, data: Path) -> tuple[str, ...]:
-    """The recordings of the README's answers, as links; returns the commands that make the two libraries of them.
+    """The recordings of the README's answers, as links; returns the command that makes the library of them.
 
-    ``moves.dousa`` gets ten categories of HDM05 by two people, ``waves.dousa`` has waves of the right hand only.
+    ``moves.dousa`` gets ten categories of HDM05 by two people.
     """
     for path in (data / "hdm05").glob("*/HDM_b*.amc"):
         where = "kicks" if path.parent.name.startswith("kick") else "ten"
         _link(path, folder / where / path.parent.name / path.name)
-    for category in ("raise-up-right-hand", "run", "wave-right-hand"):
-        for path in (data / "bandai" / category).glob("*/*.bvh"):
-            _link(path, folder / "waves" / category / path.name)
     for path in (*(data / "hdm05").glob("*.asf"), *(data / "hdm05").glob("*/HDM_dg_kickLFront1Reps_013_120.amc")):
         _link(path, folder / path.name)
-    name = "wave-left-hand_active_001.bvh"  # as the README shortens it
-    _link(data / "bandai/wave-left-hand/active" / f"dataset-2_{name}", folder / name)
-    return (
-        "dousa add moves.dousa ten --performer-from 'name:HDM_(..)_'",
-        "dousa add waves.dousa waves",
-        "dousa train waves.dousa",
-    )
+    return ("dousa add moves.dousa ten --performer-from 'name:HDM_(..)_'",)
 
 
 def _link(source: Path, link: Path) -> None:
