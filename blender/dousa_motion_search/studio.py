@@ -149,7 +149,7 @@ class Studio:
             self.discard(character)
 
     def _bvh(self, asked: dict[str, str]) -> str:
-        content: bytes = self._ask(f"/api/motions/bvh?{urllib.parse.urlencode(asked)}", raw=True)
+        content: bytes = self._ask(f"/api/motions/file?{urllib.parse.urlencode(asked)}", raw=True)
         return content.decode()
 
     def _ask(self, where: str, body: bytes | None = None, *, method: str | None = None, raw: bool = False) -> Any:

@@ -67,7 +67,7 @@ def use(client: Client, ids: list[int], takes: list[int], motion: bytes, chance:
         "thumbnails": (15, lambda: client.ask("POST", "/api/clips/thumbnails", {"clips": some})),
         "player": (10, lambda: client.ask("GET", f"/api/motions/player?motion=clip:{one}")),
         "pair": (10, lambda: client.ask("GET", f"/api/motions/pair?motion=clip:{one}&other=clip:{other}")),
-        "bvh": (2, lambda: client.ask("GET", f"/api/motions/bvh?motion=clip:{one}")),
+        "bvh": (2, lambda: client.ask("GET", f"/api/motions/file?motion=clip:{one}")),
         "page": (
             5,
             lambda: client.ask("GET", f"/{chance.choice(['library', 'search', 'takes', 'evaluate'])}"),

@@ -62,8 +62,8 @@ def test_options_of_a_file_become_those_that_it_is_read_with(tmp_path):
     assert reading.load() == ReadOptions({"left_knee": ("L_Kn",)}, "cm", "z", Path("a.asf"), 25.0, True)
     assert reading.files == (Path("a.asf"), path)
     assert Reading().load() == ReadOptions() and Reading(["any_skeleton=no"]).load() == ReadOptions()
-    assert PartReading(file_rate=25, person="Ben").load() == ReadOptions(frame_rate=25.0, person="Ben")
-    assert Reading(["animation=2"], file_rate=60).load() == ReadOptions(frame_rate=60.0, animation="2")
+    assert PartReading(["frame_rate=25"], person="Ben").load() == ReadOptions(frame_rate=25.0, person="Ben")
+    assert Reading(["animation=2", "frame_rate=60"]).load() == ReadOptions(frame_rate=60.0, animation="2")
     with pytest.raises(OptionError):
         Reading([f"joint_map={tmp_path / 'missing.txt'}"]).load()
 

@@ -96,7 +96,7 @@ def test_a_miniature_has_its_size(studio, kick):
 
 def test_a_download_has_all_joints_of_its_file(studio, kick, tmp_path):
     source = studio.app.state.studio.library.clips([kick])[0].path
-    answer = studio.get(f"/api/motions/bvh?motion=clip:{kick}&start_s=0.5&end_s=1")
+    answer = studio.get(f"/api/motions/file?motion=clip:{kick}&start_s=0.5&end_s=1")
     assert 'filename="' in answer.headers["content-disposition"]
     (tmp_path / "part.bvh").write_bytes(answer.content)
     part, whole = read_motion(tmp_path / "part.bvh"), read_motion(source)
@@ -114,7 +114,7 @@ def test_a_download_without_its_file_is_fitted(studio, kick, tmp_path):
     kept = Path(source).read_bytes()
     try:
         Path(source).unlink()
-        answer = studio.get(f"/api/motions/bvh?motion=clip:{kick}")
+        answer = studio.get(f"/api/motions/file?motion=clip:{kick}")
     finally:
         Path(source).write_bytes(kept)
     assert answer.status_code == 200, answer.text
@@ -132,7 +132,7 @@ def test_a_file_that_became_another_is_not_handed_out(studio, kick, tmp_path):
     kept = source.read_bytes()
     try:
         source.write_bytes(other.read_bytes())
-        answer = studio.get(f"/api/motions/bvh?motion=clip:{kick}")
+        answer = studio.get(f"/api/motions/file?motion=clip:{kick}")
     finally:
         source.write_bytes(kept)
     (tmp_path / "kick.bvh").write_bytes(answer.content)
@@ -164,7 +164,7 @@ def test_a_download_onto_a_character_has_its_skeleton(studio, kick, bvh, tmp_pat
         r"OFFSET (\S+) (\S+) (\S+)", lambda m: "OFFSET " + " ".join(str(0.5 * float(v)) for v in m.groups()), text
     )
     file = studio.post("/api/uploads", params={"name": "small.bvh"}, content=text.encode()).json()["files"][0]
-    answer = studio.get("/api/motions/bvh", params={"motion": f"clip:{kick}", "onto": file["motion"]})
+    answer = studio.get("/api/motions/file", params={"motion": f"clip:{kick}", "onto": file["motion"]})
     assert answer.status_code == 200, answer.text
     (tmp_path / "onto.bvh").write_bytes(answer.content)
     onto = read_motion(tmp_path / "onto.bvh")
@@ -180,7 +180,7 @@ def test_a_download_onto_a_character_has_its_skeleton(studio, kick, bvh, tmp_pat
 
 def test_a_character_without_rotations_is_refused(studio, kick):
     points = studio.post("/api/uploads", params={"name": "points.trc"}, content=POINTS.encode()).json()["files"][0]
-    answer = studio.get("/api/motions/bvh", params={"motion": f"clip:{kick}", "onto": points["motion"]})
+    answer = studio.get("/api/motions/file", params={"motion": f"clip:{kick}", "onto": points["motion"]})
     assert answer.status_code == 422
     assert "points.trc has no skeleton to move" in answer.json()["problem"]
 
@@ -188,7 +188,7 @@ def test_a_character_without_rotations_is_refused(studio, kick):
 def test_names_in_any_script_can_be_downloaded(studio, bvh):
     content = bvh.read_bytes()
     file = studio.post("/api/uploads", params={"name": '蹴り "1".bvh'.replace('"', "'")}, content=content).json()
-    answer = studio.get("/api/motions/bvh", params={"motion": file["files"][0]["motion"]})
+    answer = studio.get("/api/motions/file", params={"motion": file["files"][0]["motion"]})
     assert answer.status_code == 200, answer.text
     header = answer.headers["content-disposition"]
     assert "filename*=UTF-8''%E8%B9%B4" in header
@@ -298,6 +298,6 @@ def test_people_of_one_file_are_clips_of_their_own(studio, wait_job, tmp_path):
     found = [clip for clip in studio.app.state.studio.library.clips() if "two.bvh" in clip.path]
     assert sorted(clip.path.rpartition("#")[2] for clip in found) == ["person=Anna", "person=Ben"]
     for clip in found:
-        for page in ("motions/info", "motions/bvh"):
+        for page in ("motions/info", "motions/file"):
             answer = studio.get(f"/api/{page}", params={"motion": f"clip:{clip.id}"})
             assert answer.status_code == 200, answer.text

@@ -194,7 +194,7 @@ def test_legs_are_searched_and_paired(studio, uploaded):
     hit = found["results"][0]["motion"]
     pair = read(studio.get("/api/motions/pair", params={"motion": uploaded, "other": hit}))
     assert pair["reference"]["absent"] == []
-    refused = studio.get("/api/motions/bvh", params={"motion": uploaded})
+    refused = studio.get("/api/motions/file", params={"motion": uploaded})
     assert refused.status_code == 422
     assert "a part of a body" in refused.text
 

@@ -14,6 +14,7 @@ from dousa.errors import OptionError
 if TYPE_CHECKING:
     from dousa.formats.motion_files import ReadOptions
 
+_OWN = ("person", "animation")  # keys with options of their own where a command is about single files
 _YES, _NO = ("", "yes", "true", "1"), ("no", "false", "0")
 
 
@@ -31,10 +32,6 @@ class Reading:
             "any_skeleton (also animals); markers (on the skin, though named like joints; markers=no: joints).",
         ),
     ] = None
-    file_rate: Annotated[
-        float | None,
-        typer.Option("--file-rate", metavar="HZ", help="Frame rate of motion files, whatever they say themselves."),
-    ] = None
 
     @property
     def values(self) -> dict[str, Any]:
@@ -44,11 +41,8 @@ class Reading:
         ------
         OptionError : an unknown key, a key without a value, one given twice, a value that cannot be understood.
         """
-        return _parse((*(self.read or ()), *(f"{key}={value}" for key, value in self._given() if value is not None)))
-
-    def _given(self) -> tuple[tuple[str, Any], ...]:
-        """The keys that have options of their own."""
-        return (("frame_rate", self.file_rate),)
+        given = ((key, getattr(self, key, None)) for key in _OWN)
+        return _parse((*(self.read or ()), *(f"{key}={value}" for key, value in given if value is not None)))
 
     @property
     def files(self) -> tuple[Path | None, ...]:
@@ -86,10 +80,6 @@ class PartReading(Reading):
         str | None,
         typer.Option("--animation", metavar="NAME|N", help="Which of several animations. Default: the longest."),
     ] = None
-
-    def _given(self) -> tuple[tuple[str, Any], ...]:
-        parts = (("person", self.person), ("animation", self.animation))
-        return (("frame_rate", self.file_rate), *parts)
 
 
 def _parse(texts: Iterable[str]) -> dict[str, Any]:

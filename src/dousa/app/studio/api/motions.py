@@ -18,7 +18,6 @@ from dousa.app.studio.content.motions import (
     MotionName,
     MotionPart,
     MotionRef,
-    Named,
     Seconds,
     describe_character,
     name_file,
@@ -117,34 +116,11 @@ def get_pair(studio: StudioNow, asked: Annotated[_Pair, Query()]) -> Answer:
     )
 
 
-class _Download(MotionPart):
-    onto: MotionName | None = Field(default=None, description="a motion over the skeleton that it is brought onto")
-
-
 @router.get("/motions/miniature", summary="A small moving figure", **FILE)
 def get_miniature(studio: StudioNow, asked: Annotated[MotionPart, Query()]) -> Response:
     """Bytes for ``dousa.createMiniature`` of the pages."""
     content = encode_miniature(studio.motions.get(asked.ref()).motion)
     return Response(content, media_type="application/octet-stream")
-
-
-@router.get("/motions/bvh", summary="Download as BVH", **FILE)
-def get_bvh(studio: StudioNow, asked: Annotated[_Download, Query()]) -> Response:
-    """With every joint of the file it came from, if that is still there; else the joints that dousa compares.
-
-    Or on the skeleton of a character, as `dousa convert --onto` does.
-    """
-    ref = asked.ref()
-    named = studio.motions.get(ref)
-    return _answer_file(studio, named, ref, ".bvh", None if asked.onto is None else _find_character(studio, asked.onto))
-
-
-def _answer_file(
-    studio: Studio, named: Named, ref: MotionRef, suffix: str, onto: Path | None, keep_reach: bool = False
-) -> Response:
-    content = studio.motions.make_file(named, ref, suffix, onto, keep_reach)
-    headers = {"content-disposition": attachment(name_file(named, ref, suffix))}
-    return Response(content, media_type="application/octet-stream", headers=headers)
 
 
 export_router = APIRouter(tags=["export"])
@@ -226,14 +202,20 @@ class _FormatDownload(MotionPart, _Reach):
 
 @export_router.get("/motions/file", summary="Download in any format", **FILE)
 def get_motion_file(studio: StudioNow, asked: Annotated[_FormatDownload, Query()]) -> Response:
-    """As GET /api/motions/bvh, in any format that is written, with the mesh of a GLB character in a GLB."""
+    """With every joint of the file it came from, if that is still there; else the joints that dousa compares.
+
+    On the skeleton of a character, as `dousa convert --onto` does, with the mesh of a GLB character in a GLB.
+    """
     ref = asked.ref()
     named = studio.motions.get(ref)
     path = None if asked.onto is None else _find_character(studio, asked.onto)
     form = ExportFormat(asked.to, path, asked.keep_reach)
     if form.to == ORIGINAL:
         raise RefusedError(422, "export.format", found=form.to, known=tuple(list_formats()))
-    return _answer_file(studio, named, ref, list_formats()[form.to], path, form.keep_reach)
+    suffix = list_formats()[form.to]
+    content = studio.motions.make_file(named, ref, suffix, path, form.keep_reach)
+    headers = {"content-disposition": attachment(name_file(named, ref, suffix))}
+    return Response(content, media_type="application/octet-stream", headers=headers)
 
 
 def _find_character(studio: Studio, motion: str) -> Path:

@@ -123,7 +123,7 @@ export class Stage {
       h(
         "div",
         { class: "row" },
-        link(`/api/motions/bvh?${asked}`, "download_bvh", "download", { download: "", id: "download" }),
+        link(`/api/motions/file?${asked}`, "download_bvh", "download", { download: "", id: "download" }),
         h("button", { type: "button", class: "small", id: "onto", onclick: async () => (await import("../core/exporting.js")).openDownload(part) }, icon("download"), t("onto_character")),
         h("button", { type: "button", class: "small", id: "search-with", onclick: () => actions.searchWith(part) }, icon("search"), t("search_with")),
         link(`/evaluate?${judged}`, "evaluate_against", "mark"),
