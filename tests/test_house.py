@@ -18,30 +18,30 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_482, 113),
-    "estimation": (15_835, 65),
-    "evaluation": (11_984, 46),
+    "app": (25_478, 113),
+    "estimation": (15_859, 65),
+    "evaluation": (11_988, 46),
     "experiments": (1_722, 10),
     "files": (1_126, 8),
     "formats": (13_162, 70),
-    "library": (15_905, 58),
+    "library": (15_911, 58),
     "messages": (235, 3),
-    "motion": (6_484, 34),
+    "motion": (6_487, 34),
     "retrieval": (13_255, 47),
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_160,
-    "lines of JavaScript": 12_472,
-    "constants": 1_043,
+    "lines of tests": 62_179,
+    "lines of JavaScript": 12_460,
+    "constants": 1_044,
     "numeric constants without a source": 0,
     "functions over 60 lines": 13,
     "files over 650 lines": 0,
     "folders with more than 15 files": 0,
-    "lines with words that a native reader stumbles over": 44,
+    "lines with words that a native reader stumbles over": 46,
     "hand-written runs of a mask": 3,
     "commands": 32,
-    "options": 205,
+    "options": 191,
 }
 
 _LONG_FUNCTION, _LONG_FILE, _LARGE_FOLDER = 60, 650, 15

@@ -11,12 +11,6 @@ export function foldAnalysis(root) {
   fold.addEventListener("toggle", () => localStorage.setItem(FOLD, fold.open ? "open" : "closed"));
 }
 
-// On a phone the pictures of all figures would be a long way to scroll: the first one stays open.
-export function foldForPhones(root) {
-  if (window.innerWidth >= 700) return;
-  for (const card of [...root.querySelectorAll(".shape-card[open]")].slice(1)) card.open = false;
-}
-
 const shown = new WeakMap(); // element -> markup
 const KEEPS = ".scroll, .table-wrap";
 

@@ -5,7 +5,7 @@ import { $, h, icon, language, t } from "../core/dom.js";
 import { notify } from "../core/notices.js";
 import { Adjust } from "./adjust.js";
 import { Beside } from "./beside.js";
-import { foldAnalysis, foldForPhones, putParts } from "./parts.js";
+import { foldAnalysis, putParts } from "./parts.js";
 
 // What the teacher says of a performance: kept as it is typed, printed, and in the report that is downloaded.
 const SETTLE = 600; // ms without a key before it is kept
@@ -123,7 +123,6 @@ export class Result {
     putParts(this.root, answer.parts);
     this.keepNotes = putNotes($("[data-part='notes']", this.root), job, answer.notes);
     foldAnalysis(this.root);
-    foldForPhones(this.root);
     $("[data-part='files']", this.root).replaceChildren(h("span", { class: "row" }, ...downloadLinks(wanted)));
     this.data = answer.data;
     this.player = window.dousa.createPlayer($("#player", this.root), answer.player);

@@ -4,7 +4,7 @@ import { drawFigure, get } from "../core/api.js";
 import { openDialog } from "../core/dialog.js";
 import { $, formatSeconds, h, language, later, t } from "../core/dom.js";
 import { attempt, showProblem } from "../core/notices.js";
-import { foldAnalysis, foldForPhones, putParts } from "../evaluate/parts.js";
+import { foldAnalysis, putParts } from "../evaluate/parts.js";
 
 // One report to look at: advice, player and worst moments first; the analysis is folded.
 async function drawReport(root, id, repetitions) {
@@ -15,7 +15,6 @@ async function drawReport(root, id, repetitions) {
     putParts(root, answer.parts);
     sayNotes($("[data-part='notes']", root), answer.notes);
     foldAnalysis(root);
-    foldForPhones(root);
   }
   $("[data-part='files']", root)?.replaceChildren();
   const bind = repetitions ? window.dousa.bindExercise : window.dousa.bindReport;
