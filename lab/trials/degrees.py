@@ -4,8 +4,8 @@
 
 People of random shape and clothes (see `lab.trials.person_maker`; ``--mesh`` as in `lab.trials.made_people`) move
 before four phones that stand anywhere on a ring: 720 x 960 pixels, 30 Hz, rolled by up to 8 degrees, with a lens that
-bends lines and the noise of a dim room. ``tuned`` wear recordings of HDM05's bd and bk, and of UI-PRMD's (Vicon) people
-1 to 3, on which the fit was chosen; ``kept`` those of dg, and of people 4 and 5. Cameras are known. Needs the models
+bends lines and the noise of a dim room. ``tuned`` wear recordings of HDM05's dg, and of UI-PRMD's (Vicon) people 4 and
+5, on which the fit was chosen; ``kept`` those of bd and bk, and of people 1 to 3. Cameras are known. Needs the models
 (``dousa keypoints --install``). Prints for each number of views
 
 - keypoints: our fit, by BlazePose's heavy model; the stature is told with one view only;
@@ -53,8 +53,8 @@ _RATE, _FRAMES, _SIZE, _SMALL = 30.0, 45, (720, 960), 3
 _DIMNESS, _ROLL, _BEND, _STRAIGHT = 6.0, np.deg2rad(8.0), 0.12, 20.0
 # fmt: off
 _PEOPLE = {
-    "tuned": ["hdm05/*/HDM_b[dk]_*.[aA][mM][cC]", "uiprmd/vicon/*/correct/*_s0[123]_*.trc"],
-    "kept": ["hdm05/*/HDM_dg_*.[aA][mM][cC]", "uiprmd/vicon/*/correct/*_s0[45]_*.trc"],
+    "kept": ["hdm05/*/HDM_b[dk]_*.[aA][mM][cC]", "uiprmd/vicon/*/correct/*_s0[123]_*.trc"],
+    "tuned": ["hdm05/*/HDM_dg_*.[aA][mM][cC]", "uiprmd/vicon/*/correct/*_s0[45]_*.trc"],
 }
 _OWNERS = {"pelvis": "pelvis", "spine": "trunk", "hip": "thigh", "knee": "shank", "ankle": "foot",
            "shoulder": "upper_arm", "elbow": "forearm"}
@@ -228,11 +228,11 @@ def print_table(films: dict[str, Film], cues: list[str], counts: list[int], *, e
                 except Exception as error:  # a film that is refused is told, and left out
                     print(f"  {name} {cue} {count}: {type(error).__name__} {error}")
                     continue
-                rows.append([float(np.nanmean(errors[column])) for column in COLUMNS])
+                rows.append([float(reduce_known(np.nanmean, errors[column], 0)) for column in COLUMNS])
                 small.append(errors.get("stature", np.array([np.nan]))[0])
                 if each:
                     print(f"  {name}", cue, count, np.round(rows[-1], 1), f"{100 * small[-1]:.1f} %")
-            values = " | ".join(f"{value:.1f}" for value in np.mean(rows, axis=0))
+            values = " | ".join(f"{value:.1f}" for value in reduce_known(np.nanmean, np.array(rows), 0))
             print(f"| {count} | {cue} | {values} | {len(rows)} |", flush=True)
             if cue == "keypoints":
                 print(f"  stature found: {100 * np.mean(small):+.1f} %, spread {100 * np.std(small):.1f} %", flush=True)

@@ -16,6 +16,7 @@ from dousa.estimation import (
     triangulate,
 )
 from dousa.estimation.body.kinematics import compute_points, point_names
+from dousa.estimation.body.posing import standing_state
 from dousa.estimation.multiview.body_fit import _solve, find_covariance, force_weights
 from dousa.estimation.multiview.landmarks import find_sources, gather, place_landmarks
 from dousa.estimation.multiview.people import resample_track
@@ -130,7 +131,13 @@ class TestFit:
     def test_four_views_find_body_and_motion(self, body, poses, cameras):
         fit = fit_keypoints(cameras, film(body, poses, cameras)[0], NAMES, RATE)
         assert joint_error(fit, body, poses).mean() < 0.02
-        assert abs(fit.estimate.body.stature - 1.80) < 0.10
+        row = point_names(body).index("head")  # a stature is how high the head stands
+        true = np.divide(*(compute_points(own, standing_state(own))[row, 1] for own in (body, make_human(1.0))))
+        found, spread = fit.estimate.lengths["stature"]
+        assert fit.estimate.body.stature == found and abs(found - true) < 0.10 and 0 < spread < 0.05
+        thigh, spread = fit.estimate.lengths["thigh"]
+        true = np.linalg.norm(body.offsets[body.joints.index("left_knee")])
+        assert abs(thigh - true) < max(3 * spread, 0.01) and 0 < spread < 0.03
         assert not fit.estimate.lost.any()
         limits = body.angle_limits
         assert (fit.estimate.poses[:, 7:] >= limits[:, 0] - 1e-9).all()

@@ -74,7 +74,7 @@ class Estimation:
     def to_json(self) -> dict[str, Any]:
         """What ``dousa estimate --json`` prints."""
         answer = self.estimate.to_json()
-        keys = ("n_frames", "frame_rate", "iou", "lost_frames", "frames_per_second", "expected_error_m")
+        keys = ("n_frames", "frame_rate", "iou", "lost_frames", "frames_per_second", "expected_error_m", "lengths_m")
         trusted = ~self.estimate.lost
         uncertainty = self.estimate.uncertainty[trusted] if trusted.any() else self.estimate.uncertainty
         return {
@@ -398,21 +398,20 @@ def estimate_person(
         watcher.end(estimate)
     with silhouettes:
         written = write_outputs(request.outputs, estimate, silhouettes, cameras, report)
-    words = _body_words(request, estimate.body)
+    words = _body_words(request, estimate)
     return Estimation(estimate, films.names, words, Message("estimate.start_keypoints"), films.first_frame, 0, written,
                       tuple(dict.fromkeys(warnings)))  # fmt: skip
 
 
-def _body_words(request: EstimationRequest, body: BodyModel) -> Message:
-    from dousa.estimation.multiview.keypoint_fit import STATURE_SHARE
-
+def _body_words(request: EstimationRequest, estimate: Estimate) -> Message:
     if request.body is not None:
         return Message("text.verbatim", text=request.body)
     if request.stature is not None:
         return Message("body.stature_given", stature=request.stature)
     if len(request.sources) == 1:
-        return Message("body.assumed", stature=round(body.stature, 2))
-    return Message("body.of_keypoints", stature=body.stature, spread=STATURE_SHARE * body.stature)
+        return Message("body.assumed", stature=round(estimate.body.stature, 2))
+    stature, spread = estimate.lengths["stature"]
+    return Message("body.of_keypoints", stature=stature, spread=spread)
 
 
 def add_overlap(

@@ -49,6 +49,9 @@ def print_estimation(out: Console, done: Estimation, good: float = 0.75, fair: f
         say_line(out, "estimated.lost", n=len(lost), total=answer.n_frames, frames=frames, seconds=seconds)
     else:
         say_line(out, "estimated.none_lost")
+    lengths = [f"{name} {100 * length:.1f} ± {100 * spread:.1f}" for name, (length, spread) in answer.lengths.items()]
+    if lengths:
+        say_line(out, "estimated.lengths", lengths=lengths)
     _print_uncertainty(out, done)
     for path in done.outputs:
         say_line(out, "estimated.wrote", path=path)

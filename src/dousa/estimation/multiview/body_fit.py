@@ -55,6 +55,22 @@ class BodyParameters:
         return body, self.place(body).shifted(shifts)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedBody:
+    """A fitted body.
+
+    Parameters
+    ----------
+    body, landmarks : of the parameters.
+    values, covariance : (N + 3 G,) and (N + 3 G, N + 3 G) of all parameters.
+    """
+
+    body: BodyModel
+    landmarks: Landmarks
+    values: FloatArray
+    covariance: FloatArray
+
+
 def minimise(
     state: Any,
     evaluate: Callable[[Any], tuple[float, Any]],
@@ -97,7 +113,7 @@ def minimise(
 
 def fit_body_parameters(
     parameters: BodyParameters, poses: FloatArray, terms: Terms, *, steps: int = 8, settled: float = 1e-3
-) -> tuple[BodyModel, Landmarks]:
+) -> FittedBody:
     """Fit body and landmarks to a choice of frames, together with the poses.
 
     Parameters
@@ -127,8 +143,11 @@ def fit_body_parameters(
         return move
 
     state = (np.zeros(len(sigmas)), poses)
-    _, found = minimise(state, evaluate, linearise, steps=steps, settled=settled, damping=1e-2, most_damping=1e5)
-    return found[0], found[1]
+    state, found = minimise(state, evaluate, linearise, steps=steps, settled=settled, damping=1e-2, most_damping=1e5)
+    body, landmarks, square, gradient = found
+    others = _parameter_equations(parameters, state[0], body, landmarks, state[1], terms)
+    _, reduced, _ = _reduce(square, gradient, *others, 0.0)
+    return FittedBody(body, landmarks, state[0], np.linalg.inv(reduced))
 
 
 def _parameter_equations(
@@ -176,16 +195,27 @@ def _eliminate(
     damping: float,
 ) -> tuple[FloatArray, FloatArray]:
     """Return steps of the poses (T, D) and change of the parameters (N,)."""
+    solved, reduced, rest = _reduce(square, gradient, cross, own, pull, damping)
+    change = -np.linalg.solve(reduced, rest)
+    return -(solved[..., -1] + solved[..., :-1] @ change), change
+
+
+def _reduce(
+    square: FloatArray,
+    gradient: FloatArray,
+    cross: FloatArray,
+    own: FloatArray,
+    pull: FloatArray,
+    damping: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the poses' answers (T, D, N + 1) to the parameters and the gradient, and the parameters' equations."""
     size = np.arange(square.shape[1])
     damped = square.copy()
     damped[:, size, size] *= 1.0 + damping
     damped[:, size, size] += 1e-6
     solved = np.linalg.solve(damped, np.concatenate((cross, gradient[..., None]), axis=2))
     reduced = own + damping * np.diag(np.diag(own)) - np.einsum("tdn,tdm->nm", cross, solved[..., :-1])
-    rest = pull - np.einsum("tdn,td->n", cross, solved[..., -1])
-    change = -np.linalg.solve(reduced, rest)
-    steps = -(solved[..., -1] + solved[..., :-1] @ change)
-    return steps, change
+    return solved, reduced, pull - np.einsum("tdn,td->n", cross, solved[..., -1])
 
 
 def fit_trajectory(

@@ -7,7 +7,7 @@ depth.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from time import perf_counter
@@ -19,10 +19,10 @@ from dousa.errors import BodyModelError, KeypointError
 from dousa.estimation.body.body import BodyModel
 from dousa.estimation.body.human import LENGTHS, SEX_FACTORS, USUAL_STATURE, make_human
 from dousa.estimation.body.kinematics import compute_points, point_names
-from dousa.estimation.body.posing import fit_poses
+from dousa.estimation.body.posing import fit_poses, standing_state
 from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.keypoints.keypoints import PersonTrack
-from dousa.estimation.multiview.body_fit import BodyParameters, fit_body_parameters, fit_trajectory
+from dousa.estimation.multiview.body_fit import BodyParameters, FittedBody, fit_body_parameters, fit_trajectory
 from dousa.estimation.multiview.landmarks import BREADTHS, SHIFTS, Landmarks, SeenLandmarks, gather, place_landmarks
 from dousa.estimation.multiview.people import repair_sides
 from dousa.estimation.multiview.pose_residuals import Terms, place_points, point_slopes
@@ -31,9 +31,6 @@ from dousa.estimation.tracking.settings import Estimate
 from dousa.messages import Message, Progress
 from dousa.motion import rotations as rot
 from dousa.motion.resampling import fill_gaps
-
-STATURE_SHARE = 0.04
-"""Relative error of a stature from several views, measured by python -m lab.trials.made_people: 4 % small."""
 
 _MEASURES = ("upper_arm", "forearm", "thigh", "shank", "trunk", "shoulder_breadth", "hip_breadth", "head", "foot")
 _STATURE_SIGMA, _GIVEN_SIGMA, _MEASURE_SIGMA = 0.03, 0.01, 0.06  # of logarithms
@@ -113,16 +110,14 @@ def fit_keypoints(
     shown = [view for view in range(len(cameras)) if seen.seen[view].any()]
     places = _first_places(cameras, seen, shown)
     tell(1, 4, Message("multiview.body"))
-    given = body if body is not None else _usual_body(stature or _guess_stature(places, seen.names, len(shown)), sex)
+    given = body or _usual_body(stature or _guess_stature(places, seen.names, len(shown)), sex)
     poses, determined = _first_poses(given, places, seen.names, frame_rate)
-    terms = Terms(cameras, seen, frame_rate)
-    if len(shown) == 1:  # weight and ease were chosen on the films of lab/trials/made_people.py
-        terms = replace(terms, world_weight=1.0, ease=4.0)
-    own, landmarks = _find_body(given, body is None, stature, sex, poses, determined, terms)
+    one = len(shown) == 1  # weight and ease were chosen on the films of lab/trials/made_people.py
+    terms = Terms(cameras, seen, frame_rate, *((1.0, 4.0) if one else ()))
+    own, landmarks, lengths = _find_body(given, body is None, stature, sex, poses, determined, terms)
     tell(2, 4, Message("multiview.fitting"))
     poses, covariance = _fit_in_windows(own, poses, landmarks, terms, tell, window, margin)
-    seconds = perf_counter() - begun
-    fit = _answer(own, landmarks, (poses, covariance), terms, exchanged, n_frames / max(seconds, 1e-9))
+    fit = _answer((own, landmarks, lengths), (poses, covariance), terms, exchanged, begun)
     if len(cameras) > 1:
         return fit
     sigma = _STATURE_SIGMA if body is None and stature is None else _GIVEN_SIGMA  # the distance is no better known
@@ -213,8 +208,8 @@ def _find_body(
     terms: Terms,
     count: int = 60,
     rate: float = 40.0,
-) -> tuple[BodyModel, Landmarks]:
-    """Return the body and its landmarks from ``count`` frames of the whole film.
+) -> tuple[BodyModel, Landmarks, dict[str, tuple[float, float]]]:
+    """Return the body, its landmarks, and its lengths and their spread, from ``count`` frames of the whole film.
 
     As a network's errors are much the same all over a film, these count as if they followed each other at ``rate`` Hz.
     """
@@ -226,28 +221,66 @@ def _find_body(
     groups = tuple(group for group in SHIFTS if group in place_landmarks(given, names).groups)
     usual = given.stature
 
+    def measure(values: FloatArray) -> dict[str, float]:
+        sizes = dict(zip(_MEASURES, np.exp(values[1 : 1 + len(_MEASURES)]).tolist(), strict=True))
+        return _usual_measures(usual * float(np.exp(values[0])), sex, sizes)
+
     def build(values: FloatArray) -> BodyModel:
-        if not free:
-            return given
-        scale = usual * float(np.exp(values[0]))
-        return _usual_body(scale, sex, dict(zip(_MEASURES, np.exp(values[1:]).tolist(), strict=True)))
+        return make_human(usual * float(np.exp(values[0])), sex, measure(values)) if free else given
 
     first = _GIVEN_SIGMA if stature is not None or len(terms.cameras) == 1 else _STATURE_SIGMA
     sigmas = np.array([first, *[_MEASURE_SIGMA] * len(_MEASURES)]) if free else np.zeros(0)
     seen = terms.seen
     part = SeenLandmarks(names, seen.points[:, chosen], seen.visibility[:, chosen], seen.world[:, chosen])
     few = replace(terms, seen=part, frame_rate=rate)
-    return fit_body_parameters(
-        BodyParameters(build, lambda own: place_landmarks(own, names), sigmas, groups), poses[chosen], few
-    )
+    parameters = BodyParameters(build, lambda own: place_landmarks(own, names), sigmas, groups)
+    fitted = fit_body_parameters(parameters, poses[chosen], few)
+    if not free:
+        return fitted.body, fitted.landmarks, {}
+    lengths = _find_spreads(lambda values: {"stature": _stand(*parameters.make(values)), **measure(values)}, fitted)
+    if len(terms.cameras) > 1 and stature is None:
+        return replace(fitted.body, stature=lengths["stature"][0]), fitted.landmarks, lengths
+    sigma = _STATURE_SIGMA if stature is None else 0.0  # one view does not show how large anything is
+    lengths["stature"] = (usual, 0.0)
+    lengths = {name: (value, float(np.hypot(spread, sigma * value))) for name, (value, spread) in lengths.items()}
+    return fitted.body, fitted.landmarks, lengths
 
 
-def _usual_body(stature: float, sex: str, sizes: Mapping[str, float] | None = None) -> BodyModel:
-    """Return the body of the tables with anatomical breadths, its measures scaled by ``sizes``."""
+def _find_spreads(
+    measure: Callable[[FloatArray], dict[str, float]], fitted: FittedBody, step: float = 1e-4
+) -> dict[str, tuple[float, float]]:
+    """Return measures of a fitted body, each with its spread; slopes are differences over ``step`` of a parameter."""
+    here = measure(fitted.values)
+    moved = [measure(fitted.values + step * row) for row in np.eye(len(fitted.values))]
+    slopes = {name: np.array([other[name] - value for other in moved]) / step for name, value in here.items()}
+    return {name: (value, float(np.sqrt(slopes[name] @ fitted.covariance @ slopes[name])))
+            for name, value in here.items()}  # fmt: skip
+
+
+def _stand(body: BodyModel, landmarks: Landmarks) -> float:
+    """Return the stature of a body by how high its head is when it stands.
+
+    Arms and breadths say little of a stature; what stands on the floor adds up to it, hair and shoes left out.
+    """
+    rows = [row for row, group in enumerate(landmarks.groups) if group == "head"]
+    if not rows:
+        return body.stature
+    usual = make_human(body.stature)
+    plain = place_landmarks(usual, landmarks.names)
+    heights = [place_points(own, standing_state(own)[None], some)[0, rows, 1].mean()
+               for own, some in ((body, landmarks), (usual, plain))]  # fmt: skip
+    return body.stature * float(heights[0] / heights[1])
+
+
+def _usual_body(stature: float, sex: str) -> BodyModel:
+    """Return the body of the tables with anatomical breadths."""
+    return make_human(stature, sex, _usual_measures(stature, sex, dict.fromkeys(BREADTHS, 1.0)))
+
+
+def _usual_measures(stature: float, sex: str, sizes: Mapping[str, float]) -> dict[str, float]:
+    """Return the measures (m) of the tables with anatomical breadths, those of ``sizes`` scaled by them."""
     factors, shares = SEX_FACTORS[sex], LENGTHS | BREADTHS
-    measures = {name: stature * share * factors.get(name, 1.0) * (sizes or {}).get(name, 1.0)
-                for name, share in shares.items() if name in BREADTHS or sizes}  # fmt: skip
-    return make_human(stature, sex, measures)
+    return {name: stature * shares[name] * factors.get(name, 1.0) * size for name, size in sizes.items()}
 
 
 def _fit_in_windows(
@@ -270,12 +303,11 @@ def _fit_in_windows(
 
 
 def _answer(
-    body: BodyModel,
-    landmarks: Landmarks,
+    found: tuple[BodyModel, Landmarks, dict[str, tuple[float, float]]],
     fitted: tuple[FloatArray, FloatArray],
     terms: Terms,
     exchanged: BoolArray,
-    speed: float,
+    begun: float,
     *,
     most_sigma: float = 0.10,
     least_seen: float = 0.35,
@@ -286,6 +318,7 @@ def _answer(
     A frame is lost whose joints are known less well than ``most_sigma`` m, of whose landmarks two views (or the only
     one) show less than the share ``least_seen``, or whose points are off by ``most_error`` sigmas in the middle.
     """
+    body, landmarks, lengths = found
     limits = body.angle_limits
     poses, covariance = fitted[0].copy(), fitted[1]
     poses[:, 7:] = np.clip(poses[:, 7:], limits[:, 0], limits[:, 1])
@@ -314,7 +347,8 @@ def _answer(
         _find_hidden(body, landmarks, terms.seen),
         lost,
         (),
-        speed,
+        len(poses) / max(perf_counter() - begun, 1e-9),
+        lengths,
     )
     return KeypointFit(estimate, landmarks, terms.seen, exchanged, errors, doubt)
 

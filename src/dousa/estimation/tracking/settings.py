@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -164,6 +165,7 @@ class Estimate:
     lost : (T,) true without a person, or where the mean joint error is too likely above 150 mm.
     warnings : notes for the user.
     frames_per_second : tracking speed in wall-clock time.
+    lengths : of the body that were found, as `MEASURES`, and the stature: m, and the spread (one sigma) of each.
     """
 
     body: BodyModel
@@ -175,6 +177,7 @@ class Estimate:
     lost: NDArray[np.bool_]
     warnings: tuple[Message, ...] = ()
     frames_per_second: float = 0.0
+    lengths: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def n_frames(self) -> int:
@@ -215,5 +218,8 @@ class Estimate:
             "lost_frames": np.flatnonzero(self.lost).tolist(),
             "expected_error_m": np.round(self.expected_error, 4).tolist(),
             "frames_per_second": self.frames_per_second,
+            "lengths_m": {
+                name: {"length": length, "spread": spread} for name, (length, spread) in self.lengths.items()
+            },
             "warnings": [str(warning) for warning in self.warnings],
         }
