@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -266,22 +267,22 @@ NOT_THERE = {
     **{("count", name): "declares no number of frames" for name in ("table", "npz", "own.npz", "json", "amc", "mvnx")},
     ("gap", "glb"): "what lies between two keys is interpolated by the definition of the format",
     ("repeated rows", "glb"): "two keys at one time are a jump by the definition of the format",
-    ("exchanged rows", "glb"): "times that fall are refused, see test_gltf",
+    ("exchanged rows", "glb"): "times that fall are refused",
     ("other times", "glb"): "declares no rate beside the times",
-    ("count", "glb"): "times and values of other numbers are refused, see test_gltf",
+    ("count", "glb"): "times and values of other numbers are refused",
     ("1e300", "glb"): "as c3d",
-    ("far", "glb"): "as c3d",
-    ("nan", "glb"): "numbers must be finite: refused, see test_gltf",
+    ("far", "glb"): "numbers of 32 bits: what is lost was lost on writing",
+    ("nan", "glb"): "numbers must be finite: refused",
     ("infinite", "glb"): "as nan",
-    ("infinite", "own.npz"): "as glb, see test_npz",
+    ("infinite", "own.npz"): "as nan",
     ("zeros", "tsv"): "0 0 0 is missing by the definition of the format: no note",
     ("zeros", "json"): "as tsv",
-    ("count", "c3d"): "the file then holds more frames than it declares: bytes_over, see below",
+    ("count", "c3d"): "the file then holds more frames than it declares: said by its bytes",
     ("far", "c3d"): "numbers of 32 bits: what is lost was lost on writing",
     ("nan", "amc"): "has no spelling for missing values",
     ("1e300", "c3d"): "numbers of 32 bits hold no 1e300: it is infinite",
     ("infinite", "json"): "has no spelling for it",
-    ("infinite", "bvh"): "the numbers of a row must be finite: refused with the line, see test_bvh",
+    ("infinite", "bvh"): "the numbers of a row must be finite: refused with the line",
     ("infinite", "amc"): "as bvh",
 }
 
@@ -306,6 +307,30 @@ def test_a_fault_is_mended_or_refused_and_always_said(tmp_path, kind, name):
     np.testing.assert_allclose(places, right + off, atol=1e-3 if name == "c3d" else 1e-6)
     rate = {"other times": 50.0}.get(kind, RATE)
     assert motion.frame_rate == pytest.approx(rate, rel=1e-6)
+
+
+def make_table():
+    """The table of the document: what happens to each kind in each format, a letter for why it cannot be there."""
+    plain = {about: why for about, why in NOT_THERE.items() if not why.startswith("as ")}
+    letters = {why: "abcdefghijklmnopqrstuvwxyz"[n] for n, why in enumerate(dict.fromkeys(plain.values()))}
+    same = {
+        "as c3d": ("1e300", "c3d"),
+        "as tsv": ("zeros", "tsv"),
+        "as bvh": ("infinite", "bvh"),
+        "as nan": ("nan", "glb"),
+    }
+    lines = [f"| fault | {' | '.join(WRITERS)} |", "|" + " --- |" * (1 + len(WRITERS))]
+    for kind, (change, code) in KINDS.items():
+        usual = "refused" if change(File())[1] is None else "missing" if code is None else "noted"
+        reasons = [NOT_THERE.get((kind, name)) for name in WRITERS]
+        cells = [usual if why is None else letters[plain.get(same.get(why), why)] for why in reasons]
+        lines.append(f"| {kind} | {' | '.join(cells)} |")
+    return "\n".join([*lines, "", *(f"- {letter}: {why}" for why, letter in letters.items())])
+
+
+def test_the_document_has_the_table():
+    page = Path(__file__).parents[2] / "docs" / "formats.md"
+    assert make_table() in page.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", WRITERS)
@@ -339,6 +364,7 @@ JITTER = np.random.default_rng(0).uniform(-0.2, 0.2, 200)
         (tick(COUNTED, COUNTED * 1000 / RATE), RATE),  # ms
         (tick(COUNTED, 637_000_000_000_000_000 + np.round(COUNTED * 1e7 / 30), 30.0), 30.0),  # 100 ns since year 1
         (tick(COUNTED, (COUNTED + JITTER) / 30 + 1e5, 30.0), 30.0),
+        (tick(COUNTED, 1.7e18 + np.round(COUNTED * 1e9 / 50), None), 50.0),  # ns since 1970
         (tick(np.where(COUNTED == 50, np.nan, COUNTED), COUNTED / RATE), RATE),
         (tick(COUNTED, COUNTED / 0.5, 0.5), 0.5),
     ],
@@ -347,7 +373,7 @@ def test_clocks_of_real_files_are_believed(clock, rate):
     found = settle_clock("x.trc", clock, 200)
     assert found.rate == pytest.approx(rate)
     assert found.rows is None
-    assert not {note.code for note in found.notes} - {"guard.odd_rate", "guard.uneven_times"}
+    assert not {note.code for note in found.notes} - {"guard.odd_rate", "guard.uneven_times", "guard.time_unit"}
 
 
 def test_a_wrong_number_moves_no_frame():
@@ -535,8 +561,10 @@ def test_bytes_behind_an_archive_and_a_damaged_list_of_arrays_are_said(tmp_path)
         read_motion(path)
 
 
-def test_keys_of_glb_that_are_far_apart_are_questioned(tmp_path):
+def test_keys_of_glb_that_are_far_apart_are_questioned_and_must_be_finite(tmp_path):
     path = tmp_path / "x.glb"
+    path.write_bytes(write_glb(lose(np.nan)(File())[0], tmp_path))
+    assert made.code_of(path) == "gltf.finite"
     write_motion(dataclasses.replace(BODY, frame_rate=1 / 24), path)
     motion = read_motion(path)
     assert motion.n_frames == FRAMES

@@ -150,6 +150,8 @@ def _usable(column: FloatArray | None, n_rows: int) -> FloatArray | None:
     if column is None or len(column) != n_rows or n_rows < 2:
         return None
     column = np.asarray(column, np.float64)
+    if np.nanmin(np.abs(column), initial=np.inf) > 2.0**53:  # ns since 1970: whole numbers only from the first one on
+        column = column - column[0]
     finite = np.isfinite(column)
     if 2 * np.count_nonzero(finite) <= n_rows:
         return None
