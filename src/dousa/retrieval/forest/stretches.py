@@ -20,7 +20,7 @@ from dousa.workers.threads import map_together
 
 # Weights, in the log odds of the categories, of the finder's shares and of the trees' votes. Fitted like those of
 # `label` (lab/trials/segment_confidence.py).
-_BY_FINDER, _BY_VOTES = 1.06, 2.74
+_BY_FINDER, _BY_VOTES = 1.07, 2.75
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -339,9 +339,8 @@ def describe_run(
 # Weights of the log odds that the name of an action is right: of its log odds against all other names, of how typical
 # its poses are, and of how unsteady the bones are, as a noisy sensor makes all less typical. Fitted to segments of
 # people who did not train, as recorded and disturbed, with and without unknown actions: joined clips of HDM05, UTD-MHAD
-# and Bandai, each counting the same, and UTKinect's takes, which count less (lab/trials/segment_confidence.py,
-# docs/takes.md).
-_OFFSET, _BY_LEAD, _BY_TYPICAL, _BY_UNSTEADINESS = -0.91, 0.76, 3.42, 8.38
+# and Bandai, each counting the same (lab/trials/segment_confidence.py, docs/takes.md).
+_OFFSET, _BY_LEAD, _BY_TYPICAL, _BY_UNSTEADINESS = -0.97, 0.76, 2.97, 8.65
 _EVEN = 0.5  # by definition as likely right as wrong
 
 
