@@ -27,11 +27,11 @@ ROOMS = {
     "library": (15_911, 58),
     "messages": (235, 3),
     "motion": (6_487, 34),
-    "retrieval": (13_255, 47),
+    "retrieval": (13_223, 47),
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_214,
+    "lines of tests": 62_208,
     "lines of JavaScript": 12_460,
     "constants": 1_043,
     "numeric constants without a source": 0,

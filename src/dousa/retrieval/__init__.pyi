@@ -9,7 +9,6 @@ from .features.feature_sets import DEFAULT_FEATURE_SET as DEFAULT_FEATURE_SET
 from .features.feature_sets import FEATURE_SETS as FEATURE_SETS
 from .features.feature_sets import FeatureSet as FeatureSet
 from .features.feature_sets import FeatureTrack as FeatureTrack
-from .features.feature_sets import compute_interval_means as compute_interval_means
 from .features.feature_sets import compute_track as compute_track
 from .features.feature_sets import get_feature_set as get_feature_set
 from .features.feature_sets import integrate as integrate
@@ -36,10 +35,10 @@ from .ranking.ranking import RANKINGS as RANKINGS
 from .ranking.ranking import RankedClips as RankedClips
 from .ranking.ranking import Ranking as Ranking
 from .ranking.ranking import RankingQuery as RankingQuery
+from .ranking.ranking import compare_histograms as compare_histograms
+from .ranking.ranking import compare_leaves as compare_leaves
 from .ranking.ranking import compute_pose_sequence as compute_pose_sequence
 from .ranking.ranking import compute_window_poses as compute_window_poses
-from .ranking.ranking import rank_by_histogram as rank_by_histogram
-from .ranking.ranking import rank_by_leaves as rank_by_leaves
 from .ranking.ranking import rank_by_pose as rank_by_pose
 from .ranking.ranking import rank_clips as rank_clips
 from .ranking.templates import RELATIONAL_FEATURES as RELATIONAL_FEATURES

@@ -66,24 +66,6 @@ def integrate(features: ArrayLike) -> FloatArray:
     return integrals
 
 
-def compute_interval_means(integrals: ArrayLike, start: int, stop: int) -> FloatArray:
-    """Compute mean pose features over the frames ``start ... stop - 1``, counted from 0.
-
-    Parameters
-    ----------
-    integrals : (..., T + 1) of ``integrate``.
-    start, stop : t0 and t1 of the paper, 0 <= start < stop <= T.
-
-    Returns (...,) in the unit of the features. Raises OptionError: an interval outside the clip.
-
-    Source: Hamada et al., eq. 3 and 5.
-    """
-    g = np.asarray(integrals, dtype=np.float64)
-    if not 0 <= start < stop < g.shape[-1]:
-        raise OptionError("features.interval", last=g.shape[-1] - 1, start=start, stop=stop)
-    return (g[..., stop] - g[..., start]) / (stop - start)
-
-
 def list_tests(n_features: int, n_frames: int) -> IntArray:
     """List every mean that a tree may test: the set R of the paper.
 

@@ -170,18 +170,12 @@ class Ranking:
     pose: FloatArray
 
 
-def rank_by_histogram(query: ArrayLike, histograms: ArrayLike) -> tuple[IndexArray, FloatArray]:
-    """Rank clips (N, C) by the Euclidean distance of their histograms from that of the query (C,).
+def compare_histograms(query: ArrayLike, histograms: ArrayLike) -> FloatArray:
+    """Return the (N,) Euclidean distances of histograms (N, C) from that of the query (C,), 0 to sqrt(2) for shares.
 
-    Returns indices, nearest first (equals keep their order), and distances in the given order, 0 to sqrt(2) for shares.
     InvalidMotionError : shapes that disagree, or values that are not finite.
     Source: Hamada et al., eq. 8, which the paper calls a similarity and sorts descending, although it is a distance.
     """
-    distances = _compare_histograms(query, histograms)
-    return np.argsort(distances, kind="stable"), distances
-
-
-def _compare_histograms(query: ArrayLike, histograms: ArrayLike) -> FloatArray:
     asked = np.asarray(query, dtype=np.float64)
     stored = np.asarray(histograms)
     if asked.ndim != 1 or stored.ndim != 2 or stored.shape[1] != len(asked):
@@ -195,18 +189,12 @@ def _compare_histograms(query: ArrayLike, histograms: ArrayLike) -> FloatArray:
     return distances
 
 
-def rank_by_leaves(query: ArrayLike, leaves: ArrayLike) -> tuple[IndexArray, FloatArray]:
-    """Rank clips (N, n_trees) by the share of trees in which they end in another leaf than the query (n_trees,).
+def compare_leaves(query: ArrayLike, leaves: ArrayLike) -> FloatArray:
+    """Return the (N,) shares of trees in which clips (N, n_trees) end in another leaf than the query (n_trees,).
 
-    Returns indices, nearest first (equals keep their order), and distances in the given order, 0 to 1.
     InvalidMotionError : shapes that disagree, or no trees.
     Source: 1 less the proximity of Breiman and Cutler's random forests.
     """
-    distances = _compare_leaves(query, leaves)
-    return np.argsort(distances, kind="stable"), distances
-
-
-def _compare_leaves(query: ArrayLike, leaves: ArrayLike) -> FloatArray:
     asked, stored = np.ascontiguousarray(query, np.int32), np.ascontiguousarray(leaves, np.int32)
     if asked.ndim != 1 or stored.ndim != 2 or stored.shape[1] != len(asked) or not len(asked):
         raise InvalidMotionError("ranking.leaves", asked=asked.shape, stored=stored.shape)
@@ -254,9 +242,9 @@ def rank_clips(by: str, query: RankingQuery, clips: RankedClips, n_refined: int 
         raise OptionError("ranking.unknown", known=RANKINGS, found=by)
     if n_refined < 1:
         raise OptionError("ranking.refined", found=n_refined)
-    histogram = _compare_histograms(query.histogram, clips.histograms)
+    histogram = compare_histograms(query.histogram, clips.histograms)
     histogram /= max(float(np.sum(query.histogram)), 1e-300)
-    leaves = _compare_leaves(query.leaves, clips.leaves)
+    leaves = compare_leaves(query.leaves, clips.leaves)
     pose = np.full(len(histogram), np.nan)
     if by in ("histogram", "leaves"):
         first, second = (histogram, leaves) if by == "histogram" else (leaves, histogram)
