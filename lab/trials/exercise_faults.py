@@ -6,7 +6,8 @@
 Vakanski, Jun, Paul, Baker, "A data set of human body movements for physical rehabilitation exercises", Data 3(1), 2,
 2018, table of movements. Head and neck are counted with the trunk, the pelvis with the trunk and the hip.
 
-A person is judged by tolerances measured on the correct repetitions of the others, beside references by the others.
+``worst right``: the joint that is furthest off, by tolerances measured on the correct repetitions of the others. All
+other columns: the gravest joint that the events of `assess` name. References are by others throughout.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dousa.evaluation import ANGLES, Fault, compute_joint_angles, compute_postures
-from dousa.evaluation.exercises.faults import (
+from dousa.evaluation import ANGLES, Fault, assess, compute_joint_angles, compute_postures
+from dousa.evaluation.errors.faults import (
     DescribedRepetition,
     describe_repetition,
     drop_side,
@@ -28,6 +29,7 @@ from dousa.evaluation.exercises.faults import (
     measure_differences,
 )
 from dousa.evaluation.exercises.split import find_reference_repetitions
+from dousa.evaluation.grade.assessment import SHORTEST_S
 from dousa.formats.motion_files import ReadOptions, read_canonical
 from dousa.motion import CanonicalMotion
 from dousa.motion.canonical.canonicalise import mirror_canonical
@@ -60,6 +62,7 @@ class Seen:
     person: int
     correct: bool
     repetition: DescribedRepetition
+    motion: CanonicalMotion
 
 
 def read(path: Path, sensor: str) -> CanonicalMotion:
@@ -84,18 +87,20 @@ def read_all(data: Path, sensor: str, every: int) -> list[Seen]:
     found = []
     for path in sorted((data / "uiprmd" / sensor).glob("m*/*/*.trc")):
         if int(path.stem[-2:]) % every == 0:
-            repetition = describe(read(path, sensor))
-            found.append(Seen(path.stem[:3], int(path.stem[5:7]), path.parent.name == "correct", repetition))
+            motion = read(path, sensor)
+            correct = path.parent.name == "correct"
+            if motion.duration >= SHORTEST_S:
+                found.append(Seen(path.stem[:3], int(path.stem[5:7]), correct, describe(motion), motion))
     return found
 
 
-def draw_others(seen: Sequence[Seen], one: Seen, count: int, draw: int) -> list[DescribedRepetition]:
+def draw_others(seen: Sequence[Seen], one: Seen, count: int, draw: int) -> list[Seen]:
     """Draw correct repetitions of the same movement by other people, each by another one where there are enough."""
     rng = np.random.default_rng([draw, one.person, int(one.movement[1:]), count])
     by_person = defaultdict(list)
     for other in seen:
         if other.movement == one.movement and other.correct and other.person != one.person:
-            by_person[other.person].append(other.repetition)
+            by_person[other.person].append(other)
     people = rng.permutation(sorted(by_person))
     chosen = [by_person[people[number % len(people)]] for number in range(count)]
     return [some[int(rng.integers(len(some)))] for some in chosen]
@@ -106,15 +111,16 @@ def measure_tolerances(seen: Sequence[Seen], left_out: int, draws: int) -> dict[
     found: dict[str, list[float]] = defaultdict(list)
     for one in seen:
         for draw in range(draws if one.correct and one.person != left_out else 0):
-            differences = measure_differences(one.repetition, draw_others(seen, one, 3, draw))
+            others = [other.repetition for other in draw_others(seen, one, 3, draw)]
+            differences = measure_differences(one.repetition, others)
             for name, degrees in zip(ANGLES, differences.tolist(), strict=True):
                 found[drop_side(name)].append(degrees)
     return {name: float(np.quantile(values, 0.9)) + 2.0 for name, values in found.items()}
 
 
-def name_kind(fault: Fault) -> str:
-    """Knee, hip, trunk, shoulder or elbow."""
-    return drop_side(fault.angle).split("_")[0]
+def is_right(fault: Fault, movement: str) -> bool:
+    """Whether a joint is one of those at fault."""
+    return drop_side(fault.angle).split("_")[0] in AT_FAULT[movement]
 
 
 def main() -> None:
@@ -125,7 +131,7 @@ def main() -> None:
     parser.add_argument("--references", nargs="+", type=int, default=[1, 3, 5])
     parser.add_argument("--people", nargs="+", type=int, default=[1, 2, 3, 4, 5], help="who is judged")
     parser.add_argument("--draws", type=int, default=2)
-    parser.add_argument("--every", type=int, default=3, help="every so many repetitions")
+    parser.add_argument("--every", type=int, default=5, help="every so many repetitions")
     options = parser.parse_args()
     files = {sensor: read_all(options.data, sensor, options.every) for sensor in options.sensors}
     tolerances = {}
@@ -140,16 +146,16 @@ def main() -> None:
             said, said_right, clean = [], [], []
             for one in seen:
                 for draw in range(options.draws if one.person in options.people else 0):
-                    references = draw_others(seen, one, count, draw)
-                    faults = find_faults(one.repetition, references, count, tolerances[one.person])
-                    loud = bool(faults) and faults[0].severity >= 1.0
+                    others = draw_others(seen, one, count, draw)
+                    events = assess([other.motion for other in others], one.motion).events
+                    named = sorted((event.fault for event in events if event.fault), key=lambda each: -each.severity)
+                    (clean if one.correct else said).append(bool(named))
                     if one.correct:
-                        clean.append(loud)
                         continue
-                    right[one.movement].append(bool(faults) and name_kind(faults[0]) in AT_FAULT[one.movement])
-                    said.append(loud)
-                    if loud:
-                        said_right.append(right[one.movement][-1])
+                    described = [other.repetition for other in others]
+                    faults = find_faults(one.repetition, described, count, tolerances[one.person])
+                    right[one.movement].append(bool(faults) and is_right(faults[0], one.movement))
+                    said_right += [is_right(named[0], one.movement)] if named else []
             everything = [value for values in right.values() for value in values]
             shares = {name: float(np.mean(values)) for name, values in right.items()}
             least = min(shares, key=shares.__getitem__)

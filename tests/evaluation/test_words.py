@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from dousa.errors import OptionError
 from dousa.evaluation import ErrorEvent, Lapse
 from dousa.evaluation.advice.directions import OPPOSITES
-from dousa.evaluation.exercises.range_of_motion import ANGLES
+from dousa.evaluation.posture.range_of_motion import ANGLES
 from dousa.evaluation.words import (
     _JOINTS,
     _WHOLES,

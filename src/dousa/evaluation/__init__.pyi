@@ -20,13 +20,7 @@ from .beats.beats import assess_timing as assess_timing
 from .beats.beats import find_beats as find_beats
 from .beats.beats import read_beats as read_beats
 from .beats.beats import to_beats as to_beats
-from .exercises.faults import Fault as Fault
-from .exercises.range_of_motion import ANGLE_NAMES as ANGLE_NAMES
-from .exercises.range_of_motion import ANGLES as ANGLES
-from .exercises.range_of_motion import PAIRED_ANGLES as PAIRED_ANGLES
-from .exercises.range_of_motion import RangeOfMotion as RangeOfMotion
-from .exercises.range_of_motion import compute_joint_angles as compute_joint_angles
-from .exercises.range_of_motion import compute_symmetry_index as compute_symmetry_index
+from .errors.faults import Fault as Fault
 from .exercises.repetitions import AssessedRepetition as AssessedRepetition
 from .exercises.repetitions import RepetitionsAssessment as RepetitionsAssessment
 from .exercises.repetitions import assess_repetitions as assess_repetitions
@@ -66,6 +60,12 @@ from .posture.posture import compute_postures as compute_postures
 from .posture.posture import compute_segments as compute_segments
 from .posture.posture import mirror_postures as mirror_postures
 from .posture.posture import read_weights as read_weights
+from .posture.range_of_motion import ANGLE_NAMES as ANGLE_NAMES
+from .posture.range_of_motion import ANGLES as ANGLES
+from .posture.range_of_motion import PAIRED_ANGLES as PAIRED_ANGLES
+from .posture.range_of_motion import RangeOfMotion as RangeOfMotion
+from .posture.range_of_motion import compute_joint_angles as compute_joint_angles
+from .posture.range_of_motion import compute_symmetry_index as compute_symmetry_index
 from .posture.yaw import compute_complex_correlation as compute_complex_correlation
 from .posture.yaw import estimate_robust_yaw as estimate_robust_yaw
 from .posture.yaw import estimate_yaw as estimate_yaw

@@ -22,13 +22,14 @@ from dousa.evaluation import (
     Repetition,
     RepetitionsAssessment,
     Trend,
+    advise,
     assess,
     assess_repetitions,
     compute_joint_angles,
     compute_postures,
     find_repetitions,
 )
-from dousa.evaluation.exercises.faults import describe_fault, describe_repetition, find_faults
+from dousa.evaluation.errors.faults import describe_fault, describe_repetition, find_faults
 from dousa.evaluation.exercises.split import find_reference_repetitions
 from dousa.evaluation.exercises.summary import (
     choose_angles,
@@ -340,10 +341,10 @@ def test_the_adjustment_by_hand() -> None:
 
 NAN = float("nan")
 KNEES = {"left_knee_flexion": 90.0, "right_knee_flexion": 90.0}
-LEFT_KNEE = Fault("left_knee_flexion", "short", "lowest", 1.0, 60.0, 95.0, 2.0)
+LEFT_KNEE = Fault("left_knee_flexion", "short", "lowest", 1.0, 0.8, 1.2, 60.0, 95.0, 2.0, is_clear=True)
 RIGHT_KNEE = dataclasses.replace(LEFT_KNEE, angle="right_knee_flexion", degrees=62.0)
-TRUNK = Fault("trunk_forward_lean", "compensation", "there", 1.0, 30.0, 10.0, 2.5)
-FAINT = dataclasses.replace(TRUNK, degrees=-4.0, expected=3.0, severity=0.7)
+TRUNK = Fault("trunk_forward_lean", "compensation", "there", 1.0, 0.8, 1.2, 30.0, 10.0, 2.5, is_clear=True)
+FAINT = dataclasses.replace(TRUNK, degrees=-4.0, expected=3.0, severity=0.7, is_clear=False)
 
 
 def make_repetition(
@@ -430,12 +431,14 @@ def test_the_summary_in_words(repetitions: Sequence[AssessedRepetition], said: l
     assert [message.render("en") for message in describe_exercise(make_exercise(repetitions))] == said
 
 
-def find_own_faults(motion: CanonicalMotion, model: CanonicalMotion, n_people: int = 3) -> tuple[Fault, ...]:
+def find_own_faults(
+    motion: CanonicalMotion, model: CanonicalMotion, n_people: int = 3, grade: float = NAN
+) -> tuple[Fault, ...]:
     one, other = (
         describe_repetition(compute_postures(some), compute_joint_angles(some), 0, some.n_frames)
         for some in (motion, model)
     )
-    return find_faults(one, [other], n_people)
+    return find_faults(one, [other], n_people, grade=grade)
 
 
 def test_a_squat_that_is_not_deep_is_short_in_the_knees_and_hips_at_the_lowest_point() -> None:
@@ -448,6 +451,18 @@ def test_a_squat_that_is_not_deep_is_short_in_the_knees_and_hips_at_the_lowest_p
     assert knee.degrees < knee.expected - 20
     assert find_own_faults(shallow, model, 1)[0].severity < faults[0].severity
     assert find_own_faults(model, model) == ()
+    assert not any(one.is_clear for one in find_own_faults(shallow, model, grade=80.0))
+    assert find_own_faults(shallow, model, 1, grade=60.0)[0].is_clear
+    # A whole file says the same: the joint, its degrees, the phase.
+    little = dataclasses.replace(model, positions=start + 0.4 * (model.positions - start))
+    answer = assess([model], little)
+    assert answer.score < 75 and answer.events and all(event.fault for event in answer.events)
+    for event in answer.events:
+        assert event.fault.kind == "short" and event.fault.degrees < event.fault.expected - 20
+        assert event.fault.message.render("en") in event.says.render("en")
+    assert answer.to_json()["events"][0]["fault"]["phase"] in ("furthest", "lowest")
+    assert advise(answer)[0].message in [event.fault.message for event in answer.events]
+    assert assess([model], model).events == ()
 
 
 def test_an_arm_that_is_still_in_the_references_compensates() -> None:

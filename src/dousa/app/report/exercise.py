@@ -31,7 +31,7 @@ from dousa.app.drawing.markup import (
 from dousa.app.report.curves import build_details, build_table
 from dousa.app.report.page import collect_text, embed_font, fill_page, fill_slots, font_rule, read_file, write_files
 from dousa.arrays import FloatArray
-from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES, ANGLES, MOVING_DEG, compute_joint_angles
+from dousa.evaluation.posture.range_of_motion import ANGLE_NAMES, ANGLES, MOVING_DEG, compute_joint_angles
 from dousa.evaluation.exercises.repetitions import AssessedRepetition, RepetitionsAssessment
 from dousa.evaluation.exercises.summary import (
     PAIR_NAMES,

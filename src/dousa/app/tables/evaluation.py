@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from dousa.app.tables.lines import make_table, print_line, to_cell
-from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES
+from dousa.evaluation.posture.range_of_motion import ANGLE_NAMES
 from dousa.evaluation.exercises.summary import (
     choose_angles,
     choose_pair,

@@ -174,8 +174,9 @@ def advise(assessment: Assessment, detail: str = "brief", *, most_brief: int = 3
     if assessment.score_formula.code in ("grade.hardly", "grade.unseen"):
         return (Advice(assessment.score_formula, "dance"),)
     tempo = _say_tempo(assessment)
-    if tempo and detail == "brief":
-        return tempo  # on another clock everything else is late, and then another figure
+    faulty = any(event.fault is not None for event in assessment.events)
+    if tempo and detail == "brief" and not faulty:
+        return tempo  # on another clock everything else is late, and then another figure; but for joints
     labels = [one.label for one in assessment.furi]
     dancers = PairedDancers(assessment.reference, assessment.performance, assessment.same_time)
     found = [
@@ -190,7 +191,7 @@ def advise(assessment: Assessment, detail: str = "brief", *, most_brief: int = 3
     groups = _group_alike(found) if detail == "brief" else [[one] for one in found]
     said = sorted([*(_say(group, labels) for group in groups), *lapses], key=lambda one: -one.importance)
     if detail == "brief":
-        return tuple(said[:most_brief]) or (Advice(Message("advice.nothing"), "praise"),)
+        return (*tempo, *said)[:most_brief] or (Advice(Message("advice.nothing"), "praise"),)
     good = praise(assessment)
     return (*tempo, *said, *_say_facing(assessment, labels), *((good,) if good else ()))
 
@@ -232,7 +233,7 @@ def _look_at(
 ) -> _Found:
     corrections: tuple[Correction, ...] = ()
     moment, reference = event.worst_s, event.reference_s
-    if pairs is not None and event.kind in ("partial", "incomplete") and event.cause is None:
+    if pairs is not None and event.kind in ("partial", "incomplete") and event.cause is event.fault is None:
         names = event.segments or SEGMENTS
         worst = pairs.find_worst([SEGMENTS.index(name) for name in names])
         corrections = find_corrections(worst, names)
@@ -260,7 +261,9 @@ def _group_alike(found: Sequence[_Found]) -> list[list[_Found]]:
     for one in sorted(found, key=lambda one: -one.importance):
         event = one.event
         key: tuple[Any, ...]
-        if event.cause is not None and event.kind != "shift":
+        if event.fault is not None:
+            key = ("fault", event.fault.angle)
+        elif event.cause is not None and event.kind != "shift":
             key = (event.cause, event.segments)
         elif one.corrections:
             key = ("correct", tuple((each.segments, each.direction) for each in one.corrections))
@@ -294,15 +297,19 @@ def _say(group: Sequence[_Found], labels: Sequence[str]) -> Advice:
     )
     if event.kind == "shift":
         return _add_timing(about, group, where)
-    if event.cause == "compensation":
-        return replace(about, message=Message("advice.still", who=name_parts(event.segments), where=where))
-    if event.cause is not None:
-        return replace(about, message=say_side(event.segments, event.cause, where))
-    if event.kind == "global":
-        return replace(about, message=_say_figure(event, first.other, where))
     if first.corrections:
         return _add_corrections(about, group, where)
-    return replace(about, message=_say_undirected(event, where))
+    if event.fault is not None:
+        said = event.fault.message
+    elif event.cause == "compensation":
+        said = Message("advice.still", who=name_parts(event.segments), where=where)
+    elif event.cause is not None:
+        said = say_side(event.segments, event.cause, where)
+    elif event.kind == "global":
+        said = _say_figure(event, first.other, where)
+    else:
+        said = _say_undirected(event, where)
+    return replace(about, message=said)
 
 
 def _add_timing(about: Advice, group: Sequence[_Found], where: Message) -> Advice:

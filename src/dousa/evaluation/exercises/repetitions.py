@@ -12,8 +12,15 @@ import numpy as np
 
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError
-from dousa.evaluation.exercises.faults import DescribedRepetition, Fault, describe_repetition, find_faults
-from dousa.evaluation.exercises.range_of_motion import (
+from dousa.evaluation.errors.faults import DescribedRepetition, Fault, describe_repetition, find_faults
+from dousa.evaluation.exercises.split import Repetition, find_reference_repetitions, find_repetitions
+from dousa.evaluation.exercises.trends import Trend, adjust_for_many, estimate_trend
+from dousa.evaluation.figures.furi import Furi, find_furi
+from dousa.evaluation.grade.assessment import check_seen, check_takes, compute_all_postures, judge
+from dousa.evaluation.grade.references import ReferenceTakes, prepare_references
+from dousa.evaluation.grade.result import Assessment
+from dousa.evaluation.posture.posture import PostureSequence, compute_postures, spread_weights
+from dousa.evaluation.posture.range_of_motion import (
     ANGLES,
     MOVING_DEG,
     PAIRED_ANGLES,
@@ -22,13 +29,6 @@ from dousa.evaluation.exercises.range_of_motion import (
     compute_symmetry_index,
     measure_ranges,
 )
-from dousa.evaluation.exercises.split import Repetition, find_reference_repetitions, find_repetitions
-from dousa.evaluation.exercises.trends import Trend, adjust_for_many, estimate_trend
-from dousa.evaluation.figures.furi import Furi, find_furi
-from dousa.evaluation.grade.assessment import check_seen, check_takes, compute_all_postures, judge
-from dousa.evaluation.grade.references import ReferenceTakes, prepare_references
-from dousa.evaluation.grade.result import Assessment
-from dousa.evaluation.posture.posture import PostureSequence, compute_postures, spread_weights
 from dousa.files.json_values import round_number
 from dousa.messages import Message
 from dousa.motion import CanonicalMotion
@@ -244,17 +244,18 @@ def _measure(
     for number, one in enumerate(found):
         ranges = measured.measure(one.start, one.end, expected)
         graded = grading.assess(_cut(played, one.start, one.end)) if one.complete else None
+        score = _NAN if graded is None else float(graded.score)
         assessed.append(
             AssessedRepetition(
                 repetition=one,
                 tempo=one.duration_s / reference_s if one.complete else _NAN,
-                score=_NAN if graded is None else float(graded.score),
+                score=score,
                 ranges=ranges,
                 symmetry={name: _compare_sides(ranges, name) for name in pairs},
                 pause_s=found[number + 1].start_s - one.end_s if number + 1 < len(found) else _NAN,
                 assessment=graded,
                 first_s=max(one.start - _count_margin(played), 0) / played.frame_rate,
-                faults=find_faults(measured.describe(one.start, one.end), models, len(takes)),
+                faults=find_faults(measured.describe(one.start, one.end), models, len(takes), grade=score),
             )
         )
     complete = [one for one in assessed if one.repetition.complete]

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from dousa.evaluation.exercises.faults import Fault, describe_fault, drop_side
-from dousa.evaluation.exercises.range_of_motion import ANGLE_NAMES, ANGLES, PAIRED_ANGLES, compute_symmetry_index
+from dousa.evaluation.errors.faults import WELL, Fault, describe_fault, drop_side
 from dousa.evaluation.exercises.repetitions import AssessedRepetition, RepetitionsAssessment
 from dousa.evaluation.exercises.trends import Trend
 from dousa.evaluation.grade.score import round_grade
+from dousa.evaluation.posture.range_of_motion import ANGLE_NAMES, ANGLES, PAIRED_ANGLES, compute_symmetry_index
 from dousa.evaluation.words import format_time
 from dousa.messages import Message
 
@@ -23,7 +23,6 @@ PAIR_NAMES: Mapping[str, Message] = {name: Message(f"exercise_table.{name}") for
 SHORT = 85.0
 """Percent of the reference's range or reach below which a joint or a repetition is short, see docs/exercises.md."""
 _SLOWER, _FASTER = 1.2, 1 / 1.2  # of the reference's duration
-_WELL = 80.0  # the grade of another person who does it well: by definition of the scale, see docs/evaluation.md
 _MOST_ANGLES = 4  # that a table has room for
 
 
@@ -183,7 +182,7 @@ def _say_faults(assessment: RepetitionsAssessment, *, most: int = 3) -> list[Mes
     )
     if worst is None:
         return []
-    if compute_median([one.score for one in assessment.complete]) < _WELL:
+    if compute_median([one.score for one in assessment.complete]) < WELL:
         return [Message("exercise_summary.furthest", worst=worst.message)]
     return [Message("exercise_summary.as_reference", worst=worst.message)]
 

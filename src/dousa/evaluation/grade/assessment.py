@@ -11,12 +11,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation.alignment.lines import find_lapses
 from dousa.evaluation.alignment.pairing import Pairing, find_resembled, pair_motions, turn_takes
 from dousa.evaluation.errors.evidence import Evidence, Tolerance, gather_evidence, refine_lag
+from dousa.evaluation.errors.faults import WELL, Fault, describe_repetition, find_faults
 from dousa.evaluation.errors.findings import Finding
 from dousa.evaluation.figures.curves import Curves, compute_curves
 from dousa.evaluation.figures.eigenspace import Eigenspace
@@ -37,6 +39,7 @@ from dousa.evaluation.grade.result import (
     describe_gaps,
     describe_offset,
     describe_warnings,
+    name_joints,
 )
 from dousa.evaluation.grade.score import grade_performance
 from dousa.evaluation.posture.posture import (
@@ -49,6 +52,7 @@ from dousa.evaluation.posture.posture import (
     spread_weights,
     thin_postures,
 )
+from dousa.evaluation.posture.range_of_motion import compute_joint_angles
 from dousa.evaluation.posture.yaw import take_out_of_postures
 from dousa.motion import CanonicalMotion
 from dousa.motion.runs import find_runs
@@ -248,6 +252,11 @@ def look_at_figures(
         furi_index=curves.furi_index,
     )
     grade = grade_performance(references, comparison.movement, weights)
+    if len(furi) == 1 and not grade.score >= WELL and grade.formula.code in _GRADED:
+        judged = (weights > 0.0) & ~comparison.offset.missing
+        events = name_joints(
+            events, _find_faults(references, performance, grade.score, judged), same, performance.frame_rate
+        )
     return Assessment(
         frame_rate=performance.frame_rate,
         reference=references.postures,
@@ -295,6 +304,20 @@ def look_at_figures(
         ),
         side=side,
     )
+
+
+_GRADED = ("grade.calibrated", "grade.uncalibrated", "grade.unlike")
+
+
+def _find_faults(
+    references: ReferenceTakes, performance: PostureSequence, grade: float, judged: NDArray[np.bool_]
+) -> tuple[Fault, ...]:
+    """Find what is wrong with the joints of a performance that is a single movement; (9,) segments are judged."""
+    ours, *theirs = (
+        describe_repetition(one, compute_joint_angles(one), 0, one.n_frames)
+        for one in (performance, references.postures, *references.warped)
+    )
+    return find_faults(ours, theirs, len(theirs), grade=grade, judged=judged)
 
 
 def _make_clocks(

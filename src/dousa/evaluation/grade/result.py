@@ -12,6 +12,7 @@ import numpy as np
 from dousa.arrays import FloatArray, IndexArray
 from dousa.evaluation.alignment.lines import Lapse, align
 from dousa.evaluation.errors.evidence import measure_ranges
+from dousa.evaluation.errors.faults import Fault
 from dousa.evaluation.errors.findings import Finding
 from dousa.evaluation.figures.curves import Curves
 from dousa.evaluation.figures.eigenspace import Eigenspace
@@ -48,6 +49,7 @@ class ErrorEvent:
     deviation_deg : largest lasting angle of a wrong segment from the reference's at the same time.
     facing_deg : median heading against the reference's while it lasts; positive is turned to the own left.
     cause : what is known besides, of `dousa.evaluation.words.CAUSES`; None for nothing.
+    fault : the joint, its degrees and the phase, of a single movement, such as an exercise, that is not done well.
     """
 
     kind: str
@@ -64,10 +66,13 @@ class ErrorEvent:
     deviation_deg: float | None = None
     facing_deg: float | None = None
     cause: str | None = None
+    fault: Fault | None = None
 
     @property
     def message(self) -> Message:
         """What is wrong: ``"whole body: 180 ms late"``."""
+        if self.fault is not None:
+            return self.fault.message
         return describe_event(
             self.kind,
             self.segments,
@@ -268,7 +273,7 @@ def describe_assessment(assessment: Assessment, language: str | None = None) -> 
 _FURI = "start_s end_s n_dims contribution label reference_start_s reference_end_s score"
 _EVENT = (
     "kind start_s end_s segments lag_ms shortfall_deg shortfall_percent severity says deviation_deg facing_deg "
-    "worst_s reference_s furi cause"
+    "worst_s reference_s furi cause fault"
 )
 _LAPSE = "kind start_s end_s reference_start_s reference_end_s says"
 # Decimals of numbers in JSON, by definition.
@@ -287,6 +292,8 @@ def _describe(what: object, names: str, language: str | None = None) -> dict[str
 def _write(name: str, value: Any, language: str | None) -> Any:
     if isinstance(value, Message):
         return value.render(language)
+    if isinstance(value, Fault):
+        return value.to_json(language)
     digits = _SECONDS if name.endswith("_s") else _DIGITS.get(name)
     return to_json_value(value) if digits is None else round_number(value, digits)
 
@@ -384,6 +391,52 @@ def describe_findings(
             )
         )
     return tuple(events)
+
+
+def name_joints(
+    events: Sequence[ErrorEvent], faults: Sequence[Fault], same_time: FloatArray, rate: float
+) -> tuple[ErrorEvent, ...]:
+    """Name the joint of each error of a single movement, and the gravest fault of a limb of which nothing is said.
+
+    Parameters
+    ----------
+    events : of `describe_findings`.
+    faults : of `find_faults`, the gravest first; those that are clear count.
+    same_time : (T,) s, of the frames of the performance.
+    rate : Hz, of the performance.
+    """
+    clear = [fault for fault in faults if fault.is_clear]
+    named = [replace(event, fault=next((one for one in clear if _is_about(event, one)), None)) for event in events]
+    if clear and not any(_is_about(event, clear[0]) for event in events):
+        named.append(_describe_fault(clear[0], same_time, rate))
+    return tuple(sorted(named, key=lambda event: (event.start_s, event.end_s)))
+
+
+def _is_about(event: ErrorEvent, fault: Fault) -> bool:
+    limb = next(limb for limb in LIMBS.values() if SEGMENTS.index(fault.segment) in limb)
+    at_once = fault.start_s < event.end_s and event.start_s < fault.end_s
+    return event.kind != "shift" and at_once and any(SEGMENTS[index] in event.segments for index in limb)
+
+
+def _describe_fault(fault: Fault, same_time: FloatArray, rate: float) -> ErrorEvent:
+    """The event that a fault is by itself."""
+    away = abs(fault.expected - fault.degrees)
+    return ErrorEvent(
+        kind="incomplete" if fault.kind == "short" else "partial",
+        start_s=fault.start_s,
+        end_s=fault.end_s,
+        segments=(fault.segment,),
+        lag_ms=None,
+        shortfall_deg=away if fault.kind == "short" else -away,
+        shortfall_percent=None,
+        severity=max(fault.severity, 1.0),
+        worst_s=fault.time_s,
+        reference_s=float(same_time[min(round(fault.time_s * rate), len(same_time) - 1)]),
+        furi=0,
+        deviation_deg=away,
+        cause="compensation" if fault.kind == "compensation" else None,
+        fault=fault,
+    )
 
 
 def _lasting(angles: FloatArray) -> float | None:

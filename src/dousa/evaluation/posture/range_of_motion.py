@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dousa.arrays import FloatArray
+from dousa.evaluation.posture.posture import PostureSequence
 from dousa.messages import Message
 from dousa.motion import CanonicalMotion
 from dousa.motion.canonical.joints import JOINT_INDEX as J
@@ -82,7 +83,7 @@ class RangeOfMotion:
         return 100.0 * self.range_deg / self.reference_deg if self.reference_deg >= MOVING_DEG else float("nan")
 
 
-def compute_joint_angles(motion: CanonicalMotion) -> dict[str, FloatArray]:
+def compute_joint_angles(motion: CanonicalMotion | PostureSequence) -> dict[str, FloatArray]:
     """Compute all joint angles over time.
 
     Parameters

@@ -11,6 +11,7 @@ Chosen on UI-PRMD, people left out: ``python -m lab.trials.exercise_faults``, se
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,8 +21,8 @@ from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray, IndexArray
 from dousa.evaluation.alignment.correspondence import find_path
-from dousa.evaluation.exercises.range_of_motion import ANGLES, MOVING_DEG
-from dousa.evaluation.posture.posture import PostureSequence
+from dousa.evaluation.posture.posture import SEGMENTS, PostureSequence
+from dousa.evaluation.posture.range_of_motion import ANGLES, MOVING_DEG
 from dousa.messages import Message
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.resampling import smooth_gaussian
@@ -35,6 +36,10 @@ _TREMBLES = 10.0  # what a sensor drifts by, of what it trembles by from frame t
 _ONE_REFERENCE = 1.6  # times as far from one person as from three who agree: measured there
 _FURTHEST = 0.8  # share of the reach from which on the body is at the furthest point, by definition
 _LOWER = 0.1  # body heights by which the pelvis is lower there: the furthest point is the lowest, by definition
+
+WELL = 75.0
+"""Grade from which on no joint of a movement is at fault: nine of ten correct repetitions have it, and a fifth of the
+incorrect ones, measured by lab/trials/exercise_faults.py."""
 
 TOLERANCE_DEG: Mapping[str, float] = {
     "elbow_flexion": 12.0,
@@ -58,6 +63,22 @@ def drop_side(angle: str) -> str:
 
 
 _JOINTS = {name: name.partition(drop_side(name))[0] + drop_side(name).split("_")[0] for name in ANGLES}  # by definition
+_MOVES = {
+    "elbow": "forearm",
+    "shoulder": "upper_arm",
+    "hip": "thigh",
+    "knee": "shank",
+    "trunk": "trunk",
+}  # by definition
+
+
+def _find_segment(angle: str) -> int:
+    """Number of the segment that the joint of an angle moves."""
+    side, _, joint = _JOINTS[angle].rpartition("_")
+    return SEGMENTS.index(f"{side}_{_MOVES[joint]}".lstrip("_"))
+
+
+_SEGMENTS_OF_ANGLES = np.array([_find_segment(name) for name in ANGLES])
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,28 +91,34 @@ class Fault:
     kind : ``"short"``: it goes less far; ``"far"``: further; ``"compensation"``: it moves, and in the references not.
     phase : ``"there"``, ``"furthest"`` or ``"lowest"``, ``"back"``: when the difference is largest.
     time_s : s of the recording of that moment.
+    start_s, end_s : s of the recording, around it, while the difference is half as large at least.
     degrees : of the angle then.
     expected : degrees of the references at the same moment, in the performer's own posture.
     severity : in multiples of what people differ by who do it well.
+    is_clear : whether it is to be said: in a movement graded below `WELL` the worst, and all as severe as 1; in one
+        that is graded `WELL` or above none.
     """
 
     angle: str
     kind: str
     phase: str
     time_s: float
+    start_s: float
+    end_s: float
     degrees: float
     expected: float
     severity: float
+    is_clear: bool
+
+    @property
+    def segment(self) -> str:
+        """The segment that the joint moves, such as ``left_shank``."""
+        return SEGMENTS[_find_segment(self.angle)]
 
     @property
     def joint(self) -> str:
         """Such as ``left_knee``, or ``trunk``."""
         return _JOINTS[self.angle]
-
-    @property
-    def is_clear(self) -> bool:
-        """Whether it is more than people differ by who do it well."""
-        return self.severity >= 1.0
 
     @property
     def message(self) -> Message:
@@ -157,7 +184,7 @@ def describe_repetition(
     """
     rate = postures.frame_rate
     values = np.stack([angles[name][start:end] for name in ANGLES], axis=1)
-    unseen = ~np.isfinite(values)
+    unseen = ~np.isfinite(values) | ~postures.seen[start:end, _SEGMENTS_OF_ANGLES].any(axis=0)
     values = np.where(unseen, 0.0, values)
     # Fourth differences at 30 Hz, the rate of most sensors: noise of s has 70 s^2 (by definition), movement hardly any.
     jitter = np.diff(values[:: max(1, round(rate / 30.0))], 4, axis=0)
@@ -182,6 +209,9 @@ def find_faults(
     references: Sequence[DescribedRepetition],
     n_people: int,
     tolerances: Mapping[str, float] = TOLERANCE_DEG,
+    *,
+    grade: float = math.nan,
+    judged: NDArray[np.bool_] | None = None,
 ) -> tuple[Fault, ...]:
     """Find the joints that go otherwise than in repetitions done well, the worst first, one fault a joint.
 
@@ -193,12 +223,16 @@ def find_faults(
     references : at least one.
     n_people : takes of the reference: what one person does alone is a weaker measure.
     tolerances : as `TOLERANCE_DEG`.
+    grade : of the repetition; nan for none.
+    judged : (9,) segments whose joints are looked at; None for all.
     """
     usual, theirs, lasting = _compare_all(one, references)
     moments, sizes = lasting.argmax(axis=0), lasting.max(axis=0)
     people = 1.0 + (_ONE_REFERENCE - 1.0) * max(3 - n_people, 0) / 2.0
     limits = np.array([tolerances[drop_side(name)] for name in ANGLES])
     severity = sizes / (people * limits + _TREMBLES * one.trembling)
+    if judged is not None:
+        severity = np.where(judged[_SEGMENTS_OF_ANGLES], severity, 0.0)
     ranges = np.median([np.ptp(reference.angles, axis=0) for reference in references], axis=0)
     found: dict[str, Fault] = {}
     for k in np.argsort(-severity, kind="stable").tolist():
@@ -209,9 +243,26 @@ def find_faults(
         kind = "compensation" if ranges[k] < MOVING_DEG else "short" if short else "far"
         degrees = float(one.angles[at, k])
         when = str(one.phases[at]), float(one.times[at])
-        fault = Fault(ANGLES[k], kind, *when, degrees, degrees - float(usual[at, k]), float(severity[k]))
+        first, last = _find_span(lasting[:, k], moments[k])
+        fault = Fault(
+            ANGLES[k],
+            kind,
+            *when,
+            start_s=float(one.times[first]),
+            end_s=float(one.times[min(last + one.margin, len(one.times)) - 1]),
+            degrees=degrees,
+            expected=degrees - float(usual[at, k]),
+            severity=float(severity[k]),
+            is_clear=not grade >= WELL and bool(severity[k] >= 1.0 or (grade < WELL and not found)),
+        )
         found.setdefault(fault.joint, fault)
     return tuple(found.values())
+
+
+def _find_span(sizes: FloatArray, at: int) -> tuple[int, int]:
+    """Span, half-open, around a moment in which sizes are half of that there at least."""
+    small = np.flatnonzero(sizes < 0.5 * sizes[at])
+    return int(small[small < at].max(initial=-1)) + 1, int(small[small > at].min(initial=len(sizes)))
 
 
 def measure_differences(one: DescribedRepetition, references: Sequence[DescribedRepetition]) -> FloatArray:

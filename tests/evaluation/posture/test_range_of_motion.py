@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dousa.arrays import FloatArray
 from dousa.evaluation import ANGLES, compute_joint_angles, compute_symmetry_index
-from dousa.evaluation.exercises.range_of_motion import measure_ranges
+from dousa.evaluation.posture.range_of_motion import measure_ranges
 from dousa.motion import CanonicalMotion, canonicalise, compute_trajectories, mirror_canonical
 from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.synthetic import Performer, make_motion
