@@ -20,7 +20,7 @@ SOURCE = ROOT / "src" / "dousa"
 ROOMS = {
     "app": (25_480, 113),
     "estimation": (15_929, 65),
-    "evaluation": (11_988, 46),
+    "evaluation": (12_120, 46),
     "experiments": (1_722, 10),
     "files": (1_126, 8),
     "formats": (13_164, 70),
@@ -31,9 +31,9 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_208,
+    "lines of tests": 62_223,
     "lines of JavaScript": 12_460,
-    "constants": 1_043,
+    "constants": 1_045,
     "numeric constants without a source": 0,
     "functions over 60 lines": 13,
     "files over 650 lines": 0,

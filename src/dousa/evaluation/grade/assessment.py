@@ -252,7 +252,7 @@ def look_at_figures(
         furi_index=curves.furi_index,
     )
     grade = grade_performance(references, comparison.movement, weights)
-    if len(furi) == 1 and not grade.score >= WELL and grade.formula.code in _GRADED:
+    if len(furi) == 1 and (grade.score < WELL or grade.formula.code == "grade.unlike"):
         judged = (weights > 0.0) & ~comparison.offset.missing
         events = name_joints(
             events, _find_faults(references, performance, grade.score, judged), same, performance.frame_rate
@@ -304,9 +304,6 @@ def look_at_figures(
         ),
         side=side,
     )
-
-
-_GRADED = ("grade.calibrated", "grade.uncalibrated", "grade.unlike")
 
 
 def _find_faults(
