@@ -233,7 +233,7 @@ def _look_at(
 ) -> _Found:
     corrections: tuple[Correction, ...] = ()
     moment, reference = event.worst_s, event.reference_s
-    if pairs is not None and event.kind in ("partial", "incomplete") and event.cause is event.fault is None:
+    if pairs is not None and event.kind in ("partial", "incomplete") and event.cause is None and event.fault is None:
         names = event.segments or SEGMENTS
         worst = pairs.find_worst([SEGMENTS.index(name) for name in names])
         corrections = find_corrections(worst, names)
