@@ -31,7 +31,6 @@ from dousa.app.drawing.markup import (
 from dousa.app.report.curves import build_details, build_table
 from dousa.app.report.page import collect_text, embed_font, fill_page, fill_slots, font_rule, read_file, write_files
 from dousa.arrays import FloatArray
-from dousa.evaluation.posture.range_of_motion import ANGLE_NAMES, ANGLES, MOVING_DEG, compute_joint_angles
 from dousa.evaluation.exercises.repetitions import AssessedRepetition, RepetitionsAssessment
 from dousa.evaluation.exercises.summary import (
     PAIR_NAMES,
@@ -43,6 +42,7 @@ from dousa.evaluation.exercises.summary import (
     describe_trends,
     describe_worst,
 )
+from dousa.evaluation.posture.range_of_motion import ANGLE_NAMES, ANGLES, MOVING_DEG, compute_joint_angles
 from dousa.evaluation.words import check_language, format_time
 from dousa.messages import load_section
 from dousa.motion import CanonicalMotion

@@ -6,7 +6,6 @@ import math
 from typing import TYPE_CHECKING
 
 from dousa.app.tables.lines import make_table, print_line, to_cell
-from dousa.evaluation.posture.range_of_motion import ANGLE_NAMES
 from dousa.evaluation.exercises.summary import (
     choose_angles,
     choose_pair,
@@ -15,6 +14,7 @@ from dousa.evaluation.exercises.summary import (
     describe_worst,
 )
 from dousa.evaluation.grade.score import round_grade
+from dousa.evaluation.posture.range_of_motion import ANGLE_NAMES
 from dousa.evaluation.words import KINDS, LAPSE_KINDS, format_time, group_segments
 from dousa.messages import Message
 
