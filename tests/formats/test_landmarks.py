@@ -225,20 +225,6 @@ def test_smpl_poses_of_easymocap(tmp_path):
     assert isinstance(read_motion(save(tmp_path / "x.json", arrays)), Motion)
 
 
-@pytest.mark.parametrize(
-    ("name", "n_frames"),
-    [
-        ("easymocap_keypoints3d/keypoints3d", 30),
-        ("easymocap_smpl/smpl", 3),
-        ("kinect_and_freemocap_tables/azure_offline_processor.json", 20),
-    ],
-)
-def test_reported(shared_data, name, n_frames):
-    motion = read_motion(shared_data(f"reported/{name}"))
-    assert motion.n_frames == n_frames
-    assert not canonicalise(motion).absent
-
-
 def test_what_lies_in_a_picture_is_sent_to_its_command(tmp_path):
     rng = np.random.default_rng(0)
     flat = [*rng.uniform(0, 900, 50), *rng.uniform(0, 1, 25)]

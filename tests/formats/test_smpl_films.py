@@ -230,10 +230,3 @@ def test_a_pickle_keeps_what_is_nested(tmp_path):
     loaded = load_pickle(save(tmp_path / "x.pkl", pickle.dumps(content)))
     np.testing.assert_array_equal(loaded[1]["a"][0], np.ones(2))
     assert loaded[1]["a"][1] == {"b": [3.0, "c"]}
-
-
-@pytest.mark.parametrize("name", ["results.npy", "with_scores.npy", "sample.npy"])
-def test_reported(shared_data, name):
-    motion = read_motion(shared_data(f"reported/text_to_motion/{name}"))
-    assert motion.positions.shape == (20, 22, 3)
-    assert 1.5 < canonicalise(motion).height < 1.7

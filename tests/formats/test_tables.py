@@ -197,12 +197,3 @@ def test_angles_of_bvh_toolbox(tmp_path):
 )
 def test_columns(titles, names):
     assert list(find_columns(titles).points) == names
-
-
-@pytest.mark.parametrize("name", ["azure.csv", "mediapipe_body_3d_xyz.csv", "nexus.csv"])
-def test_reported(shared_data, name):
-    motion = read_motion(shared_data(f"reported/kinect_and_freemocap_tables/{name}"))
-    canonical = canonicalise(motion)
-    assert motion.n_frames == 20
-    assert 1.5 < canonical.height < 1.7
-    assert not canonical.absent
