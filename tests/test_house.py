@@ -18,8 +18,8 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_480, 113),
-    "estimation": (15_929, 65),
+    "app": (25_506, 113),
+    "estimation": (16_131, 66),
     "evaluation": (12_120, 46),
     "experiments": (1_722, 10),
     "files": (1_126, 8),
@@ -31,9 +31,9 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_257,
+    "lines of tests": 62_281,
     "lines of JavaScript": 12_460,
-    "constants": 1_045,
+    "constants": 1_049,
     "numeric constants without a source": 0,
     "functions over 60 lines": 13,
     "files over 650 lines": 0,

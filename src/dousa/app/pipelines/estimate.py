@@ -24,15 +24,17 @@ from dousa.app.pipelines.film_scene import (
     FilmScene,
     PersonSilhouettes,
     has_models,
+    has_plates,
     is_films,
     open_films,
+    open_plates,
     shows_masks,
     with_outputs,
 )
 from dousa.app.pipelines.projects import take_project
 from dousa.app.pipelines.track_log import PartialFile, describe_files, fingerprint
 from dousa.arrays import FloatArray
-from dousa.errors import DousaError, KeypointError, OptionError, SilhouetteError
+from dousa.errors import KeypointError, OptionError, SilhouetteError
 from dousa.estimation.keypoints.keypoint_files import holds_keypoints
 from dousa.extras import require
 from dousa.messages import Message
@@ -252,14 +254,14 @@ def estimate_sources(
 
 def _takes_keypoints(request: EstimationRequest, tell: Callable[[Message], None] | None) -> bool:
     films = is_films(request)
-    if request.cues == "keypoints":
+    if request.cues in ("keypoints", "both"):
         if not films:
-            raise OptionError("film_estimate.no_films")
+            raise OptionError("film_estimate.no_films", cues=request.cues)
         return True
     if request.cues is None and films and any(map(holds_keypoints, request.sources)):
         return True
     installed = has_models()
-    if request.cues is not None or not films or (request.cameras is None and not installed):
+    if request.cues is not None or not films or not (installed or (request.cameras and not has_plates(request))):
         return False
     if any(shows_masks(path) for path in request.sources):
         return False
@@ -373,11 +375,14 @@ def estimate_person(
     ------
     KeypointError : too little is seen of the person.
     """
-    from dousa.estimation.multiview.keypoint_fit import fit_keypoints
+    from dousa.estimation.multiview.keypoint_fit import fit_keypoints, fit_some_girths
 
     if request.body is not None and request.stature is not None:
         raise OptionError("estimate.body_and_stature")
     given, notes = (None, ()) if request.body is None else load_given_body(request.body, request.options)
+    silhouettes = PersonSilhouettes(films, person.members, request.sources, open_plates(request, report))
+    if request.cues == "both" and not silhouettes.has_masks:
+        raise OptionError("film_estimate.no_masks")
     fit = fit_keypoints(
         films.cameras,
         person.tracks,
@@ -386,11 +391,15 @@ def estimate_person(
         body=given,
         stature=request.stature,
         sex=request.sex,
+        silhouettes=silhouettes if silhouettes.has_masks and request.cues != "keypoints" else None,
         progress=report,
     )
-    silhouettes = PersonSilhouettes(films, person.members, request.sources)
-    cameras = silhouettes.fit_cameras(films.cameras)
-    estimate = add_overlap(fit.estimate, silhouettes, cameras)
+    cameras, estimate = silhouettes.fit_cameras(films.cameras), fit.estimate
+    if silhouettes.has_masks:
+        if request.cues == "keypoints":
+            body = fit_some_girths(estimate.body, estimate.poses, silhouettes, films.cameras)
+            estimate = replace(estimate, body=body)
+        estimate = measure_overlap(estimate, silhouettes, cameras)
     warnings = [*films.warnings, *notes, *describe_fit(fit, films.cameras, request.stature is not None)]
     warnings += describe_doubts(estimate, estimate.body, films.names, cameras)
     if watcher is not None:
@@ -414,38 +423,19 @@ def _body_words(request: EstimationRequest, estimate: Estimate) -> Message:
     return Message("body.of_keypoints", stature=stature, spread=spread)
 
 
-def add_overlap(
-    estimate: Estimate,
-    silhouettes: PersonSilhouettes,
-    cameras: Sequence[Camera],
-    n_girths: int = 12,
-    n_overlaps: int = 600,
+def measure_overlap(
+    estimate: Estimate, silhouettes: PersonSilhouettes, cameras: Sequence[Camera], count: int = 600
 ) -> Estimate:
-    """Fit the body's girths to the person's masks, and measure the overlap, in so many frames spread over the film."""
+    """Measure the overlap of the body and the person's masks in ``count`` frames spread over the film."""
     from dousa.estimation.raster.rasteriser import draw_body
-    from dousa.estimation.tracking.person_size import fit_girths
 
-    if not silhouettes.has_masks:
-        return estimate
-    good = np.flatnonzero(~estimate.lost)
-    body = estimate.body
-    if len(good):
-        frames = good[np.unique(np.linspace(0, len(good) - 1, n_girths).astype(int))]
-        read = [silhouettes.read(int(frame)) for frame in frames]
-        shown = [view for view in range(silhouettes.n_views) if all(masks[view] is not None for masks in read)]
-        if shown:
-            stacked = [np.stack([masks[view] for masks in read]) for view in shown]  # type: ignore[misc]
-            try:
-                body = fit_girths(body, estimate.poses[frames], stacked, [cameras[view] for view in shown])
-            except DousaError:
-                body = estimate.body
     overlap = np.full((estimate.n_frames, silhouettes.n_views), np.nan)
-    for frame in np.unique(np.linspace(0, estimate.n_frames - 1, n_overlaps).astype(int)):
+    for frame in np.unique(np.linspace(0, estimate.n_frames - 1, count).astype(int)):
         for view, mask in enumerate(silhouettes.read(int(frame))):
             if mask is not None and mask.any():
-                drawn = draw_body(body, estimate.poses[frame][None], cameras[view])[0]
+                drawn = draw_body(estimate.body, estimate.poses[frame][None], cameras[view])[0]
                 overlap[frame, view] = (drawn & mask).sum() / max(1, (drawn | mask).sum())
-    return replace(estimate, body=body, iou=overlap)
+    return replace(estimate, iou=overlap)
 
 
 def describe_fit(

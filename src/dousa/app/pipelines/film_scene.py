@@ -442,15 +442,22 @@ class PersonSilhouettes(Silhouettes):
     films : on one clock.
     members : (V,) numbers of the people of each view who are the person.
     sources : (V,) films, whose pictures lie behind the masks; there are none if any of them holds keypoints.
+    plates : (V,) silhouettes of each film by its background, which are taken instead.
     """
 
-    def __init__(self, films: FilmScene, members: Sequence[Sequence[int]], sources: Sequence[Path] = ()) -> None:
+    def __init__(
+        self,
+        films: FilmScene,
+        members: Sequence[Sequence[int]],
+        sources: Sequence[Path] = (),
+        plates: Sequence[Silhouettes] = (),
+    ) -> None:
         from dousa.estimation.silhouettes.video import reduce_size
 
         self.names, self.frame_rate = films.names, films.frame_rate
         self.n_frames = len(films.moments)
-        self.sizes = tuple(reduce_size(view.size) for view in films.found)
-        self._found = films.found
+        self.sizes = tuple(plate.sizes[0] for plate in plates) or tuple(reduce_size(view.size) for view in films.found)
+        self._found, self._plates = films.found, plates
         self._sources = () if any(map(is_keypoints, sources)) else tuple(sources)
         self._files: list[VideoFile] = []
         self._frames = [nearest_frames(view.times, films.moments + offset)
@@ -463,13 +470,17 @@ class PersonSilhouettes(Silhouettes):
     @property
     def has_masks(self) -> bool:
         """Whether any view has masks."""
-        return any(self._masks)
+        return bool(self._plates) or any(self._masks)
 
     def read(self, frame: int) -> tuple[Mask | None, ...]:
         """The masks (height, width) of all views in one frame; None where a view has no image then."""
         masks: list[Mask | None] = []
         for view, found in enumerate(self._found):
             place = int(self._frames[view][frame])
+            if self._plates:
+                own = self._plates[view]
+                masks.append(own.read(min(place, own.n_frames - 1))[0])
+                continue
             drawn = (person.read(place, self.sizes[view], of=found.size) for person in self._masks[view])
             masks.append(next((mask for mask in drawn if mask is not None), None))
         return tuple(masks)
@@ -499,6 +510,26 @@ class PersonSilhouettes(Silhouettes):
         return tuple(camera.resized(*size) for camera, size in zip(cameras, self.sizes, strict=True))
 
 
+def open_plates(request: EstimationRequest, report: ProgressCallback) -> tuple[Silhouettes, ...]:
+    """The silhouettes (V,) of films by their backgrounds; none where these are not given, or show several people.
+
+    Raises
+    ------
+    SilhouetteError : a background that cannot be used.
+    """
+    from dousa.app.pipelines.estimation_views import open_bare_views
+
+    if not has_plates(request) or request.everybody or any(map(is_keypoints, request.sources)):
+        return ()
+    plates = request.backgrounds or (None,) * len(request.sources)
+    if len(plates) != len(request.sources):
+        open_bare_views(request, report)  # says so
+    return tuple(
+        open_bare_views(replace(request, sources=(film,), backgrounds=() if plate is None else (plate,)), report)
+        for film, plate in zip(request.sources, plates, strict=True)
+    )
+
+
 def nearest_frames(times: FloatArray, moments: FloatArray) -> IndexArray:
     """(S,) the frame that is nearest to each moment."""
     after = np.clip(np.searchsorted(times, moments), 1, max(len(times) - 1, 1))
@@ -508,17 +539,22 @@ def nearest_frames(times: FloatArray, moments: FloatArray) -> IndexArray:
     return np.where(moments - times[before] <= times[after] - moments, before, after)
 
 
+def has_plates(request: EstimationRequest) -> bool:
+    """Whether the background of films is given or to be learnt."""
+    return bool(request.backgrounds) or request.background_method is not None
+
+
 def is_films(request: EstimationRequest) -> bool:
-    """Whether the sources are films of a scene or their keypoints, and no plates go with them."""
+    """Whether the sources are films of a scene, with plates or without, or their keypoints."""
     from dousa.estimation.keypoints.keypoint_files import holds_keypoints
     from dousa.estimation.silhouettes.images import IMAGE_ENDINGS
 
     endings = (".npz", *IMAGE_ENDINGS)
-    if request.kind == "mask" or request.backgrounds or request.background_method is not None:
+    if request.kind == "mask" or (has_plates(request) and request.cues not in (None, "both")):
         return False
     if request.start is not None or not request.sources:
         return False
-    if request.cues == "keypoints":
+    if request.cues in ("keypoints", "both"):
         return not any(path.suffix.lower() in IMAGE_ENDINGS for path in request.sources)
     return all(
         (path.is_file() and path.suffix.lower() not in endings) or holds_keypoints(path) for path in request.sources

@@ -22,7 +22,7 @@ SourceKind = Literal["mask", "video"]
 BackgroundMethod = Literal["plate", "median", "mog2"]
 Bones = Literal["auto", "tables", "start"]
 Preset = Literal["default", "paper"]
-Cues = Literal["keypoints", "silhouettes"]
+Cues = Literal["keypoints", "silhouettes", "both"]
 Model = Literal["lite", "full", "heavy"]
 
 _VIDEOS, _DRAWINGS = (".mp4", ".avi", ".mkv"), (".png", ".svg", ".pdf")
@@ -230,8 +230,8 @@ class EstimationRequest:
         Cues | None,
         typer.Option(
             "--cues",
-            help="What is fitted: keypoints of a learned network, or silhouettes. Default: keypoints for films "
-            "without --background and --start, if dousa keypoints --install was run.",
+            help="What is fitted: keypoints of a learned network, silhouettes, or both at once. Default: both for "
+            "films without --start, if dousa keypoints --install was run.",
         ),
     ] = None
     model: Model | None = None

@@ -15,7 +15,7 @@ from time import perf_counter
 import numpy as np
 
 from dousa.arrays import BoolArray, FloatArray, IndexArray
-from dousa.errors import BodyModelError, KeypointError
+from dousa.errors import BodyModelError, KeypointError, SilhouetteError
 from dousa.estimation.body.body import BodyModel
 from dousa.estimation.body.human import LENGTHS, SEX_FACTORS, USUAL_STATURE, make_human
 from dousa.estimation.body.kinematics import compute_points, point_names
@@ -23,10 +23,13 @@ from dousa.estimation.body.posing import fit_poses, standing_state
 from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.keypoints.keypoints import PersonTrack
 from dousa.estimation.multiview.body_fit import BodyParameters, FittedBody, fit_body_parameters, fit_trajectory
+from dousa.estimation.multiview.contours import trace_contour
 from dousa.estimation.multiview.landmarks import BREADTHS, SHIFTS, Landmarks, SeenLandmarks, gather, place_landmarks
 from dousa.estimation.multiview.people import repair_sides
 from dousa.estimation.multiview.pose_residuals import Terms, place_points, point_slopes
 from dousa.estimation.multiview.triangulation import pixels_per_metre, reduce_known, triangulate
+from dousa.estimation.silhouettes.silhouettes import Silhouettes
+from dousa.estimation.tracking.person_size import fit_girths
 from dousa.estimation.tracking.settings import Estimate
 from dousa.messages import Message, Progress
 from dousa.motion import rotations as rot
@@ -74,6 +77,7 @@ def fit_keypoints(
     body: BodyModel | None = None,
     stature: float | None = None,
     sex: str = "average",
+    silhouettes: Silhouettes | None = None,
     progress: Progress | None = None,
     window: int = 600,
     margin: int = 60,
@@ -91,6 +95,8 @@ def fit_keypoints(
     body : with known lengths; by default they are found.
     stature : m; by default from several views, or 1.72 with one view.
     sex : of the proportions, without a body.
+    silhouettes : (V views, T frames) of the person at the same moments, of whole pictures at any size; their contours
+        are fitted too, and the girths of the body.
     progress : called with steps done, steps in all and the current step.
     window, margin : frames that are fitted at once, and shared with the next: fewer take less memory.
 
@@ -101,10 +107,7 @@ def fit_keypoints(
     begun = perf_counter()
     tell = progress or (lambda done, total, what: None)
     n_frames = max((track.n_frames for track in tracks if track is not None), default=0)
-    if len(tracks) != len(cameras) or any(track is not None and track.n_frames != n_frames for track in tracks):
-        raise KeypointError("multiview.views", cameras=len(cameras), tracks=len(tracks))
-    if n_frames == 0:
-        raise KeypointError("multiview.nobody")
+    _check_tracks(cameras, tracks, n_frames)
     tell(0, 4, Message("multiview.triangulating"))
     seen, exchanged = repair_sides(cameras, gather(tracks, names, n_frames))
     shown = [view for view in range(len(cameras)) if seen.seen[view].any()]
@@ -117,12 +120,20 @@ def fit_keypoints(
     own, landmarks, lengths = _find_body(given, body is None, stature, sex, poses, determined, terms)
     tell(2, 4, Message("multiview.fitting"))
     poses, covariance = _fit_in_windows(own, poses, landmarks, terms, tell, window, margin)
+    if silhouettes is not None:
+        own = fit_some_girths(own, poses, silhouettes, cameras)
+        terms = replace(terms, contours=_trace_contours(silhouettes, cameras))
+        poses, covariance = _fit_in_windows(own, poses, landmarks, terms, tell, window, margin)
     fit = _answer((own, landmarks, lengths), (poses, covariance), terms, exchanged, begun)
-    if len(cameras) > 1:
-        return fit
-    sigma = _STATURE_SIGMA if body is None and stature is None else _GIVEN_SIGMA  # the distance is no better known
-    away = np.linalg.norm(compute_points(own, fit.estimate.poses) - cameras[0].position, axis=-1)
-    return replace(fit, estimate=replace(fit.estimate, uncertainty=np.hypot(fit.estimate.uncertainty, sigma * away)))
+    sigma = _STATURE_SIGMA if body is None and stature is None else _GIVEN_SIGMA
+    return fit if len(cameras) > 1 else _doubt_distance(fit, cameras[0], sigma)
+
+
+def _check_tracks(cameras: Sequence[Camera], tracks: Sequence[PersonTrack | None], n_frames: int) -> None:
+    if len(tracks) != len(cameras) or any(track is not None and track.n_frames != n_frames for track in tracks):
+        raise KeypointError("multiview.views", cameras=len(cameras), tracks=len(tracks))
+    if n_frames == 0:
+        raise KeypointError("multiview.nobody")
 
 
 def _first_places(cameras: Sequence[Camera], seen: SeenLandmarks, shown: Sequence[int]) -> FloatArray:
@@ -272,6 +283,36 @@ def _stand(body: BodyModel, landmarks: Landmarks) -> float:
     return body.stature * float(heights[0] / heights[1])
 
 
+def _doubt_distance(fit: KeypointFit, camera: Camera, sigma: float) -> KeypointFit:
+    """Add the doubt in the distance of a single view: the share ``sigma`` of it, as of the stature."""
+    found = fit.estimate
+    away = np.linalg.norm(compute_points(found.body, found.poses) - camera.position, axis=-1)
+    return replace(fit, estimate=replace(found, uncertainty=np.hypot(found.uncertainty, sigma * away)))
+
+
+def fit_some_girths(
+    body: BodyModel, poses: FloatArray, silhouettes: Silhouettes, cameras: Sequence[Camera], count: int = 12
+) -> BodyModel:
+    """Return the body with its girths fitted to ``count`` frames; as it is where no view shows a person in them all."""
+    frames = np.unique(np.linspace(0, len(poses) - 1, count).astype(int))
+    read = [silhouettes.read(int(frame)) for frame in frames]
+    shown = [view for view in range(len(cameras)) if all(masks[view] is not None for masks in read)]
+    small = [cameras[view].resized(*silhouettes.sizes[view]) for view in shown]
+    stacked = [np.stack([masks[view] for masks in read]) for view in shown]  # type: ignore[misc]
+    try:
+        return fit_girths(body, poses[frames], stacked, small) if shown else body
+    except SilhouetteError:  # masks without a person
+        return body
+
+
+def _trace_contours(silhouettes: Silhouettes, cameras: Sequence[Camera]) -> FloatArray:
+    """Return points (V, T, C, 2) of the contours, px of the cameras' pictures."""
+    sizes = [camera.size for camera in cameras]
+    traced = [[trace_contour(mask, size) for mask, size in zip(silhouettes.read(frame), sizes, strict=True)]
+              for frame in range(silhouettes.n_frames)]  # fmt: skip
+    return np.swapaxes(np.array(traced), 0, 1)
+
+
 def _usual_body(stature: float, sex: str) -> BodyModel:
     """Return the body of the tables with anatomical breadths."""
     return make_human(stature, sex, _usual_measures(stature, sex, dict.fromkeys(BREADTHS, 1.0)))
@@ -287,15 +328,14 @@ def _fit_in_windows(
     body: BodyModel, start: FloatArray, landmarks: Landmarks, terms: Terms, tell: Progress, window: int, margin: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return poses (T, 7 + A) and covariance (T, P + K, 3, 3) m^2 of the joints, by windows to limit memory."""
-    n_frames, seen = len(start), terms.seen
+    n_frames = len(start)
     poses, covariance = [], []
     edges = [*range(0, max(n_frames - window // 2, 1), window), n_frames]
     for begin, end in pairwise(edges):
         tell(begin, n_frames, Message("multiview.fitting"))
         first, last = max(0, begin - margin), min(n_frames, end + margin)
         whole = slice(first, last)
-        own = SeenLandmarks(seen.names, seen.points[:, whole], seen.visibility[:, whole], seen.world[:, whole])
-        fitted, doubt = fit_trajectory(body, start[whole], landmarks, replace(terms, seen=own))
+        fitted, doubt = fit_trajectory(body, start[whole], landmarks, terms.cut(whole))
         kept = slice(begin - first, end - first)
         poses.append(fitted[kept])
         covariance.append(_joint_covariance(body, poses[-1], doubt[kept]))

@@ -84,6 +84,13 @@ class Landmarks:
         return replace(self, places=places)
 
 
+def join(one: Landmarks, other: Landmarks) -> Landmarks:
+    """Return the points of both."""
+    parts, places = np.concatenate((one.parts, other.parts)), np.concatenate((one.places, other.places))
+    spread = np.concatenate((one.spread, other.spread))
+    return Landmarks(one.names + other.names, parts, places, spread, one.groups + other.groups)
+
+
 def find_sources(names: Sequence[str], least: int = 6) -> dict[str, tuple[int, ...]]:
     """Return for each landmark the keypoints whose mean it is; KeypointError for less than ``least`` of a body's."""
     place = {name: row for row, name in enumerate(names)}

@@ -12,7 +12,7 @@ compared, in statures. Their biases and spreads across the view and in depth wer
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,8 @@ from dousa.arrays import FloatArray
 from dousa.estimation.body.body import BodyModel
 from dousa.estimation.body.kinematics import place_parts, step_poses
 from dousa.estimation.cameras.camera import Camera
-from dousa.estimation.multiview.landmarks import Landmarks, SeenLandmarks
+from dousa.estimation.multiview.contours import Cones, contour_errors, list_cones
+from dousa.estimation.multiview.landmarks import Landmarks, SeenLandmarks, join
 from dousa.estimation.multiview.triangulation import pixels_per_metre, project_slope
 
 # Measured by python -m lab.trials.made_people.
@@ -121,6 +122,9 @@ class Terms:
     lasting : s, over which the errors of a network's points stay much the same.
     world_lasting : s, likewise of its places in space.
     tail : degrees of freedom of Student's t: the fewer, the less points count that are far off.
+    contours : (V, T, C, 2) px, points of the contours of masks, nan where there are none; None without masks.
+    contour_sigma : statures, one sigma of a contour off the body's outline.
+    contour_weight : of a point of a contour, as its neighbours are off in the same way.
     """
 
     cameras: Sequence[Camera]
@@ -131,6 +135,15 @@ class Terms:
     lasting: float = 0.1
     world_lasting: float = 0.3
     tail: float = 4.0
+    contours: FloatArray | None = None
+    contour_sigma: float = 0.012
+    contour_weight: float = 0.3
+
+    def cut(self, frames: slice) -> Terms:
+        """Return the observations of some of the frames."""
+        seen, contours = self.seen, self.contours
+        own = SeenLandmarks(seen.names, seen.points[:, frames], seen.visibility[:, frames], seen.world[:, frames])
+        return replace(self, seen=own, contours=None if contours is None else contours[:, frames])
 
     @property
     def share(self) -> float:
@@ -184,10 +197,15 @@ def normal_equations(
     body: BodyModel, poses: FloatArray, landmarks: Landmarks, terms: Terms
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return curvature (T, D, D), gradient (T, D) and cost (T,) of the frames' own terms; D = 6 + A."""
-    places, slopes = point_slopes(body, poses, landmarks)
-    errors, weights, costs = image_weights(terms, landmarks, places)
-    n_frames, n_steps = len(poses), slopes.shape[-1]
+    cones = None if terms.contours is None else list_cones(body)
+    places, slopes = point_slopes(body, poses, landmarks if cones is None else join(landmarks, cones.centres))
+    n_frames, n_steps, n_points = len(poses), slopes.shape[-1], len(landmarks.parts)
     square, gradient = np.zeros((n_frames, n_steps, n_steps)), np.zeros((n_frames, n_steps))
+    discs = places[:, n_points:], slopes[:, n_points:]
+    places, slopes = places[:, :n_points], slopes[:, :n_points]
+    errors, weights, costs = image_weights(terms, landmarks, places)
+    if cones is not None:
+        _add_contours(body, terms, cones, discs, square, gradient, costs)
     for view, camera in enumerate(terms.cameras):
         flow = np.nan_to_num(project_slope(camera, places)) @ slopes  # (T, L, 2, D)
         rooted = (np.sqrt(weights[view])[..., None, None] * flow).reshape(n_frames, -1, n_steps)
@@ -197,6 +215,30 @@ def normal_equations(
         _add_world(body, terms, landmarks, places, slopes, square, gradient, costs)
     _add_angles(body, poses, terms, square, gradient, costs)
     return square, gradient, costs
+
+
+def _add_contours(
+    body: BodyModel,
+    terms: Terms,
+    cones: Cones,
+    discs: tuple[FloatArray, FloatArray],
+    square: FloatArray,
+    gradient: FloatArray,
+    costs: FloatArray,
+) -> None:
+    """Add the distances of contours from the body's outline, in place."""
+    assert terms.contours is not None
+    sigma, scale, tail = terms.contour_sigma * body.stature, terms.share * terms.contour_weight, terms.tail
+    for camera, points in zip(terms.cameras, terms.contours, strict=True):
+        off, ways = contour_errors(camera, cones, points, *discs)
+        known = np.isfinite(off)
+        off = np.where(known, off / sigma, 0.0)
+        costs += scale * (0.5 * (tail + 1) * np.log1p(off * off / tail)).sum(axis=1)
+        weight = np.where(known, scale * (tail + 1) / (tail + off * off), 0.0)
+        ways = np.where(known[..., None], ways / sigma, 0.0)
+        rooted = np.sqrt(weight)[..., None] * ways
+        square += np.swapaxes(rooted, 1, 2) @ rooted
+        gradient += np.einsum("tcd,tc,tc->td", ways, weight, off)
 
 
 def _add_world(

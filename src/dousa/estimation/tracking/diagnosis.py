@@ -1,14 +1,13 @@
-"""The diagnosis of settled poses: overlap with the silhouettes, hidden parts, expected error.
+"""The diagnosis of settled poses: overlap with the silhouettes, hidden parts, and how far off each joint may be.
 
-The expected error of a frame is a product of powers of patches and overhang; its logarithm is normally distributed.
-The constants are those of a regression, see docs/estimation.md. Joints share the error by how far each can move
-unnoticed. Pixels within a narrow rim of the outline do not count, as bodies and segmentations differ by that much.
+The expected error of a joint is the root of a sum of squares, each a sign of doubt times its weight. The weights are 0
+or more, so that no sign ever makes a pose surer, and were learned on made people whose joints are known; see
+docs/estimation.md. Pixels within a narrow rim of the outline do not count: bodies and segmentations differ so much.
 """
 
 from __future__ import annotations
 
 from concurrent.futures import Executor, Future
-from math import erf
 from typing import NamedTuple
 
 import numpy as np
@@ -19,35 +18,24 @@ from dousa.estimation.body.human import USUAL_STATURE
 from dousa.estimation.body.kinematics import compute_points, place_parts, step_poses
 from dousa.estimation.raster.rasteriser import Bits, draw_placed
 from dousa.estimation.tracking.search_setup import Frame, SearchSetup, erode, measure_rim
+from dousa.estimation.tracking.start import StartSearch, exchange_pair, find_pairs
 
 LOST_ERROR = 0.15
 """m, by definition the mean error of the joints of a frame that is lost (of a person of usual stature)."""
 
-# A regression over made-up films of two people, see lab/notes/estimation.md ("What is said to be lost"): powers of
-# patches and overhang, what is added to both, and the logarithm of the error (m) where they are one.
-_PATCHES, _OVERHANG, _LEAST, _SCALE = 0.495, 0.128, 0.004, 0.119
-# Likewise: shift and spread of the logarithm by whether lines of sight meet.
-_SHIFT, _SPREAD = {True: 0.0, False: 1.5}, {True: 0.387, False: 0.671}
+HIDDEN = 0.1
+"""Share of a part's own pixels below which the image does not determine its place: by definition of `occluded`."""
 
+SIGNS = ("always", "width", "bend", "step", "outside", "hidden", "swap", "depth")
+"""Of the doubt in a joint; see `list_signs`."""
 
-class PatchMeasure:
-    """Measure patches and overhang without rims; ``area`` (px) is the mean area of a silhouette at the working size."""
-
-    def __init__(self, area: float) -> None:
-        self.area, self.steps = max(area, 1.0), measure_rim(area)
-
-    def measure(self, drawn: Bits, frame: Frame) -> FloatArray:
-        """Compute patches and overhang (2,) of the drawn body (V, H, words) as shares of a usual silhouette.
-
-        Patches are silhouette pixels that no part covers, overhang is body outside; NaN if no view sees a person.
-        """
-        seen = frame.seen
-        if not seen.any():
-            return np.full(2, np.nan)
-        silhouettes, body = frame.bits[seen], drawn[seen]
-        both = (erode(silhouettes & ~body, self.steps), erode(body & ~silhouettes, self.steps))
-        counts = np.array([np.bitwise_count(deep).sum() for deep in both], np.float64)
-        return np.asarray(counts / (self.area * seen.sum()))
+# Learned by python -m lab.training.train_doubt, by whether lines of sight meet.
+WEIGHTS = {
+    True: (0.017, 0.823, 0.490, 0.298, 0.144, 0.060, 0.968, 0.058),
+    False: (0.109, 2.509, 0.0, 3.154, 0.673, 0.220, 0.0, 0.511),
+}
+_SAID = {True: 0.068, False: LOST_ERROR}
+"""m, expected mean error from which a frame is lost: that of 5 % of the good frames of lab.training.train_doubt."""
 
 
 class Doubt(NamedTuple):
@@ -57,63 +45,6 @@ class Doubt(NamedTuple):
     lost: BoolArray
 
 
-class ErrorModel:
-    """Estimate the error of poses.
-
-    Parameters
-    ----------
-    setup : body and frame rate.
-    meet : whether the lines of sight of the views meet, so that depth is known.
-    window : s to either side that are averaged, as tracks are lost and found in more than a frame.
-    unlikely : probability of an error above `LOST_ERROR` from which a frame is lost.
-    rigid : m, error of a joint without any movement of its own.
-    usual : m, stature to which `LOST_ERROR` applies; errors grow with the body.
-    """
-
-    def __init__(
-        self, setup: SearchSetup, meet: bool, *, window: float = 0.13, unlikely: float = 0.2, rigid: float = 0.03,
-        usual: float = USUAL_STATURE,
-    ) -> None:  # fmt: skip
-        self.scale, self.reach = setup.body.stature / usual, round(window * setup.frame_rate)
-        self.shift, self.spread, self.unlikely, self.rigid = _SHIFT[meet], _SPREAD[meet], unlikely, rigid
-
-    def judge(self, patches: FloatArray, widths: FloatArray, habit: float | None = None) -> Doubt:
-        """Compute the doubt of consecutive frames.
-
-        Parameters
-        ----------
-        patches : (T, 2) patches and overhang, nan if no person is seen.
-        widths : (T, P + K) m, how far each point can move unnoticed.
-        habit : see `find_habit`; of these frames by default.
-        """
-        seen = np.asarray(np.isfinite(patches).all(axis=1))
-        found = np.where(seen[:, None], _average(patches, seen, self.reach), 1.0)
-        found[:, 0] = np.maximum(found[:, 0] - (find_habit(patches) if habit is None else habit), 0.0)
-        middle = _SCALE + self.shift + np.log(found + _LEAST) @ (_PATCHES, _OVERHANG)
-        expected = np.exp(middle + 0.5 * self.spread**2)
-        above = np.array([0.5 * (1.0 + erf(z)) for z in (middle - np.log(LOST_ERROR)) / (self.spread * np.sqrt(2.0))])
-        own = np.hypot(widths, self.rigid * self.scale)
-        errors = self.scale * expected[:, None] * own / own.mean(axis=1, keepdims=True)
-        return Doubt(errors, np.asarray((above > self.unlikely) | ~seen))
-
-
-def find_habit(patches: FloatArray, *, rarely: float = 0.1, share: float = 0.7, enough: int = 10) -> float:
-    """Compute the share of patches (T, 2) present in nearly every frame: shadows or clothes, no error.
-
-    It is ``share`` of what all but ``rarely`` of the frames leave; 0 for fewer frames than ``enough``.
-    """
-    seen = patches[np.isfinite(patches[:, 0]), 0]
-    return share * float(np.quantile(seen, rarely)) if len(seen) >= enough else 0.0
-
-
-def _average(values: FloatArray, known: BoolArray, reach: int) -> FloatArray:
-    """Average (T, n) over the known frames within ``reach``; 0 where there is none."""
-    window = np.ones(2 * reach + 1)
-    count = np.convolve(known, window)[reach : reach + len(known)]
-    columns = [np.convolve(np.where(known, column, 0.0), window)[reach : reach + len(known)] for column in values.T]
-    return np.asarray(np.stack(columns, axis=1) / np.maximum(count, 1.0)[:, None])
-
-
 class Note(NamedTuple):
     """The measurements of one pose.
 
@@ -121,14 +52,72 @@ class Note(NamedTuple):
     ----------
     overlap : (V,) intersection over union; nan where nothing is seen.
     widths : (P + K,) m, how far each point can move while the image score stays nearly the same.
-    occluded : (P,) parts hidden in every view.
-    patches : (2,) see `PatchMeasure`.
+    visible : (P,) share of a part that no other part covers, in the view where it is greatest.
+    outside : (P,) share of a part that lies outside the silhouettes.
+    swap : (P + K,) m, how far each point goes with limbs exchanged, as far as the image allows; nan if not looked at.
     """
 
     overlap: FloatArray
     widths: FloatArray
-    occluded: NDArray[np.bool_]
-    patches: FloatArray
+    visible: FloatArray
+    outside: FloatArray
+    swap: FloatArray
+
+
+def list_signs(setup: SearchSetup, poses: FloatArray, notes: Note, *, window: float = 0.13) -> FloatArray:
+    """Compute the signs of doubt (T, P + K, S), those of `SIGNS`, in m of a person of usual stature, or shares.
+
+    Width, bend (off the middle between the frames before and after), step (in a 30th of a second), outside and hidden
+    are means over ``window`` s to either side; depth is how far a joint lies from the root along the first view.
+    """
+    body, rate = setup.body, setup.frame_rate
+    points, scale = compute_points(body, poses), body.stature / USUAL_STATURE
+    seen = np.asarray(np.isfinite(notes.overlap).any(axis=1))
+    bend, step = np.zeros(points.shape[:2]), np.zeros(points.shape[:2])
+    apart = max(1, round(rate / 30.0))
+    if len(points) > 2 * apart:
+        middle = points[2 * apart :] - 2.0 * points[apart:-apart] + points[: -2 * apart]
+        bend[apart:-apart] = np.linalg.norm(middle, axis=-1)
+    step[1:] = np.linalg.norm(np.diff(points, axis=0), axis=-1) * rate / 30.0
+    own = np.concatenate((np.arange(body.n_parts), body.tip_parts))
+    above = np.concatenate((np.maximum(body.parents, 0), body.tip_parts))
+    hidden = 1.0 - np.minimum(notes.visible[:, above], notes.visible[:, own])
+    reach = round(window * rate)
+    width, bend, step, outside, hidden = (
+        _average(values, seen, reach)
+        for values in (notes.widths, bend, step, notes.outside[:, above] + notes.outside[:, own], hidden)
+    )
+    depth = np.abs((points - points[:, :1]) @ setup.cameras[0].rotation[2])
+    swap = _fill(notes.swap)
+    lengths = [sign / scale for sign in (width, bend, step)]
+    return np.stack((np.ones_like(depth), *lengths, np.sqrt(outside), hidden, swap / scale, depth / scale), axis=-1)
+
+
+def judge(setup: SearchSetup, poses: FloatArray, notes: Note, meet: bool) -> Doubt:
+    """Compute the doubt of consecutive poses (T, 7 + A); depth is known where the lines of sight ``meet``."""
+    signs = list_signs(setup, poses, notes)
+    expected = np.sqrt((np.array(WEIGHTS[meet]) * signs) ** 2 @ np.ones(len(SIGNS)))
+    seen = np.asarray(np.isfinite(notes.overlap).any(axis=1))
+    lost = np.asarray((expected.mean(axis=1) > _SAID[meet]) | ~seen)
+    return Doubt(np.asarray(expected * setup.body.stature / USUAL_STATURE), lost)
+
+
+def _average(values: FloatArray, known: BoolArray, reach: int) -> FloatArray:
+    """Average (T, n) over the known frames within ``reach``; as it is where there is none."""
+    window = np.ones(2 * reach + 1)
+    count = np.convolve(known, window)[reach : reach + len(known)]
+    sums = [np.convolve(np.where(known, column, 0.0), window)[reach : reach + len(known)] for column in values.T]
+    means = np.stack(sums, axis=1) / np.maximum(count, 1.0)[:, None]
+    return np.where((known & (count > 0))[:, None], means, values)
+
+
+def _fill(values: FloatArray) -> FloatArray:
+    """Interpolate (T, n) between the frames that are known; 0 where none is."""
+    known = np.flatnonzero(np.isfinite(values).all(axis=1))
+    if not len(known):
+        return np.zeros_like(values)
+    frames = np.arange(len(values))
+    return np.stack([np.interp(frames, known, column[known]) for column in values.T], axis=1)
 
 
 def _count_bits(bits: Bits) -> NDArray[np.int64]:
@@ -153,17 +142,34 @@ def compare_views(drawn: Bits, silhouettes: Bits) -> FloatArray:
     return np.where(either > 0, both / np.maximum(either, 1), np.nan)
 
 
-def find_visible(setup: SearchSetup, pose: FloatArray, frame: Frame) -> FloatArray:
-    """Compute the share (P,) of each part's pixels that no other part covers, in the view where it is greatest."""
+def look_at_parts(setup: SearchSetup, pose: FloatArray, frame: Frame, steps: int) -> tuple[FloatArray, FloatArray]:
+    """Compute ``visible`` and ``outside`` (P,) of `Note`; ``steps`` px at the outline do not count."""
     body, visible = setup.body, np.zeros(setup.body.n_parts)
+    wholes, beyond = np.zeros(body.n_parts), np.zeros(body.n_parts)
     placed, apart = place_parts(body, pose[None]), np.arange(body.n_parts)
     for view in np.flatnonzero(frame.seen):
         (parts,) = draw_placed(body, placed, setup.rows[view], setup.sizes[view], apart, body.n_parts)
         before = np.bitwise_or.accumulate(parts)  # what each part and those before it cover
         shared = np.bitwise_or.reduce(before[:-1] & parts[1:])
+        deep = erode(before[-1] & ~frame.bits[view, : parts.shape[1], : parts.shape[2]], steps)
         whole, own = _count_bits(parts), _count_bits(parts & ~shared)
         visible = np.maximum(visible, own / np.maximum(whole, 1))
-    return visible
+        wholes += whole
+        beyond += _count_bits(parts & deep)
+    return visible, beyond / np.maximum(wholes, 1.0)
+
+
+def measure_swap(setup: SearchSetup, pose: FloatArray, frame: Frame) -> FloatArray:
+    """Compute ``swap`` (P + K,) m of `Note`: each pair of limbs is exchanged, fitted, and weighed by the image."""
+    search, points = StartSearch(setup, frame), np.zeros(setup.body.n_parts + len(setup.body.tips))
+    for pair in find_pairs(setup.body):
+        own, other = pose.copy(), exchange_pair(setup.body, pose, pair)
+        search.sweep_parts(own, pair.parts, (0.5,))
+        search.sweep_parts(other, pair.parts, (1.0, 0.5))
+        likely = 1.0 / (1.0 + np.exp(np.clip(search.score(own) - search.score(other), -50.0, 50.0)))
+        away = np.diff(compute_points(setup.body, np.stack((own, other))), axis=0)[0]
+        points += likely * (away * away).sum(axis=-1)
+    return np.asarray(np.sqrt(points))
 
 
 def _await(note: Note | Future[Note]) -> Note:
@@ -179,32 +185,34 @@ class Diagnosis:
     area : px, mean area of a silhouette at the size of the setup's cameras.
     meet : whether the lines of sight of the views meet, so that depth is known.
     pool : threads that take the notes during the search; None takes them at once.
-    hidden : share of a part's own pixels below which the image does not determine its place.
+    every : frames from one look at exchanged limbs to the next, as they stay exchanged for longer.
     """
 
     def __init__(
-        self, setup: SearchSetup, area: float, meet: bool, pool: Executor | None = None, hidden: float = 0.1
+        self, setup: SearchSetup, area: float, meet: bool, pool: Executor | None = None, every: int = 5
     ) -> None:
-        self.setup, self.pool, self._hidden = setup, pool, hidden
-        self._patch_measure, self._model = PatchMeasure(area), ErrorModel(setup, meet)
+        self.setup, self.pool, self._every = setup, pool, every
+        self._area, self._steps, self._meet = max(area, 1.0), measure_rim(area), meet
         self._notes: list[Note | Future[Note]] = []
 
     def cover(self, pose: FloatArray, frame: Frame) -> tuple[float, float]:
-        """Return mean overlap and share of patches over the views that see a person; 0 and 1 if none does."""
-        overlap, patches = self._cover(pose, frame)
-        seen = overlap[np.isfinite(overlap)]
-        return (float(seen.mean()), float(patches[0])) if len(seen) else (0.0, 1.0)
+        """Return mean overlap, and share of the silhouettes that no part covers, of the views that see a person.
 
-    def _cover(self, pose: FloatArray, frame: Frame) -> tuple[FloatArray, FloatArray]:
-        """Compute overlap (V,) and patches (2,)."""
-        drawn = draw_views(self.setup, pose, frame)
-        return compare_views(drawn, frame.bits), self._patch_measure.measure(drawn, frame)
+        0 and 1 if none does.
+        """
+        if not frame.seen.any():
+            return 0.0, 1.0
+        drawn, silhouettes = draw_views(self.setup, pose, frame)[frame.seen], frame.bits[frame.seen]
+        patches = np.bitwise_count(erode(silhouettes & ~drawn, self._steps)).sum()
+        return float(compare_views(drawn, silhouettes).mean()), float(patches / (self._area * len(drawn)))
 
-    def look(self, pose: FloatArray, frame: Frame) -> Note:
-        """Measure a pose."""
-        overlap, patches = self._cover(pose, frame)
-        occluded = find_visible(self.setup, pose, frame) < self._hidden
-        return Note(overlap, self._measure_spread(pose, frame), occluded, patches)
+    def look(self, pose: FloatArray, frame: Frame, swap: bool = False) -> Note:
+        """Measure a pose, with limbs exchanged if ``swap``."""
+        overlap = compare_views(draw_views(self.setup, pose, frame), frame.bits)
+        visible, outside = look_at_parts(self.setup, pose, frame, self._steps)
+        widths = self._measure_spread(pose, frame)
+        swapped = measure_swap(self.setup, pose, frame) if swap and frame.seen.any() else np.full(len(widths), np.nan)
+        return Note(overlap, widths, visible, outside, swapped)
 
     @property
     def latest(self) -> Note:
@@ -213,21 +221,21 @@ class Diagnosis:
 
     def write(self, pose: FloatArray, frame: Frame) -> None:
         """Add the note of a settled pose."""
-        self._notes.append(self.look(pose, frame) if self.pool is None else self.pool.submit(self.look, pose, frame))
+        given = (pose, frame, len(self._notes) % self._every == 0)
+        self._notes.append(self.look(*given) if self.pool is None else self.pool.submit(self.look, *given))
 
     def finish(self) -> None:
         """Wait for the notes in progress."""
         self._notes = [_await(note) for note in self._notes]
 
-    def is_lost(self, note: Note, recent: int = 300) -> bool:
-        """Return whether a frame by itself is probably lost, with the habit of ``recent`` frames before it."""
-        before = np.array([_await(old).patches for old in self._notes[-recent:]]).reshape(-1, 2)
-        return bool(self._model.judge(note.patches[None], note.widths[None], find_habit(before)).lost[0])
+    def is_lost(self, pose: FloatArray, note: Note) -> bool:
+        """Return whether a frame by itself is probably lost."""
+        one = Note(*(values[None] for values in note))
+        return bool(judge(self.setup, pose[None], one, self._meet).lost[0])
 
-    def judge(self) -> Doubt:
-        """Compute the doubt of all noted poses."""
-        notes = self.arrays()
-        return self._model.judge(notes.patches, notes.widths)
+    def judge(self, poses: FloatArray) -> Doubt:
+        """Compute the doubt of all noted poses (T, 7 + A)."""
+        return judge(self.setup, poses, self.arrays(), self._meet)
 
     def _measure_spread(self, pose: FloatArray, frame: Frame) -> FloatArray:
         """Compute how far (P + K,) m each point moves while the image score stays nearly the same.
@@ -253,11 +261,11 @@ class Diagnosis:
         """Return all notes, with the frames (T,) along the first axis of each array."""
         self.finish()
         body = self.setup.body
-        sizes = (len(self.setup.cameras), body.n_parts + len(body.tips), body.n_parts, 2)
-        columns = zip(*map(_await, self._notes), strict=True) if self._notes else [()] * 4
-        kinds = (np.float64, np.float64, np.bool_, np.float64)
-        return Note(*(np.array(column, kind).reshape(-1, size)
-                      for column, kind, size in zip(columns, kinds, sizes, strict=True)))  # fmt: skip
+        n_points = body.n_parts + len(body.tips)
+        sizes = (len(self.setup.cameras), n_points, body.n_parts, body.n_parts, n_points)
+        columns = zip(*map(_await, self._notes), strict=True) if self._notes else [()] * len(sizes)
+        return Note(*(np.array(column, np.float64).reshape(-1, size)
+                      for column, size in zip(columns, sizes, strict=True)))  # fmt: skip
 
     def load(self, notes: Note) -> None:
         """Load the notes of an earlier run, as `arrays` returns them."""

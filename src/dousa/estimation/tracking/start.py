@@ -305,7 +305,7 @@ class StartSearch:
         pairs = find_pairs(self.body)
         tried = [exchange_pair(self.body, pose, pair) for pair in pairs]
         for other, pair in zip(tried, pairs, strict=True):
-            self._sweep_parts(other, pair.parts, (1.0, 0.5))
+            self.sweep_parts(other, pair.parts, (1.0, 0.5))
         _, best = max((self.refine(other, (0.5,)) for other in (pose, *tried)), key=lambda found: found[0])
         return self.refine(self._exchange_limbs(best, count=count), (0.5,))[1]
 
@@ -358,7 +358,8 @@ class StartSearch:
         moved = move_onto(self.body, np.concatenate(turned), place, self.cameras, self.outlines)
         return moved if near is None else np.concatenate((moved, near[None]))
 
-    def _sweep_parts(self, pose: FloatArray, parts: IndexArray, widths: Sequence[float]) -> None:
+    def sweep_parts(self, pose: FloatArray, parts: IndexArray, widths: Sequence[float]) -> None:
+        """Run sweeps of these widths (dR) over some parts, in place."""
         whole, self.setup.order = self.setup.order, parts
         for factor in widths:
             self._sweep(pose, factor)
@@ -377,7 +378,7 @@ class StartSearch:
                 scores[number] = self.score(pose)
             for number in _pick_limbs(templates[:, limb], scores, count):
                 pose[limb] = templates[number, limb]
-                self._sweep_parts(pose, parts, widths)
+                self.sweep_parts(pose, parts, widths)
                 score = self.score(pose)
                 if score > best:
                     best, kept = score, pose[limb].copy()

