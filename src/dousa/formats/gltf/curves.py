@@ -124,7 +124,7 @@ _RARE, _MANY = 0.2, 9
 """Hz, and steps: so many even keys so far apart are frames with seconds that are wrong, by definition of
 docs/formats.md. They are kept, and `dousa.formats.guard` decides on their rate."""
 
-_USUAL = (12.5, 15, 20, 24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 125, 144, 150, 180, 200, 240, 250, 300, 480)
+_USUAL = (10, 12.5, 15, 20, 24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 125, 144, 150, 180, 200, 240, 250, 300, 480)
 """Hz, rates of cameras and of systems, by definition."""
 
 
@@ -175,7 +175,7 @@ def _list_rates(measured: float, same: float = 1e-4, rounded: float = 2e-3) -> I
     """
     usual = min(_USUAL, key=lambda other: abs(other - measured))
     near = abs(usual - measured) / measured
-    if measured >= _SLOWEST_RECORDING:
+    if measured >= _SLOWEST_RECORDING * (1 - same):  # times of 32 bits
         if near <= rounded:
             yield float(usual)
         if near > same:
