@@ -134,7 +134,10 @@ def test_the_commands_are_printed_and_do_the_three_jobs_and_can_be_run_again(tmp
     ]  # fmt: skip
     query, estimated = re.findall(r"bvh: (\w+), \d+% sure", out)
     assert query == "kick_left" and estimated == "kick_left"
-    mistakes = re.findall(r"(?:global|partial) motion error|incomplete motion|time shift", out)
+    # An arm that stops short is called incomplete or partial (docs/evaluation.md: such arms are named rightly in .58):
+    # film and performance need not agree in that, but in how many limbs, how much of the body and what comes late.
+    mistakes = re.findall(r"global motion error|(?:partial motion error|incomplete motion)|time shift", out)
+    mistakes = ["limb" if mistake.startswith(("partial", "incomplete")) else mistake for mistake in mistakes]
     assert sorted(mistakes[:4]) == sorted(mistakes[4:8])
     grades = [int(grade) for grade in re.findall(r"grade (\d+) of 100", out)]
     assert len(grades) == 3 and abs(grades[1] - grades[2]) < 25
