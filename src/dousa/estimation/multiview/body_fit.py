@@ -147,7 +147,7 @@ def fit_body_parameters(
     body, landmarks, square, gradient = found
     others = _parameter_equations(parameters, state[0], body, landmarks, state[1], terms)
     _, reduced, _ = _reduce(square, gradient, *others, 0.0)
-    return FittedBody(body, landmarks, state[0], np.linalg.inv(reduced))
+    return FittedBody(body, landmarks, state[0], np.asarray(np.linalg.inv(reduced)))
 
 
 def _parameter_equations(
@@ -196,7 +196,7 @@ def _eliminate(
 ) -> tuple[FloatArray, FloatArray]:
     """Return steps of the poses (T, D) and change of the parameters (N,)."""
     solved, reduced, rest = _reduce(square, gradient, cross, own, pull, damping)
-    change = -np.linalg.solve(reduced, rest)
+    change = np.asarray(-np.linalg.solve(reduced, rest))
     return -(solved[..., -1] + solved[..., :-1] @ change), change
 
 
@@ -213,7 +213,7 @@ def _reduce(
     damped = square.copy()
     damped[:, size, size] *= 1.0 + damping
     damped[:, size, size] += 1e-6
-    solved = np.linalg.solve(damped, np.concatenate((cross, gradient[..., None]), axis=2))
+    solved = np.asarray(np.linalg.solve(damped, np.concatenate((cross, gradient[..., None]), axis=2)))
     reduced = own + damping * np.diag(np.diag(own)) - np.einsum("tdn,tdm->nm", cross, solved[..., :-1])
     return solved, reduced, pull - np.einsum("tdn,td->n", cross, solved[..., -1])
 
