@@ -24,7 +24,7 @@ ROOMS = {
     "experiments": (1_722, 10),
     "files": (1_126, 8),
     "formats": (13_164, 70),
-    "library": (15_911, 58),
+    "library": (15_889, 58),
     "messages": (235, 3),
     "motion": (6_487, 34),
     "retrieval": (13_223, 47),

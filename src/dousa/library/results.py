@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from dousa.files.json_values import to_json_value
 from dousa.formats.motion_files import Skipped as Skipped  # noqa: PLC0414 - a result of the library too
 from dousa.messages import Message
 from dousa.motion.annotation import Stretch, lay_out
@@ -22,32 +22,19 @@ MIRROR_ODDS, MIRROR_DISTANCE, MIRROR_SCORE = 1.0, 0.95, 0.02
 
 
 class Answer:
-    """A plain value that can be written as JSON; ``_names`` renames keys."""
+    """A plain value that can be written as JSON; ``_names`` renames keys, ``_if_any`` leaves empty ones out."""
 
     __slots__ = ()
     _names: ClassVar[dict[str, str]] = {}
+    _if_any: ClassVar[tuple[str, ...]] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Return plain lists and dictionaries, with messages in the current language."""
-        names = [field.name for field in fields(self)]  # type: ignore[arg-type]
-        return {self._names.get(name, name): _to_plain(getattr(self, name)) for name in names}
-
-
-def _to_plain(value: Any) -> Any:
-    if isinstance(value, Message):
-        return str(value)
-    if hasattr(value, "to_json"):
-        return value.to_json()
-    if isinstance(value, tuple):
-        return [_to_plain(item) for item in value]
-    return dict(value) if isinstance(value, Mapping) else value
-
-
-def _without(answer: dict[str, Any], name: str) -> dict[str, Any]:
-    """Return the dictionary without ``key`` if its value is empty."""
-    if answer[name] is None:
-        del answer[name]
-    return answer
+        values = {one.name: getattr(self, one.name) for one in fields(self)}  # type: ignore[arg-type]
+        plain = {
+            self._names.get(name, name): value for name, value in values.items() if value or name not in self._if_any
+        }
+        return {name: to_json_value(value, float) for name, value in plain.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +64,8 @@ class Verdict(Answer):
     perhaps: bool = False
     odds: float = 0.0
 
+    _if_any: ClassVar[tuple[str, ...]] = ("explanation",)
+
     def fits_better_than(self, other: Verdict) -> bool:
         """Return whether the guess of this motion is clearly likelier than that of another, as of its mirror image."""
         return self.odds > other.odds + MIRROR_ODDS
@@ -85,7 +74,7 @@ class Verdict(Answer):
         """Return plain lists and dictionaries; ``explanation`` only if there is one, and no ``odds``."""
         plain = {"category": None, "histogram": None, **Answer.to_json(self)}
         del plain["odds"]
-        return _without(plain, "explanation")
+        return plain
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,15 +111,9 @@ class Hit(Answer):
     hidden: tuple[str, ...] = ()
 
     _names: ClassVar[dict[str, str]] = {"hidden": "compared_without"}
+    _if_any: ClassVar[tuple[str, ...]] = ("likeness", "hidden")
     alike: bool | None = None
     probability: float | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """Return a plain dictionary; ``likeness`` and ``compared_without`` only if not empty."""
-        answer = _without(Answer.to_json(self), "likeness")
-        if not self.hidden:
-            del answer["compared_without"]
-        return answer
 
 
 @short_repr
@@ -534,12 +517,7 @@ class FindResult(Answer, Tabular):
 
     _names: ClassVar[dict[str, str]] = {"duration": "duration_s", "seconds": "takes_s"}
 
-    def to_json(self) -> dict[str, Any]:
-        """Return plain lists and dictionaries, times in s; ``notes`` only if not empty."""
-        answer = Answer.to_json(self)
-        if not self.notes:
-            del answer["notes"]
-        return answer
+    _if_any: ClassVar[tuple[str, ...]] = ("notes",)
 
 
 @short_repr
