@@ -41,6 +41,10 @@ def test_chosen_clips_in_a_zip_on_a_character(tmp_path, moves, succeed):
     assert 0.0 <= float(row["worst_deg"]) < 90.0
     assert 1 <= int(row["worst_frame"]) <= int(row["n_frames"])
     assert read_motion(tmp_path / name).frame_rate == pytest.approx(30.0)
+    for onto, is_told in ((("--onto", character), True), (("--onto", character), True), ((), False)):
+        succeed("export", moves, "2", "-o", tmp_path / "out", "--to", "bvh", *onto)
+        with open(tmp_path / "out" / "manifest.csv", encoding="utf-8", newline="") as file:
+            assert [bool(row["worst_limb"]) for row in csv.DictReader(file)] == [is_told]
 
 
 @pytest.mark.parametrize(

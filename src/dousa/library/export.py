@@ -323,10 +323,11 @@ class _Export:
             names[name] = str(clip.id)
             content = self.library.contents([clip.id]).get(clip.id, "")
             made_of = hashlib.sha256(f"{self.recipe} {content} {clip.start_s} {clip.end_s}".encode()).hexdigest()[:16]
-            known = self.rows.get(name)
+            known = self.rows.get(name, {})
+            is_there = known.get("made_of") == made_of
             row = _describe(clip, name, made_of)
-            row |= {key: known[key] for key in ("from", *_WORST) if known and key in known}
-            planned.append(_Planned(clip, row, content, known is not None and known["made_of"] == made_of))
+            row |= {key: known[key] for key in ("from", *_WORST) if is_there and key in known}
+            planned.append(_Planned(clip, row, content, is_there))
         self.to_come = {one.row["file"]: {**one.row, "made_of": ""} for one in planned if not one.is_there}
         if self.to_come:
             self.destination.write_manifest({**self.rows, **self.to_come}.values(), to_come=True)

@@ -512,7 +512,7 @@ def _draw_rounds(
     """Yield the training, known and unknown clips of each round that is possible.
 
     Each round holds back one of ``category_parts`` of the categories, so its forest has almost as many as the real one,
-    and one of ``performer_parts`` of the performers. Twice as many rounds gave nothing more (docs/confidence.md).
+    and one of ``performer_parts`` of the performers. Twice as many gave nothing more (lab/notes/confidence.md).
     """
     generator = np.random.default_rng(random_state)
     names, own = np.unique(labels, return_inverse=True)
