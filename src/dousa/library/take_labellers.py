@@ -186,9 +186,7 @@ class Labellers:
         try:
             return TakeLabeller.from_bytes(data)
         except DousaError as error:
-            raise LibraryDamagedError(
-                "library_forest.part_damaged", library=self._database.where, problem=error
-            ) from error
+            raise LibraryDamagedError("library_forest.damaged", library=self._database.where, problem=error) from error
 
     def _learn(self, stored: StoredForest, n_jobs: int | None, progress: Progress | None) -> TakeLabeller:
         def report(done: int, total: int) -> None:

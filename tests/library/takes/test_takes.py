@@ -433,7 +433,7 @@ def test_windows_are_not_kept_where_nothing_may_change(library, path_with_take):
 def test_damaged_windows(path_with_take, statement):
     change(path_with_take, statement)
     seal_again(path_with_take)
-    with Library.open(path_with_take) as library, pytest.raises(LibraryDamagedError, match=r"dousa train|retrain"):
+    with Library.open(path_with_take) as library, pytest.raises(LibraryDamagedError, match="dousa train"):
         library.find(1)
 
 

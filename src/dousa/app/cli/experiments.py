@@ -245,7 +245,9 @@ def _run_command(truth: str, command: tuple[object, ...], jobs: int | None) -> N
         if line:
             console().print()
             say(line)
-    make_application(words)([*(("-j", str(jobs)) if jobs else ()), *words], standalone_mode=False)
+    code = make_application(words)([*(("-j", str(jobs)) if jobs else ()), *words], standalone_mode=False)
+    if code:  # as after Ctrl-C, which Typer turns into one
+        raise typer.Exit(code)
 
 
 def warm(

@@ -398,7 +398,7 @@ class PartForests:
             calibration = None if row.calibration is None else Calibration.from_bytes(row.calibration)
         except DousaError as error:
             where = self._database.where
-            raise LibraryDamagedError("library_forest.part_damaged", library=where, problem=error) from error
+            raise LibraryDamagedError("library_forest.damaged", library=where, problem=error) from error
         categories = tuple(str(name) for name in forest.classes_)
         assessor = None if calibration is None else Assessor(forest, calibration)
         stored = replace(main, forest=forest, categories=categories, feature_set=kind.name, assessor=assessor)

@@ -176,16 +176,13 @@ def load_forest(connection: sa.Connection, where: str, known: StoredForest | Non
             raise LibraryDamagedError("library_forest.other_categories")
         if not isinstance(row.parameters, dict) or not isinstance(row.parameters.get("feature_set"), str):
             raise LibraryDamagedError("library_forest.no_features")
+        likeness = None if row.likeness is None else Likeness.from_bytes(row.likeness)
+        assessor = None if row.calibration is None else Assessor(forest, Calibration.from_bytes(row.calibration))
     except DousaError as error:
         raise LibraryDamagedError("library_forest.damaged", library=where, problem=error) from error
     feature_set = row.parameters["feature_set"]
     if forest.feature_names_ != find_feature_set(feature_set).column_names:
         raise LibraryVersionError("library_forest.other_features", library=where)
-    try:
-        likeness = None if row.likeness is None else Likeness.from_bytes(row.likeness)
-        assessor = None if row.calibration is None else Assessor(forest, Calibration.from_bytes(row.calibration))
-    except DousaError as error:
-        raise LibraryDamagedError("library_forest.part_damaged", library=where, problem=error) from error
     grid, first_later = _read_grid(row.window_lengths), int(row.first_later)
     revisions = int(state.revision), int(state.learned)
     return StoredForest(forest, categories, feature_set, grid, assessor, *revisions, likeness, first_later)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,16 +47,16 @@ def unpack_arrays(
         return {name: archive.read(name, "biufU", most=len(data)).copy("K") for name in archive.names}
 
 
-def check_version(arrays: Mapping[str, NDArray[Any]], what: Message, known: Sequence[int]) -> None:
-    """Raise DousaError unless the array ``version`` is one of ``known``, of which the last is the newest."""
+def check_version(arrays: Mapping[str, NDArray[Any]], what: Message, known: int) -> None:
+    """Raise DousaError unless the array ``version`` is ``known``."""
     version = arrays["version"]
     check(version.shape == () and version.dtype.kind in "iu", what, "no version")
-    if int(version) not in known:
-        raise DousaError("stored.newer", what=what, version=int(version), known=known[-1])
+    if int(version) != known:
+        raise DousaError("stored.other_version", what=what, version=int(version), known=known)
 
 
 _WHAT = Message("stored.forest")
-_VERSION = 3  # of the stored form, by definition
+_VERSION = 4  # of the stored form, also of the calibration beside it, by definition
 
 # Arrays of the trees by the names of their fields, and of the training; all have one axis, the nodes two.
 _TREE_ARRAYS: dict[str, type[np.generic]] = {
@@ -105,10 +105,10 @@ def pack_forest(file: ForestFile) -> bytes:
 
 
 def unpack_forest(data: bytes) -> ForestFile:
-    """Read a forest; DousaError if the bytes are damaged, something else, or of a newer version."""
+    """Read a forest; DousaError if the bytes are damaged, something else, or of another version."""
     names = {"version", "parameters", "classes", "feature_names", *_TREE_ARRAYS, "sizes"}
     arrays = unpack_arrays(data, names, _WHAT, ("homes", "pooled", *_TRAINED_ARRAYS))
-    check_version(arrays, _WHAT, (_VERSION,))
+    check_version(arrays, _WHAT, _VERSION)
     grown = _TRAINED_ARRAYS.keys() <= arrays.keys()  # a grown forest keeps the entries of the training
     _check(all((name in arrays) == grown for name in _TRAINED_ARRAYS), "other arrays")
     for name, dtype in {**_TREE_ARRAYS, **(_TRAINED_ARRAYS if grown else {})}.items():

@@ -336,7 +336,8 @@ def climb_likelihood(
 
 
 def _logistic(odds: FloatArray) -> FloatArray:
-    probability: FloatArray = 1.0 / (1.0 + np.exp(-np.clip(odds, -700.0, 700.0)))
+    # Never certain, however far from the data.
+    probability: FloatArray = 1.0 / (1.0 + np.exp(-np.clip(odds, -30.0, 30.0)))
     return probability
 
 

@@ -258,7 +258,7 @@ class TakeLabeller:
     def from_bytes(cls, data: bytes) -> TakeLabeller:
         """Read the bytes of ``to_bytes``; DousaError for damaged, other or newer bytes."""
         arrays = unpack_arrays(data, _NAMES, _WHAT)
-        check_version(arrays, _WHAT, (_VERSION,))
+        check_version(arrays, _WHAT, _VERSION)
         classes = arrays["classes"]
         check(classes.ndim == 1 and len(classes) > 0 and classes.dtype.kind == "U", _WHAT, "bad categories")
         check(len(np.unique(classes)) == len(classes), _WHAT, "a category occurs twice")

@@ -209,7 +209,7 @@ class TakeWindows:
     def from_bytes(cls, data: bytes) -> TakeWindows:
         """Read the bytes of ``to_bytes``; DousaError for damaged, other or newer bytes."""
         arrays = unpack_arrays(data, _NAMES, _WHAT)
-        check_version(arrays, _WHAT, (1,))
+        check_version(arrays, _WHAT, 1)
         leaves, poses, duration = arrays["leaves"], arrays["poses"], arrays["duration"]
         grid = read_grid(arrays["lengths"], _WHAT)
         right = poses.ndim == 2 and poses.shape[1] == N_SMALL and poses.dtype == np.float16
