@@ -18,20 +18,20 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_506, 113),
+    "app": (25_508, 113),
     "estimation": (16_131, 66),
     "evaluation": (12_120, 46),
     "experiments": (1_722, 10),
     "files": (1_126, 8),
     "formats": (13_164, 70),
-    "library": (15_889, 58),
+    "library": (15_885, 58),
     "messages": (235, 3),
     "motion": (6_487, 34),
-    "retrieval": (13_223, 47),
+    "retrieval": (13_224, 47),
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_284,
+    "lines of tests": 62_289,
     "lines of JavaScript": 12_460,
     "constants": 1_049,
     "numeric constants without a source": 0,
