@@ -111,6 +111,13 @@ def test_axes_of_length_one_and_frames_last(tmp_path):
         np.testing.assert_array_equal(motion.positions, points)
 
 
+def test_a_mesh_beside_the_poses_is_not_read(tmp_path):
+    mesh = np.full((3, 6890, 3), 1234.5)
+    content = made.make_npz(**made.make_smpl(n_joints=22), vertices=mesh)
+    damaged = content.replace(mesh.tobytes(), (mesh + 1).tobytes())
+    assert damaged != content and read_motion(save(tmp_path / "x.npz", damaged)).skeleton.n_joints == 22
+
+
 def test_names_in_an_npz(tmp_path):
     points = np.random.default_rng(0).normal(size=(5, 4, 3))
     names = np.array(["a", "b", "c", "d"])

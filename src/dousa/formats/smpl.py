@@ -26,7 +26,7 @@ from dousa.files.disk import atomic_write
 from dousa.files.npz_arrays import open_npz
 from dousa.formats.assembly import rest_offsets, settle_motion
 from dousa.formats.guard import Clock
-from dousa.formats.smpl_poses import JOINTS_OF, Get, bare_name, find_roles, read_rotations
+from dousa.formats.smpl_poses import JOINTS_OF, Get, Rotations, bare_name, find_roles, read_rotations
 from dousa.messages import Message
 from dousa.motion import Motion, Skeleton, Trajectories
 from dousa.motion.canonical.recipes import JointMap
@@ -113,6 +113,7 @@ def build_smpl(
     frame_rate: float | None,
     default_up: str | None = "z",
     notes: tuple[Message, ...] = (),
+    turns: FloatArray | None = None,
 ) -> Motion:
     """Build the motion of SMPL poses.
 
@@ -125,13 +126,14 @@ def build_smpl(
     skeleton : body model file in npz form; by default the mean body, whatever the file's ``betas``.
     frame_rate, notes : Hz, if not in the file; for the user, on the reading.
     default_up : usual in such files, for those without AIST++'s scaling.
+    turns : (T, J, 4) rotations, if they have been read.
 
     Raises
     ------
     MotionFileError : no poses, arrays that do not fit each other.
     """
     roles = find_roles(names)
-    rotations = _read_poses(path, get, roles)
+    rotations = _read_poses(path, get, roles, turns)
     n_frames, n_joints = rotations.shape[:2]
     betas = get(roles.get("betas", ""))
     if betas is not None:
@@ -164,10 +166,12 @@ def build_smpl(
     )  # fmt: skip
 
 
-def _read_poses(path: str | os.PathLike[str], get: Get, roles: Mapping[str, str]) -> FloatArray:
+def _read_poses(
+    path: str | os.PathLike[str], get: Get, roles: Mapping[str, str], turns: FloatArray | None
+) -> FloatArray:
     """(T, J, 4) local rotations of 22, 24, 52 or 55 joints."""
     with np.errstate(over="ignore", invalid="ignore"):
-        read = read_rotations(get, roles)
+        read = read_rotations(get, roles) if turns is None else Rotations(turns)
     if read.turns is None and read.found:
         known = tuple(form * count for form in (3, 6, 9) for count in JOINTS_OF)
         raise MotionFileError(path, "smpl.width", found=read.found, known=known)

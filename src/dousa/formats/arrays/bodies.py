@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from dousa.arrays import FloatArray
 from dousa.files.frame_files import natural_key
 from dousa.formats.smpl_poses import are_poses, find_roles, rank_place, read_rotations
 
@@ -33,13 +34,13 @@ class Body:
     ----------
     name : of its person, or of the dictionary that holds it; "" of the only one.
     arrays : by name.
-    n_frames : in which it is seen.
+    turns : (T, J, 4) rotations of the arrays, in the frames in which it is seen; None of damaged ones.
     in_world : whether names say that it stands in the world.
     """
 
     name: str
     arrays: Mapping[str, NDArray[Any]]
-    n_frames: int
+    turns: FloatArray | None
     in_world: bool
 
 
@@ -69,9 +70,12 @@ def list_bodies(content: Any, name: str = "", depth: int = 0, deepest: int = 6, 
     if are_poses(find_roles(map(str, content))):
         arrays = {str(key): array for key, value in content.items() if (array := as_array(value)) is not None}
         in_world = any(rank_place(one) == 0 for one in arrays)
-        every = {name: arrays} if _count_frames(arrays) else {f"id {n}": own for n, own in enumerate(_split(arrays), 1)}
-        if every and all(map(_count_frames, every.values())):
-            return [Body(who, own, _count_frames(own), in_world) for who, own in every.items()]
+        bodies = [Body(name, arrays, _read_turns(arrays), in_world)]
+        if bodies[0].turns is None:
+            rows = enumerate(_split(arrays), 1)
+            bodies = [Body(f"id {number}", own, _read_turns(own), in_world) for number, own in rows]
+        if bodies and all(body.turns is not None for body in bodies):
+            return bodies
     found = {str(key): bodies for key, value in content.items() if (bodies := list_bodies(value, str(key), depth + 1))}
     people = name_people(found)
     if people:
@@ -92,10 +96,10 @@ def name_people(found: Mapping[str, _Value]) -> dict[str, _Value]:
     return {f"id {match[1]}": found[key] for key, match in matches.items() if match} if all(matches.values()) else {}
 
 
-def _count_frames(arrays: Mapping[str, NDArray[Any]]) -> int:
-    """Frames of the body of some arrays; 0 if they are none."""
-    turns = read_rotations(arrays.get, find_roles(arrays)).turns
-    return 0 if turns is None else len(turns)
+def _read_turns(arrays: Mapping[str, NDArray[Any]]) -> FloatArray | None:
+    """Rotations of the body of some arrays; None if they are none."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return read_rotations(arrays.get, find_roles(arrays)).turns
 
 
 def _split(arrays: Mapping[str, NDArray[Any]], most: int = 200) -> list[dict[str, NDArray[Any]]]:

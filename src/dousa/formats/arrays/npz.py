@@ -40,6 +40,7 @@ from dousa.formats.arrays.pickles import build_content
 from dousa.formats.assembly import settle_motion, settle_trajectories
 from dousa.formats.guard import compare_bytes
 from dousa.formats.guard.people import take_person
+from dousa.formats.smpl_poses import are_poses, find_roles
 from dousa.messages import Message
 from dousa.motion import Motion, Provenance, Skeleton, Trajectories
 from dousa.motion.canonical.reference_frame import parse_unit, parse_up
@@ -222,13 +223,21 @@ def _guard(path: str | os.PathLike[str], motion: Motion | Trajectories) -> Motio
 
 
 def _load(path: str | os.PathLike[str], file: NpzFile) -> dict[str, Any]:
-    """The arrays of numbers and texts, and the dictionaries in the place of one; other members are left out."""
+    """The arrays of numbers and texts, and the dictionaries in the place of one; other members are left out.
+
+    Of a body neither are meshes read, nor anything else that has three axes and no part in its poses.
+    """
+    roles = find_roles(file.names)
+    poses = set(roles.values()) if are_poses(roles) else None
     content: dict[str, Any] = {}
     refused: MotionFileError | None = None
     for name in file.names:
         pickled = file.read_pickled(name)
         try:
             if pickled is None:
+                with file.open(name) as (header, _):
+                    if poses is not None and name not in poses and len(header.shape) > 2:
+                        continue
                 content[name] = file.read(name, "iufU", most=file.most)
             else:
                 content[name] = load_pickle(path, pickled)

@@ -71,10 +71,11 @@ def build_content(
     arrays = {str(key): array for key, value in content.items() if (array := as_array(value)) is not None}
     bodies = list_bodies(content)
     if not bodies and are_poses(find_roles(arrays)):  # damaged ones
-        bodies = [Body("", arrays, 0, False)]
+        bodies = [Body("", arrays, None, False)]
     if bodies:
         names = distinguish(body.name or "1" for body in bodies)
-        chosen, notes = choose(path, "person", names, person, [body.n_frames for body in bodies])
+        seen = [0 if body.turns is None else len(body.turns) for body in bodies]
+        chosen, notes = choose(path, "person", names, person, seen)
         body = bodies[chosen]
         # A film says no up axis: bodies by person stand in the axes of a camera, or of the program's own world.
         filmed = bool(body.name) or any(rank_place(name) == 2 for name in body.arrays)
@@ -82,7 +83,7 @@ def build_content(
             notes += (Message("smpl.camera"),)
         return build_smpl(
             path, body.arrays.get, body.arrays, unit=unit, up=up, skeleton=skeleton, frame_rate=frame_rate,
-            default_up=None if filmed else "z", notes=notes,
+            default_up=None if filmed else "z", notes=notes, turns=body.turns,
         )  # fmt: skip
     options: dict[str, Any] = {"unit": unit, "up": up, "frame_rate": frame_rate}
     return _build_joints(path, content, arrays, person, animation, options)
