@@ -238,6 +238,19 @@ def test_tables_with_titles(tmp_path, name, text, frames, people):
     assert not holds_keypoints(path)
 
 
+def test_rows_without_a_number_follow_each_other(tmp_path):
+    path = tmp_path / "v.csv"
+    rows = [[10 - frame + place for place in range(6)] for frame in range(3)]
+    text = "\n".join(",".join(map(str, row)) for row in rows)
+    path.write_text(f"nose.x,nose.y,l_knee.x,l_knee.y,r_knee.x,r_knee.y\n{text}")
+    assert read_keypoints(path, size=SIZE, frame_rate=25).people[0].points.reshape(3, 6).tolist() == rows
+    path.write_text(path.read_text().replace("nose.x", "track,nose.x").replace("\n", "\na,"))
+    assert not holds_keypoints(path)  # nothing says which rows are of one frame
+    path.write_text("frame,nose.x,nose.y,l_knee.x,l_knee.y,r_knee.x,r_knee.y,track\n0,1,2,3,4,5,6\n")
+    with pytest.raises(KeypointError, match="values in each row"):
+        read_keypoints(path, size=SIZE)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "code", "line"),
     [

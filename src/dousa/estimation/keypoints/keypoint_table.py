@@ -91,12 +91,12 @@ def _find_titles(rows: Sequence[list[str]]) -> _Columns | None:
     depth = [own["z"] for own in points.values() if "z" in own]
     flat = trc and not any(row[column].strip(" 0.-") for row in rows[above:] for column in depth if column < len(row))
     words = [title.strip().lower() for title in titles]
-    label = next((column for column, word in enumerate(words) if word.startswith(("frame", "image"))), 0)
+    label = next((column for column, word in enumerate(words) if word.startswith(("frame", "image"))), None)
     track = next((column for column, word in enumerate(words) if word in ("track", "track_id", "person", "id")), None)
-    if len(points) < 3 or (depth and not flat):
-        return None
-    width = max(max(own.values()) for own in points.values()) + 1
-    return _Columns(points, range(label, label + 1), track, above, width)
+    if len(points) < 3 or (depth and not flat) or (label is None and track is not None):
+        return None  # rows of people without a frame
+    width = max(label or 0, track or 0, *(max(own.values()) for own in points.values())) + 1
+    return _Columns(points, range(0) if label is None else range(label, label + 1), track, above, width)
 
 
 def read_keypoint_table(path: str | os.PathLike[str], *, most_bytes: int = 500_000_000) -> ReadFrames:
