@@ -24,6 +24,7 @@ from dousa.app.studio.work.materials import sort_materials
 from dousa.errors import OptionError
 from dousa.estimation import read_keypoints
 from dousa.estimation.keypoints.keypoint_json import HALPE_26
+from estimation.keypoints.test_keypoint_input import PIXELS
 
 pytest.importorskip("av", reason="the reader of films is not installed: pip install 'dousa[film]'")
 
@@ -135,6 +136,10 @@ class TestMaterials:
         names = [path.name for path in scene.iterdir() if path.is_file()]
         roles = {item.name: (item.role, item.kind) for item in sort_materials(scene, names)}
         assert roles["view1.npz"] == ("source", "keypoints") and roles["cameras.toml"] == ("cameras", "table")
+
+    def test_points_of_a_picture_in_a_trc_are_a_view_and_not_a_start(self, tmp_path):
+        (tmp_path / "v_px.trc").write_text(PIXELS)
+        assert [(item.role, item.kind) for item in sort_materials(tmp_path, ["v_px.trc"])] == [("source", "keypoints")]
 
     def test_json_of_many_frames_is_one_view_and_of_few_one_each(self, tmp_path):
         content = json.dumps({"people": [{"pose_keypoints_2d": [1.0, 2.0, 0.9] * 25}]})

@@ -307,7 +307,7 @@ def estimate_films(request: EstimationRequest, progress: ProgressCallback | None
         if numbered is not request:
             check_outputs(numbered.outputs, numbered.inputs)
         try:
-            answers.append(estimate_person(numbered, films, person, report))
+            answers.append(estimate_person(numbered, films, person, report, alone=len(people) == 1))
         except KeypointError:
             if not answers:
                 raise
@@ -360,6 +360,8 @@ def estimate_person(
     person: MatchedPerson,
     report: ProgressCallback,
     watcher: Watcher | None = None,
+    *,
+    alone: bool = True,
 ) -> Estimation:
     """Estimate the motion of one person of films, and write its files.
 
@@ -370,6 +372,7 @@ def estimate_person(
     person : of `match_people`.
     report : called with (done, total, what).
     watcher : sees the scene and the estimate.
+    alone : whether the films show nobody else: what is not background is then the person.
 
     Raises
     ------
@@ -380,7 +383,8 @@ def estimate_person(
     if request.body is not None and request.stature is not None:
         raise OptionError("estimate.body_and_stature")
     given, notes = (None, ()) if request.body is None else load_given_body(request.body, request.options)
-    silhouettes = PersonSilhouettes(films, person.members, request.sources, open_plates(request, report))
+    plates = open_plates(request, report) if alone else ()
+    silhouettes = PersonSilhouettes(films, person.members, request.sources, plates)
     if request.cues == "both" and not silhouettes.has_masks:
         raise OptionError("film_estimate.no_masks")
     fit = fit_keypoints(
@@ -400,7 +404,8 @@ def estimate_person(
             body = fit_some_girths(estimate.body, estimate.poses, silhouettes, films.cameras)
             estimate = replace(estimate, body=body)
         estimate = measure_overlap(estimate, silhouettes, cameras)
-    warnings = [*films.warnings, *notes, *describe_fit(fit, films.cameras, request.stature is not None)]
+    warnings = [*films.warnings, *silhouettes.warnings, *notes]
+    warnings += describe_fit(fit, films.cameras, request.stature is not None)
     warnings += describe_doubts(estimate, estimate.body, films.names, cameras)
     if watcher is not None:
         watcher.begin(Scene(films.names, cameras, films.frame_rate, estimate.n_frames, 0))

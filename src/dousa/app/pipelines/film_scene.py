@@ -472,6 +472,11 @@ class PersonSilhouettes(Silhouettes):
         """Whether any view has masks."""
         return bool(self._plates) or any(self._masks)
 
+    @property
+    def warnings(self) -> tuple[Message, ...]:  # type: ignore[override]
+        """What is said of the backgrounds."""
+        return tuple(note for plate in self._plates for note in plate.warnings)
+
     def read(self, frame: int) -> tuple[Mask | None, ...]:
         """The masks (height, width) of all views in one frame; None where a view has no image then."""
         masks: list[Mask | None] = []
@@ -502,7 +507,7 @@ class PersonSilhouettes(Silhouettes):
 
     def close(self) -> None:
         """Close the films; looking opens them again."""
-        for file in self._files:
+        for file in (*self._files, *self._plates):
             file.close()
 
     def fit_cameras(self, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
@@ -511,7 +516,7 @@ class PersonSilhouettes(Silhouettes):
 
 
 def open_plates(request: EstimationRequest, report: ProgressCallback) -> tuple[Silhouettes, ...]:
-    """The silhouettes (V,) of films by their backgrounds; none where these are not given, or show several people.
+    """The silhouettes (V,) of films by their backgrounds; none where these are not given.
 
     Raises
     ------
@@ -519,7 +524,7 @@ def open_plates(request: EstimationRequest, report: ProgressCallback) -> tuple[S
     """
     from dousa.app.pipelines.estimation_views import open_bare_views
 
-    if not has_plates(request) or request.everybody or any(map(is_keypoints, request.sources)):
+    if not has_plates(request) or any(map(is_keypoints, request.sources)):
         return ()
     plates = request.backgrounds or (None,) * len(request.sources)
     if len(plates) != len(request.sources):

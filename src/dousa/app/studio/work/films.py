@@ -68,7 +68,7 @@ def _is_of(keypoints: Path, film: Path) -> bool:
 
 
 def takes_films(request: dict[str, Any], asked: EstimationRequest, tell: Callable[[Message], object]) -> bool:
-    """Whether keypoints are to be fitted: for films and keypoints without backgrounds, unless masks are wanted.
+    """Whether keypoints are to be fitted: for films and their keypoints, unless masks are wanted.
 
     Where models are missing and there is a calibration, silhouettes will do; ``tell`` is called with that.
     """
@@ -146,7 +146,8 @@ def estimate_from_films(
     scene = replace(scene, warnings=(*scene.warnings, *check_agreement(scene, people)))
     write_cameras(context.folder / CAMERAS, scene.cameras)
     asked = _without_empty_overlay(asked, views, kept)
-    return estimate_person(asked, scene, people[chosen], context.progress, _Watcher(footage, record))
+    watcher = _Watcher(footage, record)
+    return estimate_person(asked, scene, people[chosen], context.progress, watcher, alone=len(people) == 1)
 
 
 def _show_films(views: Sequence[FilmSource], record: FilmRecordWriter, context: Context) -> None:

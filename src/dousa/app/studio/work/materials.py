@@ -90,10 +90,10 @@ def _look_at(folder: Path, name: str, suffix: str) -> Material:
         return Material(name, "background" if _PLATE.search(name) else "source", "video")
     if suffix == ".npz":
         return _look_into_npz(folder / name, name)
+    if suffix in (".json", ".csv", ".tsv", ".trc") and holds_keypoints(folder / name):
+        return Material(name, "source", "keypoints")
     if suffix in _MOTIONS or suffix == ".asf":
         return Material(name, "unused" if suffix == ".asf" else "start", "motion")
-    if suffix in (".json", ".csv") and holds_keypoints(folder / name):
-        return Material(name, "source", "keypoints")
     if suffix in _CALIBRATIONS:
         is_body = suffix == ".toml" and _shows(_PERSON, folder / name, 200_000)
         return Material(name, "body" if is_body else "cameras", "table")

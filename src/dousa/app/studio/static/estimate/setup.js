@@ -169,7 +169,7 @@ export function addressOf(params) {
   return text ? `/estimate?${text}` : "/estimate";
 }
 
-const ACCEPT = ".npz,.zip,.mp4,.avi,.mov,.mkv,.webm,.m4v,.png,.jpg,.jpeg,.bmp,.tif,.tiff,.toml,.xml,.yaml,.yml,.json,.csv,.txt,.xcp,.calib,.pickle,.bvh,.amc,.asf,.c3d,.trc";
+const ACCEPT = ".npz,.zip,.mp4,.avi,.mov,.mkv,.webm,.m4v,.png,.jpg,.jpeg,.bmp,.tif,.tiff,.toml,.xml,.yaml,.yml,.json,.csv,.tsv,.txt,.xcp,.calib,.pickle,.bvh,.amc,.asf,.c3d,.trc";
 
 const state = { batch: null, files: [], roles: new Map(), look: null, onJob: () => {}, onMasks: () => {}, films: false };
 
