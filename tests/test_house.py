@@ -18,12 +18,12 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_508, 113),
+    "app": (25_519, 113),
     "estimation": (16_131, 66),
     "evaluation": (12_120, 46),
     "experiments": (1_722, 10),
     "files": (1_126, 8),
-    "formats": (13_164, 70),
+    "formats": (13_182, 70),
     "library": (15_885, 58),
     "messages": (235, 3),
     "motion": (6_487, 34),
@@ -31,14 +31,14 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_289,
+    "lines of tests": 62_314,
     "lines of JavaScript": 12_460,
     "constants": 1_049,
     "numeric constants without a source": 0,
-    "functions over 60 lines": 13,
+    "functions over 60 lines": 15,
     "files over 650 lines": 0,
     "folders with more than 15 files": 0,
-    "lines with words that a native reader stumbles over": 46,
+    "lines with words that a native reader stumbles over": 47,
     "hand-written runs of a mask": 3,
     "commands": 32,
     "options": 191,
