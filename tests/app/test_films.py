@@ -251,6 +251,13 @@ def test_films_that_start_apart_are_synchronised_and_the_first_person_taken(succ
     assert hips_off(tmp_path / "one.trc", body, poses[LATE:]) < 0.035
 
 
+def test_backgrounds_are_not_used_in_silence(succeed, scene, tmp_path):
+    folder, sources, *_ = scene
+    words = ("--cameras", folder / "cameras.toml", "--offsets", "none", "--json", "--background", "x.png")
+    out, _ = succeed("estimate", *sources[:2], *words, "-o", tmp_path / "one.bvh")
+    assert any("backgrounds were not used" in warning for warning in json.loads(out)["warnings"])
+
+
 def test_everybody_gets_a_motion(succeed, scene, tmp_path):
     folder, sources, body, poses = scene
     words = ("--cameras", folder / "cameras.toml", "--cues", "keypoints", "--json", "--offsets", "none", "--everybody")

@@ -307,7 +307,7 @@ def estimate_films(request: EstimationRequest, progress: ProgressCallback | None
         if numbered is not request:
             check_outputs(numbered.outputs, numbered.inputs)
         try:
-            answers.append(estimate_person(numbered, films, person, report, alone=len(people) == 1))
+            answers.append(estimate_person(numbered, films, person, report, alone=is_alone(people)))
         except KeypointError:
             if not answers:
                 raise
@@ -332,6 +332,11 @@ def list_everybody(
         else:
             aside.append(Message("film_estimate.aside", number=number, share=share))
     return chosen, aside
+
+
+def is_alone(people: Sequence[MatchedPerson]) -> bool:
+    """Whether at most one person is seen often."""
+    return len(list_everybody(people)[0]) < 2
 
 
 def check_agreement(films: FilmScene, people: Sequence[MatchedPerson], long: float = 0.5) -> list[Message]:
@@ -405,6 +410,8 @@ def estimate_person(
             estimate = replace(estimate, body=body)
         estimate = measure_overlap(estimate, silhouettes, cameras)
     warnings = [*films.warnings, *silhouettes.warnings, *notes]
+    if has_plates(request) and not plates:
+        warnings.append(Message("film_estimate.plates_unused"))
     warnings += describe_fit(fit, films.cameras, request.stature is not None)
     warnings += describe_doubts(estimate, estimate.body, films.names, cameras)
     if watcher is not None:

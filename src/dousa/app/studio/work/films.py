@@ -120,7 +120,7 @@ def estimate_from_films(
     context : of the job.
     footage : takes the motion.
     """
-    from dousa.app.pipelines.estimate import check_agreement, estimate_person
+    from dousa.app.pipelines.estimate import check_agreement, estimate_person, is_alone
     from dousa.app.pipelines.film_scene import place_films
     from dousa.app.studio.content.film_record import FilmRecordWriter
     from dousa.estimation.cameras.camera_files import write_cameras
@@ -147,7 +147,7 @@ def estimate_from_films(
     write_cameras(context.folder / CAMERAS, scene.cameras)
     asked = _without_empty_overlay(asked, views, kept)
     watcher = _Watcher(footage, record)
-    return estimate_person(asked, scene, people[chosen], context.progress, watcher, alone=len(people) == 1)
+    return estimate_person(asked, scene, people[chosen], context.progress, watcher, alone=is_alone(people))
 
 
 def _show_films(views: Sequence[FilmSource], record: FilmRecordWriter, context: Context) -> None:
