@@ -18,8 +18,8 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_519, 113),
-    "estimation": (16_131, 66),
+    "app": (25_526, 113),
+    "estimation": (16_091, 66),
     "evaluation": (12_120, 46),
     "experiments": (1_722, 10),
     "files": (1_126, 8),
@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_314,
+    "lines of tests": 62_303,
     "lines of JavaScript": 12_460,
     "constants": 1_049,
     "numeric constants without a source": 0,

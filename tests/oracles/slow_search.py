@@ -6,13 +6,11 @@ S the silhouette, F the pixels of the parts already placed (P_fixed), P those of
 import numpy as np
 
 from dousa.estimation.body.body import BodyModel
-from dousa.estimation.body.kinematics import place_parts
 from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.raster.rasteriser import draw_parts
 from dousa.motion import rotations as rot
 
 LEAST_WEIGHT = 1e-3
-FLOOR_SIGMA, FLOOR_CAP = 0.03, 4.0
 
 
 def counted_pixels(reading, s, f):
@@ -61,15 +59,6 @@ def covered(body, pose, camera, parts):
     return layers[list(parts)].any(axis=0) if len(parts) else np.zeros(layers.shape[1:], bool)
 
 
-def lowest_point(body, pose, parts):
-    rotations, positions = place_parts(body, pose)
-    heights = [np.inf]
-    for part in parts:
-        for x, y, z, r in body.spheres[body.sphere_starts[part] : body.sphere_starts[part + 1]]:
-            heights.append((rotations[part] @ (x, y, z) + positions[part])[1] - r)
-    return min(heights)
-
-
 class SlowSearch:
     """One body before cameras; ``shop`` gives settings, dR, price of strain and the weight of a pixel."""
 
@@ -79,13 +68,10 @@ class SlowSearch:
         self.per_pixel = shop.weights[2]
         self.views = [(c, m) for c, m in zip(shop.cameras, masks, strict=True) if m is not None and m.any()]
 
-    def prior(self, pose, axis, off, parts):
-        """Log of W (eq. 3), less the price of an awkward joint and of being off the floor."""
+    def prior(self, pose, axis, off):
+        """Log of W (eq. 3), less the price of an awkward joint."""
         found = self.settings.inertia * np.log(max(LEAST_WEIGHT, weight(off, self.spread[axis])))
         found -= self.strain(pose, axis)
-        if self.settings.floor is not None:
-            away = lowest_point(self.body, pose, parts) - self.settings.floor
-            found -= min(FLOOR_CAP, (away / FLOOR_SIGMA) ** 2)
         return found
 
     def strain(self, pose, axis):
@@ -117,7 +103,7 @@ class SlowSearch:
                 if not -half <= k <= half or not self.allowed(candidate, axis, shift[axis] + k * step, k):
                     continue
                 drawn[k] = [covered(self.body, candidate, camera, moved) for camera, _ in self.views]
-                priors[k] = self.prior(candidate, axis, shift[axis] + k * step, [*moved, *fixed_parts])
+                priors[k] = self.prior(candidate, axis, shift[axis] + k * step)
             scores = {k: image + priors[k] for k, image in self.score_all(drawn, fixed).items()}
             best = choose(scores)
         return best, scores
@@ -150,9 +136,6 @@ class SlowSearch:
         for axis in range(len(shift)):
             total += self.settings.inertia * np.log(max(LEAST_WEIGHT, weight(shift[axis], self.spread[axis])))
             total -= self.strain(pose, axis)
-        if self.settings.floor is not None:
-            away = lowest_point(self.body, pose, every) - self.settings.floor
-            total -= min(FLOOR_CAP, (away / FLOOR_SIGMA) ** 2)
         return total
 
 

@@ -325,7 +325,7 @@ def read_settings(path: Path | None) -> dict[str, Any]:
     for key, value in values.items():
         if key not in known:
             raise OptionError("estimate.unknown_setting", path=path, found=key, known=known)
-        is_negative = isinstance(value, int | float) and value < 0 and key != "floor"
+        is_negative = isinstance(value, int | float) and value < 0
         if not isinstance(value, _find_types(key)) or isinstance(value, bool) or is_negative:
             raise OptionError("estimate.setting_type", path=path, key=key, found=value)
         if isinstance(value, list):
@@ -342,7 +342,7 @@ def _find_types(key: str) -> tuple[type, ...]:
     default = getattr(TrackerSettings(), key, "")
     if isinstance(default, tuple):
         return (list,)
-    if isinstance(default, float) or key == "floor":
+    if isinstance(default, float):
         return (float, int)
     return (int,) if isinstance(default, int) or default is None else (str,)
 

@@ -216,7 +216,7 @@ class Beam:
 
 
 class Replay(NamedTuple):
-    """Poses (n, 7 + A) tracked from the first, and log scores (n,) of image, ease and floor, each frame for itself."""
+    """Poses (n, 7 + A) tracked from the first, and log scores (n,) of image and ease, each frame for itself."""
 
     poses: FloatArray
     scores: FloatArray

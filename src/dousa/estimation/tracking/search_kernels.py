@@ -8,8 +8,8 @@ and two bit images independent of the candidate; see `fill_evidence`. Degrees of
   parts below part p, itself first, are ``subtrees[subtree_starts[p]:subtree_starts[p + 1]]``.
 - ``views``: (cameras (V, 24), sizes (V, 2) width and height, seen (V,), silhouettes (V, H, words), and likewise pixels
   that do not count in the score of a whole pose).
-- ``weights``: (reading, evidence, image, inertia, floor): indices into `READINGS` and `EVIDENCES`, 1 / lambda per
-  pixel, weight of log W, and floor (3,): height in m, 1 / sigma^2 and greatest cost.
+- ``weights``: (reading, evidence, image, inertia): indices into `READINGS` and `EVIDENCES`, 1 / lambda per pixel, and
+  weight of log W.
 - ``reach``: (factor, half, stride): share of dR, candidates to either side, 1 for all of them or 2 for every other.
 - ``bounds``: (spread (D,), ease (D, 2), limits (A, 2)): dR, neutral value and inverse stiffness, angle limits.
 - ``scratch``: see `SearchSetup.make_scratch`.
@@ -186,30 +186,6 @@ def _count_bits(bits, mask, masked):  # type: ignore[no-untyped-def]
     return total
 
 
-@part
-def _find_lowest(parts, solids, scratch):  # type: ignore[no-untyped-def]
-    """Return the height m of the lowest point of placed parts."""
-    spheres, starts = solids
-    rotations, positions = scratch[5], scratch[6]
-    lowest = 1e30
-    for i in range(len(parts)):
-        part = parts[i]
-        for s in range(starts[part], starts[part + 1]):
-            height = positions[part, 1] - spheres[s, 3]
-            for k in range(3):
-                height += rotations[part, 1, k] * spheres[s, k]
-            lowest = height if height < lowest else lowest
-    return lowest
-
-
-@part
-def _price_floor(lowest, floor):  # type: ignore[no-untyped-def]
-    """Compute the cost of a lowest point off the floor; capped, so that people may jump."""
-    off = lowest - floor[0]
-    price = off * off * floor[1]
-    return price if price < floor[2] else floor[2]
-
-
 @kernel
 def sweep(pose, shift, order, whole, reach, weights, bounds, model, views, scratch, widths):  # type: ignore[no-untyped-def]
     """Run one pass over the parts in ``order``, axis by axis, and return the log score of the whole pose.
@@ -235,7 +211,6 @@ def sweep(pose, shift, order, whole, reach, weights, bounds, model, views, scrat
         clear_bits(scratch[4])
         draw_parts_into(scratch[4], fixed, model, views, scratch)
         fill_evidence(weights[0], views[3], scratch[4], scratch[2], scratch[3], scratch[7])
-        lowest = _find_lowest(fixed, model[1], scratch)
         first = 0 if part == 0 else 6 + tree[5][part]
         if len(widths) > 0:
             _measure_axes(first, first + n_axes, moved, pose, weights, bounds, model, views, scratch, widths)
@@ -243,7 +218,7 @@ def sweep(pose, shift, order, whole, reach, weights, bounds, model, views, scrat
             continue
         known = np.inf  # no number of pixels
         for axis in range(first, first + n_axes):
-            best = _search_axis(axis, moved, lowest, known, pose, shift, reach, weights, bounds, model, views, scratch)
+            best = _search_axis(axis, moved, known, pose, shift, reach, weights, bounds, model, views, scratch)
             amount = reach[0] * bounds[0][axis] * best / half
             move_axis(pose, axis, amount)
             shift[axis] += amount
@@ -286,7 +261,7 @@ def select_fixed(part, end, below, chosen):  # type: ignore[no-untyped-def]
 
 
 @part
-def _search_axis(axis, moved, lowest, known, pose, shift, reach, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
+def _search_axis(axis, moved, known, pose, shift, reach, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
     """Return the number (-half to half) of the best candidate of one axis.
 
     Tries all candidates, or every other one and then the neighbours of the best. The middle comes first, as it is
@@ -308,15 +283,12 @@ def _search_axis(axis, moved, lowest, known, pose, shift, reach, weights, bounds
             prior = _weigh(k, axis, amount, pose, shift, weights, bounds)
             if prior == -np.inf:
                 continue
-            settled = k == 0 and known < np.inf and weights[1] != 1 and weights[4][1] == 0.0
+            settled = k == 0 and known < np.inf and weights[1] != 1
             if not settled:
                 for number in range(len(pose)):
                     trial[number] = pose[number]
                 move_axis(trial, axis, amount)
                 place_parts(moved, _ONE_PART, trial, model[0], scratch)
-                if weights[4][1] > 0.0:
-                    low = _find_lowest(moved, model[1], scratch)
-                    prior -= _price_floor(low if low < lowest else lowest, weights[4])
                 # beyond rounding errors: equal candidates are counted to the end
                 spare = np.inf if weights[1] > 0 else (prior - best_score + 1e-6) / weights[2]
                 found = count_parts(moved, model, views, scratch[2], scratch[3], scratch, spare)
@@ -389,7 +361,7 @@ def _price_strain(axis, angle, ease):  # type: ignore[no-untyped-def]
 
 @part
 def _score(pose, shift, weights, bounds, model, views, scratch):  # type: ignore[no-untyped-def]
-    """Compute the log score of a whole pose: image, inertia, ease and floor, up to a constant of the frame."""
+    """Compute the log score of a whole pose: image, inertia and ease, up to a constant of the frame."""
     n_parts = len(model[0][0])
     every = model[2][:n_parts]  # the subtree of the root
     place_parts(every, n_parts, pose, model[0], scratch)
@@ -399,6 +371,4 @@ def _score(pose, shift, weights, bounds, model, views, scratch):  # type: ignore
         score += weights[3] * np.log(_weigh_inertia(shift[axis] / bounds[0][axis]))
         if axis >= 6:
             score -= _price_strain(axis, pose[axis + 1], bounds[1])
-    if weights[4][1] > 0.0:
-        score -= _price_floor(_find_lowest(every, model[1], scratch), weights[4])
     return score

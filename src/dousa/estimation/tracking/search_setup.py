@@ -60,8 +60,6 @@ class SearchSetup:
     body, cameras, settings : see `dousa.estimation.tracking.tracker.estimate`.
     frame_rate : Hz.
     area : px, mean area of a silhouette, which scales the evidence.
-    floor_sigma : m, one sigma of the lowest point of the body off the floor, where that is known.
-    floor_cap : log score, the most that the floor costs: the lower, the easier a person jumps.
     """
 
     def __init__(
@@ -71,9 +69,6 @@ class SearchSetup:
         settings: TrackerSettings,
         frame_rate: float,
         area: float,
-        *,
-        floor_sigma: float = 0.03,
-        floor_cap: float = 4.0,
     ) -> None:
         self.body, self.cameras, self.settings, self.frame_rate = body, tuple(cameras), settings, frame_rate
         self.rows = pack_cameras(cameras)
@@ -90,12 +85,9 @@ class SearchSetup:
         self.half_later = settings.n_candidates_later // 2
         spread, ease = _spread(body, settings, frame_rate), _ease(body, settings.stiffness)
         self.bounds = (spread, ease, np.array(body.angle_limits))
-        floor = np.zeros(3)
-        if settings.floor is not None:
-            floor[:] = settings.floor, 1.0 / floor_sigma**2, floor_cap
         image = 1.0 / (settings.image_scale * max(area, 1.0))
         reading, evidence = READINGS.index(settings.reading), EVIDENCES.index(settings.evidence)
-        self.weights = (reading, evidence, image, settings.inertia, floor)
+        self.weights = (reading, evidence, image, settings.inertia)
         self.rim = measure_rim(area)
         self._every = np.zeros((len(self.cameras), self.height, self.n_words), np.uint64)
         self._own = threading.local()
@@ -180,7 +172,7 @@ class SearchSetup:
         return self.sweep(pose, shift, 0.0, frame, scratch)
 
     def compare(self, pose: FloatArray, frame: Frame, rims: Bits, scratch: tuple[Any, ...]) -> float:
-        """Compute the log score by which very different poses of a frame compare: image and floor alone.
+        """Compute the log score by which very different poses of a frame compare: the image alone.
 
         The ``rims`` do not count: what a body of other girths leaves there is as much as a limb. Nor does
         ease, which decides what the image leaves open: a raised arm would cost as much as one that is not explained.

@@ -59,7 +59,6 @@ class TrackerSettings:
     lag : frames after which a pose is settled.
     smoothing : Hz, cut-off of the final smoothing; 0 for none.
     height : px, taller silhouettes are shrunk before the search.
-    floor : m, height of the floor; None if unknown.
     """
 
     MOST_CANDIDATES: ClassVar[int] = 63
@@ -82,7 +81,6 @@ class TrackerSettings:
     lag: int = 30
     smoothing: float = 6.0
     height: int = 260
-    floor: float | None = None
 
     def __post_init__(self) -> None:
         for option in fields(self):

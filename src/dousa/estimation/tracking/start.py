@@ -252,7 +252,7 @@ class StartSearch:
 
     Parameters
     ----------
-    setup : body and cameras; of the settings, floor and stiffness count.
+    setup : body and cameras; of the settings, the stiffness counts.
     frame : the silhouettes as the setup packs them.
     outlines : (V,) box and centre of each silhouette, None if no person is seen; none where only near poses are tried.
     n_headings : in which templates are laid onto the silhouettes.
@@ -270,7 +270,7 @@ class StartSearch:
         area = float(np.bitwise_count(frame.bits).sum()) / max(int(frame.seen.sum()), 1)
         usual, given = TrackerSettings(), setup.settings
         stiffness = max(given.stiffness, usual.stiffness)
-        own = dataclasses.replace(usual, inertia=0.0, floor=given.floor, stiffness=stiffness)
+        own = dataclasses.replace(usual, inertia=0.0, stiffness=stiffness)
         self.setup = SearchSetup(self.body, self.cameras, own, 30.0, area)
         self.scratch = self.setup.make_scratch()
         if outlines:
@@ -436,7 +436,7 @@ def find_start(
 
     Parameters
     ----------
-    setup : body, cameras and settings; only the floor and the stiffness of the settings count.
+    setup : body, cameras and settings; of the settings only the stiffness counts.
     frame : the silhouettes as the setup packs them.
     masks : (V,) the same as masks; None where a view has no image.
     n_best : number of different poses wanted.
