@@ -20,7 +20,7 @@ SOURCE = ROOT / "src" / "dousa"
 ROOMS = {
     "app": (25_526, 113),
     "estimation": (16_091, 66),
-    "evaluation": (12_120, 46),
+    "evaluation": (12_127, 46),
     "experiments": (1_722, 10),
     "files": (1_126, 8),
     "formats": (13_182, 70),

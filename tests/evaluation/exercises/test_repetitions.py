@@ -379,7 +379,7 @@ BACK = "compensation: the trunk leans back by 4 deg on the way there, in the ref
     ("faults", "said"),
     [
         ([[], []], []),
-        ([[FAINT]], [f"no joint goes otherwise than in people who do it well; furthest off: {BACK}"]),
+        ([[FAINT]], [f"no joint is to be corrected; furthest off: {BACK}"]),
         ([[LEFT_KNEE]], [f"repetition 1: {BENT}"]),
         ([[LEFT_KNEE]] * 4, [f"every repetition: {BENT}"]),
         ([[LEFT_KNEE]] * 4 + [[], [LEFT_KNEE]], [f"repetitions 1 to 4 and 6: {BENT}"]),

@@ -254,9 +254,8 @@ def look_at_figures(
     grade = grade_performance(references, comparison.movement, weights)
     if len(furi) == 1 and (grade.score < WELL or grade.formula.code == "grade.unlike"):
         judged = (weights > 0.0) & ~comparison.offset.missing
-        events = name_joints(
-            events, _find_faults(references, performance, grade.score, judged), same, performance.frame_rate
-        )
+        faults = _find_faults(references, performance, curves.furi_index >= 0, grade.score, judged)
+        events = name_joints(events, faults, same, performance.frame_rate)
     return Assessment(
         frame_rate=performance.frame_rate,
         reference=references.postures,
@@ -307,13 +306,21 @@ def look_at_figures(
 
 
 def _find_faults(
-    references: ReferenceTakes, performance: PostureSequence, grade: float, judged: NDArray[np.bool_]
+    references: ReferenceTakes,
+    performance: PostureSequence,
+    inside: NDArray[np.bool_],
+    grade: float,
+    judged: NDArray[np.bool_],
 ) -> tuple[Fault, ...]:
-    """Find what is wrong with the joints of a performance that is a single movement; (9,) segments are judged."""
-    ours, *theirs = (
+    """Find what is wrong with the joints of a single movement, (T,) ``inside`` it; (9,) segments are judged."""
+    frames = np.flatnonzero(inside)
+    if not len(frames):
+        return ()
+    ours = describe_repetition(performance, compute_joint_angles(performance), int(frames[0]), int(frames[-1]) + 1)
+    theirs = [
         describe_repetition(one, compute_joint_angles(one), 0, one.n_frames)
-        for one in (performance, references.postures, *references.warped)
-    )
+        for one in (references.postures, *references.warped)
+    ]
     return find_faults(ours, theirs, len(theirs), grade=grade, judged=judged)
 
 
