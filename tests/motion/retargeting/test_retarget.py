@@ -12,7 +12,7 @@ from dousa.motion import Motion, Skeleton, Trajectories, canonicalise, compute_t
 from dousa.motion.canonical.joints import JOINT_INDEX
 from dousa.motion.kinematics import forward_kinematics
 from dousa.motion.retargeting import find_contacts, measure_directions, measure_skating
-from dousa.motion.retargeting.planting import Foot, bend, lower_pelvis, plan_foot, share_moves
+from dousa.motion.retargeting.planting import Foot, bend, plan_foot, stand
 from dousa.motion.retargeting.rig import LIMB_NAMES, build_rig
 from dousa.motion.rotations import conjugate, multiply, rotate
 from dousa.motion.runs import find_runs
@@ -221,27 +221,41 @@ def test_feet_are_flat_where_the_source_s_are(shared_data):
         assert (places[made.contacts[:, column], ankle, 1] > places[made.contacts[:, column], toe, 1]).all()
 
 
+def legs(bent):
+    """Hips and ankles (60, 2, 3) m of legs with bones of half a metre, and the bones; bent (2,) rad."""
+    hips = np.tile([[0.1, 1.0, 0.0], [-0.1, 1.0, 0.0]], (60, 1, 1))
+    ankles = hips.copy()
+    ankles[..., 1] -= np.cos(np.asarray(bent) / 2)
+    return hips, ankles, np.full((60, 2, 2), 0.5)
+
+
 def test_what_both_feet_need_the_body_does():
-    moves = np.ones((60, 2, 3)) * [[[0.1, -0.2, 0.3]]]
-    stands = np.ones((60, 2), bool)
-    np.testing.assert_allclose(share_moves(moves, stands, 60.0), moves[:, 0])
-    moves[:, 1] = 0.0  # the second is in the air
-    stands[:, 1] = False
-    np.testing.assert_allclose(share_moves(moves, stands, 60.0), moves[:, 0] / 1.1)
+    hips, ankles, bones = legs([0.2, 0.9])
+    moves = np.ones((60, 2, 3)) * [0.1, -0.2, 0.3]
+    body, reached = stand(hips, ankles, bones, moves, np.ones((60, 2)), 60.0)
+    np.testing.assert_allclose(body, moves[:, 0], atol=1e-6)
+    np.testing.assert_allclose(reached, moves, atol=1e-6)
 
 
-def test_the_pelvis_goes_down_where_a_foot_is_out_of_reach():
-    hips = np.zeros((30, 2, 3))
-    hips[..., 1] = 1.0
-    feet = np.zeros((30, 2, 3))
-    feet[15, 0, 0] = 0.6
-    down = lower_pelvis(hips, feet, np.array([1.0, 1.0]), np.ones((30, 2)), 30.0)
-    assert 0.19 < down[15] < 0.25
-    assert (down >= -1e-12).all()
-    assert np.abs(np.diff(down)).max() < 0.1
-    grounded = np.ones((30, 2))
-    grounded[10:20, 0] = 0.0  # in the air it is not reached for
-    assert lower_pelvis(hips, feet, np.array([1.0, 1.0]), grounded, 30.0)[15] < 0.01
+def test_the_body_follows_the_straighter_leg_along_it():
+    """A slip of a centimetre on one foot: a bent knee takes it up, a straight one stays as it is."""
+    hips, ankles, bones = legs([0.1, 1.0])
+    moves = np.zeros((60, 2, 3))
+    moves[:, 0, 1] = 0.01
+    body, reached = stand(hips, ankles, bones, moves, np.ones((60, 2)), 60.0)
+    assert (body[:, 1] > 0.009).all()
+    assert np.abs(reached - moves).max() < 0.001
+
+
+def test_the_body_goes_down_where_a_foot_is_out_of_reach():
+    hips, ankles, bones = legs([0.1, 0.1])
+    moves, weights = np.zeros((60, 2, 3)), np.ones((60, 2))
+    moves[20:40, 0, 0] = 0.6
+    body, _ = stand(hips, ankles, bones, moves, weights, 60.0)
+    assert -0.25 < body[30, 1] < -0.03
+    assert np.abs(np.diff(body[:, 1])).max() < 0.1
+    weights[:, 0] = 0.0  # not reached for
+    assert abs(stand(hips, ankles, bones, moves, weights, 60.0)[0][30, 1]) < 0.01
 
 
 @pytest.mark.parametrize("name", ["kickLFront1Reps/HDM_dg_kickLFront1Reps_013_120", "hopBothLegs1hops/HDM_dg"])

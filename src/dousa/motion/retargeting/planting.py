@@ -10,33 +10,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import solveh_banded
 
 from dousa.arrays import BoolArray, FloatArray
 from dousa.motion.retargeting.contacts import Stances, find_stances, ramp, smooth
 from dousa.motion.retargeting.rig import Rig
 from dousa.motion.rotations import between, conjugate, from_axis_angle, identity, multiply, rotate, to_axis_angle
 from dousa.motion.runs import find_runs
-
-
-def share_moves(
-    moves: FloatArray, stands: BoolArray, frame_rate: float, eased: float = 0.1, swinging: float = 0.1
-) -> FloatArray:
-    """Compute the move (T, 3) m of the whole body from those of its feet, so that the legs bend little.
-
-    A standing foot counts most.
-
-    Parameters
-    ----------
-    moves : (T, 2, 3) m, of the feet.
-    stands : (T, 2) which of them are held.
-    frame_rate : Hz.
-    eased : s, over which it is smoothed.
-    swinging : weight of a foot in the air.
-    """
-    around = max(1, round(eased * frame_rate))
-    weights = np.where(stands, 1.0, swinging)
-    shared = (weights[..., None] * moves).sum(axis=1) / weights.sum(axis=1)[:, None]
-    return np.stack([smooth(shared[:, axis], around) for axis in range(3)], axis=1)
 
 
 def bend(
@@ -81,40 +61,96 @@ def bend(
     return between(middle - root, knee), between(end - middle, reached - knee)
 
 
-def lower_pelvis(
+def stand(
     hips: FloatArray,
-    wanted: FloatArray,
-    lengths: FloatArray,
-    grounded: FloatArray,
+    ankles: FloatArray,
+    bones: FloatArray,
+    moves: FloatArray,
+    weights: FloatArray,
     frame_rate: float,
-    bent: float = 0.999,
-    over: float = 0.08,
-) -> FloatArray:
-    """Compute how far down (T,) m the pelvis must go so that feet on the floor are within reach, smooth over time.
+    price: float = 0.03,
+    eased: float = 0.1,
+    rounds: int = 3,
+) -> tuple[FloatArray, FloatArray]:
+    """Compute moves (T, 3) m of the body and (T, 2, 3) m of the ankles, so that the joints of the legs turn least.
+
+    What lies across the line from hip to ankle costs little: the whole leg turns. What lies along it bends the knee,
+    the more the straighter the leg is, so that there the body follows the foot. What the body cannot give to both legs
+    is weighed against the angle and in part given up, as by damped least squares (Nakamura and Hanafusa 1986, Inverse
+    kinematic solutions with singularity robustness).
 
     Parameters
     ----------
-    hips, wanted : (T, 2, 3) m, hip joints, and places for the ankles.
-    lengths : (2,) m of the legs.
-    grounded : (T, 2) 1 for a foot on the floor, 0 for one in the air.
+    hips, ankles : (T, 2, 3) m.
+    bones : (T, 2, 2) m, lengths of thigh and shank.
+    moves : (T, 2, 3) m, to the places of the ankles.
+    weights : (T, 2) of the feet.
     frame_rate : Hz.
-    bent : share of the length of a leg, so that knees keep a little bend.
-    over : s, in which the pelvis gives way.
+    price : m of place that are as bad as a radian of the knee.
+    eased : s, over which the body gives way to a leg that turns as a whole.
+    rounds : of Gauss and Newton.
     """
-    gap = hips - wanted
-    beside = np.square(gap[..., 0]) + np.square(gap[..., 2])
-    highest = np.sqrt(np.maximum(np.square(bent * lengths) - beside, 0.0))
-    needed = (grounded * np.maximum(gap[..., 1] - highest, 0.0)).max(axis=1)
-    return _widen(needed, max(1, round(over * frame_rate)))
+    own, wanted = ankles - hips, ankles + moves - hips
+    length, longest = np.linalg.norm(own, axis=-1), bones.sum(axis=-1)
+    ahead = own / np.maximum(length, 1e-9)[..., None]
+    body = (weights[..., None] * moves).sum(axis=1) / weights.sum(axis=1)[:, None]
+    stiff = (eased * frame_rate) ** 4 / float(np.square(longest).mean())
+    for _ in range(rounds):
+        goal = wanted - body[:, None]
+        distance = np.linalg.norm(goal, axis=-1)
+        line = goal / np.maximum(distance, 1e-9)[..., None]
+        folded, slope = _fold(length, bones, distance, price)
+        # Where the leg would have to end for the knee to stay as it is, seen from here.
+        best = distance - (distance - folded) * (1 + np.square(slope / price))
+        along = 1 / (price**2 + np.square(slope))
+        across = 1 / np.square(longest)
+        outer = line[..., :, None] * line[..., None, :]
+        cost = weights[..., None, None] * (
+            across[..., None, None] * (np.eye(3) - outer) + along[..., None, None] * outer
+        )
+        gap = wanted - best[..., None] * line - length[..., None] * (
+            ahead - (ahead * line).sum(axis=-1, keepdims=True) * line
+        )
+        body = _ease(cost.sum(axis=1), (cost @ gap[..., None])[..., 0].sum(axis=1), stiff)
+    goal = wanted - body[:, None]
+    distance = np.linalg.norm(goal, axis=-1)
+    folded, _ = _fold(length, bones, distance, price)
+    return body, body[:, None] + goal * (folded / np.maximum(distance, 1e-9))[..., None] - own
 
 
-def _widen(values: FloatArray, around: int) -> FloatArray:
-    """A smooth curve (T,) nowhere below the values: the maximum around each, averaged over as far."""
-    around = min(around, len(values))
-    padded = np.pad(values, 2 * around, mode="edge")
-    highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * around + 1).max(axis=1)
-    weights = np.hanning(2 * around + 3)[1:-1]
-    return np.convolve(highest, weights / weights.sum(), mode="valid")
+def _fold(
+    length: FloatArray, bones: FloatArray, goal: FloatArray, price: float, halvings: int = 30
+) -> tuple[FloatArray, FloatArray]:
+    """Lengths (...) m of limbs that go from one length towards another, and m by which a radian of bend shortens them.
+
+    The least of the squares of the bend's change and of what lacks in place over ``price``.
+    """
+    first, second = bones[..., 0], bones[..., 1]
+    twice, squares = 2 * first * second, np.square(first) + np.square(second)
+    was, full = (np.arccos(np.clip((np.square(one) - squares) / twice, -1.0, 1.0)) for one in (length, goal))
+    low, high = was, full
+    for _ in range(halvings):
+        bent = 0.5 * (low + high)
+        reached = np.sqrt(np.maximum(squares + twice * np.cos(bent), 1e-12))
+        slope = 0.5 * twice * np.sin(bent) / reached
+        beyond = (price**2 * (bent - was) - (reached - goal) * slope) * np.sign(full - was) > 0
+        low, high = np.where(beyond, low, bent), np.where(beyond, bent, high)
+    return reached, slope
+
+
+def _ease(cost: FloatArray, pull: FloatArray, stiff: float) -> FloatArray:
+    """The curve (T, 3) with least squares by costs (T, 3, 3) and pulls (T, 3), and least acceleration."""
+    n_frames = len(pull)
+    bands = np.zeros((7, 3 * n_frames))
+    for row in range(3):
+        for column in range(row, 3):
+            bands[6 - (column - row), column::3] = cost[:, row, column]
+    second = (1.0, -2.0, 1.0)
+    for here, there in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)):
+        within = slice(3 * there, max(3 * (n_frames - 2 + there), 0))
+        bands[6 - 3 * (there - here), within] += stiff * second[here] * second[there]
+    solved: FloatArray = solveh_banded(bands, pull.reshape(-1), check_finite=False)
+    return solved.reshape(n_frames, 3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,7 +22,7 @@ from dousa.motion.canonical.joints import JOINT_INDEX as J
 from dousa.motion.canonical.recipes import JointMap
 from dousa.motion.kinematics import forward_kinematics
 from dousa.motion.retargeting.contacts import body_size, find_contacts
-from dousa.motion.retargeting.planting import Foot, FootPlan, bend, level_foot, lower_pelvis, plan_foot, share_moves
+from dousa.motion.retargeting.planting import Foot, FootPlan, bend, level_foot, plan_foot, stand
 from dousa.motion.retargeting.rig import LIMB_NAMES, LIMBS, SIDES, Rig, body_axes, build_rig
 from dousa.motion.retargeting.transfer import Poses, Transfer, find_floor
 from dousa.motion.rotations import conjugate, multiply, normalise, rotate
@@ -160,21 +160,15 @@ def _plant(poses: Poses, rig: Rig, source: Rig, canonical: CanonicalMotion, scal
     moves = np.stack([plan.moves for plan in plans], axis=1)
     if not moves.any():
         return poses
-    # What both feet need, the whole body does.
-    shared = share_moves(moves, np.stack([plan.stands for plan in plans], axis=1), poses.frame_rate)
-    hips, ankles = (places[:, [rig.joints[f"{side}_{joint}"] for side in SIDES]] for joint in ("hip", "ankle"))
-    lengths = np.array([
-        sum(
-            np.linalg.norm(rig.direction(f"{side}_{start}", f"{side}_{end}"))
-            for start, end in (("hip", "knee"), ("knee", "ankle"))
-        )
-        for side in SIDES
-    ])  # fmt: skip
+    lines = np.stack([
+        places[:, [rig.joints[f"{side}_{joint}"] for side in SIDES]] for joint in ("hip", "knee", "ankle")
+    ], axis=2)  # fmt: skip
+    bones = np.linalg.norm(np.diff(lines, axis=2), axis=-1)
     grounded = np.stack([plan.grounded for plan in plans], axis=1)
-    body = shared.copy()
-    body[:, 1] -= lower_pelvis(hips + shared[:, None], ankles + moves, lengths, grounded, poses.frame_rate)
+    weights = np.where(np.stack([plan.stands for plan in plans], axis=1), 1.0, 0.1)
+    body, reached = stand(lines[:, :, 0], lines[:, :, 2], bones, moves, weights, poses.frame_rate)
     # A foot in the air goes with the body: its leg points as the source's.
-    wanted = ankles + body[:, None] + grounded[..., None] * (moves - body[:, None])
+    wanted = lines[:, :, 2] + body[:, None] + grounded[..., None] * (reached - body[:, None])
     moved = Poses(poses.world, poses.pelvis + body, poses.frame_rate)
     for column, side in enumerate(SIDES):
         moved = _bend_limb(moved, rig, [f"{side}_{joint}" for joint in ("hip", "knee", "ankle")], wanted[:, column])
