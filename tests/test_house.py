@@ -26,12 +26,12 @@ ROOMS = {
     "formats": (13_182, 70),
     "library": (15_885, 58),
     "messages": (235, 3),
-    "motion": (6_487, 34),
+    "motion": (6_509, 34),
     "retrieval": (13_224, 47),
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_303,
+    "lines of tests": 62_329,
     "lines of JavaScript": 12_460,
     "constants": 1_049,
     "numeric constants without a source": 0,

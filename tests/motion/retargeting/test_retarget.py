@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dousa.errors import JointMappingError
+from dousa.evaluation import advise, assess
 from dousa.formats import read_character
 from dousa.formats.registry import read_motion, write_motion
 from dousa.motion import Motion, Skeleton, Trajectories, canonicalise, compute_trajectories, retarget
@@ -256,6 +257,17 @@ def test_the_body_goes_down_where_a_foot_is_out_of_reach():
     assert np.abs(np.diff(body[:, 1])).max() < 0.1
     weights[:, 0] = 0.0  # not reached for
     assert abs(stand(hips, ankles, bones, moves, weights, 60.0)[0][30, 1]) < 0.01
+
+
+@pytest.mark.parametrize("other", [None, "bvh_test3"])
+def test_a_dance_on_another_body_gets_no_advice(shared_data, other):
+    """Nor on its own: where a knee is nearly straight, a centimetre of a foot that is held bends it by 15 degrees."""
+    dance = read_motion(shared_data("bandai_dance/dataset-1_dance-short_normal_001.bvh"))
+    character = read_motion(shared_data(f"foreign/pybvh/{other}.bvh")) if other else dance
+    made = retarget(dance, character)
+    assert made.skating < 0.005
+    judged = assess(canonicalise(dance, whole=True), canonicalise(made.motion, whole=True))
+    assert [one.message.code for one in advise(judged) if one.segments] == []
 
 
 @pytest.mark.parametrize("name", ["kickLFront1Reps/HDM_dg_kickLFront1Reps_013_120", "hopBothLegs1hops/HDM_dg"])

@@ -191,7 +191,10 @@ def _plan(
     ankle, toe = f"{side}_ankle", f"{side}_toe"
     known = toe in rig.joints and toe in source.joints
     points, rate, size = canonical.positions, canonical.frame_rate, body_size(canonical)
-    lowest = [float(np.percentile(points[:, J[joint], 1], 5)) - floor for joint in (ankle, toe)]
+    lowest = [
+        min(float(np.percentile(points[:, J[f"{one}_{joint}"], 1], 5)) for one in SIDES) - floor
+        for joint in ("ankle", "toe")
+    ]
     made = Foot(places[:, rig.joints[ankle]], places[:, rig.joints[toe]] if known else None, rig.foot_heights())
     own = Foot(points[:, J[ankle]], points[:, J[toe]] if known else None, (lowest[0], lowest[1]))
     level = level_foot(own, made, poses.world[:, rig.joints[ankle]], rig, side, rate, size)
