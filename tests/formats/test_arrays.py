@@ -197,6 +197,7 @@ def test_what_is_no_motion_is_said_in_one_sentence(tmp_path):
     huge = made.make_npy(np.zeros((4, 22, 3))).replace(b"(4, 22, 3)", b"(9999999999999, 22, 3)")
     refused(path, huge, "arrays.size")
     path = tmp_path / "x.npz"
+    refused(path, made.make_npz(keypoints=np.zeros((4, 17, 2))), "guard.flat")
     refused(path, made.make_npz(poses=np.zeros((4, 70))), "smpl.width")
     refused(path, made.make_npz(poses=np.full((4, 72), np.nan)), "smpl.not_finite")
     refused(path, made.make_npz(poses=np.zeros((4, 72)), trans=np.zeros((3, 3))), "smpl.places")

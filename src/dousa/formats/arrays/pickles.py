@@ -118,7 +118,7 @@ def _build_joints(
         nested = {t: array for t, array in found.items() if is_joint_array(array.shape) and counts & {*array.shape}}
         if len(nested) > 1 and len({title.partition(" ")[0] for title in nested}) == 1:
             nested = {title.partition(" ")[2]: array for title, array in nested.items()}
-        if not nested and any(array.ndim > 2 and array.shape[-1] == 2 for array in found.values()):
+        if not nested and any(array.ndim > 2 and array.shape[-1] == 2 for array in (*arrays.values(), *found.values())):
             raise MotionFileError(path, "guard.flat")
     if nested:
         chosen, notes = choose(path, part, [*nested], wanted, [len(array) for array in nested.values()])
@@ -126,7 +126,8 @@ def _build_joints(
     if name is None:
         raise MotionFileError(path, "pickles.no_motion", found=tuple(map(str, content))[:12])
     rate = options["frame_rate"] or read_rate(arrays.get) or (AIST_RATE if name.startswith("keypoints3d") else None)
-    texts = next((content[key] for key in ("joint_names", "names") if key in content), ())
+    lists = (one for key in ("joint_names", "names") if isinstance(one := content.get(key), list | tuple | np.ndarray))
+    texts = next((one for one in lists if getattr(one, "ndim", 1) == 1), ())
     named = tuple(map(str, texts)) if len(texts) and all(isinstance(text, str) for text in texts) else None
     return build_joints(path, kind, arrays[name], names=named, **(options | {"frame_rate": rate}))
 
