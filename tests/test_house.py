@@ -18,12 +18,12 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_526, 113),
-    "estimation": (16_091, 66),
+    "app": (25_528, 113),
+    "estimation": (16_097, 66),
     "evaluation": (12_127, 46),
     "experiments": (1_722, 10),
     "files": (1_126, 8),
-    "formats": (13_182, 70),
+    "formats": (13_183, 70),
     "library": (15_885, 58),
     "messages": (235, 3),
     "motion": (6_509, 34),
@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_329,
+    "lines of tests": 62_342,
     "lines of JavaScript": 12_460,
     "constants": 1_049,
     "numeric constants without a source": 0,

@@ -1,5 +1,7 @@
 """A made-up performer seen by made cameras, the truth known: triangulation, sides, people, and the body's motion."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -19,6 +21,7 @@ from dousa.estimation.body.kinematics import compute_points, point_names, step_p
 from dousa.estimation.body.posing import standing_state
 from dousa.estimation.multiview.body_fit import _solve, find_covariance, force_weights
 from dousa.estimation.multiview.contours import contour_errors, list_cones, trace_contour
+from dousa.estimation.multiview.keypoint_fit import fit_some_girths
 from dousa.estimation.multiview.landmarks import find_sources, gather, place_landmarks
 from dousa.estimation.multiview.people import resample_track
 from dousa.estimation.multiview.pose_residuals import place_points, point_slopes
@@ -288,3 +291,12 @@ def test_silhouettes_put_right_what_keypoints_leave_open(body, poses, cameras, v
     ]
     alone, both = (joint_error(fit, body, poses).mean() for fit in fits)
     assert both < 0.95 * alone
+
+
+def test_girths_are_fitted_where_the_person_is_seen(body, poses, cameras):
+    masks = np.array(render(body, poses, cameras))
+    missing = np.zeros(masks.shape[:2], bool)
+    missing[:, : len(poses) // 3] = missing[0] = True  # comes late, and is never in the first view
+    thin = replace(body, spheres=body.spheres * (1.0, 1.0, 1.0, 0.8))
+    fitted = fit_some_girths(thin, poses, PackedSilhouettes(masks, RATE, missing=missing), cameras)
+    assert fitted.spheres[:, 3].mean() == pytest.approx(body.spheres[:, 3].mean(), rel=0.1)

@@ -507,8 +507,10 @@ class PersonSilhouettes(Silhouettes):
 
     def close(self) -> None:
         """Close the films; looking opens them again."""
-        for file in (*self._files, *self._plates):
+        for file in self._files:
             file.close()
+        for plate in self._plates:
+            plate.close()
 
     def fit_cameras(self, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
         """Cameras (V,) of the films' pictures for pictures of the masks' size."""

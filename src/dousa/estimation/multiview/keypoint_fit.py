@@ -293,10 +293,16 @@ def _doubt_distance(fit: KeypointFit, camera: Camera, sigma: float) -> KeypointF
 def fit_some_girths(
     body: BodyModel, poses: FloatArray, silhouettes: Silhouettes, cameras: Sequence[Camera], count: int = 12
 ) -> BodyModel:
-    """Return the body with its girths fitted to ``count`` frames; as it is where no view shows a person in them all."""
+    """Return the body with its girths fitted; as it is where no view shows a person.
+
+    Of ``count`` frames those count that the same views show, of all such choices the one with the most masks.
+    """
     frames = np.unique(np.linspace(0, len(poses) - 1, count).astype(int))
     read = [silhouettes.read(int(frame)) for frame in frames]
-    shown = [view for view in range(len(cameras)) if all(masks[view] is not None for masks in read)]
+    seen = np.array([[mask is not None and bool(mask.any()) for mask in masks] for masks in read])
+    views = max(seen, key=lambda row: row.sum() * seen[:, row].all(axis=1).sum())
+    kept, shown = np.flatnonzero(seen[:, views].all(axis=1)), np.flatnonzero(views).tolist()
+    frames, read = frames[kept], [read[row] for row in kept]
     small = [cameras[view].resized(*silhouettes.sizes[view]) for view in shown]
     stacked = [np.stack([masks[view] for masks in read]) for view in shown]  # type: ignore[misc]
     try:
