@@ -169,7 +169,7 @@ def list_files(folder: Path) -> dict[str, Any]:
 
 def find_left_overs(folder: Path) -> list[str]:
     """What a program that was stopped left half-written."""
-    return [path.name for path in folder.rglob("*") if path.name.endswith((".part", ".parts", ".salvaged"))]
+    return [path.name for path in folder.rglob("*") if path.name.endswith((".part", ".parts"))]
 
 
 def find_fault(path: Path) -> str | None:
