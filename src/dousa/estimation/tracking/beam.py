@@ -162,9 +162,8 @@ class Beam:
         number, damping, frame = task
         setup, track, scratch = self.setup, self._tracks[number], self.setup.own_scratch()
         pose, shift = self._predict(track, damping), np.zeros(setup.n_axes)
-        setup.sweep(pose, shift, setup.settings.passes[0], frame, scratch)
-        score = self._memory * track.score + setup.score(pose, shift, frame, scratch)
-        return score, number, pose, shift
+        found = setup.sweep(pose, shift, setup.settings.passes[0], frame, scratch)
+        return self._memory * track.score + found, number, pose, shift
 
     def _revisit(self, task: tuple[float, int, FloatArray, FloatArray, Frame]) -> _Track:
         """Run the finer passes over a kept pose."""

@@ -203,12 +203,14 @@ def sweep(pose, shift, order, whole, reach, weights, bounds, model, views, scrat
     for i in range(len(order)):
         part = order[i]
         n_axes = 6 if part == 0 else tree[3][part]
-        if n_axes == 0:
-            continue
         below = subtrees[starts[part] : starts[part + 1]]
         moved = below if whole or part == 0 else below[:1]
-        fixed = scratch[9][: select_fixed(part, n_parts if whole else part, below, scratch[9])]
-        clear_bits(scratch[4])
+        others, above = subtrees[: n_parts if whole else part], tree[0][part]
+        if whole and i > 0 and order[i - 1] == above and weights[1] != 1:  # its parent's P_fixed is still drawn
+            others = subtrees[starts[above] : starts[above + 1]]
+        else:
+            clear_bits(scratch[4])
+        fixed = scratch[9][: select_fixed(others, below, scratch[9])]
         draw_parts_into(scratch[4], fixed, model, views, scratch)
         fill_evidence(weights[0], views[3], scratch[4], scratch[2], scratch[3], scratch[7])
         first = 0 if part == 0 else 6 + tree[5][part]
@@ -247,16 +249,13 @@ def _measure_axes(first, end, moved, pose, weights, bounds, model, views, scratc
 
 
 @part
-def select_fixed(part, end, below, chosen):  # type: ignore[no-untyped-def]
-    """Write the parts before ``end`` that are not below ``part`` into ``chosen`` and return their number."""
+def select_fixed(others, below, chosen):  # type: ignore[no-untyped-def]
+    """Write those of ``others`` that are not in ``below``, both rising, into ``chosen`` and return their number."""
     count, place = np.int64(0), np.int64(0)
-    for q in range(end):
-        while place < len(below) and below[place] < q:
-            place += 1
-        if place < len(below) and below[place] == q:
-            continue
-        chosen[count] = q
-        count += 1
+    for q in others:
+        inside = place < len(below) and below[place] == q
+        chosen[count] = q  # the next one overwrites it if it is inside
+        place, count = place + inside, count + (not inside)
     return count
 
 
