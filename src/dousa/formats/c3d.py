@@ -17,7 +17,6 @@ view; the tests compare with ezc3d, value by value.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import os
 import struct
@@ -52,18 +51,18 @@ class Parameter:
     ----------
     item_size : bytes per item, -1 for text.
     shape : Fortran order, text length first.
-    data : raw bytes; None if the file's sizes point outside the section.
+    data : raw bytes.
     processor : 84 Intel, 85 DEC, 86 MIPS.
     """
 
     item_size: int
     shape: tuple[int, ...]
-    data: bytes | None
+    data: bytes
     processor: int
 
     def texts(self) -> list[str]:
         """Return the texts, without the blanks and zero bytes that pad them."""
-        data = self.data or b""
+        data = self.data
         length = self.shape[0] if len(self.shape) > 1 else len(data)
         if length == 0:
             return []
@@ -72,13 +71,12 @@ class Parameter:
 
     def numbers(self) -> FloatArray:
         """Return all values in file order; 16-bit integers unsigned, as counts may exceed 32,767."""
-        data = self.data or b""
         if self.item_size == 4:
             with np.errstate(invalid="ignore"):  # a signalling NaN
-                return decode_floats(data, self.processor).astype(np.float64)
+                return decode_floats(self.data, self.processor).astype(np.float64)
         if self.item_size == 2:
-            return np.frombuffer(data, ">u2" if self.processor == _MIPS else "<u2").astype(np.float64)
-        return np.frombuffer(data, np.uint8).astype(np.float64)
+            return np.frombuffer(self.data, ">u2" if self.processor == _MIPS else "<u2").astype(np.float64)
+        return np.frombuffer(self.data, np.uint8).astype(np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,42 +97,47 @@ class Header:
 
 @dataclass(frozen=True, slots=True)
 class Sections:
-    """Header and parameters by ``"GROUP:NAME"``, upper case."""
+    """Header, and the bytes after the link of each parameter by ``"GROUP:NAME"``, upper case; parsed when asked for."""
 
     path: str
     header: Header
-    parameters: dict[str, Parameter]
+    parameters: dict[str, bytes]
     processor: int
 
     def number(self, key: str) -> float | None:
         """Return the first value of a numeric parameter, None if there is none."""
         if key not in self.parameters:
             return None
-        parameter = self._checked(key)
-        data = (parameter.data or b"")[: max(1, parameter.item_size)]
-        if parameter.item_size == 4 and len(data) == 4 and self.processor != _DEC:
-            return float(struct.unpack(">f" if self.big_endian else "<f", data)[0])
-        return next(iter(dataclasses.replace(parameter, data=data).numbers().tolist()), None)
+        parameter = self._find(key)
+        data = parameter.data[: abs(parameter.item_size)]
+        if parameter.item_size == 4 and self.processor == _DEC:
+            return next(iter(decode_floats(data, _DEC).tolist()), None)
+        form = {4: "f", 2: "H"}.get(parameter.item_size, "B")
+        return float(struct.unpack((">" if self.big_endian else "<") + form, data)[0]) if data else None
 
     def numbers(self, key: str) -> FloatArray:
         """Return all values of a numeric parameter."""
-        return np.zeros(0) if key not in self.parameters else self._checked(key).numbers()
+        return np.zeros(0) if key not in self.parameters else self._find(key).numbers()
 
     def texts(self, key: str) -> list[str]:
         """Return the texts of a parameter, together with those of its continuations NAME2, NAME3 ..."""
         texts: list[str] = []
         number, name = 1, key
         while name in self.parameters:
-            texts += self._checked(name).texts()
+            texts += self._find(name).texts()
             number += 1
             name = f"{key}{number}"
         return texts
 
-    def _checked(self, key: str) -> Parameter:
-        parameter = self.parameters[key]
-        if parameter.data is None:
-            raise MotionFileError(self.path, "c3d.parameter_size", name=key)
-        return parameter
+    def _find(self, key: str) -> Parameter:
+        """A parameter; MotionFileError if its sizes point outside its bytes, which may be more than it needs."""
+        entry = self.parameters[key]
+        if len(entry) >= 2:
+            item_size, start = int.from_bytes(entry[:1], signed=True), 2 + entry[1]
+            stop = start + abs(item_size) * math.prod(shape := tuple(entry[2:start]))
+            if len(entry) >= max(start, stop) and item_size in (-1, 1, 2, 4):
+                return Parameter(item_size, shape, entry[start:stop], self.processor)
+        raise MotionFileError(self.path, "c3d.parameter_size", name=key)
 
     @property
     def big_endian(self) -> bool:
@@ -196,10 +199,10 @@ def _parse_header(data: bytes, processor: int) -> Header:
 
 def _parse_parameters(
     path: str | os.PathLike[str], section: bytes, processor: int, most: int = 20_000
-) -> dict[str, Parameter]:
-    """Parse groups and parameters, at most so many: 127 groups of real files hold some hundreds."""
+) -> dict[str, bytes]:
+    """Split groups and parameters, at most so many: 127 groups of real files hold some hundreds."""
     groups: dict[int, str] = {}
-    found: list[tuple[int, bytes, Parameter]] = []
+    found: list[tuple[int, bytes, bytes]] = []
     order = "big" if processor == _MIPS else "little"
     place = 0
     while place + 2 <= len(section):
@@ -215,7 +218,7 @@ def _parse_parameters(
             groups.setdefault(-number, _decode_text(name).upper())
         else:
             stop = link + offset if offset else len(section)
-            found.append((number, name, _parse_parameter(section[link + 2 : stop], processor)))
+            found.append((number, name, section[link + 2 : stop]))
         if offset == 0:
             break
         if len(found) > most:
@@ -223,25 +226,10 @@ def _parse_parameters(
         if offset < 2 or link + offset > len(section):
             raise MotionFileError(path, "c3d.parameter_place", name=_decode_text(name).upper())
         place = link + offset
-    parameters: dict[str, Parameter] = {}
-    for number, name, parameter in found:
-        parameters.setdefault(f"{groups.get(number, number)}:{_decode_text(name).upper()}", parameter)
+    parameters: dict[str, bytes] = {}
+    for number, name, entry in found:
+        parameters.setdefault(f"{groups.get(number, number)}:{_decode_text(name).upper()}", entry)
     return parameters
-
-
-def _parse_parameter(entry: bytes, processor: int) -> Parameter:
-    """Parse a parameter from the bytes after its link, which may be longer."""
-    if len(entry) < 2:
-        return Parameter(1, (), None, processor)
-    item_size = int.from_bytes(entry[:1], signed=True)
-    n_axes = entry[1]
-    shape = tuple(entry[2 : 2 + n_axes])
-    size = abs(item_size)
-    for length in shape:
-        size *= length
-    start = 2 + n_axes
-    whole = len(shape) == n_axes and start + size <= len(entry) and item_size in (-1, 1, 2, 4)
-    return Parameter(item_size, shape, entry[start : start + size] if whole else None, processor)
 
 
 # By the definition of the format: sizes of a parameter are bytes, counts of the header are 16 bits.
