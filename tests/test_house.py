@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_342,
+    "lines of tests": 62_345,
     "lines of JavaScript": 12_460,
     "constants": 1_049,
     "numeric constants without a source": 0,

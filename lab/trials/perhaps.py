@@ -85,7 +85,7 @@ def ask(trial: Trial, library: str, name: str, trained: Trained, least: dict[flo
     leaves = trained.forest.apply(features)
     assessor = trained.assessor
     seen = assessor.assess(leaves, features)
-    plain = replace(assessor.calibration, lowest=())
+    plain = replace(assessor.calibration, least_known=0.0)
     raw = type(assessor)(trained.forest, plain).assess(leaves, features)
     meanings = np.array([find_meaning(clip.category) for clip in trial.clips[name]])
     guesses = np.array([find_meaning(guess) for guess in trained.forest.classes_[seen.guess]])

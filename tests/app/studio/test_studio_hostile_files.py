@@ -71,10 +71,10 @@ def test_lists_of_addresses_are_no_films(studio, suffix, content):
     assert studio.post(f"/api/uploads?name=v.{suffix}", content=content).status_code == 415
 
 
-@pytest.mark.parametrize("rate", [1e-6, 0.001, 1e-300])
+@pytest.mark.parametrize("rate", [1e-6, 1e-300])
 def test_a_motion_of_years_is_refused_before_it_fills_the_memory(studio, rate):
     motion = send(studio, "slow.npz", take(rate))["files"][0]["motion"]
-    for path in ("info", "player", "miniature", "bvh"):
+    for path in ("info", "player", "miniature", "file"):
         answer = studio.get(f"/api/motions/{path}", params={"motion": motion})
         assert answer.status_code == 422, answer.text
     pair = {"motion": "clip:1", "other": motion}
@@ -147,9 +147,10 @@ def test_an_expression_without_end_can_be_stopped(studio, bvh, wait_job):
 def test_work_that_does_not_hear_ctrl_c_is_ended(studio, wait_job, monkeypatch):
     import sys
 
+    step = {"progress": [0, 1, {"code": "text.verbatim", "values": {"text": "deaf"}}]}
     deaf = (
-        "import signal, sys, time; signal.signal(signal.SIGINT, signal.SIG_IGN); "
-        'print(\'{"ready": true}\', flush=True); print(\'{"progress": [0, 1, "deaf"]}\', flush=True); time.sleep(600)'
+        "import signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); "
+        f"print({lanes.READY.strip()!r}, {json.dumps(step)!r}, sep=chr(10), flush=True); time.sleep(600)"
     )
     real = lanes.subprocess.Popen
     monkeypatch.setitem(lanes._await_end.__kwdefaults__, "patience_s", 0.3)
