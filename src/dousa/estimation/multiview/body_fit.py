@@ -137,8 +137,9 @@ def fit_body_parameters(
         others = _parameter_equations(parameters, values, body, landmarks, poses, terms)
 
         def move(damping: float) -> tuple[FloatArray, FloatArray]:
-            steps, change = _eliminate(square, gradient, *others, damping)
-            return values + change, step_poses(poses, steps)
+            solved, reduced, rest = _reduce(square, gradient, *others, damping)
+            change = np.asarray(-np.linalg.solve(reduced, rest))
+            return values + change, step_poses(poses, -(solved[..., -1] + solved[..., :-1] @ change))
 
         return move
 
@@ -184,20 +185,6 @@ def _parameter_equations(
         own = own + np.einsum("tlin,tlim->nm", change, weighted)
         pull = pull - np.einsum("tlin,tli->n", weighted, errors[view])
     return cross, own, pull
-
-
-def _eliminate(
-    square: FloatArray,
-    gradient: FloatArray,
-    cross: FloatArray,
-    own: FloatArray,
-    pull: FloatArray,
-    damping: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Return steps of the poses (T, D) and change of the parameters (N,)."""
-    solved, reduced, rest = _reduce(square, gradient, cross, own, pull, damping)
-    change = np.asarray(-np.linalg.solve(reduced, rest))
-    return -(solved[..., -1] + solved[..., :-1] @ change), change
 
 
 def _reduce(

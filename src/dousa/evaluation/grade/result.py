@@ -30,6 +30,15 @@ from dousa.notebooks import Tabular, short_repr
 _SECONDS, _DEGREES, _SHARES = 3, 1, 4
 
 
+# What is written of a furi, an error and a lapse.
+_FURI = "start_s end_s n_dims contribution label reference_start_s reference_end_s score"
+_EVENT = (
+    "kind start_s end_s segments lag_ms shortfall_deg shortfall_percent severity says deviation_deg facing_deg "
+    "worst_s reference_s furi cause fault"
+)
+_LAPSE = "kind start_s end_s reference_start_s reference_end_s says"
+
+
 @dataclass(frozen=True, slots=True)
 class ErrorEvent:
     """One error of the performance.
@@ -176,10 +185,7 @@ class Assessment(Tabular):
     """
 
     _rows: ClassVar[str] = "events"
-    _columns: ClassVar[str] = (
-        "kind start_s end_s lag_ms shortfall_deg shortfall_percent severity says "
-        "deviation_deg facing_deg worst_s reference_s furi cause"
-    )
+    _columns: ClassVar[str] = " ".join(name for name in _EVENT.split() if name not in ("segments", "fault"))
 
     frame_rate: float
     reference: PostureSequence
@@ -269,13 +275,6 @@ def describe_assessment(assessment: Assessment, language: str | None = None) -> 
     }
 
 
-# What is written of a furi, an error and a lapse, and the digits of its numbers.
-_FURI = "start_s end_s n_dims contribution label reference_start_s reference_end_s score"
-_EVENT = (
-    "kind start_s end_s segments lag_ms shortfall_deg shortfall_percent severity says deviation_deg facing_deg "
-    "worst_s reference_s furi cause fault"
-)
-_LAPSE = "kind start_s end_s reference_start_s reference_end_s says"
 # Decimals of numbers in JSON, by definition.
 _DIGITS = {
     "contribution": _SHARES,
