@@ -25,7 +25,6 @@ class Pairing:
 
     frames: FloatArray  # (T,) fractional frames of the reference; 0 where it has none
     inside: NDArray[np.bool_]  # (T,) whether it has one
-    there: FloatArray  # (T, 9, 3) poses of the reference
     residual: FloatArray  # (T, 9) rad, angle between the segments, nan where not judged
     yaw: FloatArray  # (T,) rad that turns the reference onto the performance, nan where nothing is judged
     whole: NDArray[np.bool_]  # (T,) where all segments are judged
@@ -56,9 +55,10 @@ def pair_motions(
     judged = performance.seen & _look_up_seen(reference, frames) & inside[:, None]
     there = interpolate_segments(reference.segments, frames)
     residual, yaw = compare_poses(there, performance.segments, judged, performance.frame_rate)
+    del there  # poses of the whole are held once at a time
     late = find_resembled(reference, performance, matched_time, frames, yaw)
     whole: NDArray[np.bool_] = np.all(judged, axis=1)
-    return Pairing(frames, inside, there, residual, yaw, whole, *late, tuple(takes))
+    return Pairing(frames, inside, residual, yaw, whole, *late, tuple(takes))
 
 
 def turn_takes(first: PostureSequence, takes: Sequence[PostureSequence]) -> tuple[TurnedTake, ...]:

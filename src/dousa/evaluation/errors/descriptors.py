@@ -61,6 +61,7 @@ _PER_WINDOW = (
     "unexplained",
 )
 _LAG = _PER_WINDOW.index("lag")
+_WINDOWS_S, _N_OF_BODY = (0.5, 1.0, 2.0), 19  # s around a moment, and values of the whole body in each
 _USUAL = [_PER_WINDOW.index(name) for name in ("own", "best", "lag", "path")]
 _SLIGHT = 0.03  # rad, so that nothing is divided by 0: the judge of lab/training/train_judge.py is fitted with it
 _FLIP = np.array([1.0, 1.0, -1.0])  # mirror image by definition: z, the body's own left in `Deviations`, negated
@@ -104,16 +105,19 @@ def describe_moments(
     """
     deviations, rate = evidence.deviations, evidence.rate
     frames = np.arange(0, len(deviations.judged), choose_stride(rate))[wanted]
-    blocks = [_measure_windows(evidence, time_spread, frames[some]) for some in iterate_blocks(len(frames), at_once)]
-    if not blocks:
+    if not len(frames):
         return
-    limb_table, body_table = (np.concatenate(tables) for tables in zip(*blocks, strict=True))
+    limb_table = np.empty((len(frames), N_LIMBS, len(_WINDOWS_S), len(_PER_WINDOW)), np.float32)
+    body_table = np.empty((len(frames), len(_WINDOWS_S), _N_OF_BODY), np.float32)
+    for some in iterate_blocks(len(frames), at_once):
+        limb_table[some], body_table[some] = _measure_windows(evidence, time_spread, frames[some])
     usual = np.abs(limb_table[:, :, 0, _USUAL])
     clip = np.median(usual if before is None else np.concatenate([before, usual]), axis=0)
     length_s = max(len(deviations.judged) / rate, 0.5)
     constants = np.array([np.log(length_s), min(n_references, 6)])
     courses = _follow_lags(evidence)
-    courses = np.concatenate([courses, _describe_stretches(evidence, courses[:, :, -1])], axis=2)[frames]
+    stretches = _describe_stretches(evidence, courses[:, :, -1])[frames]
+    courses = np.concatenate([courses[frames], stretches], axis=2)
     for some in iterate_blocks(len(frames), at_once):
         limbs, body = _join_features(limb_table[some], body_table[some], clip, constants, courses[some])
         yield Descriptors(frames[some], limbs, body, usual[some])
@@ -161,14 +165,13 @@ def _measure_windows(
     sharp_s: float = 0.1,
     lateness_price: float = 2e-3,
     farthest: float = 4.0,
-    windows_s: tuple[float, float, float] = (0.5, 1.0, 2.0),
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """(N, 5, W, 25) features of limbs, in the order of `_PER_WINDOW`, and (N, W, 19) of the body."""
     # reach_s: lags that are looked at; lateness_price: rad^2 a second: of lags as good as each other the nearest;
     # farthest: squared chord of opposite directions
     deviations, rate = evidence.deviations, evidence.rate
     reach = min(round(reach_s * rate), deviations.center)
-    halves = [max(1, round(0.5 * seconds * rate)) for seconds in windows_s]
+    halves = [max(1, round(0.5 * seconds * rate)) for seconds in _WINDOWS_S]
     # The frames around these moments are all that matters to them.
     first = max(int(frames[0]) - max(halves) - reach - 1, 0)
     frames, here = frames - first, slice(first, int(frames[-1]) + max(halves) + reach + 2)
@@ -178,8 +181,8 @@ def _measure_windows(
     ours, theirs = _take_weighing(evidence, deviations)
     windows = [_Window(frames, half, len(ours)) for half in halves]
     lags = _Lags(max(1, round(sharp_s * rate)), lateness_price / rate)
-    limbs = np.zeros((len(frames), N_LIMBS, len(windows), 25), np.float32)
-    body = np.zeros((len(frames), len(windows), 19), np.float32)
+    limbs = np.zeros((len(frames), N_LIMBS, len(windows), len(_PER_WINDOW)), np.float32)
+    body = np.zeros((len(frames), len(windows), _N_OF_BODY), np.float32)
 
     pooled = _pool_limbs(squared, counts)
     common = _pool_body(pooled)

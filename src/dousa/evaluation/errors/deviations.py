@@ -7,7 +7,7 @@ at every lag.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -108,19 +108,21 @@ def _measure_beyond(ways: FloatArray) -> FloatArray:
     return np.asarray(2.0 * np.arcsin(0.5 * least))
 
 
-def merge_takes(takes: Sequence[Deviations], *, spread_s: float = 0.3) -> Deviations:
+def merge_takes(each: Iterable[Deviations], *, spread_s: float = 0.3) -> Deviations:
     """Merge deviations from several takes, along the same line, to those from the nearest take; measure their spread.
 
     The first take decides what is judged; where a take is not seen the others count. The merged reference is the median
     of the takes, so that one take's slip does not count; the spread is the median angle of the takes from it, averaged
-    over spread_s.
+    over spread_s. Of takes that are made one after the other no more than two tensors are held.
     """
-    first = takes[0]
+    takes: list[Deviations] = []
+    squared = np.empty((0, 0, 9), np.float32)
+    for number, take in enumerate(each):
+        squared = _take_nearest(squared, take.squared) if number else take.squared
+        takes.append(replace(take, squared=squared[:0]))
+    first = replace(takes[0], squared=squared)
     if len(takes) == 1:
         return first
-    squared = first.squared
-    for other in takes[1:]:
-        squared = take_nearest(squared, other.squared)
     poses = np.stack([take.reference for take in takes])
     apart = np.max([_measure_beyond(pose - np.delete(poses, k, axis=0)) for k, pose in enumerate(poses)], axis=0)
     beyond = _measure_beyond(np.stack([take.performance - take.reference for take in takes]))
@@ -132,7 +134,7 @@ def merge_takes(takes: Sequence[Deviations], *, spread_s: float = 0.3) -> Deviat
     half = max(1, round(0.5 * spread_s / first.step_s))
     total = np.cumsum(np.pad(far, ((half + 1, half), (0, 0)), mode="edge"), axis=0)
     spread = (total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1)
-    return replace(first, squared=squared, reference=middle, spread=spread, beyond=beyond, apart=apart)
+    return replace(first, reference=middle, spread=spread, beyond=beyond, apart=apart)
 
 
 def _take_median(values: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
@@ -142,7 +144,7 @@ def _take_median(values: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
     return np.asarray(np.nanmedian(np.where(known, values, np.nan), axis=0))
 
 
-def take_nearest(mine: NDArray[np.float32], its: NDArray[np.float32]) -> NDArray[np.float32]:
+def _take_nearest(mine: NDArray[np.float32], its: NDArray[np.float32]) -> NDArray[np.float32]:
     """Take the smaller of two squared deviations; 0 means none."""
     return np.where((its > 0.0) & ((its < mine) | (mine == 0.0)), its, mine)
 

@@ -22,7 +22,7 @@ from dousa.evaluation.figures.eigenspace import (
     compute_distance_within,
 )
 from dousa.evaluation.figures.furi import Furi
-from dousa.evaluation.posture.posture import SEGMENTS, PostureSequence
+from dousa.evaluation.posture.posture import SEGMENTS, PostureSequence, interpolate_segments
 from dousa.evaluation.posture.yaw import rotate_yaw
 
 _TURN_RATE = 30.0  # Hz, of the poses whose angle is measured
@@ -125,7 +125,7 @@ def compute_curves(
     if pairing is None:
         takes = turn_takes(reference, more_references)
         pairing = pair_motions(reference, takes, performance, same_time, matched_time)
-    frames, there, yaw = pairing.frames, pairing.there, pairing.yaw
+    frames, yaw = pairing.frames, pairing.yaw
     index = _find_furi_index(frames, pairing.inside, furi, reference.n_frames)
     distances = np.full((3, len(frames)), np.nan)
     turn = np.full(len(frames), np.nan)
@@ -139,7 +139,7 @@ def compute_curves(
         distances[:, here] = _measure_distances(
             space,
             turned,
-            rotate_yaw(there[here], angle),
+            rotate_yaw(interpolate_segments(reference.segments, frames[here]), angle),
             rotate_yaw(performance.segments[here], turn[here]),
             turned.find_turn(pairing.late_frames[here]) - pairing.late_yaw[here] - turn[here],
             reference.frame_rate,

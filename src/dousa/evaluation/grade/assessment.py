@@ -215,12 +215,13 @@ def _weigh(
     evidence = gather_evidence(comparison.deviations, tolerance.angle, tolerance.lag_s, weights)
     first, working = references.postures, thin_postures(performance)
     same, matched, lag = _make_clocks(comparison, evidence, working, performance, first)
+    findings = tuple(find_errors(references, comparison.alignment.frames, evidence))
+    del evidence  # what differs at the working rate is not held beside all poses of both
     if pairing is None:
         pairing = pair_motions(first, turn_takes(first, references.warped), performance, same, matched)
     else:
         late_frames, late_yaw = find_resembled(first, performance, matched, pairing.frames, pairing.yaw)
         pairing = replace(pairing, late_frames=late_frames, late_yaw=late_yaw)
-    findings = tuple(find_errors(references, comparison.alignment.frames, evidence))
     return Weighed(comparison, weights, tolerance, findings, same, matched, lag, pairing)
 
 

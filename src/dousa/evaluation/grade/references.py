@@ -184,13 +184,11 @@ def compare(
     alignment = align(references[0], performance, tempo, weights)
     pairs = _pair_poses(references[0], performance, alignment.frames, weights)
     bodies = [estimate_offset(reference, performance, pairs, between) for reference in references]
-    bare = [take_out(performance, body) for body in bodies]
-    takes = [
-        compute_deviations(reference, ours, alignment.frames, weights)
-        for reference, ours in zip(references, bare, strict=True)
-    ]
-    deviations = merge_takes(takes)
-    return Comparison(alignment, deviations, bodies[0])
+    takes = (
+        compute_deviations(reference, take_out(performance, body), alignment.frames, weights)
+        for reference, body in zip(references, bodies, strict=True)
+    )
+    return Comparison(alignment, merge_takes(takes), bodies[0])
 
 
 _TURN, _LATE = 0.05, 0.005  # prices of 0.1 s more or less, and of being late at all, in frames with nothing in common

@@ -378,7 +378,7 @@ class _Window:
         along = np.concatenate([line.locate(begin, first), used[max(begin - first, 0) :]])
         part = take_out(self._of._performance(begin), self._of._offset)
         references, weights = self._of._references.working, self._of._weights
-        new = merge_takes([compute_deviations(take, part, along, weights) for take in references])
+        new = merge_takes(compute_deviations(take, part, along, weights) for take in references)
         new = new.cut(slice(first + old - begin, None))
         if self._parts is not None and old:
             new = self._parts.cut(slice(first - self.first, first - self.first + old)).extend(new)
