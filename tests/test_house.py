@@ -20,7 +20,7 @@ SOURCE = ROOT / "src" / "dousa"
 ROOMS = {
     "app": (25_528, 113),
     "estimation": (16_082, 66),
-    "evaluation": (12_126, 46),
+    "evaluation": (12_160, 46),
     "experiments": (1_722, 10),
     "files": (1_126, 8),
     "formats": (13_171, 70),

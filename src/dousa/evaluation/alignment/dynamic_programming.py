@@ -63,9 +63,14 @@ def correlate_rows(a: Matrix, b: Matrix, out: Matrix, start: int, stop: int) -> 
 
 @kernel
 def _follow(
-    cost: FloatArray, slope: float, leap: float, best: FloatArray, origin: NDArray[np.int16]
+    cost: FloatArray,
+    slope: float,
+    leap: float,
+    best: FloatArray,
+    origin: NDArray[np.int16],
+    course: NDArray[np.int32],
 ) -> None:  # pragma: no cover - compiled
-    """Do `follow_states`: (K,) least sums that end in each state, and (T, K) where each comes from."""
+    """Do `follow_states`; room: (K,) least sums that end in each state, and (T, K) where each comes from."""
     n_frames, n_states = cost.shape
     for k in range(n_states):
         best[k] = cost[0, k]
@@ -90,6 +95,9 @@ def _follow(
                 best[k] = leapt
                 source[k] = top
             best[k] += cost[t, k]
+    course[n_frames - 1] = best.argmin()
+    for t in range(n_frames - 1, 0, -1):
+        course[t - 1] = origin[t, course[t]]
 
 
 def follow_states(cost: FloatArray, slope: float, leap: float) -> NDArray[np.int32]:
@@ -97,12 +105,9 @@ def follow_states(cost: FloatArray, slope: float, leap: float) -> NDArray[np.int
 
     A step to the next state costs ``slope``, as many as one likes from frame to frame; a leap to any state ``leap``.
     """
-    best, origin = np.empty(cost.shape[1]), np.empty(cost.shape, np.int16)
-    _follow(np.ascontiguousarray(cost), slope, leap, best, origin)
     course = np.empty(len(cost), np.int32)
-    course[-1] = best.argmin()
-    for t in range(len(cost) - 1, 0, -1):
-        course[t - 1] = origin[t, course[t]]
+    room = np.empty(cost.shape[1]), np.empty(cost.shape, np.int16)
+    _follow(np.ascontiguousarray(cost), slope, leap, *room, course)
     return course
 
 
