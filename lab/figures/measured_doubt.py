@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.estimation import Estimate, estimate, make_human
+from dousa.estimation.body.doubt import LOST_ERROR
 from dousa.estimation.body.kinematics import compute_points, point_names
-from dousa.estimation.tracking.diagnosis import LOST_ERROR
 from lab.estimation.clips import BenchClip, choose_views, find_clips, fit_first_poses, read_clip, take_part
 
 

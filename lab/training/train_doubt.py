@@ -1,20 +1,25 @@
 """Learn how much each sign of doubt weighs in the expected error of a joint, and tell how often it is right.
 
-    python -m lab.training.train_doubt --mesh FOLDER --kept FOLDER [--clips N] [--left-out N]
+    python -m lab.training.train_doubt --mesh FOLDER --kept FOLDER [--cues silhouettes,keypoints] [--clips N]
+        [--left-out N]
 
 Made people (`lab.trials.crossings`; ``--mesh`` as in `lab.trials.made_people`) move as HDM05's bd and bk and as people
-of Bandai Namco who wave and raise their hands. Every other clip has ragged outlines, holes, specks and shadows. They
-are tracked with four views, two and one, the start searched for, and with two and four also from legs or arms
-exchanged, so that there is something to find. Prints the weights (`dousa.estimation.tracking.diagnosis.WEIGHTS`) and,
-for people, shapes and recordings left out (HDM05's dg, Bandai Namco's walking and running), clean and noisy, the curve:
-how many of the frames off by more than 150 mm are found when so many of the others are said too. Clips are kept; some
-15 s each on one core.
+of Bandai Namco who wave and raise their hands. Silhouettes: every other clip has ragged outlines, holes, specks and
+shadows; they are tracked with four views, two and one, the start searched for, and with two and four also from legs or
+arms exchanged, so that there is something to find. Keypoints: films of `lab.trials.degrees`, seen by BlazePose's heavy
+and full models in turn, with and without the network's masks; with one view errors are those of the posture (hips in
+place), and the spread of the distance is printed by itself. Prints the weights (`dousa.estimation.body.doubt.WEIGHTS`)
+and, for people, shapes and recordings left out (HDM05's dg, Bandai Namco's walking and running), the curve: how many of
+the frames off by more than 150 mm are found when so many of the others are said too. What is made is kept; some 15 s a
+clip on one core, 40 s a film.
 """
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import cv2
@@ -22,16 +27,19 @@ import numpy as np
 from scipy.optimize import minimize
 
 from dousa.arrays import BoolArray, FloatArray
-from dousa.estimation import TrackerSettings, estimate, make_human
+from dousa.estimation import MEDIAPIPE_NAMES, TrackerSettings, estimate, fit_keypoints, make_human
+from dousa.estimation.body.doubt import LOST_ERROR, SIGNS, Cue
 from dousa.estimation.body.kinematics import compute_points, point_names
 from dousa.estimation.body.posing import fit_pose
 from dousa.estimation.silhouettes.silhouettes import PackedSilhouettes
-from dousa.estimation.tracking.diagnosis import LOST_ERROR, SIGNS, Diagnosis, list_signs
+from dousa.estimation.tracking.diagnosis import Diagnosis, list_signs
 from dousa.estimation.tracking.outlines import do_meet
 from dousa.estimation.tracking.search_setup import SearchSetup, Shrinker
 from dousa.estimation.tracking.tracker import smooth_poses
 from lab.estimation.clips import BenchClip, choose_views, read_clip, take_part
 from lab.trials.crossings import make_clip
+from lab.trials.degrees import make_film
+from lab.trials.made_people import Film
 from lab.trials.person_maker import list_kinds, make_parser, open_mesh
 
 # fmt: off
@@ -42,19 +50,21 @@ RECORDINGS = {
 }
 # fmt: on
 _ENDS = {"legs": ("knee", "ankle"), "arms": ("elbow", "wrist")}
+_STARTS = (("auto", 4), ("auto", 2), ("auto", 1), ("legs", 2), ("legs", 4), ("arms", 2))
 _LEAST = 0.01  # m, below which errors do not matter
 
 
 class Tracked(NamedTuple):
     """Signs (T, N, S) and errors (T, N) m of the points of one track, nan where the truth is unknown.
 
-    ``usual`` tracks began with a search.
+    ``usual`` tracks began with a search. ``away`` (T,): the distance found by the true one, with one view of keypoints.
     """
 
     signs: FloatArray
     errors: FloatArray
-    meet: bool
+    kind: tuple[Cue, bool]
     usual: bool = True
+    away: FloatArray = np.ones(0)
 
     @property
     def off(self) -> BoolArray:
@@ -117,7 +127,25 @@ def track(clip: BenchClip, count: int, start: str) -> Tracked:
         if joint in names:
             own = names.index(joint)
             errors[:, own] = np.linalg.norm(points[:, own] - clip.truth[:, row], axis=-1)
-    return Tracked(list_signs(setup, found.poses, notes.arrays()), errors, meet, start == "auto")
+    return Tracked(list_signs(setup, found.poses, notes.arrays()), errors, ("silhouettes", meet), start == "auto")
+
+
+def fit(film: Film, count: int, masks: bool) -> Tracked:
+    """Fit keypoints of a film, with the network's masks or without."""
+    views = list(choose_views(film.cameras, count))
+    cameras, tracks = [film.cameras[view] for view in views], [film.tracks[view] for view in views]
+    found = fit_keypoints(cameras, tracks, MEDIAPIPE_NAMES, film.rate, stature=film.stature if count == 1 else None,
+                          silhouettes=film.silhouettes(views) if masks else None)  # fmt: skip
+    names, points = point_names(found.estimate.body), compute_points(found.estimate.body, found.estimate.poses)
+    rows, hips = [names.index(joint) for joint in film.joints], [names.index(f"{s}_hip") for s in ("left", "right")]
+    truth, away = film.truth, np.ones(0)
+    if count == 1:
+        own, true = points[:, hips].mean(axis=1), truth[:, [film.joints.index(names[hip]) for hip in hips]].mean(axis=1)
+        away = cameras[0].compute_depths(own) / cameras[0].compute_depths(true)
+        truth = truth + (own - true)[:, None]
+    errors = np.full(points.shape[:2], np.nan)
+    errors[:, rows] = np.linalg.norm(points[:, rows] - truth, axis=-1)
+    return Tracked(found.signs, errors, ("keypoints", count > 1), away=away)
 
 
 def learn(tracks: Sequence[Tracked], tail: float = 4.0) -> FloatArray:
@@ -172,46 +200,81 @@ def print_curve(what: str, tracks: Sequence[Tracked], weights: FloatArray, said:
 
 def report(tuned: Sequence[Tracked], named: dict[str, Sequence[Tracked]], least: float = 0.05) -> None:
     """Print the weights and the curves of the others; ``least`` is the share that may be said wrongly."""
+    kinds = dict.fromkeys(track.kind for track in tuned)
     learned = {}
-    for meet in (True, False):
-        own = [track for track in tuned if track.meet == meet]
+    for kind in kinds:
+        own = [track for track in tuned if track.kind == kind]
         weights = learn(own)
         good = np.concatenate([expect(track, weights)[~track.off] for track in own if track.usual])
-        # with one view nothing tells good frames: there the expected error itself decides
-        learned[meet] = weights, float(np.quantile(good, 1.0 - least)) if meet else LOST_ERROR
-        print(meet, dict(zip(SIGNS, weights.round(3).tolist(), strict=True)), f"said from {learned[meet][1]:.3f} m")
+        # with one view of silhouettes nothing tells good frames: there the expected error itself decides
+        said = LOST_ERROR if kind == ("silhouettes", False) else float(np.quantile(good, 1.0 - least))
+        learned[kind] = weights, said
+        print(kind, dict(zip(SIGNS, weights.round(3).tolist(), strict=True)), f"said from {said:.3f} m")
+        away = np.concatenate([track.away for track in own])
+        if len(away):
+            print(f"distance: {np.median(away):.3f} of the true one in the middle, one sigma "
+                  f"{1.48 * np.median(np.abs(np.log(away))):.3f}")  # fmt: skip
     print("\n| | off | found at 2 % said wrongly | 5 | 10 | 20 | 40 | said of these, of the others | expected, mm | "
           "actual, mm |\n" + "| --- " * 10 + "|")  # fmt: skip
     for what, tracks in named.items():
-        for meet in (True, False):
-            some = [track for track in tracks if track.meet == meet]
-            print_curve(what, some, *learned[meet])
+        for kind in kinds:
+            print_curve(what, [track for track in tracks if track.kind == kind], *learned[kind])
+
+
+def open_clip(path: Path, given: argparse.Namespace, people: str, number: int) -> BenchClip:
+    """A clip of silhouettes, made if it is not there."""
+    if not path.is_file():
+        kinds = list_kinds(given.data, RECORDINGS[people])
+        seed = 50000 * (1 + list(RECORDINGS).index(people)) + number
+        make_clip(path, open_mesh(given.mesh), kinds[number % len(kinds)], seed)
+    return read_clip(path)
+
+
+def open_film(path: Path, given: argparse.Namespace, people: str, number: int) -> Film:
+    """A film with keypoints, made if it is not there."""
+    if not path.is_file():
+        seed = 50777 + 50000 * list(RECORDINGS).index(people)
+        kinds = list_kinds(given.data, RECORDINGS[people])
+        made = make_film(open_mesh(given.mesh), kinds, number, seed, "full" if number % 2 else "heavy", 30)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(path, **made)  # type: ignore[arg-type]
+    return Film(dict(np.load(path)))
 
 
 def main() -> None:
     """Read the command line."""
     parser = make_parser(__doc__)
+    parser.add_argument("--cues", default="silhouettes,keypoints")
     parser.add_argument("--clips", type=int, default=30)
     parser.add_argument("--left-out", type=int, default=10)
     given = parser.parse_args()
     tuned: list[Tracked] = []
     named: dict[str, list[Tracked]] = {}
-    for number, (people, count) in enumerate((("tuned", given.clips), ("left out", given.left_out))):
-        kinds = list_kinds(given.data, RECORDINGS[people])
-        for clip in range(count):
-            path = given.kept / f"{people.replace(' ', '_')}_{clip:03d}.npz"
-            if not path.is_file():
-                make_clip(path, open_mesh(given.mesh), kinds[clip % len(kinds)], 50000 * (number + 1) + clip)
-            clean = read_clip(path)
-            noisy = disturb(clean, np.random.default_rng(900 * number + clip))
-            if people == "tuned":
-                own = noisy if clip % 2 else clean
-                starts = [("auto", 4), ("auto", 2), ("auto", 1), ("legs", 2), ("legs", 4), ("arms", 2)]
-                tuned += [track(own, views, start) for start, views in starts]
-                continue
-            for what, own in (("clean", clean), ("noisy", noisy)):
-                for views in (4, 2, 1):
-                    named.setdefault(f"{what}, {views}", []).append(track(own, views, "auto"))
+    for people, count in (("tuned", given.clips), ("left out", given.left_out)):
+        for number in range(count):
+            stem = f"{people.replace(' ', '_')}_{number:03d}.npz"
+            for cue in given.cues.split(","):
+                if cue == "silhouettes":
+                    clean = open_clip(given.kept / stem, given, people, number)
+                    noisy = disturb(clean, np.random.default_rng(900 * (people != "tuned") + number))
+                    if people == "tuned":
+                        own = noisy if number % 2 else clean
+                        tuned += [track(own, views, start) for start, views in _STARTS]
+                        continue
+                    rows = {
+                        (what, views): track(own, views, "auto")
+                        for what, own in (("clean", clean), ("noisy", noisy))
+                        for views in (4, 2, 1)
+                    }
+                else:
+                    film = open_film(given.kept / "films" / stem, given, people, number)
+                    rows = {(what, views): fit(film, views, what == "both") for what in ("keypoints", "both")
+                            for views in (4, 2, 1)}  # fmt: skip
+                    if people == "tuned":
+                        tuned += rows.values()
+                        continue
+                for (what, views), row in rows.items():
+                    named.setdefault(f"{what}, {views}", []).append(row)
     report(tuned, named)
 
 

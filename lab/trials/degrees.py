@@ -11,7 +11,9 @@ bends lines and the noise of a dim room. ``tuned`` wear recordings of HDM05's dg
 - keypoints: our fit, by BlazePose's heavy model; the stature is told with one view only;
 - silhouettes: our tracker, on masks of 240 x 320 with ragged edges and blots; the stature is told, the start is found;
 - plain: the same keypoints, triangulated linearly (with one view: the network's places in space, put where they fit the
-  picture), smoothed at 6 Hz, and inverse kinematics of a body with the median lengths.
+  picture), smoothed at 6 Hz, and inverse kinematics of a body with the median lengths;
+- joints, and plain joints: likewise of points that are the joints themselves but for noise of 4 pixels, as of a network
+  other than BlazePose; several views only.
 
 Columns: mm of 12 joints, and with the hips in place; legs: mean of the knee's flexion and of the angle between thigh
 and trunk; arms: of elbow and upper arm likewise; then the coordinates of docs/opensim.md by joint, flexion and other
@@ -22,6 +24,7 @@ bent by 20 degrees. Views are those of `lab.estimation.clips.choose_views`.
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,11 +33,12 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from dousa.arrays import BoolArray, FloatArray
-from dousa.estimation import MEDIAPIPE_NAMES, Camera, estimate, fit_keypoints, make_human, make_ring
+from dousa.estimation import MEDIAPIPE_NAMES, Camera, PersonTrack, estimate, fit_keypoints, make_human, make_ring
 from dousa.estimation.body.body import BodyModel
 from dousa.estimation.body.kinematics import compute_points, place_parts, point_names
 from dousa.estimation.body.posing import fit_poses
 from dousa.estimation.body.skeleton_body import fit_body
+from dousa.estimation.keypoints.pose_models import LandmarkModel
 from dousa.estimation.multiview.keypoint_fit import place_world
 from dousa.estimation.multiview.landmarks import gather
 from dousa.estimation.multiview.triangulation import reduce_known
@@ -48,7 +52,7 @@ from lab.trials.made_people import Film, find_points, keep_film
 from lab.trials.person_maker import N_BODY, Mesh, draw_mask, list_kinds, make_parser, move_person, open_mesh
 
 _RATE, _FRAMES, _SIZE, _SMALL = 30.0, 45, (720, 960), 3
-_DIMNESS, _ROLL, _BEND, _STRAIGHT = 6.0, np.deg2rad(8.0), 0.12, 20.0
+_DIMNESS, _ROLL, _BEND, _STRAIGHT, _NOISE = 6.0, np.deg2rad(8.0), 0.12, 20.0, 4.0
 # fmt: off
 _PEOPLE = {
     "kept": ["hdm05/*/HDM_b[dk]_*.[aA][mM][cC]", "uiprmd/vicon/*/correct/*_s0[123]_*.trc"],
@@ -62,15 +66,23 @@ COLUMNS = {"mm": (), "hips in place": (), "legs": (), "arms": (),
 # fmt: on
 
 
-def make_film(mesh: Mesh, motions: list[list[Path]], number: int, seed: int) -> dict[str, FloatArray]:
+def make_film(
+    mesh: Mesh,
+    motions: list[list[Path]],
+    number: int,
+    seed: int,
+    model: LandmarkModel = "heavy",
+    n_frames: int = _FRAMES,
+) -> dict[str, FloatArray]:
     """One person before four phones: what is true, what the network finds, and masks."""
     rng = np.random.default_rng(seed + number)
-    moved = move_person(mesh, motions[number % len(motions)], rng, _RATE, _FRAMES)
+    moved = move_person(mesh, motions[number % len(motions)], rng, _RATE, n_frames)
     distance = rng.uniform(3.2, 4.6) + 1.5 * max(0.0, moved.reach - 0.4)
     ring = make_ring(4, distance=distance, height=rng.uniform(0.8, 1.8), size=_SIZE, first_angle=rng.uniform(0, 6),
                      focal=rng.uniform(0.95, 1.2) * 0.3 * _SIZE[1] * distance)  # fmt: skip
     cameras = [_hold(camera, rng) for camera in ring]
-    tracks = [find_points(camera, mesh, moved.person, moved.vertices, rng, _RATE, _DIMNESS) for camera in cameras]
+    tracks = [find_points(camera, mesh, moved.person, moved.vertices, rng, _RATE, _DIMNESS, model)
+              for camera in cameras]  # fmt: skip
     faces = mesh.faces[(mesh.faces < N_BODY).all(axis=1)]
     masks = [[_roughen(draw_mask(shrink(camera), faces, vertices), rng) for vertices in moved.vertices]
              for camera in cameras]  # fmt: skip
@@ -159,11 +171,19 @@ def _bend(turned: FloatArray) -> FloatArray:
     return np.degrees(np.arccos(np.clip(turned[:, 1, 1], -1, 1)))
 
 
-def fit_plainly(film: Film, views: list[int]) -> tuple[BodyModel, FloatArray, FloatArray]:
-    """The baseline: body, poses, and places (T, 12, 3) m before them."""
-    cameras, tracks = [film.cameras[v] for v in views], [film.tracks[v] for v in views]
-    seen = gather(tracks, MEDIAPIPE_NAMES, len(film.truth))
-    if len(views) > 1:
+def see_joints(film: Film, camera: Camera, seed: int) -> PersonTrack:
+    """The true joints in a picture, with noise."""
+    points = camera.project(film.truth)
+    points = points + np.random.default_rng(seed).normal(0, _NOISE, points.shape)
+    return PersonTrack(points, np.ones(points.shape[:2]), None)
+
+
+def fit_plainly(
+    film: Film, cameras: list[Camera], tracks: list[PersonTrack], points: Sequence[str]
+) -> tuple[BodyModel, FloatArray, FloatArray]:
+    """The baseline: body, poses, and places (T, 12, 3) m before them; ``points`` are the keypoints' names."""
+    seen = gather(tracks, points, len(film.truth))
+    if len(cameras) > 1:
         places = _triangulate(cameras, seen.points, seen.visibility)
     else:
         places = place_world(cameras[0], seen.points[0], seen.visibility[0], seen.world[0])
@@ -197,12 +217,14 @@ def _triangulate(cameras: list[Camera], points: FloatArray, visibility: FloatArr
 def fit_film(film: Film, cue: str, views: list[int]) -> dict[str, FloatArray]:
     """Errors of one way to fit."""
     cameras = [film.cameras[view] for view in views]
-    if cue == "plain":
-        return measure(film, *fit_plainly(film, views))
-    if cue == "keypoints":
-        fit = fit_keypoints(cameras, [film.tracks[view] for view in views], MEDIAPIPE_NAMES, film.rate,
-                            stature=film.stature if len(views) == 1 else None)  # fmt: skip
-        found = fit.estimate
+    tracks, points = [film.tracks[view] for view in views], MEDIAPIPE_NAMES
+    if cue.endswith("joints"):
+        tracks, points = [see_joints(film, film.cameras[view], view) for view in views], tuple(film.joints)
+    if cue.startswith("plain"):
+        return measure(film, *fit_plainly(film, cameras, tracks, points))
+    if cue != "silhouettes":
+        found = fit_keypoints(cameras, tracks, points, film.rate,
+                              stature=film.stature if len(views) == 1 else None).estimate  # fmt: skip
     else:
         small = [shrink(camera) for camera in cameras]
         masks = [film.kept["masks"][view] for view in views]
@@ -218,6 +240,8 @@ def print_table(films: dict[str, Film], cues: list[str], counts: list[int], *, e
     print("| views | cue | " + " | ".join(COLUMNS) + " | films |\n" + "| --- " * (len(COLUMNS) + 3) + "|")
     for count in counts:
         for cue in cues:
+            if count == 1 and cue.endswith("joints"):
+                continue
             rows, small = [], []
             for name, film in films.items():
                 views = list(choose_views(film.cameras, count))
@@ -242,7 +266,7 @@ def main() -> None:
     parser.add_argument("--people", choices=list(_PEOPLE), default="kept")
     parser.add_argument("--films", type=int, default=12)
     parser.add_argument("--views", default="4,2,1")
-    parser.add_argument("--cues", default="keypoints,silhouettes,plain")
+    parser.add_argument("--cues", default="keypoints,silhouettes,plain,joints,plain joints")
     parser.add_argument("--each", action="store_true", help="print every film too")
     given = parser.parse_args()
     kinds, films = list_kinds(given.data, _PEOPLE[given.people]), {}

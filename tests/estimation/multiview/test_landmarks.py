@@ -9,7 +9,7 @@ from dousa.estimation.body.posing import standing_state
 from dousa.estimation.multiview.landmarks import place_landmarks
 from dousa.estimation.multiview.pose_residuals import list_bones, place_points, point_slopes, world_terms
 
-POINTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe", "heel", "ear")
+POINTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe", "heel", "ear", "mouth")
 NAMES = ("nose", *(f"{side}_{point}" for point in POINTS for side in ("left", "right")))
 
 
@@ -36,6 +36,14 @@ def test_a_shoulder_lies_above_its_joint_and_goes_with_the_trunk(body, poses):
     moved = place_points(body, hanging, place_landmarks(body, NAMES))
     row = NAMES.index("left_shoulder")
     np.testing.assert_allclose(moved[:, row], places[:, row], atol=1e-12)
+
+
+def test_joints_of_another_network_than_blazepose_are_the_joints(body, poses):
+    names = [name for name in NAMES if "mouth" not in name]
+    places = place_points(body, poses, place_landmarks(body, names))
+    joints = compute_points(body, poses)
+    for joint in ("left_shoulder", "right_hip", "left_knee", "right_wrist"):
+        np.testing.assert_allclose(places[:, names.index(joint)], joints[:, point_names(body).index(joint)], atol=1e-12)
 
 
 def test_sides_are_mirror_images_on_the_standing_body(body):

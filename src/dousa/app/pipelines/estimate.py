@@ -76,7 +76,8 @@ class Estimation:
     def to_json(self) -> dict[str, Any]:
         """What ``dousa estimate --json`` prints."""
         answer = self.estimate.to_json()
-        keys = ("n_frames", "frame_rate", "iou", "lost_frames", "frames_per_second", "expected_error_m", "lengths_m")
+        keys = ("n_frames", "frame_rate", "iou", "lost_frames", "frames_per_second", "expected_error_m")
+        keys = (*keys, "depth_spread_m", "lengths_m")
         trusted = ~self.estimate.lost
         uncertainty = self.estimate.uncertainty[trusted] if trusted.any() else self.estimate.uncertainty
         return {
@@ -456,7 +457,6 @@ def describe_fit(
     stature_given: bool,
     poor: float = 0.025,
     far: float = 0.085,
-    depth: float = 0.08,
 ) -> list[Message]:
     """Describe doubts about the fit.
 
@@ -466,7 +466,6 @@ def describe_fit(
     stature_given : whether the scale is known.
     poor : of a person's height in the picture, median reprojection that tells of a wrong calibration.
     far : the same of the worst tenth of its points; 0.01 to 0.08 with right cameras (docs/estimation.md).
-    depth : m, of a single view.
     """
     from dousa.estimation.body.human import USUAL_STATURE
 
@@ -487,9 +486,9 @@ def describe_fit(
     if n_views > 1 and not stature_given and not 1.4 < stature < 2.05:
         warnings.append(Message("film_estimate.odd_stature", stature=stature))
     if n_views == 1:
-        unsure = int((fit.depth_doubt > depth).sum())
-        doubt = float(np.median(fit.depth_doubt))
-        warnings.append(Message("film_estimate.one_view", doubt=doubt, frames=unsure, total=fit.estimate.n_frames))
+        spread = fit.estimate.depth_spread
+        assert spread is not None
+        warnings.append(Message("film_estimate.one_view", doubt=float(np.median(spread))))
         if not stature_given:
             warnings.append(Message("body.stature_assumed", stature=USUAL_STATURE))
     absent = ~fit.seen.seen.any(axis=(0, 2))

@@ -62,11 +62,13 @@ class FittedBody:
     Parameters
     ----------
     body, landmarks : of the parameters.
+    poses : (T, 7 + A) of the frames that were fitted.
     values, covariance : (N + 3 G,) and (N + 3 G, N + 3 G) of all parameters.
     """
 
     body: BodyModel
     landmarks: Landmarks
+    poses: FloatArray
     values: FloatArray
     covariance: FloatArray
 
@@ -148,7 +150,7 @@ def fit_body_parameters(
     body, landmarks, square, gradient = found
     others = _parameter_equations(parameters, state[0], body, landmarks, state[1], terms)
     _, reduced, _ = _reduce(square, gradient, *others, 0.0)
-    return FittedBody(body, landmarks, state[0], np.asarray(np.linalg.inv(reduced)))
+    return FittedBody(body, landmarks, state[1], state[0], np.asarray(np.linalg.inv(reduced)))
 
 
 def _parameter_equations(

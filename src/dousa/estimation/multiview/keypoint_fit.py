@@ -17,6 +17,7 @@ import numpy as np
 from dousa.arrays import BoolArray, FloatArray, IndexArray
 from dousa.errors import BodyModelError, KeypointError, SilhouetteError
 from dousa.estimation.body.body import BodyModel
+from dousa.estimation.body.doubt import judge, list_signs
 from dousa.estimation.body.human import LENGTHS, SEX_FACTORS, USUAL_STATURE, make_human
 from dousa.estimation.body.kinematics import compute_points, point_names
 from dousa.estimation.body.posing import fit_poses, standing_state
@@ -24,10 +25,20 @@ from dousa.estimation.cameras.camera import Camera
 from dousa.estimation.keypoints.keypoints import PersonTrack
 from dousa.estimation.multiview.body_fit import BodyParameters, FittedBody, fit_body_parameters, fit_trajectory
 from dousa.estimation.multiview.contours import trace_contour
-from dousa.estimation.multiview.landmarks import BREADTHS, SHIFTS, Landmarks, SeenLandmarks, gather, place_landmarks
+from dousa.estimation.multiview.keypoint_doubt import DISTANCE_SPREAD, VISIBLE, find_evidence, measure_errors
+from dousa.estimation.multiview.landmarks import (
+    BREADTHS,
+    JOINTS,
+    SHIFTS,
+    Landmarks,
+    SeenLandmarks,
+    gather,
+    lie_beside_joints,
+    place_landmarks,
+)
 from dousa.estimation.multiview.people import repair_sides
 from dousa.estimation.multiview.pose_residuals import Terms, place_points, point_slopes
-from dousa.estimation.multiview.triangulation import pixels_per_metre, reduce_known, triangulate
+from dousa.estimation.multiview.triangulation import triangulate
 from dousa.estimation.silhouettes.silhouettes import Silhouettes
 from dousa.estimation.tracking.person_size import fit_girths
 from dousa.estimation.tracking.settings import Estimate
@@ -37,6 +48,7 @@ from dousa.motion.resampling import fill_gaps
 
 _MEASURES = ("upper_arm", "forearm", "thigh", "shank", "trunk", "shoulder_breadth", "hip_breadth", "head", "foot")
 _STATURE_SIGMA, _GIVEN_SIGMA, _MEASURE_SIGMA = 0.03, 0.01, 0.06  # of logarithms
+_MOVED = {"hip": "thigh", "shoulder": "upper_arm"}  # joints that no length of a limb places, by the part that they turn
 _BONES = (("hip", "knee", "thigh"), ("knee", "ankle", "shank"), ("shoulder", "elbow", "upper_arm"),
           ("elbow", "wrist", "forearm"))  # fmt: skip
 
@@ -52,7 +64,7 @@ class KeypointFit:
     seen : (V, T, L) the fitted landmarks, sides corrected.
     exchanged : (V, T, G) where left and right were exchanged.
     errors : (V, T, L) px, reprojection errors; nan where a point is not seen.
-    depth_doubt : (T,) m, mean uncertainty of the joints along the first view's axis.
+    signs : (T, P + K, S) of doubt, see `dousa.estimation.body.doubt`.
     """
 
     estimate: Estimate
@@ -60,7 +72,7 @@ class KeypointFit:
     seen: SeenLandmarks
     exchanged: BoolArray
     errors: FloatArray
-    depth_doubt: FloatArray
+    signs: FloatArray
 
     @property
     def points(self) -> FloatArray:
@@ -84,7 +96,7 @@ def fit_keypoints(
 ) -> KeypointFit:
     """Fit a body to one person's keypoints.
 
-    Frames with joints more uncertain than 100 mm, with too few points, or with points far off the body are ``lost``.
+    Frames are ``lost`` that are probably off by more than 150 mm, with one view in posture, or show too few points.
 
     Parameters
     ----------
@@ -124,9 +136,8 @@ def fit_keypoints(
         own = fit_some_girths(own, poses, silhouettes, cameras)
         terms = replace(terms, contours=_trace_contours(silhouettes, cameras))
         poses, covariance = _fit_in_windows(own, poses, landmarks, terms, tell, window, margin)
-    fit = _answer((own, landmarks, lengths), (poses, covariance), terms, exchanged, begun)
-    sigma = _STATURE_SIGMA if body is None and stature is None else _GIVEN_SIGMA
-    return fit if len(cameras) > 1 else _doubt_distance(fit, cameras[0], sigma)
+    sigma = _STATURE_SIGMA if body is None and stature is None else 0.0
+    return _answer((own, landmarks, lengths), (poses, covariance), terms, exchanged, begun, sigma)
 
 
 def _check_tracks(cameras: Sequence[Camera], tracks: Sequence[PersonTrack | None], n_frames: int) -> None:
@@ -229,23 +240,31 @@ def _find_body(
         chosen = np.arange(len(poses))
     chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, count).astype(int))]
     names = terms.seen.names
-    groups = tuple(group for group in SHIFTS if group in place_landmarks(given, names).groups)
-    usual = given.stature
+    exact = free and not lie_beside_joints(names)
+    groups = tuple(group for group in SHIFTS if group in place_landmarks(given, names).groups
+                   and not (exact and group in JOINTS))  # fmt: skip
+    usual, n_sizes = given.stature, 1 + len(_MEASURES)
 
     def measure(values: FloatArray) -> dict[str, float]:
-        sizes = dict(zip(_MEASURES, np.exp(values[1 : 1 + len(_MEASURES)]).tolist(), strict=True))
+        sizes = dict(zip(_MEASURES, np.exp(values[1:n_sizes]).tolist(), strict=True))
         return _usual_measures(usual * float(np.exp(values[0])), sex, sizes)
 
     def build(values: FloatArray) -> BodyModel:
-        return make_human(usual * float(np.exp(values[0])), sex, measure(values)) if free else given
+        if not free:
+            return given
+        body = make_human(usual * float(np.exp(values[0])), sex, measure(values))
+        return _move_joints(body, values[n_sizes:].reshape(-1, 3)) if exact else body
 
     first = _GIVEN_SIGMA if stature is not None or len(terms.cameras) == 1 else _STATURE_SIGMA
-    sigmas = np.array([first, *[_MEASURE_SIGMA] * len(_MEASURES)]) if free else np.zeros(0)
+    moves = [SHIFTS[group] for group in _MOVED for _ in range(3)] if exact else []
+    sigmas = np.array([first, *[_MEASURE_SIGMA] * len(_MEASURES), *moves]) if free else np.zeros(0)
     seen = terms.seen
     part = SeenLandmarks(names, seen.points[:, chosen], seen.visibility[:, chosen], seen.world[:, chosen])
     few = replace(terms, seen=part, frame_rate=rate)
     parameters = BodyParameters(build, lambda own: place_landmarks(own, names), sigmas, groups)
     fitted = fit_body_parameters(parameters, poses[chosen], few)
+    if exact and len(terms.cameras) > 1:
+        fitted = replace(fitted, landmarks=_find_precision(fitted, few))
     if not free:
         return fitted.body, fitted.landmarks, {}
     lengths = _find_spreads(lambda values: {"stature": _stand(*parameters.make(values)), **measure(values)}, fitted)
@@ -255,6 +274,29 @@ def _find_body(
     lengths["stature"] = (usual, 0.0)
     lengths = {name: (value, float(np.hypot(spread, sigma * value))) for name, (value, spread) in lengths.items()}
     return fitted.body, fitted.landmarks, lengths
+
+
+def _find_precision(fitted: FittedBody, terms: Terms, most: float = 3.0) -> Landmarks:
+    """Return the landmarks with the spread of this film, at most ``most`` times smaller than that of networks.
+
+    The expected median of errors is that of two coordinates, less what fitted poses take of them.
+    """
+    landmarks = fitted.landmarks
+    _, off = measure_errors(fitted.body, fitted.poses, landmarks, terms.seen, terms.cameras)
+    off, known = off / landmarks.spread, np.isfinite(off) & (terms.seen.visibility > VISIBLE)
+    count = 2.0 * known.sum() / len(fitted.poses)
+    share = max(1.0 - (6 + fitted.body.n_angles) / max(count, 1.0), 0.25)
+    size = float(np.median(off[known])) / np.sqrt(2.0 * np.log(2.0) * share) if known.any() else 1.0
+    return replace(landmarks, spread=landmarks.spread * np.clip(size, 1.0 / most, 1.0))
+
+
+def _move_joints(body: BodyModel, moves: FloatArray) -> BodyModel:
+    """Move the joints of `_MOVED` by (2, 3) m to the left, up and ahead, mirrored on the right."""
+    offsets = body.offsets.copy()
+    for part, move in zip(_MOVED.values(), moves, strict=True):
+        for side, mirror in (("left_", 1.0), ("right_", -1.0)):
+            offsets[body.names.index(side + part)] += move * (mirror, 1.0, 1.0)
+    return replace(body, offsets=offsets)
 
 
 def _find_spreads(
@@ -281,13 +323,6 @@ def _stand(body: BodyModel, landmarks: Landmarks) -> float:
     heights = [place_points(own, standing_state(own)[None], some)[0, rows, 1].mean()
                for own, some in ((body, landmarks), (usual, plain))]  # fmt: skip
     return body.stature * float(heights[0] / heights[1])
-
-
-def _doubt_distance(fit: KeypointFit, camera: Camera, sigma: float) -> KeypointFit:
-    """Add the doubt in the distance of a single view: the share ``sigma`` of it, as of the stature."""
-    found = fit.estimate
-    away = np.linalg.norm(compute_points(found.body, found.poses) - camera.position, axis=-1)
-    return replace(fit, estimate=replace(found, uncertainty=np.hypot(found.uncertainty, sigma * away)))
 
 
 def fit_some_girths(
@@ -354,49 +389,36 @@ def _answer(
     terms: Terms,
     exchanged: BoolArray,
     begun: float,
-    *,
-    most_sigma: float = 0.10,
-    least_seen: float = 0.35,
-    most_error: float = 3.0,
+    stature_sigma: float,
 ) -> KeypointFit:
-    """Return the result of a fit.
-
-    A frame is lost whose joints are known less well than ``most_sigma`` m, of whose landmarks two views (or the only
-    one) show less than the share ``least_seen``, or whose points are off by ``most_error`` sigmas in the middle.
-    """
-    body, landmarks, lengths = found
-    limits = body.angle_limits
-    poses, covariance = fitted[0].copy(), fitted[1]
-    poses[:, 7:] = np.clip(poses[:, 7:], limits[:, 0], limits[:, 1])
-    uncertainty = np.sqrt(np.trace(covariance, axis1=-2, axis2=-1))
-    forward = terms.cameras[0].rotation[2]
-    doubt = np.sqrt(np.einsum("tkij,i,j->tk", covariance, forward, forward)).mean(axis=1)
-    places = place_points(body, poses, landmarks)
-    errors = np.stack([np.linalg.norm(camera.project(places) - terms.seen.points[view], axis=-1)
-                       for view, camera in enumerate(terms.cameras)])  # fmt: skip
-    sigma = np.stack([landmarks.spread * pixels_per_metre(camera, places) for camera in terms.cameras])
-    visible = np.asarray(terms.seen.visibility > 0.3)
-    off = np.where(visible, errors / sigma, np.nan)
-    n_needed = min(2, len(terms.cameras))
-    determined = (visible.sum(axis=0) >= n_needed).mean(axis=1)
-    middle = reduce_known(np.nanmedian, np.moveaxis(off, 1, 0).reshape(len(poses), -1), axis=1)
-    middle = np.where(np.isfinite(middle), middle, np.inf)
-    lost = (determined < least_seen) | (middle > most_error)
-    if len(terms.cameras) > 1:
-        lost |= uncertainty.mean(axis=1) > most_sigma
+    """Return the result of a fit, with its doubt."""
+    (body, landmarks, lengths), (poses, covariance) = found, fitted
+    limits, cameras = body.angle_limits, terms.cameras
+    poses = np.column_stack((poses[:, :7], np.clip(poses[:, 7:], limits[:, 0], limits[:, 1])))
+    errors, off = measure_errors(body, poses, landmarks, terms.seen, cameras)
+    evidence = find_evidence(body, covariance, landmarks, terms.seen, off, exchanged)
+    signs = list_signs(body, poses, terms.frame_rate, cameras[0].rotation[2], evidence)
+    meet = int(terms.seen.seen.any(axis=(1, 2)).sum()) > 1
+    doubt = judge(signs, evidence.seen, "keypoints", meet, body.stature)
+    uncertainty, depth = doubt.errors, None
+    if not meet:
+        away = np.linalg.norm(compute_points(body, poses) - cameras[0].position, axis=-1)
+        spread = float(np.hypot(DISTANCE_SPREAD, stature_sigma)) * away
+        uncertainty, depth = np.hypot(uncertainty, spread), spread.mean(axis=1)
     estimate = Estimate(
         body,
         poses,
         terms.frame_rate,
-        np.full((len(poses), len(terms.cameras)), np.nan),
+        np.full((len(poses), len(cameras)), np.nan),
         uncertainty,
         _find_hidden(body, landmarks, terms.seen),
-        lost,
+        doubt.lost,
         (),
         len(poses) / max(perf_counter() - begun, 1e-9),
         lengths,
+        depth,
     )
-    return KeypointFit(estimate, landmarks, terms.seen, exchanged, errors, doubt)
+    return KeypointFit(estimate, landmarks, terms.seen, exchanged, errors, signs)
 
 
 def _joint_covariance(body: BodyModel, poses: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -410,7 +432,7 @@ def _joint_covariance(body: BodyModel, poses: FloatArray, covariance: FloatArray
 
 def _find_hidden(body: BodyModel, landmarks: Landmarks, seen: SeenLandmarks) -> BoolArray:
     """Find (T, P) parts without any visible point of their own or of the part beyond."""
-    shown = np.asarray((seen.visibility > 0.3).any(axis=0))
+    shown = np.asarray((seen.visibility > VISIBLE).any(axis=0))
     hidden = np.ones((shown.shape[0], body.n_parts), bool)
     for row, part in enumerate(landmarks.parts):
         for owner in (int(part), int(body.parents[part])):

@@ -2,7 +2,8 @@
 
 Places are in statures in the axes of the part (see ``anthropometry.toml``). They were measured on synthetic films of
 synthetic people with known joints (``lab/trials/made_people.py``: BlazePose's heavy model, meshes of MakeHuman in poses
-of HDM05 and Bandai Namco). The shift of a group of points in a film is estimated (`body_fit`).
+of HDM05 and Bandai Namco). The shift of a group of points in a film is estimated (`body_fit`). The joints of other
+networks are taken as they are: a film then moves the body's hips and shoulders onto the points instead.
 """
 
 from __future__ import annotations
@@ -44,6 +45,9 @@ _LEFT: dict[str, tuple[str, tuple[float, float, float], float, str]] = {
 SHIFTS = {"head": 0.015, "neck": 0.03, "crown": 0.03, "shoulder": 0.015, "elbow": 0.008, "wrist": 0.006,
           "hand": 0.01, "hip": 0.02, "knee": 0.012, "ankle": 0.008, "heel": 0.01, "toe": 0.01}  # fmt: skip
 """m, how far the points of a group lie beside their places from person to person (python -m lab.trials.made_people)."""
+
+JOINTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+"""Points that are joints of the body, by definition."""
 
 BREADTHS = {"hip_breadth": 0.103, "shoulder_breadth": 0.210}
 """Statures between the joints of both sides: hips by Harrington and others (2007) for a pelvis 240 mm wide, shoulders
@@ -91,6 +95,11 @@ def join(one: Landmarks, other: Landmarks) -> Landmarks:
     return Landmarks(one.names + other.names, parts, places, spread, one.groups + other.groups)
 
 
+def lie_beside_joints(names: Sequence[str]) -> bool:
+    """Return whether landmarks lie where BlazePose has them, which alone has corners of the mouth."""
+    return "left_mouth" in names
+
+
 def find_sources(names: Sequence[str], least: int = 6) -> dict[str, tuple[int, ...]]:
     """Return for each landmark the keypoints whose mean it is; KeypointError for less than ``least`` of a body's."""
     place = {name: row for row, name in enumerate(names)}
@@ -102,7 +111,7 @@ def find_sources(names: Sequence[str], least: int = 6) -> dict[str, tuple[int, .
                 if all(source in place for source in sources):
                     found[f"{side}_{point}"] = tuple(place[source] for source in sources)
                     break
-    if sum(name.split("_")[-1] in ("shoulder", "hip", "knee", "elbow", "wrist", "ankle") for name in found) < least:
+    if sum(name.split("_")[-1] in JOINTS for name in found) < least:
         raise KeypointError("multiview.no_body", names=tuple(names))
     return found
 
@@ -119,10 +128,12 @@ def place_landmarks(body: BodyModel, names: Sequence[str]) -> Landmarks:
     ------
     KeypointError : the body lacks the parts of a person.
     """
-    rows = []
+    rows, beside = [], lie_beside_joints(names)
     for name in names:
         side, _, point = name.rpartition("_")
         part, place, spread, group = _LEFT[point] if side else _MIDDLE[name]
+        if point in JOINTS and not beside:
+            place = (0.0, 0.0, 0.0)
         owner = part if part in body.names else f"{side}_{part}"
         if owner not in body.names:
             raise KeypointError("multiview.no_part", part=owner)

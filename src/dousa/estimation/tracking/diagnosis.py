@@ -1,8 +1,6 @@
 """The diagnosis of settled poses: overlap with the silhouettes, hidden parts, and how far off each joint may be.
 
-The expected error of a joint is the root of a sum of squares, each a sign of doubt times its weight. The weights are 0
-or more, so that no sign ever makes a pose surer, and were learned on made people whose joints are known; see
-docs/estimation.md. Pixels within a narrow rim of the outline do not count: bodies and segmentations differ so much.
+Pixels within a narrow rim of the outline do not count: bodies and segmentations differ so much.
 """
 
 from __future__ import annotations
@@ -14,35 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, FloatArray
-from dousa.estimation.body.human import USUAL_STATURE
+from dousa.estimation.body import doubt
+from dousa.estimation.body.doubt import Doubt
 from dousa.estimation.body.kinematics import compute_points, place_parts, step_poses
 from dousa.estimation.raster.rasteriser import Bits, draw_placed
 from dousa.estimation.tracking.search_setup import Frame, SearchSetup, erode, measure_rim
 from dousa.estimation.tracking.start import StartSearch, exchange_pair, find_pairs
 
-LOST_ERROR = 0.15
-"""m, by definition the mean error of the joints of a frame that is lost (of a person of usual stature)."""
-
 HIDDEN = 0.1
 """Share of a part's own pixels below which the image does not determine its place: by definition of `occluded`."""
-
-SIGNS = ("always", "width", "bend", "step", "outside", "hidden", "swap", "depth")
-"""Of the doubt in a joint; see `list_signs`."""
-
-# Learned by python -m lab.training.train_doubt, by whether lines of sight meet.
-WEIGHTS = {
-    True: (0.017, 0.823, 0.490, 0.298, 0.144, 0.060, 0.968, 0.058),
-    False: (0.109, 2.509, 0.0, 3.154, 0.673, 0.220, 0.0, 0.511),
-}
-_SAID = {True: 0.068, False: LOST_ERROR}
-"""m, expected mean error from which a frame is lost: that of 5 % of the good frames of lab.training.train_doubt."""
-
-
-class Doubt(NamedTuple):
-    """The expected errors (T, P + K) m of joints and tips, and the frames (T,) that are probably lost or unseen."""
-
-    errors: FloatArray
-    lost: BoolArray
 
 
 class Note(NamedTuple):
@@ -64,51 +42,24 @@ class Note(NamedTuple):
     swap: FloatArray
 
 
-def list_signs(setup: SearchSetup, poses: FloatArray, notes: Note, *, window: float = 0.13) -> FloatArray:
-    """Compute the signs of doubt (T, P + K, S), those of `SIGNS`, in m of a person of usual stature, or shares.
-
-    Width, bend (off the middle between the frames before and after), step (in a 30th of a second), outside and hidden
-    are means over ``window`` s to either side; depth is how far a joint lies from the root along the first view.
-    """
-    body, rate = setup.body, setup.frame_rate
-    points, scale = compute_points(body, poses), body.stature / USUAL_STATURE
-    seen = np.asarray(np.isfinite(notes.overlap).any(axis=1))
-    bend, step = np.zeros(points.shape[:2]), np.zeros(points.shape[:2])
-    apart = max(1, round(rate / 30.0))
-    if len(points) > 2 * apart:
-        middle = points[2 * apart :] - 2.0 * points[apart:-apart] + points[: -2 * apart]
-        bend[apart:-apart] = np.linalg.norm(middle, axis=-1)
-    step[1:] = np.linalg.norm(np.diff(points, axis=0), axis=-1) * rate / 30.0
+def list_signs(setup: SearchSetup, poses: FloatArray, notes: Note) -> FloatArray:
+    """Compute the signs of doubt (T, P + K, S) of `doubt`."""
+    body = setup.body
     own = np.concatenate((np.arange(body.n_parts), body.tip_parts))
     above = np.concatenate((np.maximum(body.parents, 0), body.tip_parts))
     hidden = 1.0 - np.minimum(notes.visible[:, above], notes.visible[:, own])
-    reach = round(window * rate)
-    width, bend, step, outside, hidden = (
-        _average(values, seen, reach)
-        for values in (notes.widths, bend, step, notes.outside[:, above] + notes.outside[:, own], hidden)
-    )
-    depth = np.abs((points - points[:, :1]) @ setup.cameras[0].rotation[2])
-    swap = _fill(notes.swap)
-    lengths = [sign / scale for sign in (width, bend, step)]
-    return np.stack((np.ones_like(depth), *lengths, np.sqrt(outside), hidden, swap / scale, depth / scale), axis=-1)
+    outside = notes.outside[:, above] + notes.outside[:, own]
+    found = doubt.Evidence(_is_seen(notes), notes.widths, outside, hidden, _fill(notes.swap))
+    return doubt.list_signs(body, poses, setup.frame_rate, setup.cameras[0].rotation[2], found)
 
 
 def judge(setup: SearchSetup, poses: FloatArray, notes: Note, meet: bool) -> Doubt:
     """Compute the doubt of consecutive poses (T, 7 + A); depth is known where the lines of sight ``meet``."""
-    signs = list_signs(setup, poses, notes)
-    expected = np.sqrt((np.array(WEIGHTS[meet]) * signs) ** 2 @ np.ones(len(SIGNS)))
-    seen = np.asarray(np.isfinite(notes.overlap).any(axis=1))
-    lost = np.asarray((expected.mean(axis=1) > _SAID[meet]) | ~seen)
-    return Doubt(np.asarray(expected * setup.body.stature / USUAL_STATURE), lost)
+    return doubt.judge(list_signs(setup, poses, notes), _is_seen(notes), "silhouettes", meet, setup.body.stature)
 
 
-def _average(values: FloatArray, known: BoolArray, reach: int) -> FloatArray:
-    """Average (T, n) over the known frames within ``reach``; as it is where there is none."""
-    window = np.ones(2 * reach + 1)
-    count = np.convolve(known, window)[reach : reach + len(known)]
-    sums = [np.convolve(np.where(known, column, 0.0), window)[reach : reach + len(known)] for column in values.T]
-    means = np.stack(sums, axis=1) / np.maximum(count, 1.0)[:, None]
-    return np.where((known & (count > 0))[:, None], means, values)
+def _is_seen(notes: Note) -> BoolArray:
+    return np.asarray(np.isfinite(notes.overlap).any(axis=1))
 
 
 def _fill(values: FloatArray) -> FloatArray:

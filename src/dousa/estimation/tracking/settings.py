@@ -164,6 +164,7 @@ class Estimate:
     warnings : notes for the user.
     frames_per_second : tracking speed in wall-clock time.
     lengths : of the body that were found, as `MEASURES`, and the stature: m, and the spread (one sigma) of each.
+    depth_spread : (T,) m, one sigma of the body's distance from a single view; None where several determine it.
     """
 
     body: BodyModel
@@ -176,6 +177,7 @@ class Estimate:
     warnings: tuple[Message, ...] = ()
     frames_per_second: float = 0.0
     lengths: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    depth_spread: FloatArray | None = None
 
     @property
     def n_frames(self) -> int:
@@ -215,6 +217,7 @@ class Estimate:
             "iou": {"mean": float(np.mean(known)) if known else float("nan"), "per_view": per_view},
             "lost_frames": np.flatnonzero(self.lost).tolist(),
             "expected_error_m": np.round(self.expected_error, 4).tolist(),
+            "depth_spread_m": None if self.depth_spread is None else np.round(self.depth_spread, 4).tolist(),
             "frames_per_second": self.frames_per_second,
             "lengths_m": {
                 name: {"length": length, "spread": spread} for name, (length, spread) in self.lengths.items()

@@ -22,10 +22,11 @@ from numpy.typing import ArrayLike, NDArray
 from dousa.arrays import FloatArray, Mask
 from dousa.errors import OptionError
 from dousa.estimation.body.body import BodyModel
+from dousa.estimation.body.doubt import LOST_ERROR
 from dousa.estimation.cameras.camera import Camera, check_cameras
 from dousa.estimation.silhouettes.silhouettes import Silhouettes
 from dousa.estimation.tracking.beam import Beam, BeamState, Replay, choose_switch, choose_track, replay, score_frames
-from dousa.estimation.tracking.diagnosis import HIDDEN, LOST_ERROR, Diagnosis, Note
+from dousa.estimation.tracking.diagnosis import HIDDEN, Diagnosis, Note
 from dousa.estimation.tracking.outlines import do_meet
 from dousa.estimation.tracking.person_size import fit_girths
 from dousa.estimation.tracking.search_setup import Frame, SearchSetup, Shrinker

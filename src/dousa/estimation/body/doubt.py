@@ -1,0 +1,109 @@
+"""How far off each joint of an estimated pose may be: one learned sum for every cue.
+
+The expected error of a joint is the root of a sum of squares, each a sign of doubt times its weight. The weights are 0
+or more, so that no sign ever makes a pose surer, and were learned on made people whose joints are known
+(``lab/training/train_doubt.py``); see docs/estimation.md.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from dousa.arrays import BoolArray, FloatArray
+from dousa.estimation.body.body import BodyModel
+from dousa.estimation.body.human import USUAL_STATURE
+from dousa.estimation.body.kinematics import compute_points
+
+LOST_ERROR = 0.15
+"""m, by definition the mean error of the joints of a frame that is lost (of a person of usual stature)."""
+
+Cue = Literal["silhouettes", "keypoints"]
+
+SIGNS = ("always", "width", "bend", "step", "misfit", "hidden", "swap", "depth")
+"""Of the doubt in a joint; see `list_signs`."""
+
+# Learned by python -m lab.training.train_doubt, by cue and whether lines of sight meet.
+WEIGHTS: dict[tuple[Cue, bool], tuple[float, ...]] = {
+    ("silhouettes", True): (0.017, 0.823, 0.490, 0.298, 0.144, 0.060, 0.968, 0.058),
+    ("silhouettes", False): (0.109, 2.509, 0.0, 3.154, 0.673, 0.220, 0.0, 0.511),
+    ("keypoints", True): (0.017, 0.823, 0.490, 0.298, 0.144, 0.060, 0.968, 0.058),
+    ("keypoints", False): (0.109, 2.509, 0.0, 3.154, 0.673, 0.220, 0.0, 0.511),
+}
+SAID: dict[tuple[Cue, bool], float] = {
+    ("silhouettes", True): 0.068,
+    ("silhouettes", False): LOST_ERROR,
+    ("keypoints", True): 0.068,
+    ("keypoints", False): LOST_ERROR,
+}
+"""m, expected mean error from which a frame is lost: that of 5 % of the good frames of lab.training.train_doubt."""
+
+
+class Doubt(NamedTuple):
+    """The expected errors (T, N) m of joints and tips, and the frames (T,) that are probably lost or unseen."""
+
+    errors: FloatArray
+    lost: BoolArray
+
+
+class Evidence(NamedTuple):
+    """What a cue says of T poses of N joints and tips.
+
+    Parameters
+    ----------
+    seen : (T,) frames in which there is anything.
+    width : (T, N) m, how far each can move while the observations fit nearly as well.
+    misfit : (T, N) share of the part outside the silhouettes, or m^2 by which keypoints nearby are off.
+    hidden : (T, N) share that no view shows.
+    swap : (T, N) how far it goes with limbs exchanged (m), or the share of views whose sides were exchanged.
+    """
+
+    seen: BoolArray
+    width: FloatArray
+    misfit: FloatArray
+    hidden: FloatArray
+    swap: FloatArray
+
+
+def list_signs(
+    body: BodyModel, poses: FloatArray, rate: float, forward: FloatArray, found: Evidence, *, window: float = 0.13
+) -> FloatArray:
+    """Compute the signs of doubt (T, N, S), those of `SIGNS`, in m of a person of usual stature, or shares.
+
+    Width, bend (off the middle between the frames before and after), step (in a 30th of a second), misfit and hidden
+    are means over ``window`` s to either side; depth is how far a joint lies from the root along ``forward``, the
+    first view's axis.
+    """
+    points, scale = compute_points(body, poses), body.stature / USUAL_STATURE
+    bend, step = np.zeros(points.shape[:2]), np.zeros(points.shape[:2])
+    apart = max(1, round(rate / 30.0))
+    if len(points) > 2 * apart:
+        middle = points[2 * apart :] - 2.0 * points[apart:-apart] + points[: -2 * apart]
+        bend[apart:-apart] = np.linalg.norm(middle, axis=-1)
+    step[1:] = np.linalg.norm(np.diff(points, axis=0), axis=-1) * rate / 30.0
+    width, bend, step, misfit, hidden = (
+        _average(values, found.seen, round(window * rate))
+        for values in (found.width, bend, step, found.misfit, found.hidden)
+    )
+    depth = np.abs((points - points[:, :1]) @ forward)
+    lengths = [sign / scale for sign in (width, bend, step)]
+    return np.stack(
+        (np.ones_like(depth), *lengths, np.sqrt(misfit), hidden, found.swap / scale, depth / scale), axis=-1
+    )
+
+
+def judge(signs: FloatArray, seen: BoolArray, cue: Cue, meet: bool, stature: float) -> Doubt:
+    """Compute the doubt from signs (T, N, S); depth is known where the lines of sight ``meet``."""
+    expected = np.sqrt((np.array(WEIGHTS[cue, meet]) * signs) ** 2 @ np.ones(len(SIGNS)))
+    lost = np.asarray((expected.mean(axis=1) > SAID[cue, meet]) | ~seen)
+    return Doubt(np.asarray(expected * stature / USUAL_STATURE), lost)
+
+
+def _average(values: FloatArray, known: BoolArray, reach: int) -> FloatArray:
+    """Average (T, n) over the known frames within ``reach``; as it is where there is none."""
+    window = np.ones(2 * reach + 1)
+    count = np.convolve(known, window)[reach : reach + len(known)]
+    sums = [np.convolve(np.where(known, column, 0.0), window)[reach : reach + len(known)] for column in values.T]
+    means = np.stack(sums, axis=1) / np.maximum(count, 1.0)[:, None]
+    return np.where((known & (count > 0))[:, None], means, values)
