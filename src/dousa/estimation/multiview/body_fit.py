@@ -298,25 +298,30 @@ def _assemble(square: FloatArray, force: FloatArray, damping: float) -> tuple[Fl
     return diagonals, uppers
 
 
+def _eliminate(
+    square: FloatArray, force: FloatArray, damping: float
+) -> tuple[FloatArray, list[FloatArray], list[FloatArray]]:
+    """Return the blocks on the right of the diagonal, the inverses of those left on it, and what each hands on."""
+    diagonals, uppers = _assemble(square, force, damping)
+    inverses: list[FloatArray] = []
+    gains: list[FloatArray] = []
+    for k, diagonal in enumerate(diagonals):
+        inverses.append(np.linalg.inv(diagonal - uppers[k - 1].T @ gains[-1] if k else diagonal))
+        if k < len(uppers):
+            gains.append(inverses[-1] @ uppers[k])
+    return uppers, inverses, gains
+
+
 def _solve(square: FloatArray, gradient: FloatArray, force: FloatArray, damping: float) -> FloatArray:
     """Return the damped step (T, D) by forward and backward elimination."""
     n_frames, size = gradient.shape
-    diagonals, uppers = _assemble(square, force, damping)
-    right = np.zeros((2 * len(diagonals), size))
-    right[:n_frames] = -gradient
-    right = right.reshape(len(diagonals), 2 * size)
-    gains: list[FloatArray] = []
-    rests: list[FloatArray] = []
-    current, rest = diagonals[0], right[0]
-    for k in range(len(diagonals)):
-        if k:
-            current, rest = diagonals[k] - uppers[k - 1].T @ gains[-1], right[k] - uppers[k - 1].T @ rests[-1]
-        wide = uppers[k] if k < len(uppers) else np.zeros((2 * size, 0))
-        solved = np.linalg.solve(current, np.concatenate((wide, rest[:, None]), axis=1))
-        gains.append(solved[:, :-1])
-        rests.append(solved[:, -1])
-    steps = np.stack(rests)
-    for k in range(len(diagonals) - 2, -1, -1):
+    uppers, inverses, gains = _eliminate(square, force, damping)
+    steps = np.zeros((2 * len(inverses), size))
+    steps[:n_frames] = -gradient
+    steps = steps.reshape(len(inverses), 2 * size)
+    for k, inverse in enumerate(inverses):
+        steps[k] = inverse @ (steps[k] - uppers[k - 1].T @ steps[k - 1] if k else steps[k])
+    for k in range(len(gains) - 1, -1, -1):
         steps[k] -= gains[k] @ steps[k + 1]
     return np.asarray(steps.reshape(-1, size)[:n_frames])
 
@@ -324,17 +329,10 @@ def _solve(square: FloatArray, gradient: FloatArray, force: FloatArray, damping:
 def find_covariance(square: FloatArray, force: FloatArray) -> FloatArray:
     """Compute the diagonal blocks (T, D, D) of the inverse of the banded equations (Rauch, Tung and Striebel 1965)."""
     n_frames, size = square.shape[:2]
-    diagonals, uppers = _assemble(square, force, 0.0)
-    inverses: list[FloatArray] = []
-    gains: list[FloatArray] = []
-    for k, diagonal in enumerate(diagonals):
-        current = diagonal - uppers[k - 1].T @ gains[-1] if k else diagonal
-        inverses.append(np.linalg.inv(current))
-        if k < len(uppers):
-            gains.append(inverses[-1] @ uppers[k])
-    answer = np.empty((2 * len(diagonals), size, size))
+    _, inverses, gains = _eliminate(square, force, 0.0)
+    answer = np.empty((2 * len(inverses), size, size))
     later = np.zeros((2 * size, 2 * size))
-    for k in range(len(diagonals) - 1, -1, -1):
+    for k in range(len(inverses) - 1, -1, -1):
         later = inverses[k] + gains[k] @ later @ gains[k].T if k < len(gains) else inverses[k]
         answer[2 * k], answer[2 * k + 1] = later[:size, :size], later[size:, size:]
     return answer[:n_frames]

@@ -187,10 +187,31 @@ def image_weights(
         good = np.isfinite(square) & (visibility > visible)
         trust = np.where(good, visibility, 0.0)
         square = np.where(good, square, 0.0)
-        costs += share * (trust * 0.5 * (tail + 2) * np.log1p(square / tail)).sum(axis=1)
-        weights.append(share * trust * (tail + 2) / (tail + square) / np.where(good, sigma, 1.0) ** 2)
+        cost, weight = _bend(square, 2, tail)
+        costs += share * (trust * cost).sum(axis=1)
+        weights.append(share * trust * weight / np.where(good, sigma, 1.0) ** 2)
         errors.append(np.where(good[..., None], off, 0.0))
     return np.stack(errors), np.stack(weights), costs
+
+
+class _Equations:
+    """Sums over residuals of each frame: curvature (T, D, D), gradient (T, D) and cost (T,)."""
+
+    def __init__(self, n_frames: int, n_steps: int) -> None:
+        self.square, self.gradient = np.zeros((n_frames, n_steps, n_steps)), np.zeros((n_frames, n_steps))
+        self.costs = np.zeros(n_frames)
+
+    def add(self, off: FloatArray, ways: FloatArray, weight: FloatArray, costs: FloatArray) -> None:
+        """Add residuals (T, N), their slopes (T, N, D) and weights (T, N), and what they cost together (T,)."""
+        rooted = np.sqrt(weight)[..., None] * ways
+        self.square += np.swapaxes(rooted, 1, 2) @ rooted
+        self.gradient += np.einsum("tnd,tn,tn->td", ways, weight, off)
+        self.costs += costs
+
+
+def _bend(square: FloatArray, count: int, tail: float) -> tuple[FloatArray, FloatArray]:
+    """Return cost and weight of Student's t, for squared distances in sigmas of ``count`` coordinates."""
+    return 0.5 * (tail + count) * np.log1p(square / tail), (tail + count) / (tail + square)
 
 
 def normal_equations(
@@ -200,70 +221,48 @@ def normal_equations(
     cones = None if terms.contours is None else list_cones(body)
     places, slopes = point_slopes(body, poses, landmarks if cones is None else join(landmarks, cones.centres))
     n_frames, n_steps, n_points = len(poses), slopes.shape[-1], len(landmarks.parts)
-    square, gradient = np.zeros((n_frames, n_steps, n_steps)), np.zeros((n_frames, n_steps))
-    discs = places[:, n_points:], slopes[:, n_points:]
+    sums = _Equations(n_frames, n_steps)
+    if cones is not None:
+        _add_contours(sums, body, terms, cones, (places[:, n_points:], slopes[:, n_points:]))
     places, slopes = places[:, :n_points], slopes[:, :n_points]
     errors, weights, costs = image_weights(terms, landmarks, places)
-    if cones is not None:
-        _add_contours(body, terms, cones, discs, square, gradient, costs)
     for view, camera in enumerate(terms.cameras):
         flow = np.nan_to_num(project_slope(camera, places)) @ slopes  # (T, L, 2, D)
-        rooted = (np.sqrt(weights[view])[..., None, None] * flow).reshape(n_frames, -1, n_steps)
-        square += np.swapaxes(rooted, 1, 2) @ rooted
-        gradient -= np.einsum("tlid,tl,tli->td", flow, weights[view], errors[view])
+        sums.add(-errors[view].reshape(n_frames, -1), flow.reshape(n_frames, -1, n_steps),
+                 np.repeat(weights[view], 2, axis=1), costs / len(terms.cameras))  # fmt: skip
     if terms.world_weight > 0:
-        _add_world(body, terms, landmarks, places, slopes, square, gradient, costs)
-    _add_angles(body, poses, terms, square, gradient, costs)
-    return square, gradient, costs
+        _add_world(sums, body, terms, landmarks, places, slopes)
+    _add_angles(sums, body, poses, terms)
+    return sums.square, sums.gradient, sums.costs
 
 
 def _add_contours(
-    body: BodyModel,
-    terms: Terms,
-    cones: Cones,
-    discs: tuple[FloatArray, FloatArray],
-    square: FloatArray,
-    gradient: FloatArray,
-    costs: FloatArray,
+    sums: _Equations, body: BodyModel, terms: Terms, cones: Cones, discs: tuple[FloatArray, FloatArray]
 ) -> None:
-    """Add the distances of contours from the body's outline, in place."""
+    """Add the distances of contours from the body's outline."""
     assert terms.contours is not None
-    sigma, scale, tail = terms.contour_sigma * body.stature, terms.share * terms.contour_weight, terms.tail
+    sigma, scale = terms.contour_sigma * body.stature, terms.share * terms.contour_weight
     for camera, points in zip(terms.cameras, terms.contours, strict=True):
         off, ways = contour_errors(camera, cones, points, *discs)
         known = np.isfinite(off)
-        off = np.where(known, off / sigma, 0.0)
-        costs += scale * (0.5 * (tail + 1) * np.log1p(off * off / tail)).sum(axis=1)
-        weight = np.where(known, scale * (tail + 1) / (tail + off * off), 0.0)
-        ways = np.where(known[..., None], ways / sigma, 0.0)
-        rooted = np.sqrt(weight)[..., None] * ways
-        square += np.swapaxes(rooted, 1, 2) @ rooted
-        gradient += np.einsum("tcd,tc,tc->td", ways, weight, off)
+        off, ways = np.where(known, off / sigma, 0.0), np.where(known[..., None], ways / sigma, 0.0)
+        costs, weight = _bend(off * off, 1, terms.tail)
+        sums.add(off, ways, np.where(known, scale * weight, 0.0), scale * costs.sum(axis=1))
 
 
 def _add_world(
-    body: BodyModel,
-    terms: Terms,
-    landmarks: Landmarks,
-    places: FloatArray,
-    slopes: FloatArray,
-    square: FloatArray,
-    gradient: FloatArray,
-    costs: FloatArray,
+    sums: _Equations, body: BodyModel, terms: Terms, landmarks: Landmarks, places: FloatArray, slopes: FloatArray
 ) -> None:
-    """Add the network's own vectors from joint to joint, in place."""
-    share, tail = terms.world_weight * min(1.0, 1.0 / (terms.frame_rate * terms.world_lasting)), terms.tail
+    """Add the network's own vectors from joint to joint."""
+    share, n_frames = terms.world_weight * min(1.0, 1.0 / (terms.frame_rate * terms.world_lasting)), len(places)
     for view, camera in enumerate(terms.cameras):
         off, ways = world_terms(camera, terms.seen.world[view], landmarks.names, places, slopes, body.stature)
         known = np.asarray(np.isfinite(off).all(axis=-1))
         off = np.where(known[..., None], off, 0.0)
-        far = (off**2).sum(axis=-1)
-        scale = share * np.where(known, 1.0, 0.0)
-        costs += (scale * 0.5 * (tail + 3) * np.log1p(far / tail)).sum(axis=1)
-        weight = scale * (tail + 3) / (tail + far)
-        rooted = (np.sqrt(weight)[..., None, None] * ways).reshape(len(places), -1, square.shape[1])
-        square += np.swapaxes(rooted, 1, 2) @ rooted
-        gradient += np.einsum("tbid,tb,tbi->td", ways, weight, off)
+        costs, weight = _bend((off**2).sum(axis=-1), 3, terms.tail)
+        weight = np.where(known, share * weight, 0.0)
+        sums.add(off.reshape(n_frames, -1), ways.reshape(n_frames, -1, ways.shape[-1]), np.repeat(weight, 3, axis=1),
+                 share * np.where(known, costs, 0.0).sum(axis=1))  # fmt: skip
 
 
 def angle_rest(body: BodyModel, rest: float = 0.8) -> tuple[FloatArray, FloatArray]:
@@ -279,22 +278,14 @@ def angle_rest(body: BodyModel, rest: float = 0.8) -> tuple[FloatArray, FloatArr
     return np.concatenate(ease), np.concatenate(cost)
 
 
-def _add_angles(
-    body: BodyModel,
-    poses: FloatArray,
-    terms: Terms,
-    square: FloatArray,
-    gradient: FloatArray,
-    costs: FloatArray,
-    limit: float = 0.05,
-) -> None:
-    """Add limits and ease of the joints, in place; ``limit`` rad beyond a limit are one sigma."""
+def _add_angles(sums: _Equations, body: BodyModel, poses: FloatArray, terms: Terms, limit: float = 0.05) -> None:
+    """Add limits and ease of the joints; ``limit`` rad beyond a limit are one sigma."""
     angles, limits = poses[:, 7:], body.angle_limits
     beyond = angles - np.clip(angles, limits[:, 0], limits[:, 1])
     ease, rest = angle_rest(body)
     off, rest = angles - ease, terms.ease * terms.share * rest
     hard = terms.share * (beyond != 0) / limit**2
-    rows = np.arange(6, square.shape[1])
-    square[:, rows, rows] += hard + rest
-    gradient[:, 6:] += hard * beyond + rest * off
-    costs += 0.5 * (hard * beyond**2 + rest * off**2).sum(axis=1)
+    rows = np.arange(6, sums.square.shape[1])
+    sums.square[:, rows, rows] += hard + rest
+    sums.gradient[:, 6:] += hard * beyond + rest * off
+    sums.costs += 0.5 * (hard * beyond**2 + rest * off**2).sum(axis=1)
