@@ -18,8 +18,8 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_528, 113),
-    "estimation": (16_082, 66),
+    "app": (25_527, 113),
+    "estimation": (16_238, 68),
     "evaluation": (12_160, 46),
     "experiments": (1_722, 10),
     "files": (1_126, 8),
@@ -31,9 +31,9 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_345,
+    "lines of tests": 62_363,
     "lines of JavaScript": 12_460,
-    "constants": 1_049,
+    "constants": 1_053,
     "numeric constants without a source": 0,
     "functions over 60 lines": 15,
     "files over 650 lines": 0,

@@ -16,14 +16,13 @@ from oracles.slow_search import (
     two_cameras,
 )
 
+from dousa.estimation.body.doubt import SIGNS, WEIGHTS
 from dousa.estimation.body.human import make_human
 from dousa.estimation.body.posing import standing_state
 from dousa.estimation.cameras.camera import make_ring
 from dousa.estimation.raster.rasteriser import draw_parts, pack_bits, unpack_bits
 from dousa.estimation.raster.rendering import render
 from dousa.estimation.tracking.diagnosis import (
-    SIGNS,
-    WEIGHTS,
     Diagnosis,
     Note,
     compare_views,
