@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import subprocess
+import sys
 import threading
 import time
 
@@ -11,6 +12,7 @@ import pytest
 
 from dousa.app.studio.core.answers import RefusedError
 from dousa.app.studio.core.workspace import Workspace
+from dousa.app.studio.jobs import lanes
 from dousa.app.studio.jobs.board import Job, JobBoard, JobStopped, Lane
 from dousa.app.studio.jobs.lanes import start_worker
 from dousa.errors import OptionError
@@ -170,6 +172,41 @@ def test_a_process_that_dies_is_told_and_the_work_can_be_taken_up(studio, wait_j
     assert "ended unexpectedly" in job["problem"]
     assert studio.post(f"/api/jobs/{job['id']}/resume").status_code == 200
     assert wait_job(studio, job["id"])["state"] == "done"
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ("""for one in '5', '[1]', '{"progress": 3}', '{"problem": {}}', '{': print(one)\nexit(1)""", "(code 1)"),
+        ("import sys; sys.stderr.write('the last word\\n'); exit(3)", "the last word"),
+        ("""print('progress'); print('{"result": {"clips": 1}}'); import time; time.sleep(100)""", None),
+    ],
+)  # fmt: skip
+def test_lines_that_are_no_messages_leave_no_job_hanging(studio, wait_job, monkeypatch, lines, said):
+    """A worker that writes anything, ends at any moment, or does not end after its answer: the job has an end."""
+
+    def start(settings, kind, request, folder, errors, *, is_job=False):
+        program = f"import functools; print = functools.partial(print, flush=True); print('ready'); input()\n{lines}"
+        command = [sys.executable, "-c", program]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": errors}
+        return subprocess.Popen(command, start_new_session=True, **pipes), b"{}\n"
+
+    monkeypatch.setattr(lanes, "start_worker", start)
+    monkeypatch.setitem(lanes._await_end.__kwdefaults__, "patience_s", 0.2)
+    job = wait_job(studio, studio.post("/api/jobs/train", json={}).json()["id"])
+    if said is None:
+        assert (job["state"], job["result"]) == ("done", {"clips": 1})
+    else:
+        assert job["state"] == "failed"
+        assert "\n" not in job["problem"] and said in job["problem"]
+
+
+def test_a_fault_in_a_process_is_a_sentence_and_the_log_says_where(studio, wait_job, monkeypatch):
+    request = {"no": "such option"}  # what no request of a page has
+    job = studio.app.state.studio.jobs.submit("train", request, "a")
+    job = wait_job(studio, job.id)
+    assert job["state"] == "failed"
+    assert "unexpected" in job["problem"] and "\n" not in job["problem"]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="looks for processes by pgrep")

@@ -50,9 +50,9 @@ class Visitor:
     client: object
     links: object
 
-    def come_by(self, report=None):
+    def come_by(self, report=None, inbox=None):
         self.client.cookies.clear()
-        link = self.links.add(report)
+        link = self.links.add(report, inbox)
         answer = self.client.get("/", params={"key": link.token}, follow_redirects=False)
         assert answer.status_code == 303
         return link
@@ -108,10 +108,10 @@ def test_no_route_of_the_studio_writes_from_the_network(studio, visitor, judged,
     assert {job["id"] for job in studio.get("/api/jobs").json()["jobs"]} == set(judged)
 
 
-def test_every_route_that_is_shared_only_reads():
-    assert len(router.routes) == 7
+def test_every_route_that_is_shared_only_reads_but_for_the_inbox():
+    assert len(router.routes) == 9
     for route in router.routes:
-        assert route.methods == {"GET"}, route.path
+        assert route.methods == {"GET"} or (route.methods, route.path) == ({"POST"}, "/api/inbox"), route.path
 
 
 def test_a_body_is_not_taken(visitor):
@@ -224,6 +224,109 @@ def test_the_page_of_visitors_loads_nothing_that_asks_for_jobs():
             )
             waiting += [(module.parent / name).resolve() for name in found]
     assert {"main.js", "dom.js"} <= {module.name for module in loaded} and static / "core" / "jobs.js" not in loaded
+
+
+# --- an inbox
+
+
+FILM = b"\0\0\0\x18ftypisom" + b"\0" * 100
+
+
+def inbox_of(studio, visitor):
+    inbox = studio.app.state.studio.workspace.new_inbox()
+    return visitor.come_by(inbox=inbox).inbox
+
+
+def send(visitor, name="film.mp4", content=FILM, **headers):
+    return visitor.client.post("/api/inbox", params={"name": name}, content=content, headers=headers)
+
+
+def test_one_films_into_an_inbox_of_ones_own_and_sees_nothing_else(studio, visitor, judged, bvh):
+    inbox = inbox_of(studio, visitor)
+    assert visitor.client.get("/api/inbox").json()["files"] == []
+    for content, name in ((FILM, "image.mov"), (FILM + b"2", "image.mov"), (bvh.read_bytes(), "walk.bvh")):
+        assert send(visitor, name, content).status_code == 201
+    names = [one["name"] for one in visitor.client.get("/api/inbox").json()["files"]]
+    assert len(set(names)) == 3 and sum(name.endswith("image.mov") for name in names) == 2
+    assert visitor.client.get("/film").status_code == 200
+    assert visitor.client.get("/api/reports").json() == {"reports": [], "everything": False, "page": "/film"}
+    for path in (
+        f"/api/reports/{judged[0]}", "/api/clips", "/api/motions/player?motion=clip:1",
+        f"/api/motions/player?motion=file:{inbox}/{names[0]}", f"/api/reports/{judged[0]}/report.html",
+    ):  # fmt: skip
+        assert visitor.client.get(path).status_code in (403, 404), path
+    # The owner sees what came; another inbox is empty.
+    (seen,) = studio.get("/api/share").json()["inboxes"]
+    assert seen["batch"] == inbox and len(seen["files"]) == 3
+    assert [one["motion"] is None for one in seen["files"]] == [not name.endswith("bvh") for name in names]
+    inbox_of(studio, visitor)
+    assert visitor.client.get("/api/inbox").json()["files"] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "status"),
+    [
+        ("a.zip", b"PK\3\4", 415), ("a.pkl", b"\x80", 415), ("a.toml", b"a=1", 415), ("a", FILM, 415),
+        ("a.npz", b"PK\3\4", 415), ("a.html", b"<p>", 415), ("a.mp4", b"#EXTM3U\nfile:///etc/passwd", 415),
+        ("a.mp4", b"", 415), ("../a.mp4", FILM, 422), ("/a.mp4", FILM, 422), (".a.mp4", FILM, 422),
+        ("con.mp4", FILM, 422), ("a\n.mp4", FILM, 422), ("a" * 201 + ".mp4", FILM, 422),
+    ],
+)  # fmt: skip
+def test_an_inbox_refuses(studio, visitor, name, content, status):
+    inbox = inbox_of(studio, visitor)
+    answer = send(visitor, name, content)
+    assert answer.status_code == status, answer.text
+    assert studio.app.state.studio.workspace.files(inbox) == []
+
+
+def test_only_a_link_with_an_inbox_sends(studio, visitor, judged):
+    for report in (None, judged[0]):
+        visitor.come_by(report)
+        assert send(visitor).status_code == 405
+        assert visitor.client.get("/api/inbox").status_code == 403
+    visitor.client.cookies.clear()
+    assert send(visitor).status_code == 401
+    inbox_of(studio, visitor)
+    for method in ("PUT", "PATCH", "DELETE"):
+        assert visitor.client.request(method, "/api/inbox", content=FILM).status_code == 405
+    assert visitor.client.post("/api/clips", content=FILM).status_code == 405
+    assert send(visitor, **{"origin": "https://evil.example"}).status_code == 403
+    assert send(visitor, **{"sec-fetch-site": "cross-site"}).status_code == 403
+
+
+def test_an_inbox_has_an_end(studio, visitor, monkeypatch):
+    inbox = inbox_of(studio, visitor)
+    monkeypatch.setattr(sharing_server, "_MOST_FILES", 2)
+    monkeypatch.setattr(sharing_server, "_MOST_BYTES", 300)
+    assert send(visitor).status_code == 201
+    assert send(visitor, content=FILM + b"\0" * 200).status_code == 413  # bytes of both
+    assert send(visitor).status_code == 201
+    assert send(visitor).status_code == 413  # files
+    assert visitor.client.post("/api/inbox?name=a.mp4", content=iter([FILM])).status_code == 411
+    most = studio.app.state.studio.settings.most_bytes
+    assert send(visitor, **{"content-length": str(most + 1)}).status_code == 413
+    for _ in range(4):
+        sharing_server._sending.acquire(blocking=False)
+    assert send(visitor).status_code == 429
+    for _ in range(4):
+        sharing_server._sending.release()
+    visitor.links.clear()
+    assert send(visitor).status_code == 401
+    left = [path for path in studio.app.state.studio.workspace.batch_folder(inbox).iterdir() if "part" in path.name]
+    assert left == []
+
+
+def test_inboxes_are_made_only_where_they_were_asked_for(open_studio):
+    assert open_studio.get("/api/share").json()["films"] is False
+    assert open_studio.post("/api/share/links", json={"films": True}).status_code == 409
+    open_studio.app.state.studio.sharing.takes_films = True
+    one, other = (open_studio.post("/api/share/links", json={"films": True}).json() for _ in range(2))
+    assert one["inbox"] != other["inbox"] and one["url"] != other["url"]
+    state = open_studio.get("/api/share").json()
+    phone = Phone(state["address"])
+    assert phone.get(one["url"].removeprefix(state["address"])) == 303
+    assert phone.get("/film") == 200
+    assert phone.get("/api/clips") == 403
 
 
 # --- other pages in the same browser, and names that lead here

@@ -39,6 +39,12 @@ def studio(
             "--share-on", metavar="ADDRESS", help="Share at this address of this machine, if it has several networks."
         ),
     ] = None,
+    share_films: Annotated[
+        bool,
+        typer.Option(
+            "--share-films", help="With --share: links that you make for it let others film or upload, into an inbox."
+        ),
+    ] = False,
     no_browser: Annotated[
         bool, typer.Option("--no-browser", help="Only print the address; do not open a browser.")
     ] = False,
@@ -49,7 +55,8 @@ def studio(
     of this library runs already, that one is opened. Needs: pip install 'dousa\\[studio]'
 
     With --share others on the same network open a link, on a phone by its QR code: they see all reports and the clips
-    of the library, over https, and can change nothing. Needs: pip install 'dousa\\[share]'
+    of the library, over https, and can change nothing. With --share-films you can also make links at which one films
+    with a phone, or uploads, and sees nothing else. Needs: pip install 'dousa\\[share]'
 
     Example: dousa studio moves.dousa
 
@@ -59,9 +66,9 @@ def studio(
     """
     from dousa.app.studio import Settings, find_share_address, serve
 
-    shared = find_share_address(share_on) if share or share_on is not None else None
+    shared = find_share_address(share_on) if share or share_films or share_on is not None else None
     settings = Settings(library, port=port, home=home)
-    serve(settings, opens_browser=not no_browser, watched=watch, shared=shared)
+    serve(settings, opens_browser=not no_browser, watched=watch, shared=shared, takes_films=share_films)
 
 
 def prepare_studio(output: Path) -> Path:

@@ -58,10 +58,10 @@ def register(app: FastAPI) -> None:
 
 
 def register_shared(app: FastAPI) -> None:
-    """Register the two pages that others on the network see."""
+    """Register the three pages that others on the network see."""
     router = APIRouter(include_in_schema=False)
     router.add_api_route("/static/{version}/{name:path}", _give_static, methods=["GET"])
-    for address in ("/", "/report"):
+    for address in ("/", "/report", "/film"):
         router.add_api_route(address, _make_page("shared"), methods=["GET"])
     app.include_router(router)
 

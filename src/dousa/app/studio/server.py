@@ -48,7 +48,12 @@ from dousa.messages import Message
 
 
 def serve(
-    settings: Settings, *, opens_browser: bool = True, watched: Path | None = None, shared: IPv4Address | None = None
+    settings: Settings,
+    *,
+    opens_browser: bool = True,
+    watched: Path | None = None,
+    shared: IPv4Address | None = None,
+    takes_films: bool = False,
 ) -> None:
     """Serve the studio on this machine and print its address, until Ctrl-C.
 
@@ -63,6 +68,7 @@ def serve(
     opens_browser : show the page in the browser of this machine.
     watched : folder whose new files are added to the library while the studio runs.
     shared : address of this machine at which others on its network see reports and library, read-only.
+    takes_films : links can let them film and upload into an inbox too.
     """
     if watched is not None and not watched.is_dir():
         raise OptionError("studio.no_watched_folder", folder=watched)
@@ -93,7 +99,7 @@ def serve(
         )  # fmt: skip
         server = uvicorn.Server(config)
         if shared is not None:
-            _begin_sharing(app.state.studio, shared)
+            _begin_sharing(app.state.studio, shared, takes_films)
         app.state.studio.held.announce(settings.address, settings.token, settings.library)
         _say_serving(settings, app.state.codes.issue())
         threading.Thread(target=warm_up, args=(app.state.studio,), daemon=True).start()
@@ -107,8 +113,8 @@ def serve(
         sys.stderr.write(f"{Message('studio.stopped')}\n")
 
 
-def _begin_sharing(studio: Studio, address: IPv4Address) -> None:
-    studio.sharing = make_sharing(studio, address, answer_problems, PatientProtocol)
+def _begin_sharing(studio: Studio, address: IPv4Address, takes_films: bool) -> None:
+    studio.sharing = make_sharing(studio, address, answer_problems, PatientProtocol, takes_films=takes_films)
     try:
         server = studio.sharing.begin()
     except BaseException:
@@ -118,6 +124,8 @@ def _begin_sharing(studio: Studio, address: IPv4Address) -> None:
     if sys.stderr.isatty():
         sys.stderr.write(f"\n{print_code(link)}\n")
     sys.stderr.write(f"{Message('studio_share.serving', address=link, fingerprint=server.fingerprint)}\n")
+    if takes_films:
+        sys.stderr.write(f"{Message('studio_share.takes_films')}\n")
 
 
 def _watch(folder: Path, studio: Studio) -> FolderWatch:

@@ -1,22 +1,27 @@
-"""The application for others on the local network: reports and clips of the library, read-only.
+"""The application for others on the local network: reports and clips of the library, read-only; and inboxes.
 
 It is not the studio with restrictions: what it cannot do does not exist in it. It listens at one address of this
 machine, over TLS, with a limited number of connections, so that the studio itself never waits. The owner's token is not
-accepted, only links, GET and HEAD, and no bodies.
+accepted, only links, GET and HEAD, and no bodies; but for the links with an inbox, which shows what came by that link
+and nothing else, and takes films and motion files of limited size and number. Nothing of them is opened here.
 """
 
 from __future__ import annotations
 
 import asyncio
+import secrets
 import socket
 import ssl
 import threading
+import time
 import weakref
 from collections.abc import Callable, Coroutine
+from dataclasses import replace
 from functools import partial
 from ipaddress import IPv4Address
+from pathlib import Path
 from typing import Annotated, Any, TypeVar
-from urllib.parse import parse_qsl, quote
+from urllib.parse import parse_qsl
 
 from fastapi import APIRouter, Depends, FastAPI, Query, Request
 from starlette.datastructures import Headers
@@ -25,6 +30,7 @@ from starlette.types import ASGIApp, Receive, Scope
 
 from dousa.app.studio import pages
 from dousa.app.studio.api import evaluation, motions
+from dousa.app.studio.api.share import describe_inbox
 from dousa.app.studio.content.clips import ClipQuery
 from dousa.app.studio.content.evaluations import Language
 from dousa.app.studio.content.sharing import (
@@ -38,7 +44,9 @@ from dousa.app.studio.content.sharing import (
 )
 from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import FILE, Answer, RefusedError
-from dousa.app.studio.core.guard import RequestGuard, check_names, read_cookies
+from dousa.app.studio.core.guard import CountingReceive, RequestGuard, check_length, check_names, read_cookies
+from dousa.app.studio.core.uploads import VIDEOS, receive
+from dousa.app.studio.core.workspace import safe_parts
 from dousa.errors import OptionError
 from dousa.extras import require
 
@@ -54,16 +62,19 @@ class SharedGuard(RequestGuard):
     app : answers requests that are passed on.
     host : address and port on the network.
     links : the valid links.
+    most_bytes : of a file that is sent into an inbox.
     """
 
-    def __init__(self, app: ASGIApp, host: str, links: ShareLinks) -> None:
+    def __init__(self, app: ASGIApp, host: str, links: ShareLinks, most_bytes: int) -> None:
         super().__init__(app)
-        self._host, self._links = host, links
+        self._host, self._links, self._most_bytes = host, links, most_bytes
         self._cookie = f"__Host-dousa_share_{host.rpartition(':')[2]}"  # over https only
 
     async def judge(self, scope: Scope, headers: Headers, receive: Receive) -> Answer | Receive:
         """Check host, method and link."""
         check_names(scope["method"], headers, "https", {self._host})
+        if (scope["method"], scope["path"]) == ("POST", INBOX_PATH):
+            return self._let_send(scope, headers, receive)
         if scope["method"] not in ("GET", "HEAD"):
             raise RefusedError(405, "studio_share.only_reads")
         if headers.get("content-length", "0") != "0" or "transfer-encoding" in headers:
@@ -73,6 +84,17 @@ class SharedGuard(RequestGuard):
             return self._welcome(asked[KEY])
         scope.setdefault("state", {})[LINK] = self._find_link(headers)
         return receive
+
+    def _let_send(self, scope: Scope, headers: Headers, receive: Receive) -> Receive:
+        """Let a link with an inbox send a body of a length that is said, and kept to."""
+        link = self._find_link(headers)
+        if link.inbox is None:
+            raise RefusedError(405, "studio_share.only_reads")
+        if "content-length" not in headers or "transfer-encoding" in headers:
+            raise RefusedError(411, "studio_share.no_length")
+        check_length(headers, self._most_bytes)
+        scope.setdefault("state", {})[LINK] = link
+        return CountingReceive(receive, self._most_bytes)
 
     def _find_link(self, headers: Headers) -> ShareLink:
         for token in read_cookies(headers.getlist("cookie"), self._cookie):
@@ -87,11 +109,17 @@ class SharedGuard(RequestGuard):
         if link is None:
             raise RefusedError(401, "studio_share.no_key")
         answer = Answer(None, 303)
-        answer.headers["location"] = "/" if link.report is None else f"/report?job={quote(link.report)}"
+        answer.headers["location"] = link.page
         answer.set_cookie(self._cookie, link.token, httponly=True, secure=True, samesite="lax", path="/")
         return answer
 
 
+INBOX_PATH = "/api/inbox"
+"""The one address that takes anything."""
+
+_TAKEN = VIDEOS | {".bvh", ".c3d", ".trc", ".fbx", ".glb"}  # no archives, and nothing that programs run or follow
+_MOST_FILES, _MOST_BYTES, _PATIENCE_S = 50, 2_000_000_000, 1800.0  # of an inbox; s for a film to come over slow air
+_sending = threading.BoundedSemaphore(4)  # at once: what is not yet counted of them fits on the disk
 _MOST_CONNECTIONS, _MOST_OF_ONE = 100, 24  # of all, and of one address; a browser opens about six
 
 # --- what there is to see
@@ -106,14 +134,20 @@ _LinkNow = Annotated[ShareLink, Depends(_link_of)]
 
 
 def _check_report(link: _LinkNow, job_id: str) -> str:
-    if link.report not in (None, job_id):
+    if not link.shows(job_id):
         raise RefusedError(403, "studio_share.other_report")
     return job_id
 
 
 def _check_all(link: _LinkNow) -> None:
-    if link.report is not None:
+    if not link.shows_everything:
         raise RefusedError(403, "studio_share.other_report")
+
+
+def _check_inbox(link: _LinkNow) -> str:
+    if link.inbox is None:
+        raise RefusedError(403, "studio_share.no_inbox")
+    return link.inbox
 
 
 def _check_clip(asked: Annotated[motions.ShownMotion, Query()]) -> motions.ShownMotion:
@@ -123,6 +157,7 @@ def _check_clip(asked: Annotated[motions.ShownMotion, Query()]) -> motions.Shown
 
 
 _Report = Annotated[str, Depends(_check_report)]
+_Inbox = Annotated[str, Depends(_check_inbox)]
 _Clip = Annotated[motions.ShownMotion, Depends(_check_clip)]
 _Language = Annotated[Language, Query()]
 _EVERYTHING = [Depends(_check_all)]
@@ -133,8 +168,8 @@ router = APIRouter(prefix="/api")
 @router.get("/reports")
 def list_reports(studio: StudioNow, link: _LinkNow) -> Answer:
     """The evaluations that the link shows, the last first."""
-    rows = [one for one in studio.evaluations.list_done() if link.report in (None, one["id"])]
-    return Answer({"reports": rows, "everything": link.report is None})
+    rows = [one for one in studio.evaluations.list_done() if link.shows(one["id"])]
+    return Answer({"reports": rows, "everything": link.shows_everything, "page": link.page})
 
 
 @router.get("/reports/{job_id}")
@@ -182,6 +217,35 @@ def get_player(studio: StudioNow, asked: _Clip) -> Answer:
     return motions.get_player(studio, asked)
 
 
+@router.get("/inbox")
+def get_inbox(studio: StudioNow, inbox: _Inbox) -> Answer:
+    """What came by this link, and what may come."""
+    files = [{"name": one["name"], "bytes": one["bytes"]} for one in describe_inbox(studio, inbox)["files"]]
+    return Answer({"files": files, "kinds": sorted(_TAKEN), "most_files": _MOST_FILES, "most_bytes": _MOST_BYTES})
+
+
+@router.post("/inbox", status_code=201)
+async def send(
+    request: Request, studio: StudioNow, inbox: _Inbox, name: Annotated[str, Query(max_length=200)]
+) -> Answer:
+    """Keep one film or motion file; phones call all films alike, so each gets a number of its own."""
+    place = Path("/".join(safe_parts(name)))
+    if place.suffix.lower() not in _TAKEN:
+        raise RefusedError(415, "studio_share.other_kind", kinds=tuple(sorted(_TAKEN)))
+    if not _sending.acquire(blocking=False):
+        raise RefusedError(429, "studio_jobs.busy_files")
+    limits = replace(studio.settings, most_files=_MOST_FILES, most_unpacked_bytes=_MOST_BYTES)
+    called = f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}-{place.name[-150:]}"
+    try:
+        async with asyncio.timeout(_PATIENCE_S):
+            await receive(request.stream(), called, inbox, studio.workspace, limits, studio.reader.run)
+    except TimeoutError:
+        raise RefusedError(408, "studio_jobs.took_long", seconds=_PATIENCE_S) from None
+    finally:
+        _sending.release()
+    return get_inbox(studio, inbox)
+
+
 def create_shared_app(studio: Studio, host: str, links: ShareLinks, answer_problems: Callable[[FastAPI], None]) -> Any:
     """Make the application that others see.
 
@@ -198,14 +262,19 @@ def create_shared_app(studio: Studio, host: str, links: ShareLinks, answer_probl
     pages.register_shared(app)
     answer_problems(app)
     pages.make_addresses(app)
-    return SharedGuard(app, host, links)
+    return SharedGuard(app, host, links, studio.settings.most_bytes)
 
 
 # --- the server
 
 
 def make_sharing(
-    studio: Studio, address: IPv4Address, answer_problems: Callable[[FastAPI], None], http: Any
+    studio: Studio,
+    address: IPv4Address,
+    answer_problems: Callable[[FastAPI], None],
+    http: Any,
+    *,
+    takes_films: bool = False,
 ) -> Sharing:
     """Prepare sharing at an address of this machine.
 
@@ -215,6 +284,7 @@ def make_sharing(
     address : of this machine.
     answer_problems : registers the answers to errors.
     http : the protocol of uvicorn.
+    takes_films : links can let others film and upload into an inbox.
     """
 
     def start(links: ShareLinks) -> SharedServer:
@@ -226,7 +296,7 @@ def make_sharing(
         stop = _serve(app, listener, str(certificate.path), http)
         return SharedServer(f"https://{host}", certificate.fingerprint, stop)
 
-    return Sharing(start)
+    return Sharing(start, takes_films=takes_films)
 
 
 def find_share_address(asked: str | None = None) -> IPv4Address:

@@ -9,6 +9,7 @@ import numpy as np
 
 from dousa.app.tables.lines import make_table, say_line, to_cell
 from dousa.messages import Message
+from dousa.retrieval.explain.phrases import say_part
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -49,7 +50,9 @@ def print_estimation(out: Console, done: Estimation, good: float = 0.75, fair: f
         say_line(out, "estimated.lost", n=len(lost), total=answer.n_frames, frames=frames, seconds=seconds)
     else:
         say_line(out, "estimated.none_lost")
-    lengths = [f"{name} {100 * length:.1f} ± {100 * spread:.1f}" for name, (length, spread) in answer.lengths.items()]
+    lengths = [
+        f"{say_part(name)} {100 * mean:.1f} ± {100 * spread:.1f}" for name, (mean, spread) in answer.lengths.items()
+    ]
     if lengths:
         say_line(out, "estimated.lengths", lengths=lengths)
     _print_uncertainty(out, done)
@@ -86,10 +89,12 @@ def _print_uncertainty(out: Console, done: Estimation, shown: int = 5) -> None:
     means = np.nanmean(kept, axis=0) * 1000.0
     names = answer.points.names
     order = [joint for joint in np.argsort(-means) if np.isfinite(means[joint])]
-    least_sure = ", ".join(f"{names[joint]} {means[joint]:.0f}" for joint in order[:shown])
+    least_sure = ", ".join(f"{say_part(names[joint])} {means[joint]:.0f}" for joint in order[:shown])
     say_line(out, "estimated.uncertainty", median=float(np.nanmedian(means)), joints=least_sure)
     hidden = answer.occluded.mean(axis=0)
-    parts = [f"{answer.body.names[part]} {hidden[part]:.0%}" for part in np.argsort(-hidden) if hidden[part] >= 0.1]
+    parts = [
+        f"{say_part(answer.body.names[part])} {hidden[part]:.0%}" for part in np.argsort(-hidden) if hidden[part] >= 0.1
+    ]
     if parts:
         say_line(out, "estimated.hidden", parts=parts[:shown])
 

@@ -204,11 +204,16 @@ _SIDES = {"left": "reasons.left_part", "right": "reasons.right_part"}
 _PARTS = {
     "lower foot": "reasons.lower_foot",
     "shoulder": "reasons.shoulder",
+    "upper arm": "reasons.upper_arm",
     "elbow": "reasons.elbow",
+    "forearm": "reasons.forearm",
     "wrist": "reasons.wrist",
     "hand": "reasons.hand",
     "hip": "reasons.hip",
+    "thigh": "reasons.thigh",
     "knee": "reasons.knee",
+    "shank": "reasons.shank",
+    "ankle": "reasons.ankle",
     "foot": "reasons.foot",
     "toe": "reasons.toe",
     "head": "reasons.head",
@@ -216,6 +221,8 @@ _PARTS = {
     "spine": "reasons.spine",
     "pelvis": "reasons.pelvis",
     "trunk": "reasons.trunk",
+    "shoulder breadth": "reasons.shoulder_breadth",
+    "hip breadth": "reasons.hip_breadth",
     "body": "reasons.body",
 }
 
@@ -348,14 +355,15 @@ def _find_form(name: str) -> tuple[_Form, dict[str, Message]]:
     match, form = next(((match, form) for match, form in matches if match), (None, _ANYTHING))
     if match is None:
         return form, {"part": Message("text.verbatim", text=name)}
-    named = {key: _say_part(text) for key, text in match.groupdict().items() if key != "view"}
+    named = {key: say_part(text) for key, text in match.groupdict().items() if key != "view"}
     if "view" in match.groupdict():
         named["view"] = Message(_VIEWS[match["view"]])
     return form, named
 
 
-def _say_part(name: str) -> Message:
-    name = name.removeprefix("the ")
+def say_part(name: str) -> Message:
+    """Name a joint or a part of the body: ``left_forearm`` is "the left forearm"; one that is not known as it is."""
+    name = name.removeprefix("the ").replace("_", " ")
     side, _, bare = name.partition(" ")
     code, bare = (_SIDES[side], bare) if side in _SIDES else ("reasons.part", name)
     part = Message(_PARTS[bare]) if bare in _PARTS else Message("text.verbatim", text=bare)

@@ -8,18 +8,23 @@ from typing import Annotated, Any
 from fastapi import APIRouter
 from pydantic import Field
 
+from dousa.app.studio.content.motions import Address
 from dousa.app.studio.content.sharing import ShareLink, Sharing, draw_code
 from dousa.app.studio.content.studio import Studio, StudioNow
 from dousa.app.studio.core.answers import Answer, RefusedError, StrictModel
+from dousa.app.studio.core.uploads import is_film
 
 router = APIRouter(prefix="/share", tags=["share"])
 
 
 class LinkRequest(StrictModel):
-    """What a link shows."""
+    """What a link is for."""
 
     report: Annotated[str, Field(pattern="^[0-9a-f]{16}$")] | None = Field(
         None, description="the job of one evaluation; null for all evaluations and the library"
+    )
+    films: bool = Field(
+        False, description="instead, to film or upload into a new inbox; needs `dousa studio --share-films`"
     )
 
 
@@ -31,7 +36,8 @@ class RevokeRequest(StrictModel):
 
 @router.get("", summary="What is shown on the local network")
 def get_share(studio: StudioNow) -> Answer:
-    """``possible``: the studio was started with `--share`. ``address`` is null while nothing is shown."""
+    """``possible``: the studio was started with `--share`, ``films``: with `--share-films`. ``address`` is null while
+    nothing is shown. ``inboxes`` have what came: the batch, and its files with their names as motions, or null."""
     return _describe(studio)
 
 
@@ -51,12 +57,16 @@ def end(studio: StudioNow) -> Answer:
 
 @router.post("/links", summary="Make a link for others")
 def make_link(studio: StudioNow, wanted: LinkRequest) -> Answer:
-    """To one evaluation, or to everything that is shown; the same link as long as it holds."""
+    """To one evaluation, or to everything that is shown: the same link as long as it holds; or a new inbox."""
     sharing = _sharing(studio)
+    if wanted.films and not sharing.takes_films:
+        raise RefusedError(409, "studio_share.no_inboxes")
     if wanted.report is not None:
         studio.evaluations.name_performance(wanted.report)  # is it there?
     if sharing.server is None:
         raise RefusedError(409, "studio_share.ended")
+    if wanted.films:
+        return Answer(_describe_link(studio, sharing, sharing.links.add(None, studio.workspace.new_inbox())))
     return Answer(_describe_link(studio, sharing, sharing.links.add(wanted.report)))
 
 
@@ -80,11 +90,26 @@ def _describe(studio: Studio) -> Answer:
     return Answer(
         {
             "possible": sharing is not None,
+            "films": sharing is not None and sharing.takes_films,
+            "inboxes": [describe_inbox(studio, batch) for batch in studio.workspace.list_inboxes()],
             "address": None if server is None else server.address,
             "fingerprint": None if server is None else server.fingerprint,
             "links": [_describe_link(studio, sharing, link) for link in links if sharing is not None],
         }
     )
+
+
+def describe_inbox(studio: Studio, batch: str) -> dict[str, Any]:
+    """Describe what came into an inbox; nothing of it is opened."""
+    files = [
+        {
+            "name": path.name,
+            "bytes": path.stat().st_size,
+            "motion": None if is_film(path.name) else str(Address(batch=batch, name=path.name)),
+        }
+        for path in studio.workspace.files(batch)
+    ]
+    return {"batch": batch, "files": files}
 
 
 def _describe_link(studio: Studio, sharing: Sharing | None, link: ShareLink) -> dict[str, Any]:
@@ -96,6 +121,7 @@ def _describe_link(studio: Studio, sharing: Sharing | None, link: ShareLink) -> 
     return {
         "number": link.number,
         "report": link.report,
+        "inbox": link.inbox,
         "title": title,
         "url": url,
         "code": draw_code(url),

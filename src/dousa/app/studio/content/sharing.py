@@ -39,16 +39,32 @@ class ShareLink:
 
     Parameters
     ----------
-    report : job of the one evaluation that it shows; None for all and the library.
+    report : job of the one evaluation that it shows; None for all and the library, unless it has an inbox.
+    inbox : batch of the films and motions that come by it, which is then all that it shows; None if it takes none.
     number : names the link when it is revoked.
     token : the secret in its address.
     created_s : Unix time.
     """
 
-    report: str | None
+    report: str | None = None
+    inbox: str | None = None
     number: str = field(default_factory=lambda: secrets.token_hex(4))
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
     created_s: float = field(default_factory=time.time)
+
+    @property
+    def shows_everything(self) -> bool:
+        """Whether it shows all evaluations and the library."""
+        return self.report is None and self.inbox is None
+
+    def shows(self, report: str) -> bool:
+        """Whether it shows an evaluation."""
+        return self.shows_everything or self.report == report
+
+    @property
+    def page(self) -> str:
+        """The page that it leads to."""
+        return "/film" if self.inbox else "/" if self.report is None else f"/report?job={self.report}"
 
 
 class ShareLinks:
@@ -58,15 +74,18 @@ class ShareLinks:
         self._links: list[ShareLink] = []
         self._lock = threading.Lock()
 
-    def add(self, report: str | None, *, most_links: int = 200) -> ShareLink:
-        """Return the link to one evaluation or to everything, made if missing; RefusedError if there are too many."""
+    def add(self, report: str | None, inbox: str | None = None, *, most_links: int = 200) -> ShareLink:
+        """Return the link to one evaluation, to everything or into an inbox, made if missing.
+
+        Raises RefusedError if there are too many.
+        """
         with self._lock:
             for link in self._links:
-                if link.report == report:
+                if (link.report, link.inbox) == (report, inbox):
                     return link
             if len(self._links) >= most_links:
                 raise RefusedError(409, "studio_share.many_links", most=most_links)
-            self._links.append(ShareLink(report))
+            self._links.append(ShareLink(report, inbox))
             return self._links[-1]
 
     def find(self, token: str) -> ShareLink | None:
@@ -112,10 +131,12 @@ class Sharing:
     Parameters
     ----------
     start : starts the server for some links.
+    takes_films : links can let others film and upload into an inbox.
     """
 
-    def __init__(self, start: Callable[[ShareLinks], SharedServer]) -> None:
+    def __init__(self, start: Callable[[ShareLinks], SharedServer], *, takes_films: bool = False) -> None:
         self.links = ShareLinks()
+        self.takes_films = takes_films
         self._start = start
         self._server: SharedServer | None = None
         self._lock = threading.Lock()

@@ -121,8 +121,8 @@ class Guard(RequestGuard):
         if not self._knows_token(headers):
             raise RefusedError(401, "studio.no_token")
         most = self._limit(scope["path"])
-        _check_length(headers, most)
-        return _Counting(receive, most)
+        check_length(headers, most)
+        return CountingReceive(receive, most)
 
     def _knows_token(self, headers: Headers) -> bool:
         kind, _, bearer = headers.get("authorization", "").partition(" ")
@@ -166,7 +166,7 @@ class Guard(RequestGuard):
     async def _enter(self, receive: Receive, place: str) -> Answer:
         """Check the token of the form, and lead to the page that was asked for."""
         content = b""
-        counting, more = _Counting(receive, 2_000), True  # bytes
+        counting, more = CountingReceive(receive, 2_000), True  # bytes
         while more:
             message = await counting()
             content += message.get("body", b"")
@@ -224,8 +224,8 @@ def check_names(method: str, headers: Headers, scheme: str, hosts: Collection[st
         raise RefusedError(403, "studio.other_site", site=site)
 
 
-class _Counting:
-    """Receives at most so many bytes."""
+class CountingReceive:
+    """Receives at most so many bytes; RefusedError for more."""
 
     def __init__(self, receive: Receive, most: int) -> None:
         self._receive, self._left, self._most = receive, most, most
@@ -257,7 +257,8 @@ def _too_large(most: int) -> RefusedError:
     return RefusedError(413, "studio.large_request", most=most / 1e6)
 
 
-def _check_length(headers: Headers, most: int) -> None:
+def check_length(headers: Headers, most: int) -> None:
+    """Raise RefusedError for a body that says that it is longer than ``most`` bytes, or says no number."""
     length = headers.get("content-length", "0")
     if not (length.isascii() and length.isdigit()):
         raise RefusedError(400, "studio.content_length", found=length)

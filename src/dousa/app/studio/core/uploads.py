@@ -170,6 +170,11 @@ def _name_take(folder: Path, table: str) -> str | None:
     return None if suffix is None or not is_label_file(folder / table) else table[: -len(suffix)]
 
 
+def is_film(name: str) -> bool:
+    """Whether a file is called like a film."""
+    return Path(name).suffix.lower() in VIDEOS
+
+
 def motion_suffixes() -> frozenset[str]:
     """The last suffixes of the motion files that can be read, those of plug-ins included."""
     return frozenset(Path(f"a{suffix}").suffix for suffix in list_suffixes())

@@ -168,6 +168,7 @@ _NOWHERE = frozenset(':*?"<>|\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2
 # Reserved by Windows: "Naming Files, Paths, and Namespaces", https://learn.microsoft.com/windows/win32/fileio/
 _DEVICES = frozenset({"con", "prn", "aux", "nul", *(f"{name}{n}" for name in ("com", "lpt") for n in range(1, 10))})
 _KEPT = ".kept"  # marks a batch that a library or a job lives from
+_INBOX = ".inbox"  # marks a batch that others on the network fill
 _OF_LIBRARY = "library"  # in that file: kept as long as clips come from it
 
 
@@ -278,6 +279,17 @@ class Workspace:
         batch = secrets.token_hex(8)
         (self.root / "files" / batch).mkdir()
         return batch
+
+    def new_inbox(self) -> str:
+        """Make a new batch that others on the network fill."""
+        batch = self.new_batch()
+        (self.root / "files" / batch / _INBOX).touch()
+        return batch
+
+    def list_inboxes(self) -> list[str]:
+        """List the batches that others on the network fill, or filled, by age."""
+        marks = sorted((self.root / "files").glob(f"*/{_INBOX}"), key=lambda mark: mark.stat().st_mtime)
+        return [mark.parent.name for mark in marks]
 
     @contextmanager
     def fill_batch(self) -> Iterator[str]:

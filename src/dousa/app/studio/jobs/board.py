@@ -13,6 +13,7 @@ import secrets
 import shutil
 import threading
 import time
+import traceback
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -26,8 +27,16 @@ from dousa.errors import DousaError
 from dousa.formats.motion_files import find_motion_files
 from dousa.messages import Message, get_language, use_language
 
+LOG = "log.txt"
+"""In the folder of a job: what its process prints, and where it failed."""
+
 ACTIVE = frozenset({"queued", "running", "stopping"})
 _MOST_WAITING, _MOST_KEPT = 50, 200
+
+
+def describe_fault(error: Exception, folder: Path) -> Message:
+    """Describe an error that nobody expected, in a job with this folder."""
+    return Message("studio_jobs.fault", kind=type(error).__name__, text=str(error), log=folder / LOG)
 
 
 class JobStopped(Exception):  # noqa: N818 - not an error
@@ -273,13 +282,10 @@ class JobBoard:
         except DousaError as error:
             self.change(job, state="failed", problem=name_error(error, self._workspace.root), finished_s=time.time())
         except Exception as error:  # a fault of ours must not end the lane
-            import traceback
-
-            log = self.folder(job) / "log.txt"
-            with suppress(OSError):
-                log.write_text(traceback.format_exc(), encoding="utf-8")
-            problem = Message("studio_jobs.fault", kind=type(error).__name__, text=str(error), log=log)
-            self.change(job, state="failed", problem=problem, finished_s=time.time())
+            folder = self.folder(job)
+            with suppress(OSError), open(folder / LOG, "a", encoding="utf-8") as log:
+                traceback.print_exc(file=log)
+            self.change(job, state="failed", problem=describe_fault(error, folder), finished_s=time.time())
 
     # --- keeping
 

@@ -19,7 +19,7 @@ from typing import IO, TYPE_CHECKING, Any, TypeVar
 
 from dousa.app.studio.core.answers import Gate, RefusedError, say_packed, to_message
 from dousa.app.studio.core.workspace import Settings
-from dousa.app.studio.jobs.board import Job, JobBoard, JobStopped
+from dousa.app.studio.jobs.board import LOG, Job, JobBoard, JobStopped
 from dousa.errors import DousaError
 from dousa.messages import Message, get_language
 
@@ -205,7 +205,7 @@ def run_in_process(settings: Settings) -> Callable[[Job, JobBoard, threading.Eve
 
     def run(job: Job, board: JobBoard, stop: threading.Event) -> dict[str, Any]:
         folder = board.folder(job)
-        with open(folder / "log.txt", "ab") as log:
+        with open(folder / LOG, "ab") as log:
             process, task = start_worker(settings, job.kind, job.request, folder, log, is_job=True)
         watcher = threading.Thread(target=_end_when, args=(stop, process), daemon=True)
         watcher.start()
@@ -230,32 +230,48 @@ def _listen(
     with suppress(OSError):
         stdin.write(task)
         stdin.flush()  # stays open: its end tells the process that the studio is gone
-    last = _read_lines(stdout, job, board)
-    process.wait()
-    if "result" in last:
-        result: dict[str, Any] = last["result"]
-        return result
+    kind, said = _read_lines(stdout, job, board)
+    _await_end(process)
+    if kind == "result" and isinstance(said, dict):
+        return said
     if stop.is_set():
         raise JobStopped
-    if "problem" in last:
-        raise WorkError(Message.from_json(last["problem"]))
+    if kind == "problem":
+        raise WorkError(said)
+    log = board.folder(job) / LOG
     code = "studio_jobs.killed" if process.returncode == -9 else "studio_jobs.ended"
-    raise WorkError(code, status=process.returncode, log=board.folder(job) / "log.txt")
+    raise WorkError(code, status=process.returncode, log=log, last=_read_last_line(log))
 
 
-def _read_lines(stdout: IO[bytes], job: Job, board: JobBoard) -> dict[str, Any]:
-    last: dict[str, Any] = {}
+def _read_lines(stdout: IO[bytes], job: Job, board: JobBoard) -> tuple[str, Any]:
+    """Follow a process up to its answer, and return the kind of that and what it says; ("", None) if it has none.
+
+    A line that is no message, of a program that writes where it should not, goes into the log.
+    """
     for line in stdout:
-        with suppress(ValueError):
-            message = json.loads(line)
-            if "progress" in message:
-                done, total, what = message["progress"]
-                board.change(job, done=done, total=total, what=Message.from_json(what))
-            elif "note" in message:
-                board.change(job, notes=[*job.notes, Message.from_json(message["note"])])
-            else:
-                last = message
-    return last
+        try:
+            ((kind, said),) = json.loads(line).items()
+            if kind == "progress":
+                done, total, what = said
+                board.change(job, done=int(done), total=int(total), what=Message.from_json(what))
+            elif kind == "note":
+                board.change(job, notes=[*job.notes, Message.from_json(said)])
+            elif kind == "problem":
+                return kind, Message.from_json(said)
+            elif kind in ("result", "stopped"):
+                return kind, said
+        except (ValueError, TypeError, AttributeError, KeyError, RecursionError):
+            with suppress(OSError), open(board.folder(job) / LOG, "ab") as log:
+                log.write(line)
+    return "", None
+
+
+def _read_last_line(log: Path) -> str:
+    """Return the last line of a log that says something; of an uncaught error it is the error."""
+    with suppress(OSError):
+        lines = log.read_text(encoding="utf-8", errors="replace")[-10_000:].split("\n")
+        return next((line.strip()[:300] for line in reversed(lines) if line.strip()), "-")
+    return "-"
 
 
 def _end_when(stop: threading.Event, process: subprocess.Popen[bytes]) -> None:

@@ -11,6 +11,7 @@ import signal
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
 from functools import partial
@@ -21,7 +22,7 @@ from typing import IO, TYPE_CHECKING, Any, cast
 from dousa.app.stops import hear_stops
 from dousa.app.studio.core.answers import Answer, RefusedError, describe_disk, name_error, pack, to_message
 from dousa.app.studio.core.workspace import open_private
-from dousa.app.studio.jobs.board import Lane
+from dousa.app.studio.jobs.board import Lane, describe_fault
 from dousa.app.studio.jobs.lanes import READING, READY, Context, run_in_process, run_in_thread
 from dousa.errors import DousaError, is_interrupt
 from dousa.files.disk import TAKEN, lock_file
@@ -188,10 +189,14 @@ def _do(task: dict[str, Any], out: Any) -> dict[str, Any]:
     except OSError as error:
         problem = describe_disk(error)
         if problem is None:
-            raise
+            traceback.print_exc()
+            problem = describe_fault(error, context.folder)
         return {"problem": problem.to_json()}
     except MemoryError:
         return {"problem": Message("studio_jobs.no_memory").to_json()}
+    except Exception as error:  # a fault of ours: the log has where
+        traceback.print_exc()
+        return {"problem": describe_fault(error, context.folder).to_json()}
 
 
 def _say(out: Any, message: dict[str, Any]) -> None:

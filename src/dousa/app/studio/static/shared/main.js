@@ -1,6 +1,7 @@
-// What others on the network see: a list of reports and the clips of the library, or one report. Nothing here writes.
+// What others on the network see: a list of reports and the clips of the library, or one report; or an inbox, the one
+// place that takes anything.
 
-import { drawFigure, get } from "../core/api.js";
+import { drawFigure, get, postBytes } from "../core/api.js";
 import { openDialog } from "../core/dialog.js";
 import { $, formatSeconds, h, language, later, t } from "../core/dom.js";
 import { attempt, showProblem } from "../core/notices.js";
@@ -85,9 +86,9 @@ function reportRow({ id, name, created_s: created, repetitions }) {
 }
 
 async function showList() {
-  const { reports, everything } = await get("/reports");
-  if (!everything && reports.length === 1) {
-    location.replace(`/report?job=${reports[0].id}`);
+  const { reports, everything, page } = await get("/reports");
+  if (page !== "/") {
+    location.replace(page);
     return;
   }
   $("#shared-reports").replaceChildren(...(reports.length ? reports.map(reportRow) : [h("li", { class: "note" }, t("no_reports"))]));
@@ -111,9 +112,40 @@ async function showReport(id) {
   await drawReport($("#report"), id, Boolean(asked?.repetitions));
 }
 
+// A phone films by itself where a field of files asks for a new film: no camera on this page, no certificate to trust for it.
+async function showInbox() {
+  const answer = await get("/inbox");
+  const pick = (id, word, kind, options) => h("label", { class: `button ${kind}`, for: id }, t(word), h("input", { type: "file", class: "sr", id, onchange: (event) => send(event.target), ...options }));
+  $("#film-choose").replaceChildren(
+    pick("film", "film_now", "primary", { accept: "video/*", capture: "environment" }),
+    pick("files", "film_choose", "", { accept: ["video/*", ...answer.kinds].join(","), multiple: true }),
+  );
+  $("#film-limits").textContent = t("film_limits", { files: answer.most_files, most: answer.most_bytes / 1e9 });
+  $(".badge").hidden = true;
+  $("#shared-inbox").hidden = false;
+  sayFiles(answer.files);
+}
+
+function sayFiles(files) {
+  const rows = files.map(({ name, bytes }) => h("li", { class: "card" }, h("b", {}, name), " ", h("span", { class: "note" }, `${(bytes / 1e6).toFixed(1)} MB`)));
+  $("#film-files").replaceChildren(...(rows.length ? rows : [h("li", { class: "note" }, t("film_none"))]));
+}
+
+async function send(field) {
+  const files = [...field.files];
+  field.value = ""; // the same one can be sent again after a failure
+  for (const file of files) {
+    $("#film-now").textContent = t("film_sending", { name: file.name });
+    const answer = await attempt(() => postBytes("/inbox", file, { name: file.name }));
+    $("#film-now").textContent = answer ? t("film_sent", { name: file.name }) : "";
+    if (answer) sayFiles(answer.files);
+  }
+}
+
 const asked = new URLSearchParams(location.search).get("job");
 try {
-  await (location.pathname === "/report" && asked ? showReport(asked) : showList());
+  if (location.pathname === "/film") await showInbox();
+  else await (location.pathname === "/report" && asked ? showReport(asked) : showList());
 } catch (error) {
   showProblem(error.message);
 }
