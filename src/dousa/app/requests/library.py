@@ -111,14 +111,16 @@ class LabelRequest:
 
 @dataclass(frozen=True, slots=True)
 class SearchRequest:
-    """How clips like a motion are searched for; the last two have no option."""
+    """How clips like a motion are searched for."""
 
     k: Annotated[int, typer.Option("-k", "--limit", min=1, help="How many results.")] = 10
     ranking: Annotated[Ranking, typer.Option("--rank", help="Rank by votes, leaves, poses, or all three.")] = "fused"
     mirror: Mirror = None
     explain: Annotated[bool, typer.Option("--explain", help="Explain the answer in words, with times.")] = False
-    threshold: float | None = None
-    same_category: bool = False
+    threshold: Share = None
+    same_category: Annotated[
+        bool, typer.Option("--same-category", help="Only clips of the category that the motion is taken for.")
+    ] = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ import { $, count, h, icon, keep, recall, t } from "./dom.js";
 import { dropZone, takeMotions } from "./drop.js";
 import { followJob, isActive, stopJob } from "./jobs.js";
 import { attempt } from "./notices.js";
+import { spellingButton } from "./spelling.js";
 
 // The user's character: a file over whose skeleton motions are put. It is uploaded once, and remembered by the browser
 // and in the folder of the studio until another one is chosen.
@@ -54,6 +55,7 @@ export function openExport(ids, hits = null) {
   let end = () => {};
   const { close } = openDialog(t("export_title"), body, { onClose: () => end() });
   ask(body, {
+    spell: (wanted, clips) => post("/spelling/export", { ...wanted, clips }),
     about: hits ? tickList(hits) : { element: h("p", { class: "note" }, many(ids.length)), chosen: () => ids, onChange: () => {} },
     original: true,
     close,
@@ -95,7 +97,7 @@ function tickList(hits) {
   return list;
 }
 
-async function ask(body, { about, original, close, go }) {
+async function ask(body, { about, original, close, go, spell }) {
   const known = await attempt(() => get("/export/formats"));
   if (!known) {
     close();
@@ -113,6 +115,10 @@ async function ask(body, { about, original, close, go }) {
     field.hidden = asIs;
     reachLine.hidden = asIs || !character;
     send.disabled = about.chosen().length === 0;
+  };
+  const wanted = () => {
+    const onto = format.value === known.original ? null : (character?.motion ?? null);
+    return { to: format.value, onto, keep_reach: Boolean(onto) && reach.checked };
   };
   const field = characterField((chosen) => {
     character = chosen;
@@ -132,13 +138,12 @@ async function ask(body, { about, original, close, go }) {
     h("label", { class: "field narrow" }, t("export_format"), format),
     field,
     reachLine,
-    foot(h("button", { type: "button", onclick: close }, t("cancel")), send),
+    foot(...(spell ? [spellingButton(() => spell(wanted(), about.chosen()), "")] : []), h("button", { type: "button", onclick: close }, t("cancel")), send),
   );
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
     send.disabled = true;
-    const onto = format.value === known.original ? null : (character?.motion ?? null);
-    await go({ to: format.value, onto, keep_reach: Boolean(onto) && reach.checked }, about.chosen());
+    await go(wanted(), about.chosen());
     send.disabled = false;
   });
   body.replaceChildren(form);

@@ -6,6 +6,7 @@ import { $, h, language, t } from "../core/dom.js";
 import { followJob, isActive, stopJob } from "../core/jobs.js";
 import { attempt, showProblem } from "../core/notices.js";
 import { openSharing } from "../core/sharing.js";
+import { spellingButton } from "../core/spelling.js";
 import { downloadLinks, Result } from "./result.js";
 import { keepChoice, readAddress, Setup, showJob } from "./setup.js";
 
@@ -100,8 +101,9 @@ function drawTools(job) {
   const files = h("details", { class: "menu" }, h("summary", { class: "button" }, t("download")), h("div", { class: "menu-list" }, ...downloadLinks(job)));
   const print = h("button", { type: "button", id: "print", onclick: () => window.print(), title: t("print_title") }, t("print"));
   const share = h("button", { type: "button", id: "share-report", onclick: () => attempt(() => openSharing(job.id)) }, t("share"));
+  const spelled = spellingButton(() => get(`/spelling/evaluations/${job.id}`), "");
   const compare = job.request.repetitions ? [] : [comparing([job.id])];
-  putTools(h("button", { type: "button", id: "again", onclick: again }, t("change_motions")), h("a", { class: "button", href: "/evaluate" }, t("new_evaluation")), ...compare, share, print, files);
+  putTools(h("button", { type: "button", id: "again", onclick: again }, t("change_motions")), h("a", { class: "button", href: "/evaluate" }, t("new_evaluation")), ...compare, share, spelled, print, files);
 }
 
 document.addEventListener("click", (event) => {

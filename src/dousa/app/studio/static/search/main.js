@@ -5,6 +5,7 @@ import { $, h, icon, t } from "../core/dom.js";
 import { dropZone, MOTION_FILES, offerChange, showUntrained, takeMotions } from "../core/drop.js";
 import { attempt, notify, showProblem } from "../core/notices.js";
 import { pickClips } from "../core/pick.js";
+import { spellingButton } from "../core/spelling.js";
 import { drawPlaces, Hits, nameOf } from "./hits.js";
 import { Stage } from "./stage.js";
 import { askOf, drawOptions, isSameMotion, isSameSearch, keepState, readState, wholeOf } from "./state.js";
@@ -252,6 +253,7 @@ async function start() {
   }
   drawChoosing();
   $("#export-hits").addEventListener("click", exportHits);
+  $("#spelling").replaceChildren(spellingButton(() => post("/spelling/search", askOf(state))));
   window.addEventListener("popstate", () => apply(readState()));
   apply(readState());
 }

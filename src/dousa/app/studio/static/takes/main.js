@@ -7,6 +7,7 @@ import { dropZone, fileInput, LABEL_FILES, MOTION_FILES, offerChange, showUntrai
 import { finished, followJob, isActive, stopJob } from "../core/jobs.js";
 import { attempt, notify, showProblem } from "../core/notices.js";
 import { pickClips } from "../core/pick.js";
+import { spellingButton } from "../core/spelling.js";
 import { Timeline } from "../core/timeline.js";
 import { drawStrip, makeLegend, nameOf, sayShares, Tones, toSegment } from "../core/timeline_parts.js";
 import { listenForUndo, undoButton } from "../core/undo.js";
@@ -257,9 +258,10 @@ function drawTools(given) {
   const button = (id, name, word, action, pressed = null) => h("button", { type: "button", class: "small", id, "aria-pressed": pressed, onclick: action }, ...(name ? [icon(name)] : []), t(word));
   const add = motion.startsWith("file:") ? button("add-take", "folder", "add_take", () => attempt(() => addTake(motion).then((found) => found && open(found, null, player.time)))) : null;
   const which = given ? button("show-given", "tag", "show_given", () => showGiven(!wantsGiven), String(shows)) : null;
+  const spelled = given ? null : spellingButton(() => post("/spelling/label", { take: { motion } }));
   const input = fileInput(take, { accept: LABEL_FILES, id: "labels-file" });
   const give = button("give-labels", "upload", "give_labels", () => input.click());
-  $("#take-tools").replaceChildren(...[which, input, give, add, button("label-again", null, "label_again", () => labelAgain()), ...["csv", "eaf", "json"].map(download)].filter(Boolean));
+  $("#take-tools").replaceChildren(...[which, input, give, add, button("label-again", null, "label_again", () => labelAgain()), ...["csv", "eaf", "json"].map(download), spelled].filter(Boolean));
 }
 
 async function addTake(from) {
