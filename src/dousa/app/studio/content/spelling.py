@@ -155,7 +155,7 @@ def _flags(request: Any, given: Mapping[str, Any]) -> list[object]:
     hints = get_type_hints(request, include_extras=True)
     words: list[object] = []
     for name, value in _pick(request, given).items():
-        yes, _, no = hints[name].__metadata__[0].param_decls[0].partition("/")
+        yes, _, no = hints[name].__metadata__[0].default.partition("/")  # typer: its first name
         words += [yes if value else no] if isinstance(value, bool) else [yes, value]
     return words
 
