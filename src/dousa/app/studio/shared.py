@@ -220,10 +220,10 @@ def get_player(studio: StudioNow, asked: _Clip) -> Answer:
 @router.get("/inbox")
 def get_inbox(studio: StudioNow, inbox: _Inbox) -> Answer:
     """What came by this link, and what may come."""
-    return Answer(_describe_inbox(studio, inbox))
+    return Answer(_list_sent(studio, inbox))
 
 
-def _describe_inbox(studio: Studio, inbox: str) -> dict[str, Any]:
+def _list_sent(studio: Studio, inbox: str) -> dict[str, Any]:
     files = [{"name": one["name"], "bytes": one["bytes"]} for one in describe_inbox(studio, inbox)["files"]]
     return {"files": files, "kinds": sorted(_TAKEN), "most_files": _MOST_FILES, "most_bytes": _MOST_BYTES}
 
@@ -247,7 +247,7 @@ async def send(
         raise RefusedError(408, "studio_jobs.took_long", seconds=_PATIENCE_S) from None
     finally:
         _sending.release()
-    return Answer(_describe_inbox(studio, inbox), 201)
+    return Answer(_list_sent(studio, inbox), 201)
 
 
 def create_shared_app(studio: Studio, host: str, links: ShareLinks, answer_problems: Callable[[FastAPI], None]) -> Any:
