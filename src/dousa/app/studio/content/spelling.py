@@ -20,6 +20,7 @@ from dousa.app.studio.content.evaluations import format_weights
 from dousa.app.studio.content.motions import MotionRef
 from dousa.app.studio.core.answers import say
 from dousa.app.studio.core.workspace import write_file
+from dousa.library.export import ExportFormat
 from dousa.messages import Message
 
 if TYPE_CHECKING:
@@ -75,6 +76,7 @@ def spell_export(studio: Studio, clips: Sequence[int], to: str, options: Mapping
     """Spell the export of clips as a ZIP file; ``onto`` among the options is the name of a motion."""
     onto = options.get("onto")
     character = None if onto is None else studio.motions.path(MotionRef(motion=onto))
+    ExportFormat(to, character, bool(options.get("keep_reach")), options.get("frame_rate"))  # refuses mistakes
     given = _pick(library.Character, {**options, "onto": character})
     target = "export.zip"
     words = ["export", _lib(studio), *clips, "--output", target, "--to", to, *_flags(library.Character, given)]
