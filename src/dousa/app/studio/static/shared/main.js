@@ -121,13 +121,14 @@ async function showInbox() {
     pick("files", "film_choose", "", { accept: ["video/*", ...answer.kinds].join(","), multiple: true }),
   );
   $("#film-limits").textContent = t("film_limits", { files: answer.most_files, most: answer.most_bytes / 1e9 });
+  $("#title").textContent = t("film_title");
   $(".badge").hidden = true;
   $("#shared-inbox").hidden = false;
   sayFiles(answer.files);
 }
 
 function sayFiles(files) {
-  const rows = files.map(({ name, bytes }) => h("li", { class: "card" }, h("b", {}, name), " ", h("span", { class: "note" }, `${(bytes / 1e6).toFixed(1)} MB`)));
+  const rows = files.map(({ name, bytes }) => h("li", { class: "card" }, h("b", {}, name), " ", h("span", { class: "note" }, `${Math.max(bytes / 1e6, 0.1).toFixed(1)} MB`)));
   $("#film-files").replaceChildren(...(rows.length ? rows : [h("li", { class: "note" }, t("film_none"))]));
 }
 
