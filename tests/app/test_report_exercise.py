@@ -1,5 +1,6 @@
 """The report of an exercise: what it says, draws, lists and plays, in both languages, whatever was found."""
 
+import base64
 import csv
 import dataclasses
 import math
@@ -157,3 +158,15 @@ def test_a_press_plays_a_repetition(
     third = done.repetitions[2].repetition
     assert third.start_s - 0.4 <= share * done.duration_s <= third.end_s + 0.4
     assert browser.messages() == []
+
+
+def test_sixteen_repetitions_fit_two_sheets(
+    browser: Any, done: RepetitionsAssessment, kicks: tuple[CanonicalMotion, CanonicalMotion], tmp_path: Path
+) -> None:
+    browser.open(write_exercise_report(done, kicks[1], tmp_path, name="kicks.trc"), 1280, 900)
+    browser.run(
+        "for (const list of document.querySelectorAll('.event-list, .poses')) for (const one of [...list.children])"
+        " while (list.children.length < 16) list.append(one.cloneNode(true));"
+    )
+    sheets = browser.driver.execute_cdp_cmd("Page.printToPDF", {"printBackground": True, "preferCSSPageSize": True})
+    assert base64.b64decode(sheets["data"]).count(b"/Type /Page\n") == 2
