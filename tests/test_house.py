@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_527, 113),
+    "app": (25_959, 115),
     "estimation": (16_238, 68),
     "evaluation": (12_160, 46),
     "experiments": (1_722, 10),
@@ -27,21 +27,21 @@ ROOMS = {
     "library": (15_885, 58),
     "messages": (235, 3),
     "motion": (6_509, 34),
-    "retrieval": (13_224, 47),
+    "retrieval": (13_232, 47),
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_363,
-    "lines of JavaScript": 12_460,
-    "constants": 1_053,
+    "lines of tests": 62_660,
+    "lines of JavaScript": 12_544,
+    "constants": 1_058,
     "numeric constants without a source": 0,
-    "functions over 60 lines": 15,
+    "functions over 60 lines": 16,
     "files over 650 lines": 0,
     "folders with more than 15 files": 0,
-    "lines with words that a native reader stumbles over": 47,
+    "lines with words that a native reader stumbles over": 49,
     "hand-written runs of a mask": 3,
     "commands": 32,
-    "options": 191,
+    "options": 194,
 }
 
 _LONG_FUNCTION, _LONG_FILE, _LARGE_FOLDER = 60, 650, 15

@@ -62,6 +62,16 @@ def test_a_hit_is_shown_beside_the_query_and_can_be_downloaded(show, running, tm
     page.wait("return document.querySelector('#match').hidden")
 
 
+def test_a_search_is_shown_as_a_command_and_as_python(show):
+    page = show("/search?motion=clip:1&k=6")
+    page.wait("return document.querySelector('#spelling button')?.offsetParent")
+    page.run("document.querySelector('#spelling button').click()")
+    page.wait("return document.querySelectorAll('dialog pre').length === 2")
+    command, python = page.run("return [...document.querySelectorAll('dialog pre')].map((one) => one.textContent)")
+    assert command.startswith("dousa search ") and command.endswith(" 1 -k 6")
+    assert "library.search(1, k=6)" in python
+
+
 def test_reasons_are_told_when_asked_for(show, running):
     page = show(f"/search?motion={first_clip(running, 'squat')}")
     page.wait(DRAWN)

@@ -103,6 +103,27 @@ def test_the_list_and_the_library(browser, sharing, job):
     assert browser.messages() == []
 
 
+def test_a_phone_films_and_the_teacher_finds_it(browser, sharing, running, show, tmp_path):
+    inner = running.app.state.studio
+    link = sharing.links.add(None, inner.workspace.new_inbox())
+    _visit(browser, sharing.address_of(link))
+    browser.wait("return document.querySelector('#film')")
+    assert browser.run("return location.pathname") == "/film"
+    field = browser.find("#film")
+    assert field.get_attribute("capture") == "environment"
+    (tmp_path / "image.mp4").write_bytes(b"\0\0\0\x18ftypisom" + b"\0" * 100)
+    field.send_keys(str(tmp_path / "image.mp4"))
+    browser.wait("return document.querySelectorAll('#film-files .card').length === 1")
+    assert browser.messages() == []
+    page = show("/library", 1440, 900)
+    page.wait("return document.querySelector('#share-button')").click()
+    page.wait("return document.querySelector('#inboxes a')")
+    assert page.run("return document.querySelector('#inboxes a').href").endswith(f"/estimate?batch={link.inbox}")
+    page.find("[data-act=share_discard]").click()
+    page.wait("return !document.querySelector('#inboxes')")
+    assert inner.workspace.list_inboxes() == []
+
+
 def test_a_teacher_gets_the_code_takes_it_back_and_ends_it(show, sharing, job):
     page = show(f"/evaluate?job={job}", 1440, 900)
     page.wait("return document.querySelector('#share-report')?.offsetParent")
