@@ -107,6 +107,15 @@ def test_films_of_one_name_are_called_by_the_folder_that_differs(tmp_path):
     assert name_films(squat.films) == ("Cam0_squat_sync", "Cam1_squat_sync")
 
 
+def test_a_folder_of_keypoints_says_how_to_go_on(dousa, tmp_path):
+    for number in range(2):
+        person = {"pose_keypoints_2d": [100.0, 200.0, 0.9] * 25}
+        (tmp_path / f"cam_{number:012d}_keypoints.json").write_text(json.dumps({"people": [person]}))
+    code, out, error = dousa("info", tmp_path)
+    assert (code, out, error.count("\n")) == (2, "", 1)
+    assert all(word in error for word in ("dousa estimate", "--cameras", "--rate", "--size", str(tmp_path)))
+
+
 def test_several_takes_are_named(dousa, tmp_path):
     make_opencap(tmp_path, make_cameras(2))
     code, out, error = dousa("estimate", tmp_path, "-o", tmp_path / "out.bvh")

@@ -105,7 +105,7 @@ def test_a_layout_is_told_by_its_limbs(tmp_path, shared_data):
 
 
 def test_axes_of_length_one_and_frames_last(tmp_path):
-    points = np.random.default_rng(0).normal(size=(5, 22, 3))
+    points = smpl_joints(**made.make_smpl(5, 22))
     for shaped in (points, points[None], points[:, None], np.moveaxis(points, 0, 2)):
         motion = read_motion(save(tmp_path / "x.npy", made.make_npy(shaped)), unit="m", up="y")
         np.testing.assert_array_equal(motion.positions, points)
@@ -205,3 +205,38 @@ def test_what_is_no_motion_is_said_in_one_sentence(tmp_path):
     refused(path, made.make_npz(**unscaled), "smpl.scaling")
     with pytest.raises(OptionError, match="rate"):
         read_motion(save(path, made.make_npz(**made.make_smpl())), frame_rate=-1)
+
+
+def test_an_array_alone_is_read_from_any_container(tmp_path):
+    """Places with and without scores, and lists; and the same rotations as vectors, matrices, and vectors in a row."""
+    arrays = made.make_smpl(n_joints=24)
+    joints = smpl_joints(arrays["poses"], arrays["trans"])
+    scored = np.concatenate((joints, np.ones((*joints.shape[:2], 1))), axis=2)
+    path = tmp_path / "x.pkl"
+    for content in (joints, scored, joints.tolist(), [*joints]):
+        found = read_motion(save(path, pickle.dumps(content)), up="y", unit=1.0)
+        np.testing.assert_allclose(found.positions, joints, atol=1e-12)
+    turns = arrays["poses"].reshape(-1, 24, 3)
+    matrices = Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix().reshape(-1, 24, 3, 3)
+    named = read_motion(save(tmp_path / "y.pkl", pickle.dumps({"poses": turns})), up="y")
+    for content in (turns, arrays["poses"], matrices):
+        for found in (
+            read_motion(save(path, pickle.dumps(content)), up="y"),
+            read_motion(save(tmp_path / "x.npy", made.make_npy(content)), up="y"),
+        ):
+            np.testing.assert_allclose(found.rotations, named.rotations, atol=1e-9)
+            assert "arrays.poses" in codes(found)
+    flat = read_motion(save(path, pickle.dumps(joints.reshape(len(joints), -1))), up="y", unit=1.0)
+    np.testing.assert_allclose(flat.positions, joints, atol=1e-12)
+
+
+def test_an_array_for_each_frame(tmp_path):
+    arrays = made.make_smpl(n_joints=24)
+    joints = smpl_joints(arrays["poses"], arrays["trans"])
+    frames = {f"frame_{number}": places for number, places in enumerate(joints)}
+    shuffled = dict(sorted(frames.items(), key=lambda item: item[0][::-1]))
+    for name, content in (("x.npz", made.make_npz(**shuffled)), ("x.pkl", pickle.dumps(shuffled))):
+        found = read_motion(save(tmp_path / name, content), up="y", unit=1.0)
+        np.testing.assert_allclose(found.positions, joints, atol=1e-12)
+        assert "arrays.frames" in codes(found)
+    refused(tmp_path / "x.pkl", pickle.dumps([[1, 2], [3]]), "pickles.no_dictionary")

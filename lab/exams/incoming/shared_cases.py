@@ -54,7 +54,7 @@ def positions_zero(data: Path, work: Path) -> Verdict:
 
 
 def rate_override(data: Path, work: Path) -> Verdict:
-    for option in (["--file-rate", "120"], ["--read", "frame_rate=120"]):
+    for option in (["--read", "frame_rate=120"],):
         answer = run("info", "--json", data / "labelled24.bvh", *option)
         if answer.code == 0 and abs(entry(answer, "frame_rate") - 120) < 1e-6:
             return "right", " ".join(option)

@@ -284,6 +284,8 @@ class _Unpickler(pickle._Unpickler):
 def load_pickle(path: str | os.PathLike[str], data: bytes | None = None) -> dict[Any, Any]:
     """Load the arrays (read-only), numbers, texts, lists and dictionaries of a pickled dictionary, or list of such.
 
+    An array alone, or lists of numbers that make one, is given under the name "".
+
     Parameters
     ----------
     path : a pickle, a dump of joblib, packed or not, or a file of torch.save; for the messages.
@@ -303,6 +305,12 @@ def load_pickle(path: str | os.PathLike[str], data: bytes | None = None) -> dict
     loaded = _plain(loaded, {})
     if isinstance(loaded, list) and all(isinstance(item, dict) for item in loaded):
         loaded = dict(enumerate(loaded, 1))  # people
+    if isinstance(loaded, list | np.ndarray):
+        try:
+            array = np.asarray(loaded)
+        except ValueError:  # lists of unequal lengths
+            array = np.empty(0)
+        loaded = {"": array} if array.ndim > 1 and array.dtype.kind in "iuf" else loaded
     if not isinstance(loaded, dict):
         raise MotionFileError(path, "pickles.no_dictionary", found=type(loaded).__name__)
     return loaded

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import re
 from collections.abc import Sequence
@@ -32,7 +31,6 @@ from dousa.motion.canonical.reference_frame import (
     infer_reference_frame,
     parse_unit,
     parse_up,
-    to_reference_frame,
 )
 from dousa.motion.rotations import conjugate, identity, multiply, rotate
 from dousa.motion.types import freeze
@@ -138,7 +136,7 @@ def _settle_places(
         return Trajectories(skeleton.names, freeze(positions), rate, skeleton.parents, rest)
 
     def infer(sample: Trajectories) -> ReferenceFrame:
-        whole = (lambda: place(slice(0, most_frames))) if most_frames else None
+        whole = (lambda: place(slice(0, most_frames)).positions) if most_frames else None
         return infer_reference_frame(sample, whole=whole, **known)
 
     count = min(len(rotations), 16)
@@ -335,37 +333,36 @@ def settle_trajectories(
 
             def infer() -> ReferenceFrame:
                 return infer_reference_frame(
-                    raw.replace(positions=thin(raw.positions, min(10, raw.n_frames))),
+                    Trajectories(names, freeze(thin(positions, min(10, len(positions)))), timeline.rate),
                     unit=known_unit,
                     up=known_up,
                     declared_unit=unit_in_file,
                     declared_up=up_in_file,
                     default_up=default_up,
-                    whole=lambda: raw.replace(positions=raw.positions[:LONGEST]) if raw.n_frames > LONGEST else raw,
+                    whole=lambda: positions[:LONGEST],
                 )
 
-            raw = Trajectories(names, freeze(positions), timeline.rate)
             frame = infer()
             shift = find_shift(positions, frame.unit)
             if shift is not None:
-                raw = Trajectories(names, freeze(positions - shift), timeline.rate)
+                positions = positions - shift
                 frame, notes = infer(), (*notes, note_shift(shift))
-            settled = to_reference_frame(raw, frame)
+            placed = frame.place(positions)
+            provenance = Provenance(
+                os.fspath(path),
+                format_name,
+                frame.unit,
+                frame.unit_source,
+                frame.up,
+                frame.up_source,
+                values=values,
+                read=(placed,) if keep_values else (),
+                notes=(*notes, *check_body(names, frame.body), *frame.notes),
+                shift=_to_metres(shift, frame),
+            )
+            return Trajectories(names, placed, timeline.rate, provenance=provenance)
     except InvalidMotionError as error:
         raise MotionFileError(path, "markers.damaged", reason=error) from error
-    provenance = Provenance(
-        os.fspath(path),
-        format_name,
-        frame.unit,
-        frame.unit_source,
-        frame.up,
-        frame.up_source,
-        values=values,
-        read=(settled.positions,) if keep_values else (),
-        notes=(*notes, *check_body(names, frame.body), *frame.notes),
-        shift=_to_metres(shift, frame),
-    )
-    return dataclasses.replace(settled, provenance=provenance)
 
 
 def _to_metres(shift: FloatArray | None, frame: ReferenceFrame) -> tuple[float, float, float] | None:

@@ -259,6 +259,7 @@ def test_rows_without_a_number_follow_each_other(tmp_path):
         ("knee_r,knee_r,knee_r,", "knee_r,,knee_r,", "keypoint_table.column", None),
         ("10,20", "ten,20", "keypoint_table.number", 5),
         ("11,21,0.8,", "", "keypoint_table.row", 6),
+        ("11,21,0.8,", "11,21,0.8,0.7,", "keypoint_table.row", 6),
         (DLC[DLC.index("img000") :], "", "keypoint_table.empty", None),
     ],
 )

@@ -85,7 +85,10 @@ def _find_project(path: Path) -> Project | None:
     if not path.is_dir():
         return None
     from dousa.app.pipelines.projects import find_project
+    from dousa.estimation.keypoints.keypoint_files import holds_keypoints
 
+    if holds_keypoints(path):
+        raise OptionError("project.keypoints", path=path)
     return find_project(path)
 
 

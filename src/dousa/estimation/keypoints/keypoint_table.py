@@ -46,13 +46,17 @@ def spell_points(names: Iterable[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Columns:
-    """Columns of x, y and confidence by person and point, of the frame, of the person; lines above; cells of a row."""
+    """Columns of x, y and confidence by person and point, of the frame, of the person; lines above; cells of a row.
+
+    ``width`` : the cells that a row needs; ``most`` : those that have a title.
+    """
 
     points: dict[tuple[str, str], dict[str, int]]
     labels: range
     track: int | None
     above: int
     width: int
+    most: int
 
 
 def is_keypoint_table(path: str | os.PathLike[str], head: int = 65_536) -> bool:
@@ -96,7 +100,7 @@ def _find_titles(rows: Sequence[list[str]]) -> _Columns | None:
     if len(points) < 3 or (depth and not flat) or (label is None and track is not None):
         return None  # rows of people without a frame
     width = max(label or 0, track or 0, *(max(own.values()) for own in points.values())) + 1
-    return _Columns(points, range(0) if label is None else range(label, label + 1), track, above, width)
+    return _Columns(points, range(0) if label is None else range(label, label + 1), track, above, width, len(titles))
 
 
 def read_keypoint_table(path: str | os.PathLike[str], *, most_bytes: int = 500_000_000) -> ReadFrames:
@@ -136,7 +140,7 @@ def _find_heading(rows: Sequence[list[str]]) -> _Columns:
         columns.setdefault((who, parts[column].strip()), {})[kinds[column]] = column
     if any(not {"x", "y"} <= found.keys() for found in columns.values()) or not columns:
         raise KeypointError("keypoint_table.unknown", found=tuple(kinds[first : first + 4]))
-    return _Columns(columns, range(first), None, len(heading), len(kinds))
+    return _Columns(columns, range(first), None, len(heading), len(kinds), len(kinds))
 
 
 def _read_rows(rows: Sequence[list[str]], columns: _Columns) -> ReadFrames:
@@ -170,8 +174,9 @@ def _parse_column(body: Sequence[list[str]], column: int, columns: _Columns) -> 
     values = np.full(len(body), np.nan)
     for number, row in enumerate(body):
         line = columns.above + number + 1
-        if len(row) < columns.width:
-            raise KeypointError("keypoint_table.row", expected=columns.width, found=len(row)).at(line=line)
+        found = len(row) if len(row) <= columns.most else max(n for n, cell in enumerate(row, 1) if cell.strip())
+        if not columns.width <= found <= columns.most:
+            raise KeypointError("keypoint_table.row", expected=columns.most, found=found).at(line=line)
         word = row[column].strip()
         try:
             values[number] = float(word) if word else np.nan

@@ -170,11 +170,11 @@ def name_joints(
 def _choose_layout(points: FloatArray) -> Layout | None:
     """Layout of this number of joints with the most constant limb lengths over time and between the sides."""
     fitting = [layout for layout in list_layouts() if len(layout.names) == points.shape[1]]
-    return min(fitting, key=lambda layout: _unlikeness(points, layout.names)) if fitting else None
+    return min(fitting, key=lambda layout: measure_unevenness(points, layout.names)) if fitting else None
 
 
-def _unlikeness(points: FloatArray, names: tuple[str, ...]) -> float:
-    """Spread of the lengths of arms and legs, over the frames and between left and right, as a share of them."""
+def measure_unevenness(points: FloatArray, names: tuple[str, ...]) -> float:
+    """Measure how the lengths of four limbs spread over frames (T, J, 3) and sides: the sum of shares of the length."""
     match = match_names(names)
     if match is None or match.missing:
         return float("inf")

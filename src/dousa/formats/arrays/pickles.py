@@ -9,15 +9,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dousa.arrays import FloatArray
 from dousa.errors import MotionFileError
+from dousa.files.frame_files import natural_key
 from dousa.files.pickles import load_pickle
 from dousa.formats.arrays.bodies import Body, as_array, list_bodies, name_people
-from dousa.formats.arrays.joints import build_joints, find_joints, is_joint_array, list_layouts
+from dousa.formats.arrays.features import FEATURES, MOTION_X, recover_joints
+from dousa.formats.arrays.joints import build_joints, find_joints, is_joint_array, list_layouts, measure_unevenness
 from dousa.formats.parts import choose, distinguish, load_once
-from dousa.formats.smpl import AIST_RATE, build_smpl, read_rate
-from dousa.formats.smpl_poses import are_poses, find_roles, rank_place
+from dousa.formats.smpl import AIST_RATE, build_smpl, mean_body, read_rate
+from dousa.formats.smpl_poses import JOINTS_OF, are_poses, as_turns, find_roles, rank_place
 from dousa.messages import Message
 from dousa.motion import Motion, Trajectories
+from dousa.motion.canonical.anthropometry import measure_proportions
+from dousa.motion.canonical.recipes import named_recipes
+from dousa.motion.canonical.tree_shape import spread_frames
 
 
 def read_pickle(
@@ -30,7 +36,7 @@ def read_pickle(
     person: str | None = None,
     animation: str | None = None,
 ) -> Motion | Trajectories:
-    """Read a pickled dictionary of SMPL bodies or of joint positions: a pickle, a dump of joblib, a file of torch.
+    """Read a pickled dictionary of SMPL bodies or joint positions, or an array: a pickle, a dump of joblib or torch.
 
     Parameters
     ----------
@@ -60,7 +66,7 @@ def build_content(
     person: str | None,
     animation: str | None,
 ) -> Motion | Trajectories:
-    """Build the motion of a dictionary of arrays, numbers, texts, lists and dictionaries.
+    """Build the motion of a dictionary of arrays, numbers, texts, lists and dictionaries; "" names an array alone.
 
     Parameters
     ----------
@@ -86,7 +92,59 @@ def build_content(
             default_up=None if filmed else "z", notes=notes, turns=body.turns,
         )  # fmt: skip
     options: dict[str, Any] = {"unit": unit, "up": up, "frame_rate": frame_rate}
+    if [*arrays] == [""]:
+        return _build_bare(path, arrays[""], skeleton, person, animation, options)
     return _build_joints(path, content, arrays, person, animation, options)
+
+
+def _build_bare(
+    path: str | os.PathLike[str],
+    array: NDArray[Any],
+    skeleton: str | os.PathLike[str] | None,
+    person: str | None,
+    animation: str | None,
+    options: dict[str, Any],
+) -> Motion | Trajectories:
+    """The motion of an array without a name: rows of features, rotations of SMPL, samples, or joints."""
+    _refuse_pictures(path, array)
+    rows = array.reshape([axis for axis in array.shape if axis != 1])
+    if rows.ndim == 2 and rows.shape[1] == MOTION_X:
+        parts = {"poses": rows[:, :156], "trans": rows[:, 309:312], "betas": rows[:, 312:]}
+        return build_smpl(path, parts.get, parts, skeleton=skeleton, default_up="y", **options)
+    if rows.ndim == 2 and rows.shape[1] in FEATURES:
+        return build_joints(path, name_kind(path), recover_joints(path, rows), **options)
+    if rows.ndim == 2 and rows.shape[1] % 3 == 0 and rows.shape[1] // 3 in JOINTS_OF:
+        array = rows = rows.reshape(len(rows), -1, 3)
+    if (turns := _read_turns(rows)) is not None:
+        notes = (Message("arrays.poses", joints=turns.shape[1], model=JOINTS_OF[turns.shape[1]]),)
+        poses: dict[str, Any] = {"skeleton": skeleton, "default_up": None, "notes": notes, "turns": turns}
+        return build_smpl(path, {}.get, (), **poses, **options)
+    if rows.ndim == 4 and is_joint_array(rows.shape[1:]):
+        return _build_joints(path, {}, {"motion": rows}, person, animation, options)
+    return build_joints(path, name_kind(path), array, **options)
+
+
+def name_kind(path: str | os.PathLike[str]) -> str:
+    """Return the name of a format of arrays: the suffix."""
+    return os.path.splitext(os.fspath(path))[1].lower().lstrip(".")
+
+
+def _read_turns(array: NDArray[Any], uneven: float = 0.8) -> FloatArray | None:
+    """Rotations (T, J, 4) of SMPL of an array without a name: matrices, or vectors that as places make no person.
+
+    Of 278 recordings (bandai, HDM05, foreign) one has rotation vectors that would make a person; all places of Kinects
+    do, with limbs that are ``uneven`` by 0.61 at most.
+    """
+    if array.ndim not in (3, 4) or array.shape[1] not in JOINTS_OF or array.shape[2:] not in ((3,), (3, 3)):
+        return None
+    if not len(array) or not np.isfinite(array).all():
+        return None
+    if array.ndim == 3:
+        names, places = mean_body(array.shape[1]).names, spread_frames(array.astype(np.float64))
+        is_person = measure_proportions(named_recipes(names)[0].apply(places)).is_person
+        if np.abs(array).max() > 2 * np.pi or (is_person and measure_unevenness(places, names) < uneven):
+            return None
+    return as_turns(array, (array.shape[1],))
 
 
 def _build_joints(
@@ -98,7 +156,9 @@ def _build_joints(
     options: dict[str, Any],
 ) -> Trajectories:
     """The joints of a dictionary without bodies: samples, people, nested takes, or one array."""
-    kind = os.path.splitext(os.fspath(path))[1].lower().lstrip(".")
+    kind = name_kind(path)
+    if (frames := _gather_frames(arrays)) is not None:
+        return build_joints(path, kind, frames, notes=(Message("arrays.frames", n=len(frames)),), **options)
     samples = _list_samples(content, arrays)
     if samples:
         names = distinguish(text or f"sample {number}" for number, (_, text, _) in enumerate(samples, 1))
@@ -130,6 +190,24 @@ def _build_joints(
     texts = next((one for one in lists if getattr(one, "ndim", 1) == 1), ())
     named = tuple(map(str, texts)) if len(texts) and all(isinstance(text, str) for text in texts) else None
     return build_joints(path, kind, arrays[name], names=named, **(options | {"frame_rate": rate}))
+
+
+def _refuse_pictures(path: str | os.PathLike[str], array: NDArray[Any], far: float = 100.0) -> None:
+    """Raise MotionFileError for points in pictures; of several cameras, as FreeMoCap saves them, with MediaPipe's z.
+
+    ``far`` : of x or y, of which none is below 0: no data set in metres has such places, and every picture.
+    """
+    low, high = (reduce(array[..., :2], axis=None) for reduce in (np.fmin.reduce, np.fmax.reduce))
+    if array.ndim > 2 and (array.shape[-1] == 2 or (array.ndim == 4 and low >= 0 and high > far)):
+        raise MotionFileError(path, "guard.flat")
+
+
+def _gather_frames(arrays: Mapping[str, NDArray[Any]]) -> NDArray[Any] | None:
+    """Places (T, J, 3) of arrays (J, 3) of one frame each, in the order of the numbers in their names; else None."""
+    shapes = {array.shape for array in arrays.values()}
+    if len(arrays) < 2 or len(shapes) > 1 or not is_joint_array((2, *shapes.pop())):
+        return None
+    return np.stack([arrays[name] for name in sorted(arrays, key=natural_key)])
 
 
 def _walk(content: Any, title: str = "", depth: int = 0, most: int = 5000) -> Iterator[tuple[str, NDArray[Any]]]:

@@ -16,8 +16,8 @@ from dousa.arrays import FloatArray, IndexArray
 from dousa.messages import Message
 from dousa.motion.canonical.anthropometry import find_medians, stature_of_parts
 from dousa.motion.canonical.joints import JOINT_INDEX
+from dousa.motion.canonical.mapping import ChosenMap
 from dousa.motion.canonical.recipes import Recipe
-from dousa.motion.canonical.reference_frame import MappedBody
 from dousa.motion.types import Skeleton
 
 _CHAINS = (("hip", "knee", "ankle"), ("shoulder", "elbow", "wrist"))
@@ -64,7 +64,7 @@ def _list_placed(skeleton: Skeleton) -> IndexArray:
 
 def check_body(
     names: Sequence[str],
-    mapped: MappedBody | None,
+    mapped: ChosenMap | None,
     parents: IndexArray | None = None,
     translations: FloatArray | None = None,
 ) -> tuple[Message, ...]:
@@ -79,7 +79,7 @@ def check_body(
     """
     if mapped is None:
         return ()
-    points, recipe = mapped.points, mapped.chosen.recipe
+    points, recipe = mapped.points, mapped.recipe
     if not (points[:1] > points[:1, :1]).any():  # spares the look at every value
         extent = np.fmax.reduce(points, axis=1) - np.fmin.reduce(points, axis=1)
         if not (extent > 0).any():

@@ -203,7 +203,8 @@ def _choose_recipe(
     """Choose a joint map, else names, else tree shape, else a part; points that are never seen do not count."""
     names = names_of_seen(moving.names, never)
     if joint_map is not None:
-        return ChosenMap(recipe_from_joint_map(joint_map, names), True)
+        recipe = recipe_from_joint_map(joint_map, names)
+        return ChosenMap(recipe, body_points(recipe, spread_frames(moving.positions)))
     _, *others = _group_people(moving).values() or ((),)  # keep their places but lose their names
     chosen = choose_map(moving, (*never, *chain.from_iterable(others)), markers)
     if chosen is None:

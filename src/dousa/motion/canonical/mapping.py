@@ -32,16 +32,16 @@ class ChosenMap:
     Parameters
     ----------
     recipe : the map.
+    points : (T, 20, 3) of at most 32 frames, in the file's unit and axes; NaN where absent.
     is_person : whether the proportions are possible.
-    passed_over : tables that cover as much but give no person.
     is_odd : whether only the names suggest a person.
     markers : whether points named like joints were taken for markers on the skin, by the width of the hips alone; None
         if the names or a point inside the body decide.
     """
 
     recipe: Recipe
-    is_person: bool
-    passed_over: tuple[str, ...] = ()
+    points: FloatArray
+    is_person: bool = True
     is_odd: bool = False
     markers: bool | None = None
 
@@ -55,22 +55,28 @@ def choose_map(sample: Trajectories, unseen: tuple[int, ...] = (), markers: bool
     unseen : indices of points that are never seen: they do not count.
     markers : whether points named like joints are markers on the skin; None to decide it.
     """
-    names = names_of_seen(sample.names, unseen)
+    names, frames = names_of_seen(sample.names, unseen), spread_frames(sample.positions)
     first: ChosenMap | None = None
-    failed: list[str] = []
     for candidate in _candidates(names, sample, use_tree=not unseen):
-        wide = _marks_the_skin(candidate, sample, names)
-        on_skin = _can_be_on_skin(candidate, sample) if markers else wide if markers is None else False
-        recipe = on_the_skin(candidate) if on_skin else candidate
-        if first is not None and recipe.table == "tree shape" and _is_odd_person(first.recipe, sample):
+        recipe = candidate
+        points = body_points(recipe, frames)
+        measured = measure_proportions(points)
+        wide = None
+        if sample.parents is None and "left_hip" in recipe.sources and not recipe.skin:
+            # Points without a tree, no marker of the pelvis among them, may be on the skin.
+            wide = None if named_by_estimators(names) else _marks_the_skin(recipe, points, measured)
+            if wide if markers is None else markers:
+                recipe = on_the_skin(recipe)
+                points = body_points(recipe, frames)
+                measured = measure_proportions(points)
+        if first is not None and recipe.table == "tree shape" and _is_odd_person(first, sample):
             break  # the names of a whole body that stands upright say more
-        if _is_person(recipe, sample):
-            return ChosenMap(recipe, True, tuple(failed), markers=wide)
-        first = first or ChosenMap(recipe, False, markers=wide)
-        failed.append(recipe.table)
+        if _is_person(recipe, sample, points, measured):
+            return ChosenMap(recipe, points, True, markers=wide)
+        first = first or ChosenMap(recipe, points, False, markers=wide)
     if first is None:
         return None
-    is_odd = named_by_estimators(names) or _is_odd_person(first.recipe, sample)
+    is_odd = named_by_estimators(names) or _is_odd_person(first, sample)
     return dataclasses.replace(first, is_person=is_odd, is_odd=is_odd)
 
 
@@ -91,17 +97,12 @@ def _candidates(names: tuple[str, ...], sample: Trajectories, *, use_tree: bool)
         yield from sorted(partial_recipes(names), key=lambda recipe: rig and bool(recipe.estimated))
 
 
-def _can_be_on_skin(recipe: Recipe, sample: Trajectories) -> bool:
-    """Whether joints may be markers on their outer side: points without a tree, no marker of the pelvis among them."""
-    return sample.parents is None and "left_hip" in recipe.sources and not recipe.skin
-
-
 def _marks_the_skin(
-    recipe: Recipe, sample: Trajectories, names: tuple[str, ...], wide_hips: float = 0.34, inside: float = 0.08
+    recipe: Recipe, points: FloatArray, measured: Proportions, wide_hips: float = 0.34, inside: float = 0.08
 ) -> bool | None:
     """Whether joints are in fact markers on their outer side: hips are as wide as the trochanters.
 
-    None if that is not the question: cameras see joints, and a pelvis between the hips is inside the body.
+    None if that is not the question: a pelvis between the hips is inside the body.
 
     Parameters
     ----------
@@ -109,16 +110,13 @@ def _marks_the_skin(
     inside : share of the leg by which a pelvis may lie before or behind the hips; a marker on the sacrum is 0.12
         behind, Kinects see it 0.03 to 0.055 behind, and other makers put it between the hips.
     """
-    if not _can_be_on_skin(recipe, sample) or named_by_estimators(names):
-        return None
-    points = body_points(recipe, spread_frames(sample.positions))
     if "pelvis" in recipe.sources:
         hips = 0.5 * (points[:, J["left_hip"]] + points[:, J["right_hip"]])
         behind = np.einsum("tk,tk->t", points[:, J["pelvis"]] - hips, compute_forward(points))
         legs = np.linalg.norm(points[:, _UPPER] - points[:, _LOWER], axis=2).sum(axis=1) / 2
         if abs(float(find_medians((behind / legs)[:, None])[0])) < inside:
             return None
-    return measure_proportions(points).ratios["hips_per_leg"] > wide_hips
+    return measured.ratios["hips_per_leg"] > wide_hips
 
 
 _UPPER, _LOWER = (
@@ -139,12 +137,10 @@ def _is_animal(names: tuple[str, ...], points: FloatArray, measured: Proportions
     return walks_on_fours(points, measured, 0.6) if _has_tail(names) else walks_on_fours(points, measured)
 
 
-def _is_person(recipe: Recipe, sample: Trajectories) -> bool:
+def _is_person(recipe: Recipe, sample: Trajectories, points: FloatArray, measured: Proportions) -> bool:
     """Whether the bones are a person's: those of the skeleton, else those in motion (files may replace the offsets)."""
     if set(CANONICAL_JOINTS) <= set(sample.names):
         return True  # the names are a person's already
-    points = body_points(recipe, spread_frames(sample.positions))
-    measured = measure_proportions(points)
     if _is_animal(sample.names, points, measured):
         return False
     rest = sample.rest_positions
@@ -154,7 +150,7 @@ def _is_person(recipe: Recipe, sample: Trajectories) -> bool:
 
 
 def _is_odd_person(
-    recipe: Recipe,
+    chosen: ChosenMap,
     sample: Trajectories,
     mostly: float = 0.5,
     upright: float = 0.5,
@@ -170,9 +166,9 @@ def _is_odd_person(
     narrowest : distance of the hips as a share of the legs; points that coincide are no hips.
     longest_arms : share of the legs; those of apes and four-legged rigs are longer.
     """
+    recipe, points = chosen.recipe, chosen.points
     if recipe.table == "tree shape":
         return False
-    points = body_points(recipe, spread_frames(sample.positions))
     found = measure_proportions(points)
     if _is_animal(sample.names, points, found):
         return False

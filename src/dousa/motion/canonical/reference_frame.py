@@ -20,7 +20,6 @@ from dousa.messages import Message
 from dousa.motion.canonical.geometry import STATURE_PER_HEIGHT, body_points, estimate_stature
 from dousa.motion.canonical.mapping import ChosenMap, choose_map
 from dousa.motion.canonical.naming import named_by_estimators
-from dousa.motion.canonical.recipes import Recipe
 from dousa.motion.canonical.upright import (
     find_fall,
     guess_from_cloud,
@@ -52,25 +51,6 @@ _ROTATIONS: dict[str, FloatArray] = {
 _Moving = TypeVar("_Moving", Motion, Trajectories)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MappedBody:
-    """The canonical joints of some frames of a file.
-
-    Parameters
-    ----------
-    chosen : the map.
-    points : (T, 20, 3) in the file's unit and axes; NaN where absent.
-    """
-
-    chosen: ChosenMap
-    points: FloatArray
-
-    @property
-    def sources(self) -> dict[str, tuple[int, ...]]:
-        """Return canonical joint -> indices of the points it is the mean of."""
-        return self.chosen.recipe.sources
-
-
 @dataclass(frozen=True, slots=True)
 class ReferenceFrame:
     """How a file's numbers become metres with Y up.
@@ -92,12 +72,16 @@ class ReferenceFrame:
     up: str = "y"
     up_source: str = "assumed"
     notes: tuple[Message, ...] = ()
-    body: MappedBody | None = field(default=None, compare=False)
+    body: ChosenMap | None = field(default=None, compare=False)
 
     @property
     def rotation(self) -> FloatArray:
         """(3, 3) rotation from the file's axes to Y up."""
         return _ROTATIONS[self.up]
+
+    def place(self, positions: FloatArray) -> FloatArray:
+        """Convert positions (..., 3) of the file to metres with Y up, read-only."""
+        return _turn(positions, self.unit, self.rotation)
 
 
 def parse_unit(text: str | float) -> float:
@@ -136,7 +120,7 @@ def infer_reference_frame(
     declared_unit: float | None = None,
     declared_up: str | None = None,
     default_up: str | None = "y",
-    whole: Callable[[], Trajectories] | None = None,
+    whole: Callable[[], FloatArray] | None = None,
     assumed: float = 1.7,
 ) -> ReferenceFrame:
     """Find the unit and the up axis of a file.
@@ -151,13 +135,11 @@ def infer_reference_frame(
     declared_unit : metres per unit in the file; rejected if the body would be under 0.3 m or over 3 m.
     declared_up : up axis in the file; rejected if the body clearly stands along another.
     default_up : usual up axis of the format; None if it has none.
-    whole : returns all frames, used where the sample leaves a doubt.
+    whole : returns the positions (T, K, 3) of all frames, used where the sample leaves a doubt.
     assumed : m, stature where no usual unit makes the body a plausible one.
     """
-    chosen = choose_map(sample)
-    recipe = None if chosen is None else chosen.recipe
-    points = None if recipe is None else body_points(recipe, sample.positions)
-    body = None if chosen is None or points is None else MappedBody(chosen, points)
+    body = choose_map(sample)
+    points = None if body is None else body.points
     stature = estimate_stature(sample, points)
     if unit is not None:
         found: tuple[float, str, tuple[Message, ...]] = (unit, "given", ())
@@ -168,24 +150,25 @@ def infer_reference_frame(
         found = _choose_unit(stature, declared_unit, assumed, mapped=points is not None)
     if up is not None:
         axis: tuple[str, str, tuple[Message, ...]] = (parse_up(up), "given", ())
-    elif recipe is None or points is None or not stature > 0:
+    elif body is None or not stature > 0:
         axis = _up_of_a_cloud(sample, declared_up, default_up)
     else:
-        axis = _choose_up(sample, recipe, points, found[0], declared_up, default_up, whole)
+        axis = _choose_up(sample, body, stature, found[0], declared_up, default_up, whole)
     return ReferenceFrame(found[0], found[1], axis[0], axis[1], (*found[2], *axis[2]), body)
 
 
 def _choose_up(
     sample: Trajectories,
-    recipe: Recipe,
-    points: FloatArray,
+    body: ChosenMap,
+    stature: float,
     unit: float,
     declared: str | None,
     habit: str | None,
-    whole: Callable[[], Trajectories] | None,
+    whole: Callable[[], FloatArray] | None,
 ) -> tuple[str, str, tuple[Message, ...]]:
     """The up axis, its source, and notes for the user."""
-    rest = rest_direction(recipe, sample.rest_positions)
+    points = body.points
+    rest = rest_direction(body.recipe, sample.rest_positions)
     expected = declared or habit
     if expected is not None and stands_along(points, expected, rest):
         return expected, "declared" if declared else "assumed", ()
@@ -194,11 +177,9 @@ def _choose_up(
         return resting, "inferred", ()
     fall = None
     if whole is not None:
-        every = whole()
-        points = body_points(recipe, every.positions)
-        fall = find_fall(points, every.frame_rate, unit)
-    height = estimate_stature(sample, points) / STATURE_PER_HEIGHT
-    found = weigh_axes(points, height, rest, habit=habit, declared=declared, fall=fall)
+        points = body_points(body.recipe, whole())
+        fall = find_fall(points, sample.frame_rate, unit)
+    found = weigh_axes(points, stature / STATURE_PER_HEIGHT, rest, habit=habit, declared=declared, fall=fall)
     if declared is not None:
         if found.axis == declared:
             return declared, "declared", ()
@@ -290,25 +271,14 @@ def _likely_unit(stature: float, assumed: float) -> tuple[float, str]:
     return assumed / stature, "assumed"
 
 
-def to_reference_frame(moving: _Moving, frame: ReferenceFrame) -> _Moving:
-    """Convert a motion in the unit and axes of a file to metres with Y up.
-
-    Roots and rest positions of trajectories are rotated; the provenance is kept.
-    """
-    return _change_frame(moving, frame.unit, frame.rotation)
-
-
 def from_reference_frame(moving: _Moving, frame: ReferenceFrame) -> _Moving:
-    """Convert a motion in metres with Y up to the unit and axes of a file; the inverse of `to_reference_frame`."""
-    return _change_frame(moving, 1.0 / frame.unit, frame.rotation.T)
-
-
-def _change_frame(moving: _Moving, scale: float, rotation: FloatArray) -> _Moving:
+    """Convert a motion in metres with Y up to the unit and axes of a file; the provenance is kept."""
+    scale, rotation = 1.0 / frame.unit, frame.rotation.T
     if isinstance(moving, Motion):
-        return _change_motion(moving, scale, rotation)
+        skeleton, *poses = change_arrays(moving.skeleton, moving.rotations, moving.translations, scale, rotation)
+        return dataclasses.replace(moving, skeleton=skeleton, rotations=poses[0], translations=poses[1])
     rest = None if moving.rest_positions is None else _turn(moving.rest_positions, scale, rotation)
-    positions = _turn(moving.positions, scale, rotation)
-    return dataclasses.replace(moving, positions=positions, rest_positions=rest)
+    return dataclasses.replace(moving, positions=_turn(moving.positions, scale, rotation), rest_positions=rest)
 
 
 def _turn(points: FloatArray, scale: float, rotation: FloatArray) -> FloatArray:
@@ -319,11 +289,6 @@ def _turn(points: FloatArray, scale: float, rotation: FloatArray) -> FloatArray:
     for axis, column in enumerate(np.abs(rotation).argmax(axis=1)):  # a long recording takes a copy, not three
         np.multiply(points[..., column], scale * rotation[axis, column], out=turned[..., axis])
     return freeze(turned)
-
-
-def _change_motion(motion: Motion, scale: float, rotation: FloatArray) -> Motion:
-    changed = change_arrays(motion.skeleton, motion.rotations, motion.translations, scale, rotation)
-    return dataclasses.replace(motion, skeleton=changed[0], rotations=changed[1], translations=changed[2])
 
 
 def change_arrays(

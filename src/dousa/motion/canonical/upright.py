@@ -29,6 +29,10 @@ AXES = ("y", "z", "x", "-y", "-z", "-x")
 # The unit vector of each axis.
 _VECTORS = {name: np.eye(3)["xyz".index(name[-1])] * (-1.0 if name.startswith("-") else 1.0) for name in AXES}
 
+_MATRIX = np.stack(list(_VECTORS.values()))
+# Columns of the first three axes, by the same definition.
+_COLUMNS = ["xyz".index(axis) for axis in AXES[:3]]
+
 _CLEAR = 1.5  # lead in natural logarithms of odds; measured: from it on no file of the 20 producers was wrong
 
 
@@ -175,38 +179,24 @@ def weigh_axes(
     weak : weight of a direction, such as of an arm, that gives no more than a guess.
     """
     body, trust = body_direction(points)
-    centred = _find_centred(points, height)
-    scores, postures = {}, {}
-    # One joint after the other in the memory: the lowest of all is found several times as fast.
-    places = np.ascontiguousarray(points.transpose(1, 2, 0)) * (1.0 / height)
-    lowest, highest = np.fmin.reduce(places), np.fmax.reduce(places)
-    seen: BoolArray = np.any(~np.isnan(places), axis=2)
-    feet, knees, tops = (np.any(seen[rows], axis=0).tolist() for rows in (_LEGS, _LEGS[:4], _TOPS))
+    scores = np.array([_prior(axis, habit, declared, bare=rest is None) for axis in AXES])
     mean = body.mean(axis=0) if len(body) else np.zeros(3)
-    is_aligned = float(np.abs(mean).max()) > aligned
-    # Mean cosine between the body and the axis, and the logarithm of how often files are like that.
-    cosines, odds = [-1.0, -0.3, 0.0, 0.3, 0.6, 0.8, 1.0], [-8.0, -6.0, -3.5, -2.5, -1.0, -0.1, 0.0]
-    for axis, vector in _VECTORS.items():
-        score = _prior(axis, habit, declared, bare=rest is None)
-        if len(body):
-            posture = float(mean @ vector)
-            postures[axis] = posture
-            score += trust * float(np.interp(posture, cosines, odds))
-            column = "xyz".index(axis[-1])
-            ends = (lowest[column], highest[column]) if vector[column] > 0 else (-highest[column], -lowest[column])
-            if feet[column]:
-                fixed = bool(centred[column])
-                score += _floor_score(*ends, lying=abs(posture) < lying, centred=fixed, pinned=centred.sum() > 1)
-            if not knees[column] and tops[column]:
-                score += _hover_score(places[_TOPS, column] * vector[column])
-            if abs(posture) < lying and is_aligned:
-                score -= 1.5
-        if rest is not None and points_along(rest, axis):
-            score += 2.9 if axis[-1] != "x" else 0.3  # rest poses along x are a habit of drawing bones
-        if fall is not None:
-            score += 3.0 * float(-fall @ vector)
-        scores[axis] = score
-    best, second = sorted(AXES, key=lambda axis: -scores[axis])[:2]
+    postures = _MATRIX @ mean
+    if len(body):
+        across = np.abs(postures) < lying
+        # Mean cosine between the body and the axis, and the logarithm of how often files are like that.
+        cosines, odds = [-1.0, -0.3, 0.0, 0.3, 0.6, 0.8, 1.0], [-8.0, -6.0, -3.5, -2.5, -1.0, -0.1, 0.0]
+        scores += trust * np.interp(postures, cosines, odds)
+        scores += _score_place(points[..., _COLUMNS] / height, across, _find_centred(points, height)[_COLUMNS])
+        if np.abs(mean).max() > aligned:
+            scores[across] -= 1.5
+    if rest is not None:
+        # Rest poses along x are a habit of drawing bones.
+        scores += [points_along(rest, axis) * (2.9 if axis[-1] != "x" else 0.3) for axis in AXES]
+    if fall is not None:
+        scores -= 3.0 * (_MATRIX @ fall)
+    first, next_best = np.argsort(-scores, kind="stable")[:2].tolist()
+    best, second, lead = AXES[first], AXES[next_best], float(scores[first] - scores[next_best])
     tumbles = len(body) > 0 and float(np.linalg.norm(mean)) < tumbling
     if tumbles and fall is None:  # over its head and back: the up axis is one that it turns away from and back to
         spread = body.var(axis=0)
@@ -214,12 +204,12 @@ def weigh_axes(
         return Upright(*order, 0.0)
     if trust < weak:
         return Upright(best, second, 0.0)
-    if habit is not None and best != habit and scores[best] - scores[habit] < _CLEAR:
+    if habit is not None and best != habit and scores[first] - scores[AXES.index(habit)] < _CLEAR:
         return Upright(habit, best, 0.0)  # nothing clear speaks against the habit
-    along_it = max(postures, key=lambda axis: postures[axis], default=best)
-    if fall is None and postures.get(best, 1.0) < lying and postures.get(along_it, 0.0) > standing:
-        return Upright(best, along_it, 0.0)  # a body that lies all the time may stand along an unusual axis
-    return Upright(best, second, scores[best] - scores[second])
+    if fall is None and postures[first] < lying and postures.max() > standing:
+        # A body that lies all the time may stand along an unusual axis.
+        return Upright(best, AXES[int(postures.argmax())], 0.0)
+    return Upright(best, second, lead)
 
 
 def _prior(axis: str, habit: str | None, declared: str | None, *, bare: bool) -> float:
@@ -243,59 +233,81 @@ _LEGS = [J[f"{side}_{joint}"] for joint in ("knee", "ankle", "toe") for side in 
 _TOPS = [J["neck"], J["left_shoulder"], J["right_shoulder"]]
 
 
-def _percentile(ordered: FloatArray, percent: float) -> float:
-    """The percentile of sorted values, as NumPy's, which takes several times as long for some hundreds."""
-    place = percent / 100 * (len(ordered) - 1)
+def _score_place(
+    points: FloatArray, lying: BoolArray, centred: BoolArray, low: float = 0.45, high: float = 0.95
+) -> FloatArray:
+    """Score (6,) every axis by where the body is along it: feet on a floor, else shoulders of people who sit or stand.
+
+    Parameters
+    ----------
+    points : (T, 20, 3) in heights of the body, in the order of the first three axes.
+    lying : (6,) whether the body is across the axis.
+    centred : (3,) whether the pelvis was put to zero along it.
+    low, high : height above zero of the shoulders of people, whose knees are not seen.
+    """
+    # One joint after the other in the memory: the lowest of all is found several times as fast.
+    places = np.ascontiguousarray(points.transpose(1, 2, 0))
+    ends = np.minimum.reduce(places), np.maximum.reduce(places)
+    if not np.isnan(ends[0].sum()):  # nearly every file shows all joints in all frames
+        return _score_floors(*ends, lying, centred)
+    seen: BoolArray = ~np.isnan(places).all(axis=(1, 2))
+    scores = np.zeros(len(AXES))
+    if seen[_LEGS].any():
+        ends = np.fmin.reduce(places), np.fmax.reduce(places)
+        shown = ~np.isnan(ends[0]).any(axis=0)
+        scores += _score_floors(ends[0][:, shown], ends[1][:, shown], lying, centred)
+    if not seen[_LEGS[:4]].any() and seen[_TOPS].any():
+        tops = np.nanmedian(places[_TOPS], axis=(0, 2))
+        tops = np.concatenate((tops, -tops))
+        scores[(low < tops) & (tops < high)] += 1.2
+    return scores
+
+
+def _percentile(ordered: FloatArray, percent: float) -> FloatArray:
+    """The percentile of sorted rows (N, T), as NumPy's, which takes several times as long for some hundreds."""
+    place = percent / 100 * (ordered.shape[1] - 1)
     below = int(place)
-    above = min(below + 1, len(ordered) - 1)
-    return float(ordered[below] + (place - below) * (ordered[above] - ordered[below]))
+    above = min(below + 1, ordered.shape[1] - 1)
+    percentile: FloatArray = ordered[:, below] + (place - below) * (ordered[:, above] - ordered[:, below])
+    return percentile
 
 
-def _floor_score(
+def _score_floors(
     lowest: FloatArray,
     highest: FloatArray,
+    lying: BoolArray,
+    centred: BoolArray,
     *,
-    lying: bool,
-    centred: bool,
-    pinned: bool,
     steady: float = 0.05,
     unsteady: float = 0.15,
     far: float = 0.7,
     below: float = -0.035,
     thin: float = 0.4,
-) -> float:
-    """Score a body that stands, or lies flat, on a floor along an axis; all in heights of the body.
+) -> FloatArray:
+    """Score (6,) a body that stands, or lies flat, on a floor along each axis; all in heights of the body.
 
     Parameters
     ----------
-    lowest, highest : (T,) places of its ends along the axis, NaN in frames that show none.
-    lying : whether the body is across the axis.
-    centred : whether the pelvis was put to zero along it; then its level does not count, and the axis is unlikely
-        to be up unless the pelvis is ``pinned`` to a place: people stand on floors.
+    lowest, highest : (3, T) places of its ends.
+    lying : (6,) whether the body is across the axis.
+    centred : (3,) whether the pelvis was put to zero along it; then its level does not count, and the axis is unlikely
+        to be up unless the pelvis is pinned to a place, along more than one: people stand on floors.
     steady, unsteady : scatter of the lowest points over time.
     far : distance of a floor from zero that speaks against it.
     below : a lying body below this is on no floor.
     thin : extent of a body that lies flat.
     """
-    ordered = np.sort(lowest)
-    ordered = ordered[: len(ordered) - np.count_nonzero(np.isnan(ordered))]
-    off = ordered - ordered.sum() / len(ordered)
-    level, scatter = _percentile(ordered, 2), float(np.sqrt(off @ off / len(ordered)))
-    score = 1.0 if scatter <= steady else -1.5 if scatter > unsteady else 0.0
-    if centred:
-        return score if pinned else score - 1.5
-    if abs(level) > far:
-        return score - 3.0
-    if lying and level < below:  # a body on a floor is above it
-        return score
-    on_floor = next((value for most, value in ((0.04, 2.2), (0.1, 1.5), (0.2, 0.5)) if abs(level) <= most), 0.0)
-    flat = lying and on_floor > 0 and _percentile(np.sort(highest - lowest)[: len(ordered)], 90) < thin
-    return score + on_floor + 2.0 * flat
-
-
-def _hover_score(tops: FloatArray, low: float = 0.45, high: float = 0.95) -> float:
-    """Score shoulders without legs by their height above zero: that of people sitting or standing."""
-    return 1.2 if low < float(np.nanmedian(tops)) < high else 0.0
+    ordered = np.sort(np.concatenate((lowest, -highest)), axis=1)
+    level, scatter = _percentile(ordered, 2), ordered.std(axis=1)
+    on_floor = np.array([2.2, 1.5, 0.5, 0.0])[np.searchsorted([0.04, 0.1, 0.2], np.abs(level))]
+    if lying.any():
+        flat = _percentile(np.sort(highest - lowest, axis=1), 90) < thin
+        on_floor[lying & (on_floor > 0) & np.tile(flat, 2)] += 2.0
+        on_floor[lying & (level < below)] = 0.0  # a body on a floor is above it
+    on_floor[np.abs(level) > far] = -3.0
+    if centred.any():
+        on_floor[np.tile(centred, 2)] = 0.0 if centred.sum() > 1 else -1.5
+    return np.where(scatter <= steady, 1.0, np.where(scatter > unsteady, -1.5, 0.0)) + on_floor
 
 
 @lru_cache(maxsize=16)
@@ -329,15 +341,17 @@ def find_fall(
     window, least : s, of a parabola and of the whole fall.
     tolerance : share of ``gravity``, m/s^2.
     """
-    there = ~np.isnan(points).any(axis=(0, 2))
+    there = ~np.isnan(points.sum(axis=(0, 2)))
     n = max(5, round(window * frame_rate))
     if not there.any() or frame_rate < 25 or len(points) < 2 * n:
         return None
-    path = points[:, there].mean(axis=1) * unit
+    path = (points if there.all() else points[:, there]).mean(axis=1) * unit
     weights = _fit_parabola(n, frame_rate)
     acceleration = np.stack([np.correlate(column, weights, "valid") for column in path.T], axis=1)
-    size = np.linalg.norm(acceleration, axis=1)
+    size = np.sqrt(np.einsum("tk,tk->t", acceleration, acceleration))
     falling = np.abs(size / gravity - 1) < tolerance
+    if np.count_nonzero(falling) < least * frame_rate:
+        return None
     # A run of windows in the air, not one moment of a landing.
     together = np.convolve(falling, np.ones(n), "same") >= 0.6 * n
     chosen = falling & together
