@@ -18,22 +18,22 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_959, 115),
-    "estimation": (16_238, 68),
+    "app": (25_962, 115),
+    "estimation": (16_243, 68),
     "evaluation": (12_160, 46),
     "experiments": (1_722, 10),
-    "files": (1_126, 8),
-    "formats": (13_171, 70),
+    "files": (1_134, 8),
+    "formats": (13_169, 70),
     "library": (15_885, 58),
     "messages": (235, 3),
-    "motion": (6_509, 34),
+    "motion": (6_486, 34),
     "retrieval": (13_232, 47),
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_660,
+    "lines of tests": 62_706,
     "lines of JavaScript": 12_544,
-    "constants": 1_058,
+    "constants": 1_060,
     "numeric constants without a source": 0,
     "functions over 60 lines": 16,
     "files over 650 lines": 0,

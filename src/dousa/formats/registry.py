@@ -81,11 +81,11 @@ FORMATS: tuple[Format, ...] = (
     Format("amass", (".amass.npz",), "dousa.formats.smpl", None, "write_amass", "motion"),
     Format("npz", (".npz",), "dousa.formats.arrays", "read_any_npz", "write_npz", "both", _PARTS),
     Format(
-        "npy", (".npy",), "dousa.formats.arrays", "read_npy", None, "both", _PARTS,
+        "npy", (".npy",), "dousa.formats.arrays", "read_arrays", None, "both", _PARTS,
         rb"'shape': \(\d+, (?:\d+, \d+|263|251|322)\)|(?s:'\|O'.*(?:motion|orient|rotmat|poses?|thetas)\W)",
     ),
     Format(
-        "pkl", (".pkl", ".pk", ".pickle", ".joblib", ".pt"), "dousa.formats.arrays", "read_pickle", None, "both",
+        "pkl", (".pkl", ".pk", ".pickle", ".joblib", ".pt"), "dousa.formats.arrays", "read_arrays", None, "both",
         _PARTS,
         rb"poses|thetas|keypoints3d|(?:global|root)_orient|rotmat|body_pose|\x04(?:\0{3})?pose|\x06(?:\0{3})?motion",
     ),

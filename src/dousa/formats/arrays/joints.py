@@ -91,7 +91,7 @@ def build_joints(
     path, format_name : for messages and provenance.
     array : (T, J, 3) or (J, 3, T), with axes of length 1 anywhere; (T, J, 4) with a score of each, 0 for what was not
         seen.
-    unit, up, frame_rate : as for `read_npy`.
+    unit, up, frame_rate : as for `read_arrays`.
     names : (J,) of the file, if any.
     notes : for the user, on the reading of the file.
     """
@@ -139,7 +139,7 @@ def name_joints(
     path, format_name : for messages and provenance.
     points : (T, J, 3) in the file's unit and axes, NaN where missing.
     names : (J,) of the file; else those of the layout of this number of joints.
-    unit, up, frame_rate : as for `read_npy`.
+    unit, up, frame_rate : as for `read_arrays`.
     clock : what the file says about time, if anything.
     unit_in_file : metres per unit, declared in the file.
     notes : for the user, on the reading of the file.

@@ -178,7 +178,7 @@ def read_any_npz(
     unit, up : if not in the file; dousa's own has both.
     skeleton : body model of SMPL poses.
     frame_rate : Hz, of arrays without one.
-    person, animation : as for `read_pickle`.
+    person, animation : as for `read_arrays`.
 
     Raises
     ------

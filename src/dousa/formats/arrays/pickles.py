@@ -1,4 +1,4 @@
-"""Pickled content: SMPL bodies of several people, joint positions, samples of text-to-motion."""
+"""Content of pickles and npy: SMPL bodies of several people, joint positions, features, samples of text-to-motion."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from dousa.files.pickles import load_pickle
 from dousa.formats.arrays.bodies import Body, as_array, list_bodies, name_people
 from dousa.formats.arrays.features import FEATURES, MOTION_X, recover_joints
 from dousa.formats.arrays.joints import build_joints, find_joints, is_joint_array, list_layouts, measure_unevenness
+from dousa.formats.arrays.npy import load_npy
 from dousa.formats.parts import choose, distinguish, load_once
 from dousa.formats.smpl import AIST_RATE, build_smpl, mean_body, read_rate
 from dousa.formats.smpl_poses import JOINTS_OF, are_poses, as_turns, find_roles, rank_place
@@ -26,7 +27,7 @@ from dousa.motion.canonical.recipes import named_recipes
 from dousa.motion.canonical.tree_shape import spread_frames
 
 
-def read_pickle(
+def read_arrays(
     path: str | os.PathLike[str],
     *,
     unit: float | str | None = None,
@@ -36,23 +37,29 @@ def read_pickle(
     person: str | None = None,
     animation: str | None = None,
 ) -> Motion | Trajectories:
-    """Read a pickled dictionary of SMPL bodies or joint positions, or an array: a pickle, a dump of joblib or torch.
+    """Read SMPL bodies, joint positions or features: an npy, a pickle, a dump of joblib or torch.
 
     Parameters
     ----------
     path : the file; nothing in it is executed.
-    unit, up, skeleton, frame_rate : as for `build_smpl`; joint positions take no skeleton.
+    unit, up, skeleton : as for `build_smpl`; joint positions take no skeleton.
+    frame_rate : Hz; by default that of the file, else that of the data set whose joints these are.
     person : name or number of one of several people; by default the one seen in most frames.
     animation : name or number of one of several samples of text-to-motion; by default the longest.
 
     Raises
     ------
-    MotionFileError : missing, damaged, something other than arrays, no poses, no such person.
+    MotionFileError : missing, damaged, something other than arrays, no poses, an unknown number of joints, no such
+        person.
     """
     return build_content(
-        path, load_once(load_pickle, path, person or animation), unit=unit, up=up, skeleton=skeleton,
+        path, load_once(_load, path, person or animation), unit=unit, up=up, skeleton=skeleton,
         frame_rate=frame_rate, person=person, animation=animation,
     )  # fmt: skip
+
+
+def _load(path: str | os.PathLike[str]) -> dict[Any, Any]:
+    return load_npy(path) if name_kind(path) == "npy" else load_pickle(path)
 
 
 def build_content(
@@ -72,7 +79,7 @@ def build_content(
     ----------
     path : for messages and provenance.
     content : as `load_pickle` gives it.
-    unit, up, skeleton, frame_rate, person, animation : as for `read_pickle`.
+    unit, up, skeleton, frame_rate, person, animation : as for `read_arrays`.
     """
     arrays = {str(key): array for key, value in content.items() if (array := as_array(value)) is not None}
     bodies = list_bodies(content)
@@ -118,7 +125,7 @@ def _build_bare(
     if (turns := _read_turns(rows)) is not None:
         notes = (Message("arrays.poses", joints=turns.shape[1], model=JOINTS_OF[turns.shape[1]]),)
         poses: dict[str, Any] = {"skeleton": skeleton, "default_up": None, "notes": notes, "turns": turns}
-        return build_smpl(path, {}.get, (), **poses, **options)
+        return build_smpl(path, lambda _name: None, (), **poses, **options)
     if rows.ndim == 4 and is_joint_array(rows.shape[1:]):
         return _build_joints(path, {}, {"motion": rows}, person, animation, options)
     return build_joints(path, name_kind(path), array, **options)

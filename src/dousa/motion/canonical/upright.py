@@ -250,11 +250,11 @@ def _score_place(
     ends = np.minimum.reduce(places), np.maximum.reduce(places)
     if not np.isnan(ends[0].sum()):  # nearly every file shows all joints in all frames
         return _score_floors(*ends, lying, centred)
-    seen: BoolArray = ~np.isnan(places).all(axis=(1, 2))
+    seen: BoolArray = np.any(~np.isnan(places), axis=(1, 2))
     scores = np.zeros(len(AXES))
-    if seen[_LEGS].any():
-        ends = np.fmin.reduce(places), np.fmax.reduce(places)
-        shown = ~np.isnan(ends[0]).any(axis=0)
+    ends = np.fmin.reduce(places), np.fmax.reduce(places)
+    shown = ~np.isnan(ends[0].sum(axis=0))
+    if seen[_LEGS].any() and shown.any():
         scores += _score_floors(ends[0][:, shown], ends[1][:, shown], lying, centred)
     if not seen[_LEGS[:4]].any() and seen[_TOPS].any():
         tops = np.nanmedian(places[_TOPS], axis=(0, 2))
@@ -307,7 +307,8 @@ def _score_floors(
     on_floor[np.abs(level) > far] = -3.0
     if centred.any():
         on_floor[np.tile(centred, 2)] = 0.0 if centred.sum() > 1 else -1.5
-    return np.where(scatter <= steady, 1.0, np.where(scatter > unsteady, -1.5, 0.0)) + on_floor
+    scores: FloatArray = np.where(scatter <= steady, 1.0, np.where(scatter > unsteady, -1.5, 0.0)) + on_floor
+    return scores
 
 
 @lru_cache(maxsize=16)
