@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -124,6 +124,11 @@ class Fault:
     def message(self) -> Message:
         """What is wrong, without when."""
         return describe_fault(self.angle, self.kind, self.phase, self.degrees, self.expected)
+
+    def move(self, seconds: float) -> Fault:
+        """The same so much later."""
+        times = {name: getattr(self, name) + seconds for name in ("time_s", "start_s", "end_s")}
+        return replace(self, **times)
 
     def to_json(self, language: str | None = None) -> dict[str, Any]:
         """As a dictionary, with the sentence."""

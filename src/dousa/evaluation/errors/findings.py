@@ -15,6 +15,9 @@ from dousa.evaluation.errors.judge import Suspect
 
 _EDGE, _LEAST_KEPT = 0.3, 0.5  # of the lag; of the span
 _REACH_S, _MOST = 0.8, 0.5  # lags that are looked at; squared chord, further away says no more
+# s for which the deviations of a performer are alike; rad by which any are uncertain; s, standard error up to which the
+# number is said: see lab/notes/evaluation.md
+_ALIKE_S, _BLUR, _SURE_S = 0.1, np.radians(3.0), 0.05
 _LEAST_EXCESS = np.radians(10.0)  # as much as is worth saying, see docs/evaluation.md
 # gain of a motion that is larger, and share that it may leave, see lab/notes/evaluation.md
 _LARGER, _UNEXPLAINED = 1.2, 0.6
@@ -63,10 +66,9 @@ def measure_suspects(evidence: Evidence, suspects: Sequence[Suspect], frames: ND
 def describe_shift(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> Finding:
     """Describe a stretch in which some segments are late or early."""
     course = follow_limb(evidence, start, end, segments)
-    steady = find_steady_lag(evidence, start, end, segments, course)
-    lag = choose_lasting(course) if steady is None else steady
+    lag, error = estimate_lag(evidence, start, segments, course)
+    unsure = None if error <= _SURE_S else "late" if lag > 0.0 else "early"
     # It begins and ends where it is seen to.
-    unsure = None if steady is not None or _is_sure(course, lag) else "late" if lag > 0.0 else "early"
     late = np.flatnonzero(course * np.sign(lag) >= _EDGE * abs(lag))
     if len(late) and late[-1] - late[0] >= _LEAST_KEPT * (end - start):
         start, end = start + int(late[0]), start + int(late[-1]) + 1
@@ -76,11 +78,51 @@ def describe_shift(evidence: Evidence, start: int, end: int, segments: NDArray[n
     return Finding("shift", start, end, _name(segments), severity, worst, lag, cause=unsure)
 
 
-def _is_sure(course: FloatArray, lag: float, *, within_s: float = 0.1) -> bool:
-    """Whether most moments that are late at all are late by about as much."""
-    # within_s: s, see docs/evaluation.md
-    late = course[course * np.sign(lag) >= _EDGE * abs(lag)]
-    return bool(len(late) and (np.abs(late - lag) <= within_s).mean() >= _LEAST_KEPT)
+def estimate_lag(
+    evidence: Evidence, start: int, segments: NDArray[np.intp], course: FloatArray, *, lasting: float = 0.5
+) -> tuple[float, float]:
+    """Estimate the one lag of a stretch in s and its standard error; positive is late.
+
+    How likely each lag is follows from the deviations that it leaves, as in a regression with noise of unknown size;
+    where another lag is nearly as likely, or the limb hardly moves, the error is large.
+
+    Parameters
+    ----------
+    evidence : of the performance.
+    start : first frame.
+    segments : indices.
+    course : (n,) s, of `follow_limb` from that frame on.
+    """
+    # lasting: share of the course's large lags (their 90th percentile): the rest is fading in and out
+    late = np.sign(course.sum()) * course
+    frames = start + np.flatnonzero(late >= lasting * np.percentile(np.abs(course), 90.0))
+    squared, reach = _take_near(evidence, frames if len(frames) else np.arange(start, start + len(course)), segments)
+    total = squared.sum(axis=(0, 2), dtype=np.float64)
+    size = squared.shape[0] * squared.shape[2]
+    moments = max(squared.shape[0] / evidence.rate / _ALIKE_S, 1.0)
+    odds = -moments * np.log(total + size * _BLUR**2)
+    chances = np.exp(odds - odds.max())
+    at = int(np.clip(total.argmin(), 1, len(total) - 2))
+    before, here, after = total[at - 1 : at + 2]
+    bend = before - 2.0 * here + after
+    part = 0.5 * (before - after) / bend if bend > 1e-9 else 0.0
+    lags = (reach - np.arange(len(total))) * evidence.deviations.step_s
+    lag = float(lags[at] - np.clip(part, -1.0, 1.0) * evidence.deviations.step_s)
+    return lag, float(np.sqrt(chances @ (lags - lag) ** 2 / chances.sum()))
+
+
+def _take_near(
+    evidence: Evidence, frames: slice | NDArray[np.intp], segments: NDArray[np.intp]
+) -> tuple[NDArray[np.float32], int]:
+    """(n, K, S) squared deviations of some frames and segments at the lags that are looked at, and how many to a side.
+
+    What is not seen speaks for no lag.
+    """
+    deviations = evidence.deviations
+    reach = min(round(_REACH_S * evidence.rate), deviations.center)
+    near = slice(deviations.center - reach, deviations.center + reach + 1)
+    seen = deviations.squared[frames, near][:, :, segments]
+    return np.minimum(np.where(seen > 0.0, seen, seen[:, reach : reach + 1]), _MOST), reach
 
 
 def follow_limb(
@@ -91,12 +133,9 @@ def follow_limb(
     The course of the lag that leaves least, smoothed, to a fraction of a frame by a parabola.
     """
     deviations = evidence.deviations
-    reach = min(round(_REACH_S * evidence.rate), deviations.center)
+    seen, reach = _take_near(evidence, slice(start, end), segments)
     near = slice(deviations.center - reach, deviations.center + reach + 1)
-    seen = deviations.squared[start:end, near][:, :, segments]
-    # What is not seen speaks for no lag.
-    seen = np.where(seen > 0.0, seen, seen[:, reach : reach + 1])
-    squared = np.minimum(seen, _MOST).mean(axis=2)
+    squared = seen.mean(axis=2)
     half = min(max(1, round(0.5 * smooth_s * evidence.rate)), max((end - start) // 2, 1))
     total = np.cumsum(np.pad(squared, ((half + 1, half), (0, 0)), mode="edge"), axis=0)
     squared = (total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1)
@@ -109,34 +148,6 @@ def follow_limb(
     bend = left - 2.0 * here + right
     part = np.where(bend > 1e-9, 0.5 * (left - right) / np.maximum(bend, 1e-9), 0.0)
     return np.asarray(-(inner - reach + np.clip(part, -1.0, 1.0)) * deviations.step_s)
-
-
-def find_steady_lag(
-    evidence: Evidence, start: int, end: int, segments: NDArray[np.intp], course: FloatArray, *, as_good: float = 1.25
-) -> float | None:
-    """Find the one lag in s that explains a stretch as well as its course (n,) does; None if there is none."""
-    # as_good: of the deviation that the course leaves, beside a tenth of the tolerance in each segment
-    total = np.zeros(len(evidence.lag_prices))
-    for first in range(start, end, 1024):
-        total += evidence.ratio.of(first, min(first + 1024, end))[:, :, segments].sum(axis=(0, 2))
-    columns = np.rint(evidence.center - course * evidence.rate).astype(np.intp)
-    left = evidence.ratio.at_lag(np.clip(columns, 0, len(total) - 1), start)[:, segments].sum()
-    best = int(np.clip(total.argmin(), 1, len(total) - 2))
-    if total[best] > as_good * left + 0.1 * (end - start) * len(segments):
-        return None
-    before, here, after = total[best - 1 : best + 2]
-    bend = before - 2.0 * here + after
-    part = 0.5 * (before - after) / bend if bend > 1e-9 else 0.0
-    return float((evidence.center - best - np.clip(part, -1.0, 1.0)) / evidence.rate)
-
-
-def choose_lasting(lag: FloatArray, *, plateau: float = 0.75) -> float:
-    """Choose the largest lasting lag of a course in s."""
-    # plateau: share of the largest lag: the rest is fading in and out
-    most = float(np.abs(lag).max())
-    late = lag.sum() >= 0.0
-    lasting = lag[(np.abs(lag) >= plateau * most) & ((lag >= 0.0) == late)]
-    return float(np.median(lasting)) if len(lasting) else float(np.median(lag))
 
 
 def _measure_incomplete(evidence: Evidence, start: int, end: int, segments: NDArray[np.intp]) -> Finding:

@@ -16,9 +16,9 @@ from dousa.evaluation.errors.faults import DescribedRepetition, Fault, describe_
 from dousa.evaluation.exercises.split import Repetition, find_reference_repetitions, find_repetitions
 from dousa.evaluation.exercises.trends import Trend, adjust_for_many, estimate_trend
 from dousa.evaluation.figures.furi import Furi, find_furi
-from dousa.evaluation.grade.assessment import check_seen, check_takes, compute_all_postures, judge
+from dousa.evaluation.grade.assessment import check_seen, check_takes, compute_all_postures, is_single, judge
 from dousa.evaluation.grade.references import ReferenceTakes, prepare_references
-from dousa.evaluation.grade.result import Assessment
+from dousa.evaluation.grade.result import Assessment, name_joints
 from dousa.evaluation.posture.posture import PostureSequence, compute_postures, spread_weights
 from dousa.evaluation.posture.range_of_motion import (
     ANGLES,
@@ -245,6 +245,10 @@ def _measure(
         ranges = measured.measure(one.start, one.end, expected)
         graded = grading.assess(_cut(played, one.start, one.end)) if one.complete else None
         score = _NAN if graded is None else float(graded.score)
+        faults = find_faults(measured.describe(one.start, one.end), models, len(takes), grade=score)
+        first_s = max(one.start - _count_margin(played), 0) / played.frame_rate
+        if graded is not None and is_single(graded):
+            graded = name_joints(graded, [fault.move(-first_s) for fault in faults])
         assessed.append(
             AssessedRepetition(
                 repetition=one,
@@ -254,8 +258,8 @@ def _measure(
                 symmetry={name: _compare_sides(ranges, name) for name in pairs},
                 pause_s=found[number + 1].start_s - one.end_s if number + 1 < len(found) else _NAN,
                 assessment=graded,
-                first_s=max(one.start - _count_margin(played), 0) / played.frame_rate,
-                faults=find_faults(measured.describe(one.start, one.end), models, len(takes), grade=score),
+                first_s=first_s,
+                faults=faults,
             )
         )
     complete = [one for one in assessed if one.repetition.complete]

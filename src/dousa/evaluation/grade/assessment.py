@@ -6,19 +6,19 @@ postures -> lines -> deviations over time and lag -> stretches that differ -> wh
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dousa.arrays import FloatArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.evaluation.alignment.lines import find_lapses
 from dousa.evaluation.alignment.pairing import Pairing, find_resembled, pair_motions, turn_takes
 from dousa.evaluation.errors.evidence import Evidence, Tolerance, gather_evidence, refine_lag
-from dousa.evaluation.errors.faults import WELL, Fault, describe_repetition, find_faults
+from dousa.evaluation.errors.faults import WELL, describe_repetition, find_faults
 from dousa.evaluation.errors.findings import Finding
 from dousa.evaluation.figures.curves import Curves, compute_curves
 from dousa.evaluation.figures.eigenspace import Eigenspace
@@ -103,7 +103,7 @@ def assess(
     check_common(shares, postures, played)
     references = prepare_references(postures, tempo, shares)
     figures = scale_furi(furi, takes[0], references.postures) if furi else find_furi(references.postures)
-    return judge(references, figures, played, side=side, tempo=tempo, weights=shares)
+    return name_faults(references, judge(references, figures, played, side=side, tempo=tempo, weights=shares))
 
 
 def settle_side(
@@ -159,7 +159,7 @@ def judge(
     tempo: str,
     weights: FloatArray,
 ) -> Assessment:
-    """Assess a performance against references that are ready; weights (9,), those above 0 of mean 1."""
+    """Assess a performance against references that are ready, but for `name_faults`; weights (9,) of mean 1."""
     comparison, performance = compare_bodies(references, performance, tempo, weights)
     weighed = weigh(references, performance, comparison, weights)
     spaces = fit_furi_eigenspaces(references.postures, furi, more=pool_takes(references.warped, furi))
@@ -253,10 +253,6 @@ def look_at_figures(
         furi_index=curves.furi_index,
     )
     grade = grade_performance(references, comparison.movement, weights)
-    if len(furi) == 1 and (grade.score < WELL or grade.formula.code == "grade.unlike"):
-        judged = (weights > 0.0) & ~comparison.offset.missing
-        faults = _find_faults(references, performance, curves.furi_index >= 0, grade.score, judged)
-        events = name_joints(events, faults, same, performance.frame_rate)
     return Assessment(
         frame_rate=performance.frame_rate,
         reference=references.postures,
@@ -306,23 +302,25 @@ def look_at_figures(
     )
 
 
-def _find_faults(
-    references: ReferenceTakes,
-    performance: PostureSequence,
-    inside: NDArray[np.bool_],
-    grade: float,
-    judged: NDArray[np.bool_],
-) -> tuple[Fault, ...]:
-    """Find what is wrong with the joints of a single movement, (T,) ``inside`` it; (9,) segments are judged."""
-    frames = np.flatnonzero(inside)
-    if not len(frames):
-        return ()
-    ours = describe_repetition(performance, compute_joint_angles(performance), int(frames[0]), int(frames[-1]) + 1)
-    theirs = [
-        describe_repetition(one, compute_joint_angles(one), 0, one.n_frames)
-        for one in (references.postures, *references.warped)
-    ]
-    return find_faults(ours, theirs, len(theirs), grade=grade, judged=judged)
+def name_faults(references: ReferenceTakes, found: Assessment) -> Assessment:
+    """Name the joints at fault in a single movement, such as an exercise, that is not done well."""
+    if not is_single(found) or not math.isfinite(found.furi[0].start_s):
+        return found
+    start, end = (round(time * found.frame_rate) for time in (found.furi[0].start_s, found.furi[0].end_s))
+    ours, *theirs = (
+        describe_repetition(one, compute_joint_angles(one), *span)
+        for one, span in (
+            (found.performance, (start, end)),
+            *((take, (0, take.n_frames)) for take in (references.postures, *references.warped)),
+        )
+    )
+    judged = (found.weights > 0.0) & ~np.isin(SEGMENTS, found.not_judged)
+    return name_joints(found, find_faults(ours, theirs, len(theirs), grade=found.score, judged=judged))
+
+
+def is_single(found: Assessment) -> bool:
+    """Whether a performance is a single movement, and graded below `WELL` or unlike the reference."""
+    return len(found.furi) == 1 and (found.score < WELL or found.score_formula.code == "grade.unlike")
 
 
 def _make_clocks(
@@ -597,7 +595,7 @@ class AdjustableAssessment:
     ) -> Assessment:
         references = prepared.references
         figures = scale_furi(furi, self._take, references.postures) if furi else self._found
-        return look_at_figures(
+        found = look_at_figures(
             references,
             figures,
             prepared.fit_spaces(figures),
@@ -606,3 +604,4 @@ class AdjustableAssessment:
             side=self._side,
             tempo=self._tempo,
         )
+        return name_faults(references, found)

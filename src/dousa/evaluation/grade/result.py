@@ -392,23 +392,21 @@ def describe_findings(
     return tuple(events)
 
 
-def name_joints(
-    events: Sequence[ErrorEvent], faults: Sequence[Fault], same_time: FloatArray, rate: float
-) -> tuple[ErrorEvent, ...]:
+def name_joints(assessment: Assessment, faults: Sequence[Fault]) -> Assessment:
     """Name the joint of each error of a single movement, and the gravest fault of a limb of which nothing is said.
 
     Parameters
     ----------
-    events : of `describe_findings`.
-    faults : of `find_faults`, the gravest first; those that are clear count.
-    same_time : (T,) s, of the frames of the performance.
-    rate : Hz, of the performance.
+    assessment : of the movement.
+    faults : of `find_faults`, the gravest first, in its time; those that are clear count.
     """
     clear = [fault for fault in faults if fault.is_clear]
-    named = [replace(event, fault=next((one for one in clear if _is_about(event, one)), None)) for event in events]
-    if clear and not any(_is_about(event, clear[0]) for event in events):
-        named.append(_describe_fault(clear[0], same_time, rate))
-    return tuple(sorted(named, key=lambda event: (event.start_s, event.end_s)))
+    named = [
+        replace(event, fault=next((one for one in clear if _is_about(event, one)), None)) for event in assessment.events
+    ]
+    if clear and not any(_is_about(event, clear[0]) for event in named):
+        named.append(_describe_fault(clear[0], assessment.same_time, assessment.frame_rate))
+    return replace(assessment, events=tuple(sorted(named, key=lambda event: (event.start_s, event.end_s))))
 
 
 def _is_about(event: ErrorEvent, fault: Fault) -> bool:

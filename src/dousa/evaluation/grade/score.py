@@ -157,4 +157,4 @@ def grade_performance(
     parts = find_parts(differences, references.agreement, weights, frames, tempo=references.tempo)
     coverage = find_coverage(differences, weights) if frames is None else 1.0
     extent, seen = find_extent(differences, weights), find_seen(differences, weights)
-    return compute_grade(parts, extent, coverage, len(differences), seen=seen)
+    return compute_grade(parts, extent, coverage, len(references.working), seen=seen)

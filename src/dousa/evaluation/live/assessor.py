@@ -26,7 +26,7 @@ from dousa.evaluation.errors.findings import Finding
 from dousa.evaluation.errors.judge import decode, load_judge
 from dousa.evaluation.figures.curves import take_off_median
 from dousa.evaluation.figures.furi import Furi, find_furi, fit_furi_eigenspaces, pool_takes, scale_furi
-from dousa.evaluation.grade.assessment import FEWEST_FRAMES, SHORTEST_S, check_takes, judge
+from dousa.evaluation.grade.assessment import FEWEST_FRAMES, SHORTEST_S, check_takes, judge, name_faults
 from dousa.evaluation.grade.movement import compare_movements, describe_movement
 from dousa.evaluation.grade.references import choose_tolerance, describe, prepare_references, spread_in_time
 from dousa.evaluation.grade.result import Assessment, ErrorEvent, describe_findings
@@ -215,7 +215,8 @@ class IncrementalAssessor:
             )
         side = "mirrored" if self._mirrored else "same"
         played = self._read_postures(0)
-        return judge(self._references, self._furi, played, side=side, tempo=self._tempo, weights=self._weights)
+        found = judge(self._references, self._furi, played, side=side, tempo=self._tempo, weights=self._weights)
+        return name_faults(self._references, found)
 
     def _take_pose(self) -> None:
         group = self._joints.values[-self._stride :]

@@ -203,9 +203,11 @@ def _measure_trunk(up: FloatArray, left: FloatArray) -> dict[str, FloatArray]:
     """Lean away from the vertical, forward and to the left, in the frame that the hips and shoulders face."""
     level = _unit(left * [1.0, 0.0, 1.0])
     ahead = np.cross(level, [0.0, 1.0, 0.0])
-    total = np.degrees(np.arctan2(np.hypot(up[:, 0], up[:, 2]), up[:, 1]))
-    forward = np.degrees(np.arctan2((up * ahead).sum(axis=1), up[:, 1]))
-    side = np.degrees(np.arctan2((up * level).sum(axis=1), up[:, 1]))
+    aside = np.hypot(up[:, 0], up[:, 2])
+    total = np.degrees(np.arctan2(aside, up[:, 1]))
+    # As shares of the lean: an angle of the projection is anything once the trunk lies.
+    share = total / np.maximum(aside, 1e-9)
+    forward, side = ((up * axis).sum(axis=1) * share for axis in (ahead, level))
     return {"trunk_lean": total, "trunk_forward_lean": forward, "trunk_side_lean": side}
 
 
