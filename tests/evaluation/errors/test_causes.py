@@ -7,7 +7,7 @@ import pytest
 from oracles.wrong_dances import ARM, be_late, gather_dances, get_dance, mirror, turn_limb
 
 from dousa.evaluation.errors.causes import explain_together
-from dousa.evaluation.errors.findings import Finding, measure_suspects
+from dousa.evaluation.errors.findings import Finding, estimate_lag, follow_limb, measure_suspects
 from dousa.evaluation.errors.judge import Suspect
 from dousa.evaluation.posture.posture import LIMBS, SEGMENTS
 from dousa.evaluation.words import describe_event
@@ -38,6 +38,11 @@ def explain(performance: CanonicalMotion, *suspects: tuple[str, float, float, tu
     return explain_together(evidence, measure_suspects(evidence, found, frames))
 
 
+def hold(motion: CanonicalMotion) -> CanonicalMotion:
+    """The first pose throughout."""
+    return replace(motion, positions=np.repeat(motion.positions[:1], motion.n_frames, axis=0))
+
+
 LATE_ARM = blend(MOTION, be_late(MOTION, 0.4, 0.0, 99.0), ["left"], 120, 240)
 MIRRORED = mirror(MOTION)
 
@@ -48,6 +53,14 @@ def test_a_late_arm_is_not_told_again_as_different_or_short() -> None:
     assert (found.kind, found.segments, found.cause) == ("shift", LIMBS["left_arm"], None)
     assert found.lag_s == pytest.approx(0.4, abs=0.03)
     assert found.start < 150 and found.end > 225
+
+
+def test_a_lag_has_an_error_that_is_large_where_nothing_moves() -> None:
+    errors = []
+    for performance, model in ((LATE_ARM, MOTION), (hold(LATE_ARM), hold(MOTION))):
+        evidence, segments = gather_dances(performance, model), np.array(LIMBS["left_arm"])
+        errors.append(estimate_lag(evidence, 130, segments, follow_limb(evidence, 130, 230, segments))[1])
+    assert errors[0] < 0.03 and errors[1] > 0.3
 
 
 def test_a_late_body_explains_its_limbs_but_not_one_that_is_wrong() -> None:

@@ -109,6 +109,17 @@ def test_elbow_knee_hip_and_trunk() -> None:
     assert measure(bent)["trunk_side_lean"] == pytest.approx(0, abs=1e-6)
 
 
+def test_a_trunk_that_bends_down_beyond_the_horizontal_does_not_lean_to_the_side() -> None:
+    up = np.array([[0.05, math.cos(angle), math.sin(angle)] for angle in np.linspace(0.1, 2.0, 60)])
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    poses = np.repeat(make_pose()[None], len(up), axis=0)
+    for name in ("neck", "head", "left_shoulder", "right_shoulder"):
+        poses[:, J[name]] += 0.5 * (up - [0.0, 1.0, 0.0])
+    angles = compute_joint_angles(to_motion(*poses))
+    assert angles["trunk_forward_lean"].max() > 95
+    assert np.abs(angles["trunk_side_lean"]).max() < 10
+
+
 @given(yaw=st.floats(-3.1, 3.1), scale=st.floats(0.6, 1.3), x=st.floats(-5, 5))
 def test_place_heading_and_stature_do_not_matter(yaw: float, scale: float, x: float) -> None:
     motion = canonicalise(compute_trajectories(make_motion("squat", Performer(), 1)))

@@ -78,11 +78,6 @@ class Ratios:
     tolerance: FloatArray  # (9,) rad
     weights: FloatArray  # (9,) of the segments, those above 0 of mean 1
 
-    def of(self, start: int, end: int) -> FloatArray:
-        """(n, K, 9) of some frames."""
-        squared = self.deviations.squared[start:end]
-        return self._weigh(squared, squared[:, self.deviations.center, None])
-
     def at_lag(self, course: NDArray[np.intp], first: int = 0) -> FloatArray:
         """(n, 9) at each frame's column, of frames from ``first`` on."""
         squared = self.deviations.squared[first : first + len(course)]

@@ -95,8 +95,8 @@ class Fault:
     degrees : of the angle then.
     expected : degrees of the references at the same moment, in the performer's own posture.
     severity : in multiples of what people differ by who do it well.
-    is_clear : whether it is to be said: in a movement graded below `WELL` the worst, and all as severe as 1; in one
-        that is graded `WELL` or above none.
+    is_clear : whether it is to be said: in a movement graded below `WELL` all as severe as 1, and beside several
+        references the worst; in one that is graded `WELL` or above none.
     """
 
     angle: str
@@ -258,7 +258,7 @@ def find_faults(
             degrees=degrees,
             expected=degrees - float(usual[at, k]),
             severity=float(severity[k]),
-            is_clear=not grade >= WELL and bool(severity[k] >= 1.0 or (grade < WELL and not found)),
+            is_clear=not grade >= WELL and bool(severity[k] >= 1.0 or (grade < WELL and n_people > 1 and not found)),
         )
         found.setdefault(fault.joint, fault)
     return tuple(found.values())
