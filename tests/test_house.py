@@ -20,7 +20,7 @@ SOURCE = ROOT / "src" / "dousa"
 ROOMS = {
     "app": (25_962, 115),
     "estimation": (16_243, 68),
-    "evaluation": (12_160, 46),
+    "evaluation": (12_175, 46),
     "experiments": (1_722, 10),
     "files": (1_134, 8),
     "formats": (13_169, 70),
@@ -31,14 +31,14 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_706,
+    "lines of tests": 62_739,
     "lines of JavaScript": 12_544,
     "constants": 1_060,
     "numeric constants without a source": 0,
     "functions over 60 lines": 16,
     "files over 650 lines": 0,
     "folders with more than 15 files": 0,
-    "lines with words that a native reader stumbles over": 49,
+    "lines with words that a native reader stumbles over": 50,
     "hand-written runs of a mask": 3,
     "commands": 32,
     "options": 194,
