@@ -173,7 +173,7 @@ def learn(tracks: Sequence[Tracked], tail: float = 4.0) -> FloatArray:
     bounds = [(-25.0, 2.0)] * len(SIGNS) + [(-3.0, 1.0)]
     found = minimize(cost, begun, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 500}).x
     weights = np.sqrt(np.exp(found[:-1]) / usual)
-    return np.where(found[:-1] > -14.0, weights, 0.0)
+    return np.where((found[:-1] > -14.0) & (usual > 1e-9), weights, 0.0)  # nothing is known of a sign that never shows
 
 
 def expect(track: Tracked, weights: FloatArray) -> FloatArray:
