@@ -258,9 +258,7 @@ def _find_body(
     first = _GIVEN_SIGMA if stature is not None or len(terms.cameras) == 1 else _STATURE_SIGMA
     moves = [SHIFTS[group] for group in _MOVED for _ in range(3)] if exact else []
     sigmas = np.array([first, *[_MEASURE_SIGMA] * len(_MEASURES), *moves]) if free else np.zeros(0)
-    seen = terms.seen
-    part = SeenLandmarks(names, seen.points[:, chosen], seen.visibility[:, chosen], seen.world[:, chosen])
-    few = replace(terms, seen=part, frame_rate=rate)
+    few = replace(terms.cut(chosen), frame_rate=rate)
     parameters = BodyParameters(build, lambda own: place_landmarks(own, names), sigmas, groups)
     fitted = fit_body_parameters(parameters, poses[chosen], few)
     if exact and len(terms.cameras) > 1:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dousa.arrays import FloatArray
+from dousa.arrays import FloatArray, IndexArray
 from dousa.estimation.body.body import BodyModel
 from dousa.estimation.body.kinematics import place_parts, step_poses
 from dousa.estimation.cameras.camera import Camera
@@ -139,7 +139,7 @@ class Terms:
     contour_sigma: float = 0.012
     contour_weight: float = 0.3
 
-    def cut(self, frames: slice) -> Terms:
+    def cut(self, frames: slice | IndexArray) -> Terms:
         """Return the observations of some of the frames."""
         seen, contours = self.seen, self.contours
         own = SeenLandmarks(seen.names, seen.points[:, frames], seen.visibility[:, frames], seen.world[:, frames])
