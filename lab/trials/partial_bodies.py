@@ -31,10 +31,10 @@ from dousa.library import Library
 from dousa.motion import CANONICAL_JOINTS, JOINT_INDEX
 from dousa.retrieval import FEATURE_SETS, MotionForest, RankedClips, RankingQuery, compute_pose_sequence, rank_clips
 from dousa.retrieval.features.channels import sample_positions
-from dousa.retrieval.features.feature_sets import FeatureSet, compute_track
+from dousa.retrieval.features.feature_sets import FeatureSet
 from dousa.retrieval.features.pose_features import turn_to_body
 from dousa.retrieval.features.posed_motion import hide_joints
-from dousa.retrieval.ranking.ranking import compute_window_poses, warp_distances
+from dousa.retrieval.ranking.ranking import compute_with_poses, warp_distances
 from lab.places import SHARED_DATA
 
 DATA = SHARED_DATA
@@ -99,8 +99,7 @@ def measure(clips: list, hidden: tuple[str, ...], n_seeds: int) -> dict[str, np.
     parts = [hide_joints(clip, kind.hidden) for clip in clips]
     features = np.stack([kind.compute(part) for part in parts])
     full = np.stack([whole.compute(clip) for clip in clips])
-    tracks = [compute_track(part, kind) for part in parts]
-    poses = np.concatenate([compute_window_poses(track, [0.0], [track.n_frames]) for track in tracks])
+    poses = compute_with_poses(parts, kind)[1]
     placed = np.stack([place(part, kind) for part in parts])
     answered = np.concatenate([np.tile(kind.answered, 1), [True], kind.answered, kind.answered])
     found: dict[str, list[tuple[float, float]]] = {

@@ -38,7 +38,6 @@ from .ranking.ranking import RankingQuery as RankingQuery
 from .ranking.ranking import compare_histograms as compare_histograms
 from .ranking.ranking import compare_leaves as compare_leaves
 from .ranking.ranking import compute_pose_sequence as compute_pose_sequence
-from .ranking.ranking import compute_window_poses as compute_window_poses
 from .ranking.ranking import rank_by_pose as rank_by_pose
 from .ranking.ranking import rank_clips as rank_clips
 from .ranking.templates import RELATIONAL_FEATURES as RELATIONAL_FEATURES

@@ -7,9 +7,10 @@ from dousa.errors import InvalidMotionError, OptionError
 from dousa.motion import CANONICAL_JOINTS, canonicalise
 from dousa.motion.canonical.joints import find_absent
 from dousa.motion.synthetic import draw_performer, make_motion
-from dousa.retrieval import FEATURE_SETS, compute_track, compute_window_poses, get_feature_set
+from dousa.retrieval import FEATURE_SETS, get_feature_set
 from dousa.retrieval.features.channels import CHANNELS
 from dousa.retrieval.features.posed_motion import complete_positions, hide_joints, is_comparable, name_parts
+from dousa.retrieval.ranking.ranking import compute_with_poses
 from dousa.retrieval.takes.windows import compute_small_poses
 
 SIDES = ("left", "right")
@@ -63,11 +64,9 @@ def test_distances_of_poses_are_means_over_the_joints_that_are_there():
         moved[:, J[joint], 1] += 0.1 * MOTION.height
 
     def distance(feature_set):
-        poses = []
-        for positions in (MOTION.positions, moved):
-            motion = type(hide_joints(MOTION, HANDS))(positions, MOTION.frame_rate, MOTION.height)
-            track = compute_track(motion, feature_set)
-            poses.append(compute_window_poses(track, [0.0], [track.n_frames])[0])
+        kind = type(hide_joints(MOTION, HANDS))
+        seen = [kind(positions, MOTION.frame_rate, MOTION.height) for positions in (MOTION.positions, moved)]
+        poses = compute_with_poses(seen, feature_set)[1]
         return np.linalg.norm(poses[0] - poses[1], axis=1).mean()
 
     assert distance(legs) == pytest.approx(0.1, rel=0.05)  # all that is looked at is a tenth of a height away

@@ -13,14 +13,12 @@ from dousa.motion.synthetic.performers import draw_performer, make_motion
 from dousa.retrieval.features.feature_sets import FEATURE_SETS, compute_track
 from dousa.retrieval.ranking.ranking import (
     POSE_CELLS,
-    POSE_COLUMNS,
     RANKINGS,
     RankedClips,
     RankingQuery,
     compare_histograms,
     compare_leaves,
     compute_pose_sequence,
-    compute_window_poses,
     rank_by_pose,
     rank_clips,
     warp_distances,
@@ -209,15 +207,6 @@ def clip():
     return canonicalise(compute_trajectories(make_motion("squat", draw_performer(1), seed=1)))
 
 
-def test_a_clip_is_the_window_that_holds_all_of_it(clip):
-    track = compute_track(clip, FEATURE_SETS["extended"])
-    sequence = compute_pose_sequence(clip)
-    assert sequence.shape == (POSE_CELLS, POSE_COLUMNS) and sequence.dtype == np.float32
-    windows = compute_window_poses(track, [0.0, 0.0], [track.n_frames, track.n_frames / 2])
-    assert windows[0] == pytest.approx(sequence)
-    assert not np.allclose(windows[1], sequence)
-
-
 def test_cells_are_means_over_motion_time(clip):
     """Of the first column, by a fine sum: the frames' values weighed with the time that each lies in the cell."""
     track = compute_track(clip, FEATURE_SETS["extended"])
@@ -247,14 +236,3 @@ def test_sequences_do_not_know_place_heading_or_size(clip):
         positions, frame_rate, height = moved, clip.frame_rate, clip.height * 1.2
 
     assert compute_pose_sequence(Moved()) == pytest.approx(compute_pose_sequence(clip), abs=1e-4)
-
-
-def test_windows_that_cannot_be_are_refused(clip):
-    track = compute_track(clip, FEATURE_SETS["extended"])
-    for start, stop in ((0, track.n_frames + 1), (-1, 5), (5, 5), (6, 5), (np.nan, 5)):
-        with pytest.raises(InvalidMotionError, match="expected windows within"):
-            compute_window_poses(track, [start], [stop])
-    with pytest.raises(InvalidMotionError, match="as many starts"):
-        compute_window_poses(track, [0, 1], [5])
-    with pytest.raises(OptionError, match="extended"):
-        compute_window_poses(compute_track(clip, FEATURE_SETS["paper"]), [0], [5])

@@ -312,8 +312,8 @@ class FeatureTrack:
         """Return the frame rate, Hz."""
         return CHANNEL_RATE
 
-    def find_edges(self, starts: ArrayLike, stops: ArrayLike, n_cells: int | None = None) -> FloatArray:
-        """Return (N, n_cells + 1) the edges of the cells of windows, in frames; ``n_cells`` None for the feature set's.
+    def find_edges(self, starts: ArrayLike, stops: ArrayLike) -> FloatArray:
+        """Return (N, n_frames + 1) the edges of the feature set's cells in windows, in frames.
 
         ``starts``, ``stops`` and errors are as in ``describe``.
         """
@@ -321,7 +321,7 @@ class FeatureTrack:
         inside = (first >= 0) & (first < last) & (last <= self.n_frames)
         if first.shape != last.shape or first.ndim != 1 or not inside.all():
             raise InvalidMotionError("features.windows", frames=self.n_frames)
-        parts = _divide(n_cells or self.feature_set.n_frames)
+        parts = np.linspace(0.0, 1.0, self.feature_set.n_frames + 1)
         edges = np.empty((len(first), len(parts)))
         find_edges(self.times, first, last, parts, edges)
         return edges
@@ -339,11 +339,6 @@ class FeatureTrack:
         work = np.empty((2, self.integrals.shape[1]))
         read_cells(self.integrals, self.times, edges, len(spec.channels), work, cells)
         return cells
-
-
-@lru_cache(maxsize=16)
-def _divide(n_cells: int) -> FloatArray:
-    return np.linspace(0.0, 1.0, n_cells + 1)
 
 
 def compute_track(motion: PosedMotion, feature_set: FeatureSet) -> FeatureTrack:

@@ -25,9 +25,8 @@ from numpy.typing import ArrayLike, NDArray
 from dousa.arrays import FloatArray, IndexArray, IntArray
 from dousa.errors import InvalidMotionError, OptionError
 from dousa.kernels import kernel, part
-from dousa.retrieval.features.channel_kernels import read_means
 from dousa.retrieval.features.channels import CHANNELS, WantedMeans
-from dousa.retrieval.features.feature_sets import FEATURE_SETS, FeatureSet, FeatureTrack
+from dousa.retrieval.features.feature_sets import FEATURE_SETS, FeatureSet
 from dousa.retrieval.features.posed_motion import PosedMotion
 from dousa.retrieval.features.sensor_noise import reduce_noise
 
@@ -60,28 +59,6 @@ def compute_with_poses(
     wanted = WantedMeans(POSE_CELLS, _COLUMNS, _find_scale(feature_set.hidden))
     features, poses = feature_set.compute_quiet_with(motions, wanted)
     return features, poses.astype(np.float32)
-
-
-def compute_window_poses(track: FeatureTrack, starts: ArrayLike, stops: ArrayLike) -> NDArray[np.float32]:
-    """Compute the pose sequences (N, POSE_CELLS, POSE_COLUMNS) of windows of a recording.
-
-    Parameters
-    ----------
-    track : of the ``extended`` features.
-    starts, stops : (N,) frames of the track, whole or not; 0 <= start < stop <= n_frames.
-
-    Raises
-    ------
-    OptionError : a track of other features, which lacks joint positions.
-    InvalidMotionError : a window outside the recording or without length.
-    """
-    if not track.feature_set.has_banks:
-        raise OptionError("features.not_extended", name=track.feature_set.name)
-    edges = track.find_edges(starts, stops, POSE_CELLS)
-    means = np.empty((len(edges), POSE_CELLS, POSE_COLUMNS))
-    read_means(track.integrals, track.times, edges, _COLUMNS, _find_scale(track.feature_set.hidden), means)
-    found: NDArray[np.float32] = means.astype(np.float32)
-    return found
 
 
 _JOINTS = (

@@ -326,12 +326,8 @@ def _frame_trunks(points: FloatArray) -> FloatArray:
 
 def _stretch_bones(points: FloatArray, generator: np.random.Generator, log_length: float = 0.06) -> FloatArray:
     factors = np.exp(generator.normal(0.0, log_length, points.shape[1]))
-    factors = np.sqrt(factors * factors[list(MIRRORED_JOINTS)])  # the same left and right
-    stretched = points.copy()
-    for joint, parent in enumerate(CANONICAL_PARENTS):
-        if parent >= 0:
-            stretched[:, joint] = stretched[:, parent] + (points[:, joint] - points[:, parent]) * factors[joint]
-    return stretched
+    factors = np.sqrt(factors * factors[_MIRROR])[:, None]  # the same left and right
+    return points[:, _PELVIS : _PELVIS + 1] + _REACHED @ ((points - points[:, _PARENTS]) * factors)
 
 
 def _tilt(points: FloatArray, generator: np.random.Generator, spread: float = 0.07) -> FloatArray:
@@ -364,12 +360,12 @@ def _lose_joints(
     for k in range(1, min(length, len(points))):
         gone[k:] |= lost[:-k]
     gone[0] = False
-    points = points.copy()
-    frames = np.arange(len(points))
-    for joint in np.flatnonzero(gone.any(axis=0)):
-        seen = np.flatnonzero(~gone[:, joint])
-        before = seen[np.searchsorted(seen, frames, side="right") - 1]
-        after = before if held else seen[np.minimum(np.searchsorted(seen, frames), len(seen) - 1)]
-        share_of = ((frames - before) / np.maximum(after - before, 1))[:, None]
-        points[:, joint] = points[before, joint] * (1.0 - share_of) + points[after, joint] * share_of
-    return points
+    frames = np.arange(len(points))[:, None]
+    before = np.maximum.accumulate(np.where(gone, 0, frames))
+    after = before
+    if not held:
+        after = np.minimum.accumulate(np.where(gone, len(points), frames)[::-1])[::-1]
+        after = np.where(after < len(points), after, before)  # nothing follows a gap at the end
+    share_of = ((frames - before) / np.maximum(after - before, 1))[..., None]
+    joints = np.arange(points.shape[1])
+    return points[before, joints] * (1.0 - share_of) + points[after, joints] * share_of
