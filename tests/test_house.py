@@ -27,11 +27,11 @@ ROOMS = {
     "library": (15_885, 58),
     "messages": (235, 3),
     "motion": (6_486, 34),
-    "retrieval": (13_232, 47),
+    "retrieval": (13_199, 47),
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_739,
+    "lines of tests": 62_706,
     "lines of JavaScript": 12_544,
     "constants": 1_060,
     "numeric constants without a source": 0,
