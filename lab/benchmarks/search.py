@@ -23,7 +23,6 @@ import sqlalchemy as sa
 from dousa.formats.registry import write_motion
 from dousa.library import Library
 from dousa.library.search.leaf_index import read_index
-from dousa.library.search.part_search import make_dense
 from dousa.library.store import schema
 from dousa.library.store.checksums import seal_positions, seal_rows
 from dousa.library.store.engine import next_revision, take_clip_ids
@@ -81,7 +80,8 @@ def read_votes(path: Path) -> np.ndarray:
     with Library.open(path) as library, library.database.engine.begin() as connection:
         stored = load_forest(connection, str(path))
         assert stored is not None
-        return make_dense(read_index(connection, 0, stored)).answers.shares()
+        index = read_index(connection, 0, stored)
+        return np.stack([index.answers_of(number).shares()[0] for number in index.list_ids()])
 
 
 def make_peers(votes: np.ndarray) -> dict[str, Callable[[], object]]:

@@ -9,7 +9,7 @@ from dousa.library import Library
 from dousa.library.search import leaf_index
 from dousa.library.search.kernels import find_limit
 from dousa.library.search.leaf_index import LeafIndex, number_meanings, read_index
-from dousa.library.search.ranking import rank_index
+from dousa.library.search.ranking import rank_rows
 from dousa.library.store import schema
 from dousa.library.store.engine import read_revision
 from dousa.library.store.features import load_poses
@@ -100,7 +100,8 @@ def test_of_the_same_category_and_of_some_clips(library, category):
 
 
 def search(clips: DenseClips, index: LeafIndex, row: int, k: int, by: str, category=None, among=None):
-    return rank_index(index, clips.ask(row), k, by, index.choose(category, among), clips.read_poses)
+    found = rank_rows(index, clips.ask(row), k, by, index.choose(category, among), clips.read_poses)
+    return found.hits(k), found.similar
 
 
 def compare(found, expected, count) -> None:

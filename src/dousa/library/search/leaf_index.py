@@ -117,6 +117,12 @@ class LeafIndex(ReadClips):
         """The number of unchanged clips."""
         return int(self.living.sum())
 
+    def list_ids(self) -> list[int]:
+        """Return the numbers of the unchanged clips."""
+        return [
+            number for part, own in zip(self.parts, self.list_alive(), strict=True) for number in part.ids[own].tolist()
+        ]
+
     def find(self, clip_id: int) -> int | None:
         """Return the row of a clip; None if it is not in the index."""
         for part, start in zip(self.parts, self.starts, strict=False):

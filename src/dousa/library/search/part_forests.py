@@ -19,14 +19,14 @@ import sqlalchemy as sa
 from numpy.typing import NDArray
 
 from dousa.errors import DousaError, LibraryDamagedError, LibraryError
+from dousa.library.search.leaf_index import IndexedRows, LeafIndex, make_index
+from dousa.library.search.parts import guess_categories, make_part
 from dousa.library.store import schema
 from dousa.library.store.checksums import PART_FORESTS, seal_rows
 from dousa.library.store.engine import Database, choose_jobs
 from dousa.library.store.features import ClipFeatures, Description, describe_stored, find_feature_set, lacks
 from dousa.library.store.forests import (
     StoredForest,
-    TreeAnswers,
-    count_votes,
     describe_copies,
     find_leaves,
     fit_forest,
@@ -38,12 +38,10 @@ from dousa.library.store.schema import pack, stack
 from dousa.messages import Message, Progress
 from dousa.retrieval.features.posed_motion import is_comparable, name_parts
 from dousa.retrieval.forest.calibration import Assessor
-from dousa.retrieval.forest.likeness import merge_votes
 
 if TYPE_CHECKING:
     from dousa.arrays import FloatArray
     from dousa.retrieval.features.feature_sets import FeatureSet
-    from dousa.retrieval.forest.likeness import Likeness
 
 _LEARNED_BY = "copies"  # the way of learning: a forest learned in another way is learned again
 
@@ -56,7 +54,7 @@ class Answers:
     poses: dict[int, NDArray[np.float32]]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Material:
     """The clips from which a forest for a part of the body learns.
 
@@ -75,11 +73,6 @@ class Material:
     def ids(self) -> list[int]:
         """The numbers of the clips."""
         return [row.id for row in self.rows]
-
-    @cached_property
-    def by_path(self) -> list[Any]:
-        """The clips, sorted by path."""
-        return sorted(self.rows, key=lambda row: str(row.path))
 
     @cached_property
     def taught(self) -> list[Any]:
@@ -245,59 +238,22 @@ class Lesson:
         return grown
 
 
-@dataclass(frozen=True, eq=False)
-class DenseIndex:
-    """N clips, sorted by path, with all votes of the trees.
-
-    Parameters
-    ----------
-    labels : given category of each clip, else the predicted one.
-    answers : tree answers about the clips.
-    likeness : finds clips of the same meaning; None if not learned, as ``meanings``.
-    meanings : (C,) number of each category's meaning.
-    """
-
-    ids: tuple[int, ...]
-    paths: tuple[str, ...]
-    labels: tuple[str, ...]
-    answers: TreeAnswers
-    likeness: Likeness | None = None
-    meanings: NDArray[np.intp] | None = None
-
-    @cached_property
-    def rows(self) -> dict[int, int]:
-        """The place of each clip, by number."""
-        return {clip_id: row for row, clip_id in enumerate(self.ids)}
-
-    @cached_property
-    def meant(self) -> FloatArray:
-        """(N, M) share of the trees that vote for each meaning."""
-        assert self.meanings is not None
-        return merge_votes(self.answers.shares(), self.meanings)
-
-    @cached_property
-    def lengths(self) -> FloatArray:
-        """(N,) Euclidean lengths of ``meant``."""
-        lengths: FloatArray = np.linalg.norm(self.meant, axis=1)
-        return lengths
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PartIndex:
     """A forest for a part of the body, and its answers about the N clips that have this part.
 
-    ``learned_from`` : hash of all that it has learned from.
+    ``material`` : what it has learned from.
     ``poses`` : (N, cells, columns) pose sequences.
     """
 
     stored: StoredForest
-    learned_from: str
-    index: DenseIndex
+    material: Material
+    index: LeafIndex
     poses: NDArray[np.float32]
 
     def read_poses(self, ids: Sequence[int]) -> NDArray[np.float32]:
         """Return the pose sequences of clips."""
-        return self.poses[[self.index.rows[clip_id] for clip_id in ids]]
+        return self.poses[np.searchsorted(self.material.ids, ids)]
 
 
 class PartForests:
@@ -365,8 +321,7 @@ class PartForests:
             if count_categories(material.rows) < 2:
                 return None
             known = self._kept.get(kind.name)
-            ids = tuple(row.id for row in material.by_path)
-            if known is not None and (known.learned_from, known.index.ids) == (material.learned_from, ids):
+            if known is not None and known.material == material:
                 return known
             stored, answers = self._read(connection, main, kind, material)
             lesson = Lesson(connection, main, kind, material, n_jobs, progress)
@@ -411,7 +366,9 @@ class PartForests:
         table, known = schema.part_forests.c, self._kept[part.feature_set]
         query = sa.select(table.labeller).where(table.feature_set == part.feature_set)
         with self._database.reading() as connection:
-            data = connection.execute(query.where(table.learned_from == known.learned_from)).scalar_one_or_none()
+            data = connection.execute(
+                query.where(table.learned_from == known.material.learned_from)
+            ).scalar_one_or_none()
         return None if known.stored is not part or data is None else bytes(data)
 
     def keep_labeller(self, part: StoredForest, labeller: bytes) -> None:
@@ -422,7 +379,7 @@ class PartForests:
         try:
             with self._database.writing() as connection:
                 here = sa.update(table).where(table.c.feature_set == part.feature_set)
-                here = here.where(table.c.learned_from == known.learned_from)
+                here = here.where(table.c.learned_from == known.material.learned_from)
                 connection.execute(here.values(labeller=labeller))
         except LibraryDamagedError:
             raise
@@ -454,9 +411,11 @@ class PartForests:
 
 
 def _index(stored: StoredForest, material: Material, answers: Answers) -> PartIndex:
-    rows = material.by_path
-    votes = count_votes(stored, np.stack([answers.leaves[row.id] for row in rows]))
-    guesses = votes.predicted()
-    labels = tuple(b if row.category is None else row.category for row, b in zip(rows, guesses, strict=True))
-    index = DenseIndex(tuple(row.id for row in rows), tuple(row.path for row in rows), labels, votes)
-    return PartIndex(stored, material.learned_from, index, np.stack([answers.poses[row.id] for row in rows]))
+    rows, names = material.rows, tuple(sorted({row.category for row in material.taught}))
+    given = np.array([-1 if row.category is None else names.index(row.category) for row in rows])
+    leaves = np.stack([answers.leaves[row.id] for row in rows])
+    paths = [str(row.path).encode() for row in rows]
+    part = make_part(np.array(material.ids), given, names, paths, leaves, stored.forest.trees_.n_leaves)
+    index = make_index(-1, stored, IndexedRows(np.zeros((0, 4), np.int64), {}), (part,))
+    index = replace(index, parts=(guess_categories(part, index.votes[0], stored.categories),))
+    return PartIndex(stored, material, index, np.stack([answers.poses[row.id] for row in rows]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, FloatArray, IndexArray, IntArray
 from dousa.errors import LibraryDamagedError
-from dousa.library.search.kernels import copy_runs, count_sparsely, encode_leaves, find_owners
+from dousa.library.search.kernels import copy_runs, count_sparsely, encode_leaves, find_most, find_owners
 from dousa.library.store import schema
 from dousa.library.store.checksums import LABELS, LEAVES
 from dousa.library.store.forests import PARTS_OF_A_VOTE, StoredForest, check_leaves
@@ -166,23 +166,39 @@ class _Gathered:
         ids, given, predicted, sums = (np.concatenate(parts) for parts in zip(empty, *self._arrays, strict=True))
         leaves = np.concatenate([np.zeros((0, self._n_trees), np.int32), *self._leaves])
         self._leaves.clear()
-        codes, table, offsets = encode_rows(leaves, self._n_leaves)
         directions = None
         if self._width is not None:
             directions = np.concatenate([np.zeros((0, self._width), np.float32), *self._directions])
-        return ClipPart(
-            ids=ids,
-            sums=sums,
-            given=given.astype(np.int32),
-            predicted=predicted.astype(np.int32),
-            names=tuple(self._names),
-            path_ends=np.cumsum([len(path) for path in self._paths], dtype=np.int64),
-            path_bytes=np.frombuffer(b"".join(self._paths), np.uint8),
-            codes=codes,
-            table=table,
-            offsets=offsets,
-            directions=directions,
-        )
+        part = make_part(ids, given, tuple(self._names), self._paths, leaves, self._n_leaves)
+        return replace(part, sums=sums, predicted=predicted.astype(np.int32), directions=directions)
+
+
+def make_part(
+    ids: IntArray,
+    given: IntArray,
+    names: tuple[str, ...],
+    paths: Sequence[bytes],
+    leaves: NDArray[np.int32],
+    n_leaves: int,
+) -> ClipPart:
+    """Make a part of clips, sorted by number, and their leaves (N, n_trees) of a forest with ``n_leaves``.
+
+    Checksums, predicted categories and directions are unknown.
+    """
+    codes, table, offsets = encode_rows(leaves, n_leaves)
+    return ClipPart(
+        ids=ids,
+        sums=np.zeros((len(ids), 2), np.int64),
+        given=given.astype(np.int32),
+        predicted=np.zeros(len(ids), np.int32),
+        names=names,
+        path_ends=np.cumsum([len(path) for path in paths], dtype=np.int64),
+        path_bytes=np.frombuffer(b"".join(paths), np.uint8),
+        codes=codes,
+        table=table,
+        offsets=offsets,
+        directions=None,
+    )
 
 
 def encode_rows(leaves: NDArray[np.int32], n_leaves: int) -> tuple[NDArray[Any], NDArray[np.int32], IntArray]:
@@ -204,12 +220,12 @@ def pick_clips(part: ClipPart, rows: IndexArray, leaves: NDArray[np.int32], n_le
     paths = np.empty(int(ends[-1]) if len(ends) else 0, np.uint8)
     copy_runs(part.path_bytes, starts, rows, ends, paths)
     codes, table, offsets = encode_rows(leaves, n_leaves)
-    return ClipPart(
+    return replace(
+        part,
         ids=part.ids[rows],
         sums=part.sums[rows],
         given=part.given[rows],
         predicted=part.predicted[rows],
-        names=part.names,
         path_ends=ends,
         path_bytes=paths,
         codes=codes,
@@ -267,3 +283,11 @@ def count_part(
         ends[first + 1 : first + 1 + len(own)] = ends[first] + own
     categories, votes = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return SparseVotes(ends, categories, votes, squares, lengths)
+
+
+def guess_categories(part: ClipPart, votes: SparseVotes, categories: Sequence[str]) -> ClipPart:
+    """Return clips with the category that has most votes, of ``categories`` in the order of the votes."""
+    most = np.zeros(len(part), np.int64)
+    find_most(votes.starts, votes.categories, votes.votes, most)
+    names = tuple(dict.fromkeys((*part.names, *categories)))
+    return replace(part, names=names, predicted=np.array([names.index(name) for name in categories], np.int32)[most])

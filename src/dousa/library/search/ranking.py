@@ -35,9 +35,6 @@ from dousa.retrieval.ranking.ranking import (
 PoseReader = Callable[[Sequence[int]], NDArray[np.float32]]
 """Returns the pose sequences (n, cells, columns) of n clip numbers."""
 
-Measures = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""Distances (M,) of histograms, of leaves, of poses, and the ones to rank by, as in ``Ranking``."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Asked:
@@ -89,43 +86,11 @@ def search_index(
     The clips, and the number of all that are similar; None if likeness was not learned.
     """
     chosen = index.choose(category, among)
-    found = [rank_index(index, one, k, by, chosen, read_poses) for one in asked]
-    similar = [rows for _, rows in found if rows is not None]
-    hits = number_hits(found[0][0]) if len(found) == 1 else choose_best((hit for own, _ in found for hit in own), k)
-    return hits, len(np.unique(np.concatenate(similar))) if similar and len(similar) == len(found) else None
-
-
-def make_hits(
-    clips: Iterable[tuple[int, str, str]],
-    measures: Measures,
-    chances: FloatArray | None,
-    similar: BoolArray | None,
-    mirrored: bool,
-) -> list[Hit]:
-    """Make the hits of M clips, of (number, path, category); their ranks follow.
-
-    Parameters
-    ----------
-    measures : of the clips.
-    chances, similar : (M,) probability of the same meaning, and whether it suffices; None if not learned.
-    mirrored : whether the query is a mirror image.
-    """
-    return [
-        Hit(
-            path,
-            category,
-            distance=float(measures[0][place]),
-            rank=0,
-            clip_id=clip_id,
-            leaf_share=1.0 - float(measures[1][place]),
-            pose_distance=_number_or_none(measures[2][place]),
-            rank_distance=_number_or_none(measures[3][place]),
-            mirrored=mirrored,
-            alike=None if similar is None else bool(similar[place]),
-            probability=None if chances is None else round(float(chances[place]), 4),
-        )
-        for place, (clip_id, path, category) in enumerate(clips)
-    ]
+    found = [rank_rows(index, one, k, by, chosen, read_poses) for one in asked]
+    similar = [one.similar for one in found if one.similar is not None]
+    hits = [hit for one in found for hit in one.hits(k)]
+    n_alike = len(np.unique(np.concatenate(similar))) if similar and len(similar) == len(found) else None
+    return number_hits(hits) if len(found) == 1 else choose_best(hits, k), n_alike
 
 
 def _number_or_none(value: np.float64) -> float | None:
@@ -238,12 +203,49 @@ class _Comparison:
         return likeness.curve.evaluate(np.column_stack([self._meant[rows], self._cosines[rows]]))
 
 
-def rank_index(
-    index: LeafIndex, asked: Asked, k: int, by: str, chosen: BoolArray, read_poses: PoseReader
-) -> tuple[list[Hit], IndexArray | None]:
-    """Return the first k clips for a motion, and the rows of all that are similar; None if that was not learned.
+@dataclass(frozen=True, slots=True, eq=False)
+class RankedRows:
+    """Rows (M,) of an index in the order of a ranking.
 
-    OptionError for an unknown ranking.
+    Parameters
+    ----------
+    distances, poses : (M,) to rank by, and of poses; NaN where these were not compared.
+    similar : rows of all clips that mean the same; None if that was not learned.
+    """
+
+    index: LeafIndex
+    asked: Asked
+    rows: IndexArray
+    distances: FloatArray
+    poses: FloatArray
+    similar: IndexArray | None
+    clips: _Comparison
+
+    def hits(self, k: int) -> list[Hit]:
+        """Return the first k as hits; their ranks follow."""
+        rows, clips = self.rows[:k], self.clips
+        chances = clips.judge(rows)
+        alike = None if self.similar is None else np.isin(rows, self.similar)
+        return [
+            Hit(
+                self.index.path(row).decode(),
+                self.index.label(row),
+                distance=float(clips.histograms[row]),
+                rank=0,
+                clip_id=self.index.clip_id(row),
+                leaf_share=1.0 - float(clips.leaves[row]),
+                pose_distance=_number_or_none(self.poses[place]),
+                rank_distance=_number_or_none(self.distances[place]),
+                mirrored=self.asked.mirrored,
+                alike=None if alike is None else bool(alike[place]),
+                probability=None if chances is None else round(float(chances[place]), 4),
+            )
+            for place, row in enumerate(rows.tolist())
+        ]
+
+
+def rank_rows(index: LeafIndex, asked: Asked, k: int, by: str, chosen: BoolArray, read_poses: PoseReader) -> RankedRows:
+    """Rank the first k clips for a motion; OptionError for an unknown ranking.
 
     Parameters
     ----------
@@ -257,25 +259,20 @@ def rank_index(
     similar = clips.find_similar()
     if by in ("histogram", "leaves"):
         rows = clips.find_nearest(k)
-        distances, poses = clips.keys[rows], np.full(len(rows), np.nan)
-    else:
-        rows = _list_candidates(clips, k, similar if by == DEFAULT_RANKING else None)
-        refined = np.arange(min(N_REFINED, len(rows)))
-        poses = np.full(len(rows), np.nan)
-        if len(refined):
-            own = [index.clip_id(int(row)) for row in rows[refined]]
-            poses[refined] = rank_by_pose(asked.poses, read_poses(own))[1]
-        distances = poses if by == "pose" else fuse(clips.keys[rows], poses, refined)
-        order = np.arange(len(rows))
-        order[: len(refined)] = np.argsort(distances[refined], kind="stable")
-        if similar is not None and by == DEFAULT_RANKING:
-            order = order[np.argsort(~np.isin(rows[order], similar), kind="stable")]
-        order = order[:k]
-        rows, distances, poses = rows[order], distances[order], poses[order]
-    named = [(index.clip_id(row), index.path(row).decode(), index.label(row)) for row in rows.tolist()]
-    measures = clips.histograms[rows], clips.leaves[rows], poses, distances
-    reached = None if similar is None else np.isin(rows, similar)
-    return make_hits(named, measures, clips.judge(rows), reached, asked.mirrored), similar
+        return RankedRows(index, asked, rows, clips.keys[rows], np.full(len(rows), np.nan), similar, clips)
+    rows = _list_candidates(clips, k, similar if by == DEFAULT_RANKING else None)
+    refined = np.arange(min(N_REFINED, len(rows)))
+    poses = np.full(len(rows), np.nan)
+    if len(refined):
+        own = [index.clip_id(int(row)) for row in rows[refined]]
+        poses[refined] = rank_by_pose(asked.poses, read_poses(own))[1]
+    distances = poses if by == "pose" else fuse(clips.keys[rows], poses, refined)
+    order = np.arange(len(rows))
+    order[: len(refined)] = np.argsort(distances[refined], kind="stable")
+    if similar is not None and by == DEFAULT_RANKING:
+        order = order[np.argsort(~np.isin(rows[order], similar), kind="stable")]
+    order = order[:k]
+    return RankedRows(index, asked, rows[order], distances[order], poses[order], similar, clips)
 
 
 def _list_candidates(clips: _Comparison, k: int, similar: IndexArray | None) -> IndexArray:

@@ -6,7 +6,7 @@ learning from added clips, and by a search that had to read much of the library.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +15,6 @@ import sqlalchemy as sa
 from numpy.typing import NDArray
 
 from dousa.arrays import BoolArray, IndexArray, IntArray
-from dousa.library.search.kernels import find_most
 from dousa.library.search.leaf_index import (
     BLOCK,
     IndexedRows,
@@ -28,7 +27,7 @@ from dousa.library.search.leaf_index import (
     refresh_index,
     renew_lacking,
 )
-from dousa.library.search.parts import ClipPart, SparseVotes, count_part, pick_clips, read_part
+from dousa.library.search.parts import ClipPart, SparseVotes, count_part, guess_categories, pick_clips, read_part
 from dousa.library.search.side_file import find_place, read_side_file, read_side_rows, renumber_votes, write_side_file
 from dousa.library.store import schema
 from dousa.library.store.engine import Database, next_clip_id, read_revision
@@ -206,8 +205,8 @@ def _count_again(
     if votes is not None:
         return part, votes
     votes = count_part(stored, part, number_meanings(stored.categories))
-    guessed, others = _guess_again(part, votes, stored.categories)
-    for row in np.flatnonzero(alive & (others | moved)).tolist():
+    guessed = guess_categories(part, votes, stored.categories)
+    for row in np.flatnonzero(alive & ((guessed.predicted != part.predicted) | moved)).tolist():
         values: dict[str, Any] = {"predicted_category": guessed.names[guessed.predicted[row]]}
         if moved:
             values["leaves"] = pack(part.leaves(slice(row, row + 1))[0], "<i4")
@@ -220,15 +219,6 @@ def _find_again(part: ClipPart, alive: BoolArray, changed: BoolArray) -> IndexAr
     hits = np.empty(len(part), np.bool_)
     find_marked(part.codes, part.offsets, np.where(alive, 0, -1), changed[part.table], hits)
     return np.flatnonzero(hits)
-
-
-def _guess_again(part: ClipPart, votes: SparseVotes, categories: Sequence[str]) -> tuple[ClipPart, BoolArray]:
-    """Return clips with the category that has most votes now, and which had another."""
-    most = np.zeros(len(part), np.int64)
-    find_most(votes.starts, votes.categories, votes.votes, most)
-    names = tuple(dict.fromkeys((*part.names, *categories)))
-    predicted = np.array([names.index(name) for name in categories], np.int32)[most]
-    return replace(part, names=names, predicted=predicted), predicted != part.predicted
 
 
 def keep_learned(database: Database, stored: StoredForest, learned: LearnedRows) -> None:

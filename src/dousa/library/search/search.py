@@ -17,8 +17,8 @@ from dousa.errors import InvalidMotionError, LibraryError, OptionError
 from dousa.formats.motion_files import ReadOptions, Skipped, find_motion_files, is_unicode
 from dousa.library.results import Classification, Hit, SearchResult, Verdict
 from dousa.library.search.leaf_index import LeafIndex
-from dousa.library.search.part_forests import DenseIndex, PartForests
-from dousa.library.search.part_search import group_clips, make_dense, rank_groups
+from dousa.library.search.part_forests import PartForests
+from dousa.library.search.part_search import group_clips, rank_groups
 from dousa.library.search.ranking import Asked, ask_forest, choose_best, search_index
 from dousa.library.search.renewal import load_index
 from dousa.library.store import schema
@@ -150,7 +150,6 @@ class Searcher:
     def __init__(self, database: Database, forests: ForestCache, parts: PartForests) -> None:
         self._database, self._forests, self._parts = database, forests, parts
         self._index: LeafIndex | None = None
-        self._dense: tuple[LeafIndex, DenseIndex] | None = None
         self._poses: dict[int, NDArray[np.float32]] = {}
 
     def search(
@@ -234,15 +233,12 @@ class Searcher:
             assert note is not None
             raise InvalidMotionError(note)
         notes = [] if note is None else [note]
-        kept = self._dense
-        if kept is None or kept[0] is not index:
-            kept = self._dense = index, make_dense(index)
         motions = list_sides(part, motion, wanted.mirror)
         asked = [ask_forest(part, one) for one in motions]
         verdicts = [judge(part, one.answers, one.features, wanted.threshold)[0] for one in asked]
         chosen, said = choose_side(verdicts, wanted.mirror)
         motions, verdicts, notes = motions[chosen], verdicts[chosen], [*notes, *said]
-        groups, n_left_out = group_clips(self._database, self._parts, (stored, *kept), motion.absent, progress)
+        groups, n_left_out = group_clips(self._database, self._parts, stored, index, motion.absent, progress)
         category = verdicts[0].guess if wanted.same_category else None
         ranked = rank_groups(groups, motions, wanted.k, wanted.ranking, category, wanted.among)
         hits = choose_best(ranked, wanted.k)

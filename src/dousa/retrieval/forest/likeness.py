@@ -57,7 +57,6 @@ class Likeness:
         direction: NDArray[np.float32],
         all_votes: FloatArray,
         directions: NDArray[np.float32],
-        lengths: FloatArray | None = None,
     ) -> FloatArray:
         """Compute probabilities (N,) that clips have the same meaning as a query.
 
@@ -65,10 +64,8 @@ class Likeness:
         ----------
         votes, direction : (M,) share of the trees for each meaning, and (K,) of ``place``, of the query.
         all_votes, directions : (N, M) and (N, K) of the clips.
-        lengths : (N,) Euclidean lengths of the rows of ``all_votes``, if known.
         """
-        own = np.linalg.norm(all_votes, axis=1) if lengths is None else lengths
-        return self.curve.evaluate(_score(votes, direction, all_votes, directions, own))
+        return self.curve.evaluate(_score(votes, direction, all_votes, directions, np.linalg.norm(all_votes, axis=1)))
 
     def to_bytes(self) -> bytes:
         """Pack into an .npz file (no pickle)."""
