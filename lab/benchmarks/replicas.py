@@ -17,9 +17,10 @@ import sqlalchemy as sa
 
 from dousa.library import Library
 from dousa.library.store import schema
-from dousa.library.store.checksums import LABELS, LEAVES, POSES, RELATIONS, Seal, seal_positions, seal_rows
+from dousa.library.store.checksums import LABELS, LEAVES, POSES, RELATIONS, Seal, seal_positions
 from dousa.library.store.engine import next_revision, note_changed_clips, take_clip_ids
 from dousa.library.store.forests import StoredForest, count_votes, load_forest
+from dousa.library.store.rows import seal_rows
 from dousa.library.takes.portions import Portion, read_portion
 from dousa.library.takes.scanning import TakesOnDisk
 from dousa.retrieval.takes.windows import TAKE_RATE, TakeWindows

@@ -24,9 +24,10 @@ from dousa.formats.registry import write_motion
 from dousa.library import Library
 from dousa.library.search.leaf_index import read_index
 from dousa.library.store import schema
-from dousa.library.store.checksums import seal_positions, seal_rows
+from dousa.library.store.checksums import seal_positions
 from dousa.library.store.engine import next_revision, take_clip_ids
 from dousa.library.store.forests import load_forest
+from dousa.library.store.rows import seal_rows
 from dousa.library.store.schema import pack
 from dousa.motion import canonicalise, compute_trajectories
 from dousa.motion.synthetic.performers import CATEGORIES, draw_performer, make_motion

@@ -36,8 +36,9 @@ sys.path.insert(0, str(ROOT / "tests"))
 from app.browser import Page, open_browser
 from dousa.app.studio import Settings, create_app
 from dousa.library import Library
-from dousa.library.store.checksums import LABELS, update_rows
+from dousa.library.store.checksums import LABELS
 from dousa.library.store.engine import next_revision, take_clip_ids
+from dousa.library.store.rows import update_rows
 
 TOKEN = "benchmark"
 WIDTH, HEIGHT = 1280, 720

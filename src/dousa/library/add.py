@@ -39,7 +39,7 @@ from dousa.library.learning.insert import Arrival, describe_arrival, insert_clip
 from dousa.library.learning.lesson import learn_new
 from dousa.library.results import AddReport, Duplicate
 from dousa.library.store import schema
-from dousa.library.store.checksums import LABELS, NUMBERS, update_rows
+from dousa.library.store.checksums import LABELS, NUMBERS
 from dousa.library.store.engine import Database, next_revision
 from dousa.library.store.forests import StoredForest, load_forest
 from dousa.library.store.ingest import (
@@ -52,7 +52,8 @@ from dousa.library.store.ingest import (
     read_clip,
     read_clips,
 )
-from dousa.library.store.selection import delete_clips, fetch_in, read_tags, save_tags
+from dousa.library.store.rows import fetch_in, update_rows
+from dousa.library.store.selection import delete_clips, read_tags, save_tags
 from dousa.library.takes.windows import make_window_files, refresh_windows
 from dousa.messages import Message
 

@@ -19,7 +19,8 @@ from dousa.library.store.engine import read_revision
 from dousa.library.store.features import load_trajectories
 from dousa.library.store.forests import ForestCache
 from dousa.library.store.opening import open_database
-from dousa.library.store.selection import KnownClips, Selection, fetch_in, select_ids
+from dousa.library.store.rows import fetch_in
+from dousa.library.store.selection import KnownClips, Selection, select_ids
 
 if TYPE_CHECKING:
     from dousa.library.export import ExportProgress, ExportReport

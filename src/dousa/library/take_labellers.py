@@ -19,7 +19,7 @@ from dousa.library.store.engine import Database, choose_jobs
 from dousa.library.store.features import StoredMotion, find_feature_set, lacks, load_motions
 from dousa.library.store.forests import ForestCache, StoredForest
 from dousa.library.store.ingest import Query
-from dousa.library.store.selection import fetch_in
+from dousa.library.store.rows import fetch_in
 from dousa.library.takes.takes import Takes, check_single
 from dousa.messages import Count, Message, Progress
 from dousa.motion.canonical.joints import find_absent

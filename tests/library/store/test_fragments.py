@@ -126,8 +126,7 @@ def test_small_fragments_are_joined(moved, write_move, tmp_path, monkeypatch):
 def test_a_stopped_move_goes_on(library_file, place, monkeypatch):
     with Library.open(library_file) as library:
         before = dump(library)
-        for move in (moving._move_some, moving._rewrite_some):
-            monkeypatch.setitem(move.__kwdefaults__, "most", 20_000)
+        monkeypatch.setitem(moving._move_blocks.__kwdefaults__, "most", 20_000)
 
         def stop(done, total, what):
             if done > 30:

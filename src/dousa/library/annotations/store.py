@@ -25,12 +25,13 @@ from dousa.library.learning.insert import Arrival, describe_arrival, insert_clip
 from dousa.library.learning.lesson import learn_new
 from dousa.library.results import TakeAnnotation, TakeSegment
 from dousa.library.store import schema
-from dousa.library.store.checksums import ANNOTATIONS, LABELS, SEGMENTS, seal_rows, update_rows
+from dousa.library.store.checksums import ANNOTATIONS, LABELS, SEGMENTS
 from dousa.library.store.engine import Database, next_revision
 from dousa.library.store.features import StoredMotion, load_motions
 from dousa.library.store.forests import ForestCache, StoredForest, load_forest
 from dousa.library.store.ingest import ClipRecord
-from dousa.library.store.selection import delete_clips, fetch_in, find_row, portions
+from dousa.library.store.rows import delete_rows, fetch_in, fetch_rows, insert_rows, portions, update_rows
+from dousa.library.store.selection import delete_clips, find_row
 from dousa.library.takes.windows import refresh_windows
 from dousa.messages import Message
 from dousa.motion.annotation import Annotation, Stretch
@@ -62,13 +63,11 @@ def leave_open(connection: sa.Connection, removed: Spans) -> None:
     """
     segments, tables = schema.segments.c, schema.take_annotations
     there = {row.take_id for row in fetch_in(connection, sa.select(segments.take_id), segments.take_id, list(removed))}
-    for take in removed.keys() - there:
-        connection.execute(sa.delete(tables).where(tables.c.take_id == take))
-    query = sa.select(*ANNOTATIONS.columns)
-    changes = {}
-    for row in fetch_in(connection, query, tables.c.take_id, sorted(there)):
-        ANNOTATIONS.check(connection, row)
-        changes[int(row.take_id)] = {"unclear": sorted([*map(list, row.unclear), *map(list, removed[row.take_id])])}
+    delete_rows(connection, tables, sorted(removed.keys() - there))
+    changes = {
+        int(row.take_id): {"unclear": sorted([*map(list, row.unclear), *map(list, removed[row.take_id])])}
+        for row in fetch_rows(connection, ANNOTATIONS, sorted(there))
+    }
     update_rows(connection, ANNOTATIONS, changes)
 
 
@@ -335,21 +334,19 @@ def _write_exchange(connection: sa.Connection, planned: _Exchange) -> list[int]:
     """Write the exchange and return the numbers of the new segments."""
     delete_clips(connection, planned.gone)
     table = schema.take_annotations
-    if planned.tables:
-        connection.execute(sa.delete(table).where(table.c.take_id.in_([row.id for row, _ in planned.tables])))
-        rows = [
-            {
-                "take_id": row.id,
-                "source": labels.source,
-                "tier": labels.tier,
-                "labels_hash": _hash_labels(labels),
-                "unclear": [list(span) for span in labels.unclear],
-            }
-            for row, labels in planned.tables
-            if not labels.is_blank
-        ]
-        if rows:
-            connection.execute(sa.insert(table), seal_rows(table, rows))
+    delete_rows(connection, table, [row.id for row, _ in planned.tables])
+    rows = [
+        {
+            "take_id": row.id,
+            "source": labels.source,
+            "tier": labels.tier,
+            "labels_hash": _hash_labels(labels),
+            "unclear": [list(span) for span in labels.unclear],
+        }
+        for row, labels in planned.tables
+        if not labels.is_blank
+    ]
+    insert_rows(connection, table, rows)
     if planned.arrival is None:
         return []
     insert_clips(connection, planned.records, planned.arrival)
@@ -425,16 +422,12 @@ def _read_segments(connection: sa.Connection, take_ids: Sequence[int]) -> dict[i
 
 def read_annotations(connection: sa.Connection, take_ids: Sequence[int] | None = None) -> list[TakeAnnotation]:
     """Read the labels of takes, in the order of their numbers; by default of all takes with labels."""
-    table, parts = schema.take_annotations.c, schema.segments.c
     if take_ids is None:
-        some = sa.union(sa.select(table.take_id), sa.select(parts.take_id))
+        some = sa.union(sa.select(schema.take_annotations.c.take_id), sa.select(schema.segments.c.take_id))
         take_ids = sorted(connection.execute(some).scalars())
     rows = _read_takes(connection, take_ids)
     segments = _read_segments(connection, take_ids)
-    query = sa.select(*ANNOTATIONS.columns)
-    known = {row.take_id: row for row in fetch_in(connection, query, table.take_id, take_ids)}
-    for row in known.values():
-        ANNOTATIONS.check(connection, row)
+    known = {row.take_id: row for row in fetch_rows(connection, ANNOTATIONS, take_ids)}
     answers = []
     for row in rows:
         own = known.get(row.id)

@@ -17,9 +17,10 @@ from dousa.errors import LibraryError, OptionError
 from dousa.library.label_rules import check_text, fits_category
 from dousa.library.results import Answer
 from dousa.library.store import schema
-from dousa.library.store.checksums import SEARCHES, seal_rows
+from dousa.library.store.checksums import SEARCHES
 from dousa.library.store.engine import Database, next_revision
-from dousa.library.store.selection import fetch_in, list_clips, read_tags, save_tags
+from dousa.library.store.rows import fetch_in, fetch_rows, insert_rows
+from dousa.library.store.selection import list_clips, read_tags, save_tags
 
 FAVOURITE = "favourite"
 """The tag that the studio shows as a star."""
@@ -118,7 +119,7 @@ class SavedSearches:
                 raise LibraryError("library_searches.too_many", library=self._database.where, most=self._most)
             free = next(number for number in range(1, self._most + 1) if number not in numbers)
             row = {"number": free, "name": search.name, "asked": dict(search.asked)}
-            connection.execute(sa.insert(table), seal_rows(table, [row]))
+            insert_rows(connection, table, [row])
         return search
 
     def remove(self, name: str) -> None:
@@ -141,10 +142,7 @@ class SavedSearches:
 
 
 def _read(connection: sa.Connection) -> list[SavedSearch]:
-    found = []
-    for row in connection.execute(sa.select(*SEARCHES.columns)).all():
-        SEARCHES.check(connection, row)
-        found.append(SavedSearch(row.name, row.asked))
+    found = (SavedSearch(row.name, row.asked) for row in fetch_rows(connection, SEARCHES))
     return sorted(found, key=lambda one: one.name)
 
 

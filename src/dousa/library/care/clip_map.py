@@ -20,7 +20,7 @@ from dousa.extras import require
 from dousa.library.store import schema
 from dousa.library.store.engine import Database
 from dousa.library.store.features import lacks, load_poses, name_feature_set
-from dousa.library.store.selection import portions
+from dousa.library.store.rows import portions
 from dousa.messages import Message, Progress
 
 # Principal components to begin with, perplexity and early exaggeration, as scikit-learn advises or chooses:

@@ -8,8 +8,9 @@ import shutil
 import sqlite3
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,6 @@ from dousa.library.results import Answer
 from dousa.library.store import schema
 from dousa.library.store.engine import Database, lock_for_writing
 from dousa.library.store.fragments import ARRAYS, begin_store, find_store, make_name, read_blocks
-from dousa.library.store.schema import PLACE
-from dousa.library.store.selection import portions
 from dousa.library.takes.windows import sweep_files
 from dousa.messages import Count, Message, Progress
 
@@ -88,49 +87,56 @@ def move_arrays(database: Database, progress: Count | None = None) -> int:
         total = measure_rows(connection)
     done = 0
     for column in ARRAYS:
-        with database.reading() as connection:
-            key, table = schema.key_of(column.table), column.table.c
-            query = sa.select(key).where(table.fragment.is_(None), sa.func.length(column) > 0)
-            keys = list(connection.execute(query.order_by(key)).scalars())
-        for some in portions(keys):
-            left: Sequence[Any] = some
-            while left:
-                report(done, max(total, done))
-                moved, left = _move_some(database, column, left)
-                done += moved
+        for size in _move_blocks(database, column, None, lambda: None):
+            done += size
+            report(done, max(total, done))
     report(done, done)
     return done
 
 
-def _move_some(
-    database: Database, column: sa.Column[Any], keys: Sequence[Any], *, most: int = _BYTES_AT_ONCE
-) -> tuple[int, Sequence[Any]]:
-    """Move rows of ``most`` bytes in one transaction; return their bytes, and the rows left for the next."""
+def _move_blocks(
+    database: Database,
+    column: sa.Column[Any],
+    source: str | None,
+    choose: Callable[[], str | None],
+    *,
+    most: int = _BYTES_AT_ONCE,
+    most_rows: int = 500,
+) -> Iterator[int]:
+    """Move the blocks of a fragment, or those in their rows, to the fragments that are chosen (None: by the store).
+
+    Yields the bytes of each transaction, of ``most`` bytes and rows.
+    """
     key, table = schema.key_of(column.table), column.table
-    with database.writing() as connection:
-        lock_for_writing(connection)
-        store = find_store(connection)
-        if store is None:
-            raise LibraryDamagedError("library_fragments.no_store", library=database.where)
-        measured = sa.select(key, sa.func.length(column)).where(key.in_(keys), table.c.fragment.is_(None))
-        sizes = {row[0]: int(row[1]) for row in connection.execute(measured)}
-        some: list[Any] = []
-        size = 0
-        for number in keys:
-            if some and size + sizes.get(number, 0) > most:
-                break
-            some.append(number)
-            size += sizes.get(number, 0)
-        query = sa.select(table).where(key.in_(some), table.c.fragment.is_(None), sa.func.length(column) > 0)
-        rows = connection.execute(query.order_by(key)).all()
-        if rows:
-            places = store.append([row._mapping[column.name] for row in rows])
+    n_bytes = sa.func.length(column) if source is None else table.c.n_bytes
+    measured = sa.select(key, n_bytes).where(
+        table.c.fragment.is_(None) if source is None else table.c.fragment == source
+    )
+    measured, last = measured.where(n_bytes > 0).order_by(key).limit(most_rows), 0
+    while True:
+        with database.writing() as connection:
+            lock_for_writing(connection)
+            store = find_store(connection)
+            if store is None:
+                raise LibraryDamagedError("library_fragments.no_store", library=database.where)
+            numbers: list[int] = []
+            size = 0
+            for number, own in connection.execute(measured.where(key > last)):
+                if numbers and size + own > most:
+                    break
+                numbers.append(number)
+                size += own
+            if not numbers:
+                return
+            rows = connection.execute(sa.select(table).where(key.in_(numbers)).order_by(key)).all()
+            places = store.append(read_blocks(connection, rows, column.name), choose())
             changes = [
-                {"of_row": row._mapping[key.name], column.name: b"", **place._asdict()}
-                for row, place in zip(rows, places, strict=True)
+                {"of_row": number, column.name: b"", **place._asdict()}
+                for number, place in zip(numbers, places, strict=True)
             ]
             connection.execute(sa.update(table).where(key == sa.bindparam("of_row")), changes)
-    return size, keys[len(some) :]
+        last = numbers[-1]
+        yield size
 
 
 def rewrite_fragments(database: Database, progress: Count | None = None, *, small: float = 1 / 8) -> None:
@@ -145,47 +151,18 @@ def rewrite_fragments(database: Database, progress: Count | None = None, *, smal
     few = [name for name, size in sizes.items() if 0 < used[name] == size < small * store.full]
     chosen = sorted([*sparse, *(few if len(few) > 1 else [])])
     total, done, into = sum(used[name] for name in chosen), 0, make_name(list(sizes))
-    for name in chosen:
-        for column in ARRAYS:
-            while True:
-                report(done, total)
-                size = _rewrite_some(database, column, name, into)
-                if not size:
-                    break
-                done += size
-                if store.sizes().get(into, 0) >= store.full:
-                    into = make_name(list(store.sizes()))
+
+    def choose() -> str:
+        nonlocal into
+        if (there := store.sizes()).get(into, 0) >= store.full:
+            into = make_name(list(there))
+        return into
+
+    for name, column in product(chosen, ARRAYS):
+        for size in _move_blocks(database, column, name, choose):
+            done += size
+            report(done, total)
     report(total, total)
-
-
-def _rewrite_some(
-    database: Database,
-    column: sa.Column[Any],
-    name: str,
-    into: str,
-    *,
-    most: int = _BYTES_AT_ONCE,
-    most_rows: int = 500,
-) -> int:
-    """Move blocks of ``most`` bytes and rows out of a fragment in one transaction; return their bytes, 0 for none."""
-    key, table = schema.key_of(column.table), column.table
-    with database.writing() as connection:
-        lock_for_writing(connection)
-        query = sa.select(key, column, *(table.c[one] for one in PLACE)).where(table.c.fragment == name)
-        rows: list[Any] = []
-        size = 0
-        for row in connection.execute(query.order_by(table.c.first_byte).limit(most_rows)).all():
-            if rows and size + row.n_bytes > most:
-                break
-            rows.append(row)
-            size += row.n_bytes
-        store = find_store(connection)
-        if not rows or store is None:
-            return 0
-        places = store.append(read_blocks(connection, rows, column.name), into)
-        changes = [{"of_row": row[0], **place._asdict()} for row, place in zip(rows, places, strict=True)]
-        connection.execute(sa.update(table).where(key == sa.bindparam("of_row")), changes)
-    return max(size, 1)
 
 
 def measure_used(connection: sa.Connection) -> Counter[str]:

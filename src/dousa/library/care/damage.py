@@ -18,7 +18,7 @@ from dousa.library.store.engine import Database
 from dousa.library.store.features import load_motions
 from dousa.library.store.forests import load_forest
 from dousa.library.store.fragments import find_store, look_at_blocks, read_feature_rows
-from dousa.library.store.selection import fetch_in
+from dousa.library.store.rows import fetch_in
 from dousa.library.takes.portions import check_portion
 from dousa.library.takes.windows import find_files
 from dousa.messages import Count, Message

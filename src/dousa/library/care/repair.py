@@ -33,7 +33,7 @@ from dousa.library.care.damage import (
 )
 from dousa.library.search.text_store import keep_all_relations
 from dousa.library.store import checksums, schema
-from dousa.library.store.checksums import seal_positions, seal_rows
+from dousa.library.store.checksums import seal_positions
 from dousa.library.store.engine import Database
 from dousa.library.store.exchange import exchange, prepare
 from dousa.library.store.features import lacks, load_features, pack_positions, save_descriptions
@@ -41,7 +41,7 @@ from dousa.library.store.forests import ask_trees, load_forest, save_answers
 from dousa.library.store.fragments import begin_store, put_aside
 from dousa.library.store.ingest import ClipRecord, ReadTask, read_clip
 from dousa.library.store.opening import open_database
-from dousa.library.store.selection import portions
+from dousa.library.store.rows import insert_rows, portions
 from dousa.library.takes.windows import refresh_windows
 from dousa.messages import Message, Progress
 
@@ -98,7 +98,7 @@ def _write_state(connection: sa.Connection, next_clip_id: int) -> None:
     learned = connection.execute(sa.select(sa.func.max(schema.forests.c.learned))).scalar() or 0
     state = {"id": 1, "revision": learned + 1, "next_clip_id": next_clip_id, "clips_revision": learned + 1}
     connection.execute(sa.delete(schema.library_state))
-    connection.execute(sa.insert(schema.library_state), seal_rows(schema.library_state, [state]))
+    insert_rows(connection, schema.library_state, [state])
 
 
 def _insert(fresh: Database, table: sa.Table, rows: list[dict[str, Any]]) -> None:

@@ -20,10 +20,10 @@ from sqlalchemy import exc
 
 from dousa.library.results import Answer
 from dousa.library.store import schema
-from dousa.library.store.checksums import JOURNAL, POSITIONS, REMOVED, damaged, seal_rows
+from dousa.library.store.checksums import JOURNAL, POSITIONS, REMOVED, damaged
 from dousa.library.store.features import lacks, load_features
 from dousa.library.store.forests import ask_trees, load_forest, save_answers
-from dousa.library.store.selection import fetch_in, portions
+from dousa.library.store.rows import delete_rows, fetch_in, fetch_rows, insert_rows, portions
 from dousa.messages import Message
 
 
@@ -75,10 +75,7 @@ def _read_values(row: Any) -> dict[str, Any]:
 
 def read_row(connection: sa.Connection, number: int) -> Any:
     """Read a change, None if there is none of this number; LibraryDamagedError if its checksum is wrong."""
-    row = connection.execute(sa.select(*JOURNAL.columns).where(schema.journal.c.number == number)).one_or_none()
-    if row is not None:
-        JOURNAL.check(connection, row)
-    return row
+    return next(fetch_rows(connection, JOURNAL, [number]), None)
 
 
 def find_next(connection: sa.Connection, *, undone: bool) -> tuple[int | None, int | None]:
@@ -96,17 +93,13 @@ def find_next(connection: sa.Connection, *, undone: bool) -> tuple[int | None, i
 
 def list_entries(connection: sa.Connection, numbers: Sequence[int] | None = None) -> list[JournalEntry]:
     """Return the recorded changes, the last first; all, or those of these numbers."""
-    table, kept = schema.journal.c, schema.removed_clips.c
-    query = sa.select(*JOURNAL.columns).order_by(table.number.desc())
-    if numbers is not None:
-        query = query.where(table.number.in_(numbers))
+    kept = schema.removed_clips.c
     sizes = {
         row[0]: row[1]
         for row in connection.execute(sa.select(kept.change, sa.func.sum(kept.size)).group_by(kept.change))
     }
     entries = []
-    for row in connection.execute(query).all():
-        JOURNAL.check(connection, row)
+    for row in fetch_rows(connection, JOURNAL, numbers, order=schema.journal.c.number.desc()):
         what = describe(row.kind, row.n_clips, _read_values(row))
         size = int(sizes.get(row.number, 0))
         writer, undone = _read_values(row).get(WRITER, ""), row.undone is not None
@@ -257,7 +250,7 @@ def _write(connection: sa.Connection, kept: dict[int, dict[str, Any]], change: i
         {"number": number, "change": change, "size": int(sizes.get(number, 0)), "kept": own}
         for number, own in kept.items()
     ]
-    connection.execute(sa.insert(schema.removed_clips), seal_rows(schema.removed_clips, rows))
+    insert_rows(connection, schema.removed_clips, rows)
     copied = sa.select(positions.c.clip_id, *(positions.c[name] for name in _COPIED))
     copied = copied.where(positions.c.clip_id.in_(list(kept)))
     connection.execute(sa.insert(table).from_select(["number", *_COPIED], copied))
@@ -265,12 +258,8 @@ def _write(connection: sa.Connection, kept: dict[int, dict[str, Any]], change: i
 
 def list_kept(connection: sa.Connection, ids: Sequence[int], change: int) -> dict[int, dict[str, Any]]:
     """Read the kept clips of a change, by number; LibraryDamagedError if a checksum is wrong."""
-    table = schema.removed_clips.c
-    found = {}
-    for row in fetch_in(connection, sa.select(*REMOVED.columns).where(table.change == change), table.number, ids):
-        REMOVED.check(connection, row)
-        found[row.number] = row.kept
-    return found
+    rows = fetch_rows(connection, REMOVED, ids, schema.removed_clips.c.change == change)
+    return {row.number: row.kept for row in rows}
 
 
 def list_kept_paths(connection: sa.Connection) -> list[str]:
@@ -299,7 +288,7 @@ def bring_back(connection: sa.Connection, where: str, kept: dict[int, dict[str, 
     for ids in portions(list(kept)):
         query = sa.select(old.number, *(old[name] for name in _COPIED)).where(old.number.in_(ids))
         connection.execute(sa.insert(positions).from_select(["clip_id", *_COPIED], query))
-        connection.execute(sa.delete(schema.removed_clips).where(schema.removed_clips.c.number.in_(ids)))
+        delete_rows(connection, schema.removed_clips, ids)
     _ask_forest(connection, where, [number for number in kept if kept[number][_STAMP] != stamp])
 
 

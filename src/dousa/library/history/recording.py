@@ -32,9 +32,10 @@ from dousa.library.history.journal import (
     unpack_ids,
 )
 from dousa.library.store import schema
-from dousa.library.store.checksums import JOURNAL, LABELS, seal_rows, update_rows
+from dousa.library.store.checksums import JOURNAL, LABELS
 from dousa.library.store.engine import Database, next_revision, note_changed_clips
-from dousa.library.store.selection import delete_clips, fetch_in, save_tags, with_segments
+from dousa.library.store.rows import delete_rows, fetch_in, fetch_rows, insert_rows, update_rows
+from dousa.library.store.selection import delete_clips, save_tags, with_segments
 
 Marks = dict[int, dict[str, Any]]
 """By number: category, performer and tags of clips."""
@@ -175,7 +176,7 @@ def _begin(connection: sa.Connection, number: int, kind: str, values: dict[str, 
         "changes": Changes().to_json(),
         "undone": None,
     }
-    connection.execute(sa.insert(schema.journal), seal_rows(schema.journal, [row]))
+    insert_rows(connection, schema.journal, [row])
 
 
 def _finish(connection: sa.Connection, number: int, made: Changes, known: Any) -> None:
@@ -287,10 +288,9 @@ class _Step:
         if self.redo:
             return
         table = schema.journal.c
-        query = sa.select(*JOURNAL.columns).where(table.number > self.number, table.undone.is_(None))
+        later = table.number > self.number, table.undone.is_(None)
         own = self.changes.clips | set(with_segments(self.connection, self.leaving) if self.leaving else ())
-        for row in self.connection.execute(query.order_by(table.number)).all():
-            JOURNAL.check(self.connection, row)
+        for row in fetch_rows(self.connection, JOURNAL, None, *later, order=table.number):
             if own & Changes.from_json(row.changes).clips:
                 entry = list_entries(self.connection, [row.number])[0]
                 raise LibraryError(
@@ -358,11 +358,6 @@ class _Step:
     def _set_tables(self) -> None:
         table = schema.take_annotations
         own = [one for one in self.changes.annotations if one[0] not in self.leaving and one[0] not in self.coming]
-        if not own:
-            return
-        connection = self.connection
-        connection.execute(sa.delete(table).where(table.c.take_id.in_([take for take, _, _ in own])))
+        delete_rows(self.connection, table, [take for take, _, _ in own])
         wanted = [after if self.redo else before for _, before, after in own]
-        rows = [row for row in wanted if row is not None]
-        if rows:
-            connection.execute(sa.insert(table), seal_rows(table, rows))
+        insert_rows(self.connection, table, [row for row in wanted if row is not None])

@@ -12,12 +12,13 @@ import sqlalchemy as sa
 
 from dousa.library.search.text_store import describe_relations, keep_relations, save_relations
 from dousa.library.store import schema
-from dousa.library.store.checksums import seal_positions, seal_rows
+from dousa.library.store.checksums import seal_positions
 from dousa.library.store.engine import note_changed_clips, take_clip_ids
 from dousa.library.store.features import Description, describe_clip, lacks, pack_positions, save_descriptions
 from dousa.library.store.forests import StoredForest, TreeAnswers, ask_trees, note_unlearned, save_answers
 from dousa.library.store.fragments import put_aside
 from dousa.library.store.ingest import ClipRecord
+from dousa.library.store.rows import insert_rows
 from dousa.library.takes.windows import describe_windows, save_windows
 
 
@@ -102,7 +103,7 @@ def insert_clips(connection: sa.Connection, fresh: Sequence[ClipRecord], arrival
 def _insert_rows(connection: sa.Connection, numbers: Sequence[int], fresh: Sequence[ClipRecord]) -> None:
     now = datetime.now(UTC).isoformat(timespec="seconds")
     rows = [{**record.row, "id": number, "added_at": now} for number, record in zip(numbers, fresh, strict=True)]
-    connection.execute(sa.insert(schema.clips), seal_rows(schema.clips, rows))
+    insert_rows(connection, schema.clips, rows)
     positions: list[dict[str, Any]] = []
     places: list[dict[str, Any]] = []
     for number, record in zip(numbers, fresh, strict=True):
@@ -113,5 +114,4 @@ def _insert_rows(connection: sa.Connection, numbers: Sequence[int], fresh: Seque
             places.append({"clip_id": number, **record.place})
     if positions:
         connection.execute(sa.insert(schema.clip_trajectories), put_aside(connection, positions, "positions"))
-    if places:
-        connection.execute(sa.insert(schema.segments), seal_rows(schema.segments, places))
+    insert_rows(connection, schema.segments, places)

@@ -20,12 +20,12 @@ from dousa.errors import LibraryDamagedError
 from dousa.library.search.leaf_index import ReadClips
 from dousa.library.search.renewal import LearnedRows, keep_learned, read_standing, teach_rows
 from dousa.library.store import schema
-from dousa.library.store.checksums import EXAMPLES, LEAVES, seal_rows, update_rows
+from dousa.library.store.checksums import EXAMPLES, LEAVES
 from dousa.library.store.engine import Database, next_revision
 from dousa.library.store.features import find_feature_set, load_features
 from dousa.library.store.forests import StoredForest, TreeAnswers, find_leaves, load_forest, make_keys, update_forest
+from dousa.library.store.rows import fetch_in, portions, seal_rows, update_rows
 from dousa.library.store.schema import pack
-from dousa.library.store.selection import fetch_in, portions
 from dousa.retrieval.forest.calibration import Assessor
 from dousa.retrieval.forest.standing_leaves import MOST_EXAMPLES, StandingLeaves, choose_examples
 

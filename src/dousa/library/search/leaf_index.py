@@ -24,7 +24,7 @@ from dousa.library.store import schema
 from dousa.library.store.engine import next_clip_id
 from dousa.library.store.features import lacks
 from dousa.library.store.forests import PARTS_OF_A_VOTE, StoredForest, TreeAnswers
-from dousa.library.store.selection import portions
+from dousa.library.store.rows import portions
 from dousa.retrieval.forest.likeness import Likeness
 
 

@@ -22,7 +22,7 @@ from dousa.errors import DousaError, LibraryDamagedError, LibraryError
 from dousa.library.search.leaf_index import IndexedRows, LeafIndex, make_index
 from dousa.library.search.parts import guess_categories, make_part
 from dousa.library.store import schema
-from dousa.library.store.checksums import PART_FORESTS, seal_rows
+from dousa.library.store.checksums import PART_FORESTS
 from dousa.library.store.engine import Database, choose_jobs
 from dousa.library.store.features import ClipFeatures, Description, describe_stored, find_feature_set, lacks
 from dousa.library.store.forests import (
@@ -34,6 +34,7 @@ from dousa.library.store.forests import (
     learn_unknown,
     make_keys,
 )
+from dousa.library.store.rows import insert_rows
 from dousa.library.store.schema import pack, stack
 from dousa.messages import Message, Progress
 from dousa.retrieval.features.posed_motion import is_comparable, name_parts
@@ -403,7 +404,7 @@ class PartForests:
                 same = table.c.feature_set == stored.feature_set, table.c.learned_from == material.learned_from
                 row["labeller"] = connection.execute(sa.select(table.c.labeller).where(*same)).scalar_one_or_none()
                 connection.execute(sa.delete(table).where(table.c.feature_set == stored.feature_set))
-                connection.execute(sa.insert(table), seal_rows(table, [row]))
+                insert_rows(connection, table, [row])
         except LibraryDamagedError:
             raise
         except LibraryError:

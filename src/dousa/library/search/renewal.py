@@ -32,8 +32,8 @@ from dousa.library.search.side_file import find_place, read_side_file, read_side
 from dousa.library.store import schema
 from dousa.library.store.engine import Database, next_clip_id, read_revision
 from dousa.library.store.forests import StoredForest
+from dousa.library.store.rows import portions
 from dousa.library.store.schema import pack
-from dousa.library.store.selection import portions
 from dousa.retrieval.forest.growth import find_changed
 from dousa.retrieval.forest.tree_kernels import find_marked
 

@@ -22,7 +22,7 @@ from dousa.library.search.text_store import load_relations
 from dousa.library.store import schema
 from dousa.library.store.checksums import LABELS, RELATIONS
 from dousa.library.store.engine import Database, read_revision
-from dousa.library.store.selection import fetch_in
+from dousa.library.store.rows import fetch_rows
 from dousa.messages.tables import LANGUAGES
 from dousa.notebooks import Tabular, short_repr
 from dousa.retrieval.words.matching import (
@@ -277,15 +277,7 @@ def _load_index(
     units = {} if known is None else dict(known.units)
     categories = {one.row.category or "": one.words.category for one in kept}
     relations = load_relations(connection, some)
-    query = sa.select(*LABELS.columns)
-    rows: list[Any]
-    if some is None:
-        rows = list(connection.execute(query))
-    else:
-        rows = list(fetch_in(connection, query, schema.clips.c.id, some))
-    if rows:
-        LABELS.check_all(connection, list(zip(*rows, strict=True)))
-    for row in rows:
+    for row in fetch_rows(connection, LABELS, some):
         label = row.category or ""
         if label not in categories:
             categories[label] = make_unit(vocabulary, read_words(vocabulary, label, name=True))

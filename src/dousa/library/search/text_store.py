@@ -9,10 +9,10 @@ import sqlalchemy as sa
 
 from dousa.errors import LibraryDamagedError
 from dousa.library.store import schema
-from dousa.library.store.checksums import RELATIONS, seal_rows
+from dousa.library.store.checksums import RELATIONS
 from dousa.library.store.engine import Database
 from dousa.library.store.features import StoredMotion, load_motions
-from dousa.library.store.selection import fetch_in, portions
+from dousa.library.store.rows import delete_rows, fetch_in, fetch_rows, insert_rows, portions
 from dousa.retrieval.words.relations import RELATIONS_VERSION, Relation, find_relations
 from dousa.retrieval.words.vocabulary import load_vocabulary, read_words
 
@@ -41,13 +41,8 @@ _COUNT_CLIPS = sa.select(sa.func.count()).select_from(schema.clips)
 
 def load_relations(connection: sa.Connection, ids: Sequence[int] | None = None) -> dict[int, tuple[Relation, ...]]:
     """Load the relations of all or some motions, by number, or compute them; LibraryDamagedError if damaged."""
-    table = schema.clip_relations.c
-    query = sa.select(*RELATIONS.columns).where(table.version == RELATIONS_VERSION)
-    found = {}
-    rows = connection.execute(query).all() if ids is None else fetch_in(connection, query, table.clip_id, ids)
-    for row in rows:
-        RELATIONS.check(connection, row)
-        found[row.clip_id] = _from_json(row.relations)
+    rows = fetch_rows(connection, RELATIONS, ids, schema.clip_relations.c.version == RELATIONS_VERSION)
+    found = {row.clip_id: _from_json(row.relations) for row in rows}
     return found | _compute(connection, _list_missing(connection, ids))
 
 
@@ -67,13 +62,11 @@ def describe_relations(motion: StoredMotion) -> list[list[Any]]:
 
 def save_relations(connection: sa.Connection, described: Mapping[int, list[list[Any]]]) -> None:
     """Write the relations, by number, of clips and takes that have none."""
-    table = schema.clip_relations
     rows = [
         {"clip_id": number, "version": RELATIONS_VERSION, "relations": relations}
         for number, relations in described.items()
     ]
-    for some in portions(rows):
-        connection.execute(sa.insert(table), seal_rows(table, some))
+    insert_rows(connection, schema.clip_relations, rows)
 
 
 def keep_all_relations(database: Database) -> None:
@@ -117,9 +110,7 @@ def _write(connection: sa.Connection, ids: list[int]) -> None:
 
 
 def _replace(connection: sa.Connection, described: Mapping[int, list[list[Any]]]) -> None:
-    table = schema.clip_relations
-    for some in portions(list(described)):
-        connection.execute(sa.delete(table).where(table.c.clip_id.in_(list(some))))
+    delete_rows(connection, schema.clip_relations, list(described))
     save_relations(connection, described)
 
 

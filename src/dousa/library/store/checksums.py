@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -167,44 +167,6 @@ SEALS = (
     STATE, TAGS, SEARCHES, JOURNAL, REMOVED, STORE,
 )  # fmt: skip
 POSITIONS = Message("library_damage.positions")
-
-
-def seal_rows(table: sa.Table, rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return rows for an insert into a table, with their checksums."""
-    sealed = [dict(row) for row in rows]
-    for seal in SEALS:
-        if seal.checksum.table is table and sealed:
-            sums = seal.compute_all([[row[column.name] for row in sealed] for column in seal.covered])
-            for row, own in zip(sealed, sums, strict=True):
-                row[seal.checksum.name] = own
-    return sealed
-
-
-def update_rows(connection: sa.Connection, seal: Seal, changes: Mapping[Any, Mapping[str, Any]]) -> dict[Any, int]:
-    """Change covered values of rows, by key, and return their new checksums.
-
-    LibraryDamagedError for a row that is damaged already, as a new checksum would hide that.
-    """
-    key, table = seal.covered[0], seal.checksum.table
-    names = [column.name for column in seal.covered]
-    sums: dict[Any, int] = {}
-    keys = sorted(changes)  # in disk order, so that each portion is written while its pages are cached
-    for start in range(0, len(keys), 500):
-        query = sa.select(*seal.columns).where(key.in_(keys[start : start + 500]))
-        rows = connection.execute(query).all()
-        if not rows:
-            continue
-        seal.check_all(connection, list(zip(*rows, strict=True)))
-        news = [[changes[row[0]].get(name, value) for name, value in zip(names, row, strict=False)] for row in rows]
-        by_columns: dict[tuple[str, ...], list[dict[str, Any]]] = {}
-        own = seal.compute_all(list(zip(*news, strict=True)))
-        for row, checksum in zip(rows, own, strict=True):
-            sums[row[0]] = checksum
-            new = {"of_row": row[0], **changes[row[0]], seal.checksum.name: checksum}
-            by_columns.setdefault(tuple(new), []).append(new)
-        for some in by_columns.values():
-            connection.execute(sa.update(table).where(key == sa.bindparam("of_row")), some)
-    return sums
 
 
 def seal_positions(number: int, data: bytes, first_block: int = 0) -> bytes:

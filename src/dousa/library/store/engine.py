@@ -24,9 +24,10 @@ import sqlalchemy as sa
 from sqlalchemy import event, exc
 
 from dousa.errors import LibraryDamagedError, LibraryError, LibraryLockedError, OptionError
-from dousa.library.store.checksums import LIBRARY_NAME, STATE, update_rows
+from dousa.library.store.checksums import LIBRARY_NAME, STATE
 from dousa.library.store.exchange import settle
 from dousa.library.store.log_marks import check_log, leave_mark
+from dousa.library.store.rows import fetch_rows, update_rows
 from dousa.library.store.schema import APPLICATION_ID, library_state
 
 BESIDE = "dousa_beside"
@@ -386,10 +387,9 @@ def read_revision(connection: sa.Connection) -> int:
 
 
 def _read_state(connection: sa.Connection) -> Any:
-    row = connection.execute(sa.select(*STATE.columns)).one_or_none()
+    row = next(fetch_rows(connection, STATE), None)
     if row is None:
         raise LibraryDamagedError("library_file.no_state")
-    STATE.check(connection, row)
     return row
 
 

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import LibraryDamagedError, LibraryVersionError, OptionError
 from dousa.library.store import checksums, schema
-from dousa.library.store.checksums import BLOCK_FRAMES, seal_positions, seal_rows
+from dousa.library.store.checksums import BLOCK_FRAMES, seal_positions
 from dousa.library.store.engine import Database, choose_jobs
 from dousa.library.store.fragments import Place, in_portions, place_of, put_aside, read_feature_rows, read_places
+from dousa.library.store.rows import delete_rows, fetch_in, fetch_rows, portions, seal_rows
 from dousa.library.store.schema import pack, stack, unpack
-from dousa.library.store.selection import fetch_in, portions
 from dousa.messages import Count
 from dousa.motion import CANONICAL_JOINTS
 from dousa.motion.canonical.joints import JOINT_INDEX, CanonicalPoses, find_absent
@@ -437,12 +437,8 @@ def load_poses(connection: sa.Connection, ids: Sequence[int], feature_set: str) 
     """
     from dousa.retrieval.ranking.ranking import POSE_CELLS, POSE_COLUMNS
 
-    table = schema.clip_poses.c
-    found = {}
-    for row in fetch_in(connection, sa.select(*checksums.POSES.columns), table.clip_id, ids):
-        checksums.POSES.check(connection, row)
-        found[row.clip_id] = row.poses
-    lacking = [clip_id for clip_id in ids if clip_id not in found]  # an older dousa trained the library
+    found = {row.clip_id: row.poses for row in fetch_rows(connection, checksums.POSES, ids)}
+    lacking = [clip_id for clip_id in ids if clip_id not in found]  # before the training
     computed = describe_stored(connection, lacking, feature_set)
     poses = np.empty((len(ids), POSE_CELLS, POSE_COLUMNS), np.float32)
     stored = [place for place, clip_id in enumerate(ids) if clip_id in found]
@@ -466,7 +462,7 @@ def save_descriptions(connection: sa.Connection, ids: Sequence[int], description
             for clip_id, own in some
         ]
         for table in (schema.clip_features, schema.clip_poses):
-            connection.execute(sa.delete(table).where(table.c.clip_id.in_([row["clip_id"] for row in rows])))
+            delete_rows(connection, table, [row["clip_id"] for row in rows])
             names = [column.name for column in table.c if column.name not in ("checksum", *schema.PLACE)]
             own = seal_rows(table, [{name: row[name] for name in names} for row in rows])
             if table is schema.clip_features:

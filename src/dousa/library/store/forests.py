@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from dousa.arrays import FloatArray
 from dousa.errors import DousaError, LibraryDamagedError, LibraryVersionError, NotTrainedError, TrainingError
 from dousa.library.store import schema
-from dousa.library.store.checksums import FOREST, seal_rows, update_rows
+from dousa.library.store.checksums import FOREST
 from dousa.library.store.engine import choose_jobs
 from dousa.library.store.features import ClipFeatures, StoredMotion, find_feature_set, load_motions
+from dousa.library.store.rows import insert_rows, update_rows
 from dousa.library.store.schema import pack
-from dousa.library.store.selection import portions
 from dousa.workers.current import current_cluster
 from dousa.workers.threads import map_pieces, map_together
 
@@ -345,7 +345,7 @@ def replace_forest(
         "labeller": labeller,
         **_to_columns(stored),
     }
-    connection.execute(sa.insert(schema.forests), seal_rows(schema.forests, [row]))
+    insert_rows(connection, schema.forests, [row])
 
 
 def _to_columns(stored: StoredForest) -> dict[str, Any]:
@@ -377,8 +377,7 @@ def keep_unlearned(connection: sa.Connection, ids: Sequence[int]) -> None:
 
 def note_unlearned(connection: sa.Connection, ids: Sequence[int]) -> None:
     """Add clips that the forest has still to learn."""
-    for some in portions([{"clip_id": number} for number in ids]):
-        connection.execute(sa.insert(schema.unlearned), list(some))
+    insert_rows(connection, schema.unlearned, [{"clip_id": number} for number in ids])
 
 
 def save_answers(connection: sa.Connection, ids: Sequence[int], answers: TreeAnswers) -> None:
@@ -391,5 +390,4 @@ def save_answers(connection: sa.Connection, ids: Sequence[int], answers: TreeAns
             {"clip_id": clip_id, "predicted_category": category, "leaves": pack(leaves, "<i4"), "direction": direction}
             for clip_id, category, leaves, direction in answered
         ]
-        for few in portions(rows):
-            connection.execute(sa.insert(schema.clip_leaves), seal_rows(schema.clip_leaves, few))
+        insert_rows(connection, schema.clip_leaves, rows)

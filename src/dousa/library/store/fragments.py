@@ -26,8 +26,8 @@ from dousa.files.disk import sync_folder
 from dousa.library.store import schema
 from dousa.library.store.checksums import FEATURES, LIBRARY_NAME, STORE
 from dousa.library.store.engine import BESIDE
+from dousa.library.store.rows import fetch_in, fetch_rows, insert_rows
 from dousa.library.store.schema import PLACE, array_store
-from dousa.library.store.selection import fetch_in
 
 MOST_BYTES = 2**28
 """Size at which a fragment is closed and another begun (docs/libraries.md); larger ones take longer to rewrite."""
@@ -226,11 +226,8 @@ ARRAYS = (
 
 def find_store(connection: sa.Connection) -> FragmentStore | None:
     """Return the store for new blocks; None if they stay in their rows."""
-    row = connection.execute(sa.select(*STORE.columns)).one_or_none()
-    if row is None:
-        return None
-    STORE.check(connection, row)
-    return _open(connection, row.place)
+    row = next(fetch_rows(connection, STORE), None)
+    return None if row is None else _open(connection, row.place)
 
 
 def _open(connection: sa.Connection, place: str) -> FragmentStore:
@@ -336,7 +333,5 @@ def read_feature_rows(
 
 def begin_store(connection: sa.Connection, place: str) -> None:
     """Let new blocks go to fragments, in a folder or at a URL; empty for beside a library file."""
-    row = {"id": 1, "place": place}
-    row["checksum"] = STORE.compute([row[column.name] for column in STORE.covered])
     connection.execute(sa.delete(array_store))
-    connection.execute(sa.insert(array_store).values(**row))
+    insert_rows(connection, array_store, [{"id": 1, "place": place}])

@@ -15,7 +15,6 @@ import sqlalchemy as sa
 import dousa
 from dousa.errors import LibraryDamagedError, LibraryError, LibraryVersionError, OptionError
 from dousa.library.store import schema
-from dousa.library.store.checksums import seal_rows
 from dousa.library.store.engine import (
     STATE_ID,
     Database,
@@ -26,6 +25,7 @@ from dousa.library.store.engine import (
     set_mark,
     use_write_ahead_log,
 )
+from dousa.library.store.rows import insert_rows
 from dousa.library.store.schema import library_state
 
 TABLES = 17
@@ -40,7 +40,7 @@ def _create_tables(database: Database) -> None:
         schema.metadata.create_all(connection)
         set_mark(connection)
         state = {"id": STATE_ID, "revision": 0, "next_clip_id": 1, "clips_revision": 0}
-        connection.execute(sa.insert(library_state), seal_rows(library_state, [state]))
+        insert_rows(connection, library_state, [state])
         made = {"applied_at": datetime.now(UTC).isoformat(timespec="seconds"), "dousa_version": dousa.__version__}
         connection.execute(sa.insert(schema.migrations).values(number=TABLES, name="tables", **made))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -15,8 +15,9 @@ from dousa.formats.motion_files import is_unicode
 from dousa.library.label_rules import fits_category
 from dousa.library.results import ClipInfo, LibraryStats
 from dousa.library.store import schema
-from dousa.library.store.checksums import LABELS, NUMBERS, TAGS, seal_rows, update_rows
+from dousa.library.store.checksums import LABELS, NUMBERS, TAGS
 from dousa.library.store.engine import note_changed_clips, read_revision
+from dousa.library.store.rows import delete_rows, fetch_in, fetch_rows, insert_rows, portions, update_rows
 from dousa.messages import Message
 
 Item = TypeVar("Item")
@@ -122,22 +123,6 @@ def find_row(connection: sa.Connection, where: str, number: int) -> Any:
     return row
 
 
-def portions(ids: Sequence[Item], *, at_once: int = 500) -> Iterable[Sequence[Item]]:
-    """Split numbers, or rows, into lists short enough for one query, whose values databases limit.
-
-    SQLite before 3.32 allows 999 (https://sqlite.org/limits.html).
-    """
-    return (ids[start : start + at_once] for start in range(0, len(ids), at_once))
-
-
-def fetch_in(
-    connection: sa.Connection, query: sa.Select[Any], column: sa.ColumnElement[Any], values: Sequence[Any]
-) -> Iterator[Any]:
-    """Yield rows of a query whose column has one of these values."""
-    for some in portions(values):
-        yield from connection.execute(query.where(column.in_(some)))
-
-
 def list_clips(connection: sa.Connection, ids: Sequence[int] | None = None) -> list[ClipInfo]:
     """Return clips and takes without their arrays, sorted by path; all, or those of these numbers."""
     if ids is None:
@@ -223,24 +208,14 @@ def _read_sums(connection: sa.Connection) -> dict[int, tuple[Any, ...]]:
 
 def read_tags(connection: sa.Connection, ids: Sequence[int] | None = None) -> dict[int, tuple[str, ...]]:
     """Return the tags of clips and takes that have some, by number; of all, or of these."""
-    query = sa.select(*TAGS.columns)
-    key = schema.clip_tags.c.clip_id
-    rows: Iterable[Any] = connection.execute(query) if ids is None else fetch_in(connection, query, key, ids)
-    found = {}
-    for row in rows:
-        TAGS.check(connection, row)
-        found[row.clip_id] = tuple(row.tags)
-    return found
+    return {row.clip_id: tuple(row.tags) for row in fetch_rows(connection, TAGS, ids)}
 
 
 def save_tags(connection: sa.Connection, tags: Mapping[int, Iterable[str]]) -> None:
     """Replace the tags of clips and takes; after ``next_revision``."""
-    table = schema.clip_tags
+    delete_rows(connection, schema.clip_tags, list(tags))
     rows = [{"clip_id": number, "tags": sorted(set(own))} for number, own in tags.items()]
-    for some in portions(rows):
-        connection.execute(sa.delete(table).where(table.c.clip_id.in_([row["clip_id"] for row in some])))
-        if some := [row for row in some if row["tags"]]:
-            connection.execute(sa.insert(table), seal_rows(table, some))
+    insert_rows(connection, schema.clip_tags, [row for row in rows if row["tags"]])
 
 
 def list_paths(connection: sa.Connection, ids: Sequence[int]) -> list[str]:
@@ -294,8 +269,7 @@ def delete_clips(connection: sa.Connection, ids: Sequence[int]) -> None:
     ids = with_segments(connection, ids)
     if _any_clip(connection, ids):
         note_changed_clips(connection)
-    for some in portions(ids):
-        connection.execute(sa.delete(schema.clips).where(schema.clips.c.id.in_(some)))
+    delete_rows(connection, schema.clips, ids)
 
 
 def with_segments(connection: sa.Connection, ids: Sequence[int]) -> list[int]:

@@ -28,7 +28,8 @@ from dousa.library.store.ingest import (
     read_clips,
     read_rounded,
 )
-from dousa.library.store.selection import fetch_in, find_row, read_doubts
+from dousa.library.store.rows import fetch_in
+from dousa.library.store.selection import find_row, read_doubts
 from dousa.library.takes.places import ReadTake, count_alike, find_places, judge_places, rank_places
 from dousa.library.takes.windows import MOST_KEPT, WindowKeeper, describe_windows, read_windows, replace_windows
 from dousa.messages import Message, Progress
