@@ -222,8 +222,8 @@ def compare_timeline(segments: Sequence[Segment], truth: Sequence[TrueSegment], 
     duration : s.
     """
     times = np.asarray((np.arange(round(duration * TAKE_RATE)) + 0.5) / TAKE_RATE, np.float64)
-    said = _names_at(times, [(one.start, one.stop, one.category) for one in segments])
-    shown = _names_at(times, [(one.start, one.stop, one.category) for one in truth])
+    said = name_at(times, [(one.start, one.stop, one.category) for one in segments])
+    shown = name_at(times, [(one.start, one.stop, one.category) for one in truth])
     counted = np.ones(len(times), bool)
     for one in truth:
         if not one.counted:
@@ -250,7 +250,8 @@ def compare_timeline(segments: Sequence[Segment], truth: Sequence[TrueSegment], 
     return TimelineCounts(right, int(counted.sum()), len(used[0]), n_said, len(events), tuple(errors))
 
 
-def _names_at(times: NDArray[np.float64], spans: Iterable[tuple[float, float, str | None]]) -> NDArray[np.object_]:
+def name_at(times: NDArray[np.float64], spans: Iterable[tuple[float, float, str | None]]) -> NDArray[np.object_]:
+    """Return the category at each of some times (N,), of (start, stop, category); empty where there is none."""
     names = np.full(len(times), "", dtype=object)
     for start, stop, category in spans:
         names[(times >= start) & (times < stop)] = category or ""

@@ -98,10 +98,8 @@ class Labellers:
         """Return the labeller for takes of bodies that lack joints; it does not learn from examples."""
         known = self._of_parts.get(part.feature_set)
         if known is None or known[0] is not part:
-            data = self._parts.read_labeller(part)
-            labeller = self._learn(part, n_jobs, progress) if data is None else self._unpack(data)
-            if data is None:
-                self._parts.keep_labeller(part, labeller.to_bytes())
+            row = schema.part_forests, self._parts.find_row(part)
+            labeller = self._read(*row) or self._learn_and_keep(part, *row, n_jobs, progress)
             known = self._of_parts[part.feature_set] = part, labeller
         return known[1]
 
@@ -144,12 +142,9 @@ class Labellers:
         if self._last is None or self._last.stored.learned != stored.learned:
             with self._database.reading() as connection:
                 n_learned = int(connection.execute(sa.select(schema.forests.c.n_learned)).scalar_one())
-            labeller = self._read(stored)
-            if labeller is None:
-                labeller = self._carry(n_learned, examples)
-            if labeller is None:
-                labeller = self._learn(stored, n_jobs, progress)
-                self._keep(stored, labeller)
+            row = schema.forests, [schema.forests.c.learned == stored.learned]
+            labeller = self._read(*row) or self._carry(n_learned, examples)
+            labeller = labeller or self._learn_and_keep(stored, *row, n_jobs, progress)
             self._last = _Kept(stored, labeller, n_learned, examples)
             self._examples, self._taught = {}, None
         elif examples - self._last.examples:
@@ -173,12 +168,25 @@ class Labellers:
         kind = self._last.stored.feature_set if self._last is not None else ""
         return teach_labeller(base, [Example(_complete(self._examples[number], kind), name) for number, name in labels])
 
-    def _read(self, stored: StoredForest) -> TakeLabeller | None:
-        table = schema.forests.c
-        query = sa.select(table.labeller).where(table.learned == stored.learned)
+    def _read(self, table: sa.Table, where: Sequence[sa.ColumnElement[bool]]) -> TakeLabeller | None:
+        """Read the labeller in the row of a forest; None if there is none."""
         with self._database.reading() as connection:
-            data = connection.execute(query).scalar_one_or_none()
+            data = connection.execute(sa.select(table.c.labeller).where(*where)).scalar_one_or_none()
         return None if data is None else self._unpack(data)
+
+    def _learn_and_keep(
+        self,
+        stored: StoredForest,
+        table: sa.Table,
+        where: Sequence[sa.ColumnElement[bool]],
+        n_jobs: int | None,
+        progress: Progress | None,
+    ) -> TakeLabeller:
+        """Learn a labeller and write it into the row of its forest, unless the library has another one by now."""
+        labeller = self._learn(stored, n_jobs, progress)
+        here = sa.update(table).where(*where).values(labeller=labeller.to_bytes())
+        self._database.keep(lambda connection: connection.execute(here))
+        return labeller
 
     def _unpack(self, data: bytes) -> TakeLabeller:
         from dousa.retrieval.takes.label import TakeLabeller
@@ -198,18 +206,6 @@ class Labellers:
         if labeller is None:
             raise LibraryError("library_training.clips_gone", library=self._database.where)
         return labeller
-
-    def _keep(self, stored: StoredForest, labeller: TakeLabeller) -> None:
-        """Write the labeller, unless the library has another forest by now or cannot be written."""
-        try:
-            with self._database.writing() as connection:
-                table = schema.forests
-                here = sa.update(table).where(table.c.learned == stored.learned)
-                connection.execute(here.values(labeller=labeller.to_bytes()))
-        except LibraryDamagedError:
-            raise
-        except LibraryError:
-            return
 
 
 def learn_labeller(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -158,10 +158,33 @@ class Skeleton:
             raise InvalidMotionError("motion.unknown_joint", name=name, known=self.names) from None
 
 
+class _Recording:
+    """The part that motions and trajectories share."""
+
+    __slots__ = ()
+    if TYPE_CHECKING:
+        frame_rate: float
+        provenance: Provenance | None
+
+        @property
+        def n_frames(self) -> int: ...
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first pose to the end of the last."""
+        return self.n_frames / self.frame_rate
+
+    def replace(self, **changes: Any) -> Self:
+        """Return a copy with some fields changed, without the file's own numbers."""
+        if "provenance" not in changes and self.provenance is not None:
+            changes["provenance"] = self.provenance.derive()
+        return dataclasses.replace(self, **changes)  # type: ignore[type-var]  # of the dataclasses below
+
+
 @plays
 @short_repr
 @dataclass(frozen=True, slots=True, eq=False)
-class Motion:
+class Motion(_Recording):
     """Joint rotations over time.
 
     Parameters
@@ -210,22 +233,11 @@ class Motion:
         """Number of poses."""
         return len(self.rotations)
 
-    @property
-    def duration(self) -> float:
-        """Seconds from the first pose to the end of the last."""
-        return self.n_frames / self.frame_rate
-
-    def replace(self, **changes: Any) -> Motion:
-        """Return a copy with some fields changed, without the file's own numbers."""
-        if "provenance" not in changes and self.provenance is not None:
-            changes["provenance"] = self.provenance.derive()
-        return dataclasses.replace(self, **changes)
-
 
 @plays
 @short_repr
 @dataclass(frozen=True, slots=True, eq=False)
-class Trajectories:
+class Trajectories(_Recording):
     """Positions of named points over time, common to all formats.
 
     Parameters
@@ -279,20 +291,9 @@ class Trajectories:
         """Number of poses."""
         return len(self.positions)
 
-    @property
-    def duration(self) -> float:
-        """Seconds from the first pose to the end of the last."""
-        return self.n_frames / self.frame_rate
-
     def select(self, names: Sequence[str]) -> FloatArray:
         """Return the positions (T, len(names), 3) of the points of these names, in this order."""
         missing = [name for name in names if name not in self.names]
         if missing:
             raise InvalidMotionError("motion.unknown_point", name=missing[0], known=self.names)
         return self.positions[:, [self.names.index(name) for name in names]]
-
-    def replace(self, **changes: Any) -> Trajectories:
-        """Return a copy with some fields changed, without the file's own numbers."""
-        if "provenance" not in changes and self.provenance is not None:
-            changes["provenance"] = self.provenance.derive()
-        return dataclasses.replace(self, **changes)

@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dousa.experiments.metrics import Confusion, TimelineCounts, TimelineScores, add_counts, compare_timeline
+from dousa.experiments.metrics import Confusion, TimelineCounts, TimelineScores, add_counts, compare_timeline, name_at
 from dousa.experiments.table import Cell, Result, ResultTable, show
 from dousa.messages import Message
 from dousa.retrieval.features.posed_motion import AnnotatedTake
@@ -124,7 +123,7 @@ class FrameTally:
         """Count what is said of a take."""
         duration = len(take.positions) / take.frame_rate
         times = np.asarray((np.arange(round(duration * TAKE_RATE)) + 0.5) / TAKE_RATE, np.float64)
-        called = _names_at(times, [(one.start, one.stop, one.category) for one in said])
+        called = name_at(times, [(one.start, one.stop, one.category) for one in said])
         for stretch in take.stretches:
             if not stretch.counted:
                 continue
@@ -157,10 +156,3 @@ class FrameTally:
             if truth != name
         ]
         return tuple(sorted(wrong, key=lambda one: (-one.count, one.truth, one.predicted))[:limit])
-
-
-def _names_at(times: NDArray[np.float64], spans: Sequence[tuple[float, float, str | None]]) -> NDArray[np.object_]:
-    names = np.full(len(times), NOTHING, dtype=object)
-    for start, stop, category in spans:
-        names[(times >= start) & (times < stop)] = category or NOTHING
-    return names

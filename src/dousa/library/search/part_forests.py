@@ -18,7 +18,7 @@ import numpy as np
 import sqlalchemy as sa
 from numpy.typing import NDArray
 
-from dousa.errors import DousaError, LibraryDamagedError, LibraryError
+from dousa.errors import DousaError, LibraryDamagedError
 from dousa.library.search.leaf_index import IndexedRows, LeafIndex, make_index
 from dousa.library.search.parts import guess_categories, make_part
 from dousa.library.store import schema
@@ -34,7 +34,7 @@ from dousa.library.store.forests import (
     learn_unknown,
     make_keys,
 )
-from dousa.library.store.rows import insert_rows
+from dousa.library.store.rows import delete_rows, insert_rows
 from dousa.library.store.schema import pack, stack
 from dousa.messages import Message, Progress
 from dousa.retrieval.features.posed_motion import is_comparable, name_parts
@@ -362,30 +362,12 @@ class PartForests:
         poses = stack([row.poses], "<f4", (n_clips, POSE_CELLS, POSE_COLUMNS), "poses")[0]
         return stored, Answers(dict(zip(ids, leaves, strict=True)), dict(zip(ids, poses, strict=True)))
 
-    def read_labeller(self, part: StoredForest) -> bytes | None:
-        """Read the take labeller of the loaded forest; None if the library has none."""
+    def find_row(self, part: StoredForest) -> list[sa.ColumnElement[bool]]:
+        """Return what the row of a loaded forest fulfils; no row does where another was loaded since."""
         table, known = schema.part_forests.c, self._kept[part.feature_set]
-        query = sa.select(table.labeller).where(table.feature_set == part.feature_set)
-        with self._database.reading() as connection:
-            data = connection.execute(
-                query.where(table.learned_from == known.material.learned_from)
-            ).scalar_one_or_none()
-        return None if known.stored is not part or data is None else bytes(data)
-
-    def keep_labeller(self, part: StoredForest, labeller: bytes) -> None:
-        """Write the take labeller, unless the library has another forest by now or cannot be written."""
-        table, known = schema.part_forests, self._kept[part.feature_set]
         if known.stored is not part:
-            return
-        try:
-            with self._database.writing() as connection:
-                here = sa.update(table).where(table.c.feature_set == part.feature_set)
-                here = here.where(table.c.learned_from == known.material.learned_from)
-                connection.execute(here.values(labeller=labeller))
-        except LibraryDamagedError:
-            raise
-        except LibraryError:
-            return
+            return [sa.false()]
+        return [table.feature_set == part.feature_set, table.learned_from == known.material.learned_from]
 
     def _keep(self, stored: StoredForest, material: Material, answers: Answers) -> None:
         """Write a forest and its answers, unless the library cannot be written."""
@@ -399,16 +381,14 @@ class PartForests:
             "leaves": pack(np.stack([answers.leaves[clip_id] for clip_id in ids]), "<i4"),
             "poses": pack(np.stack([answers.poses[clip_id] for clip_id in ids]), "<f4"),
         }
-        try:
-            with self._database.writing() as connection:
-                same = table.c.feature_set == stored.feature_set, table.c.learned_from == material.learned_from
-                row["labeller"] = connection.execute(sa.select(table.c.labeller).where(*same)).scalar_one_or_none()
-                connection.execute(sa.delete(table).where(table.c.feature_set == stored.feature_set))
-                insert_rows(connection, table, [row])
-        except LibraryDamagedError:
-            raise
-        except LibraryError:
-            return  # the next program learns it again
+
+        def write(connection: sa.Connection) -> None:
+            same = table.c.feature_set == stored.feature_set, table.c.learned_from == material.learned_from
+            row["labeller"] = connection.execute(sa.select(table.c.labeller).where(*same)).scalar_one_or_none()
+            delete_rows(connection, table, [stored.feature_set])
+            insert_rows(connection, table, [row])
+
+        self._database.keep(write)
 
 
 def _index(stored: StoredForest, material: Material, answers: Answers) -> PartIndex:

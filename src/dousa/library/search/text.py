@@ -20,7 +20,7 @@ from dousa.library.label_rules import fits_category
 from dousa.library.results import Answer
 from dousa.library.search.text_store import load_relations
 from dousa.library.store import schema
-from dousa.library.store.checksums import LABELS, RELATIONS
+from dousa.library.store.checksums import LABELS
 from dousa.library.store.engine import Database, read_revision
 from dousa.library.store.rows import fetch_rows
 from dousa.messages.tables import LANGUAGES
@@ -149,12 +149,10 @@ class _Entry:
 class _TextIndex:
     """The motions of a library at a revision, sorted by path.
 
-    ``sums`` show whether any label or relation has changed (tags, stars and kept searches do not count); ``stamps``,
-    the checksums of each motion by number, show which motions have.
+    ``stamps``, the checksums of the labels and relations of each motion by number, show which have changed.
     """
 
     revision: int
-    sums: tuple[int, ...]
     entries: tuple[_Entry, ...]
     columns: WordColumns
     words: KnownWords
@@ -212,21 +210,8 @@ class TextSearcher:
         with self._database.reading() as connection:
             revision = read_revision(connection)
             if self._index is None or self._index.revision != revision:
-                sums = _read_sums(connection)
-                if self._index is not None and self._index.sums == sums:
-                    self._index = replace(self._index, revision=revision)
-                else:
-                    self._index = _load_index(connection, revision, sums, self._index)
+                self._index = _load_index(connection, revision, self._index)
             return self._index
-
-
-def _read_sums(connection: sa.Connection) -> tuple[int, ...]:
-    """Read the counts and sums of the checksums of labels and relations."""
-    sums: list[int] = []
-    for seal in (LABELS, RELATIONS):
-        query = sa.select(sa.func.count(seal.covered[0]), sa.func.coalesce(sa.func.sum(seal.checksum), 0))
-        sums += map(int, connection.execute(query).one())
-    return tuple(sums)
 
 
 def _read(index: _TextIndex, text: str) -> list[Matcher]:
@@ -262,11 +247,11 @@ def _choose(entries: Sequence[_Entry], category: str | None, performer: str | No
     return np.flatnonzero(np.array(fits, bool))
 
 
-def _load_index(
-    connection: sa.Connection, revision: int, sums: tuple[int, ...], known: _TextIndex | None
-) -> _TextIndex:
+def _load_index(connection: sa.Connection, revision: int, known: _TextIndex | None) -> _TextIndex:
     """Load the index at a revision; of motions unchanged since a ``known`` index only checksums are read."""
     stamps = _read_stamps(connection)
+    if known is not None and known.stamps == stamps:
+        return replace(known, revision=revision)
     kept: list[_Entry] = []
     if known is not None:
         same = {number for number, own in known.stamps.items() if None not in own and own == stamps.get(number)}
@@ -303,7 +288,7 @@ def _load_index(
     words = KnownWords(
         word for entry in entries for unit in (entry.words.category, entry.words.name) for word in unit.words
     )
-    return _TextIndex(revision, sums, entries, columns, words, stamps, units)
+    return _TextIndex(revision, entries, columns, words, stamps, units)
 
 
 def _read_stamps(connection: sa.Connection) -> dict[int, tuple[Any, ...]]:

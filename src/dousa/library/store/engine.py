@@ -295,6 +295,16 @@ class Database:
             state = library_state.c
             connection.execute(sa.update(library_state).where(state.id == STATE_ID).values(id=STATE_ID))
 
+    def keep(self, write: Callable[[sa.Connection], object]) -> None:
+        """Write what can be made again, unless the library cannot be written; LibraryDamagedError as usual."""
+        try:
+            with self.writing() as connection:
+                write(connection)
+        except LibraryDamagedError:
+            raise
+        except LibraryError:
+            return
+
     def write_planned(
         self,
         plan: Callable[[sa.Connection, Plan | None], Plan],

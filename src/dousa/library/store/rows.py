@@ -38,7 +38,10 @@ def fetch_rows(
 ) -> Iterator[Any]:
     """Yield the sealed rows of a table, those of some keys if given; LibraryDamagedError for a wrong checksum."""
     query = sa.select(*seal.columns).where(*where).order_by(order)
-    rows = list(connection.execute(query) if keys is None else fetch_in(connection, query, seal.covered[0], keys))
+    key = seal.covered[0]
+    rows: list[Any] = list(fetch_in(connection, query, key, keys)) if keys is not None else []
+    if keys is None:
+        rows += connection.execute(query)
     if rows:
         seal.check_all(connection, list(zip(*rows, strict=True)))
     yield from rows

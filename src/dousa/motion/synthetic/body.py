@@ -74,10 +74,7 @@ def build_skeleton(stature: float, legs: float, arms: float, width: float) -> Sk
 
 def _about(axis: int, degrees: FloatArray) -> FloatArray:
     """Quaternions (T, 4) about x (0), y (1) or z (2)."""
-    half = np.radians(degrees) / 2
-    q = np.zeros((len(half), 4))
-    q[:, 0], q[:, 1 + axis] = np.cos(half), np.sin(half)
-    return q
+    return rot.from_euler(np.radians(degrees)[:, None], "XYZ"[axis])
 
 
 def _chain(*quaternions: FloatArray) -> FloatArray:
