@@ -1,5 +1,6 @@
 """The command line as a person uses it: answers, JSON, errors with exit code 2 and no traceback."""
 
+import importlib
 import json
 import os
 import re
@@ -16,7 +17,9 @@ import numpy as np
 import pytest
 
 import dousa
+from dousa.app.stops import hear_stops
 from dousa.formats.registry import read_motion, write_motion
+from dousa.messages import Message
 from dousa.motion.synthetic.performers import draw_performer, make_motion
 from made_clips import write_clips
 from patience import PATIENCE
@@ -423,6 +426,41 @@ def test_a_stop_is_a_word_not_a_traceback(dousa, trained, tmp_path, monkeypatch,
     assert "interrupted" in err and "Traceback" not in err
     assert not list(tmp_path.rglob("*.part")) and not (tmp_path / "out.zip").exists()
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+@pytest.mark.parametrize(
+    ("words", "place"),
+    [
+        (("train", "moves.dousa"), "dousa.retrieval.MotionForest.fit"),
+        (("find", "moves.dousa", "walk/p0.bvh", "squat/p1.bvh"), "dousa.library.takes.takes.judge_places"),
+        (("-j", "2", "add", "moves.dousa", "more"), "dousa.library.store.ingest.read_with"),
+    ],
+)
+def test_a_stop_of_long_work_loses_nothing(dousa, succeed, library, motions, monkeypatch, words, place):
+    write_clips(library.parent / "more", ("wave_left",), 3)
+    for folder in ("walk", "squat"):
+        shutil.copytree(motions / folder, library.parent / folder)
+    monkeypatch.chdir(library.parent)
+    before = json.loads(succeed("list", "--json", library)[0])
+    with monkeypatch.context() as patch:
+        patch.setattr(place, lambda *given, **options: signal.raise_signal(signal.SIGTERM))
+        code, _, err = dousa(*words)
+    assert (code, err.strip().splitlines()[-1]) == (143, f"dousa: {Message('cli.interrupted')}")
+    assert "Traceback" not in err
+    succeed("check", library)
+    assert json.loads(succeed("list", "--json", library)[0]) == before
+    assert "3 added" in succeed("add", library, "more")[0]
+
+
+def test_a_stop_waits_while_a_module_loads(tmp_path, monkeypatch):
+    (tmp_path / "half_a_module.py").write_text("import signal\nsignal.raise_signal(signal.SIGTERM)\nis_whole = True\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with hear_stops() as came, pytest.raises(KeyboardInterrupt):
+        assert importlib.import_module("half_a_module").is_whole
+        for _ in range(100):
+            time.sleep(PATIENCE / 100)
+    assert came == [signal.SIGTERM]
+    monkeypatch.delitem(sys.modules, "half_a_module")
 
 
 def test_check_of_a_file_that_cannot_be_read_sends_nobody_to_itself(dousa, trained, tmp_path):
