@@ -225,7 +225,7 @@ class RankedRows:
         """Return the first k as hits; their ranks follow."""
         rows, clips = self.rows[:k], self.clips
         chances = clips.judge(rows)
-        alike = None if self.similar is None else np.isin(rows, self.similar)
+        reached = None if self.similar is None else np.isin(rows, self.similar)
         return [
             Hit(
                 self.index.path(row).decode(),
@@ -237,7 +237,7 @@ class RankedRows:
                 pose_distance=_number_or_none(self.poses[place]),
                 rank_distance=_number_or_none(self.distances[place]),
                 mirrored=self.asked.mirrored,
-                alike=None if alike is None else bool(alike[place]),
+                alike=None if reached is None else bool(reached[place]),
                 probability=None if chances is None else round(float(chances[place]), 4),
             )
             for place, row in enumerate(rows.tolist())

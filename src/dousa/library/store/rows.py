@@ -90,6 +90,6 @@ def update_rows(connection: sa.Connection, seal: Seal, changes: Mapping[Any, Map
             sums[row[0]] = checksum
             new = {"of_row": row[0], **changes[row[0]], seal.checksum.name: checksum}
             by_columns.setdefault(tuple(new), []).append(new)
-        for alike in by_columns.values():
-            connection.execute(sa.update(table).where(key == sa.bindparam("of_row")), alike)
+        for group in by_columns.values():
+            connection.execute(sa.update(table).where(key == sa.bindparam("of_row")), group)
     return sums
