@@ -33,7 +33,7 @@ from dousa.formats.registry import find_reader
 from dousa.library.annotations.matching import FoundLabels, TakeLength, check_fit, choose_labels, find_labels
 from dousa.library.annotations.store import annotate_takes, read_annotations, rename_segments
 from dousa.library.care.compact import begin_where_large
-from dousa.library.history.recording import recording, step
+from dousa.library.history.recording import recording, recording_together, step
 from dousa.library.label_rules import LabelRule, check_text, no_label
 from dousa.library.learning.insert import Arrival, describe_arrival, insert_clips
 from dousa.library.learning.lesson import learn_new
@@ -128,7 +128,6 @@ class Adding:
         self._sizes: dict[str, int] = {}  # of the files that were read
         self._known_labels: dict[str, Labels] = {}
         self._labels_stay = True
-        self.change: int | None = None  # in the journal, one for all portions
         self._tally: Tally = defaultdict(list)
 
     def run(self, paths: Sequence[Any], n_jobs: int | None, progress: AddProgress | None) -> AddReport:
@@ -149,15 +148,16 @@ class Adding:
         labels = {self._name(path): own for path, own in labels.items()}
         tasks = self._plan(labels)
         self._check_known(labels)
-        try:
-            self._read(tasks, labels, n_jobs, report)
-            if self._labels_from is not None:
-                self._annotate(labels)
-        except DousaError:
-            if labels and self.change is not None:  # many takes, written while others were read
-                step(self._database, self.change, redo=False)
-                self.change = None
-            raise
+        with recording_together(self._database.engine) as whole:  # one change for all portions
+            try:
+                self._read(tasks, labels, n_jobs, report)
+                if self._labels_from is not None:
+                    self._annotate(labels)
+            except DousaError:
+                if labels and whole.number is not None:  # many takes, written while others were read
+                    step(self._database, whole.number, redo=False)
+                    whole.number = None
+                raise
         return self._finish(start, n_jobs, progress)
 
     def _read(
@@ -285,7 +285,7 @@ class Adding:
             if chosen.labels is not None:
                 wanted[row.id], notes[row.id] = chosen.labels, list(chosen.notes)
         self._tally["warnings"] += self._find_clips(labels, {row.path for row in rows})
-        self.forest, changes = annotate_takes(self._database, wanted, self.forest, self.change)
+        self.forest, changes = annotate_takes(self._database, wanted, self.forest)
         changed = set(changes.takes)
         # Do not repeat notes on unchanged labels.
         new = [(row.path, note) for row in rows if row.path in changed for note in notes[row.id]]
@@ -487,13 +487,12 @@ class Adding:
             _move(connection, record, row)
         if found.fresh or found.gone or found.tally["moved"]:
             revision = next_revision(connection)
-            with recording(connection, revision, "add", gone=found.gone, into=self.change) as recorded:
+            with recording(connection, revision, "add", gone=found.gone):
                 tags = _read_own_tags(connection, found.gone)
                 delete_clips(connection, found.gone)
                 if found.arrival is not None:
                     insert_clips(connection, found.fresh, found.arrival)
                 _give_tags(connection, tags)
-            self.change = recorded.number
         return found
 
     def _take(self, tally: Tally, fresh: list[ClipRecord], known: FileRecord, row: Any) -> None:

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from dousa.library.care.compact import CompactReport
     from dousa.library.care.damage import CheckReport
     from dousa.library.history.journal import JournalEntry
-    from dousa.library.history.recording import Recorded
     from dousa.messages import Progress
 
 _FULL = ("library_file.disk_full", "library_file.server_disk_full", "library_file.disk_failed")
@@ -65,16 +64,15 @@ class LibraryChanges(LibraryContents):
         from dousa.library.history.recording import recording
 
         try:
-            with self.database.writing() as connection:
+            with self.one_change(), self.database.writing() as connection:
                 ids = select_ids(connection, self.name, selection, category, performer, tag)
                 paths = _selection.list_paths(connection, ids)
                 if ids:
                     revision, labelled = next_revision(connection), find_leaving(connection, ids)
                     written = recording(connection, revision, "remove", gone=ids, takes=labelled)
-                    with nullcontext() if for_good else written as recorded:
+                    with nullcontext() if for_good else written:
                         _selection.delete_clips(connection, ids)
                         leave_open(connection, labelled)
-                    self._note_change(recorded)
         except LibraryError as error:
             if for_good or error.code not in _FULL:
                 raise
@@ -119,13 +117,12 @@ class LibraryChanges(LibraryContents):
         check_labels(category, performer)
         given = {"category": category, "performer": performer}
         values = {name: label for name, label in given.items() if label is not UNCHANGED}
-        with self.database.writing() as connection:
+        with self.one_change(), self.database.writing() as connection:
             ids = select_ids(connection, self.name, selection, where_category, where_performer)
             if ids:
                 revision, marked = next_revision(connection), _selection.with_segments(connection, ids)
-                with recording(connection, revision, "relabel", marked=marked, values=values) as recorded:
+                with recording(connection, revision, "relabel", marked=marked, values=values):
                     _selection.set_labels(connection, ids, category, performer)
-                self._note_change(recorded)
             return [clip.path for clip in _selection.list_clips(connection, ids)]
 
     def tag(
@@ -165,11 +162,10 @@ class LibraryChanges(LibraryContents):
         if not more and not less:
             raise OptionError("library_tags.nothing_to_change")
         values = {"tags": [*(f"+{name}" for name in more), *(f"-{name}" for name in less)]}
-        with self.database.writing() as connection:
+        with self.one_change(), self.database.writing() as connection:
             ids = select_ids(connection, self.name, selection, where_category, where_performer, where_tag)
-            with recording(connection, next_revision(connection), "tag", marked=ids, values=values) as recorded:
+            with recording(connection, next_revision(connection), "tag", marked=ids, values=values):
                 changed = change_tags(connection, ids, more, less)
-            self._note_change(recorded)
             return _selection.list_paths(connection, list(changed))
 
     def tags(self) -> dict[str, int]:
@@ -240,13 +236,7 @@ class LibraryChanges(LibraryContents):
             try:
                 yield
             finally:
-                self._note_change(whole)
-
-    def _note_number(self, number: int | None) -> None:
-        self._last.change = number
-
-    def _note_change(self, recorded: Recorded | None) -> None:
-        self._last.change = None if recorded is None else recorded.number
+                self._last.change = whole.number
 
     def undo(self, number: int | None = None, *, n_jobs: int | None = None) -> JournalEntry:
         """Undo a change: restore labels, tags, takes and removed clips.

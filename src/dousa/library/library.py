@@ -111,10 +111,8 @@ class Library(LibraryChanges):
             "performer": parse_label_rule(performer_from, "performer"),
         }
         adding = Adding(self.database, kind, rules, options or ReadOptions(), self._forests.last, labels_from, tier)
-        try:
+        with self.one_change():
             return adding.run(_as_list(paths), n_jobs, progress)
-        finally:
-            self._last.change = adding.change
 
     def add_motion(
         self,
@@ -174,10 +172,8 @@ class Library(LibraryChanges):
             "performer": no_label if performer is None else lambda root, file: performer,
         }
         adding = Adding(self.database, kind, rules, options, self._forests.last)
-        try:
+        with self.one_change():
             return adding.run_one(record, n_jobs)
-        finally:
-            self._last.change = adding.change
 
     def train(
         self,
@@ -610,7 +606,7 @@ class Library(LibraryChanges):
         """
         from dousa.library.annotations.store import Annotations
 
-        return Annotations(self.database, self._forests, self._note_number)
+        return Annotations(self.database, self._forests, self.one_change)
 
     @cached_property
     def searches(self) -> SavedSearches:

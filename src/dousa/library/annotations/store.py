@@ -11,6 +11,7 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -106,8 +107,6 @@ def annotate_takes(
     database: Database,
     wanted: Mapping[int, Annotation],
     forest: StoredForest | None,
-    change: int | None = None,
-    note: Callable[[int | None], None] = lambda number: None,
     *,
     at_once: int = 16,
 ) -> tuple[StoredForest | None, AnnotationChanges]:
@@ -119,8 +118,6 @@ def annotate_takes(
     ----------
     wanted : by number of the take; missing takes are left out. Blank labels remove all labels.
     forest : of the library, if it is loaded.
-    change : number in the journal of the change that this belongs to.
-    note : called with the number of the change in the journal; None if nothing changed.
     at_once : takes in one transaction; more make other writers wait longer.
     """
     for labels in wanted.values():
@@ -133,9 +130,8 @@ def annotate_takes(
     for numbers in portions(ids, at_once=at_once):
         some = {number: wanted[number] for number in numbers}
         plan = partial(_plan_tables, database.where, some, forest)
-        done, _, forest, change = database.write_planned(plan, partial(_exchange, change=change))
+        done, _, forest = database.write_planned(plan, _exchange)
         changes += done
-    note(change)
     return _learn(database, forest, changes)
 
 
@@ -169,13 +165,12 @@ def name_segment(
     take_id: int,
     segment: Stretch,
     forest: StoredForest | None,
-    note: Callable[[int | None], None] = lambda number: None,
     instead_of: str | None = None,
 ) -> tuple[StoredForest | None, int | None, AnnotationChanges]:
     """Name a part of a take by hand; a segment at about the same place (half, intersection over union) is replaced.
 
-    With ``instead_of``, only a segment of that category is replaced. ``note`` is called as in `annotate_takes`. Returns
-    the forest after learning, the number of the clip (None if the part has no motion), and the changes.
+    With ``instead_of``, only a segment of that category is replaced. Returns the forest after learning, the number of
+    the clip (None if the part has no motion), and the changes.
     """
 
     def plan(connection: sa.Connection, known: _Exchange | None) -> _Exchange:
@@ -191,8 +186,7 @@ def name_segment(
         places = [(rows[0], kept, gone)] if kept else []
         return _plan(connection, database.where, places, _Exchange(forest, by_hand=True), known)
 
-    done, ids, asked, change = database.write_planned(plan, _exchange)
-    note(change)
+    done, ids, asked = database.write_planned(plan, _exchange)
     grown, changes = _learn(database, asked, done)
     return grown, ids[0] if ids else None, changes
 
@@ -315,19 +309,18 @@ def _plan(
 
 
 def _exchange(
-    connection: sa.Connection, planned: _Exchange, change: int | None = None
-) -> tuple[AnnotationChanges, list[int], StoredForest | None, int | None]:
-    """Replace segments; return the changes, their numbers, the forest, and the number of the change in the journal."""
+    connection: sa.Connection, planned: _Exchange
+) -> tuple[AnnotationChanges, list[int], StoredForest | None]:
+    """Replace segments; return the changes, their numbers, and the forest."""
     if not (planned.tables or planned.records or planned.gone):
-        return planned.changes, [], planned.forest, change
+        return planned.changes, [], planned.forest
     revision = next_revision(connection)
     takes = {row.id for row, _ in planned.tables}
     named = next((str(one.row["category"]) for one in planned.records if planned.by_hand), None)
     kind, values = ("label", {}) if named is None else ("name", {"category": named})
-    written = recording(connection, revision, kind, gone=planned.gone, takes=takes, values=values, into=change)
-    with written as recorded:
+    with recording(connection, revision, kind, gone=planned.gone, takes=takes, values=values):
         ids = _write_exchange(connection, planned)
-    return planned.changes, ids, planned.forest, recorded.number
+    return planned.changes, ids, planned.forest
 
 
 def _write_exchange(connection: sa.Connection, planned: _Exchange) -> list[int]:
@@ -452,11 +445,11 @@ class Annotations:
     """Labels of the takes of a library, ``Library.annotations``."""
 
     def __init__(
-        self, database: Database, forests: ForestCache, note: Callable[[int | None], None] = lambda number: None
+        self, database: Database, forests: ForestCache, one_change: Callable[[], AbstractContextManager[None]]
     ) -> None:
         self._database = database
         self._forests = forests
-        self._note = note
+        self._one_change = one_change
 
     def read(self, takes: Iterable[int] | None = None) -> list[TakeAnnotation]:
         """Read the labels of takes by their numbers, by default of all with labels; missing takes are left out."""
@@ -496,7 +489,8 @@ class Annotations:
         """Replace the labels of several takes, by number; takes with the same labels are not touched."""
         for take in labels:
             self._check_take(take)
-        self._forests.last, changes = annotate_takes(self._database, labels, self._forests.last, note=self._note)
+        with self._one_change():
+            self._forests.last, changes = annotate_takes(self._database, labels, self._forests.last)
         self._refresh(changes, n_jobs)
         return changes
 
@@ -536,9 +530,10 @@ class Annotations:
         check_times(start, end, category)
         self._check_take(take)
         part = Stretch(start, end, category)
-        self._forests.last, number, changes = name_segment(
-            self._database, take, part, self._forests.last, self._note, instead_of
-        )
+        with self._one_change():
+            self._forests.last, number, changes = name_segment(
+                self._database, take, part, self._forests.last, instead_of
+            )
         self._refresh(changes, n_jobs)
         return number
 

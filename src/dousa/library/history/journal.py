@@ -128,16 +128,13 @@ def describe(kind: str, n: int, values: dict[str, Any]) -> Message:
 
 
 def _describe_labels(n: int, values: dict[str, Any]) -> Message:
-    category, performer = values.get("category"), values.get("performer")
     if "category" in values and "performer" in values:
         return Message("journal.both_labels", n=n)
     if "performer" in values:
-        if performer is None:
-            return Message("journal.no_performer", n=n)
-        return Message("journal.performer", n=n, performer=performer)
-    if category is None:
-        return Message("journal.no_category", n=n)
-    return Message("journal.category", n=n, category=category)
+        performer = values["performer"]
+        return Message("journal.no_performer" if performer is None else "journal.performer", n=n, performer=performer)
+    category = values.get("category")
+    return Message("journal.no_category" if category is None else "journal.category", n=n, category=category)
 
 
 def measure_kept(connection: sa.Connection) -> int:

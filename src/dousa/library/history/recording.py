@@ -42,36 +42,36 @@ Marks = dict[int, dict[str, Any]]
 
 
 @dataclass(slots=True)
-class Recorded:
-    """A change in progress, and its number; None if nothing changed."""
+class Whole:
+    """A change in progress, of one transaction or several; ``number`` is None as long as nothing changed.
 
+    ``kind`` and message values as in `recording`; by default those of its first part.
+    """
+
+    engine: sa.Engine
+    kind: str | None = None
+    values: dict[str, Any] = field(default_factory=dict)
     number: int | None = None
 
 
-@dataclass(slots=True)
-class _Together(Recorded):
-    """Several steps that form one change; by default with the ``kind`` and message of the first."""
-
-    engine: sa.Engine | None = None
-    kind: str | None = None
-    values: dict[str, Any] = field(default_factory=dict)
-
-
-_TOGETHER: ContextVar[_Together | None] = ContextVar("together", default=None)
+_WHOLE: ContextVar[Whole | None] = ContextVar("whole", default=None)
 
 
 @contextmanager
-def recording_together(engine: sa.Engine, kind: str | None, values: dict[str, Any]) -> Iterator[Recorded]:
-    """Record this thread's changes of a library inside the block as one change, even over several transactions.
-
-    ``kind`` and message values as in `recording`, of the whole.
-    """
-    together = _Together(engine=engine, kind=kind, values=values)
-    token = _TOGETHER.set(together)
+def recording_together(
+    engine: sa.Engine, kind: str | None = None, values: dict[str, Any] | None = None
+) -> Iterator[Whole]:
+    """Record this thread's changes of a library inside the block as one, or as part of that of a block around it."""
+    whole = _WHOLE.get()
+    if whole is not None and whole.engine is engine:
+        yield whole
+        return
+    whole = Whole(engine, kind, values or {})
+    token = _WHOLE.set(whole)
     try:
-        yield together
+        yield whole
     finally:
-        _TOGETHER.reset(token)
+        _WHOLE.reset(token)
 
 
 @dataclass(slots=True)
@@ -119,9 +119,10 @@ def recording(
     gone: Sequence[int] = (),
     takes: Iterable[int] = (),
     values: dict[str, Any] | None = None,
-    into: int | None = None,
-) -> Iterator[Recorded]:
+) -> Iterator[None]:
     """Record the changes inside the block, after ``next_revision`` in the same transaction.
+
+    Within `recording_together` they extend that change; a new one is begun if it no longer exists.
 
     Parameters
     ----------
@@ -130,15 +131,12 @@ def recording(
     marked : clips whose labels or tags may change.
     gone : clips to be removed; they are kept, with the segments of takes among them.
     takes : whose tables of labels may change.
-    into : number of a change to extend; a new one is begun if it no longer exists.
     """
-    together = _TOGETHER.get()
-    if together is not None and together.engine is not connection.engine:
-        together = None
-    if together is not None:
-        into = together.number if into is None else into
-        kind, values = (kind, values) if together.kind is None else (together.kind, together.values)
-    known = None if into is None else read_row(connection, into)
+    whole = _WHOLE.get()
+    if whole is None or whole.engine is not connection.engine:
+        whole = Whole(connection.engine)
+    kind, values = (kind, values) if whole.kind is None else (whole.kind, whole.values)
+    known = None if whole.number is None else read_row(connection, whole.number)
     if known is not None and known.undone is not None:
         known = None
     number = revision if known is None else int(known.number)
@@ -149,21 +147,16 @@ def recording(
     put_away(connection, leaving, number)
     marks, tables = read_marks(connection, marked), read_tables(connection, takes)
     first = _next_number(connection)
-    recorded = Recorded()
-    yield recorded
+    yield
     made = Changes(gone=leaving, new=list(range(first, _next_number(connection))))
     made.labels = _compare(marks, read_marks(connection, marked))
     now = read_tables(connection, tables)
     made.annotations = [(take, before, now[take]) for take, before in tables.items() if before != now[take]]
     if made.clips:
         _finish(connection, number, made, known)
-        recorded.number = number
+        whole.number = number
     elif known is None:
-        connection.execute(sa.delete(schema.journal).where(schema.journal.c.number == number))
-    else:
-        recorded.number = number
-    if together is not None and recorded.number is not None:
-        together.number = recorded.number
+        delete_rows(connection, schema.journal, [number])
 
 
 def _begin(connection: sa.Connection, number: int, kind: str, values: dict[str, Any]) -> None:
