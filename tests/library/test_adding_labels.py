@@ -7,7 +7,6 @@ import pytest
 from dousa.errors import MotionFileError, OptionError
 from dousa.formats.annotations.tables import format_labels_csv
 from dousa.library import Library
-from dousa.motion.annotation import Annotation
 
 HEAD = "start_s,end_s,category\n"
 
@@ -193,15 +192,6 @@ def test_an_emptied_table_leaves_labels_where_they_are(library, takes):
     (takes / "p1_take.labels.csv").write_text(HEAD)
     assert codes(add(library, takes)) == [("p1_take.bvh", "blank_kept")]
     assert labels(library) == before
-
-
-def test_a_library_that_learned_an_empty_table_forgets_it(library, takes):
-    add(library, takes)
-    number = next(clip.id for clip in library.clips() if clip.path.endswith("p1_take.bvh"))
-    library.annotations.write(number, Annotation(()), n_jobs=1)  # as an earlier dousa read it
-    (takes / "p1_take.labels.csv").write_text(HEAD)
-    assert codes(add(library, takes)) == [("p1_take.bvh", "blank")]
-    assert set(labels(library)) == {"p0_take"}
 
 
 def make_copy(takes: Path, rows: str) -> Path:

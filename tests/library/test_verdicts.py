@@ -19,30 +19,6 @@ from made_clips import write_clip, write_clips
 
 
 @pytest.mark.parametrize("by", RANKINGS)
-def test_clips_come_in_the_order_of_the_ranking(by):
-    clips = make_clips(3, 60)
-    index, asked, read = clips.make_index(), clips.ask(7), []
-
-    def read_poses(ids):
-        read.append(list(ids))
-        return clips.read_poses(ids)
-
-    for k in (1, 7, 60, 100):
-        expected, count = clips.rank(7, k, by)
-        hits, n_alike = search_index(index, [asked], k, by, None, read_poses)
-        assert [hit.clip_id for hit in hits] == [one[0] for one in expected]
-        assert [hit.rank for hit in hits] == list(range(1, min(k, 60) + 1))
-        assert n_alike == count
-    shares = clips.votes / clips.votes.sum(axis=1, keepdims=True)
-    for hit in hits:
-        row = (hit.clip_id - 100) // 3
-        assert hit.path == clips.paths[row] and hit.category == clips.labels[row]
-        assert hit.distance == pytest.approx(np.linalg.norm(shares[row] - shares[7]), abs=1e-9)
-        assert hit.leaf_share == pytest.approx((clips.leaves[row] == clips.leaves[7]).mean())
-    assert bool(read) == (by in ("pose", "fused"))
-
-
-@pytest.mark.parametrize("by", RANKINGS)
 def test_a_motion_and_its_mirror_image_are_merged(by):
     clips = make_clips(5, 60)
     index, both = clips.make_index(), [clips.ask(10), clips.ask(20, mirrored=True)]

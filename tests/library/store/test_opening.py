@@ -18,7 +18,6 @@ from sqlalchemy import event
 from dousa.errors import LibraryDamagedError, LibraryError, LibraryLockedError, LibraryVersionError, OptionError
 from dousa.library import Library
 from dousa.library.store import engine as _engine
-from dousa.library.store import schema
 from dousa.motion.synthetic import draw_performer, make_motion
 from fuzzing import count_tries
 from library.database_server import address, connect_plainly, run_sql
@@ -395,11 +394,6 @@ def test_a_url_whose_driver_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "psycopg", None)
     with pytest.raises(LibraryError, match=r"pip install 'dousa\[postgres\]'"):
         Library.open("postgresql+psycopg://localhost/none")
-
-
-@pytest.mark.sqlite
-def test_the_mark_is_in_the_file(library_file):
-    assert int.from_bytes(library_file.read_bytes()[68:72], "big") == schema.APPLICATION_ID
 
 
 @pytest.mark.sqlite
