@@ -6,9 +6,11 @@ import subprocess
 import sys
 import threading
 from contextlib import closing
+from pathlib import Path
 
 import pytest
 
+from dousa import library
 from dousa.errors import LibraryError, LibraryVersionError, OptionError
 from dousa.library import Library
 from library.database_server import connect_plainly
@@ -141,3 +143,10 @@ def test_tables_of_another_version_are_refused_and_not_changed(url, library_file
         with pytest.raises(LibraryVersionError, match=rf"tables {number}\b"):
             visit()
     assert not (tmp_path / "again.dousa").exists() and not list(tmp_path.rglob("*.part"))
+
+
+def test_few_modules_speak_sqlite():
+    own = {"engine.py", "log_marks.py", "backup.py", "compact.py", "damage.py", "repair.py", "side_file.py"}
+    texts = {path.name: path.read_text(encoding="utf-8") for path in Path(library.__file__).parent.rglob("*.py")}
+    words = ("exec_driver_sql", "sqlite3", "sa.text(")
+    assert {name for name, text in texts.items() if any(word in text for word in words)} <= own
