@@ -41,7 +41,7 @@ from dousa.library.results import AddReport, Duplicate
 from dousa.library.store import schema
 from dousa.library.store.checksums import LABELS, NUMBERS
 from dousa.library.store.engine import Database, next_revision
-from dousa.library.store.forests import StoredForest, load_forest
+from dousa.library.store.forests import ForestCache
 from dousa.library.store.ingest import (
     ClipRecord,
     FileRecord,
@@ -100,7 +100,7 @@ class Adding:
     kind : ``CLIP`` or ``TAKE``, of new motions.
     rules : of category and performer: labels of new clips.
     options : how to read the files.
-    forest : of the library, if it is loaded; afterwards as it has learned.
+    forests : of the library; learns from what is added.
     labels_from, tier : the labels of takes, see ``dousa.library.annotations.matching``; None for none.
     """
 
@@ -110,7 +110,7 @@ class Adding:
         kind: str,
         rules: Mapping[str, LabelRule],
         options: ReadOptions,
-        forest: StoredForest | None = None,
+        forests: ForestCache,
         labels_from: str | None = None,
         tier: str | None = None,
     ) -> None:
@@ -120,7 +120,7 @@ class Adding:
         # A part goes into the name of its clip, as it does where all parts are added.
         self._part = {kind: name for kind in KINDS if (name := getattr(options, kind)) is not None}
         self._options = replace(options, person=None, animation=None)
-        self.forest = forest
+        self._forests = forests
         self._labels_from = labels_from
         self._tier = tier
         self._found: dict[str, FoundFile] = {}
@@ -285,7 +285,7 @@ class Adding:
             if chosen.labels is not None:
                 wanted[row.id], notes[row.id] = chosen.labels, list(chosen.notes)
         self._tally["warnings"] += self._find_clips(labels, {row.path for row in rows})
-        self.forest, changes = annotate_takes(self._database, wanted, self.forest)
+        changes = annotate_takes(self._database, wanted, self._forests)
         changed = set(changes.takes)
         # Do not repeat notes on unchanged labels.
         new = [(row.path, note) for row in rows if row.path in changed for note in notes[row.id]]
@@ -347,14 +347,14 @@ class Adding:
 
     def _finish(self, start: float, n_jobs: int | None, progress: AddProgress | None = None) -> AddReport:
         # Even if nothing is new: an earlier run may have been interrupted before this.
-        self.forest, learned = learn_new(self._database, self.forest)
+        self._forests.last, learned = learn_new(self._database, self._forests.last)
         self._tally["n_learned"].append(learned.n_clips)
         self._tally["new_categories"] += learned.new_categories
-        if self.forest is not None:
-            refresh_windows(self._database, self.forest, n_jobs)
+        if self._forests.last is not None:
+            refresh_windows(self._database, self._forests.last, n_jobs)
             report = progress or (lambda done, total, path: None)
             make_window_files(
-                self._database, self.forest, n_jobs, lambda done, total, what: report(done, total, str(what))
+                self._database, self._forests.last, n_jobs, lambda done, total, what: report(done, total, str(what))
             )
         if begun := begin_where_large(self._database):
             self._tally["warnings"].append((self._database.where, Message("library_fragments.begun", most=begun)))
@@ -377,7 +377,7 @@ class Adding:
         with self._database.reading() as connection:
             stored: dict[str, Any] = {row.path: row for row in fetch_in(connection, query, table.path, names)}
             parts = _read_parts_of_files(connection)
-            self.forest = load_forest(connection, self._database.where, self.forest)
+            self._forests.renew(connection)
             unread, options = [], self._options.describe()
             for path, state in states.items():
                 rows = [stored[path]] if path in stored else parts.get(path, [])
@@ -410,7 +410,8 @@ class Adding:
     ) -> ReadTask:
         """Return the task for a file; with a forest, the features of a clip are computed too."""
         chosen = kind or self._kind
-        feature_set = self.forest.feature_set if self.forest and chosen == schema.CLIP else ""
+        forest = self._forests.last
+        feature_set = forest.feature_set if forest and chosen == schema.CLIP else ""
         return ReadTask(path, self._options, known, chosen, feature_set, parts=parts, may_be_voted=True)
 
     def _labels(self, path: str) -> Labels:
@@ -478,8 +479,7 @@ class Adding:
         arrival = None
         if fresh:
             # Loaded again: another program may have trained the library while files were read.
-            self.forest = load_forest(connection, self._database.where, self.forest)
-            arrival = describe_arrival(self.forest, fresh, known.arrival if known else None)
+            arrival = describe_arrival(self._forests.renew(connection), fresh, known.arrival if known else None)
         return _Sorted(tally, fresh, list(gone.values()), moved, arrival)
 
     def _store(self, connection: sa.Connection, found: _Sorted) -> _Sorted:

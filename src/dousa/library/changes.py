@@ -270,12 +270,11 @@ class LibraryChanges(LibraryContents):
 
     def _step(self, number: int | None, *, redo: bool, n_jobs: int | None) -> JournalEntry:
         from dousa.library.history.recording import step
-        from dousa.library.store.forests import load_forest
         from dousa.library.takes.windows import refresh_windows
 
         entry = step(self.database, number, redo=redo)
         with self.database.reading() as connection:
-            stored = load_forest(connection, self.name, self._forests.last)
+            stored = self._forests.renew(connection)
         if stored is not None:
             refresh_windows(self.database, stored, n_jobs)
         return entry

@@ -110,7 +110,7 @@ class Library(LibraryChanges):
             "category": parse_label_rule(category_from if kind == CLIP else None, "category"),
             "performer": parse_label_rule(performer_from, "performer"),
         }
-        adding = Adding(self.database, kind, rules, options or ReadOptions(), self._forests.last, labels_from, tier)
+        adding = Adding(self.database, kind, rules, options or ReadOptions(), self._forests, labels_from, tier)
         with self.one_change():
             return adding.run(_as_list(paths), n_jobs, progress)
 
@@ -171,7 +171,7 @@ class Library(LibraryChanges):
             "category": no_label if category is None else lambda root, file: category,
             "performer": no_label if performer is None else lambda root, file: performer,
         }
-        adding = Adding(self.database, kind, rules, options, self._forests.last)
+        adding = Adding(self.database, kind, rules, options, self._forests)
         with self.one_change():
             return adding.run_one(record, n_jobs)
 

@@ -29,7 +29,7 @@ from dousa.library.store import schema
 from dousa.library.store.checksums import ANNOTATIONS, LABELS, SEGMENTS
 from dousa.library.store.engine import Database, next_revision
 from dousa.library.store.features import StoredMotion, load_motions
-from dousa.library.store.forests import ForestCache, StoredForest, load_forest
+from dousa.library.store.forests import ForestCache
 from dousa.library.store.ingest import ClipRecord
 from dousa.library.store.rows import delete_rows, fetch_in, fetch_rows, insert_rows, portions, update_rows
 from dousa.library.store.selection import delete_clips, find_row
@@ -106,18 +106,17 @@ _COLUMNS = ("id", "path", "performer", "content_hash", "read_options", "format",
 def annotate_takes(
     database: Database,
     wanted: Mapping[int, Annotation],
-    forest: StoredForest | None,
+    forests: ForestCache,
     *,
     at_once: int = 16,
-) -> tuple[StoredForest | None, AnnotationChanges]:
-    """Replace the labels of takes by those of tables; return the forest after learning, and the changes.
+) -> AnnotationChanges:
+    """Replace the labels of takes by those of tables, and let the forest learn them.
 
     OptionError or MotionFileError for invalid labels, or labels that do not fit their take; nothing changes.
 
     Parameters
     ----------
     wanted : by number of the take; missing takes are left out. Blank labels remove all labels.
-    forest : of the library, if it is loaded.
     at_once : takes in one transaction; more make other writers wait longer.
     """
     for labels in wanted.values():
@@ -129,17 +128,13 @@ def annotate_takes(
     changes = AnnotationChanges()
     for numbers in portions(ids, at_once=at_once):
         some = {number: wanted[number] for number in numbers}
-        plan = partial(_plan_tables, database.where, some, forest)
-        done, _, forest = database.write_planned(plan, _exchange)
-        changes += done
-    return _learn(database, forest, changes)
+        changes += database.write_planned(partial(_plan_tables, some, forests), _exchange)[0]
+    return _learn(database, forests, changes)
 
 
-def _learn(
-    database: Database, forest: StoredForest | None, changes: AnnotationChanges
-) -> tuple[StoredForest | None, AnnotationChanges]:
-    forest, learned = learn_new(database, forest)
-    return forest, changes + AnnotationChanges(n_learned=learned.n_clips, new_categories=learned.new_categories)
+def _learn(database: Database, forests: ForestCache, changes: AnnotationChanges) -> AnnotationChanges:
+    forests.last, learned = learn_new(database, forests.last)
+    return changes + AnnotationChanges(n_learned=learned.n_clips, new_categories=learned.new_categories)
 
 
 def _find_missing(row: Any, labels: Annotation, there: Iterable[TakeSegment]) -> list[Stretch]:
@@ -164,19 +159,19 @@ def name_segment(
     database: Database,
     take_id: int,
     segment: Stretch,
-    forest: StoredForest | None,
+    forests: ForestCache,
     instead_of: str | None = None,
-) -> tuple[StoredForest | None, int | None, AnnotationChanges]:
+) -> int | None:
     """Name a part of a take by hand; a segment at about the same place (half, intersection over union) is replaced.
 
-    With ``instead_of``, only a segment of that category is replaced. Returns the forest after learning, the number of
-    the clip (None if the part has no motion), and the changes.
+    With ``instead_of``, only a segment of that category is replaced. The forest learns it. Returns the number of the
+    clip; None if the part has no motion.
     """
 
     def plan(connection: sa.Connection, known: _Exchange | None) -> _Exchange:
         rows = _read_takes(connection, [take_id])
         if not rows:
-            return _Exchange(forest)
+            return _Exchange()
         before = _read_segments(connection, [take_id]).get(take_id, [])
         if segment.start >= rows[0].duration or segment.stop <= 0.0:
             check_fit(TakeLength.of(rows[0]), Annotation((segment,)))
@@ -184,11 +179,11 @@ def name_segment(
         there = [one for one in before if kept and _is_same_place(one, kept[0])]
         gone = [one.clip_id for one in there if instead_of in (None, one.category)]
         places = [(rows[0], kept, gone)] if kept else []
-        return _plan(connection, database.where, places, _Exchange(forest, by_hand=True), known)
+        return _plan(connection, forests, places, _Exchange(by_hand=True), known)
 
-    done, ids, asked = database.write_planned(plan, _exchange)
-    grown, changes = _learn(database, asked, done)
-    return grown, ids[0] if ids else None, changes
+    done, ids = database.write_planned(plan, _exchange)
+    _learn(database, forests, done)
+    return ids[0] if ids else None
 
 
 def _is_same_place(one: TakeSegment, other: Stretch) -> bool:
@@ -218,7 +213,6 @@ class _Exchange:
     arrival : what follows from the records; None if there are none.
     """
 
-    forest: StoredForest | None
     tables: Sequence[tuple[Any, Annotation]] = ()
     records: Sequence[ClipRecord] = ()
     gone: Sequence[int] = ()
@@ -228,9 +222,8 @@ class _Exchange:
 
 
 def _plan_tables(
-    where: str,
     wanted: Mapping[int, Annotation],
-    forest: StoredForest | None,
+    forests: ForestCache,
     connection: sa.Connection,
     known: _Exchange | None,
 ) -> _Exchange:
@@ -255,7 +248,7 @@ def _plan_tables(
         else:
             changes += AnnotationChanges(unchanged=(row.path,))
     changes += AnnotationChanges(takes=tuple(row.path for row, _, _ in places))
-    return _plan(connection, where, places, _Exchange(forest, tables, changes=changes), known)
+    return _plan(connection, forests, places, _Exchange(tables, changes=changes), known)
 
 
 def _compare(
@@ -279,7 +272,7 @@ def _compare(
 
 def _plan(
     connection: sa.Connection,
-    where: str,
+    forests: ForestCache,
     places: Sequence[tuple[Any, Sequence[Stretch], Sequence[int]]],
     exchange: _Exchange,
     known: _Exchange | None,
@@ -298,29 +291,25 @@ def _plan(
                     path = name_path(row.path, one.start, one.stop, number)
                 taken.add(path)
                 records.append(_make_record(row, motion, one, path, number, exchange.by_hand))
-    changes = AnnotationChanges(n_segments=len(records), n_removed=len(gone))
-    forest, arrival = exchange.forest, None
+    arrival = None
     if records:
         # Loaded again: another program may have trained the library.
-        forest = load_forest(connection, where, forest)
-        arrival = describe_arrival(forest, records, known.arrival if known else None)
-    changes = exchange.changes + changes
-    return replace(exchange, forest=forest, records=records, gone=gone, arrival=arrival, changes=changes)
+        arrival = describe_arrival(forests.renew(connection), records, known.arrival if known else None)
+    changes = exchange.changes + AnnotationChanges(n_segments=len(records), n_removed=len(gone))
+    return replace(exchange, records=records, gone=gone, arrival=arrival, changes=changes)
 
 
-def _exchange(
-    connection: sa.Connection, planned: _Exchange
-) -> tuple[AnnotationChanges, list[int], StoredForest | None]:
-    """Replace segments; return the changes, their numbers, and the forest."""
+def _exchange(connection: sa.Connection, planned: _Exchange) -> tuple[AnnotationChanges, list[int]]:
+    """Replace segments; return the changes, and the numbers of the new ones."""
     if not (planned.tables or planned.records or planned.gone):
-        return planned.changes, [], planned.forest
+        return planned.changes, []
     revision = next_revision(connection)
     takes = {row.id for row, _ in planned.tables}
     named = next((str(one.row["category"]) for one in planned.records if planned.by_hand), None)
     kind, values = ("label", {}) if named is None else ("name", {"category": named})
     with recording(connection, revision, kind, gone=planned.gone, takes=takes, values=values):
         ids = _write_exchange(connection, planned)
-    return planned.changes, ids, planned.forest
+    return planned.changes, ids
 
 
 def _write_exchange(connection: sa.Connection, planned: _Exchange) -> list[int]:
@@ -490,8 +479,8 @@ class Annotations:
         for take in labels:
             self._check_take(take)
         with self._one_change():
-            self._forests.last, changes = annotate_takes(self._database, labels, self._forests.last)
-        self._refresh(changes, n_jobs)
+            changes = annotate_takes(self._database, labels, self._forests)
+        self._refresh(n_jobs)
         return changes
 
     def name(
@@ -531,10 +520,8 @@ class Annotations:
         self._check_take(take)
         part = Stretch(start, end, category)
         with self._one_change():
-            self._forests.last, number, changes = name_segment(
-                self._database, take, part, self._forests.last, instead_of
-            )
-        self._refresh(changes, n_jobs)
+            number = name_segment(self._database, take, part, self._forests, instead_of)
+        self._refresh(n_jobs)
         return number
 
     def _check_take(self, number: int) -> None:
@@ -543,7 +530,7 @@ class Annotations:
         if row.kind != schema.TAKE:
             raise LibraryError("annotations.not_a_take", library=self._database.where, number=number, path=row.path)
 
-    def _refresh(self, changes: AnnotationChanges, n_jobs: int | None) -> None:
+    def _refresh(self, n_jobs: int | None) -> None:
         """Describe takes again if the leaves of the forest have learned."""
         if self._forests.last is not None:
             refresh_windows(self._database, self._forests.last, n_jobs)

@@ -195,12 +195,16 @@ class ForestCache:
         self._where = where
         self.last: StoredForest | None = None
 
+    def renew(self, connection: sa.Connection) -> StoredForest | None:
+        """Return the current forest; None before the training."""
+        self.last = load_forest(connection, self._where, self.last)
+        return self.last
+
     def load(self, connection: sa.Connection) -> StoredForest:
         """Return the current forest; NotTrainedError if there is none."""
-        stored = load_forest(connection, self._where, self.last)
+        stored = self.renew(connection)
         if stored is None:
             raise NotTrainedError("library_forest.not_trained", library=self._where)
-        self.last = stored
         return stored
 
 
