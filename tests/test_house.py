@@ -18,9 +18,9 @@ SOURCE = ROOT / "src" / "dousa"
 
 # Lines and files of each room, stubs included.
 ROOMS = {
-    "app": (25_962, 115),
+    "app": (25_956, 115),
     "estimation": (16_242, 68),
-    "evaluation": (12_175, 46),
+    "evaluation": (12_167, 46),
     "experiments": (1_715, 10),
     "files": (1_134, 8),
     "formats": (13_169, 70),
@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_621,
+    "lines of tests": 62_625,
     "lines of JavaScript": 12_544,
     "constants": 1_060,
     "numeric constants without a source": 0,

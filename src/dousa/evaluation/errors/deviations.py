@@ -53,16 +53,8 @@ class Deviations:
         return replace(self, **parts)
 
 
-_BY_FRAME = (
-    "squared",
-    "yaw",
-    "judged",
-    "performance",
-    "reference",
-    "spread",
-    "beyond",
-    "apart",
-)  # arrays with a row a frame
+# arrays with a row a frame
+_BY_FRAME = ("squared", "yaw", "judged", "performance", "reference", "spread", "beyond", "apart")
 
 
 def compute_deviations(reference: Working, performance: Working, frames: FloatArray, weights: FloatArray) -> Deviations:

@@ -112,17 +112,13 @@ def to_canonical(world: FloatArray) -> FloatArray:
 
 @dataclass(slots=True)
 class _Graded:
-    """The performance so far at ``rate`` (Hz), and the grade of its last seconds."""
+    """The performance so far, what is known of its last pose, and the grade of its last seconds."""
 
-    rate: float
     assessor: IncrementalAssessor
+    begun: float = 0.0  # s, by the camera's clock
     state: FrameState | None = None
     score: float | None = None
     asked: float = 0.0
-
-    def push(self, points: FloatArray) -> None:
-        """Take the next frame: joints (20, 3) m."""
-        self.state = self.assessor.push(points)
 
 
 class LiveSession:
@@ -171,7 +167,7 @@ class LiveSession:
 
         if not self._references:
             return None
-        return _Graded(self._rate, IncrementalAssessor(list(self._references), self._rate))
+        return _Graded(IncrementalAssessor(list(self._references), self._rate))
 
     def see(self, picture: Image, seconds: float) -> dict[str, Any]:
         """Process the next picture.
@@ -251,12 +247,11 @@ class LiveSession:
         if graded is None:
             return
         if self._last is None:
-            graded.push(points)
-            self._begun = seconds
+            graded.begun, graded.state = seconds, graded.assessor.push(points)
             return
         before, last = self._last
-        while (at := self._begun + graded.assessor.n_frames / graded.rate) <= seconds:
-            graded.push(last + (points - last) * ((at - before) / (seconds - before)))
+        while (at := graded.begun + graded.assessor.n_frames / self._rate) <= seconds:
+            graded.state = graded.assessor.push(last + (points - last) * ((at - before) / (seconds - before)))
         if time.monotonic() - graded.asked > self._grade_every:
             score = graded.assessor.grade
             graded.asked = time.monotonic()
@@ -271,15 +266,14 @@ class LiveSession:
         from dousa.evaluation.words import describe_segments
 
         state = graded.state
+        wrong, matched_s = ((), np.nan) if state is None else (state.wrong, state.matched_time_s)
         return {
             "score": None if graded.score is None else round(graded.score, 1),
-            "seconds": round(min(graded.assessor.n_frames / graded.rate, WINDOW_S), 2),
-            "wrong": [] if state is None else list(state.wrong),
-            "wrong_names": "" if state is None or not state.wrong else describe_segments(state.wrong, get_language()),
+            "seconds": round(min(graded.assessor.n_frames / self._rate, WINDOW_S), 2),
+            "wrong": list(wrong),
+            "wrong_names": describe_segments(wrong, get_language()) if wrong else "",
             "lag_ms": None if state is None or not np.isfinite(state.lag_ms) else round(state.lag_ms),
-            "matched_s": None
-            if state is None or not np.isfinite(state.matched_time_s)
-            else round(state.matched_time_s, 2),
+            "matched_s": None if not np.isfinite(matched_s) else round(matched_s, 2),
         }
 
 
