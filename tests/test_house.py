@@ -31,7 +31,7 @@ ROOMS = {
     "workers": (482, 6),
 }
 TOTALS = {
-    "lines of tests": 62_625,
+    "lines of tests": 62_628,
     "lines of JavaScript": 12_544,
     "constants": 1_060,
     "numeric constants without a source": 0,

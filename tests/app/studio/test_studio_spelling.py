@@ -1,5 +1,7 @@
 """What a page asks, copied as a command and as Python, answers what the studio answers."""
 
+import contextlib
+import io
 import json
 import shlex
 
@@ -26,7 +28,8 @@ def answers_of(studio, dousa, tmp_path, monkeypatch):
             assert code == 0, err
             command = json.loads(out)
         names: dict = {}
-        exec(said["python"], names)  # what the studio wrote, of its own library
+        with contextlib.redirect_stdout(io.StringIO()):
+            exec(said["python"], names)  # what the studio wrote, of its own library
         return command, names["result"], said
 
     return ask
