@@ -220,3 +220,22 @@ def test_a_missing_model_is_one_line_with_the_command(dousa, film, tmp_path, fol
     monkeypatch.setattr("sys.argv", ["dousa", "keypoints", str(film), "-o", str(tmp_path / "out")])
     with pytest.raises(KeypointError, match="run: dousa keypoints --install"):
         find_keypoints(film, cache=tmp_path / "cache")
+
+
+@pytest.mark.parametrize("words", [("sync",), ("estimate", "--cues", "silhouettes", "-o", "{0}/x.bvh")])
+def test_a_film_with_a_cut_is_refused_with_its_time(dousa, scene, tmp_path, words):
+    av, cv2 = pytest.importorskip("av"), pytest.importorskip("cv2")
+    rng = np.random.default_rng(0)
+    rooms = [cv2.resize(rng.integers(30, 220, (24, 32, 3), np.uint8), (320, 240)) for _ in range(2)]
+    for name in ("film1", "film2"):
+        with av.open(str(tmp_path / f"{name}.mp4"), "w") as container:
+            stream = container.add_stream("mpeg4", rate=20)
+            stream.width, stream.height, stream.bit_rate = 320, 240, 2_000_000
+            for number in range(30):
+                frame = av.VideoFrame.from_ndarray(rooms[number >= 14 and name == "film2"], format="rgb24")
+                container.mux(stream.encode(frame))
+            container.mux(stream.encode(None))
+    films = [str(tmp_path / f"{name}.mp4") for name in ("film1", "film2")]
+    more = [word.format(tmp_path) for word in words[1:]]
+    code, _, error = dousa(words[0], *films, "--cameras", str(scene / "calib.toml"), *more)
+    assert code == 2 and "film2.mp4: the film is cut at 0.7 s" in error and len(error.splitlines()) == 1

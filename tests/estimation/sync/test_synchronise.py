@@ -133,6 +133,34 @@ def test_sound_agrees_differs_or_stands_alone(performance):
     assert found.offsets[1] == pytest.approx(1.0, abs=1e-3)
 
 
+class Exercise(Performance):
+    """One movement, again and again."""
+
+    def __init__(self, category):
+        super().__init__((category,), wander=0.0)
+        self.gap = super().at(np.array([self.seconds]))[0] - super().at(np.zeros(1))[0]
+
+    def at(self, times):
+        phase = times % self.seconds
+        return super().at(phase) - self.gap * (phase / self.seconds)[:, None, None]
+
+
+@pytest.mark.slow
+def test_where_a_movement_is_repeated_the_time_is_open_and_sound_tells_it():
+    exercise, cameras = Exercise("squat"), make_cameras(3)
+    begins = np.array([0.5, 1.87, 1.1])
+    views = [film(exercise, camera, begin, 8.0) for camera, begin in zip(cameras, begins, strict=True)]
+    found = sync(views, cameras=cameras)
+    rounds = (found.offsets - (begins - begins[0])) / exercise.seconds
+    np.testing.assert_allclose(rounds, np.round(rounds), atol=0.01)
+    assert [note.code for note in found.warnings] == ["sync.ambiguous"] * 2
+    noise = np.random.default_rng(0).normal(0, 0.2, 8000 * 10)
+    sounds = [Sound(noise[int(8000 * begin) : int(8000 * (begin + 8))]) for begin in begins]
+    found = sync(views, cameras=cameras, sounds=sounds)
+    np.testing.assert_allclose(found.offsets, begins - begins[0], atol=0.01)
+    assert found.basis[1:] == ("both", "both") and not found.warnings
+
+
 FOUND = Synchronisation(
     np.array([0.0, -1.25, 0.0333]),
     np.array([0.0, 0.002, 0.004]),

@@ -23,6 +23,7 @@ from dousa.app.pipelines.estimation_views import Scene, Watcher, choose_cameras,
 from dousa.app.pipelines.film_scene import (
     FilmScene,
     PersonSilhouettes,
+    check_scenes,
     has_models,
     has_plates,
     is_films,
@@ -123,6 +124,7 @@ def estimate_files(
     check_outputs(request.outputs, request.inputs)
     require("cv2", "film")
     report(0, 1, Message("progress.opening"))
+    check_scenes(() if request.kind == "mask" else request.sources, report)
     with open_views(request, report) as opened:
         first, last = parse_frames(request.frames, opened.n_frames, Message("frames.recording"))
         views = WatchedSilhouettes(opened, first, last, kept_bytes if request.outputs.has_drawings else 0)

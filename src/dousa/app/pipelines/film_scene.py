@@ -93,11 +93,12 @@ def open_keypoints(
     Raises
     ------
     KeypointError : a source that is missing or damaged, a model that is not installed, no size of the pictures.
-    CalibrationError : no calibration, or no camera for a view.
+    CalibrationError : no calibration, or no camera for a view; a film with a cut, or of a camera that moves.
     OptionError : one film is given twice, a rate or size that is none.
     """
     from dousa.app.requests.estimation import parse_size
     from dousa.estimation import read_keypoints
+    from dousa.estimation.cameras.steadiness import check_steady
     from dousa.estimation.keypoints.keypoint_files import count_views
 
     rate, size, cameras = (None, None, None) if known is None else (known.rate, known.size, known.cameras)
@@ -107,7 +108,10 @@ def open_keypoints(
     counts = list(map(count_views, paths))
     names = _name_views(name_films(paths), counts, cameras)
     usual = find_sizes(cameras if any(map(is_keypoints, paths)) else None, names)
-    films = _find_all([path for path in paths if not is_keypoints(path)], model, progress)
+    filmed = [path for path in paths if not is_keypoints(path)]
+    for path in filmed:
+        check_steady(path, progress)
+    films = _find_all(filmed, model, progress)
     places = [(path, view) for path, count in zip(paths, counts, strict=True) for view in range(count)]
     views = [
         read_keypoints(path, size=given, frame_rate=rate, usual_size=own, view=view)
@@ -336,7 +340,7 @@ def _place_cameras(
     people: tuple[int, ...] | None = None
     notes: list[Message] = []
     if request.offsets == "auto":
-        answer = sync(chosen, progress=report)
+        answer = sync(chosen, sounds=read_sounds(request.sources), progress=report)
         offsets, people, notes = answer.offsets, answer.people, list(answer.warnings)
     elif request.offsets == "none":
         offsets = np.zeros(len(found))
@@ -413,11 +417,11 @@ def find_offsets(
         clocks = -np.array(read_offsets(request.offsets, names))
         return clocks - clocks.min(), []
     try:
-        answer = sync(found, cameras=cameras, progress=report)
-    except CalibrationError:  # without movement it does not matter much either
-        return together, [Message("film_estimate.not_synchronised")]
+        answer = sync(found, cameras=cameras, sounds=read_sounds(request.sources), progress=report)
+    except CalibrationError as error:  # without movement it does not matter much either
+        return together, [Message("film_estimate.not_synchronised", reason=error.message)]
     if start_together(found, answer.offsets, answer.spreads):
-        return together, []
+        return together, list(answer.warnings)
     clocks = -answer.offsets
     pairs = tuple(f"{name} {offset:+.3f} s" for name, offset in zip(names, answer.offsets, strict=True))
     return clocks - clocks.min(), [*answer.warnings, Message("film_estimate.synchronised", offsets=pairs)]
@@ -566,6 +570,16 @@ def is_films(request: EstimationRequest) -> bool:
     return all(
         (path.is_file() and path.suffix.lower() not in endings) or holds_keypoints(path) for path in request.sources
     )
+
+
+def check_scenes(paths: Sequence[Path], progress: ProgressCallback) -> None:
+    """Raise CalibrationError if a film, unless it is one of masks, has a cut or is of a camera that moves."""
+    from dousa.estimation.cameras.steadiness import check_steady
+    from dousa.estimation.silhouettes.images import IMAGE_ENDINGS
+
+    for path in paths:
+        if path.is_file() and path.suffix.lower() not in (".npz", *IMAGE_ENDINGS) and not shows_masks(path):
+            check_steady(path, progress)
 
 
 def shows_masks(path: Path) -> bool:

@@ -21,7 +21,7 @@ from dousa.estimation.calibration.person import guess_lenses
 from dousa.estimation.calibration.sightings import Track, choose_points, list_limbs, make_track, name_views
 from dousa.estimation.cameras.camera import Camera, find_views
 from dousa.estimation.keypoints.keypoints import ViewKeypoints
-from dousa.estimation.sync.sound import Sound, SoundLag, find_sound_lag
+from dousa.estimation.sync.sound import Sound, find_sound_lag
 from dousa.estimation.sync.timing import (
     Agreement,
     Movement,
@@ -36,6 +36,7 @@ from dousa.files.markup import parse_toml, quote_toml
 from dousa.messages import Message, Progress
 
 _SAME = 0.05  # s; offsets that differ by less are one answer, see docs/estimation.md
+_BETTER = 0.8  # of the misfit of another answer; by those half as large again at wrong times, see `timing`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,11 +64,12 @@ class Synchronisation:
 
 
 class _Start(NamedTuple):
-    """A first guess: offsets (V,) s, people (V,), and the score of their movements."""
+    """A first guess: offsets (V,) s, people (V,), the score of their movements, and whether it is that of sound."""
 
     offsets: FloatArray
     people: tuple[int, ...]
     score: float
+    heard: bool = False
 
 
 def sync(
@@ -110,18 +112,18 @@ def sync(
         return _by_sound_only(by_sound, heard, problem)
     starts = _find_starts(tracks)
     if heard:
-        starts.insert(0, _Start(by_sound, starts[0].people if starts else (0,) * len(views), 0.0))
+        starts.insert(0, _Start(by_sound, starts[0].people if starts else (0,) * len(views), 0.0, True))
     judge = _Judge(tracks, list_limbs(points), cameras, progress or (lambda done, total, what: None))
     found = judge.compare(starts)
     if found is None:
         return _by_sound_only(by_sound, heard, CalibrationError("sync.no_agreement", films=names))
-    best, start, other = found
+    best, start, others = found
     is_sure = judge.excludes_other_times(best, start)
     best = judge.fit(start, best.offsets, best.rig) or best
     if not is_sure or (best.spreads > largest_spread).any():
         worst = names[int(np.argmax(best.spreads))]
         return _by_sound_only(by_sound, heard, CalibrationError("sync.no_time", films=names, film=worst))
-    return _answer(best, start, other, by_sound, names)
+    return _answer(best, start, others, by_sound, names)
 
 
 def _make_tracks(view: ViewKeypoints, points: Sequence[str], camera: Camera, most_people: int = 3) -> list[Track]:
@@ -157,23 +159,19 @@ def _listen(sounds: Sequence[Sound | None] | None, n_views: int) -> tuple[FloatA
     offsets[0] = 0.0
     if sounds is None:
         return offsets, False
-    lags: dict[tuple[int, int], SoundLag] = {}
-    for one, other in itertools.combinations(range(n_views), 2):
-        first, second = sounds[one], sounds[other]
-        lag = None if first is None or second is None else find_sound_lag(first, second)
-        if lag is not None:
-            lags[one, other] = lag
-    known = {0}
-    while True:  # from film to film, by the clearest pair
-        ways = [(lag.clarity, pair) for pair, lag in lags.items() if len(known & set(pair)) == 1]
-        if not ways:
-            break
-        one, other = max(ways)[1]
-        if one in known:
-            offsets[other] = offsets[one] + lags[one, other].lag
-        else:
-            offsets[one] = offsets[other] - lags[one, other].lag
-        known |= {one, other}
+    known, newest = {0}, [0]
+    while newest:  # from the films whose time is known to those whose is not: one comparison a film if all are clear
+        found: dict[int, tuple[float, float]] = {}
+        for one, other in itertools.product(newest, range(n_views)):
+            first, second = sounds[one], sounds[other]
+            if other in known or first is None or second is None:
+                continue
+            lag = find_sound_lag(first, second)
+            if lag is not None and lag.clarity > found.get(other, (0.0, 0.0))[0]:
+                found[other] = lag.clarity, offsets[one] + lag.lag
+        for other, (_, offset) in found.items():
+            offsets[other] = offset
+        known, newest = known | found.keys(), list(found)
     return offsets, len(known) == n_views
 
 
@@ -280,21 +278,26 @@ class _Judge:
         focals = np.array([track.focal for track in tracks])
         return fit_times(tracks, offsets, self._limbs, focals, self._rig, known, most=60, rounds=3)
 
-    def compare(self, starts: Sequence[_Start], same: float = _SAME) -> tuple[TimedRig, _Start, TimedRig | None] | None:
-        """Return the best answer, its start, and another by over ``same`` s hardly worse; None where none fits."""
+    def compare(
+        self, starts: Sequence[_Start], same: float = _SAME, better: float = _BETTER
+    ) -> tuple[TimedRig, _Start, list[TimedRig]] | None:
+        """Return the best answer, its start, and others by over ``same`` s hardly worse; None where none fits.
+
+        Of answers that fit alike, as those of periodic movement do, sound decides.
+        """
         found = [(timed, start) for start in starts for timed in [self.fit(start, start.offsets)] if timed]
         if not found:
             return None
         found.sort(key=lambda item: item[0].misfit)
+        alike = [item for item in found if found[0][0].misfit > better * item[0].misfit]
+        for timed, start in alike:
+            if start.heard:
+                return timed, start, []
         best, start = found[0]
-        for other, _ in found[1:]:
-            apart = float(np.abs(other.offsets - best.offsets).max())
-            if apart > same and best.misfit > 0.9 * other.misfit:
-                return best, start, other
-        return best, start, None
+        return best, start, [timed for timed, _ in alike if np.abs(timed.offsets - best.offsets).max() > same]
 
     def excludes_other_times(
-        self, best: TimedRig, start: _Start, shift: float = 0.5, same: float = _SAME, better: float = 0.8
+        self, best: TimedRig, start: _Start, shift: float = 0.5, same: float = _SAME, better: float = _BETTER
     ) -> bool:
         """Return whether other times, ``shift`` s off, lead back to within ``same`` s or fit worse.
 
@@ -324,7 +327,7 @@ def rig_of(cameras: Sequence[Camera]) -> Rig:
 def _answer(
     best: TimedRig,
     start: _Start,
-    other: TimedRig | None,
+    others: Sequence[TimedRig],
     by_sound: FloatArray,
     names: Sequence[str],
     differs: float = 0.06,
@@ -334,10 +337,10 @@ def _answer(
     notes = []
     if best.misfit > usual:
         notes.append(Message("sync.misfit", misfit=best.misfit, usual=usual))
-    if other is not None:
-        worst = int(np.argmax(np.abs(other.offsets - best.offsets)))
-        values = {"offset": best.offsets[worst], "other": other.offsets[worst]}
-        notes.append(Message("sync.ambiguous", film=names[worst], **values))
+    for view, name in enumerate(names):
+        open_times = [other.offsets[view] for other in others if abs(other.offsets[view] - best.offsets[view]) > _SAME]
+        if open_times:
+            notes.append(Message("sync.ambiguous", film=name, offset=best.offsets[view], other=open_times[0]))
     apart = np.abs(by_sound - best.offsets)
     for view in np.flatnonzero(apart > differs).tolist():
         values = {"movement": best.offsets[view], "sound": by_sound[view]}
