@@ -27,7 +27,7 @@ ROOMS = {
     "library": (15_680, 59),
     "messages": (235, 3),
     "motion": (6_484, 34),
-    "retrieval": (13_196, 47),
+    "retrieval": (13_199, 47),
     "workers": (482, 6),
 }
 TOTALS = {

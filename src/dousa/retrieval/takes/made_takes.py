@@ -327,7 +327,9 @@ def _frame_trunks(points: FloatArray) -> FloatArray:
 def _stretch_bones(points: FloatArray, generator: np.random.Generator, log_length: float = 0.06) -> FloatArray:
     factors = np.exp(generator.normal(0.0, log_length, points.shape[1]))
     factors = np.sqrt(factors * factors[_MIRROR])[:, None]  # the same left and right
-    return points[:, _PELVIS : _PELVIS + 1] + _REACHED @ ((points - points[:, _PARENTS]) * factors)
+    bones = (points - points[:, _PARENTS]) * factors
+    stretched: FloatArray = points[:, _PELVIS : _PELVIS + 1] + _REACHED @ bones
+    return stretched
 
 
 def _tilt(points: FloatArray, generator: np.random.Generator, spread: float = 0.07) -> FloatArray:
@@ -368,4 +370,5 @@ def _lose_joints(
         after = np.where(after < len(points), after, before)  # nothing follows a gap at the end
     share_of = ((frames - before) / np.maximum(after - before, 1))[..., None]
     joints = np.arange(points.shape[1])
-    return points[before, joints] * (1.0 - share_of) + points[after, joints] * share_of
+    bridged: FloatArray = points[before, joints] * (1.0 - share_of) + points[after, joints] * share_of
+    return bridged
